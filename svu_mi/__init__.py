@@ -1,0 +1,54 @@
+"""Uncertainty for SVBRDF acquisition using frequency analysis, on Mitsuba 3 and Dr.Jit.
+
+``import svu_mi as svu`` is light: it finds a usable LLVM library (``svu_mi._llvm``) and
+imports nothing else. Every public name below is loaded on first use; no Mitsuba variant
+is ever set on import.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from svu_mi import _llvm
+
+if TYPE_CHECKING:
+    from svu_mi.capture import Capture, load_capture, render_capture
+    from svu_mi.errors import SvuError
+    from svu_mi.frequency import fit_sh, power_spectrum
+    from svu_mi.options import Preset, preset
+    from svu_mi.pipeline import Estimate, estimate
+    from svu_mi.posterior import ParameterGrid, Posterior, spectrum_posterior
+    from svu_mi.surface import Texels, texels
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Capture": "capture", "load_capture": "capture", "render_capture": "capture",
+    "Texels": "surface", "texels": "surface",
+    "fit_sh": "frequency", "power_spectrum": "frequency",
+    "ParameterGrid": "posterior", "Posterior": "posterior", "spectrum_posterior": "posterior",
+    "Preset": "options", "preset": "options",
+    "Estimate": "pipeline", "estimate": "pipeline",
+    "SvuError": "errors",
+}  # fmt: skip
+
+__all__ = [  # noqa: PLE0604 - the names are loaded on first use
+    "Capture", "Estimate", "ParameterGrid", "Posterior", "Preset", "SvuError", "Texels",
+    "estimate", "fit_sh", "load_capture", "power_spectrum", "preset", "render_capture",
+    "spectrum_posterior", "texels",
+]  # fmt: skip
+
+_llvm.bootstrap()
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'svu_mi' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"svu_mi.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(set(globals()) | set(_HOME))

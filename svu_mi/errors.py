@@ -1,0 +1,42 @@
+"""Errors of svu_mi: one sentence that names the file, frame or texel, and the fix.
+
+The command line prints the sentence and exits with status 2; Python callers catch
+``SvuError`` or one of its subclasses. A warning that is not an error derives from
+``SvuWarning`` and goes through the standard ``warnings`` module.
+"""
+
+
+class SvuError(Exception):
+    """Base of every error a user can cause and repair."""
+
+
+class SvuEnvironmentError(SvuError):
+    """The installation cannot run: no usable LLVM, or a Mitsuba variant that does not fit."""
+
+
+class CaptureError(SvuError):
+    """Photographs, masks, exposures or poses are missing or do not fit each other."""
+
+
+class SceneError(SvuError):
+    """The Mitsuba scene lacks, or has too much of, something that the method needs."""
+
+
+class MeshError(SvuError):
+    """The mesh cannot carry texels: no UVs, overlapping charts, no faces."""
+
+
+class OptionError(SvuError):
+    """An option is outside its range or names something that does not exist."""
+
+
+class ShapeError(SvuError):
+    """An array has the wrong shape."""
+
+
+class OutputError(SvuError):
+    """A result cannot be written."""
+
+
+class SvuWarning(UserWarning):
+    """Something the user should know although the run goes on."""
