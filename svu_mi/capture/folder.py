@@ -1,0 +1,90 @@
+"""The capture folder: ``capture.json`` beside ``view_0000.exr``, ..."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from svu_mi.capture.poses import describe, make_sensor
+from svu_mi.capture.scene import check_sensor
+from svu_mi.errors import CaptureError
+
+FILE = "capture.json"
+FORMAT = "svu-capture"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """What ``capture.json`` says.
+
+    Attributes:
+        scene: path of the Mitsuba scene, None when the capture was made from a live scene.
+        defines: the scene's ``-D`` parameters.
+        shape: id of the target, None = the only candidate.
+        exposures: one gain per view, empty = all 1.
+        sensors: descriptions of the sensors, empty = those of the scene.
+    """
+
+    scene: Path | None = None
+    defines: Mapping[str, str] = field(default_factory=dict)
+    shape: str | None = None
+    exposures: Sequence[float] = ()
+    sensors: Sequence[Mapping[str, Any]] = ()
+
+    def make_sensors(self, path: Path) -> tuple[Any, ...]:
+        """Make the sensors that the photographs of this folder were taken with."""
+        made = []
+        for index, record in enumerate(self.sensors):
+            label = f"{path}: sensor {index}"
+            made.append(make_sensor(record, label))
+            check_sensor(made[-1], label)
+        return tuple(made)
+
+
+def read(folder: Path) -> Description | None:
+    """Read ``capture.json``; None where the folder has none.
+
+    Raises:
+        CaptureError: the file is not JSON or not a capture.
+    """
+    path = folder / FILE
+    if not path.is_file():
+        return None
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise CaptureError(f"{path}: not a readable JSON file ({error}).") from error
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        raise CaptureError(f'{path}: not a capture; expected "format": "{FORMAT}".')
+    try:
+        scene = record.get("scene")
+        return Description(
+            scene=None if scene is None else (folder / scene).resolve(),
+            defines={str(k): str(v) for k, v in record.get("define", {}).items()},
+            shape=record.get("shape"),
+            exposures=tuple(float(gain) for gain in record.get("exposure", ())),
+            sensors=tuple(record.get("sensors", ())),
+        )
+    except (TypeError, ValueError, AttributeError) as error:
+        raise CaptureError(f"{path}: a value has the wrong type ({error}).") from error
+
+
+def write(folder: Path, description: Description, sensors: Sequence[Any]) -> None:
+    """Write ``capture.json`` (atomically); the scene's path is kept relative if it can be."""
+    scene = description.scene
+    record = {
+        "format": FORMAT,
+        "version": 1,
+        "scene": None if scene is None else os.path.relpath(scene.resolve(), folder.resolve()),
+        "define": dict(description.defines),
+        "shape": description.shape,
+        "exposure": list(description.exposures),
+        "sensors": [describe(sensor) for sensor in sensors],
+    }
+    temporary = folder / (FILE + ".tmp")
+    temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    temporary.replace(folder / FILE)

@@ -1,0 +1,171 @@
+"""From a scene file and a folder of photographs to a ``Capture``."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from svu_mi.capture import folder as capture_folder
+from svu_mi.capture.folder import Description
+from svu_mi.capture.images import Photograph, find_images, read_photograph
+from svu_mi.capture.mesh import has_uvs
+from svu_mi.capture.poses import film_size
+from svu_mi.capture.record import Capture
+from svu_mi.capture.scene import (
+    find_environment,
+    find_sensors,
+    find_shape,
+    load_scene,
+    require_variant,
+)
+from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
+from svu_mi.errors import CaptureError, SvuWarning
+
+
+def load_capture(
+    path: str | Path,
+    images: str | Path | None = None,
+    *,
+    shape: str | None = None,
+    defines: Mapping[str, str] | None = None,
+    unwrap: bool = False,
+) -> Capture:
+    """Read a scene and its photographs.
+
+    Args:
+        path: a Mitsuba XML scene, or a capture folder (with ``capture.json``).
+        images: folder with ``view_0000.exr``, ... in the order of the sensors; by default
+            the capture folder, the scene's folder, or ``images`` beside the scene. If it has
+            a ``capture.json`` with sensors, those are the photographs' poses.
+        shape: id of the target; by default the only mesh (with a principled BSDF).
+        defines: values for the scene's ``<default>`` parameters.
+        unwrap: lay out new UVs even if the mesh has some. A mesh without UVs is unwrapped
+            anyway, with a warning; the result is kept as ``unwrapped.ply`` with the images.
+
+    Raises:
+        SvuEnvironmentError: no suitable Mitsuba variant is active.
+        SceneError: the scene cannot be loaded or lacks something.
+        CaptureError: photographs are missing, unreadable or do not fit.
+    """
+    require_variant()
+    path = Path(path)
+    folder = _image_folder(path, None if images is None else Path(images))
+    description = capture_folder.read(folder) or Description()
+    xml = path if path.suffix.lower() == ".xml" else description.scene
+    if xml is None:
+        raise CaptureError(f"{path}: not a Mitsuba XML scene and not a capture folder.")
+    # What the caller says wins over what the folder remembers.
+    description = dataclasses.replace(
+        description,
+        scene=xml,
+        shape=shape or description.shape,
+        defines={**description.defines, **(defines or {})},
+    )
+    scene = load_scene(xml, description.defines)
+    sensors = description.make_sensors(folder) or find_sensors(scene, str(xml))
+    return read_capture(scene, sensors, folder, description, unwrap=unwrap)
+
+
+def read_capture(
+    scene: Any,
+    sensors: Sequence[Any],
+    folder: Path,
+    description: Description,
+    *,
+    unwrap: bool = False,
+) -> Capture:
+    """Read the photographs of a folder for a live scene (see ``load_capture``)."""
+    label = str(description.scene or folder)
+    find_environment(scene, label)
+    target = find_shape(scene, description.shape, label)
+    names = find_images(folder, len(sensors))
+    exposures = _exposures(description.exposures, len(sensors), folder)
+    photographs = [
+        read_photograph(name, film_size(sensor), exposure)
+        for name, sensor, exposure in zip(names, sensors, exposures, strict=True)
+    ]
+    notes, used = _judge(photographs, names)
+    mesh, note = _texel_mesh(target, unwrap, folder)
+    for sentence in notes + note:
+        warnings.warn(sentence, SvuWarning, stacklevel=3)
+    return Capture(
+        scene=scene,
+        shape=target,
+        mesh=mesh,
+        sensors=tuple(sensors),
+        images=tuple(photograph.pixels for photograph in photographs),
+        masks=tuple(photograph.mask for photograph in photographs),
+        exposures=tuple(exposures),
+        names=tuple(name.name for name in names),
+        unusable=tuple(photograph.invalid + photograph.saturated for photograph in photographs),
+        used=used,
+        source=folder,
+        warnings=tuple(notes + note),
+    )
+
+
+def _image_folder(path: Path, images: Path | None) -> Path:
+    if images is not None:
+        return images
+    if path.is_dir():
+        return path
+    if not path.exists():
+        raise CaptureError(f"{path}: no such file or folder.")
+    if path.name == capture_folder.FILE:
+        return path.parent
+    beside = path.parent / "images"
+    return beside if beside.is_dir() else path.parent
+
+
+def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:
+    if not given:
+        return [1.0] * count
+    file = folder / capture_folder.FILE
+    if len(given) != count:
+        raise CaptureError(f"{file}: {len(given)} exposures for {count} views; give one each.")
+    for index, gain in enumerate(given):
+        if not (math.isfinite(gain) and gain > 0):
+            raise CaptureError(f"{file}: the exposure of view {index} is {gain}, not positive.")
+    return list(given)
+
+
+def _judge(
+    photographs: Sequence[Photograph], names: Sequence[Path]
+) -> tuple[list[str], tuple[bool, ...]]:
+    """Say what was found in the photographs; leave out those without any light."""
+    notes = []
+    for photograph, name in zip(photographs, names, strict=True):
+        if photograph.low_range:
+            notes.append(
+                f"{name}: an 8-bit image, not HDR; decoded as sRGB, {photograph.saturated} "
+                "saturated pixels left out. Clipped highlights hide what gloss says: use HDR."
+            )
+        if photograph.invalid:
+            notes.append(
+                f"{name}: {photograph.invalid} pixels are NaN, infinite or negative; left out."
+            )
+        if photograph.black:
+            notes.append(
+                f"{name}: the photograph is entirely black; the view is left out. "
+                "Check its exposure, or remove it with its sensor."
+            )
+    used = tuple(not photograph.black for photograph in photographs)
+    if photographs and not any(used):
+        raise CaptureError(
+            f"{names[0].parent}: all {len(names)} photographs are entirely black; "
+            "check the exposure and the channel names of the files."
+        )
+    return notes, used
+
+
+def _texel_mesh(shape: Any, unwrap: bool, folder: Path | None) -> tuple[Any, list[str]]:
+    if has_uvs(shape) and not unwrap:
+        return shape, []
+    reason = "has no UVs" if not has_uvs(shape) else "is unwrapped anew, as asked"
+    kept = "" if folder is None else f"; they are kept in {folder / UNWRAPPED}"
+    note = f"Shape '{shape.id()}' {reason}: UVs are laid out by xatlas{kept}."
+    return unwrapped(shape, folder), [note]

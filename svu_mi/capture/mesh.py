@@ -1,0 +1,79 @@
+"""Mesh access: the one module that reads and makes ``mi.Mesh`` buffers.
+
+Mitsuba 3.10 renames all of this, so nothing else in svu_mi touches a mesh buffer.
+Positions and normals are in world space (a shape's ``to_world`` is baked in at load).
+UVs are Mitsuba's: v = 0 is the first row of a bitmap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+
+@dataclass(frozen=True)
+class MeshArrays:
+    """NumPy copies of a mesh's buffers.
+
+    Attributes:
+        positions: (N, 3) float64, world space.
+        faces: (F, 3) int64, indices into the vertices.
+        normals: (N, 3) float64 unit vertex normals, or None when the mesh has none.
+        uvs: (N, 2) float64, or None when the mesh has none.
+    """
+
+    positions: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray | None
+    uvs: np.ndarray | None
+
+
+def has_uvs(mesh: Any) -> bool:
+    """Return whether the mesh carries texture coordinates."""
+    return bool(mesh.has_vertex_texcoords())
+
+
+def arrays(mesh: Any) -> MeshArrays:
+    """Copy a mesh's buffers to NumPy (Dr.Jit's own views alias the mesh's memory)."""
+
+    def rows(buffer: Any, width: int) -> np.ndarray:
+        return np.array(buffer.numpy(), np.float64).reshape(-1, width)
+
+    return MeshArrays(
+        positions=rows(mesh.vertex_positions_buffer(), 3),
+        faces=np.array(mesh.faces_buffer().numpy(), np.int64).reshape(-1, 3),
+        normals=rows(mesh.vertex_normals_buffer(), 3) if mesh.has_vertex_normals() else None,
+        uvs=rows(mesh.vertex_texcoords_buffer(), 2) if has_uvs(mesh) else None,
+    )
+
+
+def make(name: str, mesh: MeshArrays) -> Any:
+    """Build a ``mi.Mesh`` from arrays.
+
+    Args:
+        name: the id of the new mesh.
+        mesh: its buffers.
+    """
+    made = mi.Mesh(
+        name,
+        len(mesh.positions),
+        len(mesh.faces),
+        has_vertex_normals=mesh.normals is not None,
+        has_vertex_texcoords=mesh.uvs is not None,
+    )
+    params = mi.traverse(made)
+    params["vertex_positions"] = mi.Float(_flat(mesh.positions))
+    params["faces"] = mi.UInt32(np.ascontiguousarray(mesh.faces, np.uint32).ravel())
+    if mesh.normals is not None:
+        params["vertex_normals"] = mi.Float(_flat(mesh.normals))
+    if mesh.uvs is not None:
+        params["vertex_texcoords"] = mi.Float(_flat(mesh.uvs))
+    params.update()
+    return made
+
+
+def _flat(rows: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(rows, np.float32).ravel()

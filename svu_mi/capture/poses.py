@@ -1,0 +1,147 @@
+"""Sensors as data: write them to JSON, make them again, place new ones around an object."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.errors import CaptureError, OptionError
+
+GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+
+
+def film_size(sensor: Any) -> tuple[int, int]:
+    """Return (width, height) of the sensor's crop window: the size of its photograph."""
+    size = sensor.film().crop_size()
+    return int(size[0]), int(size[1])
+
+
+def describe(sensor: Any) -> dict[str, Any]:
+    """Return a JSON-ready description of a perspective sensor.
+
+    ``to_world`` is row-major, camera space is +X left, +Y up, +Z forward; ``x_fov`` is in
+    degrees over the full film width.
+    """
+    params = mi.traverse(sensor)
+    film = sensor.film()
+
+    def number(key: str) -> float:
+        return float(np.array(params[key]).ravel()[0])
+
+    def pair(value: Any) -> list[int]:
+        return [int(value[0]), int(value[1])]
+
+    return {
+        "to_world": np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4).tolist(),
+        "x_fov": number("x_fov"),
+        "principal_point_offset": [
+            number("principal_point_offset_x"),
+            number("principal_point_offset_y"),
+        ],
+        "clip": [number("near_clip"), number("far_clip")],
+        "film": pair(film.size()),
+        "crop_offset": pair(film.crop_offset()),
+        "crop_size": pair(film.crop_size()),
+    }
+
+
+def make_sensor(record: Mapping[str, Any], label: str) -> Any:
+    """Make a perspective sensor from its description.
+
+    Raises:
+        CaptureError: a key is missing or Mitsuba refuses a value.
+    """
+    try:
+        return mi.load_dict(
+            {
+                "type": "perspective",
+                "id": label,
+                "to_world": mi.ScalarTransform4f(np.array(record["to_world"], np.float64)),
+                "fov": float(record["x_fov"]),
+                "fov_axis": "x",
+                "principal_point_offset_x": float(record["principal_point_offset"][0]),
+                "principal_point_offset_y": float(record["principal_point_offset"][1]),
+                "near_clip": float(record["clip"][0]),
+                "far_clip": float(record["clip"][1]),
+                "film": {
+                    "type": "hdrfilm",
+                    "width": int(record["film"][0]),
+                    "height": int(record["film"][1]),
+                    "crop_offset_x": int(record["crop_offset"][0]),
+                    "crop_offset_y": int(record["crop_offset"][1]),
+                    "crop_width": int(record["crop_size"][0]),
+                    "crop_height": int(record["crop_size"][1]),
+                    "pixel_format": "rgb",
+                    "component_format": "float32",
+                    "rfilter": {"type": "box"},
+                },
+                "sampler": {"type": "independent"},
+            }
+        )
+    except (KeyError, TypeError, ValueError, IndexError, RuntimeError) as error:
+        raise CaptureError(
+            f"{label}: the sensor's description is not complete ({error!r}); "
+            "render or import the capture again."
+        ) from error
+
+
+def sphere_sensors(
+    shape: Any, count: int, resolution: tuple[int, int], fov: float = 35.0
+) -> tuple[Any, ...]:
+    """Place sensors around an object, evenly over the sphere (Fibonacci spiral).
+
+    Args:
+        shape: the object; sensors look at the centre of its bounding box.
+        count: number of sensors.
+        resolution: (width, height) of each film, in pixels.
+        fov: opening angle over the film's shorter side, in degrees.
+
+    Raises:
+        OptionError: fewer than one sensor, or an empty film.
+    """
+    if count < 1 or min(resolution) < 1:
+        raise OptionError(
+            f"Cannot place {count} sensors of {resolution[0]} x {resolution[1]} pixels; "
+            "there must be at least one of each."
+        )
+    bounds = shape.bbox()
+    low, high = np.array(bounds.min, np.float64), np.array(bounds.max, np.float64)
+    center, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+    distance = 1.05 * radius / np.sin(np.radians(fov) / 2)
+    wide = max(1.0, resolution[0] / resolution[1])
+    x_fov = 2 * np.degrees(np.arctan(np.tan(np.radians(fov) / 2) * wide))
+    index = np.arange(count) + 0.5
+    height = 1 - 2 * index / count
+    angle = GOLDEN_ANGLE * index
+    ring = np.sqrt(1 - height**2)
+    directions = np.stack([ring * np.sin(angle), height, ring * np.cos(angle)], axis=-1)
+    return tuple(
+        make_sensor(
+            {
+                "to_world": _look_at(center + distance * direction, center),
+                "x_fov": x_fov,
+                "principal_point_offset": [0.0, 0.0],
+                "clip": [distance * 1e-2, distance * 1e2],
+                "film": resolution,
+                "crop_offset": [0, 0],
+                "crop_size": resolution,
+            },
+            f"view_{number:04d}",
+        )
+        for number, direction in enumerate(directions)
+    )
+
+
+def _look_at(origin: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return a camera-to-world matrix with +Y up, turned aside where that is degenerate."""
+    forward = (target - origin) / np.linalg.norm(target - origin)
+    up = np.array([0.0, 1.0, 0.0]) if abs(forward[1]) < 0.999 else np.array([0.0, 0.0, 1.0])
+    left = np.cross(up, forward)
+    left /= np.linalg.norm(left)
+    matrix = np.eye(4)
+    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = left, np.cross(forward, left), forward
+    matrix[:3, 3] = origin
+    return matrix

@@ -1,0 +1,49 @@
+"""What was seen: the record that every later stage reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capture:
+    """A scene, its target object, and one photograph per sensor.
+
+    Attributes:
+        scene: the ``mi.Scene``; geometry and light of everything that follows.
+        shape: the target in the scene, an ``mi.Mesh``.
+        mesh: the same surface with UVs that texels are laid out in. It is ``shape`` itself
+            unless that had to be unwrapped.
+        sensors: V perspective sensors, in the order of the scene.
+        images: V arrays (H, W, 3) float32, linear radiance, exposure divided out. A pixel
+            that must not be used (NaN, infinite, negative, saturated) is NaN.
+        masks: V arrays (H, W) bool, True on the object, or None for a view without a mask.
+        exposures: V gains the photographs were divided by.
+        names: V file names (or labels), for messages.
+        unusable: V counts of pixels that were set to NaN.
+        used: V booleans; False for a view left out, such as an entirely black photograph.
+        source: the folder or file the capture was read from, None when made in memory.
+        warnings: sentences about what was found and repaired while loading.
+    """
+
+    scene: Any
+    shape: Any
+    mesh: Any
+    sensors: tuple[Any, ...]
+    images: tuple[np.ndarray, ...]
+    masks: tuple[np.ndarray | None, ...]
+    exposures: tuple[float, ...]
+    names: tuple[str, ...]
+    unusable: tuple[int, ...]
+    used: tuple[bool, ...]
+    source: Path | None = None
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def count(self) -> int:
+        """Number of views V."""
+        return len(self.sensors)

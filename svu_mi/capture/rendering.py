@@ -1,0 +1,136 @@
+"""Synthetic photographs: render a scene's sensors into a capture folder."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture import folder as capture_folder
+from svu_mi.capture.folder import Description
+from svu_mi.capture.loading import read_capture
+from svu_mi.capture.poses import film_size, sphere_sensors
+from svu_mi.capture.record import Capture
+from svu_mi.capture.scene import (
+    find_environment,
+    find_sensors,
+    find_shape,
+    load_scene,
+    require_variant,
+)
+from svu_mi.errors import OptionError, OutputError
+from svu_mi.exr import write_exr
+
+MASK_GRID = 3  # mask rays per pixel side; any miss puts a pixel off the object
+
+
+def render_capture(
+    scene: Any,
+    spp: int = 64,
+    seed: int = 0,
+    *,
+    folder: str | Path | None = None,
+    shape: str | None = None,
+    views: int | None = None,
+    resolution: tuple[int, int] = (512, 512),
+    defines: Mapping[str, str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Capture:
+    """Render one photograph per sensor and read them back as a capture.
+
+    Args:
+        scene: a ``mi.Scene``, or the path of an XML file.
+        spp: samples per pixel.
+        seed: seed of the first view; view i uses a seed derived from it.
+        folder: where ``capture.json`` and ``view_NNNN.exr`` (RGB, alpha = object mask) are
+            written. By default a temporary folder that is gone after reading.
+        shape: id of the target (see ``load_capture``).
+        views: place this many sensors on a sphere around the target instead of using the
+            scene's own.
+        resolution: (width, height) of those sensors' films, in pixels.
+        defines: values for the scene's ``<default>`` parameters, when it is a path.
+        progress: called with (views done, views in all).
+
+    Raises:
+        SvuEnvironmentError: no suitable Mitsuba variant is active.
+        SceneError: the scene cannot be loaded or lacks something.
+        OptionError: ``spp`` is below 1.
+        OutputError: the folder cannot be written.
+    """
+    require_variant()
+    if spp < 1:
+        raise OptionError(f"spp must be at least 1, got {spp}.")
+    path = None if isinstance(scene, mi.Scene) else Path(scene)
+    scene = scene if path is None else load_scene(path, defines)
+    label = str(path or "scene")
+    find_environment(scene, label)
+    target = find_shape(scene, shape, label)
+    if views is None:
+        sensors = find_sensors(scene, label)
+    else:
+        sensors = sphere_sensors(target, views, resolution)
+    description = Description(scene=path, defines=defines or {}, shape=target.id() or None)
+    if folder is not None:
+        _render_views(scene, target, sensors, _made(Path(folder)), spp, seed, progress)
+        capture_folder.write(Path(folder), description, sensors)
+        return read_capture(scene, sensors, Path(folder), description)
+    with tempfile.TemporaryDirectory(prefix="svu-capture-") as temporary:
+        _render_views(scene, target, sensors, Path(temporary), spp, seed, progress)
+        return read_capture(scene, sensors, Path(temporary), description)
+
+
+def _made(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: the folder cannot be made ({error.strerror}).") from error
+    stale = sorted(folder.glob("view_*"))
+    if stale and not (folder / capture_folder.FILE).exists():
+        raise OutputError(
+            f"{folder}: holds photographs ({stale[0].name}, ...) that this program did not "
+            "render; choose another folder."
+        )
+    for old in stale:
+        old.unlink()
+    return folder
+
+
+def _render_views(
+    scene: Any,
+    target: Any,
+    sensors: Sequence[Any],
+    folder: Path,
+    spp: int,
+    seed: int,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    for index, sensor in enumerate(sensors):
+        # Neighbouring seeds of the independent sampler are decorrelated by Mitsuba itself.
+        image = np.array(mi.render(scene, sensor=sensor, spp=spp, seed=seed + index))
+        alpha = object_mask(scene, target, sensor)
+        write_exr(
+            folder / f"view_{index:04d}.exr",
+            {"R": image[..., 0], "G": image[..., 1], "B": image[..., 2], "A": alpha},
+        )
+        if progress is not None:
+            progress(index + 1, len(sensors))
+
+
+def object_mask(scene: Any, target: Any, sensor: Any) -> np.ndarray:
+    """Return (H, W) float32: the part of each pixel that the target covers, unoccluded."""
+    width, height = film_size(sensor)
+    n = MASK_GRID
+    index = dr.arange(mi.UInt32, width * height * n * n)
+    pixel, sub = index // (n * n), index % (n * n)
+    x = mi.Float(pixel % width) + (mi.Float(sub % n) + 0.5) / n
+    y = mi.Float(pixel // width) + (mi.Float(sub // n) + 0.5) / n
+    ray, _ = sensor.sample_ray(0, 0.5, mi.Point2f(x / width, y / height), mi.Point2f(0.5))
+    hit = scene.ray_intersect_preliminary(ray, coherent=True)
+    on_target = hit.is_valid() & (hit.shape == mi.ShapePtr(target))
+    covered = dr.block_sum(dr.select(on_target, mi.Float(1), mi.Float(0)), n * n)
+    return np.array(covered).reshape(height, width).astype(np.float32) / (n * n)

@@ -1,0 +1,200 @@
+"""Load a Mitsuba scene and find in it the object, the sensors and the light."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi import _llvm
+from svu_mi.capture.mesh import arrays
+from svu_mi.errors import SceneError, SvuEnvironmentError
+
+
+def require_variant() -> str:
+    """Return the active variant if it can run the method.
+
+    Raises:
+        SvuEnvironmentError: no variant is set, or a scalar, spectral or monochrome one, or
+            an LLVM variant without a usable LLVM library.
+    """
+    variant = mi.variant()
+    if variant is None:
+        raise SvuEnvironmentError(
+            "No Mitsuba variant is set; call mitsuba.set_variant('llvm_ad_rgb') first."
+        )
+    if not re.fullmatch(r"(llvm|cuda|metal)_ad_rgb", variant):
+        raise SvuEnvironmentError(
+            f"Variant '{variant}' is not supported: entropy needs a vectorised RGB variant; "
+            "use llvm_ad_rgb (or cuda_ad_rgb, metal_ad_rgb)."
+        )
+    if variant.startswith("llvm"):
+        _llvm.require()
+    return variant
+
+
+def load_scene(path: Path, defines: Mapping[str, str] | None = None) -> Any:
+    """Load a Mitsuba XML file without merging its shapes or textures.
+
+    Args:
+        path: the XML file.
+        defines: values for the scene's ``<default>`` parameters.
+
+    Raises:
+        SceneError: the file is missing or Mitsuba refuses it; the sentence is Mitsuba's own
+            last one, with the file's name.
+    """
+    if not path.is_file():
+        raise SceneError(f"{path}: no such scene file; give the path of a Mitsuba XML scene.")
+    try:
+        # optimize=True would merge equal textures and meshes, and lose their ids.
+        return mi.load_file(str(path), optimize=False, **dict(defines or {}))
+    except Exception as error:  # Mitsuba raises RuntimeError for everything
+        raise SceneError(f"{path}: {_last_sentence(str(error))}") from error
+
+
+def _last_sentence(message: str) -> str:
+    """Strip Mitsuba's nested source positions, keep what the user can act on."""
+    lines = [line.strip() for line in message.strip().splitlines() if line.strip()]
+    text = " ".join(lines)
+    text = re.sub(r"\[[\w.]+:\d+\]\s*", "", text)
+    return text if text.endswith((".", "!")) else text + "."
+
+
+def find_sensors(scene: Any, path: str) -> tuple[Any, ...]:
+    """Return the scene's sensors after checking each.
+
+    Raises:
+        SceneError: there is none, or one is not a perspective camera or has a mirrored pose.
+    """
+    sensors = tuple(scene.sensors())
+    if not sensors:
+        raise SceneError(
+            f"{path}: the scene has no sensor, so there is no view; "
+            "add one <sensor> per photograph, or pass --views N to place some."
+        )
+    for index, sensor in enumerate(sensors):
+        check_sensor(sensor, f"{path}: sensor {index} ('{sensor.id()}')")
+    return sensors
+
+
+def check_sensor(sensor: Any, label: str) -> None:
+    """Refuse sensors whose projection is not the pinhole the method assumes.
+
+    Raises:
+        SceneError: another camera model, or a ``to_world`` that is mirrored or not rigid.
+    """
+    if sensor.class_name() != "PerspectiveCamera":
+        raise SceneError(
+            f"{label} is a {sensor.class_name()}; only 'perspective' sensors are supported."
+        )
+    rotation = np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4)[:3, :3]
+    if np.linalg.det(rotation) < 0:
+        raise SceneError(
+            f"{label} has a mirrored to_world (determinant < 0); camera space is "
+            "+X left, +Y up, +Z forward: negate one column."
+        )
+    if not np.allclose(rotation.T @ rotation, np.eye(3), atol=1e-3):
+        raise SceneError(
+            f"{label} has a to_world that is not a rotation and a translation; remove the scale "
+            "or shear."
+        )
+
+
+def find_environment(scene: Any, path: str) -> Any:
+    """Return the scene's one environment emitter.
+
+    Raises:
+        SceneError: there is none, or there is another emitter beside it.
+    """
+    supported = ("EnvironmentMapEmitter", "ConstantBackgroundEmitter", "SunskyEmitter")
+    emitters = scene.emitters()
+    if not emitters:
+        raise SceneError(
+            f"{path}: the scene has no emitter; the method needs the light the photographs were "
+            "taken under: add an envmap, constant or sunsky emitter."
+        )
+    for emitter in emitters:
+        if emitter.class_name() not in supported:
+            raise SceneError(
+                f"{path}: emitter '{emitter.id()}' ({emitter.class_name()}) is not supported; "
+                "the light must be one distant envmap, constant or sunsky emitter."
+            )
+    if len(emitters) > 1:
+        names = ", ".join(f"'{emitter.id()}'" for emitter in emitters)
+        raise SceneError(f"{path}: there are several emitters ({names}); merge them into one.")
+    return emitters[0]
+
+
+def find_shape(scene: Any, name: str | None, path: str) -> Any:
+    """Return the mesh whose texels are asked for.
+
+    Without a name it is the only mesh, or the only mesh with a ``principled`` BSDF.
+
+    Raises:
+        SceneError: no such shape, not a mesh, several candidates, or inward normals.
+    """
+    shapes = list(scene.shapes())
+    if name is not None:
+        chosen = [shape for shape in shapes if shape.id() == name]
+        if not chosen:
+            raise SceneError(
+                f"{path}: there is no shape '{name}'; the scene has {_ids(shapes)}."
+            )
+    else:
+        chosen = _candidates(shapes, path)
+    shape = chosen[0]
+    if not shape.is_mesh():
+        raise SceneError(
+            f"{path}: shape '{shape.id()}' ({shape.class_name()}) is not a triangle mesh; convert "
+            "it to a PLY or OBJ mesh with UVs."
+        )
+    _check_orientation(shape, path)
+    return shape
+
+
+def _candidates(shapes: Sequence[Any], path: str) -> list[Any]:
+    bodies = [shape for shape in shapes if not shape.is_emitter()]
+    meshes = [shape for shape in bodies if shape.is_mesh()]
+    if not bodies:
+        raise SceneError(f"{path}: the scene has no shape.")
+    if not meshes:
+        return bodies[:1]  # refused by the caller, which names it
+    principled = [s for s in meshes if s.bsdf() and "Principled" in str(s.bsdf())]
+    found = principled or meshes
+    if len(found) > 1:
+        raise SceneError(
+            f"{path}: several shapes could be meant ({_ids(found)}); choose one with --shape ID."
+        )
+    return found
+
+
+def _ids(shapes: Sequence[Any]) -> str:
+    return ", ".join(f"'{shape.id()}'" for shape in shapes)
+
+
+def _check_orientation(shape: Any, path: str) -> None:
+    """Refuse a closed surface that is inside out: no photograph would see a front face.
+
+    A mirrored ``to_world`` reverses the winding. Mitsuba turns vertex normals from the file
+    the right way, but computes missing ones from the winding.
+    """
+    mesh = arrays(shape)
+    if len(mesh.faces) == 0 or mesh.normals is None:
+        return
+    corners = mesh.positions[mesh.faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1) / 2
+    outward = corners.mean(axis=1) - np.average(corners.mean(axis=1), axis=0, weights=area + 1e-300)
+    normal = mesh.normals[mesh.faces].mean(axis=1)
+    flux = float((area * np.einsum("fi,fi->f", normal, outward)).sum())
+    reach = float((area * np.linalg.norm(outward, axis=1)).sum())
+    if flux < -0.3 * reach:
+        raise SceneError(
+            f"{path}: the normals of shape '{shape.id()}' point inwards (a mirrored to_world does "
+            "this); set flip_normals on the shape or remove the mirror."
+        )

@@ -1,0 +1,79 @@
+"""Texture coordinates for meshes that have none, by xatlas."""
+
+from __future__ import annotations
+
+import logging
+import os
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture.mesh import MeshArrays, arrays, make
+from svu_mi.errors import MeshError
+
+log = logging.getLogger(__name__)
+
+UNWRAPPED = "unwrapped.ply"
+
+
+def unwrap(mesh: Any) -> Any:
+    """Return a copy of a mesh with new, non-overlapping UVs.
+
+    The atlas differs between xatlas versions, so whoever needs the same texels twice
+    saves the result (``unwrapped``).
+
+    Args:
+        mesh: an ``mi.Mesh``; its own UVs, if any, are dropped.
+
+    Raises:
+        MeshError: the mesh has no faces, or xatlas finds no parameterisation.
+    """
+    import xatlas  # noqa: PLC0415 - needed only for meshes without UVs
+
+    source = arrays(mesh)
+    if len(source.faces) == 0:
+        raise MeshError(f"Shape '{mesh.id()}' has no faces, so there is nothing to unwrap.")
+    vmap, faces, uvs = xatlas.parametrize(
+        source.positions.astype(np.float32), source.faces.astype(np.uint32)
+    )
+    if len(faces) != len(source.faces) or not np.isfinite(uvs).all():
+        raise MeshError(
+            f"Shape '{mesh.id()}' cannot be unwrapped automatically; "
+            "give it UVs in a modelling tool and load it again."
+        )
+    normals = None if source.normals is None else source.normals[vmap]
+    return make(
+        mesh.id(),
+        MeshArrays(source.positions[vmap], faces.astype(np.int64), normals, uvs.astype(np.float64)),
+    )
+
+
+def unwrapped(mesh: Any, folder: Path | None) -> Any:
+    """Unwrap a mesh, or take the result that an earlier run left in the capture's folder.
+
+    Args:
+        mesh: an ``mi.Mesh``.
+        folder: where ``unwrapped.ply`` is looked for and written; None keeps it in memory.
+    """
+    path = None if folder is None else folder / UNWRAPPED
+    if path is not None and path.exists():
+        saved = mi.load_dict({"type": "ply", "filename": str(path)})
+        if _same_surface(arrays(saved), arrays(mesh)):
+            return saved
+        log.warning("%s belongs to another mesh; it is made again.", path)
+    made = unwrap(mesh)
+    if path is not None and os.access(path.parent, os.W_OK):
+        temporary = path.with_suffix(".tmp.ply")
+        made.write_ply(str(temporary))
+        temporary.replace(path)
+    return made
+
+
+def _same_surface(a: MeshArrays, b: MeshArrays) -> bool:
+    """Compare face by face: unwrapping duplicates vertices and keeps the order of faces."""
+    if len(a.faces) != len(b.faces):
+        return False
+    difference = np.abs(a.positions[a.faces] - b.positions[b.faces]).max()
+    return bool(difference <= 1e-5 * np.ptp(b.positions, axis=0).max())

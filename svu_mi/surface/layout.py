@@ -1,0 +1,217 @@
+"""Texels of a UV-mapped mesh as surface points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture.mesh import MeshArrays, arrays, has_uvs
+from svu_mi.errors import MeshError, OptionError, ShapeError
+from svu_mi.surface.raster import rasterize
+
+OVERLAP_LIMIT = 0.05  # part of the covered texels; below it they are left out, above refused
+OUTSIDE_LIMIT = 1e-3  # part of the faces that may lie outside the unit square
+MAX_RESOLUTION = 16384
+
+
+@dataclass(frozen=True, kw_only=True)
+class Texels:
+    """The T texels whose centre lies on the surface, neighbours next to each other.
+
+    Attributes:
+        resolution: (W, H) of the texel grid.
+        index: (T,) UInt32, flat row-major texel index (row 0 is v = 0).
+        face: (T,) UInt32, the face of the mesh under the texel.
+        position: (T,) Point3f, world space, strictly inside its face.
+        normal: (T,) Normal3f, unit shading normal.
+        geometric_normal: (T,) Normal3f, unit face normal, on the shading normal's side.
+        uv: (T,) Point2f, the texel's centre.
+        footprint: (T,) Float, side of the texel's square on the surface, in world units.
+        overlapping: number of texels left out because several faces claim them.
+        degenerate: number of texels left out because their face has no area in space.
+        extent: diagonal of the mesh's bounding box, in world units.
+    """
+
+    resolution: tuple[int, int]
+    index: Any
+    face: Any
+    position: Any
+    normal: Any
+    geometric_normal: Any
+    uv: Any
+    footprint: Any
+    overlapping: int
+    degenerate: int
+    extent: float
+
+    @property
+    def count(self) -> int:
+        """Number of texels T."""
+        return int(dr.width(self.index))
+
+    def to_image(self, values: Any, fill: float = 0.0) -> np.ndarray:
+        """Lay per-texel values out as a texture.
+
+        Args:
+            values: (T,) or (T, C), array or tensor.
+            fill: value of texels outside the charts.
+
+        Returns:
+            (H, W) or (H, W, C) array of the values' type, row 0 at v = 0.
+
+        Raises:
+            ShapeError: the number of values is not T.
+        """
+        flat = np.array(values)
+        if flat.ndim == 0 or len(flat) != self.count:
+            raise ShapeError(
+                f"to_image(): expected one value for each of {self.count} texels, "
+                f"got shape {flat.shape}."
+            )
+        width, height = self.resolution
+        image = np.full((width * height, *flat.shape[1:]), fill, flat.dtype)
+        image[self.index.numpy()] = flat
+        return image.reshape(height, width, *flat.shape[1:])
+
+    def inside(self) -> np.ndarray:
+        """Return (H, W) bool: True where there is a texel."""
+        return self.to_image(np.ones(self.count, bool), False)
+
+
+def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
+    """Lay a texel grid over a mesh's UV charts.
+
+    Args:
+        mesh: an ``mi.Mesh`` with UVs in the unit square (``capture.mesh``).
+        resolution: texels per side, or (width, height).
+
+    Raises:
+        OptionError: the resolution is not positive or too large.
+        MeshError: no UVs, UVs outside [0, 1], charts that overlap, or none at all.
+    """
+    width, height = (resolution, resolution) if isinstance(resolution, int) else resolution
+    if not (0 < width <= MAX_RESOLUTION and 0 < height <= MAX_RESOLUTION):
+        raise OptionError(
+            f"The texel grid must have 1 to {MAX_RESOLUTION} texels per side, "
+            f"got {width} x {height}."
+        )
+    name = f"Shape '{mesh.id()}'"
+    if not has_uvs(mesh):
+        raise MeshError(
+            f"{name} has no UVs, so it has no texels; load it with svu.load_capture (which "
+            "unwraps it) and use capture.mesh."
+        )
+    source = arrays(mesh)
+    _check_unit_square(source, name)
+    owner, count = rasterize(source.uvs[source.faces], (width, height))
+    overlapping = int((count > 1).sum())
+    covered = int((count > 0).sum())
+    if overlapping > OVERLAP_LIMIT * covered:
+        raise MeshError(
+            f"{name} has overlapping UV charts: {overlapping} of {covered} texels lie on "
+            "several surface points; use --unwrap (load_capture(unwrap=True)), or lay out UVs "
+            "without overlap."
+        )
+    single = np.flatnonzero(count == 1)
+    face_area = _face_normals(source)[1]
+    flat = face_area[owner[single]] <= 0
+    kept = single[~flat]
+    if len(kept) == 0:
+        raise MeshError(
+            f"{name}: no texel centre of a {width} x {height} grid lies on a chart; "
+            "raise the resolution or check the UVs."
+        )
+    kept = kept[np.argsort(_morton(kept % width, kept // width), kind="stable")]
+    return _surface_points(source, kept, owner[kept], (width, height), overlapping, int(flat.sum()))
+
+
+def _check_unit_square(source: MeshArrays, name: str) -> None:
+    assert source.uvs is not None
+    if not np.isfinite(source.uvs).all():
+        raise MeshError(f"{name} has UVs that are NaN or infinite; lay them out again.")
+    center = source.uvs[source.faces].mean(axis=1)
+    outside = ((center < -1e-6) | (center > 1 + 1e-6)).any(axis=1)
+    if outside.sum() > OUTSIDE_LIMIT * len(outside):
+        raise MeshError(
+            f"{name}: {int(outside.sum())} of {len(outside)} faces have UVs outside [0, 1] "
+            "(tiles or UDIMs are not supported); use --unwrap (load_capture(unwrap=True))."
+        )
+
+
+def _face_normals(source: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
+    """Return (F, 3) unit normals by the winding and (F,) areas."""
+    corners = source.positions[source.faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(cross, axis=1)
+    return cross / np.where(length > 0, length, 1)[:, None], length / 2
+
+
+def _morton(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Interleave the bits of x and y: neighbours in the order are neighbours in the map."""
+    code = np.zeros(x.shape, np.int64)
+    for bit in range(MAX_RESOLUTION.bit_length()):
+        code |= ((x >> bit) & 1) << (2 * bit) | ((y >> bit) & 1) << (2 * bit + 1)
+    return code
+
+
+def _surface_points(
+    source: MeshArrays,
+    index: np.ndarray,
+    face: np.ndarray,
+    resolution: tuple[int, int],
+    overlapping: int,
+    degenerate: int,
+) -> Texels:
+    """Interpolate the mesh at texel centres, in double precision."""
+    assert source.uvs is not None
+    width, height = resolution
+    uv = np.stack([(index % width + 0.5) / width, (index // width + 0.5) / height], axis=-1)
+    corner_uv = source.uvs[source.faces[face]]
+    weights = _barycentric(corner_uv, uv)
+    position = np.einsum("tk,tki->ti", weights, source.positions[source.faces[face]])
+    geometric, area = _face_normals(source)
+    geometric = geometric[face]
+    normal = geometric
+    if source.normals is not None:
+        smooth = np.einsum("tk,tki->ti", weights, source.normals[source.faces[face]])
+        length = np.linalg.norm(smooth, axis=1, keepdims=True)
+        # Opposite vertex normals cancel; the face's own normal is what is left.
+        normal = np.where(length > 1e-6, smooth / np.maximum(length, 1e-6), geometric)
+    side = np.sign(np.einsum("ti,ti->t", geometric, normal))
+    geometric = geometric * np.where(side == 0, 1, side)[:, None]
+    edges = corner_uv[:, 1:] - corner_uv[:, :1]
+    uv_area = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]) / 2
+    footprint = np.sqrt(area[face] / (uv_area * width * height))
+    return Texels(
+        resolution=resolution,
+        index=mi.UInt32(index.astype(np.uint32)),
+        face=mi.UInt32(face.astype(np.uint32)),
+        position=_vector(mi.Point3f, position),
+        normal=_vector(mi.Normal3f, normal),
+        geometric_normal=_vector(mi.Normal3f, geometric),
+        uv=_vector(mi.Point2f, uv),
+        footprint=mi.Float(footprint.astype(np.float32)),
+        overlapping=overlapping,
+        degenerate=degenerate,
+        extent=float(np.linalg.norm(np.ptp(source.positions, axis=0))),
+    )
+
+
+def _barycentric(corners: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Return (T, 3) weights of a point in UV triangles (T, 3, 2)."""
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    p = point - corners[:, 0]
+    area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    second = (p[:, 0] * b[:, 1] - p[:, 1] * b[:, 0]) / area
+    third = (a[:, 0] * p[:, 1] - a[:, 1] * p[:, 0]) / area
+    # Rounding can leave a centre on an edge outside by 1e-17; rays must start inside.
+    weights = np.clip(np.stack([1 - second - third, second, third], axis=-1), 1e-6, None)
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def _vector(kind: Any, values: np.ndarray) -> Any:
+    return kind(np.ascontiguousarray(values.T, np.float32))

@@ -1,0 +1,95 @@
+"""Rasterise UV triangles: which face covers each texel centre, and how many do.
+
+One lane per face walks the texels of its bounding box. Edge functions are evaluated in
+double precision from one canonical direction per edge, with the top-left rule, so a texel
+centre on a shared edge belongs to exactly one of its two faces and a count above one means
+charts that really overlap.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+
+def rasterize(uvs: np.ndarray, resolution: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Find the face under every texel centre.
+
+    Texel (i, j) has its centre at ((j + 0.5) / W, (i + 0.5) / H). Of overlapping faces the
+    one with the highest index is kept.
+
+    Args:
+        uvs: (F, 3, 2) corners, Mitsuba's convention (v = 0 is row 0).
+        resolution: (W, H) in texels.
+
+    Returns:
+        (H * W,) int64 face index, -1 outside all charts; (H * W,) int64 number of faces.
+    """
+    width, height = resolution
+    if len(uvs) == 0:
+        empty = np.zeros(width * height, np.int64)
+        return empty - 1, empty
+    corners = [
+        (mi.Float64(uvs[:, k, 0] * width), mi.Float64(uvs[:, k, 1] * height)) for k in range(3)
+    ]
+    # Plus one, so that zero means no face.
+    owner = dr.zeros(mi.UInt32, width * height)
+    count = dr.zeros(mi.UInt32, width * height)
+    _walk(corners, dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height), owner, count)
+    return (
+        owner.numpy().astype(np.int64) - 1,
+        count.numpy().astype(np.int64),
+    )
+
+
+@dr.syntax
+def _walk(corners: list[Any], width: Any, height: Any, owner: Any, count: Any) -> None:
+    face = dr.arange(mi.UInt32, dr.width(corners[0][0]))
+    first_x, last_x = _span([c[0] for c in corners], width)
+    first_y, last_y = _span([c[1] for c in corners], height)
+    sign = dr.sign(_edge(corners[0], corners[1], *corners[2]))
+    x, y = mi.Int32(first_x), mi.Int32(first_y)
+    active = (sign != 0) & (first_x <= last_x) & (first_y <= last_y)
+    while active:
+        inside = _inside(corners, sign, mi.Float64(x) + 0.5, mi.Float64(y) + 0.5)
+        texel = mi.UInt32(y) * width + mi.UInt32(x)
+        dr.scatter_add(count, mi.UInt32(1), texel, inside)
+        dr.scatter_reduce(dr.ReduceOp.Max, owner, face + 1, texel, inside)
+        x += 1
+        wrap = x > last_x
+        x = dr.select(wrap, first_x, x)
+        y = dr.select(wrap, y + 1, y)
+        active &= y <= last_y
+
+
+def _span(values: list[Any], size: Any) -> tuple[Any, Any]:
+    """First and last texel whose centre can lie between the smallest and largest value."""
+    low = dr.minimum(dr.minimum(values[0], values[1]), values[2])
+    high = dr.maximum(dr.maximum(values[0], values[1]), values[2])
+    first = dr.maximum(mi.Int32(dr.ceil(low - 0.5)), 0)
+    last = dr.minimum(mi.Int32(dr.floor(high - 0.5)), mi.Int32(size) - 1)
+    return first, last
+
+
+def _edge(a: Any, b: Any, x: Any, y: Any) -> Any:
+    """Twice the signed area of (a, b, point); exactly antisymmetric in a and b."""
+    swap = (b[0] < a[0]) | ((b[0] == a[0]) & (b[1] < a[1]))
+    ax, ay = dr.select(swap, b[0], a[0]), dr.select(swap, b[1], a[1])
+    bx, by = dr.select(swap, a[0], b[0]), dr.select(swap, a[1], b[1])
+    area = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
+    return dr.select(swap, -area, area)
+
+
+def _inside(corners: list[Any], sign: Any, x: Any, y: Any) -> Any:
+    inside = mi.Bool(True)
+    for k in range(3):
+        a, b = corners[k], corners[(k + 1) % 3]
+        area = sign * _edge(a, b, x, y)
+        dx, dy = sign * (b[0] - a[0]), sign * (b[1] - a[1])
+        # On an edge, exactly one of its two directions is a "top or left" one.
+        top_left = (dy > 0) | ((dy == 0) & (dx < 0))
+        inside &= (area > 0) | ((area == 0) & top_left)
+    return inside
