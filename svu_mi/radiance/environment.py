@@ -1,0 +1,248 @@
+"""The light as a function on the sphere: quadrature, spherical harmonics, synthesis.
+
+Everything here is NumPy in double precision; it runs once per capture, in milliseconds.
+
+Conventions. A direction is given in the emitter's *local* frame, where Mitsuba's lat-long
+maps have their pole on +Y: theta = acos(y), phi = atan2(x, -z) in [0, 2 pi). Spherical
+harmonics are real, orthonormal, in the order l*l + l + m, as ``drjit.sh_eval`` has them,
+of the *polar* frame (z, x, y): the local axes turned cyclically so that the pole is the
+third axis. Power spectra do not depend on that choice of frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.errors import SceneError
+
+SKY_GRID = (512, 257)  # columns, rows at which a procedural sky is sampled
+SUN_RINGS, SUN_SPOKES = 16, 64  # nodes on a sun's disk, finer than any sky grid
+
+
+@dataclass(frozen=True)
+class Environment:
+    """Distant light: radiance at lat-long nodes, plus nodes on a small disk (a sun).
+
+    Attributes:
+        radiance: (H, W, 3) float64 at theta_j = j pi / (H - 1), phi_i = (i + 0.5) 2 pi / W:
+            rows 0 and H - 1 are the poles, columns are texel-centred, as Mitsuba samples.
+        disk_directions: (N, 3) float64 local directions of extra nodes.
+        disk_weights: (N,) float64 solid angles of the extra nodes [sr].
+        disk_radiance: (N, 3) float64, in excess of what ``radiance`` holds there.
+        to_local: (3, 3) float64, world to local rotation (may mirror).
+    """
+
+    radiance: np.ndarray
+    disk_directions: np.ndarray
+    disk_weights: np.ndarray
+    disk_radiance: np.ndarray
+    to_local: np.ndarray
+
+    def coefficients(self, degree: int) -> np.ndarray:
+        """Project the light on spherical harmonics: ((degree + 1)^2, 3) float64."""
+        result = analyze(self.radiance, degree)
+        if len(self.disk_weights):
+            basis = basis_at(polar_from_local(self.disk_directions), degree)
+            result += basis.T @ (self.disk_weights[:, None] * self.disk_radiance)
+        return result
+
+
+def read_environment(emitter: Any) -> Environment:
+    """Sample an environment emitter through its own ``eval`` and ``to_world``.
+
+    Args:
+        emitter: an ``envmap``, ``constant`` or ``sunsky`` emitter.
+
+    Raises:
+        SceneError: ``to_world`` is not a rotation, or the light is not finite or all black.
+    """
+    to_world = np.array(emitter.world_transform().matrix, np.float64).reshape(4, 4)[:3, :3]
+    if not np.allclose(to_world.T @ to_world, np.eye(3), atol=1e-3):
+        raise SceneError(
+            f"Emitter '{emitter.id()}': to_world must be a rotation; remove its scale or shear."
+        )
+    columns, rows = _grid(emitter)
+    local = directions(columns, rows)
+    grid = _evaluate(emitter, local.reshape(-1, 3) @ to_world.T).reshape(rows, columns, 3)
+    disk = (np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
+    if emitter.class_name() == "SunskyEmitter":
+        grid, disk = _split_sun(emitter, grid, local, to_world)
+    if not np.isfinite(grid).all():
+        raise SceneError(f"Emitter '{emitter.id()}' has NaN or infinite radiance; repair its map.")
+    if not (grid.max() > 0 or disk[2].max(initial=0) > 0):
+        raise SceneError(f"Emitter '{emitter.id()}' is black; there is no light to reflect.")
+    return Environment(grid, *disk, to_local=to_world.T)
+
+
+def _grid(emitter: Any) -> tuple[int, int]:
+    """Return (columns, rows): the map's own nodes, so that quadrature sees each texel once."""
+    if emitter.class_name() != "EnvironmentMapEmitter":
+        return SKY_GRID
+    rows, columns = mi.traverse(emitter)["data"].shape[:2]
+    return columns - 2, rows  # Mitsuba 3.9 keeps one halo column on each side
+
+
+def directions(columns: int, rows: int) -> np.ndarray:
+    """Return the (rows, columns, 3) local directions of Mitsuba's lat-long sampling grid."""
+    theta = np.pi * np.arange(rows) / (rows - 1)
+    phi = 2 * np.pi * (np.arange(columns) + 0.5) / columns
+    sin, cos = np.sin(theta)[:, None], np.cos(theta)[:, None]
+    y = np.broadcast_to(cos, (rows, columns))
+    return np.stack([sin * np.sin(phi), y, -sin * np.cos(phi)], axis=-1)
+
+
+def _evaluate(emitter: Any, world: np.ndarray) -> np.ndarray:
+    si = dr.zeros(mi.SurfaceInteraction3f, len(world))
+    si.wi = -mi.Vector3f(np.ascontiguousarray(world.T, np.float32))
+    return np.broadcast_to(emitter.eval(si).numpy().T.astype(np.float64), world.shape).copy()
+
+
+def _split_sun(
+    emitter: Any, grid: np.ndarray, local: np.ndarray, to_world: np.ndarray
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Move a sun's disk from the grid, which cannot resolve it, to nodes of its own."""
+    # Mitsuba 3.9 states the sun's direction in world space, whatever to_world is.
+    sun = np.array(mi.traverse(emitter)["sun_direction"], np.float64).ravel()[:3] @ to_world
+    sun /= np.linalg.norm(sun)
+    brightest = _evaluate(emitter, sun[None] @ to_world.T)[0]
+    radius = _disk_radius(emitter, sun, to_world, brightest)
+    if radius == 0:
+        return grid, (np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
+    inside = local @ sun >= np.cos(radius * 1.05)
+    around = (local @ sun >= np.cos(radius * 1.05 + 0.03)) & ~inside
+    sky = grid[around].mean(axis=0)
+    grid = grid.copy()
+    grid[inside] = sky
+    # Gauss-Legendre in cos(angle from the centre), equal spokes around it.
+    nodes, weights = np.polynomial.legendre.leggauss(SUN_RINGS)
+    height = 1 - np.cos(radius)
+    cos = 1 - height * (nodes + 1) / 2
+    spokes = 2 * np.pi * (np.arange(SUN_SPOKES) + 0.5) / SUN_SPOKES
+    side = np.linalg.svd(sun[None])[2][1:]
+    around_sun = np.cos(spokes)[:, None] * side[0] + np.sin(spokes)[:, None] * side[1]
+    points = cos[:, None, None] * sun + np.sqrt(1 - cos**2)[:, None, None] * around_sun
+    solid = np.repeat(weights / 2 * height * 2 * np.pi / SUN_SPOKES, SUN_SPOKES)
+    points = points.reshape(-1, 3)
+    excess = np.maximum(_evaluate(emitter, points @ to_world.T) - sky, 0)
+    return grid, (points, solid, excess)
+
+
+def _disk_radius(
+    emitter: Any, sun: np.ndarray, to_world: np.ndarray, brightest: np.ndarray
+) -> float:
+    """Find the angle from a sun's centre at which its radiance drops to the sky's [rad]."""
+    side = np.linalg.svd(sun[None])[2][1]
+    angle = np.linspace(0, np.radians(20), 8001)
+    ray = np.cos(angle)[:, None] * sun + np.sin(angle)[:, None] * side
+    level = _evaluate(emitter, ray @ to_world.T).sum(axis=1)
+    step = np.flatnonzero(level[:-1] - level[1:] > 0.2 * brightest.sum())
+    if len(step) == 0 or level[-1] > 0.5 * brightest.sum():
+        return 0.0
+    return float(angle[step[-1] + 1])
+
+
+def quadrature(rows: int) -> np.ndarray:
+    """Return (rows,) Clenshaw-Curtis weights for the integral over cos(theta).
+
+    Exact for polynomials in cos(theta) up to degree rows - 1, on the nodes j pi / (rows - 1);
+    close to sin(theta) d(theta), and not zero at the poles.
+    """
+    n = rows - 1
+    j = np.arange(rows)
+    k = np.arange(1, n // 2 + 1)
+    b = np.where(2 * k == n, 1.0, 2.0)
+    series = 1 - (b / (4 * k**2 - 1) * np.cos(2 * np.outer(j, k) * np.pi / n)).sum(axis=1)
+    return np.where((j == 0) | (j == n), 1.0, 2.0) * series / n
+
+
+def polar_from_local(local: np.ndarray) -> np.ndarray:
+    """Turn local directions (..., 3) into the polar frame (z, x, y)."""
+    return np.roll(local, 1, axis=-1)
+
+
+def analyze(grid: np.ndarray, degree: int) -> np.ndarray:
+    """Integrate a lat-long grid against spherical harmonics: FFT per ring, then Legendre.
+
+    Args:
+        grid: (H, W, C) values on the grid of ``directions``.
+        degree: highest degree; exact for grids band-limited to ``degree`` when H > 2 degree
+            and W > 2 degree.
+
+    Returns:
+        ((degree + 1)^2, C) float64.
+    """
+    rows, columns = grid.shape[:2]
+    # phi counts from -Z; the polar frame's azimuth (from +Z) is pi - phi.
+    azimuth = np.pi - 2 * np.pi * (np.arange(columns) + 0.5) / columns
+    m = np.arange(degree + 1)
+    wave = np.exp(-1j * np.outer(m, azimuth)) * (2 * np.pi / columns)
+    rings = np.einsum("mi,jic->mjc", wave, grid) * quadrature(rows)[None, :, None]
+    legendre = associated_legendre(np.cos(np.pi * np.arange(rows) / (rows - 1)), degree)
+    result = np.zeros(((degree + 1) ** 2, grid.shape[2]))
+    for order in range(degree + 1):
+        part = legendre[order:, order] @ rings[order]  # (degree + 1 - order, C)
+        for l in range(order, degree + 1):
+            c = part[l - order]
+            if order == 0:
+                result[l * l + l] = c.real
+            else:
+                result[l * l + l + order] = np.sqrt(2) * c.real
+                result[l * l + l - order] = -np.sqrt(2) * c.imag
+    return result
+
+
+def synthesize(coefficients: np.ndarray, columns: int, rows: int) -> np.ndarray:
+    """Evaluate an expansion on the grid of ``directions``: (rows, columns, C) float64."""
+    degree = int(np.sqrt(len(coefficients))) - 1
+    azimuth = np.pi - 2 * np.pi * (np.arange(columns) + 0.5) / columns
+    legendre = associated_legendre(np.cos(np.pi * np.arange(rows) / (rows - 1)), degree)
+    result = np.zeros((rows, columns, coefficients.shape[1]))
+    for order in range(degree + 1):
+        l = np.arange(order, degree + 1)
+        table = legendre[order:, order].T  # (rows, degree + 1 - order)
+        scale = 1.0 if order == 0 else np.sqrt(2)
+        even = table @ coefficients[l * l + l + order] * scale
+        result += even[:, None] * np.cos(order * azimuth)[None, :, None]
+        if order:
+            odd = table @ coefficients[l * l + l - order] * scale
+            result += odd[:, None] * np.sin(order * azimuth)[None, :, None]
+    return result
+
+
+def basis_at(polar: np.ndarray, degree: int) -> np.ndarray:
+    """Evaluate all harmonics at unit directions of the polar frame: (N, (degree + 1)^2)."""
+    legendre = associated_legendre(np.clip(polar[:, 2], -1, 1), degree)
+    azimuth = np.arctan2(polar[:, 1], polar[:, 0])
+    result = np.zeros((len(polar), (degree + 1) ** 2))
+    for l in range(degree + 1):
+        result[:, l * l + l] = legendre[l, 0]
+        for m in range(1, l + 1):
+            result[:, l * l + l + m] = np.sqrt(2) * legendre[l, m] * np.cos(m * azimuth)
+            result[:, l * l + l - m] = np.sqrt(2) * legendre[l, m] * np.sin(m * azimuth)
+    return result
+
+
+def associated_legendre(x: np.ndarray, degree: int) -> np.ndarray:
+    """Return (degree + 1, degree + 1, N) normalised associated Legendre functions.
+
+    P(l, m, x) e^(i m phi) is orthonormal on the sphere, with the sign (-1)^m of
+    Condon-Shortley, as in ``drjit.sh_eval``. Recurrence in l from P(m, m), stable to
+    degrees far above 64.
+    """
+    table = np.zeros((degree + 1, degree + 1, len(x)))
+    sin = np.sqrt(np.maximum(1 - x * x, 0))
+    table[0, 0] = np.sqrt(1 / (4 * np.pi))
+    for m in range(1, degree + 1):
+        table[m, m] = -np.sqrt((2 * m + 1) / (2 * m)) * sin * table[m - 1, m - 1]
+    for m in range(degree):
+        table[m + 1, m] = np.sqrt(2 * m + 3) * x * table[m, m]
+        for l in range(m + 2, degree + 1):
+            a = np.sqrt((4 * l * l - 1) / (l * l - m * m))
+            b = np.sqrt(((l - 1) ** 2 - m * m) / (4 * (l - 1) ** 2 - 1))
+            table[l, m] = a * (x * table[l - 1, m] - b * table[l - 2, m])
+    return table

@@ -1,0 +1,123 @@
+"""Light as kernels look it up: band-limited radiance and irradiance by direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import factorial
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.capture.scene import find_environment
+from svu_mi.radiance.environment import Environment, read_environment, synthesize
+
+MIN_DEGREE, MAX_DEGREE = 24, 64
+NEGLIGIBLE = 1e-4  # factor of the filter from which higher degrees are left out
+TEXELS_PER_WAVE = 24  # rows per period of the highest degree: bilinear error below 1 %
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """Light of a capture, filtered for v views.
+
+    Attributes:
+        environment: what the light was read from.
+        coefficients: ((degree + 1)^2, 3) float64, *before* band-limiting (polar frame of
+            ``environment``, in radiance).
+        prefilter: alpha' = v^(-1/2), the width the light is band-limited with.
+        filtered: Texture2f of the band-limited radiance.
+        irradiance_map: Texture2f of the irradiance.
+        to_local: Matrix3f, world to local.
+    """
+
+    environment: Environment
+    coefficients: np.ndarray
+    prefilter: float
+    filtered: Any
+    irradiance_map: Any
+    to_local: Any
+
+    @property
+    def degree(self) -> int:
+        """Highest degree of the expansion."""
+        return int(np.sqrt(len(self.coefficients))) - 1
+
+    def radiance(self, direction: Any) -> Any:
+        """Look up band-limited incoming radiance *from* a world direction: Color3f."""
+        return self._look_up(self.filtered, direction)
+
+    def irradiance(self, normal: Any) -> Any:
+        """Look up the irradiance on an unoccluded surface of this world normal: Color3f."""
+        return self._look_up(self.irradiance_map, normal)
+
+    def _look_up(self, texture: Any, direction: Any) -> Any:
+        local = self.to_local @ mi.Vector3f(direction)
+        u = dr.atan2(local.x, -local.z) * dr.inv_two_pi
+        u -= dr.floor(u)
+        v = dr.acos(dr.clip(local.y, -1, 1)) * dr.inv_pi
+        # Rows are on the poles (align-corners), textures have theirs at (j + 0.5) / H.
+        rows = texture.shape[0]
+        v = (v * (rows - 1) + 0.5) / rows
+        return mi.Color3f(*texture.eval(mi.Point2f(u, v)))
+
+
+def light(capture: Capture, views: int) -> Lighting:
+    """Read a capture's light and band-limit it by alpha' = v^(-1/2) (Sec. 3.3.2 of the paper).
+
+    Args:
+        capture: its scene has one environment emitter.
+        views: number v of views the spectra will be fitted to, at least 1.
+    """
+    label = str(capture.source or "scene")
+    environment = read_environment(find_environment(capture.scene, label))
+    return band_limit(environment, views)
+
+
+def band_limit(environment: Environment, views: int) -> Lighting:
+    """Filter an environment for v views; see ``light``."""
+    prefilter = max(views, 1) ** -0.5
+    wanted = int(np.ceil(np.sqrt(-np.log(NEGLIGIBLE)) / prefilter))
+    degree = int(np.clip(wanted, MIN_DEGREE, MAX_DEGREE))
+    coefficients = environment.coefficients(degree)
+    l = degrees(degree)
+    smooth = coefficients * np.exp(-((prefilter * l) ** 2))[:, None]
+    cosine = coefficients * clamped_cosine(degree)[l][:, None]
+    return Lighting(
+        environment=environment,
+        coefficients=coefficients,
+        prefilter=prefilter,
+        filtered=_texture(smooth),
+        irradiance_map=_texture(cosine),
+        to_local=mi.Matrix3f(environment.to_local),
+    )
+
+
+def degrees(degree: int) -> np.ndarray:
+    """Return ((degree + 1)^2,) the degree l of every coefficient."""
+    return np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
+
+
+def clamped_cosine(degree: int) -> np.ndarray:
+    """Return (degree + 1,) zonal factors A_l that turn radiance into irradiance.
+
+    A = pi, 2 pi / 3, pi / 4, 0, -pi / 24, ... [Ramamoorthi and Hanrahan 2001, Eq. 19].
+    """
+    factors = np.zeros(degree + 1)
+    factors[0] = np.pi
+    if degree >= 1:
+        factors[1] = 2 * np.pi / 3
+    for l in range(2, degree + 1, 2):
+        half = factorial(l) / (2**l * factorial(l // 2) ** 2)
+        factors[l] = 2 * np.pi * (-1) ** (l // 2 - 1) / ((l + 2) * (l - 1)) * half
+    return factors
+
+
+def _texture(coefficients: np.ndarray) -> Any:
+    degree = int(np.sqrt(len(coefficients))) - 1
+    rows = int(np.clip(degree * TEXELS_PER_WAVE // 2, 128, 768)) + 1
+    grid = synthesize(coefficients, 2 * (rows - 1), rows)
+    tensor = mi.TensorXf(np.ascontiguousarray(grid, np.float32))
+    return mi.Texture2f(tensor, filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Repeat)
