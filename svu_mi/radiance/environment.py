@@ -137,13 +137,19 @@ def _disk_radius(
 ) -> float:
     """Find the angle from a sun's centre at which its radiance drops to the sky's [rad]."""
     side = np.linalg.svd(sun[None])[2][1]
-    angle = np.linspace(0, np.radians(20), 8001)
-    ray = np.cos(angle)[:, None] * sun + np.sin(angle)[:, None] * side
-    level = _evaluate(emitter, ray @ to_world.T).sum(axis=1)
-    step = np.flatnonzero(level[:-1] - level[1:] > 0.2 * brightest.sum())
-    if len(step) == 0 or level[-1] > 0.5 * brightest.sum():
-        return 0.0
-    return float(angle[step[-1] + 1])
+
+    def lit(angle: np.ndarray) -> np.ndarray:
+        ray = np.cos(angle)[:, None] * sun + np.sin(angle)[:, None] * side
+        return _evaluate(emitter, ray @ to_world.T).sum(axis=1) > 0.2 * brightest.sum()
+
+    low, high = 0.0, np.radians(20)
+    if not lit(np.array([0.0]))[0] or lit(np.array([high]))[0]:
+        return 0.0  # no disk that stands out from the sky
+    for _ in range(4):  # each round narrows the edge by a factor of 64
+        angle = np.linspace(low, high, 65)
+        edge = int(np.flatnonzero(lit(angle))[-1])
+        low, high = angle[edge], angle[edge + 1]
+    return float(high)
 
 
 def quadrature(rows: int) -> np.ndarray:

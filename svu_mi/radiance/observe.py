@@ -214,12 +214,20 @@ def over_views(views: Views, surface: Surface, consume: Callable[..., Any], stat
     )[1:]
 
 
-def coverage(views: Views, surface: Surface) -> Any:
-    """Count the views that see each texel: (T,) UInt32."""
-    (count,) = over_views(
-        views,
-        surface,
-        lambda seen, view, count: (count + dr.select(seen.seen, mi.UInt32(1), mi.UInt32(0)),),
-        (dr.zeros(mi.UInt32, surface.count),),
-    )
-    return count
+def coverage(views: Views, surface: Surface) -> tuple[Any, Any]:
+    """Count who sees whom.
+
+    Returns:
+        (T,) UInt32, the number of views that see each texel; (V,) UInt32, the number of
+        texels that each view sees.
+    """
+    per_view = dr.zeros(mi.UInt32, max(views.number, 1))
+
+    def count(seen: Observation, view: Any, total: Any) -> tuple[Any]:
+        one = dr.select(seen.seen, mi.UInt32(1), mi.UInt32(0))
+        dr.scatter_add(per_view, one, view, seen.seen)
+        return (total + one,)
+
+    (per_texel,) = over_views(views, surface, count, (dr.zeros(mi.UInt32, surface.count),))
+    dr.eval(per_texel, per_view)
+    return per_texel, per_view

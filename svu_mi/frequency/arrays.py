@@ -1,0 +1,44 @@
+"""Arrays at the public border: tensors or NumPy in, TensorXf out, the shape checked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.errors import ShapeError
+
+
+def tensor(values: Any, caller: str, name: str, axes: Sequence[str | int]) -> Any:
+    """Return ``values`` as a detached single precision TensorXf.
+
+    Args:
+        values: a Dr.Jit tensor, or anything NumPy turns into numbers (any precision, any
+            memory layout).
+        caller: function named in the error, such as ``"fit_sh()"``.
+        name: argument named in the error.
+        axes: one entry per axis: the required length, or a letter for "any".
+
+    Raises:
+        ShapeError: another number of axes, another length, or no numbers at all.
+    """
+    if dr.is_tensor_v(values):
+        out = dr.detach(mi.TensorXf(values))
+    else:
+        try:
+            # A copy: mi.TensorXf aliases NumPy memory, and a later write would show through.
+            plain = np.array(values, dtype=np.float32, order="C")
+        except (TypeError, ValueError) as error:
+            raise ShapeError(f"{caller}: {name} is not an array of numbers ({error}).") from error
+        # Dr.Jit tensors do not take NumPy arrays without elements.
+        out = mi.TensorXf(plain) if plain.size else dr.zeros(mi.TensorXf, plain.shape)
+    wanted = ", ".join(str(axis) for axis in axes)
+    fits = len(out.shape) == len(axes) and all(
+        isinstance(axis, str) or axis == length for axis, length in zip(axes, out.shape, strict=True)
+    )
+    if not fits:
+        raise ShapeError(f"{caller}: {name} must have shape ({wanted}), got {tuple(out.shape)}.")
+    return out

@@ -1,0 +1,207 @@
+"""Symmetric positive definite systems, one per lane, in local memory.
+
+The matrix lives as square tiles of its lower triangle; a tile is held in registers while it
+is worked on, and the loops over tiles are symbolic: compile time does not depend on the
+size of the system, and the number of tiles may differ from lane to lane.
+
+``LowerTiles`` keeps one local array per position inside a tile. All positions of a tile are
+then read with the same index, so that the test whether the lanes agree on it (a plain load)
+or not (a gather) is made once per tile instead of once per number.
+
+Unrolled code sits in plain helpers that take and return lists: ``@dr.syntax`` would take a
+Python ``for`` inside a traced loop for loop state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+Tile = list[Any]
+"""Row-major entries of one tile (or of one block of right-hand sides): Dr.Jit arrays."""
+
+
+def packed_count(blocks: Any) -> Any:
+    """Tiles in the lower triangle of ``blocks`` x ``blocks`` tiles; int or UInt32."""
+    return (blocks * (blocks + 1)) >> 1
+
+
+def allocate(Float: type, entries: int, count: int) -> list[Any]:
+    """Return local memory for ``count`` tiles of ``entries`` numbers, not initialised."""
+    # No `value=`: a literal initial value becomes an inline memset, slow to compile and,
+    # above some size, a crash (Dr.Jit 1.5.0).
+    return [dr.alloc_local(Float, max(count, 1)) for _ in range(entries)]
+
+
+def load(memory: list[Any], index: Any) -> Tile:
+    """Read one tile."""
+    return [slot[index] for slot in memory]
+
+
+def store(memory: list[Any], index: Any, tile: Tile) -> None:
+    """Write one tile."""
+    for slot, value in zip(memory, tile, strict=True):
+        slot[index] = value
+
+
+def _subtract_outer(tile: Tile, a: Tile, b: Tile, size: int) -> Tile:
+    """Return tile - a b^T."""
+    out = list(tile)
+    for k in range(size):
+        for i in range(size):
+            for j in range(size):
+                q = i * size + j
+                out[q] = dr.fma(-a[i * size + k], b[j * size + k], out[q])
+    return out
+
+
+def _subtract_square(tile: Tile, a: Tile, size: int) -> Tile:
+    """Return tile - a a^T, the lower triangle only."""
+    out = list(tile)
+    for k in range(size):
+        for i in range(size):
+            for j in range(i + 1):
+                q = i * size + j
+                out[q] = dr.fma(-a[i * size + k], a[j * size + k], out[q])
+    return out
+
+
+def _factor(tile: Tile, size: int) -> Tile:
+    """Cholesky factor of a diagonal tile; its diagonal holds the reciprocals 1 / L_jj."""
+    out = list(tile)
+    for j in range(size):
+        pivot = dr.rcp(dr.sqrt(out[j * size + j]))
+        out[j * size + j] = pivot
+        for i in range(j + 1, size):
+            out[i * size + j] = out[i * size + j] * pivot
+        for k in range(j + 1, size):
+            for i in range(k, size):
+                q = i * size + k
+                out[q] = dr.fma(-out[i * size + j], out[k * size + j], out[q])
+    return out
+
+
+def _divide_right(tile: Tile, lower: Tile, size: int) -> Tile:
+    """Return X with X L^T = tile; the diagonal of ``lower`` holds reciprocals."""
+    out = list(tile)
+    for j in range(size):
+        for i in range(size):
+            value = out[i * size + j]
+            for k in range(j):
+                value = dr.fma(-out[i * size + k], lower[j * size + k], value)
+            out[i * size + j] = value * lower[j * size + j]
+    return out
+
+
+def _subtract_applied(right: Tile, tile: Tile, other: Tile, size: int, transpose: bool) -> Tile:
+    """Return right - tile @ other (or tile^T @ other) for a block of right-hand sides."""
+    columns = len(right) // size
+    out = list(right)
+    for k in range(size):
+        for i in range(size):
+            entry = -tile[k * size + i if transpose else i * size + k]
+            for c in range(columns):
+                q = i * columns + c
+                out[q] = dr.fma(entry, other[k * columns + c], out[q])
+    return out
+
+
+def _substitute(right: Tile, lower: Tile, size: int, transpose: bool) -> Tile:
+    """Solve L x = right (or L^T x = right) within one diagonal tile."""
+    columns = len(right) // size
+    out = list(right)
+    for i in reversed(range(size)) if transpose else range(size):
+        for c in range(columns):
+            value = out[i * columns + c]
+            for k in range(i + 1, size) if transpose else range(i):
+                entry = lower[k * size + i] if transpose else lower[i * size + k]
+                value = dr.fma(-entry, out[k * columns + c], value)
+            out[i * columns + c] = value * lower[i * size + i]
+    return out
+
+
+@dr.syntax
+def factor_and_forward(
+    lower: list[Any],
+    solution: list[Any],
+    blocks: Any,
+    size: int,
+    matrix: Callable[[Any, Any, bool], Tile] | None = None,
+    right: Callable[[Any], Tile] | None = None,
+) -> tuple[list[Any], list[Any]]:
+    """Factor M = L L^T and solve L z = b, tile row by tile row.
+
+    Args:
+        lower: memory for L, packed lower tiles (row I, column J at I (I + 1) / 2 + J).
+        solution: memory for z, one block of ``size`` rows per tile row.
+        blocks: number of tile rows, a UInt32 that may vary from lane to lane.
+        size: edge of a tile.
+        matrix: ``(I, J, diagonal) -> Tile`` of M, asked once for every J <= I; rows past the
+            end of the system must be those of the identity, and only the lower triangle of
+            a diagonal tile is read. None: ``lower`` holds M and is overwritten.
+        right: ``I -> Tile`` of the right-hand sides, zero past the end. None: ``solution``
+            holds them and is overwritten.
+
+    Returns:
+        ``lower`` and ``solution``, filled.
+    """
+    entry = matrix or (lambda I, J, _: load(lower, packed_count(I) + J))
+    given = right or (lambda I: load(solution, I))
+    I = mi.UInt32(0)
+    while I < blocks:
+        row = packed_count(I)
+        J = mi.UInt32(0)
+        while J < I:
+            column = packed_count(J)
+            tile = entry(I, J, False)
+            K = mi.UInt32(0)
+            while K < J:
+                tile = _subtract_outer(tile, load(lower, row + K), load(lower, column + K), size)
+                K += 1
+            store(lower, row + J, _divide_right(tile, load(lower, column + J), size))
+            J += 1
+        diagonal, block = entry(I, I, True), given(I)
+        K = mi.UInt32(0)
+        while K < I:
+            left = load(lower, row + K)
+            diagonal = _subtract_square(diagonal, left, size)
+            block = _subtract_applied(block, left, load(solution, K), size, False)
+            K += 1
+        diagonal = _factor(diagonal, size)
+        store(lower, row + I, diagonal)
+        store(solution, I, _substitute(block, diagonal, size, False))
+        I += 1
+    return lower, solution
+
+
+@dr.syntax
+def backward(
+    lower: list[Any], solution: list[Any], blocks: Any, size: int
+) -> list[Any]:
+    """Solve L^T x = z in place, from the last tile row to the first.
+
+    Args:
+        lower: the factor, as ``factor_and_forward`` leaves it.
+        solution: z on entry.
+        blocks: number of tile rows, may vary from lane to lane.
+        size: edge of a tile.
+
+    Returns:
+        ``solution``, holding x.
+    """
+    I = mi.UInt32(blocks)
+    while I > 0:
+        row = I - 1
+        block = load(solution, row)
+        K = mi.UInt32(I)
+        while K < blocks:
+            tile = load(lower, packed_count(K) + row)
+            block = _subtract_applied(block, tile, load(solution, K), size, True)
+            K += 1
+        diagonal = load(lower, packed_count(row) + row)
+        store(solution, row, _substitute(block, diagonal, size, True))
+        I -= 1
+    return solution

@@ -1,0 +1,89 @@
+"""Real spherical harmonics in lanes, and the zonal kernel of the dual fit.
+
+Conventions, the same everywhere in the package:
+
+* order ``index = l*l + l + m``: (0,0), (1,-1), (1,0), (1,1), (2,-2), ...
+* orthonormal on the sphere, real, with the Condon-Shortley sign of ``dr.sh_eval``
+  [Sloan, JCGT 2013]: the degree 1 functions are ``sqrt(3/4pi) * (-y, z, -x)``;
+* lanes run over texels, coefficients are Python lists of Dr.Jit arrays.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+
+from svu_mi.errors import OptionError, ShapeError
+
+MAX_DEGREE = 9
+"""The highest degree ``dr.sh_eval`` knows."""
+
+
+def degree_of(count: int) -> int:
+    """Return the degree of a full set of ``count = (degree + 1)^2`` coefficients.
+
+    Raises:
+        ShapeError: ``count`` is not a positive square.
+    """
+    root = math.isqrt(max(count, 0))
+    if count < 1 or root * root != count:
+        raise ShapeError(
+            f"Expected (lmax + 1)^2 spherical harmonic coefficients, got {count}; the nearest "
+            f"full sets have {max(root, 1) ** 2} and {(root + 1) ** 2}."
+        )
+    return root - 1
+
+
+def check_degree(degree: Any, caller: str) -> int:
+    """Return ``degree`` as an int in [0, 9].
+
+    Raises:
+        OptionError: it is not a whole number in that range.
+    """
+    if isinstance(degree, bool) or int(degree) != degree or not 0 <= degree <= MAX_DEGREE:
+        raise OptionError(f"{caller}: the degree must be a whole number in [0, 9], got {degree!r}.")
+    return int(degree)
+
+
+def basis(direction: Any, degree: int) -> list[Any]:
+    """Evaluate Y_lm for a unit direction.
+
+    Args:
+        direction: a Dr.Jit 3-vector of unit length; its precision decides the precision.
+        degree: the highest degree l, in [0, 9].
+
+    Returns:
+        (degree + 1)^2 arrays in the order l*l + l + m.
+    """
+    return dr.sh_eval(direction, degree)
+
+
+def ridge(degree: int, penalize_constant: bool) -> list[float]:
+    """Diagonal of R in Eq. 12, one entry per degree: e^l, with R_00 = 1 or 0."""
+    return [math.exp(l) if l or penalize_constant else 0.0 for l in range(degree + 1)]
+
+
+def zonal_weights(degree: int, penalize_constant: bool) -> list[float]:
+    """Legendre coefficients of lambda * k(t): (2l + 1) / (4 pi R_l), and 0 where R_l is 0."""
+    penalty = ridge(degree, penalize_constant)
+    return [(2 * l + 1) / (4 * math.pi * r) if r else 0.0 for l, r in enumerate(penalty)]
+
+
+def zonal_kernel(t: Any, weights: list[float]) -> Any:
+    """Evaluate sum_l weights[l] P_l(t) by Clenshaw's recurrence.
+
+    By the addition theorem this is Y(a)^T R^-1 Y(b) for unit vectors with a.b = t.
+
+    Args:
+        t: cosine of the angle, any Dr.Jit float array.
+        weights: one literal per degree, as ``zonal_weights`` returns them.
+    """
+    Float = type(t)
+    above, current = Float(0), Float(0)  # b_{l+2}, b_{l+1} of the recurrence
+    for l in range(len(weights) - 1, -1, -1):
+        slope, tail = (2 * l + 1) / (l + 1), (l + 1) / (l + 2)
+        step = dr.fma(-tail, above, weights[l])
+        above, current = current, dr.fma(slope * t, current, step)
+    return current

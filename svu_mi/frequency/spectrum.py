@@ -1,0 +1,67 @@
+"""Power of a spherical signal, degree by degree (paper, Sec. 3.3.1).
+
+    S(l) = sum over m = -l ... l of c_lm^2                                        (Eq. 8)
+
+A sum, not a mean: white noise of unit variance has 2l + 1 on average. A rotation of the
+signal leaves every S(l) unchanged.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from svu_mi.frequency import arrays, harmonics
+
+
+def power_lanes(coefficients: list[list[Any]]) -> list[list[Any]]:
+    """Return S(l) of every lane (Eq. 8).
+
+    Args:
+        coefficients: (lmax + 1)^2 lists of C arrays in the order l*l + l + m, as
+            ``fit_lanes`` returns them, in radiance up to exposure.
+
+    Returns:
+        lmax + 1 lists of C arrays, in squared radiance.
+
+    Raises:
+        ShapeError: the number of coefficients is not a square.
+    """
+    spectrum = []
+    for l in range(harmonics.degree_of(len(coefficients)) + 1):
+        orders = coefficients[l * l : (l + 1) ** 2]  # m = -l ... l
+        spectrum.append([sum(dr.square(c) for c in channel) for channel in zip(*orders, strict=True)])
+    return spectrum
+
+
+def power_spectrum(coefficients: Any) -> Any:
+    """Return the power of every degree (Eq. 8).
+
+    Args:
+        coefficients: (T, (lmax + 1)^2, C), texels x coefficients x channels, in the order
+            l*l + l + m; a tensor or anything NumPy understands.
+
+    Returns:
+        (T, lmax + 1, C) TensorXf, in squared radiance.
+
+    Raises:
+        ShapeError: not three axes, or a second axis that is not a square.
+    """
+    tensor = arrays.tensor(coefficients, "power_spectrum()", "coefficients", ("T", "(lmax+1)^2", "C"))
+    texels, count, channels = tensor.shape
+    degree = harmonics.degree_of(count)
+    if texels * channels == 0:
+        return dr.zeros(mi.TensorXf, (texels, degree + 1, channels))
+    # Lanes run over the output: one entry each, at most 2 lmax + 1 additions.
+    lane = dr.arange(mi.UInt32, texels * (degree + 1) * channels)
+    channel, rest = lane % channels, lane // channels
+    l, texel = rest % (degree + 1), rest // (degree + 1)
+    first = (texel * count + l * l) * channels + channel
+    power = mi.Float(0)
+    for m in range(2 * degree + 1):
+        inside = m <= 2 * l
+        c = dr.gather(mi.Float, tensor.array, first + m * channels, inside)
+        power = dr.fma(c, c, power)
+    return mi.TensorXf(power, (texels, degree + 1, channels))

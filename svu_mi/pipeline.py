@@ -1,0 +1,233 @@
+"""The pipeline, capture to posterior: the file to read first.
+
+    capture -> texels -> observe in every view -> SH fit -> power spectra -> posterior
+
+Memory: the photographs and their packed copy (2 * 12 + 1 bytes per pixel), about
+100 + 24 (l* + 1) bytes per texel, and nothing that grows with texels times views.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.frequency import fit_lanes, power_lanes, solver_groups
+from svu_mi.options import Preset
+from svu_mi.options import preset as find_preset
+from svu_mi.posterior import ParameterGrid, Posterior, spectrum_posterior
+from svu_mi.progress import Progress
+from svu_mi.radiance import Lighting, Surface, Views, coverage, light, observe, pack_views
+from svu_mi.surface import Texels
+
+log = logging.getLogger(__name__)
+
+COLORS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """What the photographs say about each of T texels.
+
+    Attributes:
+        method: name of the estimator.
+        preset: the switches it ran with.
+        texels: where the values belong.
+        posterior: p(psi | B, L) of each texel.
+        coverage: (T,) UInt32, number of views that see each texel.
+        seen_per_view: (V,) int64, number of texels each used view sees.
+        skipped: what was not computed, by reason, as counts.
+        timings: seconds per stage, synchronised.
+    """
+
+    method: str
+    preset: Preset
+    texels: Texels
+    posterior: Posterior
+    coverage: Any
+    seen_per_view: np.ndarray
+    skipped: dict[str, int]
+    timings: dict[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def entropy(self) -> Any:
+        """Normalised entropy (T,) in [0, 1]; exactly 1 for a texel nobody saw (Eq. 5)."""
+        return self.posterior.entropy()
+
+    def image(self, name: str) -> np.ndarray:
+        """Lay a per-texel result out as an (H, W) float32 texture.
+
+        Args:
+            name: ``entropy`` (1 outside the charts) or ``coverage`` (0 outside the charts).
+
+        Raises:
+            OptionError: an unknown name.
+        """
+        if name == "entropy":
+            return self.texels.to_image(np.array(self.entropy, np.float32), 1.0)
+        if name == "coverage":
+            return self.texels.to_image(np.array(self.coverage).astype(np.float32), 0.0)
+        raise OptionError(f"Estimate.image(): there is no map {name!r}; use entropy or coverage.")
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Power spectra of T texels, TensorXf (T, l* + 1, 3) in squared radiance."""
+
+    incoming: Any
+    outgoing: Any
+
+
+def estimate(
+    capture: Capture,
+    texels: Texels,
+    method: Literal["spectrum"] = "spectrum",
+    preset: str | Preset = "default",
+    *,
+    grid: ParameterGrid | None = None,
+    prior: Any | None = None,
+    progress: Progress | None = None,
+) -> Estimate:
+    """Estimate how much a capture says about the reflectance of every texel.
+
+    Args:
+        capture: scene, photographs and light.
+        texels: texels of ``capture.mesh``.
+        method: the estimator; ``spectrum`` compares power spectra (Sec. 3.3 of the paper).
+        preset: ``default``, ``paper``, ``fast``, or a ``Preset``.
+        grid: nodes of the parameter grid, 8 x 8 by default.
+        prior: (R, S) non-negative weights of the grid's cells; uniform by default.
+        progress: shows what is going on and collects timings.
+
+    Raises:
+        OptionError: an unknown method or preset.
+        CaptureError: no texel is seen in any photograph.
+    """
+    if method != "spectrum":
+        raise OptionError(f"Unknown method {method!r}; there is 'spectrum'.")
+    switches = find_preset(preset)
+    progress = progress or Progress()
+    with progress.stage("Reading the light"):
+        lighting = light(capture, sum(capture.used))
+    with progress.stage("Finding silhouettes"):
+        views = pack_views(capture)
+    with progress.stage("Tracing visibility"):
+        seen, seen_per_view = coverage(views, Surface.of(texels))
+    _require_seen(seen_per_view, capture)
+    with progress.stage("Fitting spectra"):
+        spectra = fit_spectra(views, lighting, texels, seen, switches)
+    with progress.stage("Computing entropy"):
+        posterior = spectrum_posterior(
+            spectra.incoming,
+            spectra.outgoing,
+            grid or ParameterGrid(),
+            preset=switches,
+            prefilter=lighting.prefilter,
+            prior=prior,
+            observed=seen > 0,
+            samples=mi.Float(seen),
+        )
+        result = Estimate(
+            method=method,
+            preset=switches,
+            texels=texels,
+            posterior=posterior,
+            coverage=seen,
+            seen_per_view=seen_per_view.numpy().astype(np.int64),
+            skipped=_skipped(capture, texels, seen, seen_per_view),
+            timings=progress.timings,
+        )
+        dr.eval(result.entropy)
+    return result
+
+
+def fit_spectra(
+    views: Views, lighting: Lighting, texels: Texels, seen: Any, switches: Preset
+) -> Spectra:
+    """Gather, fit and take power spectra in one kernel per solver; samples are never stored.
+
+    Args:
+        views: the packed capture.
+        lighting: its band-limited light.
+        texels: the T texels.
+        seen: (T,) UInt32, number of views that see each.
+        switches: degree, regulariser and R_00 of Eq. 12.
+    """
+    size = (switches.degree + 1) * 2 * COLORS
+    lanes = dr.zeros(mi.Float, texels.count * size)
+    for group in solver_groups(seen, switches.degree):
+        surface = Surface.of(texels, group.selection)
+        coefficients = fit_lanes(
+            lambda view, surface=surface: sample(views, lighting, surface, view),
+            views.count,
+            degree=switches.degree,
+            channels=2 * COLORS,
+            regularizer=switches.regularizer,
+            penalize_constant=switches.penalize_constant,
+            method=group.method,
+            capacity=group.capacity,
+        )
+        power = [value for channels in power_lanes(coefficients) for value in channels]
+        # Evaluate all rows in one kernel, then write them with one scatter: a scatter per row
+        # would be a kernel per row.
+        dr.eval(power)
+        lane = dr.tile(group.selection, size)
+        row = dr.repeat(dr.arange(mi.UInt32, size), surface.count)
+        dr.scatter(lanes, dr.concat(power), lane * size + row)
+    table = mi.TensorXf(lanes, (texels.count, switches.degree + 1, 2 * COLORS))
+    return Spectra(incoming=table[:, :, COLORS:], outgoing=table[:, :, :COLORS])
+
+
+def sample(
+    views: Views, lighting: Lighting, surface: Surface, view: Any
+) -> tuple[Any, Any, list[Any]]:
+    """One row of Eq. 12: view direction, w = |cos theta|, and both right-hand sides.
+
+    Outgoing radiance B is indexed by the direction to the camera; so is incoming radiance L,
+    which is looked up where the mirror sends that direction.
+    """
+    seen = observe(views, surface, view)
+
+    def mirrored(direction: Any, normal: Any) -> Any:
+        return lighting.radiance(2 * dr.dot(normal, direction) * normal - direction)
+
+    incoming = dr.if_stmt(
+        args=(seen.direction, mi.Vector3f(surface.normal)),
+        cond=seen.seen,
+        true_fn=mirrored,
+        false_fn=lambda *_: dr.zeros(mi.Color3f),
+    )
+    return seen.direction, seen.cosine, [*seen.radiance, *incoming]
+
+
+def _require_seen(seen_per_view: Any, capture: Capture) -> None:
+    counts = seen_per_view.numpy()
+    if not counts.any():
+        raise CaptureError(
+            f"No texel of '{capture.shape.id()}' is seen in any of {len(counts)} photographs; "
+            "check the poses (camera space is +X left, +Y up, +Z forward), masks and normals."
+        )
+    used = [name for name, used in zip(capture.names, capture.used, strict=True) if used]
+    blind = [name for name, count in zip(used, counts, strict=True) if count == 0]
+    if blind:
+        log.warning("%d photographs show no texel: %s", len(blind), ", ".join(blind[:5]))
+
+
+def _skipped(
+    capture: Capture, texels: Texels, seen: Any, seen_per_view: Any
+) -> dict[str, int]:
+    width, height = texels.resolution
+    return {
+        "texels outside the charts": width * height - texels.count - texels.overlapping,
+        "texels on overlapping charts": texels.overlapping,
+        "texels never seen": int((seen.numpy() == 0).sum()),
+        "views left out": capture.count - sum(capture.used),
+        "views that show no texel": int((seen_per_view.numpy() == 0).sum()),
+    }
