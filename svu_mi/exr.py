@@ -2,15 +2,19 @@
 
 Two facts about OpenEXR-python 3.5 make this module necessary: it writes arrays that are
 not C-contiguous (a channel slice, a flip, a transpose) as garbage without an error, and it
-prints to stderr before it raises. Every file is therefore written from contiguous copies,
-read back and compared before it takes its final name.
+prints on stdout and stderr before it raises. Every file is therefore written from
+contiguous copies, read back and compared before it takes its final name.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Mapping
+import secrets
+import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -18,106 +22,221 @@ import OpenEXR
 from svu_mi.errors import CaptureError, OutputError, ShapeError
 
 MAGIC = b"\x76\x2f\x31\x01"
+GROUPS = ("RGBA", "RGB")  # last part of a channel name that stands for several channels
+INT_LIMIT = 2**31
 
 
 def write_exr(
     path: str | Path,
-    channels: Mapping[str, np.ndarray],
+    channels: Mapping[str, Any],
     attributes: Mapping[str, str | int | float] | None = None,
     *,
     half: bool = False,
 ) -> None:
-    """Write a single-part scanline EXR, atomically.
+    """Write a single-part scanline EXR, atomically, and compare what was written bit by bit.
 
     Args:
         path: the file; an existing one is replaced only when the new one is complete.
-        channels: (H, W) arrays by channel name, such as ``R``, ``G``, ``B``, ``A``, ``Y``.
-        attributes: extra header entries.
-        half: store half floats (values up to 65504) instead of float32.
+        channels: real arrays of one size by channel name: (H, W) or (H, W, 1) for ``R``,
+            ``Y``, ``layer.R``, ...; (H, W, 3) for ``RGB`` and (H, W, 4) for ``RGBA`` (also
+            ``layer.RGB``), stored as single channels. Any memory layout, any real type.
+        attributes: extra header entries; numbers are stored as 32-bit int or float.
+        half: store half floats (magnitudes up to 65504) instead of float32.
 
     Raises:
-        ShapeError: no channel, or channels that are not (H, W) arrays of one size.
-        OutputError: NaN, infinite or (with ``half``) too large values, or a failed write.
+        ShapeError: no channel, or channels that are not images of one size.
+        OutputError: values that are not numbers, NaN, infinite or too large; attributes that
+            an EXR cannot hold; or a failed write, which leaves an older file as it was.
     """
     path = Path(path)
     planes = _planes(path, channels, np.float16 if half else np.float32)
-    header: dict[str, object] = {
+    header = {
+        **_attributes(path, attributes or {}),
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
-        **(attributes or {}),
     }
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with OpenEXR.File(header, dict(planes)) as file:
-            file.write(str(temporary))
-        written = read_exr(temporary)
+    with replacing(path) as temporary:
+        try:
+            with _quiet(), OpenEXR.File(header, dict(planes)) as file:
+                file.write(str(temporary))
+            written = _read_channels(temporary)
+        except (RuntimeError, ValueError, TypeError, CaptureError) as error:
+            raise OutputError(f"{path}: cannot be written ({error}).") from error
         for name, plane in planes.items():
-            if not np.array_equal(written[name], plane.astype(np.float32)):
+            if written[name].dtype != plane.dtype or written[name].tobytes() != plane.tobytes():
                 raise OutputError(f"{path}: channel {name} did not survive writing; not kept.")
+
+
+@contextlib.contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """Give a new, empty temporary file that becomes ``path`` when the block succeeds.
+
+    Every writer of this package goes through here, so a reader never meets half a file: the
+    temporary one lies in the same folder, replaces ``path`` in one step, and is removed if
+    the block raises.
+
+    Raises:
+        OutputError: the folder is missing or not writable, or ``path`` is a folder.
+    """
+    path = Path(path)
+    # The suffix stays last: writers such as matplotlib go by it.
+    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.tmp{path.suffix}")
+    try:
+        # Opened here because the operating system's reason is clearer than OpenEXR's.
+        temporary.open("xb").close()
+        yield temporary
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder; remove it, or choose another name.")
         temporary.replace(path)
-    except (OSError, RuntimeError, CaptureError) as error:
+    except OSError as error:
         raise OutputError(f"{path}: cannot be written ({_reason(path, error)}).") from error
     finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _planes(
-    path: Path, channels: Mapping[str, np.ndarray], dtype: type[np.floating]
-) -> dict[str, np.ndarray]:
-    if not channels:
-        raise ShapeError(f"{path}: an EXR needs at least one channel.")
-    sizes = {np.shape(values) for values in channels.values()}
-    if len(sizes) != 1 or len(next(iter(sizes))) != 2:
-        raise ShapeError(
-            f"{path}: channels must be (H, W) arrays of one size, got "
-            + ", ".join(f"{name} {np.shape(values)}" for name, values in channels.items())
-            + "."
-        )
-    planes = {}
-    for name, values in channels.items():
-        with np.errstate(over="ignore"):
-            plane = np.ascontiguousarray(values, dtype)
-        bad = int((~np.isfinite(plane)).sum())
-        if bad:
-            raise OutputError(
-                f"{path}: channel {name} has {bad} values that are NaN, infinite or too large."
-            )
-        planes[name] = plane
-    return planes
-
-
-def _reason(path: Path, error: Exception) -> str:
-    if not path.parent.is_dir():
-        return f"there is no folder {path.parent}"
-    if not os.access(path.parent, os.W_OK):
-        return f"no permission to write in {path.parent}"
-    return str(error) or type(error).__name__
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def read_exr(path: str | Path) -> dict[str, np.ndarray]:
     """Read the first part of an EXR.
 
     Returns:
-        (H, W) float32 arrays by channel name, such as ``R``, ``G``, ``B``, ``A``, ``Y``.
+        (H, W) float32 arrays by channel name, such as ``R``, ``G``, ``B``, ``A``, ``Y``, in
+        the file's data window. NaN and infinite values are passed on.
 
     Raises:
-        CaptureError: the file is missing, not an EXR, or damaged.
+        CaptureError: the file is missing, not an EXR, damaged, deep, or subsampled.
     """
     path = Path(path)
-    if not path.is_file():
-        raise CaptureError(f"{path}: no such file.")
+    _check_magic(path)
+    return {
+        name: np.ascontiguousarray(pixels, np.float32)
+        for name, pixels in _read_channels(path).items()
+    }
+
+
+def read_attributes(path: str | Path) -> dict[str, str | int | float]:
+    """Read the header entries of the first part that are text or numbers.
+
+    Raises:
+        CaptureError: as ``read_exr``.
+    """
+    path = Path(path)
+    _check_magic(path)
+    try:
+        with _quiet(), OpenEXR.File(str(path), header_only=True) as file:
+            header = dict(file.parts[0].header)
+    except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
+        raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
+    return {name: value for name, value in header.items() if isinstance(value, str | int | float)}
+
+
+def _planes(
+    path: Path, channels: Mapping[str, Any], dtype: type[np.floating]
+) -> dict[str, np.ndarray]:
+    """Return contiguous (H, W) copies, one per stored channel."""
+    images = {}
+    for name, values in channels.items():
+        images.update(_split(path, name, np.asarray(values)))
+    sizes = {image.shape for image in images.values()}
+    if len(sizes) != 1 or 0 in next(iter(sizes)):
+        found = ", ".join(f"{name} {np.shape(v)}" for name, v in channels.items())
+        raise ShapeError(
+            f"{path}: channels must be (H, W) arrays of one size, got {found or 'none'}."
+        )
+    planes = {}
+    for name, image in images.items():
+        with np.errstate(over="ignore"):
+            planes[name] = np.array(image, dtype, order="C")
+        bad = int((~np.isfinite(planes[name])).sum())
+        if bad:
+            raise OutputError(
+                f"{path}: channel {name} has {bad} values that are NaN, infinite or too large "
+                f"for {dtype.__name__}; replace them first."
+            )
+    return planes
+
+
+def _split(path: Path, name: str, image: np.ndarray) -> dict[str, np.ndarray]:
+    if image.dtype.kind not in "fiub":
+        raise OutputError(f"{path}: channel {name} has type {image.dtype}; expected real numbers.")
+    layer, dot, last = name.rpartition(".")
+    letters = last if last in GROUPS else ""
+    if letters and image.ndim == 3 and image.shape[2] == len(letters):
+        return {layer + dot + c: image[..., k] for k, c in enumerate(letters)}
+    if not letters and image.ndim == 3 and image.shape[2] == 1:
+        return {name: image[..., 0]}
+    if letters or image.ndim != 2:
+        expected = f"(H, W, {len(letters)})" if letters else "(H, W) or (H, W, 1)"
+        raise ShapeError(f"{path}: channel {name} must be {expected}, got {image.shape}.")
+    return {name: image}
+
+
+def _attributes(path: Path, given: Mapping[str, Any]) -> dict[str, str | int | float]:
+    """Keep what the binding writes faithfully; it aborts or forgets other values."""
+    kept: dict[str, str | int | float] = {}
+    for name, value in given.items():
+        plain = value.item() if isinstance(value, np.generic) else value
+        plain = int(plain) if isinstance(plain, bool) else plain
+        if not isinstance(plain, str | int | float):
+            raise OutputError(
+                f"{path}: attribute {name} is a {type(value).__name__}; expected text or a "
+                "number (store anything else as JSON text)."
+            )
+        if isinstance(plain, int) and not -INT_LIMIT <= plain < INT_LIMIT:
+            raise OutputError(f"{path}: attribute {name} = {plain} does not fit in 32 bits.")
+        kept[name] = plain
+    return kept
+
+
+def _check_magic(path: Path) -> None:
+    if path.is_dir():
+        raise CaptureError(f"{path}: a folder, not an EXR file.")
     try:
         with path.open("rb") as stream:
-            magic = stream.read(4)
+            magic = stream.read(len(MAGIC))
+    except FileNotFoundError as error:
+        raise CaptureError(f"{path}: no such file.") from error
     except OSError as error:
         raise CaptureError(f"{path}: cannot be read ({error.strerror}).") from error
     if magic != MAGIC:
-        raise CaptureError(f"{path}: not an EXR file, whatever its name says; export it again.")
+        what = "an empty file" if not magic else "not an EXR file, whatever its name says"
+        raise CaptureError(f"{path}: {what}; export it again.")
+
+
+def _read_channels(path: Path) -> dict[str, np.ndarray]:
+    """Return (H, W) arrays of the first part, in the types stored."""
     try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            return {
-                name: np.array(channel.pixels, np.float32)
-                for name, channel in file.parts[0].channels.items()
-            }
-    except Exception as error:  # the binding raises RuntimeError, ValueError, ...
-        raise CaptureError(f"{path}: a damaged EXR file ({error}); export it again.") from error
+        with _quiet(), OpenEXR.File(str(path), separate_channels=True) as file:
+            # Damaged pixels end in a file without parts or channels, not in an exception.
+            found = dict(file.parts[0].channels)
+            pixels = {name: np.array(channel.pixels) for name, channel in found.items()}
+    except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
+        raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
+    if not pixels or any(plane.ndim != 2 for plane in pixels.values()):
+        raise CaptureError(f"{path}: a damaged or deep EXR file; export it as a flat image.")
+    if any(c.xSampling != 1 or c.ySampling != 1 for c in found.values()):
+        raise CaptureError(f"{path}: channels are subsampled; export the EXR as plain RGB.")
+    return pixels
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence the library's own lines on stdout and stderr; our exception says it better."""
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.redirect_stdout(None))
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            sys.stderr.flush()
+            kept = os.dup(2)
+            stack.callback(os.close, kept)
+            sink = os.open(os.devnull, os.O_WRONLY)
+            stack.callback(os.close, sink)
+            os.dup2(sink, 2)
+            stack.callback(os.dup2, kept, 2)
+        yield
+
+
+def _reason(path: Path, error: OSError) -> str:
+    if not path.parent.exists():
+        return f"there is no folder {path.parent}"
+    if not path.parent.is_dir():
+        return f"{path.parent} is not a folder"
+    return error.strerror or type(error).__name__

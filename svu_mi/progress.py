@@ -2,7 +2,15 @@
 
 Dr.Jit compiles and launches when an array is evaluated, and shows nothing of it. A stage
 measures its own time with the device synchronised at both ends, counts the kernels that
-were compiled in it, and, with a console, shows a spinner or a bar.
+were compiled in it, and, with a console, shows what is going on:
+
+    progress = Progress(Console(stderr=True))        # or Progress(): measures, shows nothing
+    with progress.stage("Gathering radiance") as stage:
+        stage.update(3, 10)                          # optional: turns the spinner into a bar
+    progress.timings                                 # {"Gathering radiance": 0.41}, seconds
+
+On a terminal (or in a notebook) a stage is a live line, replaced by one plain line when it
+ends; elsewhere, such as a log file, there is only that plain line.
 """
 
 from __future__ import annotations
@@ -11,77 +19,123 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress as Bar
-    from rich.progress import TaskID
 
 COMPILING = "compiling kernels (first run only)"
+PATIENCE = 2.0  # seconds of silence after which a stage says that it may be compiling
 
 
 class Stage:
-    """One running stage; ``update`` moves its bar."""
+    """One running stage.
 
-    def __init__(self, bar: Bar | None = None, task: TaskID | None = None) -> None:
+    A stage that nobody looks at accepts the same calls and does nothing.
+    """
+
+    def __init__(self, bar: Any = None, task: Any = None) -> None:
         self._bar, self._task = bar, task
 
     def update(self, done: int, total: int) -> None:
-        """Show ``done`` of ``total`` steps."""
-        if self._bar is not None and self._task is not None:
+        """Show ``done`` of ``total`` steps; fits as a ``(done, total)`` callback."""
+        if self._bar is not None:
             self._bar.update(self._task, completed=done, total=total, state="")
 
     def state(self, text: str) -> None:
-        """Show a word on what the stage is waiting for."""
-        if self._bar is not None and self._task is not None:
+        """Say what the stage is waiting for, until the next ``update``."""
+        if self._bar is not None:
             self._bar.update(self._task, state=text)
 
 
 class Progress:
-    """Times stages; shows them if it was given a console.
+    """Times the stages of a run; shows them if it was given a console.
+
+    A stage that runs twice adds up; one that fails is shown but not recorded. Stages may be
+    nested: only the outermost is live, and the inner one's time is part of both.
 
     Attributes:
-        timings: seconds per stage, in the order they ran.
-        kernels: number of kernels compiled (not found in the cache) per stage.
+        timings: seconds per stage, in the order they first ended.
+        kernels: number of kernels compiled per stage, as opposed to found in the cache; a
+            run in which all are 0 was warm.
     """
 
     def __init__(self, console: Console | None = None) -> None:
         self.timings: dict[str, float] = {}
         self.kernels: dict[str, int] = {}
         self._console = console
+        self._live = False
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[Stage]:
-        """Run a stage: ``with progress.stage("Fitting spectra"): ...``."""
+    def stage(self, name: str, total: int | None = None) -> Iterator[Stage]:
+        """Run a stage: ``with progress.stage("Fitting spectra"): ...``.
+
+        Args:
+            name: what is being done; the key in ``timings`` and ``kernels``.
+            total: number of steps, if it is known before the first ``update``.
+        """
+        # Dr.Jit runs ahead: without this, a stage would pay for its predecessor.
         _synchronize()
-        compiled = _compiled()
-        start = time.perf_counter()
-        with self._show(name) as shown:
-            yield shown
-            _synchronize()
-        seconds = time.perf_counter() - start
+        compiled, start = _compiled(), time.perf_counter()
+        try:
+            with self._shown(name, total) as stage:
+                yield stage
+                _synchronize()
+        except BaseException:
+            self._say(f"{name}: failed after {time.perf_counter() - start:.2f} s")
+            raise
+        seconds, built = time.perf_counter() - start, _compiled() - compiled
         self.timings[name] = self.timings.get(name, 0.0) + seconds
-        self.kernels[name] = self.kernels.get(name, 0) + _compiled() - compiled
+        self.kernels[name] = self.kernels.get(name, 0) + built
+        note = f", {built} kernel{'s' if built > 1 else ''} compiled" if built else ""
+        self._say(f"{name}: {seconds:.2f} s{note}")
+
+    def _say(self, line: str) -> None:
         if self._console is not None:
-            built = self.kernels[name]
-            note = f", {built} kernel{'s' if built > 1 else ''} compiled" if built else ""
-            self._console.print(f"{name}: {seconds:.2f} s{note}", highlight=False)
+            # Soft wrap: a log has no width, and a name may hold [brackets].
+            self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
     @contextmanager
-    def _show(self, name: str) -> Iterator[Stage]:
-        if self._console is None or not self._console.is_terminal:
+    def _shown(self, name: str, total: int | None) -> Iterator[Stage]:
+        if self._console is None or self._live or not _can_redraw(self._console):
             yield Stage()
             return
-        from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
-        from rich.progress import Progress as Bar
+        self._live = True
+        try:
+            with _bar(self._console) as bar:
+                yield Stage(bar, bar.add_task(name, total=total, state=None))
+        finally:
+            self._live = False
 
-        columns = (
-            SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=24),
-            TimeElapsedColumn(), TextColumn("[dim]{task.fields[state]}"),
-        )  # fmt: skip
-        with Bar(*columns, console=self._console, transient=True) as bar:
-            yield Stage(bar, bar.add_task(name, total=None, state=COMPILING))
+
+def _can_redraw(console: Console) -> bool:
+    return (console.is_terminal and not console.is_dumb_terminal) or console.is_jupyter
+
+
+def _bar(console: Console) -> Any:
+    # Importing rich takes longer than a whole silent run's bookkeeping.
+    from rich import progress as rich
+    from rich.text import Text
+
+    class State(rich.ProgressColumn):
+        """The stage's own word; else, after a silence, what is most likely going on."""
+
+        def render(self, task: rich.Task) -> Text:
+            state = task.fields["state"]
+            if state is None:
+                silent = task.completed == 0 and (task.elapsed or 0.0) > PATIENCE
+                state = COMPILING if silent else ""
+            return Text(state, style="dim")
+
+    return rich.Progress(
+        rich.SpinnerColumn(),
+        rich.TextColumn("{task.description}", markup=False),
+        rich.BarColumn(bar_width=24),
+        rich.TimeElapsedColumn(),
+        State(),
+        console=console,
+        transient=True,
+    )
 
 
 def _synchronize() -> None:
@@ -95,4 +149,5 @@ def _compiled() -> int:
     drjit = sys.modules.get("drjit")
     if drjit is None:
         return 0
-    return int(drjit.detail.launch_stats()[2])
+    _launches, _from_disk, compiled = drjit.detail.launch_stats()
+    return int(compiled)

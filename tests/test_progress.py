@@ -1,0 +1,109 @@
+"""Stages: what is recorded, and what a terminal, a log file and a library user see."""
+
+from __future__ import annotations
+
+import io
+import time
+
+import pytest
+from rich.console import Console
+
+from svu_mi import progress as progress_module
+from svu_mi.progress import COMPILING, Progress
+
+
+def console(*, terminal: bool) -> tuple[Console, io.StringIO]:
+    stream = io.StringIO()
+    return Console(file=stream, force_terminal=terminal, width=100, color_system=None), stream
+
+
+def test_a_stage_records_its_seconds():
+    progress = Progress()
+    with progress.stage("first"):
+        time.sleep(0.05)
+    with progress.stage("second"):
+        pass
+    assert list(progress.timings) == ["first", "second"]
+    assert 0.05 <= progress.timings["first"] < 0.5
+    assert progress.timings["second"] < 0.05
+
+
+def test_a_stage_that_runs_twice_adds_up():
+    progress = Progress()
+    for _ in range(2):
+        with progress.stage("view"):
+            time.sleep(0.02)
+    assert progress.timings["view"] >= 0.04
+
+
+def test_without_a_console_nothing_is_shown(capfd):
+    with Progress().stage("silent") as stage:
+        stage.update(1, 2)
+        stage.state("waiting")
+    captured = capfd.readouterr()
+    assert captured.out == captured.err == ""
+
+
+def test_a_log_file_gets_one_plain_line_per_stage():
+    where, stream = console(terminal=False)
+    progress = Progress(where)
+    with progress.stage("Fitting [bold]spectra[/]") as stage:
+        stage.update(1, 2)
+        stage.state("waiting")
+    assert "\x1b" not in stream.getvalue() and "\r" not in stream.getvalue()
+    lines = stream.getvalue().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("Fitting [bold]spectra[/]: 0.0")
+
+
+def test_a_terminal_shows_a_bar_and_the_state():
+    where, stream = console(terminal=True)
+    with Progress(where).stage("Gathering", total=4) as stage:
+        stage.update(1, 4)
+        stage.state("loading view 2")
+        time.sleep(0.25)  # the live line is drawn ten times a second
+    shown = stream.getvalue()
+    assert "Gathering" in shown and "loading view 2" in shown
+    assert COMPILING not in shown
+
+
+def test_silence_is_explained_by_compilation(monkeypatch):
+    monkeypatch.setattr(progress_module, "PATIENCE", 0.1)
+    where, stream = console(terminal=True)
+    with Progress(where).stage("Fitting"):
+        time.sleep(0.35)
+    assert COMPILING in stream.getvalue()
+
+
+def test_a_stage_that_fails_is_said_but_not_recorded():
+    where, stream = console(terminal=False)
+    progress = Progress(where)
+    with pytest.raises(ZeroDivisionError), progress.stage("Dividing"):
+        _ = 1 / 0
+    assert progress.timings == {}
+    assert "Dividing: failed after" in stream.getvalue()
+
+
+def test_stages_nest_on_a_terminal():
+    where, _stream = console(terminal=True)
+    progress = Progress(where)
+    with progress.stage("outer"), progress.stage("inner") as inner:
+        inner.update(1, 1)
+        time.sleep(0.02)
+    assert progress.timings["outer"] >= progress.timings["inner"] >= 0.02
+
+
+def test_kernels_are_counted_once_they_had_to_be_compiled():
+    mi = pytest.importorskip("mitsuba")
+    import drjit as dr
+
+    if "llvm_ad_rgb" not in mi.variants():
+        pytest.skip("needs LLVM")
+    mi.set_variant("llvm_ad_rgb")
+    progress = Progress()
+    # A constant that no earlier run can have put into the cache on disk.
+    odd = time.time_ns() % 1_000_003 / 1_000_003
+    for name in ("cold", "warm"):
+        with progress.stage(name):
+            dr.eval(dr.sin(dr.arange(mi.Float, 1000) * odd))
+    assert progress.kernels == {"cold": 1, "warm": 0}
