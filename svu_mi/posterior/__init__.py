@@ -1,0 +1,5 @@
+"""p(psi | B, L) on a grid of BRDF parameters, and its entropy."""
+
+from svu_mi.posterior.grid import ParameterGrid as ParameterGrid
+from svu_mi.posterior.record import Posterior as Posterior
+from svu_mi.posterior.spectrum import spectrum_posterior as spectrum_posterior

@@ -1,0 +1,193 @@
+"""The posterior of Eq. 11 in one kernel: energies of grid cells, and their entropy.
+
+For one roughness, the distance of Eq. 11 is a quadratic in K = Ks^2,
+
+    d(K) = d_min + c (K - K_min)^2,   c = sum e_l^2 S_L^2,   K_min = sum e_l S_L S_B / c,
+
+so the degrees are summed once per roughness, not once per cell. The expanded form
+sum S_B^2 - 2 K b + K^2 c would cancel: with S / sigma = 1e3, single precision then leaves
+nothing of d / (2 sigma^2). Sums over degrees are in double precision, exponentials are not.
+
+Channels come in groups. One group of three channels is one Ks for all (``sum``); three
+groups of one channel are a joint posterior with a Ks of its own per channel, which
+factorises for a given roughness and needs no grid over all three.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+FAR = 1e4  # exp(-FAR) is 0, FAR * 0 is not NaN
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything an energy depends on, as flat Dr.Jit arrays.
+
+    Attributes:
+        incoming, outgoing: (T * (L + 1) * C) Float, power spectra.
+        sigma: per channel group, (T,) Float64, standard deviation of a degree's power.
+        power: (T,) Float64 nu / 2 of d^(-nu/2), or None for exp(-d / (2 sigma^2)); sigma^2 is
+            then the floor that is added to d.
+        degree: L = l*.
+        channels: C.
+        groups: channel indices that share one Ks.
+        decay: (R * L) Float64, e_l of each roughness, l = 1 ... L.
+        specular: (S,) nodes of Ks.
+        prior: ((R,), (R, S)) arrays of -log prior: of a roughness, of Ks given it; or None.
+    """
+
+    incoming: Any
+    outgoing: Any
+    sigma: list[Any]
+    power: Any | None
+    degree: int
+    channels: int
+    groups: tuple[tuple[int, ...], ...]
+    decay: Any
+    specular: np.ndarray
+    prior: tuple[Any, Any] | None
+
+    @property
+    def rows(self) -> int:
+        """Number of roughness nodes R."""
+        return int(dr.width(self.decay)) // self.degree
+
+    @property
+    def cells(self) -> int:
+        """Number of cells of the grid: R * S^groups."""
+        return self.rows * len(self.specular) ** len(self.groups)
+
+
+def entropy(problem: Problem, count: int) -> Any:
+    """Return the normalised entropy (T,) of Eq. 5, before unseen texels are set to 1.
+
+    With energies x, p = exp(-x) / Z: H = (log Z + sum p x) / log n, one logarithm per texel.
+    Energies are taken relative to the smallest so far, and sums rescaled when it drops.
+    """
+    texel = dr.arange(mi.UInt32, count)
+    rows = dr.opaque(mi.UInt32, problem.rows)
+
+    def body(row: Any, low: Any, z: Any, zx: Any) -> tuple[Any, ...]:
+        base, weight, excess = _row(problem, texel, row)
+        lowest = dr.minimum(low, base)
+        # exp(-inf) on the first row: there is nothing to rescale yet.
+        drop = mi.Float(dr.minimum(low - lowest, FAR))
+        rise = mi.Float(dr.minimum(base - lowest, FAR))
+        old, new = dr.exp(-drop), dr.exp(-rise) * weight
+        zx = old * dr.fma(drop, z, zx) + new * (rise + excess)
+        return row + 1, lowest, dr.fma(old, z, new), zx
+
+    zero = dr.zeros(mi.Float, count)
+    _, _, z, zx = dr.while_loop(
+        state=(mi.UInt32(0), dr.full(mi.Float64, 1e300, count), zero, dr.zeros(mi.Float, count)),
+        cond=lambda row, *_: row < rows,
+        body=body,
+    )
+    return dr.clip((dr.log(z) + zx / z) / float(np.log(problem.cells)), 0, 1)
+
+
+def _row(problem: Problem, texel: Any, row: Any) -> tuple[Any, Any, Any]:
+    """Sum one roughness over all groups.
+
+    Returns:
+        smallest energy (Float64), sum of exp(-(x - smallest)), mean of x - smallest.
+    """
+    base, weight, excess = mi.Float64(0), mi.Float(1), mi.Float(0)
+    for low, offsets in _row_energies(problem, texel, row):
+        terms = [dr.exp(-x) for x in offsets]
+        z = sum(terms)
+        zx = sum(x * term for x, term in zip(offsets, terms, strict=True))
+        base += low
+        weight *= z
+        excess += zx / z
+    if problem.prior is not None:
+        base += mi.Float64(dr.gather(mi.Float, problem.prior[0], row))
+    return base, weight, excess
+
+
+def _row_energies(problem: Problem, texel: Any, row: Any) -> list[tuple[Any, list[Any]]]:
+    """Return, per group, the smallest energy of a roughness and the others' distance to it."""
+    decay = [
+        dr.gather(mi.Float64, problem.decay, row * problem.degree + l)
+        for l in range(problem.degree)
+    ]
+    result = []
+    for group, sigma in zip(problem.groups, problem.sigma, strict=True):
+        incoming, outgoing = _spectra(problem, texel, group)
+        precision = dr.rcp(dr.square(dr.gather(mi.Float64, sigma, texel)))
+        energies = _energies(problem.specular, incoming, outgoing, decay, precision)
+        if problem.power is not None:
+            power = dr.gather(mi.Float64, problem.power, texel)
+            energies = [power * dr.log(2 * x + 1) for x in energies]
+        if problem.prior is not None:
+            energies = [
+                x + mi.Float64(dr.gather(mi.Float, problem.prior[1], row * len(energies) + s))
+                for s, x in enumerate(energies)
+            ]
+        low = energies[0]
+        for x in energies[1:]:
+            low = dr.minimum(low, x)
+        result.append((low, [mi.Float(dr.minimum(x - low, FAR)) for x in energies]))
+    return result
+
+
+def _spectra(problem: Problem, texel: Any, group: tuple[int, ...]) -> tuple[list, list]:
+    """Read S_L(l), S_B(l) for l >= 1 of the group's channels, one after the other."""
+    index = [
+        (texel * (problem.degree + 1) + l) * problem.channels + c
+        for c in group
+        for l in range(1, problem.degree + 1)
+    ]
+    return (
+        [mi.Float64(dr.gather(mi.Float, problem.incoming, i)) for i in index],
+        [mi.Float64(dr.gather(mi.Float, problem.outgoing, i)) for i in index],
+    )
+
+
+def _energies(
+    specular: np.ndarray, S_L: list[Any], S_B: list[Any], decay: list[Any], precision: Any
+) -> list[Any]:
+    """d / (2 sigma^2) of every Ks for one roughness (Eq. 11); precision = 1 / sigma^2."""
+    model = [e * s for e, s in zip(decay * (len(S_L) // len(decay)), S_L, strict=True)]
+    b, c = mi.Float64(0), mi.Float64(0)
+    for m, s in zip(model, S_B, strict=True):
+        b, c = dr.fma(m, s, b), dr.fma(m, m, c)
+    best = dr.select(c > 0, b / dr.select(c > 0, c, 1), 0)
+    d_min = mi.Float64(0)
+    for m, s in zip(model, S_B, strict=True):
+        d_min += dr.square(s - best * m)
+    half = 0.5 * precision
+    return [
+        dr.fma(c, dr.square(float(K) - best), d_min) * half for K in specular**2
+    ]
+
+
+def tables(problem: Problem, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the energies of ``count`` texels, for everything that is not the hot path.
+
+    Returns:
+        (T, R) float64: the smallest energy of each roughness, relative to the texel's
+        smallest; (T, R, G, S) float32: energies of each Ks relative to that, per group.
+    """
+    rows, groups, nodes = problem.rows, len(problem.groups), len(problem.specular)
+    lane = dr.arange(mi.UInt32, count * rows)
+    texel, row = dr.opaque(mi.UInt32, first) + lane // rows, lane % rows
+    base, columns = mi.Float64(0), []
+    for low, offsets in _row_energies(problem, texel, row):
+        base = base + low
+        columns += offsets
+    if problem.prior is not None:
+        base += mi.Float64(dr.gather(mi.Float, problem.prior[0], row))
+    dr.eval(base, columns)
+    smallest = np.broadcast_to(base.numpy(), count * rows).reshape(count, rows)
+    offsets_table = np.stack([np.broadcast_to(c.numpy(), count * rows) for c in columns], axis=-1)
+    return (
+        smallest - smallest.min(axis=1, keepdims=True),
+        offsets_table.reshape(count, rows, groups, nodes),
+    )

@@ -1,0 +1,166 @@
+"""The posterior of T texels: what it says, computed when asked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.errors import OptionError, ShapeError
+from svu_mi.posterior import kernel
+from svu_mi.posterior.grid import ParameterGrid
+
+CHUNK = 1 << 16  # texels per pass of everything that is not the entropy
+MAX_PROBABILITIES = 1 << 29  # floats; 2 GiB
+
+Parameter = Literal["roughness", "specular"]
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """p(psi | B, L) on a grid for each of T texels (Eq. 3, 4, 11).
+
+    Attributes:
+        problem: spectra, noise and grid tables (see ``kernel``).
+        grid: the parameter grid, R roughness and S specular nodes.
+        observed: (T,) bool; a texel nobody saw has a uniform posterior and entropy 1.
+        count: T.
+    """
+
+    problem: kernel.Problem
+    grid: ParameterGrid
+    observed: np.ndarray
+    count: int
+
+    @property
+    def groups(self) -> int:
+        """Number of Ks axes G: 3 when each colour channel has its own, else 1."""
+        return len(self.problem.groups)
+
+    def entropy(self) -> Any:
+        """Return H = -1/log(n) sum p log p, (T,) TensorXf in [0, 1] (Eq. 5).
+
+        Computed in one kernel, without the probabilities.
+        """
+        return mi.TensorXf(self._entropy)
+
+    @cached_property
+    def _entropy(self) -> Any:
+        if self.count == 0:
+            return mi.Float()
+        value = kernel.entropy(self.problem, self.count)
+        value = dr.select(mi.Bool(self.observed), value, 1)
+        dr.eval(value)
+        return value
+
+    @property
+    def probabilities(self) -> Any:
+        """p, TensorXf (T, R, S), or (T, R, S, S, S) when each channel has its own Ks.
+
+        Raises:
+            OptionError: it would take more than 2 GiB; ask for marginals instead.
+        """
+        shape = (self.count, self.grid.roughness, *(self.grid.specular,) * self.groups)
+        if np.prod(shape, dtype=float) > MAX_PROBABILITIES:
+            raise OptionError(
+                f"Posterior.probabilities: {shape} values do not fit in 2 GiB; use entropy(), "
+                "marginal() or map(), or estimate fewer texels."
+            )
+        result = np.empty(shape, np.float32)
+        for span, rough, offsets in self._chunks():
+            p = np.exp(-rough).astype(np.float32)
+            for g in range(self.groups):
+                factor = np.exp(-offsets[:, :, g])
+                p = p[..., None] * factor.reshape(*factor.shape[:2], *(1,) * g, -1)
+            total = p.reshape(len(p), -1).sum(axis=1, dtype=np.float64)
+            result[span] = p / total.reshape(-1, *(1,) * (p.ndim - 1))
+        result[~self.observed] = 1 / np.prod(shape[1:])
+        return mi.TensorXf(result)
+
+    def marginal(self, name: Parameter) -> Any:
+        """Return the marginal of one parameter.
+
+        Args:
+            name: ``roughness`` -> (T, R); ``specular`` -> (T, S), or (T, S, 3) when each
+                channel has its own Ks.
+
+        Raises:
+            OptionError: an unknown parameter.
+        """
+        _check_parameter(name)
+        return mi.TensorXf(self._marginals[name])
+
+    @cached_property
+    def _marginals(self) -> dict[str, np.ndarray]:
+        rough = np.empty((self.count, self.grid.roughness), np.float32)
+        specular = np.empty((self.count, self.grid.specular, self.groups), np.float32)
+        for span, base, offsets in self._chunks():
+            terms = np.exp(-offsets)  # (T, R, G, S)
+            z = terms.sum(axis=-1)
+            weight = np.exp(-base) * z.prod(axis=-1)
+            weight /= weight.sum(axis=1, keepdims=True)
+            rough[span] = weight
+            specular[span] = np.einsum("tr,trgs->tsg", weight, terms / z[..., None])
+        rough[~self.observed] = 1 / self.grid.roughness
+        specular[~self.observed] = 1 / self.grid.specular
+        return {
+            "roughness": rough,
+            "specular": specular if self.groups > 1 else specular[..., 0],
+        }
+
+    def marginal_entropy(self, name: Parameter) -> Any:
+        """Return the normalised entropy of a marginal: (T,), or (T, 3) per channel."""
+        _check_parameter(name)
+        p = self._marginals[name].astype(np.float64)
+        bits = -np.where(p > 0, p * np.log(np.where(p > 0, p, 1)), 0).sum(axis=1)
+        return mi.TensorXf(np.clip(bits / np.log(p.shape[1]), 0, 1).astype(np.float32))
+
+    def map(self) -> dict[str, Any]:
+        """Return the most probable cell: ``roughness`` (T,), ``specular`` (T,) or (T, 3).
+
+        A texel nobody saw gets the middle of the grid.
+        """
+        rough = np.full(self.count, self.grid.roughness // 2)
+        specular = np.full((self.count, self.groups), self.grid.specular // 2)
+        for span, base, offsets in self._chunks():
+            row = base.argmin(axis=1)
+            rough[span] = row
+            specular[span] = offsets[np.arange(len(row)), row].argmin(axis=-1)
+        rough[~self.observed] = self.grid.roughness // 2
+        specular[~self.observed] = self.grid.specular // 2
+        values = self.grid.specular_nodes[specular].astype(np.float32)
+        return {
+            "roughness": mi.TensorXf(self.grid.roughness_nodes[rough].astype(np.float32)),
+            "specular": mi.TensorXf(values if self.groups > 1 else values[:, 0]),
+        }
+
+    def kl(self, other: Posterior) -> Any:
+        """Return KL(p || q) of every texel p to every texel q of another: (T, T') (Sec. 5.2).
+
+        sum p log p - p . log q, one matrix product. Probabilities below 1e-30 count as 1e-30.
+
+        Raises:
+            ShapeError: the grids differ.
+        """
+        p = np.array(self.probabilities, np.float64).reshape(self.count, -1)
+        q = np.array(other.probabilities, np.float64).reshape(other.count, -1)
+        if self.grid != other.grid or p.shape[1] != q.shape[1]:
+            raise ShapeError(f"Posterior.kl(): the grids differ: {self.grid} and {other.grid}.")
+        log_p, log_q = np.log(np.maximum(p, 1e-30)), np.log(np.maximum(q, 1e-30))
+        divergence = (p * log_p).sum(axis=1)[:, None] - p @ log_q.T
+        return mi.TensorXf(np.maximum(divergence, 0).astype(np.float32))
+
+    def _chunks(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        for first in range(0, self.count, CHUNK):
+            size = min(CHUNK, self.count - first)
+            yield slice(first, first + size), *kernel.tables(self.problem, first, size)
+
+
+def _check_parameter(name: str) -> None:
+    if name not in ("roughness", "specular"):
+        raise OptionError(f"Posterior: there is no parameter {name!r}; use roughness or specular.")

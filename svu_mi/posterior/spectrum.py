@@ -1,0 +1,217 @@
+"""The posterior from power spectra (Eq. 3, 5 and 11)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.brdf.principled import alpha_from_roughness
+from svu_mi.errors import OptionError, ShapeError
+from svu_mi.options import Preset
+from svu_mi.options import preset as find_preset
+from svu_mi.posterior import kernel
+from svu_mi.posterior.grid import ParameterGrid
+from svu_mi.posterior.record import Posterior
+
+DARK = 1e-4  # part of the incident power below which observed power is all noise
+FITTED = 2  # parameters per texel and channel that the marginal noise rule pays for
+
+
+def spectrum_posterior(
+    incoming: Any,
+    outgoing: Any,
+    grid: ParameterGrid | None = None,
+    sigma: float | None = None,
+    preset: str | Preset = "default",
+    *,
+    prefilter: float = 0.0,
+    prior: Any | None = None,
+    observed: Any | None = None,
+    samples: Any | None = None,
+) -> Posterior:
+    """Compare observed spectra with those of every (roughness, Ks) of a grid.
+
+        d = sum_{l=1}^{l*} (S_B(l) - Ks^2 exp(-2 (alpha l)^2) S_L(l))^2        (Eq. 11)
+        p ~ exp(-d / (2 sigma^2)) prior                                        (Eq. 3, 4)
+
+    Args:
+        incoming: (T, l* + 1, C) power spectra S_L of the light, in squared radiance.
+        outgoing: (T, l* + 1, C) power spectra S_B of the observations.
+        grid: parameter grid, 8 x 8 by default.
+        sigma: standard deviation of a degree's power, in the unit of the preset's noise rule;
+            the preset's own by default.
+        preset: switches; ``paper`` is Eq. 3, 5, 11 as printed with alpha = roughness^2.
+        prefilter: alpha' that the light was band-limited with; used if the preset undoes it:
+            the exponent is then max(alpha^2 - alpha'^2, 0).
+        prior: (R, S) or (R,) non-negative weights of the cells, any scale.
+        observed: (T,) bool, False for texels nobody saw; all by default.
+        samples: (T,) number of views that see each texel; needed by the marginal noise rule.
+
+    Raises:
+        ShapeError: arrays that do not fit each other.
+        OptionError: an invalid sigma or prior, or negative or non-finite spectra.
+    """
+    switches = find_preset(preset)
+    if sigma is not None:
+        switches = replace(switches, sigma=float(sigma))
+    grid = (grid or ParameterGrid()).resolved(switches)
+    S_L, S_B = _spectrum("incoming", incoming), _spectrum("outgoing", outgoing)
+    if S_L.shape != S_B.shape:
+        raise ShapeError(
+            f"spectrum_posterior(): incoming is {S_L.shape} but outgoing is {S_B.shape}."
+        )
+    count, degrees, channels = S_L.shape
+    seen = np.ones(count, bool) if observed is None else np.array(observed, bool).ravel()
+    if len(seen) != count:
+        raise ShapeError(f"spectrum_posterior(): {len(seen)} flags for {count} texels.")
+    problem = kernel.Problem(
+        incoming=S_L.array,
+        outgoing=S_B.array,
+        sigma=[],
+        power=_power(switches, samples, count),
+        degree=degrees - 1,
+        channels=channels,
+        groups=_groups(switches, channels),
+        decay=mi.Float64(_decay(switches, grid, degrees - 1, prefilter).ravel()),
+        specular=grid.specular_nodes,
+        prior=_prior(prior, grid),
+    )
+    problem = replace(problem, sigma=[_sigma(switches, problem, count, g) for g in problem.groups])
+    posterior = Posterior(problem, grid, seen, count)
+    return _most_certain_channel(posterior) if switches.channels == "minimum" else posterior
+
+
+def _spectrum(name: str, values: Any) -> Any:
+    """Check a spectrum and return it as an evaluated TensorXf."""
+    tensor = values
+    if not isinstance(values, mi.TensorXf):
+        tensor = mi.TensorXf(np.ascontiguousarray(np.array(values), np.float32))
+    if len(tensor.shape) != 3 or tensor.shape[1] < 2:
+        raise ShapeError(
+            f"spectrum_posterior(): {name} must be (texels, l* + 1, channels) with l* >= 1, "
+            f"got {tuple(tensor.shape)}."
+        )
+    if tensor.shape[0] and not dr.all((tensor.array >= 0) & dr.isfinite(tensor.array)):
+        bad = np.array(tensor)
+        texel = int(np.argwhere(~(np.isfinite(bad) & (bad >= 0)))[0][0])
+        raise OptionError(
+            f"spectrum_posterior(): the {name} spectrum of texel {texel} is negative or not "
+            "finite."
+        )
+    return tensor
+
+
+def _groups(switches: Preset, channels: int) -> tuple[tuple[int, ...], ...]:
+    if switches.channels == "sum":
+        return (tuple(range(channels)),)
+    return tuple((channel,) for channel in range(channels))
+
+
+def _decay(switches: Preset, grid: ParameterGrid, degree: int, prefilter: float) -> np.ndarray:
+    """(R, l*) factors exp(-2 (alpha l)^2) of each roughness, l = 1 ... l* (Eq. 11)."""
+    alpha = alpha_from_roughness(grid.roughness_nodes)
+    width = alpha**2
+    if switches.undo_prefilter:
+        width = np.maximum(width - prefilter**2, 0)
+    l = np.arange(1, degree + 1)
+    return np.exp(-2 * width[:, None] * l**2)
+
+
+def _sigma(
+    switches: Preset, problem: kernel.Problem, count: int, group: tuple[int, ...]
+) -> Any:
+    """Standard deviation of a degree's power for a group of channels, (T,) Float64.
+
+    Relative to what was observed, degree 0 included, so that exposure cancels. A texel that
+    reflects nothing is an observation too: there, a small part of the incident power counts.
+    """
+    if switches.noise == "fixed":
+        return dr.full(mi.Float64, switches.sigma, count)
+    texel = dr.arange(mi.UInt32, count)
+    square = mi.Float64(0)
+    for channel in group:
+        power = [mi.Float64(0), mi.Float64(0)]
+        for l in range(problem.degree + 1):
+            index = (texel * (problem.degree + 1) + l) * problem.channels + channel
+            power[0] += mi.Float64(dr.gather(mi.Float, problem.outgoing, index))
+            power[1] += mi.Float64(dr.gather(mi.Float, problem.incoming, index))
+        square += dr.square(dr.maximum(power[0], DARK * power[1]))
+    # Neither light nor reflection: any positive number leaves the posterior uniform.
+    sigma = dr.select(square > 0, dr.sqrt(square), 1) * dr.opaque(mi.Float64, switches.sigma)
+    dr.eval(sigma)
+    return sigma
+
+
+def _power(switches: Preset, samples: Any | None, count: int) -> Any | None:
+    """nu / 2 of the marginal noise rule p ~ d^(-nu/2), or None."""
+    if switches.noise != "marginal":
+        return None
+    if samples is None:
+        raise OptionError(
+            "spectrum_posterior(): the marginal noise rule needs samples, the number of views "
+            "that see each texel."
+        )
+    seen = np.array(samples, np.float64).ravel()
+    if len(seen) != count:
+        raise ShapeError(f"spectrum_posterior(): {len(seen)} sample counts for {count} texels.")
+    return mi.Float64(np.maximum(seen - FITTED, 1) / 2)
+
+
+def _prior(prior: Any | None, grid: ParameterGrid) -> tuple[Any, Any] | None:
+    """-log of the prior of a roughness, and of Ks given that roughness."""
+    if prior is None:
+        return None
+    weights = np.array(prior, np.float64)
+    if weights.shape == (grid.roughness,):
+        weights = np.repeat(weights[:, None], grid.specular, axis=1)
+    if weights.shape != (grid.roughness, grid.specular):
+        raise ShapeError(
+            f"spectrum_posterior(): the prior must be ({grid.roughness}, {grid.specular}) or "
+            f"({grid.roughness},), got {weights.shape}."
+        )
+    if not (np.isfinite(weights).all() and (weights >= 0).all() and weights.sum() > 0):
+        raise OptionError(
+            "spectrum_posterior(): the prior must be finite, non-negative and not all zero."
+        )
+    rough = weights.sum(axis=1)
+    with np.errstate(divide="ignore"):
+        given = np.where(rough[:, None] > 0, weights / np.maximum(rough[:, None], 1e-300), 1.0)
+        # An impossible cell is far away, not infinitely far: infinity times 0 is NaN.
+        log_rough = np.minimum(-np.log(rough / rough.sum()), kernel.FAR)
+        log_given = np.minimum(-np.log(given), kernel.FAR)
+    return mi.Float(log_rough.astype(np.float32)), mi.Float(log_given.astype(np.float32).ravel())
+
+
+def _most_certain_channel(posterior: Posterior) -> Posterior:
+    """Keep, per texel, the channel with the smallest entropy (the published code's rule)."""
+    problem, count = posterior.problem, posterior.count
+    single = [
+        replace(problem, groups=(group,), sigma=[sigma])
+        for group, sigma in zip(problem.groups, problem.sigma, strict=True)
+    ]
+    best = mi.UInt32(0)
+    lowest = dr.full(mi.Float, 2, count)
+    sigma = mi.Float64(0)
+    for channel, alone in enumerate(single):
+        value = kernel.entropy(alone, count)
+        lower = value < lowest
+        best = dr.select(lower, channel, best)
+        sigma = dr.select(lower, alone.sigma[0], sigma)
+        lowest = dr.minimum(value, lowest)
+    size = problem.degree + 1
+    lane = dr.arange(mi.UInt32, count * size)
+    index = lane * problem.channels + dr.gather(mi.UInt32, best, lane // size)
+    chosen = replace(
+        problem,
+        incoming=dr.gather(mi.Float, problem.incoming, index),
+        outgoing=dr.gather(mi.Float, problem.outgoing, index),
+        sigma=[sigma],
+        channels=1,
+        groups=((0,),),
+    )
+    dr.eval(chosen.incoming, chosen.outgoing, sigma)
+    return replace(posterior, problem=chosen)
