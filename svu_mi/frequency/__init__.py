@@ -1,0 +1,9 @@
+"""From samples to spectra: spherical harmonic fit (Eq. 12) and power spectrum (Eq. 8)."""
+
+from __future__ import annotations
+
+from svu_mi.frequency.batch import fit_sh
+from svu_mi.frequency.fit import fit_lanes
+from svu_mi.frequency.spectrum import power_lanes, power_spectrum
+
+__all__ = ["fit_lanes", "fit_sh", "power_lanes", "power_spectrum"]

@@ -29,15 +29,17 @@ def tensor(values: Any, caller: str, name: str, axes: Sequence[str | int]) -> An
         out = dr.detach(mi.TensorXf(values))
     else:
         try:
-            # A copy: mi.TensorXf aliases NumPy memory, and a later write would show through.
-            plain = np.array(values, dtype=np.float32, order="C")
+            # Single precision in C order is aliased, not copied: callers evaluate what they
+            # build on it before they return, or a later write to `values` would show through.
+            plain = np.ascontiguousarray(values, dtype=np.float32)
         except (TypeError, ValueError) as error:
             raise ShapeError(f"{caller}: {name} is not an array of numbers ({error}).") from error
         # Dr.Jit tensors do not take NumPy arrays without elements.
         out = mi.TensorXf(plain) if plain.size else dr.zeros(mi.TensorXf, plain.shape)
     wanted = ", ".join(str(axis) for axis in axes)
     fits = len(out.shape) == len(axes) and all(
-        isinstance(axis, str) or axis == length for axis, length in zip(axes, out.shape, strict=True)
+        isinstance(axis, str) or axis == length
+        for axis, length in zip(axes, out.shape, strict=True)
     )
     if not fits:
         raise ShapeError(f"{caller}: {name} must have shape ({wanted}), got {tuple(out.shape)}.")

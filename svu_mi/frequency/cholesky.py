@@ -135,52 +135,50 @@ def factor_and_forward(
     """Factor M = L L^T and solve L z = b, tile row by tile row.
 
     Args:
-        lower: memory for L, packed lower tiles (row I, column J at I (I + 1) / 2 + J).
+        lower: memory for L, packed lower tiles (row i, column j at i (i + 1) / 2 + j).
         solution: memory for z, one block of ``size`` rows per tile row.
         blocks: number of tile rows, a UInt32 that may vary from lane to lane.
         size: edge of a tile.
-        matrix: ``(I, J, diagonal) -> Tile`` of M, asked once for every J <= I; rows past the
+        matrix: ``(i, j, diagonal) -> Tile`` of M, asked once for every block j <= i; rows past the
             end of the system must be those of the identity, and only the lower triangle of
             a diagonal tile is read. None: ``lower`` holds M and is overwritten.
-        right: ``I -> Tile`` of the right-hand sides, zero past the end. None: ``solution``
+        right: ``i -> Tile`` of the right-hand sides, zero past the end. None: ``solution``
             holds them and is overwritten.
 
     Returns:
         ``lower`` and ``solution``, filled.
     """
-    entry = matrix or (lambda I, J, _: load(lower, packed_count(I) + J))
-    given = right or (lambda I: load(solution, I))
-    I = mi.UInt32(0)
-    while I < blocks:
-        row = packed_count(I)
-        J = mi.UInt32(0)
-        while J < I:
-            column = packed_count(J)
-            tile = entry(I, J, False)
-            K = mi.UInt32(0)
-            while K < J:
-                tile = _subtract_outer(tile, load(lower, row + K), load(lower, column + K), size)
-                K += 1
-            store(lower, row + J, _divide_right(tile, load(lower, column + J), size))
-            J += 1
-        diagonal, block = entry(I, I, True), given(I)
-        K = mi.UInt32(0)
-        while K < I:
-            left = load(lower, row + K)
+    entry = matrix or (lambda bi, bj, _: load(lower, packed_count(bi) + bj))
+    given = right or (lambda bi: load(solution, bi))
+    bi = mi.UInt32(0)
+    while bi < blocks:
+        row = packed_count(bi)
+        bj = mi.UInt32(0)
+        while bj < bi:
+            column = packed_count(bj)
+            tile = entry(bi, bj, False)
+            bk = mi.UInt32(0)
+            while bk < bj:
+                tile = _subtract_outer(tile, load(lower, row + bk), load(lower, column + bk), size)
+                bk += 1
+            store(lower, row + bj, _divide_right(tile, load(lower, column + bj), size))
+            bj += 1
+        diagonal, block = entry(bi, bi, True), given(bi)
+        bk = mi.UInt32(0)
+        while bk < bi:
+            left = load(lower, row + bk)
             diagonal = _subtract_square(diagonal, left, size)
-            block = _subtract_applied(block, left, load(solution, K), size, False)
-            K += 1
+            block = _subtract_applied(block, left, load(solution, bk), size, False)
+            bk += 1
         diagonal = _factor(diagonal, size)
-        store(lower, row + I, diagonal)
-        store(solution, I, _substitute(block, diagonal, size, False))
-        I += 1
+        store(lower, row + bi, diagonal)
+        store(solution, bi, _substitute(block, diagonal, size, False))
+        bi += 1
     return lower, solution
 
 
 @dr.syntax
-def backward(
-    lower: list[Any], solution: list[Any], blocks: Any, size: int
-) -> list[Any]:
+def backward(lower: list[Any], solution: list[Any], blocks: Any, size: int) -> list[Any]:
     """Solve L^T x = z in place, from the last tile row to the first.
 
     Args:
@@ -192,16 +190,16 @@ def backward(
     Returns:
         ``solution``, holding x.
     """
-    I = mi.UInt32(blocks)
-    while I > 0:
-        row = I - 1
+    bi = mi.UInt32(blocks)
+    while bi > 0:
+        row = bi - 1
         block = load(solution, row)
-        K = mi.UInt32(I)
-        while K < blocks:
-            tile = load(lower, packed_count(K) + row)
-            block = _subtract_applied(block, tile, load(solution, K), size, True)
-            K += 1
+        bk = mi.UInt32(bi)
+        while bk < blocks:
+            tile = load(lower, packed_count(bk) + row)
+            block = _subtract_applied(block, tile, load(solution, bk), size, True)
+            bk += 1
         diagonal = load(lower, packed_count(row) + row)
         store(solution, row, _substitute(block, diagonal, size, True))
-        I -= 1
+        bi -= 1
     return solution

@@ -32,7 +32,8 @@ def power_lanes(coefficients: list[list[Any]]) -> list[list[Any]]:
     spectrum = []
     for l in range(harmonics.degree_of(len(coefficients)) + 1):
         orders = coefficients[l * l : (l + 1) ** 2]  # m = -l ... l
-        spectrum.append([sum(dr.square(c) for c in channel) for channel in zip(*orders, strict=True)])
+        channels = zip(*orders, strict=True)
+        spectrum.append([sum(dr.square(c) for c in channel) for channel in channels])
     return spectrum
 
 
@@ -49,7 +50,8 @@ def power_spectrum(coefficients: Any) -> Any:
     Raises:
         ShapeError: not three axes, or a second axis that is not a square.
     """
-    tensor = arrays.tensor(coefficients, "power_spectrum()", "coefficients", ("T", "(lmax+1)^2", "C"))
+    axes = ("T", "(lmax+1)^2", "C")
+    tensor = arrays.tensor(coefficients, "power_spectrum()", "coefficients", axes)
     texels, count, channels = tensor.shape
     degree = harmonics.degree_of(count)
     if texels * channels == 0:
@@ -64,4 +66,5 @@ def power_spectrum(coefficients: Any) -> Any:
         inside = m <= 2 * l
         c = dr.gather(mi.Float, tensor.array, first + m * channels, inside)
         power = dr.fma(c, c, power)
+    dr.eval(power)
     return mi.TensorXf(power, (texels, degree + 1, channels))

@@ -1,0 +1,231 @@
+"""``fit_sh``: Eq. 12 for arrays of samples that already exist."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.errors import OptionError
+from svu_mi.frequency import arrays, harmonics
+from svu_mi.frequency.fit import fit_lanes
+from svu_mi.options import Preset
+from svu_mi.options import preset as named_preset
+
+UNIT_TOLERANCE = 1e-3
+"""How far from 1 the length of a direction may be; it is then made 1."""
+
+CAPACITIES = (8, 16, 32, 64, 128, 256)
+"""Sizes of the dual's local memory: few, since each is a kernel of its own."""
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Flat inputs on the device: texel-major, then view, then component."""
+
+    directions: Any
+    weights: Any
+    values: Any
+    views: Any  # opaque
+    channels: int
+
+    def at(self, texel: Any, view: Any) -> tuple[Any, Any, list[Any]]:
+        """Read one sample per lane; nothing but the weight is read where that is not > 0."""
+        index = texel * self.views + view
+        weight = dr.gather(mi.Float, self.weights, index)
+        seen = weight > 0
+        xyz = [dr.gather(mi.Float, self.directions, index * 3 + k, seen) for k in range(3)]
+        values = [
+            dr.gather(mi.Float, self.values, index * self.channels + c, seen)
+            for c in range(self.channels)
+        ]
+        return mi.Vector3f(*xyz), weight, values
+
+
+def fit_sh(
+    directions: Any,
+    weights: Any,
+    values: Any,
+    lmax: int = 6,
+    regularizer: float = 1e-3,
+    preset: str | Preset = "default",
+    method: Literal["auto", "primal", "dual"] = "auto",
+) -> Any:
+    """Fit spherical harmonics to the samples of every texel (Eq. 12).
+
+        (Y^T W^2 Y + lambda R) c = Y^T W^2 f,    R = diag(e^l),    W = diag(w)
+
+    Accuracy (single precision in and out, double precision inside), as the error of the power
+    spectrum over the texel's largest degree, for 1 to 200 views and lmax 1 to 9: 5e-5 for views
+    spread over a hemisphere, all grazing or all equal; 5e-4 for views crowded along one line,
+    where the rounding of the directions themselves shows. Memory: inputs and output.
+
+    Args:
+        directions: (T, V, 3) unit directions, texels x views, in any one frame per texel.
+        weights: (T, V) w of W, >= 0; 0 means that the texel does not see the view, and the
+            direction and value there are not looked at (they may be NaN).
+        values: (T, V, C) samples f, radiance up to exposure.
+        lmax: highest degree, in [0, 9].
+        regularizer: lambda > 0.
+        preset: supplies only R_00: 1 in ``paper``, 0 (the constant is free) in ``default``.
+        method: ``primal`` (normal equations), ``dual`` (one unknown per visible view, at most
+            256 of them), or per texel the faster of both; they agree to rounding.
+
+    Returns:
+        (T, (lmax + 1)^2, C) coefficients in the order l*l + l + m; 0 for a texel that sees
+        no view.
+
+    Raises:
+        ShapeError: arrays that do not fit each other.
+        OptionError: an option outside its range, a weight that is negative or not finite, a
+            visible sample that is not finite, a direction that is not of unit length.
+    """
+    lmax = harmonics.check_degree(lmax, "fit_sh()")
+    if not (isinstance(regularizer, (int, float)) and 0 < regularizer < float("inf")):
+        raise OptionError(
+            f"fit_sh(): regularizer must be positive and finite, got {regularizer!r}."
+        )
+    if method not in ("auto", "primal", "dual"):
+        raise OptionError(f"fit_sh(): method must be auto, primal or dual, got {method!r}.")
+    chosen = named_preset(preset)
+
+    weight_tensor = arrays.tensor(weights, "fit_sh()", "weights", ("T", "V"))
+    texels, views = weight_tensor.shape
+    direction_tensor = arrays.tensor(directions, "fit_sh()", "directions", (texels, views, 3))
+    value_tensor = arrays.tensor(values, "fit_sh()", "values", (texels, views, "C"))
+    channels = value_tensor.shape[2]
+    shape = (texels, (lmax + 1) ** 2, channels)
+    _check_size(texels * views * max(channels, 3), texels * shape[1] * channels)
+    if texels * views * channels == 0:
+        return dr.zeros(mi.TensorXf, shape)
+
+    samples = _Samples(
+        directions=direction_tensor.array,
+        weights=weight_tensor.array,
+        values=value_tensor.array,
+        views=dr.opaque(mi.UInt32, views),
+        channels=channels,
+    )
+    visible = _inspect(samples, texels, views)
+    coefficients = dr.zeros(mi.Float, texels * shape[1] * channels)
+    dr.eval(coefficients)
+    for texel, way, capacity in _partition(visible, method, shape[1]):
+        fitted = fit_lanes(
+            lambda view, texel=texel: samples.at(texel, view),
+            samples.views,
+            degree=lmax,
+            channels=channels,
+            regularizer=float(regularizer),
+            penalize_constant=chosen.penalize_constant,
+            method=way,
+            capacity=capacity,
+        )
+        dr.eval(_scatter(coefficients, fitted, texel))
+    return mi.TensorXf(coefficients, shape)
+
+
+def _check_size(*counts: int) -> None:
+    if max(counts) >= 2**32:
+        raise OptionError(
+            f"fit_sh(): {max(counts)} numbers in one array are more than a 32-bit index reaches; "
+            "call it on blocks of texels."
+        )
+
+
+def _partition(visible: np.ndarray, method: str, coefficients: int) -> list[tuple[Any, str, int]]:
+    """Group the texels that see something by the kernel that solves them fastest.
+
+    Args:
+        visible: (T,) visible views.
+        method: ``auto``, ``primal`` or ``dual``.
+        coefficients: (lmax + 1)^2.
+
+    Returns:
+        (texel indices, method, capacity) of every group that has texels; the order of texels
+        is kept, since neighbours see the same views.
+    """
+    if method == "dual" and visible.max() > CAPACITIES[-1]:
+        raise OptionError(
+            f"fit_sh(): texel {int(visible.argmax())} sees {int(visible.max())} views; the dual "
+            f'holds {CAPACITIES[-1]}. Use method="auto" or "primal".'
+        )
+    limit = {"auto": min(dual_limit(coefficients), CAPACITIES[-1]), "primal": 0}.get(
+        method, CAPACITIES[-1]
+    )
+    groups, low = [], 0
+    for capacity in CAPACITIES:
+        high = min(capacity, limit)
+        if high > low:
+            groups.append((_indices((visible > low) & (visible <= high)), "dual", capacity))
+            low = high
+    groups.append((_indices(visible > low), "primal", 0))
+    return [group for group in groups if dr.width(group[0])]
+
+
+def dual_limit(coefficients: int) -> int:
+    """Return up to how many visible views the dual is the faster of the two."""
+    # Measured crossover on two cores: 1.6 views per coefficient at lmax = 6, 2 at lmax = 8.
+    return (3 * coefficients) // 2
+
+
+def _indices(mask: np.ndarray) -> Any:
+    found = np.flatnonzero(mask).astype(np.uint32)
+    return mi.UInt32(found) if found.size else mi.UInt32()
+
+
+def _inspect(samples: _Samples, texels: int, views: int) -> np.ndarray:
+    """Count the visible views of every texel and refuse samples that cannot be fitted."""
+    visible, first_bad = _count_visible(samples.at, dr.arange(mi.UInt32, texels), samples.views)
+    dr.eval(visible, first_bad)
+    bad = first_bad.numpy()
+    if (bad < views).any():
+        texel = int(np.flatnonzero(bad < views)[0])
+        view = int(bad[texel])
+        direction, weight, values = samples.at(mi.UInt32(texel), mi.UInt32(view))
+        raise OptionError(
+            f"fit_sh(): texel {texel}, view {view} cannot be used: weight {weight[0]:g}, direction "
+            f"({', '.join(f'{x[0]:g}' for x in direction)}), values "
+            f"({', '.join(f'{v[0]:g}' for v in values)}). Weights must be finite and >= 0 and, "
+            "where they are > 0, directions of unit length and values finite."
+        )
+    return visible.numpy().astype(np.int64)
+
+
+@dr.syntax
+def _count_visible(at: Any, texel: Any, views: Any) -> tuple[Any, Any]:
+    """Return, per texel, the number of visible views and the first unusable one (or views)."""
+    visible, first_bad = mi.UInt32(0), mi.UInt32(views)
+    view = mi.UInt32(0)
+    while view < views:
+        direction, weight, values = at(texel, view)
+        # Written so that NaN fails every test.
+        usable = (weight == 0) | (
+            (weight > 0)
+            & dr.isfinite(weight)
+            & (dr.abs(dr.norm(direction) - 1) < UNIT_TOLERANCE)
+            & dr.isfinite(sum(dr.abs(value) for value in values))
+        )
+        first_bad = dr.select(usable, first_bad, dr.minimum(first_bad, view))
+        visible += dr.select(weight > 0, mi.UInt32(1), mi.UInt32(0))
+        view += 1
+    return visible, first_bad
+
+
+@dr.syntax
+def _scatter(target: Any, fitted: list[list[Any]], texel: Any) -> Any:
+    """Write the coefficients of every lane to (texel, coefficient, channel)."""
+    # Scatters outside a symbolic loop would each become a kernel that fits all over again.
+    row = [value for channels in fitted for value in channels]
+    count = len(row)
+    memory = dr.alloc_local(mi.Float, count)
+    for i, value in enumerate(row):
+        memory[i] = value
+    start = texel * count
+    i = mi.UInt32(0)
+    while i < dr.opaque(mi.UInt32, count):
+        dr.scatter(target, memory[i], start + i)
+        i += 1
+    return target

@@ -1,0 +1,25 @@
+"""What both ways of solving Eq. 12 share: the problem, and where its samples come from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+Sample = Callable[[Any], tuple[Any, Any, list[Any]]]
+"""``view -> (direction, weight, values)``: see ``fit_lanes``."""
+
+
+@dataclass(frozen=True)
+class System:
+    """What both ways of solving Eq. 12 need to know; lists have one entry per degree."""
+
+    degree: int
+    channels: int
+    ridge: list[float]  # e^l, 0 where a degree is free
+    regularizer: Any  # lambda, an opaque double: a new value must not mean a new kernel
+
+    @property
+    def degrees(self) -> list[int]:
+        """The degree of every coefficient."""
+        return [l for l in range(self.degree + 1) for _ in range(2 * l + 1)]
