@@ -4,6 +4,14 @@ from __future__ import annotations
 
 from svu_mi.frequency.batch import fit_sh
 from svu_mi.frequency.fit import fit_lanes
+from svu_mi.frequency.groups import SolverGroup, solver_groups
 from svu_mi.frequency.spectrum import power_lanes, power_spectrum
 
-__all__ = ["fit_lanes", "fit_sh", "power_lanes", "power_spectrum"]
+__all__ = [
+    "SolverGroup",
+    "fit_lanes",
+    "fit_sh",
+    "power_lanes",
+    "power_spectrum",
+    "solver_groups",
+]

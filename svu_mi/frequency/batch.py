@@ -12,14 +12,12 @@ import numpy as np
 from svu_mi.errors import OptionError
 from svu_mi.frequency import arrays, harmonics
 from svu_mi.frequency.fit import fit_lanes
+from svu_mi.frequency.groups import solver_groups
 from svu_mi.options import Preset
 from svu_mi.options import preset as named_preset
 
 UNIT_TOLERANCE = 1e-3
 """How far from 1 the length of a direction may be; it is then made 1."""
-
-CAPACITIES = (8, 16, 32, 64, 128, 256)
-"""Sizes of the dual's local memory: few, since each is a kernel of its own."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +110,8 @@ def fit_sh(
     visible = _inspect(samples, texels, views)
     coefficients = dr.zeros(mi.Float, texels * shape[1] * channels)
     dr.eval(coefficients)
-    for texel, way, capacity in _partition(visible, method, shape[1]):
+    for group in solver_groups(visible, lmax, method):
+        texel = group.selection
         fitted = fit_lanes(
             lambda view, texel=texel: samples.at(texel, view),
             samples.views,
@@ -120,8 +119,8 @@ def fit_sh(
             channels=channels,
             regularizer=float(regularizer),
             penalize_constant=chosen.penalize_constant,
-            method=way,
-            capacity=capacity,
+            method=group.method,
+            capacity=group.capacity,
         )
         dr.eval(_scatter(coefficients, fitted, texel))
     return mi.TensorXf(coefficients, shape)
@@ -133,47 +132,6 @@ def _check_size(*counts: int) -> None:
             f"fit_sh(): {max(counts)} numbers in one array are more than a 32-bit index reaches; "
             "call it on blocks of texels."
         )
-
-
-def _partition(visible: np.ndarray, method: str, coefficients: int) -> list[tuple[Any, str, int]]:
-    """Group the texels that see something by the kernel that solves them fastest.
-
-    Args:
-        visible: (T,) visible views.
-        method: ``auto``, ``primal`` or ``dual``.
-        coefficients: (lmax + 1)^2.
-
-    Returns:
-        (texel indices, method, capacity) of every group that has texels; the order of texels
-        is kept, since neighbours see the same views.
-    """
-    if method == "dual" and visible.max() > CAPACITIES[-1]:
-        raise OptionError(
-            f"fit_sh(): texel {int(visible.argmax())} sees {int(visible.max())} views; the dual "
-            f'holds {CAPACITIES[-1]}. Use method="auto" or "primal".'
-        )
-    limit = {"auto": min(dual_limit(coefficients), CAPACITIES[-1]), "primal": 0}.get(
-        method, CAPACITIES[-1]
-    )
-    groups, low = [], 0
-    for capacity in CAPACITIES:
-        high = min(capacity, limit)
-        if high > low:
-            groups.append((_indices((visible > low) & (visible <= high)), "dual", capacity))
-            low = high
-    groups.append((_indices(visible > low), "primal", 0))
-    return [group for group in groups if dr.width(group[0])]
-
-
-def dual_limit(coefficients: int) -> int:
-    """Return up to how many visible views the dual is the faster of the two."""
-    # Measured crossover on two cores: 1.6 views per coefficient at lmax = 6, 2 at lmax = 8.
-    return (3 * coefficients) // 2
-
-
-def _indices(mask: np.ndarray) -> Any:
-    found = np.flatnonzero(mask).astype(np.uint32)
-    return mi.UInt32(found) if found.size else mi.UInt32()
 
 
 def _inspect(samples: _Samples, texels: int, views: int) -> np.ndarray:
