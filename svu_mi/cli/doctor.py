@@ -1,0 +1,324 @@
+"""``svu doctor``: what is installed, what can run, and what to do about the rest.
+
+Dr.Jit and Mitsuba are never loaded in this process. An unusable LLVM or GPU driver can
+abort a process, and a child that aborts is a finding; so children collect the facts and
+render the test picture.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import platform
+import signal
+import subprocess
+import sys
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from svu_mi import _llvm
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+PACKAGES = ("svu_mi", "mitsuba", "drjit", "OpenEXR", "trimesh", "xatlas", "numpy", "scipy")
+SUPPORTED = ("cuda_ad_rgb", "metal_ad_rgb", "llvm_ad_rgb")  # what entropy runs on
+TIMEOUT_S = 300  # a first render compiles kernels
+CHILD = "import sys; from svu_mi.cli import doctor; doctor.{}(*sys.argv[1:])"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One question, its answer, and the remedy if the answer is bad."""
+
+    name: str
+    ok: bool
+    detail: str
+    remedy: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosis:
+    """What ``svu doctor`` found.
+
+    Attributes:
+        system: operating system and machine.
+        python: version and interpreter.
+        versions: installed version by package, ``missing`` if it is not installed.
+        variants: all that this Mitsuba was built with.
+        usable: those of ``variants`` that can run here, as far as Dr.Jit tells.
+        llvm: the library that LLVM variants use.
+        devices: what is present of CUDA, OptiX and Metal, in words.
+        threads: worker threads of the LLVM backend.
+        cache: folder of compiled kernels.
+        checks: what was tried, and how it went.
+    """
+
+    system: str
+    python: str
+    versions: dict[str, str]
+    variants: tuple[str, ...]
+    usable: tuple[str, ...]
+    llvm: _llvm.LlvmStatus
+    devices: dict[str, str]
+    threads: int
+    cache: str
+    checks: tuple[Check, ...]
+
+    @property
+    def healthy(self) -> bool:
+        """Whether the pipeline can run here."""
+        return all(check.ok for check in self.checks)
+
+
+def doctor(console: Console) -> int:
+    """Diagnose, print, and return the exit status: 0 if healthy, else 2."""
+    with console.status("Looking around; the first render compiles kernels"):
+        found = diagnose()
+    show(found, console)
+    return 0 if found.healthy else 2
+
+
+def diagnose() -> Diagnosis:
+    """Collect versions, devices and test results; takes a few seconds, and never raises."""
+    versions = {name: _version(name) for name in PACKAGES}
+    facts, loading = _facts()
+    llvm = _llvm.status()
+    if "llvm" in facts:  # what Dr.Jit says once loaded; where it came from is known only here
+        told = facts["llvm"]
+        llvm = _llvm.LlvmStatus(told["path"], tuple(told["version"]), llvm.source, told["problem"])
+    usable = tuple(name for name in facts.get("variants", ()) if _runs(name, facts, llvm))
+    return Diagnosis(
+        system=f"{platform.system()} {platform.release()} {platform.machine()}",
+        python=f"{platform.python_version()} ({sys.executable})",
+        versions=versions,
+        variants=tuple(facts.get("variants", ())),
+        usable=usable,
+        llvm=llvm,
+        devices=facts.get("devices", {}),
+        threads=facts.get("threads", 0),
+        cache=_cache_folder(),
+        checks=(_installed(versions), loading, *_renders(usable, llvm), check_exr()),
+    )
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "missing"
+
+
+def _installed(versions: dict[str, str]) -> Check:
+    missing = [name for name, version in versions.items() if version == "missing"]
+    if missing:
+        return Check("packages", False, f"missing: {', '.join(missing)}", "pip install svu_mi")
+    return Check("packages", True, "all installed")
+
+
+def _runs(variant: str, facts: dict[str, Any], llvm: _llvm.LlvmStatus) -> bool:
+    if variant.startswith("llvm"):
+        return llvm.problem is None
+    return variant.startswith("scalar") or variant.split("_")[0].upper() in facts["backends"]
+
+
+def _cache_folder() -> str:
+    """Where Dr.Jit keeps compiled kernels (its own rule)."""
+    if "DRJIT_CACHE_DIR" in os.environ:
+        return os.environ["DRJIT_CACHE_DIR"]
+    if sys.platform == "win32":
+        return str(Path(tempfile.gettempdir()) / "drjit")
+    return str(Path("~/.drjit").expanduser())
+
+
+# --- checks -------------------------------------------------------------------------------
+
+
+def _facts() -> tuple[dict[str, Any], Check]:
+    code, output, errors = _child("collect_facts")
+    if code == 0 and output.strip():
+        return json.loads(output.splitlines()[-1]), Check("mitsuba", True, "loads")
+    remedy = "reinstall with: pip install --force-reinstall mitsuba drjit"
+    return {}, Check("mitsuba", False, _how_it_ended(code, errors), remedy)
+
+
+def _renders(usable: tuple[str, ...], llvm: _llvm.LlvmStatus) -> list[Check]:
+    """Render with each supported variant that should run; none at all is a finding too."""
+    variants = [name for name in SUPPORTED if name in usable]
+    if variants:
+        return [check_render(variant) for variant in variants]
+    why = llvm.problem or f"this Mitsuba has none of {', '.join(SUPPORTED)}"
+    return [Check("render", False, "no variant can run", why)]
+
+
+def check_render(variant: str) -> Check:
+    """Render a test picture in a child process with one variant."""
+    code, output, errors = _child("render_test", variant)
+    name = f"render with {variant}"
+    if code == 0 and output.strip():
+        return Check(name, True, output.splitlines()[-1])
+    if variant.startswith("llvm"):
+        remedy = f"unset {_llvm.VARIABLE} if it is set, and {_llvm.remedy()}"
+    else:
+        remedy = "update the GPU driver, or use another variant: svu -m llvm_ad_rgb ..."
+    return Check(name, False, _how_it_ended(code, errors), remedy)
+
+
+def check_exr() -> Check:
+    """Write an EXR file to a temporary folder and read it back."""
+    try:
+        import numpy as np
+
+        from svu_mi.exr import read_exr, write_exr
+
+        plane = np.linspace(0, 2, 12, dtype=np.float32).reshape(3, 4)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "doctor.exr"
+            write_exr(path, {"Y": plane})
+            same = np.array_equal(read_exr(path)["Y"], plane)
+    except Exception as error:  # whatever goes wrong is the finding
+        same, problem = False, f"{type(error).__name__}: {error}"
+    else:
+        problem = "what was read differs from what was written"
+    if same:
+        return Check("OpenEXR", True, "a file written and read back is the same")
+    return Check("OpenEXR", False, problem, "pip install --force-reinstall OpenEXR")
+
+
+def _child(function: str, *arguments: str) -> tuple[int, str, str]:
+    """Run a function of this file in a fresh interpreter: exit code, stdout, stderr."""
+    command = [sys.executable, "-c", CHILD.format(function), *arguments]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", timeout=TIMEOUT_S
+        )
+    except subprocess.TimeoutExpired:
+        return 1, "", f"no answer within {TIMEOUT_S} s"
+    return done.returncode, done.stdout, done.stderr
+
+
+def _how_it_ended(code: int, errors: str) -> str:
+    """One line on a child that failed: the signal, if one ended it, and its last words."""
+    lines = [line.strip() for line in errors.splitlines() if line.strip()]
+    words = lines[-1] if lines else "no message"
+    if code >= 0:
+        return words
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:
+        name = f"signal {-code}"
+    return f"the process was ended by {name}: {words}"
+
+
+# --- in the child processes ---------------------------------------------------------------
+
+
+def collect_facts() -> None:
+    """Print what Dr.Jit and Mitsuba tell, as one line of JSON."""
+    import drjit as dr
+    import mitsuba as mi
+
+    kinds = [name for name in ("CUDA", "LLVM", "Metal") if hasattr(dr.JitBackend, name)]
+    present = [kind for kind in kinds if dr.has_backend(getattr(dr.JitBackend, kind))]
+    facts = {
+        "variants": mi.variants(),
+        "backends": [kind.upper() for kind in present],
+        "threads": dr.thread_count(),
+        "llvm": asdict(_llvm.status()),
+        "devices": {
+            "CUDA": "present" if "CUDA" in present else "absent",
+            "OptiX": _optix(),
+            "Metal": "present" if "Metal" in present else "absent",
+        },
+    }
+    print(json.dumps(facts))
+
+
+def _optix() -> str:
+    import ctypes
+
+    name = "nvoptix.dll" if sys.platform == "win32" else "libnvoptix.so.1"
+    try:
+        ctypes.CDLL(name)
+    except OSError:
+        return "absent"
+    return "present"
+
+
+def render_test(variant: str) -> None:
+    """Render a white sphere in white light, which shows 1 everywhere, and print its mean.
+
+    Raises:
+        RuntimeError: the picture, a minimum or a maximum is wrong.
+    """
+    import drjit as dr
+    import mitsuba as mi
+    import numpy as np
+
+    mi.set_variant(variant)
+    # Minimum and maximum are what LLVM 15 and 16 cannot compile; 16 bits are the worst case.
+    for kind in (mi.Float16, mi.Float, mi.Float64):
+        if variant.startswith("metal") and kind is mi.Float64:
+            continue  # Metal has no double precision
+        value = dr.opaque(kind, 2, 3)
+        if not dr.all((dr.minimum(value, 1) == 1) & (dr.maximum(value, 3) == 3)):
+            raise RuntimeError("a minimum or maximum is wrong")
+    white = {"type": "rgb", "value": 1.0}
+    # With BSDF samples only, every path carries exactly 1: the furnace test without noise.
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "direct", "emitter_samples": 0, "bsdf_samples": 1},
+            "light": {"type": "constant", "radiance": white},
+            "ball": {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": white}},
+            "sensor": {
+                "type": "perspective",
+                "to_world": mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]),
+                "film": {"type": "hdrfilm", "width": 16, "height": 16},
+            },
+        },
+        optimize=False,
+    )
+    image = np.array(mi.render(scene, spp=4))[..., :3]
+    if not np.allclose(image, 1, atol=1e-3):
+        raise RuntimeError(f"the test picture should be 1, but is {image.min()} to {image.max()}")
+    print(f"a test picture has mean {image.mean():.4f} (expected 1)")
+
+
+# --- printing -----------------------------------------------------------------------------
+
+
+def show(found: Diagnosis, console: Console) -> None:
+    """Print a diagnosis: facts, then checks, then remedies."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    llvm = found.llvm
+    library = f"{_llvm.dotted(llvm.version)}, {llvm.path or 'no file'} ({llvm.source})"
+    if llvm.problem:  # not a failed check where a GPU does the work
+        library = f"{library}: not usable. {llvm.problem}"
+    rows = {
+        "System": found.system,
+        "Python": found.python,
+        "Packages": ", ".join(f"{name} {version}" for name, version in found.versions.items()),
+        "Variants": ", ".join(found.variants) or "unknown",
+        "Usable": ", ".join(found.usable) or "none",
+        "LLVM": library,
+        **found.devices,
+        "Threads": str(found.threads),
+        "Kernel cache": found.cache,
+    }
+    table = Table.grid(padding=(0, 2))
+    for name, value in rows.items():
+        table.add_row(name, escape(value))
+    console.print(table)
+    console.print()
+    for check in found.checks:
+        mark = "[green]ok[/]    " if check.ok else "[red]failed[/]"
+        console.print(f"{mark}  {check.name}: {escape(check.detail)}", highlight=False)
+    for check in found.checks:
+        if not check.ok:
+            console.print(f"Remedy for {check.name}: {escape(check.remedy)}", highlight=False)

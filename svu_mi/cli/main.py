@@ -1,0 +1,74 @@
+"""The ``svu`` program: options in, one clear line and exit status 2 on bad input."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from svu_mi.cli.commands import Demo, Doctor, Entropy, Render
+from svu_mi.errors import SvuError
+
+Command = (
+    Annotated[Entropy, tyro.conf.subcommand("entropy")]
+    | Annotated[Render, tyro.conf.subcommand("render")]
+    | Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Doctor, tyro.conf.subcommand("doctor")]
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Args:
+        arguments: the words after ``svu``; those of this process by default.
+
+    Returns:
+        0 on success, 2 on bad input (one line on stderr), 130 when interrupted.
+    """
+    console = Console(stderr=True)
+    command = tyro.cli(
+        Command,  # type: ignore[arg-type]
+        prog="svu",
+        description="How much photographs say about the reflectance of every point of an object.",
+        args=arguments,
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
+    )
+    verbose = command.verbose
+    logging.basicConfig(
+        level=logging.INFO if verbose else logging.WARNING, format="svu: %(message)s"
+    )
+    warnings.showwarning = _show_warning
+    try:
+        return command.run(console)
+    except KeyboardInterrupt:
+        return _fail("interrupted", 130)
+    except SvuError as error:
+        if verbose:
+            raise
+        return _fail(str(error), 2)
+    except MemoryError:
+        return _fail("out of memory; use a smaller --resolution or fewer views", 2)
+
+
+def _fail(sentence: str, status: int) -> int:
+    # Not through rich: the line must stay one line, whatever the terminal's width.
+    sys.stderr.write(f"svu: {' '.join(sentence.split())}\n")
+    return status
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: object = None,
+    line: str | None = None,
+) -> None:
+    del category, filename, lineno, file, line
+    sys.stderr.write(f"svu: warning: {' '.join(str(message).split())}\n")
