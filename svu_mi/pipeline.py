@@ -19,7 +19,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.frequency import fit_lanes, partition, power_lanes
+from svu_mi.frequency import fit_lanes, power_lanes, solver_groups
 from svu_mi.options import Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.posterior import ParameterGrid, Posterior, spectrum_posterior
@@ -162,9 +162,8 @@ def fit_spectra(
     """
     size = (switches.degree + 1) * 2 * COLORS
     lanes = dr.zeros(mi.Float, texels.count * size)
-    visible = seen.numpy().astype(np.int64)
-    for selection, solver, capacity in partition(visible, "auto", (switches.degree + 1) ** 2):
-        surface = Surface.of(texels, selection)
+    for group in solver_groups(seen, switches.degree):
+        surface = Surface.of(texels, group.selection)
         coefficients = fit_lanes(
             lambda view, surface=surface: sample(views, lighting, surface, view),
             views.count,
@@ -172,14 +171,14 @@ def fit_spectra(
             channels=2 * COLORS,
             regularizer=switches.regularizer,
             penalize_constant=switches.penalize_constant,
-            method=solver,
-            capacity=capacity,
+            method=group.method,
+            capacity=group.capacity,
         )
         power = [value for channels in power_lanes(coefficients) for value in channels]
         # Evaluate all rows in one kernel, then write them with one scatter: a scatter per row
         # would be a kernel per row.
         dr.eval(power)
-        lane = dr.tile(selection, size)
+        lane = dr.tile(group.selection, size)
         row = dr.repeat(dr.arange(mi.UInt32, size), surface.count)
         dr.scatter(lanes, dr.concat(power), lane * size + row)
     table = mi.TensorXf(lanes, (texels.count, switches.degree + 1, 2 * COLORS))

@@ -12,8 +12,9 @@ import numpy as np
 from svu_mi.errors import OptionError
 from svu_mi.frequency.fit import Method
 
-CAPACITIES = (8, 16, 32, 64, 128, 256)
-"""Sizes of the dual's local memory: few, since each is a kernel of its own."""
+CAPACITIES = (32, 64, 128, 256)
+"""Sizes of the dual's local memory. Each is a kernel that takes a second to compile, while a lane
+only works on, and touches, what its own views need: one size for all texels of a call."""
 
 VIEWS_PER_COEFFICIENT = 2.0
 """Up to so many visible views per coefficient the dual is the faster one (measured: at degree 6,
@@ -45,7 +46,7 @@ def solver_groups(visible: Any, degree: int, method: str = "auto") -> list[Solve
         method: ``auto``, or ``primal`` or ``dual`` for all texels.
 
     Returns:
-        Groups that have texels; a texel that sees no view is in none of them.
+        At most two groups, both with texels; a texel that sees no view is in neither.
 
     Raises:
         OptionError: an unknown method, or ``dual`` for a texel with more than 256 views.
@@ -64,13 +65,11 @@ def solver_groups(visible: Any, degree: int, method: str = "auto") -> list[Solve
         "primal": 0,
         "dual": CAPACITIES[-1],
     }[method]
-    groups, low = [], 0
-    for capacity in CAPACITIES:
-        high = min(capacity, limit)
-        if high > low:
-            _append(groups, (counts > low) & (counts <= high), "dual", capacity)
-            low = high
-    _append(groups, counts > low, "primal", 0)
+    few = (counts > 0) & (counts <= limit)
+    held = int(counts[few].max(initial=0))
+    groups: list[SolverGroup] = []
+    _append(groups, few, "dual", next(size for size in CAPACITIES if size >= held))
+    _append(groups, counts > limit, "primal", 0)
     return groups
 
 
