@@ -12,70 +12,66 @@ from __future__ import annotations
 
 import ctypes
 import os
-import platform
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 
 from svu_mi.errors import SvuEnvironmentError
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 WHEEL = "karellen-llvm-core"
-FIRST_GOOD, FIRST_ACCEPTED = 17, 15
-PRELOAD = ("libunwind.so.1.0", "libc++abi.so.1.0", "libc++.so.1.0")
+# No file has this name, so Dr.Jit loads nothing and shows it in its own message; what the
+# user had set follows the colon, for a child process that inherits the variable.
+REFUSED = "refused-by-svu_mi:"
+FIRST_ACCEPTED = 15  # by Dr.Jit 1.5
+FIRST_GOOD_X86 = 17  # older ones cannot lower llvm.minimum and llvm.maximum on x86-64
+RUNTIME = ("libunwind.so.1.0", "libc++abi.so.1.0", "libc++.so.1.0")  # in loading order
+NAME = re.compile(r"libLLVM(?:[-.](\d[\d.]*))?\.(?:so(?:\.(\d[\d.]*))?|dylib)|LLVM-C\.dll")
+
+Version = tuple[int, ...]
 
 
 @dataclass(frozen=True)
 class LlvmStatus:
-    """What the bootstrap found.
+    """The LLVM library that Dr.Jit uses or will use.
 
     Attributes:
-        path: the library chosen, None if there is none.
-        version: its major version, 0 if unknown.
+        path: the library; None if there is none, or if Dr.Jit found it by itself.
+        version: such as (19, 1, 7), fewer numbers before Dr.Jit is loaded, () if unknown.
         source: where it comes from: ``user``, ``system``, ``conda``, ``brew``, ``windows``,
-            ``wheel`` or ``drjit`` (loaded before svu_mi was imported).
+            ``wheel``, ``drjit`` (loaded before svu_mi was imported) or ``none``.
         problem: why LLVM variants cannot run, with the remedy; None if they can.
     """
 
     path: str | None
-    version: int
+    version: Version
     source: str
     problem: str | None = None
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A library file that might do."""
-
-    path: Path
-    source: str
 
 
 _status: LlvmStatus | None = None
 
 
 def bootstrap() -> None:
-    """Choose a library and tell Dr.Jit; runs once, on ``import svu_mi``."""
+    """Choose a library and tell Dr.Jit; runs once, on ``import svu_mi``, and never raises."""
     global _status
     if _status is None:
-        _status = _loaded() if "drjit" in sys.modules else choose()
+        _status = _early_drjit() if "drjit" in sys.modules else choose()
 
 
 def status() -> LlvmStatus:
-    """Return what was chosen; after Dr.Jit is loaded, what it really uses."""
+    """Return what was chosen; once Dr.Jit is loaded, what it really uses."""
     bootstrap()
     assert _status is not None
     if "drjit" in sys.modules and _status.problem is None:
-        loaded = _loaded()
-        if loaded.problem is not None:
-            return loaded
+        return _judge_loaded(_status)
     return _status
 
 
 def require() -> None:
-    """Refuse to go on without a usable LLVM; call before the first LLVM kernel.
+    """Refuse to go on without a usable LLVM; call before the first kernel of an LLVM variant.
 
     Raises:
         SvuEnvironmentError: with the remedy for this operating system.
@@ -85,172 +81,268 @@ def require() -> None:
         raise SvuEnvironmentError(problem)
 
 
-def choose() -> LlvmStatus:
-    """Choose a library and set the variable that Dr.Jit reads (without loading Dr.Jit)."""
-    given = os.environ.get(VARIABLE)
-    if given:
-        return _judge_given(Path(given))
-    for candidate in candidates():
-        version = library_version(candidate.path)
-        if version >= FIRST_GOOD or (version >= FIRST_ACCEPTED and not _is_x86()):
-            if candidate.source == "wheel":
-                _make_loadable(candidate.path)
-            os.environ[VARIABLE] = str(candidate.path)
-            return LlvmStatus(str(candidate.path), version, candidate.source)
-    problem = f"No usable LLVM library (version {FIRST_GOOD} or later) was found: {remedy()}"
-    return LlvmStatus(None, 0, "none", problem)
-
-
-def _judge_given(path: Path) -> LlvmStatus:
-    """Check the user's own choice; it is never overruled."""
-    if not path.is_file():
-        what = "a folder" if path.is_dir() else "no such file"
-        problem = f"{VARIABLE} is {path}, {what}; set it to the libLLVM file itself, or unset it."
-        return LlvmStatus(str(path), 0, "user", problem)
-    version = library_version(path)
-    if version == 0:
-        problem = (
-            f"{VARIABLE} is {path}, which cannot be loaded as an LLVM library of version "
-            f"{FIRST_GOOD} or later; unset it, or {remedy()}"
-        )
-        return LlvmStatus(str(path), 0, "user", problem)
-    if version < FIRST_ACCEPTED or (version < FIRST_GOOD and _is_x86()):
-        return LlvmStatus(str(path), version, "user", _too_old(version, str(path)))
-    return LlvmStatus(str(path), version, "user")
-
-
-def _loaded() -> LlvmStatus:
-    """Read the version of the library that Dr.Jit has already loaded."""
-    import drjit as dr
-
-    version = int(dr.detail.llvm_version()[0])
-    path = os.environ.get(VARIABLE)
-    if version < 0:
-        problem = f"Dr.Jit found no LLVM library: {remedy()}"
-        return LlvmStatus(path, 0, "drjit", problem)
-    if version < FIRST_GOOD and _is_x86():
-        return LlvmStatus(path, version, "drjit", _too_old(version, path or "chosen by Dr.Jit"))
-    return LlvmStatus(path, version, "drjit")
-
-
-def _too_old(version: int, where: str) -> str:
+def remedy() -> str:
+    """Return what to do on this operating system, as the end of a sentence."""
+    if sys.platform == "darwin":
+        return "use the variant metal_ad_rgb, or run 'brew install llvm'."
+    if sys.platform == "win32":
+        return f"install LLVM and set {VARIABLE} to ...\\LLVM-C.dll (the file, not the folder)."
+    wheel = f"run 'pip install {WHEEL}', or " if is_x86() else ""
     return (
-        f"LLVM {version} ({where}) would abort the process with this Dr.Jit on x86-64; "
-        f"{remedy()} Import svu_mi before drjit and mitsuba to let it choose."
+        f"{wheel}install LLVM {first_good()} or newer: 'apt install libllvm19' (Debian, Ubuntu), "
+        "'dnf install llvm-libs' (Fedora)."
     )
 
 
-def remedy() -> str:
-    """Return what to do on this operating system, as one sentence."""
-    if sys.platform == "darwin":
-        return "use the variant metal_ad_rgb, or 'brew install llvm'."
-    if sys.platform == "win32":
-        return f"install LLVM and set {VARIABLE} to its LLVM-C.dll (the file, not the folder)."
-    if platform.machine() == "x86_64":
-        return f"'pip install {WHEEL}', or install your distribution's libllvm19 (or newer)."
-    return "install your distribution's libllvm19 (or newer)."
+def is_x86() -> bool:
+    """Tell whether kernels are compiled for x86-64."""
+    if hasattr(os, "uname"):
+        return os.uname().machine.lower() in ("x86_64", "amd64")
+    return os.environ.get("PROCESSOR_ARCHITECTURE", "").lower() == "amd64"
 
 
-def _is_x86() -> bool:
-    return platform.machine().lower() in ("x86_64", "amd64")
+def first_good() -> int:
+    """Return the first major version that works on this machine."""
+    return FIRST_GOOD_X86 if is_x86() else FIRST_ACCEPTED
+
+
+# --- choosing, before Dr.Jit is loaded ----------------------------------------------------
+
+
+def choose(candidates: Iterable[tuple[str, str]] | None = None) -> LlvmStatus:
+    """Choose a library and set the variable that Dr.Jit reads, without loading Dr.Jit.
+
+    Args:
+        candidates: (source, path) pairs, the preferred first; the machine's by default.
+    """
+    given = _given()
+    chosen = judge_given(given) if given else first_usable(candidates or find_candidates())
+    if chosen.problem is None:
+        assert chosen.path is not None
+        make_loadable(chosen.path)
+        os.environ[VARIABLE] = chosen.path
+    elif chosen.version and chosen.version[0] >= FIRST_ACCEPTED:
+        # Dr.Jit would accept this one and abort in the first kernel of somebody who does not
+        # call require(); without a library it raises a plain ImportError instead.
+        os.environ[VARIABLE] = REFUSED + given
+    return chosen
+
+
+def _given() -> str:
+    return os.environ.get(VARIABLE, "").removeprefix(REFUSED)
+
+
+def judge_given(given: str) -> LlvmStatus:
+    """Check the user's own choice; a wrong one is reported, never silently replaced."""
+    version: Version = ()
+    if os.path.isdir(given):
+        trouble = "is a folder; set it to the library file inside, or unset it."
+    elif os.path.dirname(given) and not os.path.isfile(given):
+        trouble = "does not exist; set it to the LLVM library file, or unset it."
+    else:
+        version = version_of(given)
+        if version and version[0] >= first_good():
+            return LlvmStatus(given, version, "user")
+        what = f"is LLVM {dotted(version)}, {_reason(version)}" if version else "is no LLVM library"
+        trouble = f"{what}; set it to LLVM {first_good()} or newer, or unset it."
+    return LlvmStatus(given, version, "user", f"{VARIABLE}: {given} {trouble}")
+
+
+def first_usable(candidates: Iterable[tuple[str, str]]) -> LlvmStatus:
+    """Return the first candidate that is new enough, or the reason why there is none."""
+    refused = None
+    for source, path in candidates:
+        version = version_of(path)
+        if version and version[0] >= first_good():
+            return LlvmStatus(path, version, source)
+        if version and refused is None:
+            refused = LlvmStatus(path, version, source)
+    if refused is None:
+        return LlvmStatus(None, (), "none", f"No LLVM library was found: {remedy()}")
+    problem = (
+        f"No usable LLVM library was found: {refused.path} is LLVM {dotted(refused.version)}, "
+        f"{_reason(refused.version)}; {remedy()}"
+    )
+    return LlvmStatus(None, refused.version, "none", problem)
+
+
+def _reason(version: Version) -> str:
+    if version[0] < FIRST_ACCEPTED:
+        return "too old for this Dr.Jit"
+    return "which aborts the process on x86-64"
+
+
+def dotted(version: Version) -> str:
+    """Write (19, 1, 7) as ``19.1.7``, and () as ``unknown``."""
+    return ".".join(map(str, version)) or "unknown"
+
+
+def make_loadable(library: str) -> None:
+    """Load the wheel's C++ runtime by hand where its links are missing.
+
+    The wheel makes them when its interpreter first starts after pip; a read-only
+    installation, ``pip --target`` or the very process that ran pip never sees them. Loaded
+    privately (the default), so that no other extension picks up these C++ symbols.
+    """
+    folder = os.path.join(os.path.dirname(library), "x86_64-unknown-linux-gnu")
+    files = [os.path.join(folder, name) for name in RUNTIME]
+    if not os.path.isfile(files[-1]) or os.path.exists(files[-1].removesuffix(".0")):
+        return
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        with suppress(OSError):  # require() says it, if the library still cannot be loaded
+            for file in files:
+                ctypes.CDLL(file)
+
+
+# --- asking Dr.Jit, once it is loaded -----------------------------------------------------
+
+
+def _early_drjit() -> LlvmStatus:
+    """Judge what Dr.Jit found by itself, because it was imported before svu_mi."""
+    given = _given()
+    found = _judge_loaded(LlvmStatus(given or None, (), "drjit"))
+    if found.problem is None:
+        return found
+    better = judge_given(given) if given else first_usable(find_candidates())
+    advice = better.problem or f"it would choose {better.path}."
+    problem = f"{found.problem} Import svu_mi before drjit and mitsuba: {advice}"
+    return LlvmStatus(found.path, found.version, found.source, problem)
+
+
+def _judge_loaded(chosen: LlvmStatus) -> LlvmStatus:
+    import drjit as dr
+
+    # Known before any kernel is compiled, and -1 if nothing was loaded.
+    version = tuple(int(part) for part in dr.detail.llvm_version())
+    if version[0] >= first_good():
+        return LlvmStatus(chosen.path, version, chosen.source)
+    if version[0] >= 0:
+        which = f"LLVM {dotted(version)}" + (f" ({chosen.path})" if chosen.path else "")
+        problem = f"Dr.Jit loaded {which}, {_reason(version)}."
+    else:
+        version = ()
+        problem = f"Dr.Jit could not load an LLVM library{_cause(chosen.path)}."
+    if chosen.source != "drjit":
+        problem = f"{problem[:-1]}; {remedy()}"
+    return LlvmStatus(chosen.path, version, chosen.source, problem)
+
+
+def _cause(path: str | None) -> str:
+    try:
+        ctypes.CDLL(path) if path else None
+    except OSError as error:
+        return f" ({error})"
+    return ""
 
 
 # --- where libraries are ------------------------------------------------------------------
 
 
-def candidates() -> Iterator[Candidate]:
-    """Yield library files, the preferred first."""
-    if sys.platform.startswith("linux"):
-        folders = ("/usr/lib", "/usr/lib64", f"/usr/lib/{platform.machine()}-linux-gnu")
-        yield from _newest_first(folders, "libLLVM*.so*", "system")
-        conda = os.environ.get("CONDA_PREFIX")
+def find_candidates() -> Iterator[tuple[str, str]]:
+    """Yield (source, path) of library files, the preferred first; later ones cost more."""
+    conda = os.environ.get("CONDA_PREFIX")
+    if sys.platform == "win32":
         if conda:
-            yield from _newest_first((f"{conda}/lib",), "libLLVM*.so*", "conda")
-        yield from _wheel()
-    elif sys.platform == "darwin":
+            yield from newest_first("conda", [os.path.join(conda, "Library", "bin")])
+        yield from newest_first("windows", [r"C:\Program Files\LLVM\bin"])
+        return
+    if sys.platform.startswith("linux"):
+        yield from newest_first("system", _linux_folders())
+    if conda:
+        yield from newest_first("conda", [os.path.join(conda, "lib")])
+    if sys.platform == "darwin":
         for root in ("/opt/homebrew/opt", "/usr/local/opt"):
-            folders = tuple(str(folder) for folder in Path(root).glob("llvm*/lib"))
-            yield from _newest_first(folders, "libLLVM*.dylib", "brew")
-    elif sys.platform == "win32":
-        path = Path(r"C:\Program Files\LLVM\bin\LLVM-C.dll")
-        if path.is_file():
-            yield Candidate(path, "windows")
+            yield from newest_first("brew", [f"{root}/{name}/lib" for name in _llvms(root)])
+    elif is_x86():
+        yield from newest_first("wheel", [os.path.join(sys.prefix, "lib")])
+        yield from newest_first("wheel", _wheel_folders())
 
 
-def _newest_first(folders: tuple[str, ...], pattern: str, source: str) -> Iterator[Candidate]:
-    files = (path for folder in folders for path in Path(folder).glob(pattern))
-    found = {path.resolve(): path for path in files}
-    # A name without a version can hide any version, and comes last.
-    for path in sorted(found.values(), key=lambda p: -(version_in_name(p.name) or 0)):
-        yield Candidate(path, source)
+def _linux_folders() -> list[str]:
+    folders = [path for path in os.environ.get("LD_LIBRARY_PATH", "").split(":") if path]
+    for root in ("/usr/lib", "/usr/lib64", "/usr/local/lib"):
+        folders += [root, *(f"{root}/{name}/lib" for name in _llvms(root))]
+    return [*folders, f"/usr/lib/{os.uname().machine}-linux-gnu"]
 
 
-def _wheel() -> Iterator[Candidate]:
-    """Find the wheel's library: in the prefix (fast), else where its metadata says."""
-    named = sorted((Path(sys.prefix) / "lib").glob("libLLVM.so.*"))
-    named = named or sorted(_wheel_files())
-    for path in named:
-        if path.is_file() and version_in_name(path.name):
-            yield Candidate(path.resolve(), "wheel")
-            return
+def _llvms(root: str) -> list[str]:
+    """Names of LLVM's own folders: llvm-19 (Debian), llvm19 (Fedora), llvm@19 (Homebrew)."""
+    return [name for name in _listed(root) if re.fullmatch(r"llvm[-@]?\d*", name)]
 
 
-def _wheel_files() -> list[Path]:
+def _listed(folder: str) -> list[str]:
+    try:
+        return os.listdir(folder)
+    except OSError:
+        return []
+
+
+def newest_first(source: str, folders: Iterable[str]) -> list[tuple[str, str]]:
+    """Return the library files of some folders; names that tell no version come last."""
+    found = {
+        os.path.realpath(os.path.join(folder, name))
+        for folder in folders
+        for name in _listed(folder)
+        if NAME.fullmatch(name)
+    }
+    ordered = sorted(found, key=lambda path: (stated_version(path), path), reverse=True)
+    return [(source, path) for path in ordered if os.path.isfile(path)]
+
+
+def _wheel_folders() -> list[str]:
+    """Where the wheel's metadata says it is: ``pip --user``, ``pip --target``."""
     import importlib.metadata  # takes 20 ms, and is rarely needed
 
     try:
         files = importlib.metadata.files(WHEEL) or []
     except importlib.metadata.PackageNotFoundError:
         return []
-    return [Path(str(f.locate())) for f in files if f.name.startswith("libLLVM.so.")]
+    return sorted({os.path.dirname(f.locate()) for f in files if NAME.fullmatch(f.name)})
 
 
-def version_in_name(name: str) -> int | None:
-    """Return the major version a file name states: libLLVM-15.so, libLLVM.so.19.1."""
-    match = re.search(r"libLLVM-?(\d+)", name) or re.search(r"libLLVM\.(?:so|dylib)\.(\d+)", name)
-    return int(match.group(1)) if match else None
+# --- versions -----------------------------------------------------------------------------
 
 
-def library_version(path: Path) -> int:
-    """Return the major LLVM version of a file, 0 if it is unknown or below 16.
+def stated_version(path: str) -> Version:
+    """Return the version that a resolved path states, () if none.
 
-    A name that states a version is believed: a subprocess would cost more than the whole
-    import. Otherwise a subprocess asks the library, so that a broken one cannot hurt.
+    ``libLLVM-15.so.1`` is 15, ``libLLVM.so.19.1`` is 19.1, and so is
+    ``Cellar/llvm/19.1/lib/libLLVM.dylib``.
     """
-    stated = version_in_name(path.resolve().name) or version_in_name(path.name)
-    if stated:
-        return stated
-    import subprocess  # not needed where names tell
+    match = NAME.fullmatch(os.path.basename(path))
+    text = (match.group(1) or match.group(2)) if match else None
+    if text is None:
+        cellar = re.search(r"/Cellar/llvm(?:@\d+)?/(\d[\d.]*)", path)
+        text = cellar.group(1) if cellar else ""
+    return tuple(int(part) for part in text.split(".") if part)
+
+
+def version_of(path: str) -> Version:
+    """Return the version of a library, () if it cannot be loaded or is older than 16.
+
+    A name that states a version is believed: loading 100 MB to ask would cost more than the
+    whole import, and Dr.Jit is asked later anyway. Otherwise a subprocess asks the library,
+    so that neither a crash nor its symbols reach this process.
+    """
+    return stated_version(os.path.realpath(path)) or _asked_version(path)
+
+
+def _asked_version(path: str) -> Version:
+    import subprocess  # takes 6 ms, and is not needed where names tell
 
     script = (
-        "import ctypes,sys\n"
-        "library=ctypes.CDLL(sys.argv[1])\n"
-        "v=[ctypes.c_uint() for _ in range(3)]\n"
-        "library.LLVMGetVersion(*map(ctypes.byref,v))\n"
-        "print(v[0].value)"
+        "import ctypes, sys\n"
+        "version = [ctypes.c_uint() for _ in range(3)]\n"
+        "ctypes.CDLL(sys.argv[1]).LLVMGetVersion(*map(ctypes.byref, version))\n"
+        "print(*(part.value for part in version))"
     )
     try:
-        done = subprocess.run(
-            [sys.executable, "-I", "-c", script, str(path)],
-            capture_output=True, text=True, timeout=20, check=False,
+        asked = subprocess.run(
+            [sys.executable, "-I", "-S", "-c", script, path],
+            capture_output=True, text=True, timeout=20, check=True,
         )  # fmt: skip
-    except (OSError, subprocess.TimeoutExpired):
-        return 0
-    return int(done.stdout) if done.returncode == 0 and done.stdout.strip().isdigit() else 0
-
-
-def _make_loadable(library: Path) -> None:
-    """Load the wheel's C++ runtime by hand while its symlinks are not made yet.
-
-    The wheel makes them the first time its interpreter starts after pip; a read-only
-    installation, or the very process that ran pip, never sees them.
-    """
-    folders = (library.parent, library.parent / "x86_64-unknown-linux-gnu")
-    if any((folder / "libc++.so.1").exists() for folder in folders):
-        return
-    try:
-        ctypes.CDLL(str(library))
-    except OSError:
-        for path in (folder / name for name in PRELOAD for folder in folders):
-            if path.is_file():
-                ctypes.CDLL(str(path))
+    except (OSError, subprocess.SubprocessError):
+        return ()
+    return tuple(int(part) for part in asked.stdout.split())

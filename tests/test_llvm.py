@@ -1,0 +1,252 @@
+"""Which LLVM library is chosen, and what happens when none will do."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from svu_mi import _llvm
+from svu_mi.errors import SvuEnvironmentError
+
+FAKE = "libLLVM.so.{}"
+
+
+@pytest.fixture
+def machine(monkeypatch):
+    """An x86-64 machine where nothing has been chosen yet."""
+    monkeypatch.setenv(_llvm.VARIABLE, "")  # so that monkeypatch restores it
+    monkeypatch.setattr(_llvm, "is_x86", lambda: True)
+    monkeypatch.setattr(_llvm, "_status", None)
+    return monkeypatch
+
+
+def library(folder, version):
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / FAKE.format(version)
+    path.write_bytes(b"")
+    return str(path)
+
+
+def run_python(code, **environment):
+    """Run a program in a fresh interpreter and return what it printed as JSON."""
+    inherited = {k: v for k, v in os.environ.items() if k != _llvm.VARIABLE}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=inherited | environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+# --- the gate -----------------------------------------------------------------------------
+
+
+def pretend_loaded(monkeypatch, version):
+    import drjit as dr
+
+    monkeypatch.setattr(dr.detail, "llvm_version", lambda: version)
+
+
+@pytest.mark.parametrize("version", [(15, 0, 6), (16, 0, 6)])
+def test_gate_refuses_versions_that_abort_on_x86(machine, version):
+    machine.setattr(_llvm, "_status", _llvm.LlvmStatus("libLLVM.so", (19,), "system"))
+    pretend_loaded(machine, version)
+    with pytest.raises(SvuEnvironmentError, match=rf"LLVM {version[0]}.*aborts .* x86-64"):
+        _llvm.require()
+
+
+def test_gate_accepts_llvm_15_where_it_does_not_abort(machine):
+    machine.setattr(_llvm, "is_x86", lambda: False)
+    pretend_loaded(machine, (15, 0, 6))
+    _llvm.require()
+
+
+def test_gate_accepts_llvm_17(machine):
+    pretend_loaded(machine, (17, 0, 6))
+    _llvm.require()
+    assert _llvm.status().version == (17, 0, 6)
+
+
+def test_gate_says_why_a_chosen_library_was_not_loaded(machine, tmp_path):
+    broken = library(tmp_path, "19.1")
+    machine.setattr(_llvm, "_status", _llvm.LlvmStatus(broken, (19, 1), "system"))
+    pretend_loaded(machine, (-1, -1, -1))
+    with pytest.raises(SvuEnvironmentError, match=r"could not load.*19\.1.*file too short"):
+        _llvm.require()
+
+
+def test_dr_jit_still_tells_its_llvm_version():
+    """``drjit.detail`` is semi-private: a change upstream shall be one red test."""
+    import drjit as dr
+
+    version = dr.detail.llvm_version()
+    assert len(version) == 3 and version[0] >= 17
+
+
+@pytest.mark.parametrize(
+    ("platform", "words"),
+    [("linux", "apt install"), ("darwin", "brew install llvm"), ("win32", "LLVM-C.dll")],
+)
+def test_remedy_fits_the_operating_system(monkeypatch, platform, words):
+    monkeypatch.setattr(sys, "platform", platform)
+    assert words in _llvm.remedy()
+
+
+# --- the user's own choice ----------------------------------------------------------------
+
+
+def chosen_for(machine, given):
+    machine.setenv(_llvm.VARIABLE, str(given))
+    return _llvm.choose([("system", "libLLVM.so.19.1")])
+
+
+def test_users_library_wins(machine, tmp_path):
+    mine = library(tmp_path, "18.1")
+    found = chosen_for(machine, mine)
+    assert (found.path, found.version, found.source, found.problem) == (mine, (18, 1), "user", None)
+
+
+def test_a_folder_is_refused_with_the_fix(machine, tmp_path):
+    found = chosen_for(machine, tmp_path)
+    assert "is a folder; set it to the library file" in (found.problem or "")
+
+
+def test_a_missing_file_is_refused_with_the_fix(machine, tmp_path):
+    found = chosen_for(machine, tmp_path / "libLLVM.so")
+    assert "does not exist; set it to" in (found.problem or "")
+
+
+def test_a_file_that_is_no_library_is_refused(machine, tmp_path):
+    path = tmp_path / "libLLVM.so"
+    path.write_text("not a library")
+    assert "is no LLVM library" in (chosen_for(machine, path).problem or "")
+
+
+def test_users_llvm_15_is_refused_and_hidden_from_dr_jit(machine, tmp_path):
+    """Without us calling require(), Dr.Jit must not load it either: it would abort."""
+    mine = library(tmp_path, "15.0")
+    assert "aborts the process" in (chosen_for(machine, mine).problem or "")
+    assert os.environ[_llvm.VARIABLE] == _llvm.REFUSED + mine
+    again = _llvm.choose([])  # a child process inherits the variable, and says the same
+    assert again.problem and mine in again.problem
+    assert os.environ[_llvm.VARIABLE] == _llvm.REFUSED + mine
+
+
+def test_require_raises_what_bootstrap_found(machine, tmp_path):
+    machine.setenv(_llvm.VARIABLE, str(tmp_path))
+    machine.setattr(_llvm, "_status", _llvm.choose())
+    with pytest.raises(SvuEnvironmentError, match="is a folder"):
+        _llvm.require()
+
+
+# --- the search ---------------------------------------------------------------------------
+
+
+def test_first_usable_candidate_is_taken_and_dr_jit_is_told(machine):
+    candidates = [("system", "/a/libLLVM-14.so.1"), ("system", "/a/libLLVM-16.so.1"),
+                  ("conda", "/b/libLLVM-17.so"), ("wheel", "/c/libLLVM.so.23.1")]  # fmt: skip
+    found = _llvm.choose(candidates)
+    assert (found.path, found.source, found.version) == ("/b/libLLVM-17.so", "conda", (17,))
+    assert os.environ[_llvm.VARIABLE] == "/b/libLLVM-17.so"
+
+
+def test_llvm_15_will_do_where_it_does_not_abort(machine):
+    machine.setattr(_llvm, "is_x86", lambda: False)
+    assert _llvm.choose([("system", "/a/libLLVM-15.so.1")]).path == "/a/libLLVM-15.so.1"
+
+
+def test_only_bad_libraries_means_none_for_dr_jit_too(machine):
+    found = _llvm.choose([("system", "/a/libLLVM-15.so.1"), ("system", "/a/libLLVM-14.so.1")])
+    assert found.path is None
+    assert "/a/libLLVM-15.so.1 is LLVM 15" in (found.problem or "")
+    assert os.environ[_llvm.VARIABLE] == _llvm.REFUSED
+
+
+def test_no_library_at_all_leaves_the_variable_alone(machine):
+    machine.setattr(_llvm, "find_candidates", lambda: iter(()))
+    assert "No LLVM library was found" in (_llvm.choose().problem or "")
+    assert os.environ[_llvm.VARIABLE] == ""
+
+
+def test_newest_of_a_folder_comes_first_and_other_libraries_are_not_confused(tmp_path):
+    for name in ("libLLVM-9.so", "libLLVM-15.so.1", "libLLVM.so.19.1", "libLLVMSPIRVLib.so.19.1",
+                 "libLLVM.so.20.1-rust-1.88.0-stable", "libLLVM.so"):  # fmt: skip
+        (tmp_path / name).write_bytes(b"")
+    (tmp_path / "libLLVM-19.so").symlink_to("libLLVM.so.19.1")
+    found = [os.path.basename(path) for _, path in _llvm.newest_first("x", [str(tmp_path)])]
+    assert found == ["libLLVM.so.19.1", "libLLVM-15.so.1", "libLLVM-9.so", "libLLVM.so"]
+
+
+@pytest.mark.parametrize(
+    ("path", "version"),
+    [
+        ("/usr/lib/libLLVM-15.so.1", (15,)),
+        ("/usr/lib/libLLVM-14.0.6.so.1", (14, 0, 6)),
+        ("/usr/lib/libLLVM.so.19.1", (19, 1)),
+        ("/opt/homebrew/Cellar/llvm@19/19.1.7/lib/libLLVM.dylib", (19, 1, 7)),
+        ("/conda/lib/libLLVM.18.1.dylib", (18, 1)),
+        ("/usr/lib/libLLVM.so", ()),
+        ("C:/LLVM/bin/LLVM-C.dll", ()),
+    ],
+)
+def test_versions_that_paths_state(path, version):
+    assert _llvm.stated_version(path) == version
+
+
+def test_a_library_whose_name_tells_nothing_is_asked_in_a_subprocess():
+    """The one that Dr.Jit uses now knows its version as well as its name does."""
+    used = os.environ[_llvm.VARIABLE]
+    stated = _llvm.stated_version(os.path.realpath(used))
+    assert _llvm._asked_version(used)[: len(stated)] == stated
+
+
+# --- in fresh processes -------------------------------------------------------------------
+
+REPORT = """
+import json, os
+from svu_mi import _llvm
+import drjit as dr
+status = _llvm.status()
+print(json.dumps([os.environ.get(_llvm.VARIABLE), status.problem, dr.detail.llvm_version()[0]]))
+"""
+
+
+def test_import_points_dr_jit_to_a_good_library():
+    path, problem, version = run_python("import svu_mi" + REPORT)
+    assert os.path.isfile(path) and problem is None and version >= 17
+
+
+def test_after_dr_jit_only_the_gate_is_left():
+    """Dr.Jit then has chosen by itself, perhaps well; what it has decides."""
+    path, problem, version = run_python("import drjit" + REPORT)
+    assert path is None
+    assert (problem is None) == (version >= 17)
+    assert problem is None or "Import svu_mi before drjit and mitsuba" in problem
+
+
+def test_users_folder_does_not_break_the_import(tmp_path):
+    _, problem, version = run_python("import svu_mi" + REPORT, **{_llvm.VARIABLE: str(tmp_path)})
+    assert "is a folder" in problem and version == -1
+
+
+def test_wheel_without_its_links_is_loaded_all_the_same(tmp_path):
+    """The state after pip until the interpreter's next start, and for ever if read-only."""
+    wheel = dict(_llvm.newest_first("wheel", [os.path.join(sys.prefix, "lib")])).get("wheel")
+    if wheel is None:
+        pytest.skip("the wheel is not installed in this environment")
+    folder = "x86_64-unknown-linux-gnu"
+    (tmp_path / folder).mkdir()
+    (tmp_path / os.path.basename(wheel)).symlink_to(wheel)
+    for name in _llvm.RUNTIME:
+        source = os.path.join(os.path.dirname(wheel), folder, name)
+        (tmp_path / folder / name).symlink_to(source)
+    mine = str(tmp_path / os.path.basename(wheel))
+    path, problem, version = run_python("import svu_mi" + REPORT, **{_llvm.VARIABLE: mine})
+    assert (path, problem) == (mine, None) and version >= 17
