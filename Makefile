@@ -1,37 +1,52 @@
-# The two commands of the README. Each installs what it needs into .venv first; nothing else
-# on the machine is touched.
+# The two commands of the README, demo and test. Each first installs what it needs into .venv,
+# once per change of pyproject.toml; nothing else on the machine is touched.
+
 PYTHON ?= python3
 PY := .venv/bin/python
+PIP := $(PY) -m pip --disable-pip-version-check
+TOO_OLD := svu_mi needs Python 3.11 or newer; try: make PYTHON=python3.12
+NO_VENV := Python cannot make a virtual environment here; on Debian and Ubuntu: apt install python3-venv
+# Debian without python3-venv lacks only ensurepip; the system's pip, if any, can fill in.
+VENV_WITHOUT_ENSUREPIP = $(PYTHON) -m venv --clear --without-pip .venv && \
+  $(PYTHON) -m pip --python $(PY) install --quiet pip
 
 .PHONY: demo test lint clean
 
 demo: .venv/installed
-	$(PY) -m svu_mi demo -o out/demo
+	.venv/bin/svu demo -o out/demo
 
-test: .venv/installed-test lint
+test: lint
 	$(PY) -m pytest
 
 lint: .venv/installed-test
 	$(PY) -m ruff check .
 	$(PY) -m mypy
 
-# A virtual environment whose interpreter no longer runs is made again.
-.venv/usable: FORCE
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
-	  { echo "svu_mi needs Python 3.11 or later; try: make $(MAKECMDGOALS) PYTHON=python3.12" >&2; exit 2; }
-	@$(PY) -m pip --version >/dev/null 2>&1 || { rm -rf .venv && $(PYTHON) -m venv .venv || \
-	  { echo "No virtual environment could be made; on Debian: apt install python3-venv" >&2; exit 2; }; }
-	@test -f $@ || touch $@
-
-.venv/installed: pyproject.toml | .venv/usable
-	$(PY) -m pip install --quiet --disable-pip-version-check -e .
+.venv/installed: pyproject.toml .venv/here
+	@echo "Installing svu_mi and what it needs into .venv"
+	$(PIP) install --quiet -e .
 	@touch $@
 
-.venv/installed-test: pyproject.toml | .venv/usable
-	$(PY) -m pip install --quiet --disable-pip-version-check -e '.[test]'
-	@touch $@ .venv/installed
+.venv/installed-test: pyproject.toml .venv/here
+	@echo "Installing svu_mi, what it needs, and its test tools into .venv"
+	$(PIP) install --quiet -e '.[test]'
+	@touch .venv/installed $@
+
+# Checked every time, touched only when something changed: an environment whose interpreter or
+# pip no longer runs is made again; one that came from another folder is installed into again,
+# because its scripts and its editable install name that folder.
+.venv/here: FORCE
+	@if ! $(PY) -c 'import sys, pip; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1; then \
+	  $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	    { echo "$(TOO_OLD)" >&2; exit 2; }; \
+	  echo "Making a virtual environment in .venv"; \
+	  rm -rf .venv; \
+	  $(PYTHON) -m venv .venv >/dev/null || { $(VENV_WITHOUT_ENSUREPIP); } || \
+	    { rm -rf .venv; echo "$(NO_VENV)" >&2; exit 2; }; \
+	fi
+	@echo '$(CURDIR)' | cmp -s - $@ || echo '$(CURDIR)' > $@
 
 clean:
-	rm -rf .venv build out *.egg-info .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv build dist out *.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
 
 FORCE:

@@ -1,0 +1,93 @@
+"""What is installed is what is in the tree, and importing it costs next to nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+import svu_mi
+
+HEAVY = ("mitsuba", "drjit", "numpy", "matplotlib", "torch", "scipy", "rich", "OpenEXR")
+IMPORT_BUDGET_MS = 50  # Mitsuba 3.10 imports svu_mi for everybody who has it installed
+
+
+@pytest.fixture(scope="module")
+def project(root):
+    return tomllib.loads((root / "pyproject.toml").read_text())
+
+
+def test_package_list_equals_the_tree(root, project):
+    inside = {
+        ".".join(path.parent.relative_to(root).parts)
+        for path in (root / "svu_mi").rglob("__init__.py")
+    }
+    listed = project["tool"]["setuptools"]["packages"]
+    assert len(listed) == len(set(listed))
+    assert set(listed) == inside | {"svu_mi.plugins", "svu_mi.scenes"}
+
+
+def test_every_folder_with_code_is_a_package(root):
+    """Without its ``__init__.py`` a folder is found here and missing from the wheel."""
+    for path in (root / "svu_mi").rglob("*.py"):
+        assert (path.parent / "__init__.py").is_file(), path.parent
+
+
+def test_mapped_folders_exist_and_can_be_imported(root, project):
+    for package, folder in project["tool"]["setuptools"]["package-dir"].items():
+        assert (root / folder / "__init__.py").is_file(), package
+    assert (root / "svu_mi" / "py.typed").is_file()
+
+
+def test_version_is_stated_once_more_correctly(project):
+    assert project["project"]["version"] == svu_mi.__version__
+
+
+def test_every_public_name_has_a_home():
+    """``import *`` would fail on a name in ``__all__`` that cannot be loaded."""
+    assert set(svu_mi.__all__) == set(svu_mi._HOME)
+
+
+def in_fresh_process(code, *options):
+    done = subprocess.run(
+        [sys.executable, *options, "-c", code],
+        capture_output=True, text=True, timeout=60, env=os.environ | {"MI_DEFAULT_VARIANT": ""},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def test_import_loads_nothing_heavy():
+    code = "import svu_mi, sys, json; print(json.dumps(sorted(sys.modules)))"
+    loaded = json.loads(in_fresh_process(code).stdout)
+    assert not [name for name in HEAVY if name in loaded]
+
+
+def test_import_is_fast():
+    """The best of five, since other work on the machine only ever adds time."""
+    times_ms = []
+    for _ in range(5):
+        lines = in_fresh_process("import svu_mi", "-X", "importtime").stderr.splitlines()
+        (line,) = [text for text in lines if text.split("|")[-1].strip() == "svu_mi"]
+        times_ms.append(int(line.split("|")[1]) / 1000)
+    assert min(times_ms) < IMPORT_BUDGET_MS, times_ms
+
+
+def test_import_sets_no_variant():
+    code = "import svu_mi, mitsuba; print(mitsuba.variant())"
+    assert in_fresh_process(code).stdout.split() == ["None"]
+
+
+def test_import_of_plugins_sets_no_variant():
+    code = "import svu_mi.plugins, mitsuba; print(mitsuba.variant())"
+    assert in_fresh_process(code).stdout.split() == ["None"]
+
+
+@pytest.mark.parametrize("name", ["Makefile", ".ci/run", "pyproject.toml"])
+def test_set_up_names_no_folder_of_a_machine(root, name):
+    text = (root / name).read_text()
+    assert not [place for place in ("/home/", "/root/", "/work/", "/Users/") if place in text]
