@@ -1,0 +1,105 @@
+"""``svu doctor``: a healthy machine, an abort in the render test, and the exit status."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import os
+
+import pytest
+from rich.console import Console
+
+from svu_mi import _llvm
+from svu_mi.cli import doctor
+
+
+@pytest.fixture(scope="module")
+def found():
+    return doctor.diagnose()
+
+
+def printed(found):
+    console = Console(file=io.StringIO(), width=200)
+    doctor.show(found, console)
+    return console.file.getvalue()
+
+
+def test_this_machine_is_healthy(found):
+    """If this fails, so will everything else; the message is the doctor's."""
+    assert found.healthy, printed(found)
+    assert {"mitsuba", "OpenEXR"} <= {check.name for check in found.checks}
+    assert "render with llvm_ad_rgb" in {check.name for check in found.checks}
+
+
+def test_facts_are_those_of_this_process(found):
+    import drjit as dr
+    import mitsuba as mi
+
+    assert found.variants == tuple(mi.variants())
+    assert {"scalar_rgb", "llvm_ad_rgb"} <= set(found.usable) <= set(found.variants)
+    assert found.llvm.version == dr.detail.llvm_version()
+    assert found.versions["mitsuba"] == mi.__version__
+
+
+def test_everything_is_printed(found):
+    text = printed(found)
+    for words in ("Python", "mitsuba 3.", "llvm_ad_rgb", "CUDA", "OptiX", "Metal", "Threads",
+                  "Kernel cache", "expected 1", str(found.llvm.path)):  # fmt: skip
+        assert words in text
+
+
+def test_exit_status_tells_health(monkeypatch, found):
+    console = Console(file=io.StringIO())
+    monkeypatch.setattr(doctor, "diagnose", lambda: found)
+    assert doctor.doctor(console) == 0
+    sick = doctor.Check("OpenEXR", False, "it differs", "reinstall it")
+    ill = dataclasses.replace(found, checks=(*found.checks, sick))
+    monkeypatch.setattr(doctor, "diagnose", lambda: ill)
+    assert doctor.doctor(console) == 2
+    assert "Remedy for OpenEXR: reinstall it" in console.file.getvalue()
+
+
+def test_an_abort_of_the_render_test_is_reported(monkeypatch):
+    """What LLVM 15 does: a line on stderr, then SIGABRT."""
+    child = "import os, sys; sys.stderr.write('Cannot select: fminimum\\n'); os.abort()  # {}"
+    monkeypatch.setattr(doctor, "CHILD", child)
+    check = doctor.check_render("llvm_ad_rgb")
+    assert not check.ok
+    if os.name == "posix":
+        assert "SIGABRT" in check.detail
+        assert "Cannot select: fminimum" in check.detail
+    assert _llvm.remedy() in check.remedy
+
+
+def test_an_abort_while_loading_mitsuba_is_reported(monkeypatch):
+    monkeypatch.setattr(doctor, "CHILD", "import os; os.abort()  # {}")
+    found = doctor.diagnose()
+    assert not found.healthy and found.usable == ()
+    assert [check.name for check in found.checks if not check.ok] == ["mitsuba", "render"]
+    assert "unknown" in printed(found)
+
+
+def test_a_test_that_hangs_is_reported(monkeypatch):
+    monkeypatch.setattr(doctor, "CHILD", "import time; time.sleep(60)  # {}")
+    monkeypatch.setattr(doctor, "TIMEOUT_S", 0.2)
+    assert "no answer" in doctor.check_render("llvm_ad_rgb").detail
+
+
+def test_unusable_llvm_is_named_with_its_remedy():
+    status = _llvm.LlvmStatus(None, (15,), "none", "LLVM 15 aborts; run 'pip install ...'.")
+    (check,) = doctor._renders(("scalar_rgb",), status)
+    assert not check.ok and check.remedy == status.problem
+
+
+def test_missing_package_is_named():
+    check = doctor._installed({"mitsuba": "3.9.1", "xatlas": "missing"})
+    assert not check.ok and "xatlas" in check.detail and "mitsuba" not in check.detail
+
+
+def test_exr_that_reads_back_differently_is_reported(monkeypatch):
+    import numpy as np
+
+    import svu_mi.exr
+
+    monkeypatch.setattr(svu_mi.exr, "read_exr", lambda _: {"Y": np.zeros((3, 4), "f4")})
+    assert not doctor.check_exr().ok
