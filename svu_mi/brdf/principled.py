@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
+import numpy as np
+
 F0 = 0.04
 """Reflectance at normal incidence of a dielectric with index 1.5."""
 
@@ -15,9 +18,21 @@ MIN_ALPHA = 1e-3
 """Mitsuba's lower bound of the microfacet width."""
 
 
-def alpha_from_roughness(roughness: Any) -> Any:
-    """Return alpha = roughness^2, the width of the GGX lobe, without Mitsuba's lower bound."""
+def unbounded_alpha(roughness: Any) -> Any:
+    """Return alpha = roughness^2, the width of the GGX lobe as the paper has it."""
     return roughness * roughness
+
+
+def alpha_from_roughness(roughness: Any) -> Any:
+    """Return alpha = max(roughness^2, 1e-3), as Mitsuba's principled BSDF has it."""
+    alpha = unbounded_alpha(roughness)
+    maximum = dr.maximum if dr.is_array_v(alpha) else np.maximum
+    return maximum(alpha, MIN_ALPHA)
+
+
+def roughness_from_alpha(alpha: Any) -> Any:
+    """Return the roughness whose alpha this is: sqrt(alpha)."""
+    return alpha**0.5
 
 
 def specular_from_principled(base_color: Any, metallic: Any) -> Any:

@@ -12,7 +12,9 @@ import numpy as np
 from svu_mi.errors import ShapeError
 
 
-def tensor(values: Any, caller: str, name: str, axes: Sequence[str | int]) -> Any:
+def tensor(
+    values: Any, caller: str, name: str, axes: Sequence[str | int], *, copy: bool = False
+) -> Any:
     """Return ``values`` as a detached single precision TensorXf.
 
     Args:
@@ -20,7 +22,9 @@ def tensor(values: Any, caller: str, name: str, axes: Sequence[str | int]) -> An
             memory layout).
         caller: function named in the error, such as ``"fit_sh()"``.
         name: argument named in the error.
-        axes: one entry per axis: the required length, or a letter for "any".
+        axes: one entry per axis: the required length, or a name for "any".
+        copy: never alias NumPy memory. Without it, single precision in C order is aliased, and
+            the caller must evaluate what it builds on that before it returns.
 
     Raises:
         ShapeError: another number of axes, another length, or no numbers at all.
@@ -29,9 +33,7 @@ def tensor(values: Any, caller: str, name: str, axes: Sequence[str | int]) -> An
         out = dr.detach(mi.TensorXf(values))
     else:
         try:
-            # Single precision in C order is aliased, not copied: callers evaluate what they
-            # build on it before they return, or a later write to `values` would show through.
-            plain = np.ascontiguousarray(values, dtype=np.float32)
+            plain = np.array(values, dtype=np.float32, order="C", copy=copy or None)
         except (TypeError, ValueError) as error:
             raise ShapeError(f"{caller}: {name} is not an array of numbers ({error}).") from error
         # Dr.Jit tensors do not take NumPy arrays without elements.

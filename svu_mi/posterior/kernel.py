@@ -1,12 +1,13 @@
 """The posterior of Eq. 11 in one kernel: energies of grid cells, and their entropy.
 
-For one roughness, the distance of Eq. 11 is a quadratic in K = Ks^2,
+For one roughness, the distance of Eq. 11 is a quadratic in K = Ks^2. Around the best K_0 in
+[0, 1], with the model m_l = e_l S_L(l) and the residual r = S_B - K_0 m,
 
-    d(K) = d_min + c (K - K_min)^2,   c = sum e_l^2 S_L^2,   K_min = sum e_l S_L S_B / c,
+    d(K) = sum r^2 - 2 (K - K_0) sum m r + (K - K_0)^2 sum m^2,
 
-so the degrees are summed once per roughness, not once per cell. The expanded form
-sum S_B^2 - 2 K b + K^2 c would cancel: with S / sigma = 1e3, single precision then leaves
-nothing of d / (2 sigma^2). Sums over degrees are in double precision, exponentials are not.
+so the degrees are summed once per roughness, not once per cell. The expansion around K = 0
+would cancel: with S / sigma = 1e3, single precision then leaves nothing of d / (2 sigma^2).
+Sums over degrees are in double precision, exponentials are not.
 
 Channels come in groups. One group of three channels is one Ks for all (``sum``); three
 groups of one channel are a joint posterior with a Ks of its own per channel, which
@@ -15,6 +16,7 @@ factorises for a given roughness and needs no grid over all three.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +25,9 @@ import mitsuba as mi
 import numpy as np
 
 FAR = 1e4  # exp(-FAR) is 0, FAR * 0 is not NaN
+IMPOSSIBLE = 1e200  # energy of a cell the prior excludes: above any other, and finite
+
+Scaled = list[tuple[list[Any], list[Any]]]  # per group: S_L and S_B over sqrt(2) sigma
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,7 @@ class Problem:
         groups: channel indices that share one Ks.
         decay: (R * L) Float64, e_l of each roughness, l = 1 ... L.
         specular: (S,) nodes of Ks.
-        prior: ((R,), (R, S)) arrays of -log prior: of a roughness, of Ks given it; or None.
+        prior: ((R,), (R * S,)) Float64 of -log prior: of a roughness, of Ks given it; or None.
     """
 
     incoming: Any
@@ -72,9 +77,11 @@ def entropy(problem: Problem, count: int) -> Any:
     """
     texel = dr.arange(mi.UInt32, count)
     rows = dr.opaque(mi.UInt32, problem.rows)
+    # Read once, outside of the loop: strided reads would dominate it.
+    spectra, power = _spectra(problem, texel), _power(problem, texel)
 
     def body(row: Any, low: Any, z: Any, zx: Any) -> tuple[Any, ...]:
-        base, weight, excess = _row(problem, texel, row)
+        base, weight, excess = _row(problem, spectra, power, row)
         lowest = dr.minimum(low, base)
         # exp(-inf) on the first row: there is nothing to rescale yet.
         drop = mi.Float(dr.minimum(low - lowest, FAR))
@@ -92,14 +99,14 @@ def entropy(problem: Problem, count: int) -> Any:
     return dr.clip((dr.log(z) + zx / z) / float(np.log(problem.cells)), 0, 1)
 
 
-def _row(problem: Problem, texel: Any, row: Any) -> tuple[Any, Any, Any]:
+def _row(problem: Problem, spectra: Scaled, power: Any, row: Any) -> tuple[Any, Any, Any]:
     """Sum one roughness over all groups.
 
     Returns:
         smallest energy (Float64), sum of exp(-(x - smallest)), mean of x - smallest.
     """
     base, weight, excess = mi.Float64(0), mi.Float(1), mi.Float(0)
-    for low, offsets in _row_energies(problem, texel, row):
+    for low, offsets in _row_energies(problem, spectra, power, row):
         terms = [dr.exp(-x) for x in offsets]
         z = sum(terms)
         zx = sum(x * term for x, term in zip(offsets, terms, strict=True))
@@ -107,27 +114,26 @@ def _row(problem: Problem, texel: Any, row: Any) -> tuple[Any, Any, Any]:
         weight *= z
         excess += zx / z
     if problem.prior is not None:
-        base += mi.Float64(dr.gather(mi.Float, problem.prior[0], row))
+        base += dr.gather(mi.Float64, problem.prior[0], row)
     return base, weight, excess
 
 
-def _row_energies(problem: Problem, texel: Any, row: Any) -> list[tuple[Any, list[Any]]]:
+def _row_energies(
+    problem: Problem, spectra: Scaled, power: Any, row: Any
+) -> list[tuple[Any, list[Any]]]:
     """Return, per group, the smallest energy of a roughness and the others' distance to it."""
     decay = [
         dr.gather(mi.Float64, problem.decay, row * problem.degree + l)
         for l in range(problem.degree)
     ]
     result = []
-    for group, sigma in zip(problem.groups, problem.sigma, strict=True):
-        incoming, outgoing = _spectra(problem, texel, group)
-        precision = dr.rcp(dr.square(dr.gather(mi.Float64, sigma, texel)))
-        energies = _energies(problem.specular, incoming, outgoing, decay, precision)
-        if problem.power is not None:
-            power = dr.gather(mi.Float64, problem.power, texel)
+    for incoming, outgoing in spectra:
+        energies = _energies(problem.specular, incoming, outgoing, decay)
+        if power is not None:
             energies = [power * dr.log(2 * x + 1) for x in energies]
         if problem.prior is not None:
             energies = [
-                x + mi.Float64(dr.gather(mi.Float, problem.prior[1], row * len(energies) + s))
+                x + dr.gather(mi.Float64, problem.prior[1], row * len(energies) + s)
                 for s, x in enumerate(energies)
             ]
         low = energies[0]
@@ -137,35 +143,42 @@ def _row_energies(problem: Problem, texel: Any, row: Any) -> list[tuple[Any, lis
     return result
 
 
-def _spectra(problem: Problem, texel: Any, group: tuple[int, ...]) -> tuple[list, list]:
-    """Read S_L(l), S_B(l) for l >= 1 of the group's channels, one after the other."""
-    index = [
-        (texel * (problem.degree + 1) + l) * problem.channels + c
-        for c in group
-        for l in range(1, problem.degree + 1)
-    ]
-    return (
-        [mi.Float64(dr.gather(mi.Float, problem.incoming, i)) for i in index],
-        [mi.Float64(dr.gather(mi.Float, problem.outgoing, i)) for i in index],
-    )
+def _spectra(problem: Problem, texel: Any) -> Scaled:
+    """Read S_L(l), S_B(l) for l >= 1, the channels of a group one after the other."""
+    result = []
+    for group, sigma in zip(problem.groups, problem.sigma, strict=True):
+        scale = math.sqrt(0.5) * dr.rcp(dr.gather(mi.Float64, sigma, texel))
+        index = [
+            (texel * (problem.degree + 1) + l) * problem.channels + c
+            for c in group
+            for l in range(1, problem.degree + 1)
+        ]
+        incoming, outgoing = (
+            [scale * mi.Float64(dr.gather(mi.Float, spectrum, i)) for i in index]
+            for spectrum in (problem.incoming, problem.outgoing)
+        )
+        result.append((incoming, outgoing))
+    return result
 
 
-def _energies(
-    specular: np.ndarray, S_L: list[Any], S_B: list[Any], decay: list[Any], precision: Any
-) -> list[Any]:
-    """d / (2 sigma^2) of every Ks for one roughness (Eq. 11); precision = 1 / sigma^2."""
+def _power(problem: Problem, texel: Any) -> Any | None:
+    return None if problem.power is None else dr.gather(mi.Float64, problem.power, texel)
+
+
+def _energies(specular: np.ndarray, S_L: list, S_B: list, decay: list) -> list[Any]:
+    """d of every Ks for one roughness (Eq. 11), in the unit of the scaled spectra."""
     model = [e * s for e, s in zip(decay * (len(S_L) // len(decay)), S_L, strict=True)]
     b, c = mi.Float64(0), mi.Float64(0)
     for m, s in zip(model, S_B, strict=True):
         b, c = dr.fma(m, s, b), dr.fma(m, m, c)
-    best = dr.select(c > 0, b / dr.select(c > 0, c, 1), 0)
-    d_min = mi.Float64(0)
+    # Kept inside [0, 1]: around a far-away optimum the grid's own differences would be lost.
+    best = dr.select(b < c, b / dr.select(c > 0, c, 1), 1)
+    least, slope = mi.Float64(0), mi.Float64(0)
     for m, s in zip(model, S_B, strict=True):
-        d_min += dr.square(s - best * m)
-    half = 0.5 * precision
-    return [
-        dr.fma(c, dr.square(float(K) - best), d_min) * half for K in specular**2
-    ]
+        r = dr.fma(-best, m, s)
+        least, slope = dr.fma(r, r, least), dr.fma(m, r, slope)
+    offsets = [float(K) - best for K in specular**2]
+    return [dr.fma(dr.fma(c, K, -2 * slope), K, least) for K in offsets]
 
 
 def tables(problem: Problem, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -179,11 +192,13 @@ def tables(problem: Problem, first: int, count: int) -> tuple[np.ndarray, np.nda
     lane = dr.arange(mi.UInt32, count * rows)
     texel, row = dr.opaque(mi.UInt32, first) + lane // rows, lane % rows
     base, columns = mi.Float64(0), []
-    for low, offsets in _row_energies(problem, texel, row):
+    for low, offsets in _row_energies(
+        problem, _spectra(problem, texel), _power(problem, texel), row
+    ):
         base = base + low
         columns += offsets
     if problem.prior is not None:
-        base += mi.Float64(dr.gather(mi.Float, problem.prior[0], row))
+        base += dr.gather(mi.Float64, problem.prior[0], row)
     dr.eval(base, columns)
     smallest = np.broadcast_to(base.numpy(), count * rows).reshape(count, rows)
     offsets_table = np.stack([np.broadcast_to(c.numpy(), count * rows) for c in columns], axis=-1)

@@ -9,8 +9,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.brdf.principled import alpha_from_roughness
+from svu_mi.brdf.principled import alpha_from_roughness, unbounded_alpha
 from svu_mi.errors import OptionError, ShapeError
+from svu_mi.frequency import arrays
 from svu_mi.options import Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.posterior import kernel
@@ -87,20 +88,18 @@ def spectrum_posterior(
 
 def _spectrum(name: str, values: Any) -> Any:
     """Check a spectrum and return it as an evaluated TensorXf."""
-    tensor = values
-    if not isinstance(values, mi.TensorXf):
-        tensor = mi.TensorXf(np.ascontiguousarray(np.array(values), np.float32))
-    if len(tensor.shape) != 3 or tensor.shape[1] < 2:
+    axes = ("texels", "l* + 1", "channels")
+    tensor = arrays.tensor(values, "spectrum_posterior()", name, axes, copy=True)
+    if tensor.shape[1] < 2 or tensor.shape[2] < 1:
         raise ShapeError(
-            f"spectrum_posterior(): {name} must be (texels, l* + 1, channels) with l* >= 1, "
-            f"got {tuple(tensor.shape)}."
+            f"spectrum_posterior(): {name} needs l* >= 1 and a channel, got shape "
+            f"{tuple(tensor.shape)}."
         )
     if tensor.shape[0] and not dr.all((tensor.array >= 0) & dr.isfinite(tensor.array)):
         bad = np.array(tensor)
         texel = int(np.argwhere(~(np.isfinite(bad) & (bad >= 0)))[0][0])
         raise OptionError(
-            f"spectrum_posterior(): the {name} spectrum of texel {texel} is negative or not "
-            "finite."
+            f"spectrum_posterior(): the {name} spectrum of texel {texel} is negative or not finite."
         )
     return tensor
 
@@ -113,7 +112,9 @@ def _groups(switches: Preset, channels: int) -> tuple[tuple[int, ...], ...]:
 
 def _decay(switches: Preset, grid: ParameterGrid, degree: int, prefilter: float) -> np.ndarray:
     """(R, l*) factors exp(-2 (alpha l)^2) of each roughness, l = 1 ... l* (Eq. 11)."""
-    alpha = alpha_from_roughness(grid.roughness_nodes)
+    # The paper has no lower bound of alpha; Mitsuba's BSDF has.
+    plain = switches.name == "paper"
+    alpha = (unbounded_alpha if plain else alpha_from_roughness)(grid.roughness_nodes)
     width = alpha**2
     if switches.undo_prefilter:
         width = np.maximum(width - prefilter**2, 0)
@@ -121,9 +122,7 @@ def _decay(switches: Preset, grid: ParameterGrid, degree: int, prefilter: float)
     return np.exp(-2 * width[:, None] * l**2)
 
 
-def _sigma(
-    switches: Preset, problem: kernel.Problem, count: int, group: tuple[int, ...]
-) -> Any:
+def _sigma(switches: Preset, problem: kernel.Problem, count: int, group: tuple[int, ...]) -> Any:
     """Standard deviation of a degree's power for a group of channels, (T,) Float64.
 
     Relative to what was observed, degree 0 included, so that exposure cancels. A texel that
@@ -181,9 +180,9 @@ def _prior(prior: Any | None, grid: ParameterGrid) -> tuple[Any, Any] | None:
     with np.errstate(divide="ignore"):
         given = np.where(rough[:, None] > 0, weights / np.maximum(rough[:, None], 1e-300), 1.0)
         # An impossible cell is far away, not infinitely far: infinity times 0 is NaN.
-        log_rough = np.minimum(-np.log(rough / rough.sum()), kernel.FAR)
-        log_given = np.minimum(-np.log(given), kernel.FAR)
-    return mi.Float(log_rough.astype(np.float32)), mi.Float(log_given.astype(np.float32).ravel())
+        log_rough = np.minimum(-np.log(rough / rough.sum()), kernel.IMPOSSIBLE)
+        log_given = np.minimum(-np.log(given), kernel.IMPOSSIBLE)
+    return mi.Float64(log_rough), mi.Float64(log_given.ravel())
 
 
 def _most_certain_channel(posterior: Posterior) -> Posterior:
