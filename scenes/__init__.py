@@ -1,0 +1,29 @@
+"""Small Mitsuba scenes with assets of our own making (see ``make_assets.py``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from svu_mi.errors import OptionError
+
+NAMES = ("planes", "spheres", "vase", "knot")
+LIGHTS = ("studio", "overcast", "clear", "window")
+FOLDER = Path(__file__).resolve().parent
+
+
+def path(name: str) -> Path:
+    """Return the XML file of a scene.
+
+    Parameters of every scene (``-D key=value``): ``light`` (one of ``LIGHTS``),
+    ``resolution`` (pixels per side), ``spp``, ``max_depth``.
+
+    Args:
+        name: one of ``NAMES``, or ``object``: any mesh with textures, in ``-D object=FOLDER``,
+            under any lat-long image, ``-D environment=FILE``.
+
+    Raises:
+        OptionError: an unknown name.
+    """
+    if name not in (*NAMES, "object"):
+        raise OptionError(f"There is no scene {name!r}; there are {', '.join(NAMES)} and object.")
+    return FOLDER / name / f"{name}.xml"

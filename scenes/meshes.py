@@ -1,0 +1,134 @@
+"""The meshes of the scenes: +Y up, centred, about one unit in radius.
+
+Each is a tuple (positions (N, 3), faces (F, 3), uvs (N, 2)) with float64 values; UVs are
+Mitsuba's (v = 0 is row 0 of a bitmap) and stay MARGIN away from the borders of their chart.
+Faces wind counter-clockwise seen from outside.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+MARGIN = 0.012  # of the map: 3 texels at 256
+
+Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def grid_faces(columns: int, rows: int) -> np.ndarray:
+    """Two triangles per cell of a (rows + 1) x (columns + 1) grid of vertices."""
+    i, j = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    a = (i * (columns + 1) + j).ravel()
+    b, c, d = a + 1, a + columns + 1, a + columns + 2
+    return np.concatenate([np.stack([a, c, b], -1), np.stack([b, c, d], -1)])
+
+
+def join(meshes: list[Mesh]) -> Mesh:
+    """Put several meshes into one."""
+    starts = np.cumsum([0] + [len(positions) for positions, _, _ in meshes[:-1]])
+    return (
+        np.concatenate([m[0] for m in meshes]),
+        np.concatenate([m[1] + start for m, start in zip(meshes, starts, strict=True)]),
+        np.concatenate([m[2] for m in meshes]),
+    )
+
+
+def sheet(
+    surface: np.ndarray, low: tuple[float, float], high: tuple[float, float]
+) -> Mesh:
+    """Turn a (rows + 1, columns + 1, 3) grid of points into a mesh with one chart.
+
+    Rows run down the chart, columns to the right; ``low`` and ``high`` are its corners.
+    """
+    rows, columns = surface.shape[0] - 1, surface.shape[1] - 1
+    u = np.linspace(low[0] + MARGIN, high[0] - MARGIN, columns + 1)
+    v = np.linspace(low[1] + MARGIN, high[1] - MARGIN, rows + 1)
+    uv = np.stack(np.meshgrid(u, v), axis=-1)
+    faces = grid_faces(columns, rows)
+    points = surface.reshape(-1, 3)
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return points, faces[area > 1e-12], uv.reshape(-1, 2)
+
+
+def planes() -> Mesh:
+    """Two upright squares side by side, facing +Z; charts in the left and right half."""
+    x = np.linspace(-0.95, -0.05, 17)
+    y = np.linspace(0.45, -0.45, 17)
+    left = np.stack([*np.meshgrid(x, y), np.zeros((17, 17))], axis=-1)
+    return join([
+        sheet(left, (0, 0), (0.5, 1)),
+        sheet(left + [1.0, 0, 0], (0.5, 0), (1, 1)),
+    ])  # fmt: skip
+
+
+def revolve(profile: np.ndarray, columns: int) -> np.ndarray:
+    """Revolve (rows + 1, 2) points (radius, height), listed from the top, around +Y."""
+    angle = np.linspace(0, 2 * np.pi, columns + 1)
+    radius, height = profile[:, :1], profile[:, 1:]
+    y = np.broadcast_to(height, (len(profile), columns + 1))
+    return np.stack([radius * np.sin(angle), y, radius * np.cos(angle)], axis=-1)
+
+
+def spheres() -> Mesh:
+    """Four columns by two rows of spheres; one lat-long chart each, two side by side."""
+    theta = np.linspace(0, np.pi, 25)
+    ball = revolve(0.23 * np.stack([np.sin(theta), np.cos(theta)], axis=-1), 48)
+    parts = []
+    for row in range(2):
+        for column in range(4):
+            index = row * 4 + column
+            center = np.array([0.5 * (column - 1.5), 0.25 - 0.5 * row, 0.0])
+            low = (0.5 * (index % 2), 0.25 * (index // 2))
+            parts.append(sheet(ball + center, low, (low[0] + 0.5, low[1] + 0.25)))
+    return join(parts)
+
+
+def vase() -> Mesh:
+    """A vase with a foot, a belly, a neck and an open mouth that one can look into."""
+    # From the inside's bottom up its wall, over the lip, and down the outside.
+    control = np.array([
+        [0.00, -0.62], [0.30, -0.60], [0.44, -0.30], [0.36, 0.10], [0.20, 0.45], [0.19, 0.66],
+        [0.27, 0.86], [0.31, 0.90], [0.32, 0.86], [0.24, 0.66], [0.25, 0.45], [0.42, 0.10],
+        [0.52, -0.30], [0.42, -0.66], [0.26, -0.80], [0.33, -0.90], [0.22, -0.92], [0.00, -0.90],
+    ])  # fmt: skip
+    return sheet(revolve(_smooth(control, 8), 96), (0, 0), (1, 1))
+
+
+def knot() -> Mesh:
+    """A tube along a (2, 3) torus knot; it hides parts of itself from every side."""
+    t = np.linspace(0, 2 * np.pi, 257)
+    center = np.stack(
+        [
+            (2 + np.cos(3 * t)) * np.cos(2 * t),
+            (2 + np.cos(3 * t)) * np.sin(2 * t),
+            1.4 * np.sin(3 * t),
+        ],
+        axis=-1,
+    ) * 0.27
+    tangent = (np.roll(center[:-1], -1, 0) - np.roll(center[:-1], 1, 0))
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    # A frame from a fixed direction does not twist where it closes.
+    outward = center[:-1] - (center[:-1] @ np.diag([0, 0, 1.0]))
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    normal = outward - (outward * tangent).sum(1, keepdims=True) * tangent
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    side = np.cross(tangent, normal)
+    angle = np.linspace(0, 2 * np.pi, 25)
+    ring = np.cos(angle)[:, None, None] * normal + np.sin(angle)[:, None, None] * side
+    tube = center[:-1] + 0.17 * ring
+    return sheet(np.concatenate([tube, tube[:, :1]], axis=1), (0, 0), (1, 1))
+
+
+def _smooth(control: np.ndarray, steps: int) -> np.ndarray:
+    """Catmull-Rom spline through control points, ends repeated."""
+    padded = np.concatenate([control[:1], control, control[-1:]])
+    t = np.arange(steps)[:, None] / steps
+    pieces = []
+    for p, q, r, s in zip(padded, padded[1:], padded[2:], padded[3:], strict=False):
+        pieces.append(
+            0.5 * (2 * q + (r - p) * t + (2 * p - 5 * q + 4 * r - s) * t**2
+                   + (3 * q - p - 3 * r + s) * t**3)
+        )  # fmt: skip
+    curve = np.concatenate([*pieces, control[-1:]])
+    curve[:, 0] = np.maximum(curve[:, 0], 0)
+    return curve
