@@ -1,0 +1,251 @@
+"""Show a per-texel map on the surfaces it belongs to."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.errors import OptionError, SceneError, SvuEnvironmentError
+from svu_mi.exr import read_exr
+
+# Control points at equal steps over [0, 1], sRGB-encoded; between them is interpolated. The
+# first two are matplotlib's maps of these names (CC0), to within 0.007.
+COLORMAPS = {
+    "grey": "000000 ffffff",
+    "viridis": (
+        "440154 470d60 48186a 482374 472d7b 453681 424086 3f4989 3b528b 375a8d 33638d "
+        "2f6a8e 2c728e 297a8e 26818e 23898e 21908c 1f988b 1f9f88 21a685 28ae80 31b57b "
+        "3ebc74 4cc26c 5dc963 6ece58 82d34c 96d83f abdc32 c0df24 d5e21a eae51a fde725"
+    ),
+    "inferno": (
+        "000004 040312 0b0724 150b37 210c4a 2e0a5a 3c0965 4a0c6b 57106d 63146e 70196e "
+        "7d1e6d 89226a 962766 a32b61 af315c bb3755 c63e4d d14644 db4f3b e35932 eb6528 "
+        "f1711e f67f14 f98d0a fb9c06 fcab0f fbba1f f9ca32 f5d949 f2e865 f3f586 fcffa4"
+    ),
+}
+AMBIENT = 0.35  # what is left of the shading where the surface turns away
+
+
+class EntropyIntegrator(mi.SamplingIntegrator):
+    r"""
+    .. _integrator-svu_entropy:
+
+    Map on a surface (:monosp:`svu_entropy`)
+    ----------------------------------------
+
+    .. pluginparameters::
+
+     * - map
+       - |string|
+       - File name of an EXR with the map, laid out by the surface's UVs (the first row is
+         :math:`v = 0`): ``entropy.exr``, ``coverage.exr``, or any other. Read is the channel
+         ``Y``, else the first one; with the colormap ``none``, R, G, B if there are.
+
+     * - texture
+       - |texture|
+       - The map as a nested texture (under any name), in place of ``map``. Bitmaps need
+         ``raw`` set to |true|. |exposed|
+
+     * - filter_type
+       - |string|
+       - ``nearest`` shows the texels of ``map`` as they are, ``bilinear`` interpolates.
+         (Default: ``nearest``)
+
+     * - colormap
+       - |string|
+       - ``viridis``, ``inferno``, ``grey``; or ``none`` to return the map's values, or its
+         colours, unchanged. (Default: ``viridis``)
+
+     * - range_min, range_max
+       - |float|
+       - Values at the two ends of the colormap; values outside take the colour of the nearer
+         end. Ignored without a colormap. (Default: 0 and 1)
+
+     * - shape
+       - |string|
+       - The id of the shape to show the map on. (Default: every shape that has UVs and is
+         not a light)
+
+     * - background
+       - |rgb|
+       - Linear colour of all other pixels, whose alpha is 0. (Default: 0)
+
+     * - shading
+       - |bool|
+       - Darken surfaces that turn away from the camera, so that the form can be seen. Values
+         can then no longer be read off the colours exactly. (Default: |false|)
+
+    This integrator shows results of svu_mi, such as the entropy of an object's reflectance,
+    in the scene they were computed in: lights and materials of the scene do not matter.
+    Texels that are NaN show the background. Colours are linear; saved as sRGB (PNG), they
+    are exactly those of the colormap.
+
+    .. warning::
+        This integrator needs an RGB variant of the LLVM, CUDA or Metal backend. Load scenes
+        with ``optimize=False`` if ``shape`` is given: Mitsuba otherwise merges shapes and
+        drops their ids.
+
+    .. tabs::
+        .. code-tab:: xml
+            :name: svu-entropy-integrator
+
+            <integrator type="svu_entropy">
+                <string name="map" value="out/entropy.exr"/>
+                <string name="shape" value="vase"/>
+                <boolean name="shading" value="true"/>
+            </integrator>
+
+        .. code-tab:: python
+
+            'type': 'svu_entropy',
+            'map': 'out/entropy.exr',
+            'shape': 'vase',
+            'shading': True
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        _require_variant()
+        self.colormap = props.get("colormap", "viridis")
+        if self.colormap not in (*COLORMAPS, "none"):
+            raise OptionError(
+                f"svu_entropy: there is no colormap {self.colormap!r}; "
+                f"use {', '.join(COLORMAPS)} or none."
+            )
+        self.low, self.high = props.get("range_min", 0.0), props.get("range_max", 1.0)
+        if not self.low < self.high:
+            raise OptionError(
+                f"svu_entropy: range_min must be below range_max, got {self.low} and {self.high}."
+            )
+        self.shape_id = props.get("shape", "")
+        self.background = mi.ScalarColor3f(props.get("background", mi.ScalarColor3f(0)))
+        self.shading = props.get("shading", False)
+        self.source, self.texture = self._map(props)
+        self.table = None if self.colormap == "none" else _table(self.colormap)
+
+    def _map(self, props: mi.Properties) -> tuple[str, mi.Texture]:
+        """Return the texture to show and a word on where it is from."""
+        filename, filter_type = props.get("map", ""), props.get("filter_type", "nearest")
+        if filter_type not in ("nearest", "bilinear"):
+            raise OptionError(
+                f"svu_entropy: filter_type must be nearest or bilinear, got {filter_type!r}."
+            )
+        nested = [child for _, child in props.objects() if isinstance(child, mi.Texture)]
+        if len(nested) + bool(filename) != 1:
+            raise OptionError(
+                "svu_entropy: needs one map: the file name 'map', or one nested texture."
+            )
+        if nested:
+            return "nested texture", nested[0]
+        return filename, _load(filename, filter_type, self.colormap == "none")
+
+    def sample(
+        self,
+        scene: mi.Scene,
+        sampler: mi.Sampler,
+        ray: mi.RayDifferential3f,
+        medium: mi.Medium | None = None,
+        active: bool | mi.Bool = True,
+    ) -> tuple[mi.Color3f, mi.Bool, list[mi.Float]]:
+        """Return the map's colour where the ray meets a chosen shape, else the background."""
+        del sampler, medium  # one look, straight along the ray
+        si = scene.ray_intersect(ray, active)
+        shown = si.is_valid() & self._chosen(scene, si.shape)
+        if self.table is None:
+            color = self.texture.eval(si, shown)
+            shown &= dr.all(dr.isfinite(color))
+        else:
+            value = self.texture.eval_1(si, shown)
+            shown &= dr.isfinite(value)
+            color = self._color(value, shown)
+        if self.shading:
+            cosine = dr.abs(dr.dot(si.sh_frame.n, ray.d))
+            color *= dr.lerp(AMBIENT, 1, cosine)
+        return dr.select(shown, color, mi.Color3f(self.background)), shown, []
+
+    def _chosen(self, scene: mi.Scene, shape: mi.ShapePtr) -> mi.Bool:
+        """Return whether a ray met a shape that the map is shown on."""
+        shapes = scene.shapes()
+        if self.shape_id:
+            targets = [s for s in shapes if s.id() == self.shape_id]
+            if not targets:
+                raise SceneError(
+                    f"svu_entropy: the scene has no shape '{self.shape_id}'; it has "
+                    f"{', '.join(repr(s.id()) for s in shapes) or 'none'}. Was it loaded with "
+                    "optimize=False?"
+                )
+            return dr.any([shape == mi.ShapePtr(s) for s in targets])
+        others = [s for s in shapes if s.is_emitter() or not _has_uvs(s)]
+        return ~dr.any([shape == mi.ShapePtr(s) for s in others]) if others else mi.Bool(True)
+
+    def _color(self, value: mi.Float, active: mi.Bool) -> mi.Color3f:
+        """Look a value up in the colormap; returns linear RGB."""
+        steps = dr.width(self.table) // 3 - 1
+        t = dr.clip((value - self.low) / (self.high - self.low), 0, 1)
+        t = dr.select(active, t, 0) * steps  # NaN is no index
+        first = dr.minimum(mi.UInt32(t), steps - 1)
+        below, above = (dr.gather(mi.Color3f, self.table, first + k, active) for k in (0, 1))
+        encoded = dr.lerp(below, above, t - first)
+        # The inverse of the sRGB transfer function (IEC 61966-2-1).
+        curve = dr.power((encoded + 0.055) / 1.055, 2.4)
+        return dr.select(encoded <= 0.04045, encoded / 12.92, curve)
+
+    def aov_names(self) -> list[str]:
+        """Return no names: there is only the colour."""
+        return []
+
+    def traverse(self, cb: mi.TraversalCallback) -> None:
+        """Expose the map, so that it can be exchanged for another of the same kind."""
+        cb.put("texture", self.texture, mi.ParamFlags.NonDifferentiable)
+
+    def to_string(self) -> str:
+        """Return the settings."""
+        return (
+            "EntropyIntegrator[\n"
+            f"  map = {self.source},\n"
+            f"  colormap = {self.colormap},\n"
+            f"  range = [{self.low}, {self.high}],\n"
+            f"  shape = {self.shape_id or 'every shape with UVs'},\n"
+            f"  shading = {self.shading}\n"
+            "]"
+        )
+
+
+def _require_variant() -> None:
+    if not mi.variant().endswith("_ad_rgb"):
+        raise SvuEnvironmentError(
+            f"svu_entropy: needs a variant such as llvm_ad_rgb, but {mi.variant()} is active."
+        )
+
+
+def _has_uvs(shape: mi.Shape) -> bool:
+    return not shape.is_mesh() or shape.has_vertex_texcoords()
+
+
+def _load(filename: str, filter_type: str, colors: bool) -> mi.Texture:
+    """Read a map as a texture; relative names are looked up where the scene is."""
+    channels = read_exr(str(mi.file_resolver().resolve(filename)))
+    if colors and all(name in channels for name in "RGB"):
+        image = np.stack([channels[name] for name in "RGB"], axis=-1)
+    else:
+        image = channels.get("Y", next(iter(channels.values())))[..., None]
+    return mi.load_dict(
+        {
+            "type": "bitmap",
+            "bitmap": mi.Bitmap(np.ascontiguousarray(image)),
+            "raw": True,
+            "filter_type": filter_type,
+            "wrap_mode": "clamp",
+        },
+        parallel=False,  # a scene that is itself being loaded in parallel may be waiting
+    )
+
+
+def _table(name: str) -> mi.Float:
+    """Return the control points of a colormap as flat sRGB-encoded values in [0, 1]."""
+    code = bytes.fromhex(COLORMAPS[name])
+    return mi.Float(np.frombuffer(code, np.uint8).astype(np.float32) / 255)
+
+
+mi.register_integrator("svu_entropy", lambda props: EntropyIntegrator(props))
