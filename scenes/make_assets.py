@@ -68,7 +68,9 @@ def sensors_xml(positions: np.ndarray, front_only: bool) -> str:
             f'    <transform name="to_world">\n'
             f'      <lookat origin="{origin}" target="{target}" up="{up}"/>\n'
             f"    </transform>\n"
-            f'    <sampler type="independent"><integer name="sample_count" value="$spp"/></sampler>\n'
+            f'    <sampler type="independent">\n'
+            f'      <integer name="sample_count" value="$spp"/>\n'
+            f"    </sampler>\n"
             f'    <film type="hdrfilm">\n'
             f'      <integer name="width" value="$resolution"/>\n'
             f'      <integer name="height" value="$resolution"/>\n'

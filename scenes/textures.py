@@ -46,7 +46,8 @@ def planes() -> Material:
     """Left half matte, right half glossy, the same colour and metallic."""
     u, _ = coordinates()
     one = np.ones_like(u)
-    return paint([(one, (0.6, 0.42, 0.25), 0.9, 1.0), ((u > 0.5) * one, (0.6, 0.42, 0.25), 0.15, 1.0)])
+    copper = (0.6, 0.42, 0.25)
+    return paint([(one, copper, 0.9, 1.0), ((u > 0.5) * one, copper, 0.15, 1.0)])
 
 
 def spheres() -> Material:
