@@ -184,6 +184,17 @@ def test_newest_of_a_folder_comes_first_and_other_libraries_are_not_confused(tmp
     assert found == ["libLLVM.so.19.1", "libLLVM-15.so.1", "libLLVM-9.so", "libLLVM.so"]
 
 
+def test_wheel_is_found_where_its_record_says(machine, tmp_path):
+    """As after ``pip install --user``: two folders above site-packages, not in sys.prefix."""
+    site = tmp_path / "lib" / "python3.11" / "site-packages"
+    info = site / "karellen_llvm_core-23.1.4.post8.dist-info"
+    info.mkdir(parents=True)
+    (info / "RECORD").write_text("../../libLLVM.so.23.1,sha256=0,1\nother.py,,\n")
+    mine = library(tmp_path / "lib", "23.1")
+    machine.setattr(sys, "path", [str(tmp_path / "absent"), str(site)])
+    assert _llvm.newest_first("wheel", _llvm._wheel_folders()) == [("wheel", mine)]
+
+
 @pytest.mark.parametrize(
     ("path", "version"),
     [
