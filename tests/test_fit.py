@@ -1,0 +1,266 @@
+"""Eq. 12 against a double precision solve, and what must not change its result."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracle import frequency as oracle
+
+from svu_mi.errors import OptionError, ShapeError
+from svu_mi.frequency import fit_lanes, fit_sh, power_spectrum, solver_groups
+
+LAMBDA = 1e-3
+METHODS = ["primal", "dual"]
+
+
+def unit_vectors(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    d = rng.normal(size=(*shape, 3))
+    return d / np.linalg.norm(d, axis=-1, keepdims=True)
+
+
+def placed(rng: np.random.Generator, kind: str, texels: int, views: int) -> np.ndarray:
+    """View directions (T, V, 3) float32 around +z."""
+    d = rng.normal(size=(texels, views, 3))
+    d[..., 2] = np.abs(d[..., 2])
+    if kind == "grazing":
+        d[..., 2] *= 1e-3
+    elif kind == "duplicated":
+        d[:] = d[:, :1]
+    elif kind == "collinear":  # on one great circle
+        d[..., :2] = d[:, :1, :2]
+    return (d / np.linalg.norm(d, axis=-1, keepdims=True)).astype(np.float32)
+
+
+def samples(
+    rng: np.random.Generator, texels: int, views: int, channels: int, *,
+    kind: str = "hemisphere", visible: float = 1.0,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Directions, weights (cosine, or 0) and noisy positive values, float32."""
+    d = placed(rng, kind, texels, views)
+    seen = rng.random((texels, views)) < visible
+    seen[:, 0] = True
+    f = np.exp(rng.normal(size=(texels, views, channels)))
+    return d, np.where(seen, d[..., 2], 0).astype(np.float32), f.astype(np.float32)
+
+
+def spectrum_error(got: np.ndarray, truth: np.ndarray) -> float:
+    """Largest error of a degree over the largest degree of its texel and channel."""
+    got, truth = oracle.power(np.asarray(got, np.float64)), oracle.power(truth)
+    return float((np.abs(got - truth) / truth.max(axis=1, keepdims=True)).max())
+
+
+CASES = [
+    ("hemisphere", 1, 8), ("hemisphere", 7, 6), ("hemisphere", 40, 2), ("hemisphere", 60, 6),
+    ("hemisphere", 200, 8), ("grazing", 3, 1), ("grazing", 30, 6), ("grazing", 200, 4),
+    ("duplicated", 2, 6), ("duplicated", 100, 5), ("collinear", 20, 8), ("collinear", 200, 4),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("kind, views, lmax", CASES)
+def test_spectra_agree_with_a_double_precision_solve(kind, views, lmax, method):
+    """The method needs 1e-3 of the largest degree; rounding of the output alone is 2e-7."""
+    rng = np.random.default_rng(737154091 + views)
+    d, w, f = samples(rng, 9, views, 3, kind=kind, visible=0.7)
+    for preset, penalized in (("default", False), ("paper", True)):
+        truth = oracle.fit(d, w, f, lmax, LAMBDA, penalized)
+        got = fit_sh(d, w, f, lmax, LAMBDA, preset, method)
+        assert got.shape == truth.shape
+        assert spectrum_error(got, truth) < 1e-6, preset
+
+
+@pytest.mark.parametrize("lmax", [0, 9])
+def test_lowest_and_highest_degree_can_be_fitted(lmax):
+    """Signs of the basis included: coefficients are compared, not powers."""
+    d, w, f = samples(np.random.default_rng(96284512), 5, 60, 2)
+    truth = oracle.fit(d, w, f, lmax, LAMBDA, False)
+    np.testing.assert_allclose(
+        np.array(fit_sh(d, w, f, lmax)), truth, atol=1e-6 * np.abs(truth).max()
+    )
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_primal_and_dual_are_the_same_solution(preset):
+    """Both in double precision inside; what is left is the rounding of the output."""
+    d, w, f = samples(np.random.default_rng(18803), 300, 45, 6, visible=0.4)
+    primal = np.array(fit_sh(d, w, f, preset=preset, method="primal"))
+    dual = np.array(fit_sh(d, w, f, preset=preset, method="dual"))
+    np.testing.assert_allclose(dual, primal, atol=5e-7 * np.abs(primal).max())
+
+
+def test_neighbours_that_see_different_views_do_not_disturb_each_other():
+    """Lanes of one packet hold different numbers of samples, none included."""
+    rng = np.random.default_rng(4404823)
+    d, w, f = samples(rng, 70, 24, 2)
+    w *= rng.random((70, 1)) > rng.random((70, 24))
+    w[::9] = 0
+    truth = oracle.fit(d, w, f, 4, LAMBDA, False)
+    for method in ("auto", *METHODS):
+        got = np.array(fit_sh(d, w, f, 4, method=method))
+        np.testing.assert_allclose(got, truth, atol=1e-6 * np.abs(truth).max(), err_msg=method)
+        assert not got[::9].any(), "a texel nobody sees has no signal"
+
+
+def test_auto_chooses_the_primal_for_many_views_and_agrees():
+    d, w, f = samples(np.random.default_rng(71120935), 40, 60, 1)
+    w[:20, 3:] = 0
+    chosen = {g.method: dr.width(g.selection) for g in solver_groups((w > 0).sum(axis=1), 2)}
+    assert chosen == {"dual": 20, "primal": 20}
+    truth = oracle.fit(d, w, f, 2, LAMBDA, False)
+    assert spectrum_error(fit_sh(d, w, f, 2), truth) < 1e-6
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_order_of_the_views_does_not_matter(method):
+    rng = np.random.default_rng(550912)
+    d, w, f = samples(rng, 20, 33, 3, visible=0.6)
+    order = rng.permutation(33)
+    before = np.array(fit_sh(d, w, f, method=method))
+    after = np.array(fit_sh(d[:, order], w[:, order], f[:, order], method=method))
+    np.testing.assert_allclose(after, before, atol=5e-7 * np.abs(before).max())
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_views_that_see_nothing_change_nothing(method):
+    """Whatever they carry, NaN included: only a weight of 0 counts."""
+    rng = np.random.default_rng(30331)
+    d, w, f = samples(rng, 20, 12, 3)
+    nan = np.full((20, 5, 3), np.nan, np.float32)
+    before = np.array(fit_sh(d, w, f, method=method))
+    after = np.array(
+        fit_sh(
+            np.concatenate([nan, d], axis=1),
+            np.concatenate([np.zeros((20, 5), np.float32), w], axis=1),
+            np.concatenate([nan, f], axis=1),
+            method=method,
+        )
+    )
+    np.testing.assert_array_equal(after, before)
+
+
+def test_fit_is_linear_in_the_values_and_scales_with_exposure():
+    """A power of two scales every rounding step alike."""
+    d, w, f = samples(np.random.default_rng(62011), 10, 20, 3)
+    np.testing.assert_array_equal(np.array(fit_sh(d, w, 4 * f)), 4 * np.array(fit_sh(d, w, f)))
+
+
+def test_a_diffuse_texel_has_no_power_above_degree_0_by_default():
+    d, w, _ = samples(np.random.default_rng(771029), 8, 30, 1)
+    c = np.array(fit_sh(d, w, np.ones((8, 30, 1), np.float32)))
+    np.testing.assert_allclose(c[:, 0], np.sqrt(4 * np.pi), rtol=1e-6)
+    assert np.abs(c[:, 1:]).max() < 1e-5  # the dielectric that must show has 0.04 of the light
+
+
+def test_a_diffuse_texel_leaks_in_paper():
+    """R_00 = 1 takes a sixth of the constant: 30 views of B = 1 give 2.95 in place of 3.545."""
+    d, w, _ = samples(np.random.default_rng(771029), 64, 30, 1)
+    c = np.array(fit_sh(d, w, np.ones((64, 30, 1), np.float32), preset="paper"))
+    assert abs(c[:, 0].mean() - 2.95) < 0.1
+    assert 0.2 < (c[:, 1:] ** 2).sum(axis=1).mean() < 0.6  # 0.405 in one draw of views
+
+
+def test_preset_may_be_a_record_and_changes_only_the_constant():
+    from svu_mi.options import preset
+
+    d, w, f = samples(np.random.default_rng(830), 3, 9, 1)
+    ours = np.array(fit_sh(d, w, f, preset=preset("default", penalize_constant=True)))
+    np.testing.assert_array_equal(ours, np.array(fit_sh(d, w, f, preset="paper")))
+
+
+def test_any_precision_memory_order_and_tensors_are_taken():
+    d, w, f = samples(np.random.default_rng(90213), 6, 11, 3)
+    expected = np.array(fit_sh(d, w, f))
+    double = [np.asfortranarray(x.astype(np.float64)) for x in (d, w, f)]
+    padded = np.repeat(f, 2, axis=2)[:, :, ::2]
+    np.testing.assert_array_equal(np.array(fit_sh(*double)), expected)
+    np.testing.assert_array_equal(np.array(fit_sh(d, w, padded)), expected)
+    tensors = [mi.TensorXf(x) for x in (d, w, f)]
+    np.testing.assert_array_equal(np.array(fit_sh(*tensors)), expected)
+
+
+@pytest.mark.parametrize("texels, views", [(0, 4), (4, 0), (1, 1)])
+def test_empty_and_single_inputs_work(texels, views):
+    d = np.tile([0.0, 0.0, 1.0], (texels, views, 1))
+    c = fit_sh(d, np.ones((texels, views)), np.ones((texels, views, 2)), 3)
+    assert c.shape == (texels, 16, 2)
+    assert power_spectrum(c).shape == (texels, 4, 2)
+
+
+def test_other_data_needs_no_compilation():
+    """Sizes, values and lambda are data of the kernel, not code."""
+    rng = np.random.default_rng(5551)
+    fit_sh(*samples(rng, 30, 20, 3), 3)
+    dr.kernel_history_clear()
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        fit_sh(*samples(rng, 57, 26, 3), 3, 2e-2)
+        history = dr.kernel_history()
+    kernels = [k for k in history if k["type"] == dr.KernelType.JIT]
+    assert kernels
+    assert all(k["cache_hit"] for k in kernels)
+
+
+def test_more_views_than_the_capacity_are_dropped_not_written_elsewhere():
+    d, w, f = samples(np.random.default_rng(16180), 40, 30, 1)
+    flat = [mi.Float(x.ravel()) for x in (d, w, f)]
+    views, texel = dr.opaque(mi.UInt32, 30), dr.arange(mi.UInt32, 40)
+
+    def sample(view):
+        i = texel * views + view
+        xyz = [dr.gather(mi.Float, flat[0], i * 3 + k) for k in range(3)]
+        return mi.Vector3f(*xyz), dr.gather(mi.Float, flat[1], i), [dr.gather(mi.Float, flat[2], i)]
+
+    c = fit_lanes(sample, views, degree=2, channels=1, regularizer=LAMBDA,
+                  penalize_constant=False, method="dual", capacity=8)  # fmt: skip
+    got = np.stack([row[0].numpy() for row in c], axis=1)[..., None]
+    truth = oracle.fit(d[:, :8], w[:, :8], f[:, :8], 2, LAMBDA, False)
+    np.testing.assert_allclose(got, truth, atol=1e-6 * np.abs(truth).max())
+
+
+def good() -> dict[str, np.ndarray]:
+    d, w, f = samples(np.random.default_rng(27720), 4, 5, 2)
+    return {"directions": d, "weights": w, "values": f}
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"directions": np.zeros((4, 5))}, r"directions must have shape \(4, 5, 3\)"),
+        ({"values": np.zeros((4, 6, 2))}, r"values must have shape \(4, 5, C\)"),
+        ({"weights": np.zeros(4)}, r"weights must have shape \(T, V\)"),
+        ({"weights": [["a"]]}, "not an array of numbers"),
+    ],
+)
+def test_wrong_shapes_are_named(change, message):
+    with pytest.raises(ShapeError, match=message):
+        fit_sh(**(good() | change))
+
+
+@pytest.mark.parametrize(
+    "name, bad",
+    [("weights", np.nan), ("weights", -1), ("values", np.inf), ("values", np.nan),
+     ("directions", np.nan), ("directions", 2)],
+)  # fmt: skip
+def test_an_unusable_sample_is_named(name, bad):
+    inputs = good()
+    inputs[name][2, 3] = bad
+    with pytest.raises(OptionError, match="texel 2, view 3"):
+        fit_sh(**inputs)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"lmax": 10}, {"lmax": -1}, {"lmax": 2.5}, {"regularizer": 0}, {"method": "qr"},
+     {"preset": "papre"}, {"regularizer": float("nan")}],
+)  # fmt: skip
+def test_options_outside_their_range_are_refused(options):
+    with pytest.raises(OptionError):
+        fit_sh(**good(), **options)
+
+
+def test_the_dual_says_when_there_are_too_many_views():
+    d, w, f = samples(np.random.default_rng(6022), 2, 300, 1)
+    with pytest.raises(OptionError, match='sees 300 views.*method="auto"'):
+        fit_sh(d, w, f, method="dual")
+    assert spectrum_error(fit_sh(d, w, f), oracle.fit(d, w, f, 6, LAMBDA, False)) < 1e-6

@@ -1,0 +1,381 @@
+"""Eq. 3, 5 and 11 against brute force, and what a posterior must obey."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from oracle import posterior as oracle
+
+from svu_mi.errors import OptionError, ShapeError
+from svu_mi.options import preset
+from svu_mi.posterior import ParameterGrid, spectrum_posterior
+
+L = 6
+GRID = ParameterGrid(roughness=5, specular=4)
+RULES = [
+    preset("paper"),
+    preset("paper", channels="joint"),
+    preset("default"),
+    preset("default", channels="sum"),
+    preset("default", channels="minimum"),
+    preset("default", noise="marginal"),
+]
+
+
+def spectra(rng: np.random.Generator, texels: int, channels: int = 3) -> tuple:
+    """Incoming spectra, and what a random metal makes of them with 5% noise, float32."""
+    l = np.arange(L + 1)[:, None]
+    S_L = rng.exponential(size=(texels, L + 1, channels)) * 10 * np.exp(-0.5 * l)
+    alpha, Ks = rng.random((texels, 1, 1)) ** 2, rng.random((texels, 1, channels))
+    S_B = S_L * Ks**2 * np.exp(-2 * (alpha * l) ** 2)
+    S_B *= np.exp(0.05 * rng.normal(size=S_B.shape))
+    return S_L.astype(np.float32), S_B.astype(np.float32)
+
+
+def brute_force(S_L, S_B, switches, grid, prior=1.0, samples=None, prefilter=0.0):
+    """Probabilities of one texel (L + 1, C), cell by cell."""
+    S_L, S_B = S_L.astype(np.float64), S_B.astype(np.float64)
+    paper, channels = switches.name == "paper", S_L.shape[1]
+    rough, Ks = oracle.nodes(grid.roughness, grid.specular, grid.spacing or switches.spacing)
+    alphas = rough**2 if paper else np.maximum(rough**2, 1e-3)
+    prefilter = prefilter if switches.undo_prefilter else 0.0
+    d = [oracle.distances(S_L[:, c], S_B[:, c], alphas, Ks, prefilter) for c in range(channels)]
+    power = [oracle.observed_power(S_L[:, c], S_B[:, c]) for c in range(channels)]
+
+    def energy(distance, scale):
+        sigma = switches.sigma if switches.noise == "fixed" else switches.sigma * scale
+        if switches.noise == "marginal":
+            return 0.5 * max(samples - 2, 1) * np.log(distance / sigma**2 + 1)
+        return distance / (2 * sigma**2)
+
+    if switches.channels == "sum":
+        return oracle.normalize(energy(sum(d), np.sqrt(np.sum(np.square(power)))), prior)
+    single = [energy(d[c], power[c]) for c in range(channels)]
+    if switches.channels == "minimum":
+        alone = [oracle.normalize(x, prior) for x in single]
+        return min(alone, key=oracle.entropy)
+    joint = np.zeros((len(rough), *(len(Ks),) * channels))
+    weight = np.ones_like(joint)
+    prior = np.broadcast_to(prior, (len(rough), len(Ks)))
+    rows = prior.sum(axis=1)
+    for cell in itertools.product(*(range(n) for n in joint.shape)):
+        r, columns = cell[0], cell[1:]
+        joint[cell] = sum(single[c][r, s] for c, s in enumerate(columns))
+        # The prior of a row, times that of each channel's Ks given the row.
+        given_row = [prior[r, s] / rows[r] if rows[r] else 0 for s in columns]
+        weight[cell] = rows[r] * np.prod(given_row)
+    return oracle.normalize(joint, weight)
+
+
+@pytest.mark.parametrize("with_prior", [False, True])
+@pytest.mark.parametrize("switches", RULES, ids=lambda s: f"{s.name}-{s.channels}-{s.noise}")
+def test_every_rule_agrees_with_brute_force(switches, with_prior):
+    rng = np.random.default_rng(20250)
+    S_L, S_B = spectra(rng, 12)
+    prior = rng.random((5, 4)) * (rng.random((5, 4)) > 0.3) if with_prior else None
+    counts = rng.integers(1, 60, 12)
+    posterior = spectrum_posterior(
+        S_L, S_B, GRID, preset=switches, prior=prior, samples=counts, prefilter=0.3
+    )
+    p, H = np.array(posterior.probabilities), np.array(posterior.entropy())
+    for t in range(12):
+        truth = brute_force(
+            S_L[t], S_B[t], switches, GRID, 1.0 if prior is None else prior, counts[t], 0.3
+        )
+        np.testing.assert_allclose(p[t], truth, atol=2e-6)  # float32 exponentials
+        assert abs(H[t] - oracle.entropy(truth)) < 1e-6
+
+
+@pytest.mark.parametrize("sigma", [1e-6, 1e-4, 1e-2, 1, 1e2, 1e3])
+@pytest.mark.parametrize("base", ["paper", "default"])
+def test_entropy_is_exact_for_sharp_and_flat_likelihoods(base, sigma):
+    S_L, S_B = spectra(np.random.default_rng(33550336), 60, 1)
+    switches = preset(base, sigma=sigma)
+    H = np.array(spectrum_posterior(S_L, S_B, preset=switches).entropy())
+    grid = ParameterGrid()
+    truth = [oracle.entropy(brute_force(*x, switches, grid)) for x in zip(S_L, S_B, strict=True)]
+    np.testing.assert_allclose(H, truth, atol=1e-6)
+
+
+def test_entropy_is_that_of_the_probabilities():
+    S_L, S_B = spectra(np.random.default_rng(8128), 50)
+    seen = np.random.default_rng(496).random(50) > 0.2
+    for switches in RULES:
+        posterior = spectrum_posterior(
+            S_L, S_B, GRID, preset=switches, observed=seen, samples=np.full(50, 9)
+        )
+        truth = [oracle.entropy(p.astype(np.float64)) for p in np.array(posterior.probabilities)]
+        np.testing.assert_allclose(np.array(posterior.entropy()), truth, atol=2e-6)
+
+
+@pytest.mark.parametrize("noise", ["relative", "marginal"])
+@pytest.mark.parametrize("channels", ["sum", "joint", "minimum"])
+def test_exposure_does_not_matter_by_default(noise, channels):
+    """Radiance times 4 is power times 16; a thousandfold exposure, a millionfold power."""
+    S_L, S_B = spectra(np.random.default_rng(1729), 200)
+    switches = preset("default", noise=noise, channels=channels)
+    before, after, far = (
+        np.array(
+            spectrum_posterior(
+                S_L * s, S_B * s, preset=switches, samples=np.full(200, 20)
+            ).entropy()
+        )
+        for s in np.float32([1, 16, 1e6])
+    )
+    np.testing.assert_allclose(after, before, atol=1e-6)
+    np.testing.assert_allclose(far, before, atol=1e-6)
+
+
+def test_exposure_matters_in_paper():
+    """A fixed sigma is in squared radiance: brighter photographs look more certain."""
+    S_L, S_B = spectra(np.random.default_rng(1729), 200)
+    before = np.array(spectrum_posterior(S_L, S_B, preset="paper").entropy())
+    after = np.array(spectrum_posterior(16 * S_L, 16 * S_B, preset="paper").entropy())
+    assert (before - after).mean() > 0.1
+
+
+spectrum_values = st.one_of(
+    st.sampled_from([0.0, 1.0, 2.0**-100, 2.0**100]),
+    st.floats(0, 2.0**100, width=32),
+    st.floats(0, 10, width=32),
+)
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    arrays(np.float32, (3, 4, 2), elements=spectrum_values),
+    arrays(np.float32, (3, 4, 2), elements=spectrum_values),
+    st.sampled_from(RULES),
+    st.sampled_from([1e-6, 1e-2, 1.0, 1e3]),
+)
+def test_entropy_is_in_0_1_for_any_spectra(S_L, S_B, switches, sigma):
+    posterior = spectrum_posterior(S_L, S_B, GRID, sigma, switches, samples=np.array([0, 1, 500]))
+    H, p = np.array(posterior.entropy()), np.array(posterior.probabilities)
+    assert ((H >= 0) & (H <= 1)).all()
+    assert np.isfinite(p).all()
+    np.testing.assert_allclose(p.reshape(3, -1).sum(axis=1), 1, rtol=1e-5)
+
+
+def test_no_information_is_entropy_1_and_a_sharp_likelihood_near_0():
+    S_L, S_B = spectra(np.random.default_rng(28), 30)
+    flat = np.array(spectrum_posterior(S_L, S_B, None, 1e9, "paper").entropy())
+    sharp = np.array(spectrum_posterior(S_L, S_B, None, 1e-5, "paper").entropy())
+    dark = np.array(spectrum_posterior(0 * S_L, 0 * S_B).entropy())
+    np.testing.assert_allclose(flat, 1, atol=1e-6)
+    np.testing.assert_array_equal(dark, 1)
+    # A texel whose best cell has Ks = 0 cannot know its roughness: log 8 / log 64 at most.
+    assert np.median(sharp) < 1e-3
+    assert sharp.max() < 0.5 + 1e-6
+
+
+def test_a_texel_nobody_saw_has_entropy_exactly_1_and_uniform_probabilities():
+    S_L, S_B = spectra(np.random.default_rng(6), 9)
+    seen = np.arange(9) % 2 == 0
+    for switches in RULES:
+        posterior = spectrum_posterior(
+            S_L, S_B, GRID, preset=switches, observed=mi.Bool(seen), samples=np.full(9, 4)
+        )
+        p = np.array(posterior.probabilities)[~seen]
+        assert (np.array(posterior.entropy())[~seen] == 1).all()
+        np.testing.assert_allclose(p, 1 / p[0].size, rtol=1e-6)
+        np.testing.assert_array_equal(posterior.observed, seen)
+
+
+def test_black_under_light_is_an_observation():
+    """It says that Ks is small; not seen would say nothing."""
+    S_L, _ = spectra(np.random.default_rng(137), 20)
+    H = np.array(spectrum_posterior(S_L, 0 * S_L).entropy())
+    assert H.max() < 0.6
+
+
+def test_prior_moves_the_posterior_and_excludes_cells():
+    S_L, S_B = spectra(np.random.default_rng(2718281), 20)
+    prior = np.zeros(8)
+    prior[3] = 5.0
+    for sigma in (1e-5, 0.1, 1e3):  # however clear the likelihood
+        posterior = spectrum_posterior(S_L, S_B, None, sigma, "paper", prior=prior)
+        rough = np.array(posterior.marginal("roughness"))
+        np.testing.assert_allclose(rough, np.tile(np.eye(8)[3], (20, 1)), atol=1e-7)
+    flat = spectrum_posterior(S_L, S_B, preset="paper", prior=np.full((8, 8), 7.0))
+    plain = spectrum_posterior(S_L, S_B, preset="paper")
+    np.testing.assert_allclose(np.array(flat.entropy()), np.array(plain.entropy()), atol=1e-6)
+
+
+@pytest.mark.parametrize("switches", RULES, ids=lambda s: f"{s.name}-{s.channels}-{s.noise}")
+def test_marginals_are_sums_of_the_probabilities(switches):
+    S_L, S_B = spectra(np.random.default_rng(65537), 15)
+    posterior = spectrum_posterior(S_L, S_B, GRID, preset=switches, samples=np.full(15, 12))
+    p = np.array(posterior.probabilities, np.float64)
+    rough, specular = (np.array(posterior.marginal(n)) for n in ("roughness", "specular"))
+    np.testing.assert_allclose(rough.sum(axis=1), 1, rtol=1e-5)
+    np.testing.assert_allclose(specular.sum(axis=1), 1, rtol=1e-5)
+    np.testing.assert_allclose(rough, p.reshape(15, 5, -1).sum(axis=2), atol=2e-6)
+    for c in range(p.ndim - 2):
+        other = tuple(a for a in range(1, p.ndim) if a != 2 + c)
+        got = specular if p.ndim == 3 else specular[..., c]
+        np.testing.assert_allclose(got, p.sum(axis=other), atol=2e-6)
+    H = np.array(posterior.marginal_entropy("roughness"))
+    truth = [oracle.entropy(q) for q in rough.astype(np.float64)]
+    np.testing.assert_allclose(H, truth, atol=1e-6)
+
+
+@pytest.mark.parametrize("channels", ["sum", "joint", "minimum"])
+def test_map_recovers_the_truth(channels):
+    """Every node but perfectly flat ones, where the spectra carry nothing."""
+    switches = preset("default", channels=channels, sigma=1e-3)
+    rough, Ks = oracle.nodes(8, 8, switches.spacing)
+    l = np.arange(L + 1)
+    S_L = np.tile((5 * np.exp(-0.3 * l)).astype(np.float32)[:, None], (1, 3))
+    cells = list(itertools.product(range(1, 7), range(1, 8)))
+    S_B = np.stack([S_L * oracle.model(np.ones(L + 1), Ks[s], rough[r] ** 2)[:, None]
+                    for r, s in cells])  # fmt: skip
+    best = spectrum_posterior(np.tile(S_L, (len(cells), 1, 1)), S_B, preset=switches).map()
+    truth = np.array([(rough[r], Ks[s]) for r, s in cells])
+    np.testing.assert_allclose(np.array(best["roughness"]), truth[:, 0], atol=1e-6)
+    got = np.array(best["specular"]).reshape(len(cells), -1)
+    np.testing.assert_allclose(got, np.broadcast_to(truth[:, 1:], got.shape), atol=1e-6)
+
+
+def test_prefilter_of_the_light_is_undone_by_default_only():
+    """Light is band-limited, photographs are not: the exponent is alpha^2 - alpha'^2."""
+    rough, Ks = oracle.nodes(8, 8, "dielectric")
+    l = np.arange(L + 1)
+    S_L = 5 * np.exp(-0.3 * l)
+    S_B = oracle.model(S_L, Ks[5], rough[5] ** 2)
+    softened = S_L * np.exp(-2 * (0.4 * l) ** 2)
+    arguments = [x[None, :, None].astype(np.float32) for x in (softened, S_B)]
+    best = spectrum_posterior(*arguments, sigma=1e-3, prefilter=0.4).map()
+    assert np.array(best["roughness"])[0] == pytest.approx(rough[5])
+    ignored = preset("default", undo_prefilter=False)
+    best = spectrum_posterior(*arguments, sigma=1e-3, preset=ignored, prefilter=0.4).map()
+    assert np.array(best["roughness"])[0] < rough[5] - 0.1
+
+
+@pytest.mark.parametrize("channels", ["sum", "joint", "minimum"])
+def test_divergence_is_brute_force_never_negative_and_0_on_itself(channels):
+    rng = np.random.default_rng(877)
+    switches = preset("default", channels=channels, sigma=0.3)
+    a = spectrum_posterior(*spectra(rng, 6), GRID, preset=switches)
+    b = spectrum_posterior(*spectra(rng, 4), GRID, preset=switches)
+    KL = np.array(a.kl(b))
+    p, q = (np.array(x.probabilities, np.float64).reshape(x.count, -1) for x in (a, b))
+    assert KL.shape == (6, 4)
+    assert (KL >= 0).all()
+    for i, j in itertools.product(range(6), range(4)):
+        ratio = np.maximum(p[i], 1e-30) / np.maximum(q[j], 1e-30)  # the documented floor
+        truth = (p[i] * np.log(ratio)).sum()
+        assert KL[i, j] == pytest.approx(truth, rel=1e-3, abs=1e-5)
+    np.testing.assert_allclose(np.diag(np.array(a.kl(a))), 0, atol=1e-6)
+
+
+def test_divergence_of_different_grids_is_refused():
+    S_L, S_B = spectra(np.random.default_rng(5), 2)
+    with pytest.raises(ShapeError, match="grids differ"):
+        spectrum_posterior(S_L, S_B).kl(spectrum_posterior(S_L, S_B, GRID))
+
+
+@pytest.mark.parametrize("base", ["paper", "default"])
+def test_sharp_light_and_strong_reflection_are_certain_as_in_figure_4(base):
+    """Low-frequency light says less about a shiny texel; a weak reflection hides in noise."""
+    l = np.arange(L + 1)
+    sharp, soft = np.full(L + 1, 4.0), 4 * np.exp(-2.0 * l)
+    alpha = 0.3**2
+
+    def H(S_L, Ks):
+        S_B = oracle.model(S_L, Ks, alpha)
+        S_B[0] = S_L[0]  # a diffuse texel: the relative rule's noise is that of all light
+        arguments = [x[None, :, None].astype(np.float32) for x in (S_L, S_B)]
+        return float(np.array(spectrum_posterior(*arguments, preset=base).entropy())[0])
+
+    assert H(sharp, 0.9) < H(soft, 0.9) - 0.1
+    assert H(sharp, 0.9) < H(sharp, 0.2) - 0.1
+    assert H(sharp, 0.2) <= H(soft, 0.2) + 1e-6
+
+
+def test_other_data_needs_no_compilation():
+    rng = np.random.default_rng(1009)
+    dr.eval(spectrum_posterior(*spectra(rng, 40)).entropy())
+    dr.kernel_history_clear()
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.eval(spectrum_posterior(*spectra(rng, 77), sigma=0.07).entropy())
+        history = dr.kernel_history()
+    assert all(k["cache_hit"] for k in history if k["type"] == dr.KernelType.JIT)
+
+
+def test_largest_grid_compiles_without_growing_by_its_rows():
+    S_L, S_B = spectra(np.random.default_rng(101), 4)
+    posterior = spectrum_posterior(S_L, S_B, ParameterGrid(64, 64), preset="paper")
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        dr.eval(posterior.entropy())
+        history = dr.kernel_history()
+    operations = sum(k["operation_count"] for k in history if k["type"] == dr.KernelType.JIT)
+    assert operations < 6000  # one row of 64 cells; unrolled rows would be 64 times that
+
+
+def test_joint_probabilities_that_do_not_fit_name_the_way_out():
+    S_L, S_B = (np.ones((40000, 3, 3), np.float32) for _ in range(2))
+    posterior = spectrum_posterior(S_L, S_B, ParameterGrid(16, 16))
+    with pytest.raises(OptionError, match="2 GiB; use entropy"):
+        _ = posterior.probabilities
+    assert posterior.entropy().shape == (40000,)
+
+
+def test_no_texels_is_an_empty_posterior():
+    for switches in RULES:
+        posterior = spectrum_posterior(
+            np.zeros((0, 4, 3)), np.zeros((0, 4, 3)), preset=switches, samples=np.zeros(0)
+        )
+        assert posterior.count == 0
+        assert posterior.entropy().shape == (0,)
+        assert posterior.probabilities.shape[0] == 0
+        assert posterior.marginal("roughness").shape == (0, 8)
+        assert posterior.map()["roughness"].shape == (0,)
+
+
+def test_a_later_change_of_the_input_does_not_show():
+    S_L, S_B = spectra(np.random.default_rng(40320), 5)
+    posterior = spectrum_posterior(S_L, S_B)
+    truth = np.array(spectrum_posterior(S_L.copy(), S_B.copy()).entropy())
+    S_B[:] = 0
+    np.testing.assert_array_equal(np.array(posterior.entropy()), truth)
+
+
+def test_grid_nodes_follow_the_preset_unless_told_otherwise():
+    own = ParameterGrid(spacing="uniform").resolved(preset("default"))
+    ours = ParameterGrid().resolved(preset("default"))
+    np.testing.assert_allclose(own.specular_nodes, np.linspace(0, 1, 8))
+    np.testing.assert_allclose(ours.specular_nodes, 0.04 + 0.96 * np.linspace(0, 1, 8) ** 2)
+    np.testing.assert_allclose(ours.roughness_nodes, np.linspace(0, 1, 8))
+    with pytest.raises(OptionError, match="2 to 64"):
+        ParameterGrid(roughness=1)
+    with pytest.raises(OptionError, match="2 to 64"):
+        replace(ours, specular=65)
+
+
+@pytest.mark.parametrize(
+    "change, error, message",
+    [
+        ({"outgoing": np.ones((3, 6, 3))}, ShapeError, r"outgoing|\(3, 6, 3\)"),
+        ({"incoming": np.ones((3, 7))}, ShapeError, "incoming"),
+        ({"observed": np.ones(2, bool)}, ShapeError, "2 flags for 3 texels"),
+        ({"prior": np.ones((7, 8))}, ShapeError, r"prior must be \(8, 8\)"),
+        ({"prior": -np.ones(8)}, OptionError, "non-negative"),
+        ({"incoming": -np.ones((3, 7, 3))}, OptionError, "texel 0 is negative"),
+        ({"outgoing": np.full((3, 7, 3), np.nan)}, OptionError, "not finite"),
+        ({"sigma": 0.0}, OptionError, "sigma must be positive"),
+        ({"preset": preset("default", noise="marginal")}, OptionError, "needs samples"),
+    ],
+)
+def test_wrong_input_is_named(change, error, message):
+    good = {"incoming": np.ones((3, 7, 3)), "outgoing": np.ones((3, 7, 3))}
+    with pytest.raises(error, match=message):
+        spectrum_posterior(**(good | change))
