@@ -51,7 +51,7 @@ class Preset:
     """Standard deviation of a degree's power, in the unit that ``noise`` says."""
 
     def __post_init__(self) -> None:
-        _require(1 <= self.degree <= 9, "degree", "in [1, 9] (the range of dr.sh_eval)", self.degree)
+        _require(1 <= self.degree <= 9, "degree", "in [1, 9]", self.degree)  # dr.sh_eval
         _require(0 < self.regularizer < float("inf"), "regularizer", "positive", self.regularizer)
         _require(0 < self.sigma < float("inf"), "sigma", "positive", self.sigma)
         _require(self.spacing in ("uniform", "dielectric"), "spacing", "uniform or dielectric",
@@ -92,6 +92,7 @@ def preset(base: str | Preset = "default", **switches: object) -> Preset:
     known = {field.name for field in fields(Preset)}
     unknown = sorted(set(switches) - known)
     if unknown:
-        raise OptionError(f"Unknown switch {unknown[0]!r}; a preset has {', '.join(sorted(known))}.")
+        names = ", ".join(sorted(known))
+        raise OptionError(f"Unknown switch {unknown[0]!r}; a preset has {names}.")
     chosen = PRESETS[base] if isinstance(base, str) else base
     return replace(chosen, **switches) if switches else chosen  # type: ignore[arg-type]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import drjit as dr
@@ -165,7 +165,7 @@ def fit_spectra(
     for group in solver_groups(seen, switches.degree):
         surface = Surface.of(texels, group.selection)
         coefficients = fit_lanes(
-            lambda view, surface=surface: sample(views, lighting, surface, view),
+            partial(sample, views, lighting, surface),
             views.count,
             degree=switches.degree,
             channels=2 * COLORS,

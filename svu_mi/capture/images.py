@@ -116,8 +116,9 @@ def _read(path: Path) -> tuple[np.ndarray, bool]:
     if path.suffix.lower() == ".exr":
         channels = read_exr(path)
         grey = channels.get("Y")
-        planes = [channels.get(name, grey) for name in "RGB"]
-        if any(plane is None for plane in planes):
+        found = [channels.get(name, grey) for name in "RGB"]
+        planes = [plane for plane in found if plane is not None]
+        if len(planes) < 3:
             raise CaptureError(
                 f"{path}: expected the channels R, G, B (or Y), found {', '.join(channels)}."
             )

@@ -225,7 +225,9 @@ def coverage(views: Views, surface: Surface) -> tuple[Any, Any]:
 
     def count(seen: Observation, view: Any, total: Any) -> tuple[Any]:
         one = dr.select(seen.seen, mi.UInt32(1), mi.UInt32(0))
-        dr.scatter_add(per_view, one, view, seen.seen)
+        # The default mode bakes the number of views into the kernel; all lanes of a packet
+        # add to one view, which this mode sums up first.
+        dr.scatter_add(per_view, one, view, seen.seen, dr.ReduceMode.Local)
         return (total + one,)
 
     (per_texel,) = over_views(views, surface, count, (dr.zeros(mi.UInt32, surface.count),))

@@ -89,8 +89,14 @@ def _camera(sensor: Any) -> np.ndarray:
     width, height = film_size(sensor)
     to_world = np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4)
     projection = np.array(sensor.projection_transform().matrix, np.float64).reshape(4, 4)
-    # Mitsuba projects to [0, 1]^2 of the crop window; row 2 is depth, which is not needed.
-    world_to_pixel = np.diag([width, height, 1, 1]) @ projection @ np.linalg.inv(to_world)
+    # Mitsuba projects to [0, 1]^2 of the crop window; row 2 is depth, which is not needed. The
+    # principal point, in units of the full film, is not part of that projection.
+    pixel = np.diag([width, height, 1.0, 1.0])
+    params, film = mi.traverse(sensor), sensor.film().size()
+    for axis, name in enumerate("xy"):
+        offset = float(np.array(params[f"principal_point_offset_{name}"]).ravel()[0])
+        pixel[axis, 3] = -offset * int(film[axis])
+    world_to_pixel = pixel @ projection @ np.linalg.inv(to_world)
     return np.concatenate(
         [
             world_to_pixel[0],

@@ -106,8 +106,7 @@ def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
             "unwraps it) and use capture.mesh."
         )
     source = arrays(mesh)
-    _check_unit_square(source, name)
-    owner, count = rasterize(source.uvs[source.faces], (width, height))
+    owner, count = rasterize(_unit_square(source, name)[source.faces], (width, height))
     overlapping = int((count > 1).sum())
     covered = int((count > 0).sum())
     if overlapping > OVERLAP_LIMIT * covered:
@@ -129,7 +128,8 @@ def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
     return _surface_points(source, kept, owner[kept], (width, height), overlapping, int(flat.sum()))
 
 
-def _check_unit_square(source: MeshArrays, name: str) -> None:
+def _unit_square(source: MeshArrays, name: str) -> np.ndarray:
+    """Return the UVs, after refusing those that leave the unit square."""
     assert source.uvs is not None
     if not np.isfinite(source.uvs).all():
         raise MeshError(f"{name} has UVs that are NaN or infinite; lay them out again.")
@@ -140,6 +140,7 @@ def _check_unit_square(source: MeshArrays, name: str) -> None:
             f"{name}: {int(outside.sum())} of {len(outside)} faces have UVs outside [0, 1] "
             "(tiles or UDIMs are not supported); use --unwrap (load_capture(unwrap=True))."
         )
+    return source.uvs
 
 
 def _face_normals(source: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
