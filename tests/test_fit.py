@@ -106,8 +106,10 @@ def test_neighbours_that_see_different_views_do_not_disturb_each_other():
 def test_auto_chooses_the_primal_for_many_views_and_agrees():
     d, w, f = samples(np.random.default_rng(71120935), 40, 60, 1)
     w[:20, 3:] = 0
-    chosen = {g.method: dr.width(g.selection) for g in solver_groups((w > 0).sum(axis=1), 2)}
-    assert chosen == {"dual": 20, "primal": 20}
+    for counts in ((w > 0).sum(axis=1), mi.UInt32((w > 0).sum(axis=1).astype(np.uint32))):
+        chosen = {g.method: dr.width(g.selection) for g in solver_groups(counts, 2)}
+        assert chosen == {"dual": 20, "primal": 20}
+    assert solver_groups(np.zeros(7), 2) == []
     truth = oracle.fit(d, w, f, 2, LAMBDA, False)
     assert spectrum_error(fit_sh(d, w, f, 2), truth) < 1e-6
 

@@ -82,7 +82,7 @@ def _pad(samples: list, count: Any, blocks: Any, size: int) -> None:
 
 
 def _kernel_tile(samples: list, bi: Any, bj: Any, diagonal: bool, system: System) -> list:
-    """Return tile (I, J) of M = W K W + 1; only its lower triangle if it is diagonal."""
+    """Return tile (bi, bj) of M = W K W + 1; only its lower triangle if it is diagonal."""
     size = TILE
     weights = harmonics.zonal_weights(system.degree, system.ridge[0] > 0)
     scale = dr.rcp(system.regularizer)

@@ -16,6 +16,9 @@ CAPACITIES = (32, 64, 128, 256)
 """Sizes of the dual's local memory. Each is a kernel that takes a second to compile, while a lane
 only works on, and touches, what its own views need: one size for all texels of a call."""
 
+AUTO_CAPACITY = 128
+"""The most views ``auto`` gives to the dual: 64 kB per lane, 1 MB of stack for 16 lanes."""
+
 VIEWS_PER_COEFFICIENT = 2.0
 """Up to so many visible views per coefficient the dual is the faster one (measured: at degree 6,
 60 views 11 against 29 us, 100 views 25 against 43 us; at degree 8, 200 views 80 against 117)."""
@@ -61,7 +64,7 @@ def solver_groups(visible: Any, degree: int, method: str = "auto") -> list[Solve
             f'{CAPACITIES[-1]}. Use method="auto" or "primal".'
         )
     limit = {
-        "auto": min(int(VIEWS_PER_COEFFICIENT * (degree + 1) ** 2), CAPACITIES[-1]),
+        "auto": min(int(VIEWS_PER_COEFFICIENT * (degree + 1) ** 2), AUTO_CAPACITY),
         "primal": 0,
         "dual": CAPACITIES[-1],
     }[method]
