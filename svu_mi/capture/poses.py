@@ -8,6 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture.mesh import arrays
 from svu_mi.errors import CaptureError, OptionError
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
@@ -107,9 +108,7 @@ def sphere_sensors(
             f"Cannot place {count} sensors of {resolution[0]} x {resolution[1]} pixels; "
             "there must be at least one of each."
         )
-    bounds = shape.bbox()
-    low, high = np.array(bounds.min, np.float64), np.array(bounds.max, np.float64)
-    center, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+    center, radius = _bounding_sphere(shape)
     distance = 1.05 * radius / np.sin(np.radians(fov) / 2)
     wide = max(1.0, resolution[0] / resolution[1])
     x_fov = 2 * np.degrees(np.arctan(np.tan(np.radians(fov) / 2) * wide))
@@ -133,6 +132,15 @@ def sphere_sensors(
         )
         for number, direction in enumerate(directions)
     )
+
+
+def _bounding_sphere(shape: Any) -> tuple[np.ndarray, float]:
+    """Return the centre of a shape's bounding box and the distance of its farthest point."""
+    bounds = shape.bbox()
+    low, high = np.array(bounds.min, np.float64), np.array(bounds.max, np.float64)
+    center = (low + high) / 2
+    points = arrays(shape).positions if shape.is_mesh() else np.stack([low, high])
+    return center, float(np.linalg.norm(points - center, axis=1).max())
 
 
 def _look_at(origin: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -1,0 +1,397 @@
+"""Captures: what goes into a folder comes out again, and bad input says what to do."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import warnings
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from helpers import sensor_xml, write_scene
+from PIL import Image
+
+from svu_mi.capture import load_capture, render_capture
+from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
+from svu_mi.errors import (
+    CaptureError,
+    OptionError,
+    OutputError,
+    SceneError,
+    SvuEnvironmentError,
+    SvuWarning,
+)
+from svu_mi.exr import read_exr, write_exr
+
+
+def write_images(folder, count, shape=(24, 24), value=0.5):
+    """Write ``count`` grey photographs."""
+    folder.mkdir(exist_ok=True)
+    for index in range(count):
+        write_exr(folder / f"view_{index:04d}.exr", {"RGB": np.full((*shape, 3), value)})
+    return folder
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """A scene with three sensors and its three photographs."""
+    path = write_scene(tmp_path)
+    write_images(tmp_path / "images", 3)
+    return path
+
+
+# --- what goes in comes out -----------------------------------------------------------------
+
+
+def test_photographs_are_read_in_order(tmp_path):
+    path = write_scene(tmp_path)
+    for index in range(3):
+        image = np.full((24, 24, 3), 0.1 * (index + 1))
+        (tmp_path / "images").mkdir(exist_ok=True)
+        write_exr(tmp_path / "images" / f"view_{index:04d}.exr", {"RGB": image})
+    capture = load_capture(path)
+    assert capture.count == 3
+    assert [round(float(image.mean()), 3) for image in capture.images] == [0.1, 0.2, 0.3]
+    assert capture.shape.id() == "ball"
+    assert capture.mesh is capture.shape
+
+
+def test_a_rendered_folder_is_read_again_as_it_was(tmp_path):
+    path = write_scene(tmp_path)
+    first = render_capture(path, spp=4, seed=831, folder=tmp_path / "shot", views=4,
+                           resolution=(20, 12))  # fmt: skip
+    again = load_capture(tmp_path / "shot")
+    assert first.count == again.count == 4
+    for a, b in zip(first.images, again.images, strict=True):
+        np.testing.assert_array_equal(a, b)
+        assert a.shape == (12, 20, 3)
+    for a, b in zip(first.sensors, again.sensors, strict=True):
+        assert describe(a) == describe(b)
+    for mask in again.masks:
+        assert 0.1 < mask.mean() < 0.9
+        assert not mask[0, 0]
+
+
+def test_rendering_twice_with_one_seed_is_the_same_and_views_differ(tmp_path):
+    path = write_scene(tmp_path)
+    a, b = (render_capture(path, spp=2, seed=99) for _ in range(2))
+    other = render_capture(path, spp=2, seed=100)
+    # Threads add up in any order: equal to rounding.
+    np.testing.assert_allclose(a.images[1], b.images[1], rtol=1e-5)
+    assert np.abs(a.images[1] - other.images[1]).max() > 1e-2
+
+
+def test_a_live_scene_can_be_rendered(tmp_path):
+    scene = mi.load_file(str(write_scene(tmp_path)), optimize=False)
+    capture = render_capture(scene, spp=2, folder=tmp_path / "shot")
+    assert capture.count == 3
+    with pytest.raises(CaptureError, match="not a Mitsuba XML scene"):
+        load_capture(tmp_path / "shot")  # the folder cannot know a scene that was never a file
+
+
+def test_exposure_is_divided_out(scene):
+    folder = scene.parent / "images"
+    record = {"format": "svu-capture", "exposure": [1, 2, 4]}
+    (folder / "capture.json").write_text(json.dumps(record))
+    capture = load_capture(scene)
+    assert [float(image.mean()) for image in capture.images] == [0.5, 0.25, 0.125]
+
+
+def test_sensors_survive_their_description(tmp_path):
+    target = mi.load_dict({"type": "sphere"})
+    record = {**describe(sphere_sensors(target, 3, (40, 30))[1]), "crop_offset": [3, 4],
+              "crop_size": [20, 10], "principal_point_offset": [0.125, -0.25]}  # fmt: skip
+    again = describe(make_sensor(record, "odd"))
+    assert again.keys() == record.keys()
+    for key, value in record.items():
+        np.testing.assert_allclose(again[key], value, atol=1e-6, err_msg=key)
+
+
+def test_alpha_and_mask_files_are_masks(scene):
+    folder = scene.parent / "images"
+    rgba = np.ones((24, 24, 4), np.float32)
+    rgba[:, :5, 3] = 0
+    write_exr(folder / "view_0000.exr", {"RGBA": rgba})
+    write_exr(folder / "mask_0001.exr", {"Y": rgba[..., 3]})
+    capture = load_capture(scene)
+    assert not capture.masks[0][:, :5].any()
+    assert capture.masks[0][:, 5:].all()
+    np.testing.assert_array_equal(capture.masks[0], capture.masks[1])
+    assert capture.masks[2] is None
+
+
+def test_defines_reach_the_scene(tmp_path):
+    sensors = '<default name="size" value="24"/>' + sensor_xml(2).replace(
+        '<integer name="width" value="24"/><integer name="height" value="24"/>',
+        '<integer name="width" value="$size"/><integer name="height" value="$size"/>',
+    )
+    sensors = sensors.replace('<integer name="width" value="24"/>', "")
+    path = write_scene(tmp_path, sensors=sensors)
+    write_images(tmp_path / "images", 2, (16, 16))
+    assert load_capture(path, defines={"size": "16"}).images[0].shape == (16, 16, 3)
+    with pytest.raises(CaptureError, match="24 x 24"):
+        load_capture(path)
+    with pytest.raises(SceneError, match="scene.xml.*unused"):
+        load_capture(path, defines={"colour": "red"})
+
+
+# --- bad photographs ------------------------------------------------------------------------
+
+
+def test_a_missing_image_is_named(scene):
+    (scene.parent / "images" / "view_0001.exr").unlink()
+    with pytest.raises(CaptureError, match=r"1 of 3 photographs are missing, first view_0001.exr"):
+        load_capture(scene)
+
+
+def test_an_extra_image_is_named(scene):
+    folder = scene.parent / "images"
+    shutil.copy(folder / "view_0000.exr", folder / "view_0003.exr")
+    with pytest.raises(CaptureError, match=r"view_0003.exr.*4 photographs but only 3 sensors"):
+        load_capture(scene)
+
+
+def test_two_files_for_one_view_are_refused(scene):
+    folder = scene.parent / "images"
+    shutil.copy(folder / "view_0000.exr", folder / "view_0000.hdr")
+    with pytest.raises(CaptureError, match="are the same view"):
+        load_capture(scene)
+
+
+@pytest.mark.parametrize("content", [b"", b"not an image", b"\x76\x2f\x31\x01\x02\x00\x00\x00"])
+def test_an_unreadable_image_is_named(scene, content):
+    (scene.parent / "images" / "view_0002.exr").write_bytes(content)
+    with pytest.raises(CaptureError, match="view_0002.exr"):
+        load_capture(scene)
+
+
+def test_a_truncated_image_is_named(scene):
+    path = scene.parent / "images" / "view_0002.exr"
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(CaptureError, match="view_0002.exr"):
+        load_capture(scene)
+
+
+def test_a_size_that_differs_from_the_film_is_refused(scene):
+    write_exr(scene.parent / "images" / "view_0001.exr", {"RGB": np.ones((12, 24, 3))})
+    with pytest.raises(CaptureError, match=r"view_0001.exr.*24 x 12 pixels.*film has 24 x 24"):
+        load_capture(scene)
+
+
+def test_pixels_that_are_no_radiance_are_masked_and_counted(scene):
+    image = np.full((24, 24, 3), 0.5, np.float32)
+    image[0, 0, 0], image[3, 4, 1], image[5, 5, 2], image[6, 6] = np.nan, np.inf, -1, -np.inf
+    path = scene.parent / "images" / "view_0001.exr"
+    shutil.copy(path, path.with_suffix(".bak"))
+    _write_raw_exr(path, image)
+    with pytest.warns(SvuWarning, match="view_0001.exr: 4 pixels are NaN, infinite or negative"):
+        capture = load_capture(scene)
+    assert capture.unusable == (0, 4, 0)
+    assert np.isnan(capture.images[1][0, 0]).all()
+    assert np.isfinite(capture.images[1]).all(axis=-1).sum() == 24 * 24 - 4
+
+
+def _write_raw_exr(path, image):
+    """Write values that our own writer refuses."""
+    import OpenEXR
+
+    with OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": image}) as file:
+        file.write(str(path))
+
+
+def test_a_black_photograph_is_left_out_with_a_warning(scene):
+    write_exr(scene.parent / "images" / "view_0001.exr", {"RGB": np.zeros((24, 24, 3))})
+    with pytest.warns(SvuWarning, match="view_0001.exr.*entirely black; the view is left out"):
+        capture = load_capture(scene)
+    assert capture.used == (True, False, True)
+
+
+def test_all_black_photographs_are_refused(scene):
+    write_images(scene.parent / "images", 3, value=0.0)
+    with pytest.raises(CaptureError, match="all 3 photographs are entirely black"):
+        load_capture(scene)
+
+
+def test_eight_bit_photographs_are_linearised_and_warned_of(scene):
+    folder = scene.parent / "images"
+    (folder / "view_0001.exr").unlink()
+    pixels = np.full((24, 24, 3), 188, np.uint8)
+    pixels[:2] = 255
+    Image.fromarray(pixels).save(folder / "view_0001.png")
+    with pytest.warns(SvuWarning, match="view_0001.png: an 8-bit image, not HDR.*48 saturated"):
+        capture = load_capture(scene)
+    assert np.isnan(capture.images[1][:2]).all()
+    assert float(capture.images[1][5, 5, 0]) == pytest.approx(0.5029, abs=1e-3)  # sRGB 188
+
+
+def test_images_in_a_missing_folder(scene):
+    with pytest.raises(CaptureError, match="nowhere: no such folder"):
+        load_capture(scene, scene.parent / "nowhere")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "not a readable JSON"),
+        ('{"format": "other"}', "not a capture"),
+        ('{"format": "svu-capture", "exposure": [1, 2]}', "2 exposures for 3 views"),
+        ('{"format": "svu-capture", "exposure": [1, 0, 1]}', "exposure of view 1 is 0"),
+        ('{"format": "svu-capture", "exposure": "a"}', "wrong type"),
+        ('{"format": "svu-capture", "sensors": [{"x_fov": 3}]}', "sensor 0.*not complete"),
+    ],
+)
+def test_a_broken_description_is_named(scene, text, message):
+    (scene.parent / "images" / "capture.json").write_text(text)
+    with pytest.raises(CaptureError, match=message):
+        load_capture(scene)
+
+
+# --- bad scenes -----------------------------------------------------------------------------
+
+
+def test_no_such_scene(tmp_path):
+    with pytest.raises(CaptureError, match="nothing.xml: no such file"):
+        load_capture(tmp_path / "nothing.xml")
+
+
+def test_a_broken_scene_is_named(scene):
+    scene.write_text("<scene version='3.0.0'><shape type='plyx'/></scene>")
+    with pytest.raises(SceneError, match=r'scene.xml: .*"plyx" not found'):
+        load_capture(scene)
+
+
+def test_no_sensor(tmp_path):
+    path = write_scene(tmp_path, sensors="")
+    with pytest.raises(SceneError, match="no sensor, so there is no view"):
+        load_capture(path)
+
+
+def test_no_emitter(tmp_path):
+    path = write_scene(tmp_path)
+    path.write_text(path.read_text().replace('<emitter type="constant" id="light"/>', ""))
+    with pytest.raises(SceneError, match="no emitter"):
+        load_capture(path)
+
+
+def test_an_emitter_that_is_not_distant_is_named(tmp_path):
+    path = write_scene(tmp_path, emitter="point")
+    with pytest.raises(SceneError, match="'light'.*PointLight.*not supported"):
+        load_capture(path)
+
+
+def test_two_environments_would_hide_each_other(tmp_path):
+    path = write_scene(tmp_path, extra='<emitter type="directional" id="sun"/>')
+    with pytest.raises(SceneError, match="'sun'"):
+        load_capture(path)
+
+
+SECOND = (
+    '<shape type="ply" id="other"><string name="filename" value="ball.ply"/>'
+    '<bsdf type="principled"/></shape>'
+)
+
+
+def test_two_candidate_shapes_need_a_choice(tmp_path):
+    path = write_scene(tmp_path, extra=SECOND)
+    write_images(tmp_path / "images", 3)
+    with pytest.raises(SceneError, match=r"several shapes.*'ball', 'other'.*--shape"):
+        load_capture(path)
+    assert load_capture(path, shape="other").shape.id() == "other"
+    with pytest.raises(SceneError, match=r"no shape 'third'.*'ball', 'other'"):
+        load_capture(path, shape="third")
+
+
+def test_a_shape_that_is_no_mesh_is_named(tmp_path):
+    path = write_scene(tmp_path, extra='<shape type="sphere" id="round"/>')
+    with pytest.raises(SceneError, match="'round'.*not a triangle mesh"):
+        load_capture(path, shape="round")
+
+
+def test_a_mesh_without_uvs_is_unwrapped_with_a_warning(tmp_path):
+    path = write_scene(tmp_path, uvs=None)
+    write_images(tmp_path / "images", 3)
+    with pytest.warns(SvuWarning, match="'ball' has no UVs.*unwrapped.ply"):
+        capture = load_capture(path)
+    assert capture.mesh is not capture.shape
+    assert (tmp_path / "images" / "unwrapped.ply").exists()
+
+
+@pytest.mark.parametrize(
+    ("matrix", "message"),
+    [
+        ('<scale x="-1"/><translate z="4"/>', "mirrored to_world"),
+        ('<scale value="2"/><translate z="4"/>', "Scale factors"),
+    ],
+)
+def test_mirrored_and_scaled_cameras_are_refused(tmp_path, matrix, message):
+    path = write_scene(tmp_path, sensors=sensor_xml(1, matrix=matrix))
+    with pytest.raises(SceneError, match=message):
+        load_capture(path)
+
+
+def test_a_mirrored_camera_in_a_capture_folder_is_refused(scene):
+    folder = scene.parent / "images"
+    record = describe(sphere_sensors(mi.load_dict({"type": "sphere"}), 1, (24, 24))[0])
+    record["to_world"] = (np.array(record["to_world"]) @ np.diag([-1, 1, 1, 1])).tolist()
+    text = json.dumps({"format": "svu-capture", "sensors": [record] * 3})
+    (folder / "capture.json").write_text(text)
+    with pytest.raises(SceneError, match="sensor 0.*mirrored"):
+        load_capture(scene)
+
+
+def test_other_camera_models_are_named(tmp_path):
+    sensors = sensor_xml(1).replace('"perspective"', '"orthographic"')
+    sensors = sensors.replace('<float name="fov" value="35"/>', "")
+    path = write_scene(tmp_path, sensors=sensors)
+    with pytest.raises(SceneError, match="'cam0'.*Orthographic.*only 'perspective'"):
+        load_capture(path)
+
+
+def test_a_mirrored_mesh_keeps_its_outside_if_it_has_normals(tmp_path):
+    mirror = '<transform name="to_world"><scale x="-1"/></transform>'
+    path = write_scene(tmp_path, transform=mirror)
+    write_images(tmp_path / "images", 3)
+    load_capture(path)
+    path = write_scene(tmp_path, transform=mirror, normals=None)
+    with pytest.raises(SceneError, match="point inwards.*flip_normals"):
+        load_capture(path)
+
+
+@pytest.mark.parametrize("name", ["scalar_rgb", "llvm_ad_spectral", "llvm_ad_mono"])
+def test_variants_that_cannot_run_are_refused(scene, variant, name):
+    try:
+        mi.set_variant(name)
+        with pytest.raises(SvuEnvironmentError, match=f"'{name}' is not supported.*llvm_ad_rgb"):
+            load_capture(scene)
+    finally:
+        mi.set_variant(variant)
+
+
+def test_spp_and_views_must_be_positive(tmp_path):
+    path = write_scene(tmp_path)
+    with pytest.raises(OptionError, match="spp must be at least 1"):
+        render_capture(path, spp=0)
+    with pytest.raises(OptionError, match="Cannot place 0 sensors"):
+        render_capture(path, views=0)
+
+
+def test_somebody_elses_photographs_are_not_overwritten(scene):
+    folder = scene.parent / "images"
+    with pytest.raises(OutputError, match="did not render"):
+        render_capture(scene, spp=1, folder=folder)
+    assert read_exr(folder / "view_0000.exr")["R"].mean() == 0.5
+
+
+def test_a_folder_that_cannot_be_made(scene):
+    blocker = scene.parent / "file"
+    blocker.write_text("")
+    with pytest.raises(OutputError, match="cannot be made"):
+        render_capture(scene, spp=1, folder=blocker / "below")
+
+
+def test_loading_leaves_no_warning_when_all_is_well(scene):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_capture(scene)
