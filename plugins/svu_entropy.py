@@ -132,6 +132,8 @@ class EntropyIntegrator(mi.SamplingIntegrator):
                 f"svu_entropy: filter_type must be nearest or bilinear, got {filter_type!r}."
             )
         nested = [child for _, child in props.objects() if isinstance(child, mi.Texture)]
+        if nested and nested[0] is filename:
+            filename = ""
         if len(nested) + bool(filename) != 1:
             raise OptionError(
                 "svu_entropy: needs one map: the file name 'map', or one nested texture."

@@ -79,10 +79,11 @@ def test_colours_saved_as_srgb_are_those_of_matplotlib(file, values, name):
     np.testing.assert_allclose(encoded, expected, atol=0.017)
 
 
-def test_a_nested_texture_is_a_map_under_any_name(values):
+@pytest.mark.parametrize("name", ["texture", "map"])
+def test_a_nested_texture_is_a_map_under_any_name(values, name):
     bitmap = mi.Bitmap(np.ascontiguousarray(values[..., None]))
     texture = {"type": "bitmap", "bitmap": bitmap, "raw": True, "filter_type": "nearest"}
-    image = picture({"colormap": "none", "anything": texture})
+    image = picture({"colormap": "none", name: texture})
     np.testing.assert_allclose(image[..., 1], seen(values), atol=1e-6)
 
 

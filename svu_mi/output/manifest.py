@@ -1,0 +1,131 @@
+"""``run.json``: everything needed to know what a run was, and to repeat it."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+import json
+import math
+import os
+import platform
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import svu_mi
+from svu_mi import _llvm
+from svu_mi.errors import OutputError
+from svu_mi.exr import replacing
+
+PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "trimesh", "xatlas")
+
+
+def environment_record() -> dict[str, Any]:
+    """Return what the run ran on: versions, platform, Mitsuba variant, threads, LLVM.
+
+    Without Mitsuba's variant set, or before Dr.Jit is loaded, those entries are None.
+    """
+    mitsuba, drjit = sys.modules.get("mitsuba"), sys.modules.get("drjit")
+    llvm = _llvm.status()
+    return {
+        "versions": {
+            "svu_mi": svu_mi.__version__,
+            "python": platform.python_version(),
+            **{name: _version(name) for name in PACKAGES},
+        },
+        "platform": platform.platform(),
+        "processors": os.cpu_count(),
+        "variant": mitsuba.variant() if mitsuba else None,
+        "threads": drjit.thread_count() if drjit else None,
+        "llvm": {
+            "version": ".".join(map(str, drjit.detail.llvm_version())) if drjit else None,
+            "source": llvm.source,
+        },
+    }
+
+
+def run_record(capture: Any, estimate: Any) -> dict[str, Any]:
+    """Return what a capture and its estimate say about the run.
+
+    Args:
+        capture: the ``Capture``.
+        estimate: its ``Estimate``.
+    """
+    entropy, coverage = np.asarray(estimate.entropy), np.asarray(estimate.coverage)
+    seen = coverage > 0
+    return {
+        "inputs": {
+            "source": capture.source,
+            "views": capture.count,
+            "photographs": capture.names,
+            "exposures": capture.exposures,
+            "left_out": [n for n, u in zip(capture.names, capture.used, strict=True) if not u],
+        },
+        "settings": {
+            "method": estimate.method,
+            "preset": estimate.preset,
+            "grid": getattr(estimate.posterior, "grid", None),
+            "resolution": estimate.texels.resolution,
+        },
+        "result": {
+            "texels": estimate.texels.count,
+            "texels_seen": int(seen.sum()),
+            "mean_entropy_of_seen": float(entropy[seen].mean()) if seen.any() else None,
+        },
+        "skipped": estimate.skipped,
+        "timings_s": estimate.timings,
+        "warnings": capture.warnings,
+    }
+
+
+def write_manifest(path: str | Path, record: Mapping[str, Any]) -> None:
+    """Write a record as JSON, atomically.
+
+    Dataclasses become objects, arrays and tuples lists, paths text, and NaN or infinity
+    null, which JSON has no number for.
+
+    Args:
+        path: the file.
+        record: by name; nested to any depth.
+
+    Raises:
+        OutputError: a value that JSON cannot hold, or a file that cannot be written.
+    """
+    path = Path(path)
+    text = json.dumps(_plain(record, path.name), indent=2, allow_nan=False, ensure_ascii=False)
+    with replacing(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def _plain(value: Any, where: str) -> Any:
+    """Return the JSON equivalent of a value; ``where`` names it in the error."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item, f"{where}.{key}") for key, item in value.items()}
+    if isinstance(value, set | frozenset):
+        value = sorted(value, key=str)
+    if hasattr(value, "__array__"):
+        value = np.asarray(value).tolist()
+        return _plain(value, where)
+    if isinstance(value, list | tuple):
+        return [_plain(item, f"{where}[{index}]") for index, item in enumerate(value)]
+    raise OutputError(f"{where}: a {type(value).__name__} cannot be written as JSON.")
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None

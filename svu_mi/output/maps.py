@@ -1,0 +1,53 @@
+"""Per-texel results as EXR textures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import svu_mi
+from svu_mi.exr import write_exr
+from svu_mi.surface.gutter import dilate
+
+ENTROPY = "entropy.exr"
+COVERAGE = "coverage.exr"
+GUTTER = 4  # texels; enough for bilinear lookups down to a quarter of the resolution
+
+
+def write_maps(estimate: Any, folder: str | Path, *, gutter: int = GUTTER) -> None:
+    """Write ``entropy.exr`` and ``coverage.exr``, both with the one float32 channel Y.
+
+    Entropy is in [0, 1] and exactly 1 in texels nobody saw; outside the charts it is 1 too,
+    but for a gutter that repeats the border of the charts. Coverage is the number of views
+    that see the texel, exactly 0 outside the charts.
+
+    Args:
+        estimate: the ``Estimate``.
+        folder: an existing folder.
+        gutter: width of the gutter in texels; 0 for none.
+
+    Raises:
+        OutputError: a file cannot be written, or a value is NaN.
+    """
+    folder = Path(folder)
+    attributes = {
+        "svu:version": svu_mi.__version__,
+        "svu:method": estimate.method,
+        "svu:preset": estimate.preset.name,
+    }
+    entropy = padded(estimate, np.asarray(estimate.entropy, np.float32), gutter)
+    write_exr(folder / ENTROPY, {"Y": entropy}, {**attributes, "svu:gutter": gutter})
+    write_exr(folder / COVERAGE, {"Y": estimate.image("coverage")}, attributes)
+
+
+def padded(estimate: Any, values: np.ndarray, gutter: int = GUTTER, fill: float = 1) -> np.ndarray:
+    """Lay (T,) values out as an (H, W) texture with a gutter around the charts.
+
+    Only texels outside the charts are filled. A texel that is valid but unseen keeps its own
+    value and hands that one to its gutter: nothing seen may grow into what was not.
+    """
+    texels = estimate.texels
+    inside = texels.to_image(np.ones(texels.count, bool), False)
+    return dilate(texels.to_image(values, fill), inside, gutter)

@@ -1,0 +1,138 @@
+"""Pictures of the object from the sensors of a capture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+import svu_mi.plugins  # noqa: F401 - registers svu_entropy
+from svu_mi.capture import mesh as meshes
+from svu_mi.capture.poses import describe, film_size, make_sensor
+from svu_mi.capture.rendering import object_mask
+
+SIDE = 512  # pixels of the longer side of a picture
+SAMPLES = 16
+MARGIN = 0.06  # around the object, in parts of its size
+WHITE = 0.99  # part of the object's pixels that a tone-mapped photograph does not clip
+
+
+def far_apart(capture: Any, seen_per_view: Sequence[int] | None = None) -> list[int]:
+    """Choose the used sensor that sees most texels, and the one farthest from it in direction.
+
+    Args:
+        capture: the ``Capture``.
+        seen_per_view: texels seen by each used view; by default the first view is taken.
+
+    Returns:
+        Indices into ``capture.sensors``: two, or fewer if there are fewer.
+    """
+    used = [index for index, used in enumerate(capture.used) if used]
+    if len(used) < 2:
+        return used
+    corners = np.array(capture.mesh.bbox().min), np.array(capture.mesh.bbox().max)
+    center = (corners[0] + corners[1]).ravel() / 2
+    origins = [_origin(capture.sensors[index]) for index in used]
+    directions = np.array([o - center for o in origins])
+    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
+    first = 0 if seen_per_view is None else int(np.argmax(seen_per_view))
+    cosine = directions @ directions[first]
+    cosine[first] = np.inf
+    return [used[first], used[int(np.argmin(cosine))]]
+
+
+def picture(capture: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
+    """Render a texture on the object alone, slightly shaded.
+
+    Args:
+        capture: the ``Capture``; its ``mesh`` is shown.
+        texture: (H, W, 3) colours as they shall appear on the screen, row 0 at v = 0.
+        sensor: one of its sensors; the picture is at most 512 pixels on its longer side.
+
+    Returns:
+        (h, w, 4) float32, colour over white and the part of the pixel that is covered.
+    """
+    scene = mi.load_dict(
+        # A copy: a live shape belongs to one scene, and the capture's may have no UVs.
+        {"type": "scene", "object": meshes.make("object", meshes.arrays(capture.mesh))},
+        optimize=False,
+    )
+    bitmap = {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(np.ascontiguousarray(texture, np.float32)),
+        "raw": True,  # antialiasing and shading then work on screen values: good enough here
+        "filter_type": "nearest",
+        "wrap_mode": "clamp",
+    }
+    integrator = {"type": "svu_entropy", "colormap": "none", "shading": True, "map": bitmap}
+    integrator = mi.load_dict({**integrator, "background": [1.0, 1.0, 1.0]})
+    small = _small(sensor)
+    image = np.array(mi.render(scene, sensor=small, integrator=integrator, spp=SAMPLES))
+    covered = object_mask(scene, scene.shapes()[0], small)
+    return np.clip(np.dstack([image[..., :3], covered]), 0, 1)
+
+
+def object_window(alpha: np.ndarray) -> tuple[float, float, float, float]:
+    """Return (left, right, top, bottom) of the object with a margin, in parts of the image.
+
+    Square in pixels where the image allows; the whole image if the object is not in it.
+    """
+    height, width = alpha.shape
+    rows, columns = np.flatnonzero(alpha.any(axis=1)), np.flatnonzero(alpha.any(axis=0))
+    if len(rows) == 0:
+        return 0.0, 1.0, 0.0, 1.0
+    side = max(np.ptp(rows), np.ptp(columns)) + 1
+    side *= 1 + 2 * MARGIN
+    left, right = _span((columns[0] + columns[-1] + 1) / 2, side, width)
+    top, bottom = _span((rows[0] + rows[-1] + 1) / 2, side, height)
+    return left, right, top, bottom
+
+
+def crop(image: np.ndarray, window: tuple[float, float, float, float]) -> np.ndarray:
+    """Cut a window, as ``object_window`` returns it, out of an (H, W, ...) image."""
+    height, width = image.shape[:2]
+    left, right = int(window[0] * width), int(np.ceil(window[1] * width))
+    top, bottom = int(window[2] * height), int(np.ceil(window[3] * height))
+    return image[top:bottom, left:right]
+
+
+def tone_mapped(photograph: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
+    """Expose a photograph for its object and encode it as sRGB.
+
+    Args:
+        photograph: (H, W, 3) linear radiance; NaN = not usable, becomes middle grey.
+        mask: (H, W) bool, the pixels to expose for; all of them by default.
+
+    Returns:
+        (H, W, 3) float32 in [0, 1].
+    """
+    brightness = photograph.max(axis=2)
+    chosen = brightness[mask] if mask is not None and mask.any() else brightness
+    chosen = chosen[np.isfinite(chosen)]
+    white = np.quantile(chosen, WHITE) if len(chosen) else 1.0
+    linear = np.clip(photograph / (white if white > 0 else 1.0), 0, 1)
+    # The sRGB transfer function (IEC 61966-2-1).
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.where(np.isfinite(encoded), encoded, 0.5).astype(np.float32)
+
+
+def _span(center: float, side: float, size: int) -> tuple[float, float]:
+    side = min(side, size)
+    first = min(max(center - side / 2, 0), size - side)
+    return first / size, (first + side) / size
+
+
+def _origin(sensor: Any) -> np.ndarray:
+    return np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4)[:3, 3]
+
+
+def _small(sensor: Any) -> Any:
+    """Return the sensor with a film of at most ``SIDE`` pixels."""
+    record = describe(sensor)
+    scale = min(1.0, SIDE / max(film_size(sensor)))
+    for key in ("film", "crop_offset", "crop_size"):
+        low = 0 if key == "crop_offset" else 1
+        record[key] = [max(low, int(value * scale)) for value in record[key]]
+    return make_sensor(record, "overview")
