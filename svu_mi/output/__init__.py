@@ -9,7 +9,8 @@ from typing import Any
 
 from svu_mi.errors import OutputError
 from svu_mi.output.manifest import environment_record as environment_record
-from svu_mi.output.manifest import run_record, write_manifest
+from svu_mi.output.manifest import run_record as run_record
+from svu_mi.output.manifest import write_manifest as write_manifest
 from svu_mi.output.maps import write_maps as write_maps
 from svu_mi.output.overview import write_overview as write_overview
 

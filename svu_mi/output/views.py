@@ -83,8 +83,7 @@ def object_window(alpha: np.ndarray) -> tuple[float, float, float, float]:
     rows, columns = np.flatnonzero(alpha.any(axis=1)), np.flatnonzero(alpha.any(axis=0))
     if len(rows) == 0:
         return 0.0, 1.0, 0.0, 1.0
-    side = max(np.ptp(rows), np.ptp(columns)) + 1
-    side *= 1 + 2 * MARGIN
+    side = (1 + 2 * MARGIN) * (1 + max(float(np.ptp(rows)), float(np.ptp(columns))))
     left, right = _span((columns[0] + columns[-1] + 1) / 2, side, width)
     top, bottom = _span((rows[0] + rows[-1] + 1) / 2, side, height)
     return left, right, top, bottom
