@@ -78,7 +78,7 @@ def write_overview(capture: Any, estimate: Any, path: str | Path) -> None:
     result = Result.of(estimate)
     _heading(figure, capture, estimate, result)
     objects = figure.add_gridspec(1, 4, left=LEFT, right=RIGHT, top=0.86, bottom=0.455, wspace=0.03)
-    maps = figure.add_gridspec(1, 2, left=LEFT, right=0.485, top=0.405, bottom=0.075, wspace=0.05)
+    maps = figure.add_gridspec(1, 2, left=LEFT, right=0.485, top=0.405, bottom=0.075, wspace=0.09)
     plots = figure.add_gridspec(
         2, 2, left=0.535, right=RIGHT, top=0.405, bottom=0.04, hspace=0.6, wspace=0.14
     )
@@ -103,7 +103,7 @@ def _heading(figure: Figure, capture: Any, estimate: Any, result: Result) -> Non
         f"{width} × {height} texels, {texels:_} in charts".replace("_", THIN_SPACE),
         f"{seen:_} seen ({100 * seen / max(texels, 1):.0f} %)".replace("_", THIN_SPACE),
         mean,
-        f"{sum(estimate.timings.values()):.1f} s",
+        f"{np.nansum(list(estimate.timings.values())):.1f} s",
     )
     figure.text(
         LEFT, 0.962, "What the photographs say about roughness and specular",
@@ -119,6 +119,7 @@ def _object_row(figure: Figure, cells: Any, capture: Any, estimate: Any, result:
     for pair in range(2):
         left, right = (figure.add_subplot(cells[0, 2 * pair + k]) for k in (0, 1))
         for axes in (left, right):
+            axes.set(anchor="N")
             axes.set_axis_off()
         if pair >= len(chosen):
             continue
@@ -188,7 +189,7 @@ def _hatch(axes: Axes, result: Result) -> None:
             extent=(-0.5, width - 0.5, -0.5, height - 0.5),
         )  # fmt: skip
         stripes.set(edgecolor=RULE, linewidth=0)
-    axes.set(xticks=[], yticks=[])
+    axes.set(xticks=[], yticks=[], anchor="N")
     for spine in axes.spines.values():
         spine.set_color(RULE)
     key = []
@@ -220,11 +221,11 @@ def _histogram(axes: Axes, result: Result) -> None:
     axes.axvline(median, color=INK, lw=1, ls=(0, (4, 3)))
     side = -1 if median > 0.5 else 1
     axes.annotate(
-        f"median {median:.2f}", (median, 0.93), xycoords=("data", "axes fraction"),
+        f"median {median:.2f}", (median, 0.92), xycoords=("data", "axes fraction"),
         xytext=(5 * side, 0), textcoords="offset points", size=9, color=INK,
         ha="left" if side > 0 else "right", va="center",
     )  # fmt: skip
-    axes.set(xlim=(0, 1))
+    axes.set(xlim=(0, 1), ylim=(0, 1.18 * part.max()))  # room for the word
     axes.set_ylabel("% of texels", size=9, color=FAINT)
 
 
