@@ -16,7 +16,7 @@ from svu_mi.capture.rendering import object_mask
 SIDE = 512  # pixels of the longer side of a picture
 SAMPLES = 16
 MARGIN = 0.06  # around the object, in parts of its size
-WHITE = 0.99  # part of the object's pixels that a tone-mapped photograph does not clip
+WHITE = 0.95  # part of the object's pixels that a tone-mapped photograph does not clip
 
 
 def far_apart(capture: Any, seen_per_view: Sequence[int] | None = None) -> list[int]:
