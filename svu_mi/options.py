@@ -41,7 +41,8 @@ class Preset:
 
     channels: ChannelRule = "joint"
     """How R, G, B combine: ``sum`` adds them in d (one Ks); ``joint`` shares roughness and
-    gives each channel its own Ks; ``minimum`` keeps the smallest of three entropies."""
+    gives each channel its own Ks, the others marginalised; ``minimum`` keeps the smallest of
+    three separate entropies."""
 
     noise: NoiseRule = "relative"
     """``fixed``: sigma in squared radiance (depends on exposure); ``relative``: sigma times

@@ -10,8 +10,10 @@ would cancel: with S / sigma = 1e3, single precision then leaves nothing of d / 
 Sums over degrees are in double precision, exponentials are not.
 
 Channels come in groups. One group of three channels is one Ks for all (``sum``); three
-groups of one channel are a joint posterior with a Ks of its own per channel, which
-factorises for a given roughness and needs no grid over all three.
+groups of one channel are a joint posterior over one roughness and a Ks of its own per
+channel, which factorises for a given roughness and needs no grid over all three. Its
+entropy is that of (roughness, Ks of a channel), the other channels marginalised, averaged
+over channels, so that it means the same for grey and for coloured light.
 """
 
 from __future__ import annotations
@@ -65,8 +67,8 @@ class Problem:
 
     @property
     def cells(self) -> int:
-        """Number of cells of the grid: R * S^groups."""
-        return self.rows * len(self.specular) ** len(self.groups)
+        """Number of cells n of the grid: R * S."""
+        return self.rows * len(self.specular)
 
 
 def entropy(problem: Problem, count: int) -> Any:
@@ -102,8 +104,11 @@ def entropy(problem: Problem, count: int) -> Any:
 def _row(problem: Problem, spectra: Scaled, power: Any, row: Any) -> tuple[Any, Any, Any]:
     """Sum one roughness over all groups.
 
+    With z_g = sum exp(-(x - smallest)) of group g, a row weighs w = exp(-base) prod z_g, and
+    adds p(row) (base - log prod z + mean_g (log z_g + mean of x - smallest)) to the entropy.
+
     Returns:
-        smallest energy (Float64), sum of exp(-(x - smallest)), mean of x - smallest.
+        base (Float64), the sum of smallest energies; prod z_g; what a row adds beyond base.
     """
     base, weight, excess = mi.Float64(0), mi.Float(1), mi.Float(0)
     for low, offsets in _row_energies(problem, spectra, power, row):
@@ -113,6 +118,9 @@ def _row(problem: Problem, spectra: Scaled, power: Any, row: Any) -> tuple[Any, 
         base += low
         weight *= z
         excess += zx / z
+    groups = len(problem.groups)
+    if groups > 1:
+        excess = (excess - (groups - 1) * dr.log(weight)) / groups
     if problem.prior is not None:
         base += dr.gather(mi.Float64, problem.prior[0], row)
     return base, weight, excess

@@ -40,13 +40,14 @@ class Posterior:
 
     @property
     def groups(self) -> int:
-        """Number of Ks axes G: 3 when each colour channel has its own, else 1."""
+        """Number G of Ks per texel: 3 when each colour channel has its own, else 1."""
         return len(self.problem.groups)
 
     def entropy(self) -> Any:
         """Return H = -1/log(n) sum p log p, (T,) TensorXf in [0, 1] (Eq. 5).
 
-        Computed in one kernel, without the probabilities.
+        n = R * S. When each channel has its own Ks, the mean over channels of the entropy of
+        (roughness, Ks of that channel). Computed in one kernel, without the probabilities.
         """
         return mi.TensorXf(self._entropy)
 
@@ -61,27 +62,25 @@ class Posterior:
 
     @property
     def probabilities(self) -> Any:
-        """p, TensorXf (T, R, S), or (T, R, S, S, S) when each channel has its own Ks.
+        """p, TensorXf (T, R, S); or (T, R, S, 3) when each channel has its own Ks.
+
+        The last axis then holds one distribution of (roughness, Ks) per channel, each with
+        the other channels marginalised.
 
         Raises:
             OptionError: it would take more than 2 GiB; ask for marginals instead.
         """
-        shape = (self.count, self.grid.roughness, *(self.grid.specular,) * self.groups)
+        shape = (self.count, self.grid.roughness, self.grid.specular, self.groups)
         if np.prod(shape, dtype=float) > MAX_PROBABILITIES:
             raise OptionError(
                 f"Posterior.probabilities: {shape} values do not fit in 2 GiB; use entropy(), "
                 "marginal() or map(), or estimate fewer texels."
             )
         result = np.empty(shape, np.float32)
-        for span, rough, offsets in self._chunks():
-            p = np.exp(-rough).astype(np.float32)
-            for g in range(self.groups):
-                factor = np.exp(-offsets[:, :, g])
-                p = p[..., None] * factor.reshape(*factor.shape[:2], *(1,) * g, -1)
-            total = p.reshape(len(p), -1).sum(axis=1, dtype=np.float64)
-            result[span] = p / total.reshape(-1, *(1,) * (p.ndim - 1))
-        result[~self.observed] = 1 / np.prod(shape[1:])
-        return _tensor(result)
+        for span, rough, given in self._chunks_of_probabilities():
+            result[span] = rough[:, :, None, None] * given
+        result[~self.observed] = 1 / (self.grid.roughness * self.grid.specular)
+        return _tensor(result if self.groups > 1 else result[..., 0])
 
     def marginal(self, name: Parameter) -> Any:
         """Return the marginal of one parameter.
@@ -100,13 +99,9 @@ class Posterior:
     def _marginals(self) -> dict[str, np.ndarray]:
         rough = np.empty((self.count, self.grid.roughness), np.float32)
         specular = np.empty((self.count, self.grid.specular, self.groups), np.float32)
-        for span, base, offsets in self._chunks():
-            terms = np.exp(-offsets)  # (T, R, G, S)
-            z = terms.sum(axis=-1)
-            weight = np.exp(-base) * z.prod(axis=-1)
-            weight /= weight.sum(axis=1, keepdims=True)
+        for span, weight, given in self._chunks_of_probabilities():
             rough[span] = weight
-            specular[span] = np.einsum("tr,trgs->tsg", weight, terms / z[..., None])
+            specular[span] = np.einsum("tr,trsg->tsg", weight, given)
         rough[~self.observed] = 1 / self.grid.roughness
         specular[~self.observed] = 1 / self.grid.specular
         return {
@@ -143,7 +138,8 @@ class Posterior:
     def kl(self, other: Posterior) -> Any:
         """Return KL(p || q) of every texel p to every texel q of another: (T, T') (Sec. 5.2).
 
-        sum p log p - p . log q, one matrix product. Probabilities below 1e-30 count as 1e-30.
+        sum p log p - p . log q, one matrix product; the mean over channels when each has its
+        own Ks. Probabilities below 1e-30 count as 1e-30.
 
         Raises:
             ShapeError: the grids differ.
@@ -154,12 +150,21 @@ class Posterior:
             raise ShapeError(f"Posterior.kl(): the grids differ: {self.grid} and {other.grid}.")
         log_p, log_q = np.log(np.maximum(p, 1e-30)), np.log(np.maximum(q, 1e-30))
         divergence = (p * log_p).sum(axis=1)[:, None] - p @ log_q.T
-        return _tensor(np.maximum(divergence, 0))
+        return _tensor(np.maximum(divergence, 0) / self.groups)
 
     def _chunks(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         for first in range(0, self.count, CHUNK):
             size = min(CHUNK, self.count - first)
             yield slice(first, first + size), *kernel.tables(self.problem, first, size)
+
+
+    def _chunks_of_probabilities(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Yield p(roughness) (T, R), and p(Ks | roughness) per channel (T, R, S, G)."""
+        for span, base, offsets in self._chunks():
+            terms = np.exp(-np.swapaxes(offsets, 2, 3))
+            z = terms.sum(axis=2)
+            weight = np.exp(-base) * z.prod(axis=-1, dtype=np.float64)
+            yield span, weight / weight.sum(axis=1, keepdims=True), terms / z[:, :, None]
 
 
 def _tensor(values: np.ndarray) -> Any:

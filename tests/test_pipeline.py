@@ -1,0 +1,299 @@
+"""The pipeline as a whole: against the oracle, against invariances, and on the paper's figures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from helpers import ball_scene, memory_capture, render_ball
+from oracle import frequency as oracle_frequency
+from oracle import posterior as oracle_posterior
+
+import svu_mi as svu
+from svu_mi import scenes
+from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
+from svu_mi.capture.scene import load_scene
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.options import preset
+from svu_mi.pipeline import estimate, fit_spectra, sample
+from svu_mi.radiance import Surface, coverage, light, pack_views
+
+DIFFUSE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.5, 0.3]}}
+GLOSSY = {"type": "principled", "base_color": {"type": "rgb", "value": [0.9, 0.7, 0.4]},
+          "metallic": 1.0, "roughness": 0.25}  # fmt: skip
+
+
+def studio(scale=1.0, to_world=None):
+    emitter = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr"),
+               "scale": scale}  # fmt: skip
+    if to_world is not None:
+        emitter["to_world"] = to_world
+    return emitter
+
+
+@pytest.fixture(scope="module")
+def glossy(tmp_path_factory):
+    """A metal ball in a studio, seen from all sides, and its texels."""
+    capture = render_ball(tmp_path_factory.mktemp("glossy"), studio(), GLOSSY, views=30)
+    return capture, svu.texels(capture.mesh, 40)
+
+
+def stored_samples(capture, texels):
+    """What the kernels see, as arrays: directions (T,V,3), weights (T,V), values (T,V,6)."""
+    views, surface = pack_views(capture), Surface.of(texels)
+    lighting = light(capture, sum(capture.used))
+    columns = []
+    for view in range(views.number):
+        direction, weight, values = sample(views, lighting, surface, mi.UInt32(view))
+        dr.eval(direction, weight, values)
+        columns.append((direction.numpy().T, weight.numpy(), np.stack([v.numpy() for v in values])))
+    d, w, f = zip(*columns, strict=True)
+    return np.stack(d, 1), np.stack(w, 1), np.stack(f, 2).transpose(1, 2, 0), lighting
+
+
+def exact_spectra(d, w, f, switches):
+    """(T, l* + 1, 6) float64 spectra of stored samples."""
+    c = oracle_frequency.fit(
+        d, w, f, switches.degree, switches.regularizer, switches.penalize_constant
+    )
+    return oracle_frequency.power(c)
+
+
+@pytest.mark.parametrize("name", ["default", "paper", "fast"])
+def test_the_fused_kernels_agree_with_the_oracle(glossy, name):
+    """Samples stored, fitted and compared in float64, straight from the equations."""
+    capture, texels = glossy
+    switches = preset(name)
+    d, w, f, lighting = stored_samples(capture, texels)
+    seen, _ = coverage(pack_views(capture), Surface.of(texels))
+    spectra = fit_spectra(pack_views(capture), lighting, texels, seen, switches)
+    exact = exact_spectra(d, w, f, switches)
+    ours = np.concatenate([np.array(spectra.outgoing), np.array(spectra.incoming)], axis=2)
+    largest = np.maximum(exact.max(axis=1, keepdims=True), 1e-6)
+    assert (np.abs(ours - exact) / largest).max() < 1e-3
+
+
+def test_every_result_is_in_range_and_nothing_is_nan(glossy):
+    capture, texels = glossy
+    for name in ("default", "paper", "fast"):
+        result = estimate(capture, texels, preset=name)
+        entropy = np.array(result.entropy)
+        assert np.isfinite(entropy).all()
+        assert (entropy >= 0).all()
+        assert (entropy <= 1).all()
+        assert result.image("entropy").shape == (40, 40)
+        assert (result.image("entropy")[~texels.inside()] == 1).all()
+
+
+@pytest.mark.parametrize("gain", [0.25, 4.0])
+def test_exposure_does_not_change_the_entropy(tmp_path, glossy, gain):
+    """Photographs and light times a constant are the same photographs in another unit."""
+    capture, texels = glossy
+    scene = ball_scene(tmp_path, studio(scale=gain), GLOSSY)
+    brighter = replace(
+        capture,
+        scene=scene,
+        shape=scene.shapes()[0],
+        images=tuple(image * np.float32(gain) for image in capture.images),
+    )
+    a, b = (np.array(estimate(c, texels).entropy) for c in (capture, brighter))
+    np.testing.assert_allclose(a, b, atol=1e-4)
+    paper = [np.array(estimate(c, texels, preset="paper").entropy) for c in (capture, brighter)]
+    assert np.abs(paper[0] - paper[1]).max() > 0.05  # which is why the default does it differently
+
+
+def test_the_order_of_the_views_does_not_matter(glossy):
+    capture, texels = glossy
+    order = np.random.default_rng(66107).permutation(capture.count)
+    shuffled = replace(
+        capture,
+        sensors=tuple(capture.sensors[i] for i in order),
+        images=tuple(capture.images[i] for i in order),
+    )
+    a, b = (np.array(estimate(c, texels).entropy) for c in (capture, shuffled))
+    np.testing.assert_allclose(a, b, atol=1e-4)
+
+
+def test_turning_object_light_and_cameras_together_changes_nothing(tmp_path, glossy):
+    capture, texels = glossy
+    turn = mi.ScalarTransform4f().rotate([0.6, 0.8, 0], 75)
+    matrix = np.array(turn.matrix, np.float64)
+    scene = mi.load_dict(
+        {"type": "scene", "light": studio(to_world=turn),
+         "ball": {"type": "ply", "filename": str(tmp_path / "ball.ply"), "to_world": turn,
+                  "bsdf": GLOSSY}}
+        if ball_scene(tmp_path, {"type": "constant"}, GLOSSY) else {},
+        optimize=False,
+    )  # fmt: skip
+    sensors = []
+    for sensor in capture.sensors:
+        record = describe(sensor)
+        record["to_world"] = matrix @ np.array(record["to_world"])
+        sensors.append(make_sensor(record, "turned"))
+    turned = memory_capture(scene, list(capture.images), sensors)
+    there = svu.texels(turned.mesh, 40)
+    a = np.array(estimate(capture, texels).entropy)
+    b = np.array(estimate(turned, there).entropy)
+    # Texels at the border of visibility flip with rounding; the rest must not move.
+    assert np.quantile(np.abs(a - b), 0.98) < 2e-3
+
+
+def test_a_diffuse_ball_has_no_power_above_degree_zero(tmp_path):
+    """Method: with R_00 = 0 a constant signal stays constant; as printed it leaks."""
+    capture = render_ball(tmp_path, studio(), DIFFUSE, views=30, spp=256)
+    texels = svu.texels(capture.mesh, 32)
+    views, lighting = pack_views(capture), light(capture, 30)
+    seen, _ = coverage(views, Surface.of(texels))
+    many = seen.numpy() >= 6
+    leak = {}
+    for name in ("default", "paper"):
+        power = np.array(fit_spectra(views, lighting, texels, seen, preset(name)).outgoing)[many]
+        leak[name] = np.median(power[:, 1:].sum(axis=1) / power[:, 0])
+    assert leak["default"] < 1e-3  # noise of the render, texel against pixel
+    assert leak["paper"] > 10 * leak["default"]
+
+
+def test_an_unseen_texel_knows_nothing(tmp_path):
+    """Cameras on one side only: the other side has entropy 1 and coverage 0, exactly."""
+    scene = ball_scene(tmp_path, studio(), GLOSSY)
+    sensors = [s for s in sphere_sensors(scene.shapes()[0], 40, (48, 48))
+               if np.array(s.world_transform().matrix).reshape(4, 4)[2, 3] > 1.5]  # fmt: skip
+    images = [np.array(mi.render(scene, sensor=s, spp=16)) for s in sensors]
+    capture = memory_capture(scene, images, sensors)
+    texels = svu.texels(capture.mesh, 40)
+    result = estimate(capture, texels)
+    z = texels.position.z.numpy()
+    seen = np.array(result.coverage)
+    entropy = np.array(result.entropy)
+    assert (seen[z < -0.5] == 0).all()
+    assert (entropy[seen == 0] == 1).all()
+    assert (entropy[seen > 5] < 1).all()
+    assert result.skipped["texels never seen"] == (seen == 0).sum()
+
+
+def test_one_view_is_an_answer_too(tmp_path):
+    capture = render_ball(tmp_path, studio(), GLOSSY, views=1)
+    result = estimate(capture, svu.texels(capture.mesh, 24))
+    entropy = np.array(result.entropy)
+    assert np.isfinite(entropy).all()
+    assert set(np.array(result.coverage)) == {0, 1}
+
+
+def test_no_texel_seen_is_said(tmp_path):
+    scene = ball_scene(tmp_path, studio(), GLOSSY)
+    record = describe(sphere_sensors(scene.shapes()[0], 1, (16, 16))[0])
+    pose = np.array(record["to_world"])
+    pose[:3, 0] *= -1
+    pose[:3, 2] *= -1  # looks the other way
+    capture = memory_capture(scene, [np.ones((16, 16, 3))], [
+        make_sensor({**record, "to_world": pose}, "away")
+    ])  # fmt: skip
+    with pytest.raises(CaptureError, match="No texel of 'ball' is seen in any of 1 photographs"):
+        estimate(capture, svu.texels(capture.mesh, 16))
+
+
+def test_unknown_methods_and_maps_are_refused(glossy):
+    capture, texels = glossy
+    with pytest.raises(OptionError, match="Unknown method 'magic'"):
+        estimate(capture, texels, method="magic")
+    with pytest.raises(OptionError, match="Unknown preset 'best'"):
+        estimate(capture, texels, preset="best")
+    with pytest.raises(OptionError, match="no map 'roughness'"):
+        estimate(capture, texels).image("roughness")
+
+
+def test_a_second_capture_compiles_nothing(tmp_path, glossy):
+    """Other photographs, another number of views, other texels: the same kernels."""
+    capture, texels = glossy
+    for _ in range(2):
+        estimate(capture, texels)
+    other = render_ball(tmp_path, studio(), DIFFUSE, views=24, spp=4)
+    there = svu.texels(other.mesh, 28)
+    dr.sync_thread()
+    before = sum(dr.detail.launch_stats()[1:])
+    estimate(other, there)
+    assert sum(dr.detail.launch_stats()[1:]) == before
+
+
+def test_memory_does_not_grow_with_texels_times_views(tmp_path):
+    """Doubling the views of the same texels adds their pixels, nothing per texel."""
+    scene = ball_scene(tmp_path, studio(), GLOSSY)
+    texels = svu.texels(scene.shapes()[0], 384)
+    peak = []
+    for number in (32, 64, 96):
+        sensors = sphere_sensors(scene.shapes()[0], number, (16, 16))
+        capture = memory_capture(scene, [np.ones((16, 16, 3))] * number, sensors)
+        estimate(capture, texels)
+        dr.sync_thread()
+        dr.flush_malloc_cache()
+        dr.detail.malloc_clear_statistics()
+        estimate(capture, texels)
+        dr.sync_thread()
+        peak.append(dr.detail.malloc_watermark(dr.JitBackend.LLVM))
+    per_view = (peak[2] - peak[0]) / 64
+    assert per_view < 0.5 * texels.count  # one byte per texel and view would be 2 times that
+
+
+# --- the paper's figures --------------------------------------------------------------------
+
+
+def planes_entropy(light_name):
+    """Mean entropy of the matte and of the glossy plane under a light."""
+    scene = load_scene(scenes.path("planes"), {"light": light_name, "resolution": "96"})
+    capture = svu.render_capture(scene, spp=64)
+    texels = svu.texels(capture.mesh, 48)
+    entropy = np.array(estimate(capture, texels).entropy)
+    seen = np.array(estimate(capture, texels).coverage) > 3
+    left = texels.uv.x.numpy() < 0.5
+    return entropy[seen & left].mean(), entropy[seen & ~left].mean()
+
+
+def test_figure_2_clear_light_tells_more_about_the_glossy_plane():
+    """Overcast light says little about either plane; clear light says a lot about the glossy one."""
+    overcast_matte, overcast_glossy = planes_entropy("overcast")
+    clear_matte, clear_glossy = planes_entropy("clear")
+    assert overcast_matte > 0.5
+    assert overcast_glossy > 0.5
+    assert clear_glossy < 0.35
+    assert clear_glossy < clear_matte
+    assert clear_glossy < 0.6 * overcast_glossy
+
+
+def test_figure_4_ordering(tmp_path):
+    """Sharp light pins a metal down best; low-frequency light and low specular do not."""
+    dielectric = {**GLOSSY, "metallic": 0.0}
+
+    def mean(name, emitter, bsdf):
+        (tmp_path / name).mkdir()
+        capture = render_ball(tmp_path / name, emitter, bsdf, views=30, spp=64)
+        result = estimate(capture, svu.texels(capture.mesh, 24))
+        seen = np.array(result.coverage) > 5
+        return float(np.array(result.entropy)[seen].mean())
+
+    overcast = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "overcast.exr")}
+    sharp = mean("sharp", studio(), GLOSSY)
+    low_frequency = mean("low", overcast, GLOSSY)
+    low_specular = mean("dielectric", studio(), dielectric)
+    assert sharp < low_frequency
+    assert sharp < low_specular
+
+
+def test_the_oracle_and_the_posterior_agree_on_a_rendered_object(glossy):
+    capture, texels = glossy
+    switches = preset("paper", sigma=0.05)
+    d, w, f, lighting = stored_samples(capture, texels)
+    S = exact_spectra(d, w, f, switches)
+    seen = (w > 0).any(axis=1)
+    roughness, Ks = oracle_posterior.nodes(8, 8, "uniform")
+    exact = np.array([
+        oracle_posterior.entropy(oracle_posterior.normalize(sum(
+            oracle_posterior.distances(S[t, :, 3 + c], S[t, :, c], roughness**2, Ks)
+            for c in range(3)
+        ) / (2 * 0.05**2)))
+        for t in range(len(S))
+    ])  # fmt: skip
+    ours = np.array(estimate(capture, texels, preset=switches).entropy)
+    np.testing.assert_allclose(ours[seen], exact[seen], atol=2e-3)  # spectra differ by 1e-6
