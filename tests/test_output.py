@@ -399,7 +399,7 @@ def test_tone_mapping_exposes_for_the_object():
     np.testing.assert_allclose(mapped[0, 0], 0.5)
     assert np.isfinite(mapped).all()
     # sRGB: 18 % grey is 0.461 of full scale.
-    grey = views.tone_mapped(np.array([[[0.18] * 3, [1.0] * 3]], np.float32))
+    grey = views.tone_mapped(np.array([[[0.18] * 3] + [[1.0] * 3] * 9], np.float32))
     np.testing.assert_allclose(grey[0, 0], 0.461, atol=0.005)
 
 
