@@ -48,7 +48,7 @@ class Preset:
     """``fixed``: sigma in squared radiance (depends on exposure); ``relative``: sigma times
     the observed power; ``marginal``: sigma unknown, p ~ d^(-nu/2)."""
 
-    sigma: float = 0.02
+    sigma: float = 0.05
     """Standard deviation of a degree's power, in the unit that ``noise`` says."""
 
     def __post_init__(self) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.frequency import fit_lanes, power_lanes, solver_groups
+from svu_mi.frequency import fit_lanes, power_lanes, scatter_rows, solver_groups
 from svu_mi.options import Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.posterior import ParameterGrid, Posterior, spectrum_posterior
@@ -160,12 +160,12 @@ def fit_spectra(
         seen: (T,) UInt32, number of views that see each.
         switches: degree, regulariser and R_00 of Eq. 12.
     """
-    size = (switches.degree + 1) * 2 * COLORS
-    lanes = dr.zeros(mi.Float, texels.count * size)
+    shape = (texels.count, switches.degree + 1, COLORS)
+    outgoing, incoming = dr.zeros(mi.TensorXf, shape), dr.zeros(mi.TensorXf, shape)
+    dr.eval(outgoing, incoming)
     for group in solver_groups(seen, switches.degree):
-        surface = Surface.of(texels, group.selection)
         coefficients = fit_lanes(
-            partial(sample, views, lighting, surface),
+            partial(sample, views, lighting, Surface.of(texels, group.selection)),
             views.count,
             degree=switches.degree,
             channels=2 * COLORS,
@@ -174,15 +174,11 @@ def fit_spectra(
             method=group.method,
             capacity=group.capacity,
         )
-        power = [value for channels in power_lanes(coefficients) for value in channels]
-        # Evaluate all rows in one kernel, then write them with one scatter: a scatter per row
-        # would be a kernel per row.
-        dr.eval(power)
-        lane = dr.tile(group.selection, size)
-        row = dr.repeat(dr.arange(mi.UInt32, size), surface.count)
-        dr.scatter(lanes, dr.concat(power), lane * size + row)
-    table = mi.TensorXf(lanes, (texels.count, switches.degree + 1, 2 * COLORS))
-    return Spectra(incoming=table[:, :, COLORS:], outgoing=table[:, :, :COLORS])
+        power = power_lanes(coefficients)
+        for spectra, channels in ((outgoing, slice(COLORS)), (incoming, slice(COLORS, None))):
+            scatter_rows(spectra.array, [row[channels] for row in power], group.selection)
+        dr.eval(outgoing, incoming)
+    return Spectra(incoming=incoming, outgoing=outgoing)
 
 
 def sample(

@@ -131,6 +131,6 @@ def object_mask(scene: Any, target: Any, sensor: Any) -> np.ndarray:
     y = mi.Float(pixel // width) + (mi.Float(sub // n) + 0.5) / n
     ray, _ = sensor.sample_ray(0, 0.5, mi.Point2f(x / width, y / height), mi.Point2f(0.5))
     hit = scene.ray_intersect_preliminary(ray, coherent=True)
-    on_target = hit.is_valid() & (hit.shape == mi.ShapePtr(target))
+    on_target = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, target))
     covered = dr.block_sum(dr.select(on_target, mi.Float(1), mi.Float(0)), n * n)
     return np.array(covered).reshape(height, width).astype(np.float32) / (n * n)

@@ -110,7 +110,9 @@ class Entropy(Common):
             grid = texels(capture.mesh, pair(self.resolution, "--resolution"))
         result = estimate(capture, grid, self.method, self.preset, progress=progress)
         with progress.stage("Writing the results"):
-            write_outputs(capture, result, self.output, settings=_settings(self))
+            write_outputs(
+                capture, result, self.output, settings=_settings(self), kernels=progress.kernels
+            )
         console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
         return 0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from svu_mi.frequency.arrays import scatter_rows
 from svu_mi.frequency.batch import fit_sh
 from svu_mi.frequency.fit import fit_lanes
 from svu_mi.frequency.groups import SolverGroup, solver_groups
@@ -13,5 +14,6 @@ __all__ = [
     "fit_sh",
     "power_lanes",
     "power_spectrum",
+    "scatter_rows",
     "solver_groups",
 ]

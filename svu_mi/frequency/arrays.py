@@ -46,3 +46,30 @@ def tensor(
     if not fits:
         raise ShapeError(f"{caller}: {name} must have shape ({wanted}), got {tuple(out.shape)}.")
     return out
+
+
+@dr.syntax
+def scatter_rows(target: Any, rows: list[list[Any]], texel: Any) -> Any:
+    """Write lanes to texel-major memory, within the kernel that computes them.
+
+    Args:
+        target: flat array, (texel, row, channel).
+        rows: per row a list of channels, one value per lane.
+        texel: UInt32, where each lane goes.
+
+    Returns:
+        ``target``, to be evaluated.
+    """
+    # Scatters outside a symbolic loop would each become a kernel that computes all over
+    # again, and dr.concat one per number of lanes.
+    values = [value for channels in rows for value in channels]
+    count = len(values)
+    memory = dr.alloc_local(mi.Float, count)
+    for i, value in enumerate(values):
+        memory[i] = value
+    start = texel * count
+    i = mi.UInt32(0)
+    while i < dr.opaque(mi.UInt32, count):
+        dr.scatter(target, memory[i], start + i)
+        i += 1
+    return target

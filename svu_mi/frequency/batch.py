@@ -122,7 +122,7 @@ def fit_sh(
             method=group.method,
             capacity=group.capacity,
         )
-        dr.eval(_scatter(coefficients, fitted, texel))
+        dr.eval(arrays.scatter_rows(coefficients, fitted, texel))
     return mi.TensorXf(coefficients, shape)
 
 
@@ -170,20 +170,3 @@ def _count_visible(at: Any, texel: Any, views: Any) -> tuple[Any, Any]:
         visible += dr.select(weight > 0, mi.UInt32(1), mi.UInt32(0))
         view += 1
     return visible, first_bad
-
-
-@dr.syntax
-def _scatter(target: Any, fitted: list[list[Any]], texel: Any) -> Any:
-    """Write the coefficients of every lane to (texel, coefficient, channel)."""
-    # Scatters outside a symbolic loop would each become a kernel that fits all over again.
-    row = [value for channels in fitted for value in channels]
-    count = len(row)
-    memory = dr.alloc_local(mi.Float, count)
-    for i, value in enumerate(row):
-        memory[i] = value
-    start = texel * count
-    i = mi.UInt32(0)
-    while i < dr.opaque(mi.UInt32, count):
-        dr.scatter(target, memory[i], start + i)
-        i += 1
-    return target

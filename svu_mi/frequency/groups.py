@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError
 from svu_mi.frequency.fit import Method
+from svu_mi.interop import owned
 
 CAPACITIES = (32, 64, 128, 256)
 """Sizes of the dual's local memory. Each is a kernel that takes a second to compile, while a lane
@@ -79,5 +79,5 @@ def solver_groups(visible: Any, degree: int, method: str = "auto") -> list[Solve
 def _append(groups: list[SolverGroup], mask: np.ndarray, method: Method, capacity: int) -> None:
     texels = np.flatnonzero(mask).astype(np.uint32)
     if texels.size:
-        selection = dr.copy(mi.UInt32(texels))  # own memory: mi.UInt32 aliases NumPy's
+        selection = owned(mi.UInt32, texels)
         groups.append(SolverGroup(selection=selection, method=method, capacity=capacity))

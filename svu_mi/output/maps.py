@@ -19,9 +19,9 @@ GUTTER = 4  # texels; enough for bilinear lookups down to a quarter of the resol
 def write_maps(estimate: Any, folder: str | Path, *, gutter: int = GUTTER) -> None:
     """Write ``entropy.exr`` and ``coverage.exr``, both with the one float32 channel Y.
 
-    Entropy is in [0, 1] and exactly 1 in texels nobody saw; outside the charts it is 1 too,
-    but for a gutter that repeats the border of the charts. Coverage is the number of views
-    that see the texel, exactly 0 outside the charts.
+    Entropy is in [0, 1] and exactly 1 in texels nobody saw; coverage is the number of views
+    that see a texel. Outside the charts they are 1 and 0, but for a gutter that repeats the
+    border of the charts in both: wherever coverage is 0, entropy is 1.
 
     Args:
         estimate: the ``Estimate``.
@@ -38,8 +38,10 @@ def write_maps(estimate: Any, folder: str | Path, *, gutter: int = GUTTER) -> No
         "svu:preset": estimate.preset.name,
     }
     entropy = padded(estimate, np.asarray(estimate.entropy, np.float32), gutter)
-    write_exr(folder / ENTROPY, {"Y": entropy}, {**attributes, "svu:gutter": gutter})
-    write_exr(folder / COVERAGE, {"Y": estimate.image("coverage")}, attributes)
+    coverage = padded(estimate, np.asarray(estimate.coverage).astype(np.float32), gutter, 0)
+    attributes["svu:gutter"] = gutter
+    write_exr(folder / ENTROPY, {"Y": entropy}, attributes)
+    write_exr(folder / COVERAGE, {"Y": coverage}, attributes)
 
 
 def padded(estimate: Any, values: np.ndarray, gutter: int = GUTTER, fill: float = 1) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.frequency import arrays
+from svu_mi.interop import owned
 from svu_mi.posterior import kernel
 from svu_mi.posterior.grid import ParameterGrid
 
@@ -56,7 +57,7 @@ class Posterior:
         if self.count == 0:
             return mi.Float()
         value = kernel.entropy(self.problem, self.count)
-        value = dr.select(mi.Bool(self.observed), value, 1)
+        value = dr.select(owned(mi.Bool, self.observed), value, 1)
         dr.eval(value)
         return value
 

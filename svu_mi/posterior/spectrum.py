@@ -12,6 +12,7 @@ import numpy as np
 from svu_mi.brdf.principled import alpha_from_roughness, unbounded_alpha
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.frequency import arrays
+from svu_mi.interop import owned
 from svu_mi.options import Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.posterior import kernel
@@ -159,7 +160,7 @@ def _power(switches: Preset, samples: Any | None, count: int) -> Any | None:
     seen = np.array(samples, np.float64).ravel()
     if len(seen) != count:
         raise ShapeError(f"spectrum_posterior(): {len(seen)} sample counts for {count} texels.")
-    return mi.Float64(np.maximum(seen - FITTED, 1) / 2)
+    return owned(mi.Float64, np.maximum(seen - FITTED, 1) / 2)
 
 
 def _prior(prior: Any | None, grid: ParameterGrid) -> tuple[Any, Any] | None:

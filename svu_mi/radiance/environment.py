@@ -19,6 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import SceneError
+from svu_mi.interop import owned
 
 SKY_GRID = (512, 257)  # columns, rows at which a procedural sky is sampled
 SUN_RINGS, SUN_SPOKES = 16, 64  # nodes on a sun's disk, finer than any sky grid
@@ -98,7 +99,7 @@ def directions(columns: int, rows: int) -> np.ndarray:
 
 def _evaluate(emitter: Any, world: np.ndarray) -> np.ndarray:
     si = dr.zeros(mi.SurfaceInteraction3f, len(world))
-    si.wi = -mi.Vector3f(np.ascontiguousarray(world.T, np.float32))
+    si.wi = -owned(mi.Vector3f, world.T.astype(np.float32))
     return np.broadcast_to(emitter.eval(si).numpy().T.astype(np.float64), world.shape).copy()
 
 

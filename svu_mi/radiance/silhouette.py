@@ -37,7 +37,8 @@ def interior(scene: Any, target: Any, sensor: Any) -> Any:
     y = mi.Float(index // columns) / dr.opaque(mi.Float, height)
     ray, _ = sensor.sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
     si = scene.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True)
-    on_target = si.is_valid() & (si.shape == mi.ShapePtr(target))
+    # Opaque: as a literal, every scene of a process would get a kernel of its own.
+    on_target = si.is_valid() & (si.shape == dr.opaque(mi.ShapePtr, target))
     cosine = dr.maximum(dr.abs(dr.dot(si.n, ray.d)), MIN_COSINE)
     slope = dr.sqrt(1 - dr.square(cosine)) / cosine
     # A corner off the object is infinitely far away: no slope explains it.

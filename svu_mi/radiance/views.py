@@ -17,6 +17,7 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.capture.poses import film_size
 from svu_mi.errors import CaptureError
+from svu_mi.interop import owned
 from svu_mi.radiance.silhouette import interior
 
 CAMERA_FLOATS = 16  # rows x, y, w of the projection (4 each), position (3), near clip
@@ -72,10 +73,11 @@ def pack_views(capture: Capture) -> Views:
             good = good & mask.ravel()
         usable[span] = good & np.isfinite(pixels[span]).all(axis=-1)
     return Views(
-        cameras=mi.Float(np.array([_camera(s) for s in sensors], np.float32).ravel()),
-        width=mi.UInt32(np.ascontiguousarray(sizes[:, 0])),
-        height=mi.UInt32(np.ascontiguousarray(sizes[:, 1])),
-        offset=mi.UInt32(offset[:-1].astype(np.uint32)),
+        cameras=owned(mi.Float, np.array([_camera(s) for s in sensors], np.float32).ravel()),
+        width=owned(mi.UInt32, sizes[:, 0]),
+        height=owned(mi.UInt32, sizes[:, 1]),
+        offset=owned(mi.UInt32, offset[:-1].astype(np.uint32)),
+        # The two large arrays stay where they are; they are only looked up, never streamed.
         pixels=mi.Float(pixels.ravel()),
         usable=mi.Bool(usable),
         count=dr.opaque(mi.UInt32, len(kept)),

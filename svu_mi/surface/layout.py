@@ -11,6 +11,7 @@ import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, arrays, has_uvs
 from svu_mi.errors import MeshError, OptionError, ShapeError
+from svu_mi.interop import owned
 from svu_mi.surface.raster import rasterize
 
 OVERLAP_LIMIT = 0.05  # part of the covered texels; below it they are left out, above refused
@@ -189,13 +190,13 @@ def _surface_points(
     footprint = np.sqrt(area[face] / (uv_area * width * height))
     return Texels(
         resolution=resolution,
-        index=mi.UInt32(index.astype(np.uint32)),
-        face=mi.UInt32(face.astype(np.uint32)),
+        index=owned(mi.UInt32, index.astype(np.uint32)),
+        face=owned(mi.UInt32, face.astype(np.uint32)),
         position=_vector(mi.Point3f, position),
         normal=_vector(mi.Normal3f, normal),
         geometric_normal=_vector(mi.Normal3f, geometric),
         uv=_vector(mi.Point2f, uv),
-        footprint=mi.Float(footprint.astype(np.float32)),
+        footprint=owned(mi.Float, footprint.astype(np.float32)),
         overlapping=overlapping,
         degenerate=degenerate,
         extent=float(np.linalg.norm(np.ptp(source.positions, axis=0))),
@@ -215,4 +216,4 @@ def _barycentric(corners: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 
 def _vector(kind: Any, values: np.ndarray) -> Any:
-    return kind(np.ascontiguousarray(values.T, np.float32))
+    return owned(kind, values.T.astype(np.float32))
