@@ -4,7 +4,7 @@ Dr.Jit compiles and launches when an array is evaluated, and shows nothing of it
 measures its own time with the device synchronised at both ends, counts the kernels that
 were compiled in it, and, with a console, shows what is going on:
 
-    progress = Progress(Console(stderr=True))        # or Progress(): measures, shows nothing
+    progress = Progress(Console())        # or Progress(): measures, shows nothing
     with progress.stage("Gathering radiance") as stage:
         stage.update(3, 10)                          # optional: turns the spinner into a bar
     progress.timings                                 # {"Gathering radiance": 0.41}, seconds

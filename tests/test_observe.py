@@ -163,7 +163,7 @@ def test_silhouette_pixels_do_not_mix_in_the_background(tmp_path):
     (low,) = over_views(
         views,
         surface,
-        lambda seen, view, low: (dr.select(seen.seen, dr.minimum(low, seen.radiance.x), low),),
+        lambda seen, _, low: (dr.select(seen.seen, dr.minimum(low, seen.radiance.x), low),),
         (low,),
     )
     assert float(dr.min(low)[0]) > 0.99

@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         0 on success, 2 on bad input (one line on stderr), 130 when interrupted.
     """
-    console = Console(stderr=True)
+    console = Console()  # stderr is for the one line that says what went wrong
     command = tyro.cli(
         Command,  # type: ignore[arg-type]
         prog="svu",

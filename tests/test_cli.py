@@ -1,0 +1,167 @@
+"""The program: files and exit status 0 on good input, one clear line and 2 on bad input."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from helpers import sensor_xml, write_scene
+
+from svu_mi import scenes
+from svu_mi.cli.main import main
+from svu_mi.errors import SvuError
+from svu_mi.exr import read_exr, write_exr
+
+FILES = ["coverage.exr", "entropy.exr", "overview.png", "run.json"]
+
+
+@pytest.fixture(autouse=True)
+def _restore(variant):
+    yield
+    mi.set_variant(variant)
+    mi.set_log_level(mi.LogLevel.Warn)
+
+
+def run(*words):
+    """Run the program in this process."""
+    return main([str(word) for word in words])
+
+
+def fails(capsys, *words):
+    """Run the program, expect status 2, and return its one line."""
+    assert run(*words) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("svu: ")]
+    lines = [line for line in lines if not line.startswith("svu: warning")]
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+@pytest.fixture(scope="module")
+def shot(tmp_path_factory):
+    """A rendered capture folder of the vase, 12 views placed on a sphere."""
+    folder = tmp_path_factory.mktemp("shot")
+    status = run("render", scenes.path("vase"), "-D", "light=window", "--views", 12,
+                 "--resolution", 48, 40, "--spp", 4, "-o", folder)  # fmt: skip
+    assert status == 0
+    return folder
+
+
+def test_render_writes_a_capture_folder(shot):
+    names = sorted(path.name for path in shot.iterdir())
+    assert names == ["capture.json"] + [f"view_{i:04d}.exr" for i in range(12)]
+    record = json.loads((shot / "capture.json").read_text())
+    assert record["define"] == {"light": "window"}
+    assert record["shape"] == "vase"
+    image = read_exr(shot / "view_0003.exr")
+    assert set(image) == set("RGBA")
+    assert image["R"].shape == (40, 48)
+
+
+def test_entropy_writes_four_files(shot, tmp_path):
+    assert run("entropy", shot, "-o", tmp_path, "--resolution", 64, 32, "-t", 2) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
+    entropy = read_exr(tmp_path / "entropy.exr")
+    coverage = read_exr(tmp_path / "coverage.exr")
+    assert list(entropy) == list(coverage) == ["Y"]
+    assert entropy["Y"].shape == (32, 64)
+    assert (entropy["Y"] >= 0).all()
+    assert (entropy["Y"] <= 1).all()
+    assert (entropy["Y"][coverage["Y"] == 0] == 1).all()
+    assert coverage["Y"].max() <= 12
+    record = json.loads((tmp_path / "run.json").read_text())
+    assert record["settings"]["preset"]["name"] == "default"
+    assert record["environment"]["variant"].endswith("_ad_rgb")
+    assert record["timings_s"]
+    assert record["skipped"]["views left out"] == 0
+
+
+def test_a_scene_and_a_folder_of_images_are_an_input_too(shot, tmp_path):
+    status = run("entropy", scenes.path("vase"), "--images", shot, "-D", "light=window",
+                 "--resolution", 48, "-o", tmp_path, "--preset", "paper")  # fmt: skip
+    assert status == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
+
+
+def test_without_photographs_the_scene_is_rendered(tmp_path, capsys):
+    path = write_scene(tmp_path, sensors=sensor_xml(4, 32, 32))
+    assert run("entropy", path, "-o", tmp_path / "out", "--resolution", 24, "--spp", 2) == 0
+    assert "the scene is rendered" in capsys.readouterr().err
+    assert (tmp_path / "out" / "capture" / "view_0003.exr").exists()
+    assert (tmp_path / "out" / "entropy.exr").exists()
+
+
+def test_python_scripts_use_the_same_names(shot):
+    import svu_mi as svu
+
+    capture = svu.load_capture(shot)
+    texels = svu.texels(capture.mesh, resolution=32)
+    estimate = svu.estimate(capture, texels, method="spectrum", preset="default")
+    assert estimate.image("entropy").shape == (32, 32)
+    p = np.array(estimate.posterior.probabilities)
+    assert p.shape[:3] == (texels.count, 8, 8)
+    np.testing.assert_allclose(p.sum(axis=(1, 2)), 1, rtol=1e-5)
+    for name in svu.__all__:
+        assert getattr(svu, name) is not None
+
+
+def test_bad_input_is_one_line_and_status_2(shot, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert "no such file" in fails(capsys, "entropy", tmp_path / "no.xml", "-o", out)
+    line = fails(capsys, "entropy", scenes.path("vase"), "--images", tmp_path / "x", "-o", out)
+    assert "no such folder" in line
+    assert "KEY=VALUE" in fails(capsys, "render", scenes.path("vase"), "-D", "light", "-o", out)
+    line = fails(capsys, "render", scenes.path("vase"), "-D", "light=moon", "-o", out)
+    assert "vase.xml" in line
+    line = fails(capsys, "entropy", shot, "--shape", "jug", "-o", out)
+    assert re.search("no shape 'jug'.*'vase'", line)
+    line = fails(capsys, "entropy", shot, "--resolution", 0, "-o", out)
+    assert "--resolution" in line
+    assert "-1" in fails(capsys, "entropy", shot, "-t", -1, "-o", out)
+
+
+@pytest.mark.parametrize("name", ["scalar_rgb", "llvm_ad_spectral", "nonsense_rgb"])
+def test_a_variant_that_cannot_run_is_named(shot, tmp_path, capsys, name):
+    assert name in fails(capsys, "entropy", shot, "-m", name, "-o", tmp_path)
+
+
+def test_an_output_folder_that_cannot_be_written(shot, tmp_path, capsys):
+    blocker = tmp_path / "file"
+    blocker.write_text("")
+    assert "is a file" in fails(capsys, "entropy", shot, "-o", blocker)
+    assert str(blocker) in fails(capsys, "entropy", shot, "-o", blocker / "below")
+
+
+def test_a_failed_run_leaves_no_half_written_result(shot, tmp_path, capsys):
+    bad = tmp_path / "images"
+    bad.mkdir()
+    for path in shot.iterdir():
+        (bad / path.name).write_bytes(path.read_bytes())
+    write_exr(bad / "view_0005.exr", {"RGB": np.ones((3, 3, 3))})
+    line = fails(capsys, "entropy", scenes.path("vase"), "--images", bad, "-o", tmp_path / "out")
+    assert "view_0005.exr" in line
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_verbose_shows_the_traceback(tmp_path):
+    with pytest.raises(SvuError):
+        run("entropy", tmp_path / "no.xml", "-v", "-o", tmp_path / "out")
+
+
+def test_the_module_is_the_program(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "svu_mi", "entropy", str(tmp_path / "no.xml"), "-o", str(tmp_path)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert done.stderr.strip().count("\n") == 0
+
+
+def test_demo_leaves_four_files(tmp_path):
+    assert run("demo", "-o", tmp_path, "--spp", 1, "--resolution", 32) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
