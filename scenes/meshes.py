@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 MARGIN = 0.012  # of the map: 3 texels at 256
+KNOT_CHARTS = 3
 
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -32,9 +33,7 @@ def join(meshes: list[Mesh]) -> Mesh:
     )
 
 
-def sheet(
-    surface: np.ndarray, low: tuple[float, float], high: tuple[float, float]
-) -> Mesh:
+def sheet(surface: np.ndarray, low: tuple[float, float], high: tuple[float, float]) -> Mesh:
     """Turn a (rows + 1, columns + 1, 3) grid of points into a mesh with one chart.
 
     Rows run down the chart, columns to the right; ``low`` and ``high`` are its corners.
@@ -95,28 +94,51 @@ def vase() -> Mesh:
 
 
 def knot() -> Mesh:
-    """A tube along a (2, 3) torus knot; it hides parts of itself from every side."""
-    t = np.linspace(0, 2 * np.pi, 257)
-    center = np.stack(
-        [
-            (2 + np.cos(3 * t)) * np.cos(2 * t),
-            (2 + np.cos(3 * t)) * np.sin(2 * t),
-            1.4 * np.sin(3 * t),
-        ],
-        axis=-1,
-    ) * 0.27
-    tangent = (np.roll(center[:-1], -1, 0) - np.roll(center[:-1], 1, 0))
+    """A tube along a (2, 3) torus knot; it hides parts of itself from every side.
+
+    Three charts one above the other, a third of the tube each: u runs along it, v around it.
+    One chart would be eight times longer than wide on the surface.
+    """
+    rings = 86 * KNOT_CHARTS
+    t = 2 * np.pi * np.arange(rings) / rings
+    out = 2 + np.cos(3 * t)
+    center = np.stack([out * np.cos(2 * t), out * np.sin(2 * t), 1.4 * np.sin(3 * t)], axis=-1)
+    center = 0.27 * (center - (center.min(axis=0) + center.max(axis=0)) / 2)
+    normal, side = _frames(center)
+    angle = np.linspace(0, 2 * np.pi, 25)[:, None, None]
+    tube = center + 0.17 * (np.cos(angle) * normal + np.sin(angle) * side)
+    tube = np.concatenate([tube, tube[:, :1]], axis=1)
+    parts = []
+    for k in range(KNOT_CHARTS):
+        part = tube[:, 86 * k : 86 * (k + 1) + 1]
+        parts.append(sheet(part, (0, k / KNOT_CHARTS), (1, (k + 1) / KNOT_CHARTS)))
+    return join(parts)
+
+
+def _frames(center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normals and sides (N, 3) along a closed curve, twisting evenly and no more than needed.
+
+    Transported without twist by double reflection [Wang et al., ACM TOG 27(1), 2008]; the
+    angle that is then missing where the curve closes is spread over its length.
+    """
+    count = len(center)
+    tangent = np.roll(center, -1, 0) - np.roll(center, 1, 0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    # A frame from a fixed direction does not twist where it closes.
-    outward = center[:-1] - (center[:-1] @ np.diag([0, 0, 1.0]))
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    normal = outward - (outward * tangent).sum(1, keepdims=True) * tangent
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    side = np.cross(tangent, normal)
-    angle = np.linspace(0, 2 * np.pi, 25)
-    ring = np.cos(angle)[:, None, None] * normal + np.sin(angle)[:, None, None] * side
-    tube = center[:-1] + 0.17 * ring
-    return sheet(np.concatenate([tube, tube[:, :1]], axis=1), (0, 0), (1, 1))
+    normal = [np.cross(tangent[0], [0.0, 0.0, 1.0])]
+    normal[0] /= np.linalg.norm(normal[0])
+    for k in range(count):
+        after = (k + 1) % count
+        chord = center[after] - center[k]
+        moved = normal[k] - 2 * (chord @ normal[k]) / (chord @ chord) * chord
+        turned = tangent[k] - 2 * (chord @ tangent[k]) / (chord @ chord) * chord
+        change = tangent[after] - turned
+        normal.append(moved - 2 * (change @ moved) / (change @ change) * change)
+    missing = np.arctan2(np.cross(normal[-1], normal[0]) @ tangent[0], normal[-1] @ normal[0])
+    normals = np.array(normal[:-1])
+    sides = np.cross(tangent, normals)
+    twist = (missing * np.arange(count) / count)[:, None]
+    turned_normals = np.cos(twist) * normals + np.sin(twist) * sides
+    return turned_normals, np.cross(tangent, turned_normals)
 
 
 def _smooth(control: np.ndarray, steps: int) -> np.ndarray:

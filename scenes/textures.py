@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from svu_mi.scenes.meshes import KNOT_CHARTS, MARGIN
+
 SIZE = 256
 
 Material = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -19,10 +21,23 @@ def coordinates() -> tuple[np.ndarray, np.ndarray]:
     return u, v
 
 
-def noise(seed: int, waves: int) -> np.ndarray:
-    """Smooth noise in [0, 1] that repeats at the borders: a few random plane waves."""
+def along(coordinate: np.ndarray, charts: int = 1) -> np.ndarray:
+    """Where a texel lies in its chart: 0 and 1 at the ends of the mesh, beyond them in gutters.
+
+    A pattern with period 1 in this meets itself where the chart's borders meet on the surface,
+    and the gutters show what is on the other side.
+
+    Args:
+        coordinate: u or v of the map, (H, W).
+        charts: number of equal charts in that direction.
+    """
+    start = np.floor(coordinate * charts) / charts
+    return (coordinate - start - MARGIN) / (1 / charts - 2 * MARGIN)
+
+
+def noise(seed: int, waves: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Smooth noise in [0, 1] with period 1 in u and v: a few random plane waves."""
     rng = np.random.default_rng(seed)
-    u, v = coordinates()
     total = np.zeros_like(u)
     for _ in range(24):
         a, b = rng.integers(-waves, waves + 1, 2)
@@ -43,11 +58,14 @@ def paint(layers: list[tuple[np.ndarray, tuple[float, float, float], float, floa
 
 
 def planes() -> Material:
-    """Left half matte, right half glossy, the same colour and metallic."""
+    """Left half matte, right half glossy, the same colour and metallic.
+
+    Glossy, but not a mirror: what 24 views can tell from a perfect one.
+    """
     u, _ = coordinates()
     one = np.ones_like(u)
     copper = (0.6, 0.42, 0.25)
-    return paint([(one, copper, 0.9, 1.0), ((u > 0.5) * one, copper, 0.15, 1.0)])
+    return paint([(one, copper, 0.9, 1.0), ((u > 0.5) * one, copper, 0.4, 1.0)])
 
 
 def spheres() -> Material:
@@ -63,8 +81,8 @@ def spheres() -> Material:
 def vase() -> Material:
     """Unglazed clay, a blue glaze with a wave, painted bands, and a golden rim."""
     u, v = coordinates()
-    one = np.ones_like(u)
-    clay = noise(7341, 9)
+    one, u = np.ones_like(u), along(u)
+    clay = noise(7341, 9, u, v)
 
     def band(low: float, high: float) -> np.ndarray:
         return ((v > low) & (v < high)).astype(float)
@@ -83,13 +101,15 @@ def vase() -> Material:
 
 
 def knot() -> Material:
-    """Stripes of brass, lacquer and rubber along the tube, with noise in their roughness."""
+    """Ribbons of brass, lacquer and rubber wound around the tube, worn here and there."""
     u, v = coordinates()
-    del u
-    stripe = np.floor(v * 15) % 3
+    length = (np.floor(v * KNOT_CHARTS) + along(u)) / KNOT_CHARTS
+    around = along(v, KNOT_CHARTS)
+    ribbon = np.floor(3 * ((around + 8 * length) % 1))
     color, rough, metal = paint([
         (np.ones_like(v), (0.85, 0.62, 0.30), 0.22, 1.0),
-        ((stripe == 1).astype(float), (0.55, 0.04, 0.05), 0.12, 0.0),
-        ((stripe == 2).astype(float), (0.10, 0.12, 0.11), 0.7, 0.0),
+        ((ribbon == 1).astype(float), (0.55, 0.04, 0.05), 0.12, 0.0),
+        ((ribbon == 2).astype(float), (0.10, 0.12, 0.11), 0.7, 0.0),
     ])  # fmt: skip
-    return color, np.clip(rough + 0.2 * (noise(52817, 6) - 0.5), 0.05, 1), metal
+    wear = noise(52817, 6, 3 * length, around)
+    return color, np.clip(rough + 0.3 * (wear - 0.5), 0.05, 1), metal

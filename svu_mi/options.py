@@ -46,9 +46,9 @@ class Preset:
 
     noise: NoiseRule = "relative"
     """``fixed``: sigma in squared radiance (depends on exposure); ``relative``: sigma times
-    the observed power; ``marginal``: sigma unknown, p ~ d^(-nu/2)."""
+    the capture's mean observed power; ``marginal``: sigma unknown, p ~ d^(-nu/2)."""
 
-    sigma: float = 0.05
+    sigma: float = 0.01
     """Standard deviation of a degree's power, in the unit that ``noise`` says."""
 
     def __post_init__(self) -> None:

@@ -38,7 +38,7 @@ class Problem:
 
     Attributes:
         incoming, outgoing: (T * (L + 1) * C) Float, power spectra.
-        sigma: per channel group, (T,) Float64, standard deviation of a degree's power.
+        sigma: Float64, one number: standard deviation of a degree's power.
         power: (T,) Float64 nu / 2 of d^(-nu/2), or None for exp(-d / (2 sigma^2)); sigma^2 is
             then the floor that is added to d.
         degree: L = l*.
@@ -51,7 +51,7 @@ class Problem:
 
     incoming: Any
     outgoing: Any
-    sigma: list[Any]
+    sigma: Any
     power: Any | None
     degree: int
     channels: int
@@ -154,8 +154,8 @@ def _row_energies(
 def _spectra(problem: Problem, texel: Any) -> Scaled:
     """Read S_L(l), S_B(l) for l >= 1, the channels of a group one after the other."""
     result = []
-    for group, sigma in zip(problem.groups, problem.sigma, strict=True):
-        scale = math.sqrt(0.5) * dr.rcp(dr.gather(mi.Float64, sigma, texel))
+    scale = math.sqrt(0.5) * dr.rcp(problem.sigma)
+    for group in problem.groups:
         index = [
             (texel * (problem.degree + 1) + l) * problem.channels + c
             for c in group

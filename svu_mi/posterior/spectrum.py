@@ -19,7 +19,7 @@ from svu_mi.posterior import kernel
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.record import Posterior
 
-DARK = 1e-4  # part of the incident power below which observed power is all noise
+DARK = 1e-4  # part of the incident power that counts when nothing at all is reflected
 FITTED = 2  # parameters per texel and channel that the marginal noise rule pays for
 
 
@@ -34,6 +34,7 @@ def spectrum_posterior(
     prior: Any | None = None,
     observed: Any | None = None,
     samples: Any | None = None,
+    scale: float | None = None,
 ) -> Posterior:
     """Compare observed spectra with those of every (roughness, Ks) of a grid.
 
@@ -52,6 +53,9 @@ def spectrum_posterior(
         prior: (R, S) or (R,) non-negative weights of the cells, any scale.
         observed: (T,) bool, False for texels nobody saw; all by default.
         samples: (T,) number of views that see each texel; needed by the marginal noise rule.
+        scale: power that a relative sigma is a part of; by default the mean over the observed
+            texels and channels of sum_l S_B(l). Give it when these texels are only some of a
+            capture's.
 
     Raises:
         ShapeError: arrays that do not fit each other.
@@ -73,7 +77,7 @@ def spectrum_posterior(
     problem = kernel.Problem(
         incoming=S_L.array,
         outgoing=S_B.array,
-        sigma=[],
+        sigma=dr.opaque(mi.Float64, _sigma(switches, S_L, S_B, seen, scale)),
         power=_power(switches, samples, count),
         degree=degrees - 1,
         channels=channels,
@@ -82,7 +86,6 @@ def spectrum_posterior(
         specular=grid.specular_nodes,
         prior=_prior(prior, grid),
     )
-    problem = replace(problem, sigma=[_sigma(switches, problem, count, g) for g in problem.groups])
     posterior = Posterior(problem, grid, seen, count)
     return _most_certain_channel(posterior) if switches.channels == "minimum" else posterior
 
@@ -123,29 +126,28 @@ def _decay(switches: Preset, grid: ParameterGrid, degree: int, prefilter: float)
     return np.exp(-2 * width[:, None] * l**2)
 
 
-def _sigma(switches: Preset, problem: kernel.Problem, count: int, group: tuple[int, ...]) -> Any:
-    """Standard deviation of a degree's power for a group of channels, (T,) Float64.
+def _sigma(switches: Preset, S_L: Any, S_B: Any, seen: np.ndarray, scale: float | None) -> float:
+    """Standard deviation of a degree's power, one number for the capture.
 
-    Relative to what was observed, degree 0 included, so that exposure cancels. A texel that
-    reflects nothing is an observation too: there, a small part of the incident power counts.
+    Noise and the model's error come with the photographs, not with the texel: relative to
+    each texel's own power, a dark texel would seem as well measured as a bright one.
     """
-    if count == 0:
-        return mi.Float64()
     if switches.noise == "fixed":
-        return dr.full(mi.Float64, switches.sigma, count)
-    texel = dr.arange(mi.UInt32, count)
-    square = mi.Float64(0)
-    for channel in group:
-        power = [mi.Float64(0), mi.Float64(0)]
-        for l in range(problem.degree + 1):
-            index = (texel * (problem.degree + 1) + l) * problem.channels + channel
-            power[0] += mi.Float64(dr.gather(mi.Float, problem.outgoing, index))
-            power[1] += mi.Float64(dr.gather(mi.Float, problem.incoming, index))
-        square += dr.square(dr.maximum(power[0], DARK * power[1]))
+        return switches.sigma
+    if scale is None:
+        scale = _mean_power(S_B, seen) or DARK * _mean_power(S_L, seen)
+    elif not (np.isfinite(scale) and scale > 0):
+        raise OptionError(f"spectrum_posterior(): scale must be positive, got {scale!r}.")
     # Neither light nor reflection: any positive number leaves the posterior uniform.
-    sigma = dr.select(square > 0, dr.sqrt(square), 1) * dr.opaque(mi.Float64, switches.sigma)
-    dr.eval(sigma)
-    return sigma
+    return switches.sigma * (scale or 1.0)
+
+
+def _mean_power(spectrum: Any, seen: np.ndarray) -> float:
+    """Mean over observed texels and channels of sum_l S(l)."""
+    if not seen.any():
+        return 0.0
+    values = spectrum.numpy()[seen].astype(np.float64)
+    return float(values.sum(axis=1).mean())
 
 
 def _power(switches: Preset, samples: Any | None, count: int) -> Any | None:
@@ -191,20 +193,15 @@ def _prior(prior: Any | None, grid: ParameterGrid) -> tuple[Any, Any] | None:
 def _most_certain_channel(posterior: Posterior) -> Posterior:
     """Keep, per texel, the channel with the smallest entropy (the published code's rule)."""
     problem, count = posterior.problem, posterior.count
-    single = [
-        replace(problem, groups=(group,), sigma=[sigma])
-        for group, sigma in zip(problem.groups, problem.sigma, strict=True)
-    ]
+    single = [replace(problem, groups=(group,)) for group in problem.groups]
     if count == 0:
         return replace(posterior, problem=single[0])
     best = mi.UInt32(0)
     lowest = dr.full(mi.Float, 2, count)
-    sigma = mi.Float64(0)
     for channel, alone in enumerate(single):
         value = kernel.entropy(alone, count)
         lower = value < lowest
         best = dr.select(lower, channel, best)
-        sigma = dr.select(lower, alone.sigma[0], sigma)
         lowest = dr.minimum(value, lowest)
     size = problem.degree + 1
     lane = dr.arange(mi.UInt32, count * size)
@@ -213,9 +210,8 @@ def _most_certain_channel(posterior: Posterior) -> Posterior:
         problem,
         incoming=dr.gather(mi.Float, problem.incoming, index),
         outgoing=dr.gather(mi.Float, problem.outgoing, index),
-        sigma=[sigma],
         channels=1,
         groups=((0,),),
     )
-    dr.eval(chosen.incoming, chosen.outgoing, sigma)
+    dr.eval(chosen.incoming, chosen.outgoing)
     return replace(posterior, problem=chosen)

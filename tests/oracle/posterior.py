@@ -42,8 +42,3 @@ def entropy(p: np.ndarray) -> float:
     """H = -1 / log n * sum p log p (Eq. 5)."""
     positive = p[p > 0]
     return float(-(positive * np.log(positive)).sum() / np.log(p.size))
-
-
-def observed_power(S_L: np.ndarray, S_B: np.ndarray) -> float:
-    """What the relative noise rule scales with: observed power, at least 1e-4 of the incident."""
-    return max(S_B.sum(), 1e-4 * S_L.sum())
