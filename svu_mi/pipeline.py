@@ -2,8 +2,9 @@
 
     capture -> texels -> observe in every view -> SH fit -> power spectra -> posterior
 
-Memory: the photographs and their packed copy (2 * 12 + 1 bytes per pixel), about
-100 + 24 (l* + 1) bytes per texel, and nothing that grows with texels times views.
+Memory at its peak, measured (BENCHMARKS.md): 26 bytes per pixel of all photographs (float32
+RGB as read, a packed copy, two flags), 560 bytes per texel (most of it double-precision
+temporaries of the texel layout), and nothing that grows with texels times views.
 """
 
 from __future__ import annotations
