@@ -53,8 +53,10 @@ class Preset:
 
     def __post_init__(self) -> None:
         _require(1 <= self.degree <= 9, "degree", "in [1, 9]", self.degree)  # dr.sh_eval
-        _require(0 < self.regularizer < float("inf"), "regularizer", "positive", self.regularizer)
-        _require(0 < self.sigma < float("inf"), "sigma", "positive", self.sigma)
+        # Beyond these, double precision ends: a singular fit, an infinite 1 / sigma^2.
+        _require(1e-12 <= self.regularizer <= 1e12, "regularizer", "in [1e-12, 1e12]",
+                 self.regularizer)  # fmt: skip
+        _require(1e-30 <= self.sigma <= 1e30, "sigma", "positive, in [1e-30, 1e30]", self.sigma)
         _require(self.spacing in ("uniform", "dielectric"), "spacing", "uniform or dielectric",
                  self.spacing)  # fmt: skip
         _require(self.channels in ("sum", "joint", "minimum"), "channels",
@@ -95,5 +97,7 @@ def preset(base: str | Preset = "default", **switches: object) -> Preset:
     if unknown:
         names = ", ".join(sorted(known))
         raise OptionError(f"Unknown switch {unknown[0]!r}; a preset has {names}.")
+    if not isinstance(base, str | Preset):
+        raise OptionError(f"A preset is a name or a Preset, got {base!r}.")
     chosen = PRESETS[base] if isinstance(base, str) else base
     return replace(chosen, **switches) if switches else chosen  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ import warnings
 import mitsuba as mi
 import numpy as np
 import pytest
-from helpers import sensor_xml, write_scene
+from helpers import ball, sensor_xml, write_scene
 from PIL import Image
 
 from svu_mi.capture import load_capture, render_capture
@@ -23,6 +23,7 @@ from svu_mi.errors import (
     SvuWarning,
 )
 from svu_mi.exr import read_exr, write_exr
+from svu_mi.surface import texels
 
 
 def write_images(folder, count, shape=(24, 24), value=0.5):
@@ -136,6 +137,55 @@ def test_defines_reach_the_scene(tmp_path):
         load_capture(path, defines={"colour": "red"})
 
 
+def test_photographs_beside_the_scene_are_found_although_there_is_an_empty_folder(tmp_path):
+    path = write_scene(tmp_path)
+    write_images(tmp_path, 3)
+    (tmp_path / "images").mkdir()
+    assert load_capture(path).count == 3
+
+
+def test_a_capture_folder_and_other_images_are_a_capture(tmp_path):
+    path = write_scene(tmp_path)
+    render_capture(path, spp=1, folder=tmp_path / "shot")
+    write_images(tmp_path / "other", 3, value=0.25)
+    capture = load_capture(tmp_path / "shot", tmp_path / "other")
+    assert float(capture.images[0].mean()) == 0.25
+
+
+def test_an_interrupted_render_can_be_repeated(tmp_path):
+    path = write_scene(tmp_path)
+
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        render_capture(path, spp=1, folder=tmp_path / "shot", progress=interrupt)
+    with pytest.raises(CaptureError, match="2 of 3 photographs are missing"):
+        load_capture(tmp_path / "shot")
+    assert render_capture(path, spp=1, folder=tmp_path / "shot").count == 3
+
+
+def test_a_capture_in_memory_has_no_source(tmp_path):
+    assert render_capture(write_scene(tmp_path), spp=1).source is None
+
+
+def test_a_luminance_film_gives_grey_photographs(tmp_path):
+    luminance = '<string name="pixel_format" value="luminance"/>'
+    sensors = sensor_xml(1).replace('"hdrfilm">', f'"hdrfilm">{luminance}')
+    image = render_capture(write_scene(tmp_path, sensors=sensors), spp=2).images[0]
+    assert image.shape == (24, 24, 3)
+    np.testing.assert_array_equal(image[..., 0], image[..., 2])
+
+
+def test_noise_in_an_8_bit_mask_does_not_matter(scene):
+    pixels = np.full((24, 24), 250, np.uint8)
+    pixels[:, :5] = 6
+    Image.fromarray(pixels).save(scene.parent / "images" / "mask_0000.png")
+    mask = load_capture(scene).masks[0]
+    assert mask[:, 5:].all()
+    assert not mask[:, :5].any()
+
+
 # --- bad photographs ------------------------------------------------------------------------
 
 
@@ -240,6 +290,8 @@ def test_images_in_a_missing_folder(scene):
         ('{"format": "svu-capture", "exposure": [1, 0, 1]}', "exposure of view 1 is 0"),
         ('{"format": "svu-capture", "exposure": "a"}', "wrong type"),
         ('{"format": "svu-capture", "sensors": [{"x_fov": 3}]}', "sensor 0.*not complete"),
+        ('{"format": "svu-capture", "version": 99}', "version 99 is not known"),
+        ("[" * 100000, "not a readable JSON"),
     ],
 )
 def test_a_broken_description_is_named(scene, text, message):
@@ -341,6 +393,23 @@ def test_a_mirrored_camera_in_a_capture_folder_is_refused(scene):
         load_capture(scene)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"x_fov": float("nan")}, "NaN or infinite"),
+        ({"principal_point_offset": [float("nan"), 0]}, "NaN or infinite"),
+        ({"to_world": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, 1]]}, "last row"),
+        ({"x_fov": 400}, "Mitsuba refuses the sensor"),
+    ],
+)
+def test_impossible_sensors_in_a_capture_folder_are_refused(scene, change, message):
+    record = describe(sphere_sensors(mi.load_dict({"type": "sphere"}), 1, (24, 24))[0])
+    text = json.dumps({"format": "svu-capture", "sensors": [{**record, **change}] * 3})
+    (scene.parent / "images" / "capture.json").write_text(text)
+    with pytest.raises(CaptureError, match=message):
+        load_capture(scene)
+
+
 def test_other_camera_models_are_named(tmp_path):
     sensors = sensor_xml(1).replace('"perspective"', '"orthographic"')
     sensors = sensors.replace('<float name="fov" value="35"/>', "")
@@ -357,6 +426,20 @@ def test_a_mirrored_mesh_keeps_its_outside_if_it_has_normals(tmp_path):
     path = write_scene(tmp_path, transform=mirror, normals=None)
     with pytest.raises(SceneError, match="point inwards.*flip_normals"):
         load_capture(path)
+    # The fix that the sentence names works.
+    flipped = mirror + '<boolean name="flip_normals" value="true"/>'
+    capture = load_capture(write_scene(tmp_path, transform=flipped, normals=None))
+    outward = texels(capture.mesh, 32)
+    assert (outward.normal.numpy() * outward.position.numpy()).sum(axis=0).min() > 0.9
+
+
+def test_an_open_bowl_seen_from_inside_is_accepted(tmp_path):
+    """Its normals point towards its centre, and that is right."""
+    flat = ball()
+    lower = flat.positions[flat.faces].mean(axis=1)[:, 1] < -0.1
+    path = write_scene(tmp_path, faces=flat.faces[lower][:, ::-1], normals=-flat.normals)
+    write_images(tmp_path / "images", 3)
+    assert load_capture(path).shape.id() == "ball"
 
 
 @pytest.mark.parametrize("name", ["scalar_rgb", "llvm_ad_spectral", "llvm_ad_mono"])
@@ -373,6 +456,8 @@ def test_spp_and_views_must_be_positive(tmp_path):
     path = write_scene(tmp_path)
     with pytest.raises(OptionError, match="spp must be at least 1"):
         render_capture(path, spp=0)
+    with pytest.raises(OptionError, match="seed must not be negative"):
+        render_capture(path, seed=-1)
     with pytest.raises(OptionError, match="Cannot place 0 sensors"):
         render_capture(path, views=0)
 

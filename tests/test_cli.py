@@ -10,7 +10,7 @@ import sys
 import mitsuba as mi
 import numpy as np
 import pytest
-from helpers import sensor_xml, write_scene
+from helpers import ball, sensor_xml, write_scene
 
 from svu_mi import scenes
 from svu_mi.cli.main import main
@@ -95,6 +95,21 @@ def test_without_photographs_the_scene_is_rendered(tmp_path, capsys):
     assert (tmp_path / "out" / "entropy.exr").exists()
 
 
+@pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
+def test_overlapping_uvs_are_unwrapped_when_asked_rendered_scenes_too(tmp_path, capsys):
+    flat = ball()
+    doubled = {
+        "positions": np.concatenate([flat.positions, 0.2 * flat.positions + [2, 0, 0]]),
+        "faces": np.concatenate([flat.faces, flat.faces + len(flat.positions)]),
+        "normals": np.concatenate([flat.normals] * 2),
+        "uvs": np.concatenate([flat.uvs] * 2),
+    }
+    path = write_scene(tmp_path, sensors=sensor_xml(3, 32, 32), **doubled)
+    words = ["entropy", path, "-o", tmp_path / "out", "--resolution", 32, "--spp", 1]
+    assert "--unwrap" in fails(capsys, *words)
+    assert run(*words, "--unwrap") == 0
+
+
 def test_python_scripts_use_the_same_names(shot):
     import svu_mi as svu
 
@@ -122,6 +137,9 @@ def test_bad_input_is_one_line_and_status_2(shot, tmp_path, capsys):
     line = fails(capsys, "entropy", shot, "--resolution", 0, "-o", out)
     assert "--resolution" in line
     assert "-1" in fails(capsys, "entropy", shot, "-t", -1, "-o", out)
+    assert "at most" in fails(capsys, "entropy", shot, "-t", 100000, "-o", out)
+    assert "'parallel'" in fails(capsys, "entropy", shot, "-D", "parallel=0", "-o", out)
+    assert "seed" in fails(capsys, "render", scenes.path("vase"), "--seed", -1, "-o", out)
 
 
 @pytest.mark.parametrize("name", ["scalar_rgb", "llvm_ad_spectral", "nonsense_rgb"])

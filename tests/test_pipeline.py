@@ -257,7 +257,7 @@ def test_figure_2_clear_light_tells_more_about_the_glossy_plane():
     clear_matte, clear_glossy = planes_entropy("clear")
     assert overcast_matte > 0.5
     assert overcast_glossy > 0.5
-    assert clear_glossy < 0.45  # a third is what 24 views leave open: roughness below 0.45
+    assert clear_glossy < 0.4  # a third is what 24 views leave open: roughness below 0.45
     assert clear_glossy < clear_matte
     assert clear_glossy < 0.6 * overcast_glossy
 

@@ -128,6 +128,18 @@ def test_impossible_resolutions_are_refused(resolution):
         texels(make("ball", ball()), resolution)
 
 
+@pytest.mark.parametrize("resolution", ["a", 64.0, (1, 2, 3), (32.5, 16), None])
+def test_resolutions_that_are_no_whole_numbers_are_refused(resolution):
+    with pytest.raises(OptionError, match="whole number"):
+        texels(make("ball", ball()), resolution)
+
+
+def test_numpy_numbers_are_resolutions_and_spheres_have_no_texels():
+    assert texels(make("ball", ball()), np.int64(16)).resolution == (16, 16)
+    with pytest.raises(MeshError, match="not a triangle mesh"):
+        texels(mi.load_dict({"type": "sphere"}), 16)
+
+
 def test_to_image_puts_values_back(variant):
     found = texels(make("ball", ball()), (20, 10))
     image = found.to_image(found.uv.numpy().T, -1)

@@ -15,6 +15,7 @@ from svu_mi.errors import CaptureError
 
 FILE = "capture.json"
 FORMAT = "svu-capture"
+VERSION = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,10 +57,14 @@ def read(folder: Path) -> Description | None:
         return None
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise CaptureError(f"{path}: not a readable JSON file ({error}).") from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise CaptureError(f'{path}: not a capture; expected "format": "{FORMAT}".')
+    if record.get("version", VERSION) != VERSION:
+        raise CaptureError(
+            f"{path}: version {record['version']!r} is not known, only {VERSION}; update svu_mi."
+        )
     try:
         scene = record.get("scene")
         return Description(
@@ -78,7 +83,7 @@ def write(folder: Path, description: Description, sensors: Sequence[Any]) -> Non
     scene = description.scene
     record = {
         "format": FORMAT,
-        "version": 1,
+        "version": VERSION,
         "scene": None if scene is None else os.path.relpath(scene.resolve(), folder.resolve()),
         "define": dict(description.defines),
         "shape": description.shape,

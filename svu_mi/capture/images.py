@@ -15,6 +15,7 @@ SUFFIXES = (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg")
 LDR_SUFFIXES = (".png", ".jpg", ".jpeg")
 SATURATED = 0.98  # of an 8-bit photograph's encoded range; a clipped highlight is no measurement
 ON_OBJECT = 0.999  # alpha from which a pixel shows nothing but the object
+IN_MASK = 0.5  # the same for 8-bit masks, which say inside or outside, with noise if JPEG
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,9 @@ def read_photograph(path: Path, size: tuple[int, int], exposure: float) -> Photo
         bad = ~(np.isfinite(color) & (color >= 0)).all(axis=-1)
     color /= np.float32(exposure)
     color[bad] = np.nan
-    alpha = rgba[..., 3] if rgba.shape[2] > 3 else _mask_beside(path, (height, width))
-    mask = None if alpha is None else alpha >= ON_OBJECT
+    mask = _mask_beside(path, (height, width))
+    if rgba.shape[2] > 3:
+        mask = rgba[..., 3] >= (IN_MASK if low_range else ON_OBJECT)
     return Photograph(color, mask, int(bad.sum()) - saturated, saturated, low_range)
 
 
@@ -141,13 +143,14 @@ def _mask_beside(path: Path, shape: tuple[int, int]) -> np.ndarray | None:
     for suffix in SUFFIXES:
         candidate = path.with_name(path.stem.replace("view_", "mask_") + suffix)
         if candidate.is_file():
-            values = _read(candidate)[0][..., 0]
+            pixels, low_range = _read(candidate)
+            values = pixels[..., 0]
             if values.shape != shape:
                 raise CaptureError(
                     f"{candidate}: the mask has {values.shape[1]} x {values.shape[0]} pixels but "
                     f"its photograph has {shape[1]} x {shape[0]}."
                 )
-            return values
+            return values >= (IN_MASK if low_range else ON_OBJECT)
     return None
 
 

@@ -53,11 +53,16 @@ def load_capture(
     """
     require_variant()
     path = Path(path)
-    folder = _image_folder(path, None if images is None else Path(images))
+    folder = Path(images) if images is not None else photographs_of(path)
     description = capture_folder.read(folder) or Description()
     xml = path if path.suffix.lower() == ".xml" else description.scene
+    if xml is None and path.is_dir():
+        xml = (capture_folder.read(path) or Description()).scene
     if xml is None:
-        raise CaptureError(f"{path}: not a Mitsuba XML scene and not a capture folder.")
+        raise CaptureError(
+            f"{path}: not a Mitsuba XML scene, and no capture folder that names one; give the "
+            "scene, and this folder as --images."
+        )
     # What the caller says wins over what the folder remembers.
     description = dataclasses.replace(
         description,
@@ -108,17 +113,26 @@ def read_capture(
     )
 
 
-def _image_folder(path: Path, images: Path | None) -> Path:
-    if images is not None:
-        return images
+def photographs_of(path: Path) -> Path:
+    """Return where the photographs of a scene or capture are when nobody says.
+
+    A capture folder holds them itself; those of a scene are in ``images`` beside it, or in
+    its own folder.
+
+    Raises:
+        CaptureError: ``path`` does not exist.
+    """
     if path.is_dir():
         return path
     if not path.exists():
-        raise CaptureError(f"{path}: no such file or folder.")
-    if path.name == capture_folder.FILE:
-        return path.parent
+        raise CaptureError(f"{path}: no such file or folder; give a Mitsuba scene or a capture.")
     beside = path.parent / "images"
-    return beside if beside.is_dir() else path.parent
+    return beside if has_photographs(beside) else path.parent
+
+
+def has_photographs(folder: Path) -> bool:
+    """Return whether a folder has any ``view_NNNN`` image."""
+    return next(folder.glob("view_*"), None) is not None
 
 
 def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:

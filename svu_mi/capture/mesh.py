@@ -42,10 +42,16 @@ def arrays(mesh: Any) -> MeshArrays:
     def rows(buffer: Any, width: int) -> np.ndarray:
         return np.array(buffer.numpy(), np.float64).reshape(-1, width)
 
+    faces = np.array(mesh.faces_buffer().numpy(), np.int64).reshape(-1, 3)
+    normals = rows(mesh.vertex_normals_buffer(), 3) if mesh.has_vertex_normals() else None
+    if mesh.has_flipped_normals():
+        # Mitsuba 3.9 turns them when a ray hits, not in the buffers.
+        faces = faces[:, ::-1].copy()
+        normals = None if normals is None else -normals
     return MeshArrays(
         positions=rows(mesh.vertex_positions_buffer(), 3),
-        faces=np.array(mesh.faces_buffer().numpy(), np.int64).reshape(-1, 3),
-        normals=rows(mesh.vertex_normals_buffer(), 3) if mesh.has_vertex_normals() else None,
+        faces=faces,
+        normals=normals,
         uvs=rows(mesh.vertex_texcoords_buffer(), 2) if has_uvs(mesh) else None,
     )
 

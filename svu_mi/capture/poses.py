@@ -56,6 +56,7 @@ def make_sensor(record: Mapping[str, Any], label: str) -> Any:
         CaptureError: a key is missing or Mitsuba refuses a value.
     """
     try:
+        _check_finite(record, label)
         return mi.load_dict(
             {
                 "type": "perspective",
@@ -82,11 +83,24 @@ def make_sensor(record: Mapping[str, Any], label: str) -> Any:
                 "sampler": {"type": "independent"},
             }
         )
-    except (KeyError, TypeError, ValueError, IndexError, RuntimeError) as error:
+    except (KeyError, TypeError, ValueError, IndexError) as error:
         raise CaptureError(
             f"{label}: the sensor's description is not complete ({error!r}); "
             "render or import the capture again."
         ) from error
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise CaptureError(f"{label}: Mitsuba refuses the sensor ({reason}).") from error
+
+
+def _check_finite(record: Mapping[str, Any], label: str) -> None:
+    """Refuse numbers that Mitsuba would take and then see nothing with."""
+    pose = np.array(record["to_world"], np.float64)
+    numbers = [pose.ravel(), record["x_fov"], *record["principal_point_offset"], *record["clip"]]
+    if not all(np.isfinite(np.array(number, np.float64)).all() for number in numbers):
+        raise CaptureError(f"{label}: the sensor's description has a NaN or infinite number.")
+    if pose.shape != (4, 4) or not np.allclose(pose[3], [0, 0, 0, 1]):
+        raise CaptureError(f"{label}: to_world must be a 4 x 4 matrix with last row 0 0 0 1.")
 
 
 def sphere_sensors(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,11 @@ from svu_mi.capture.scene import (
     find_environment,
     find_sensors,
     find_shape,
+    last_sentence,
     load_scene,
     require_variant,
 )
-from svu_mi.errors import OptionError, OutputError
+from svu_mi.errors import OptionError, OutputError, SceneError
 from svu_mi.exr import write_exr
 
 MASK_GRID = 3  # mask rays per pixel side; any miss puts a pixel off the object
@@ -39,6 +41,7 @@ def render_capture(
     views: int | None = None,
     resolution: tuple[int, int] = (512, 512),
     defines: Mapping[str, str] | None = None,
+    unwrap: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Capture:
     """Render one photograph per sensor and read them back as a capture.
@@ -54,17 +57,20 @@ def render_capture(
             scene's own.
         resolution: (width, height) of those sensors' films, in pixels.
         defines: values for the scene's ``<default>`` parameters, when it is a path.
+        unwrap: lay out new UVs even if the mesh has some (see ``load_capture``).
         progress: called with (views done, views in all).
 
     Raises:
         SvuEnvironmentError: no suitable Mitsuba variant is active.
         SceneError: the scene cannot be loaded or lacks something.
-        OptionError: ``spp`` is below 1.
+        OptionError: ``spp`` is below 1 or ``seed`` negative.
         OutputError: the folder cannot be written.
     """
     require_variant()
     if spp < 1:
         raise OptionError(f"spp must be at least 1, got {spp}.")
+    if seed < 0:
+        raise OptionError(f"The seed must not be negative, got {seed}.")
     path = None if isinstance(scene, mi.Scene) else Path(scene)
     scene = scene if path is None else load_scene(path, defines)
     label = str(path or "scene")
@@ -76,12 +82,15 @@ def render_capture(
         sensors = sphere_sensors(target, views, resolution)
     description = Description(scene=path, defines=defines or {}, shape=target.id() or None)
     if folder is not None:
-        _render_views(scene, target, sensors, _made(Path(folder)), spp, seed, progress)
-        capture_folder.write(Path(folder), description, sensors)
-        return read_capture(scene, sensors, Path(folder), description)
+        # The description first: an interrupted run leaves a folder that can be rendered again,
+        # and never the poses of an older run beside new pictures.
+        capture_folder.write(_made(Path(folder)), description, sensors)
+        _render_views(scene, target, sensors, Path(folder), spp, seed, progress)
+        return read_capture(scene, sensors, Path(folder), description, unwrap=unwrap)
     with tempfile.TemporaryDirectory(prefix="svu-capture-") as temporary:
         _render_views(scene, target, sensors, Path(temporary), spp, seed, progress)
-        return read_capture(scene, sensors, Path(temporary), description)
+        capture = read_capture(scene, sensors, Path(temporary), description, unwrap=unwrap)
+        return replace(capture, source=None)
 
 
 def _made(folder: Path) -> Path:
@@ -111,7 +120,7 @@ def _render_views(
 ) -> None:
     for index, sensor in enumerate(sensors):
         # Neighbouring seeds of the independent sampler are decorrelated by Mitsuba itself.
-        image = np.array(mi.render(scene, sensor=sensor, spp=spp, seed=seed + index))
+        image = _radiance(scene, sensor, spp, (seed + index) % 2**32)
         alpha = object_mask(scene, target, sensor)
         write_exr(
             folder / f"view_{index:04d}.exr",
@@ -119,6 +128,17 @@ def _render_views(
         )
         if progress is not None:
             progress(index + 1, len(sensors))
+
+
+def _radiance(scene: Any, sensor: Any, spp: int, seed: int) -> np.ndarray:
+    """Render (H, W, 3); a film of luminance gives three equal channels."""
+    try:
+        image = np.array(mi.render(scene, sensor=sensor, spp=spp, seed=seed))
+    except Exception as error:  # Mitsuba raises RuntimeError for everything
+        raise SceneError(
+            f"Sensor '{sensor.id()}' cannot be rendered: {last_sentence(str(error))}"
+        ) from error
+    return image[..., :3] if image.shape[2] >= 3 else image[..., :1].repeat(3, axis=2)
 
 
 def object_mask(scene: Any, target: Any, sensor: Any) -> np.ndarray:

@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi import _llvm
-from svu_mi.capture.mesh import arrays
+from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.errors import SceneError, SvuEnvironmentError
 
 
@@ -54,10 +54,10 @@ def load_scene(path: Path, defines: Mapping[str, str] | None = None) -> Any:
         # optimize=True would merge equal textures and meshes, and lose their ids.
         return mi.load_file(str(path), optimize=False, **dict(defines or {}))
     except Exception as error:  # Mitsuba raises RuntimeError for everything
-        raise SceneError(f"{path}: {_last_sentence(str(error))}") from error
+        raise SceneError(f"{path}: {last_sentence(str(error))}") from error
 
 
-def _last_sentence(message: str) -> str:
+def last_sentence(message: str) -> str:
     """Strip Mitsuba's nested source positions, keep what the user can act on."""
     lines = [line.strip() for line in message.strip().splitlines() if line.strip()]
     text = " ".join(lines)
@@ -161,7 +161,7 @@ def _candidates(shapes: Sequence[Any], path: str) -> list[Any]:
     bodies = [shape for shape in shapes if not shape.is_emitter()]
     meshes = [shape for shape in bodies if shape.is_mesh()]
     if not bodies:
-        raise SceneError(f"{path}: the scene has no shape.")
+        raise SceneError(f"{path}: the scene has no shape; add the object as a mesh with UVs.")
     if not meshes:
         return bodies[:1]  # refused by the caller, which names it
     principled = [s for s in meshes if s.bsdf() and "Principled" in str(s.bsdf())]
@@ -175,6 +175,13 @@ def _candidates(shapes: Sequence[Any], path: str) -> list[Any]:
 
 def _ids(shapes: Sequence[Any]) -> str:
     return ", ".join(f"'{shape.id()}'" for shape in shapes)
+
+
+def _is_closed(mesh: MeshArrays) -> bool:
+    """Return whether the surface has an inside; a bowl seen from above has none."""
+    import trimesh  # takes long to import, and is rarely needed here
+
+    return bool(trimesh.Trimesh(mesh.positions, mesh.faces, process=True).is_watertight)
 
 
 def _check_orientation(shape: Any, path: str) -> None:
@@ -193,7 +200,7 @@ def _check_orientation(shape: Any, path: str) -> None:
     normal = mesh.normals[mesh.faces].mean(axis=1)
     flux = float((area * np.einsum("fi,fi->f", normal, outward)).sum())
     reach = float((area * np.linalg.norm(outward, axis=1)).sum())
-    if flux < -0.3 * reach:
+    if flux < -0.3 * reach and _is_closed(mesh):
         raise SceneError(
             f"{path}: the normals of shape '{shape.id()}' point inwards (a mirrored to_world does "
             "this); set flip_normals on the shape or remove the mirror."

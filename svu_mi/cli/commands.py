@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 VARIANTS = ("cuda_ad_rgb", "metal_ad_rgb", "llvm_ad_rgb")  # the first that this machine can run
 
+MAX_THREADS = 1024
+RESERVED = ("parallel", "optimize")  # arguments of mi.load_file itself
+
 Defines = Annotated[
     tuple[str, ...],
     tyro.conf.arg(aliases=["-D"], metavar="KEY=VALUE", help="Scene parameter; can be repeated."),
@@ -53,6 +56,8 @@ class Common:
         """
         if self.threads < 0:
             raise OptionError(f"--threads must be 0 (all) or more, got {self.threads}.")
+        if self.threads > MAX_THREADS:
+            raise OptionError(f"--threads must be at most {MAX_THREADS}, got {self.threads}.")
         import drjit as dr
         import mitsuba as mi
 
@@ -102,12 +107,14 @@ class Entropy(Common):
         from svu_mi.pipeline import estimate
         from svu_mi.surface import texels
 
+        size = pair(self.resolution, "--resolution")
+        defines = parse_defines(self.define)
         prepare_folder(self.output)
         self.start()
         progress = Progress(console)
-        capture = self._capture(progress)
+        capture = self._capture(progress, defines)
         with progress.stage("Laying out texels"):
-            grid = texels(capture.mesh, pair(self.resolution, "--resolution"))
+            grid = texels(capture.mesh, size)
         result = estimate(capture, grid, self.method, self.preset, progress=progress)
         with progress.stage("Writing the results"):
             write_outputs(
@@ -116,34 +123,27 @@ class Entropy(Common):
         console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
         return 0
 
-    def _capture(self, progress: Progress) -> Capture:
-        from svu_mi.capture import load_capture, render_capture
+    def _capture(self, progress: Progress, defines: dict[str, str]) -> Capture:
+        from svu_mi.capture import has_photographs, load_capture, photographs_of, render_capture
 
-        defines = parse_defines(self.define)
-        if self.images is None and self.scene.suffix.lower() == ".xml" and not _photographs(self):
+        live = self.images is None and self.scene.suffix.lower() == ".xml"
+        if live and not has_photographs(photographs_of(self.scene)):
             folder = self.output / "capture"
+            with progress.stage("Rendering photographs") as stage:
+                capture = render_capture(
+                    self.scene, self.spp, folder=folder, shape=self.shape, defines=defines,
+                    unwrap=self.unwrap, progress=stage.update,
+                )  # fmt: skip
             warnings.warn(
                 f"No photographs beside {self.scene} and no --images: the scene is rendered "
                 f"into {folder} instead.",
                 stacklevel=1,
             )
-            with progress.stage("Rendering photographs") as stage:
-                return render_capture(
-                    self.scene, self.spp, folder=folder, shape=self.shape, defines=defines,
-                    progress=stage.update,
-                )  # fmt: skip
+            return capture
         with progress.stage("Loading the capture"):
             return load_capture(
                 self.scene, self.images, shape=self.shape, defines=defines, unwrap=self.unwrap
             )
-
-
-def _photographs(options: Entropy) -> bool:
-    """Return whether there are photographs where ``load_capture`` would look for them."""
-    folder = options.scene.parent
-    return not options.scene.exists() or any(
-        next(place.glob("view_0*"), None) for place in (folder, folder / "images")
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -245,6 +245,8 @@ def parse_defines(words: tuple[str, ...]) -> dict[str, str]:
         key, separator, value = word.partition("=")
         if not (key and separator):
             raise OptionError(f"-D takes KEY=VALUE, got {word!r}.")
+        if key in RESERVED:
+            raise OptionError(f"-D {word}: {key!r} cannot be the name of a scene parameter.")
         defines[key] = value
     return defines
 

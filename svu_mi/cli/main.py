@@ -54,7 +54,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(str(error), 2)
     except MemoryError:
         return _fail("out of memory; use a smaller --resolution or fewer views", 2)
-
+    except Exception as error:
+        if verbose:
+            raise
+        kind = type(error).__name__
+        return _fail(f"internal error ({kind}: {error}); please report it with the output of -v", 1)
 
 def _fail(sentence: str, status: int) -> int:
     # Not through rich: the line must stay one line, whatever the terminal's width.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from numbers import Real
 from typing import Any, Literal
 
 import drjit as dr
@@ -67,7 +68,7 @@ def fit_sh(
             direction and value there are not looked at (they may be NaN).
         values: (T, V, C) samples f, radiance up to exposure.
         lmax: highest degree, in [0, 9].
-        regularizer: lambda > 0.
+        regularizer: lambda in [1e-12, 1e12].
         preset: supplies only R_00: 1 in ``paper``, 0 (the constant is free) in ``default``.
         method: ``primal`` (normal equations), ``dual`` (one unknown per visible view, at most
             256 of them), or per texel the faster of both; they agree to rounding.
@@ -82,9 +83,9 @@ def fit_sh(
             visible sample that is not finite, a direction that is not of unit length.
     """
     lmax = harmonics.check_degree(lmax, "fit_sh()")
-    if not (isinstance(regularizer, (int, float)) and 0 < regularizer < float("inf")):
+    if not (isinstance(regularizer, Real) and 1e-12 <= regularizer <= 1e12):
         raise OptionError(
-            f"fit_sh(): regularizer must be positive and finite, got {regularizer!r}."
+            f"fit_sh(): regularizer must be a number in [1e-12, 1e12], got {regularizer!r}."
         )
     if method not in ("auto", "primal", "dual"):
         raise OptionError(f"fit_sh(): method must be auto, primal or dual, got {method!r}.")

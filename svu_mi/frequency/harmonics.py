@@ -11,6 +11,7 @@ Conventions, the same everywhere in the package:
 from __future__ import annotations
 
 import math
+from numbers import Integral
 from typing import Any
 
 import drjit as dr
@@ -42,7 +43,8 @@ def check_degree(degree: Any, caller: str) -> int:
     Raises:
         OptionError: it is not a whole number in that range.
     """
-    if isinstance(degree, bool) or int(degree) != degree or not 0 <= degree <= MAX_DEGREE:
+    whole = isinstance(degree, Integral) and not isinstance(degree, bool)
+    if not whole or not 0 <= degree <= MAX_DEGREE:
         raise OptionError(f"{caller}: the degree must be a whole number in [0, 9], got {degree!r}.")
     return int(degree)
 

@@ -67,6 +67,7 @@ def write_outputs(
         OutputError: the folder or a file cannot be written.
     """
     folder = prepare_folder(folder)
+    (folder / "run.json").unlink(missing_ok=True)  # of an older run
     write_maps(estimate, folder)
     write_overview(capture, estimate, folder / "overview.png")
     record = run_record(capture, estimate)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from numbers import Integral
 
 import numpy as np
 
@@ -35,7 +36,7 @@ class ParameterGrid:
     def __post_init__(self) -> None:
         for name in ("roughness", "specular"):
             count = getattr(self, name)
-            if not (isinstance(count, int) and 2 <= count <= MAX_NODES):
+            if not (isinstance(count, Integral) and 2 <= int(count) <= MAX_NODES):
                 raise OptionError(
                     f"ParameterGrid: {name} needs 2 to {MAX_NODES} nodes, got {count!r}."
                 )

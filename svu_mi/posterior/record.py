@@ -145,10 +145,11 @@ class Posterior:
         Raises:
             ShapeError: the grids differ.
         """
-        p = np.array(self.probabilities, np.float64).reshape(self.count, -1)
-        q = np.array(other.probabilities, np.float64).reshape(other.count, -1)
-        if self.grid != other.grid or p.shape[1] != q.shape[1]:
+        cells = self.grid.roughness * self.grid.specular * self.groups
+        if self.grid != other.grid or self.groups != other.groups:
             raise ShapeError(f"Posterior.kl(): the grids differ: {self.grid} and {other.grid}.")
+        p = np.array(self.probabilities, np.float64).reshape(self.count, cells)
+        q = np.array(other.probabilities, np.float64).reshape(other.count, cells)
         log_p, log_q = np.log(np.maximum(p, 1e-30)), np.log(np.maximum(q, 1e-30))
         divergence = (p * log_p).sum(axis=1)[:, None] - p @ log_q.T
         return _tensor(np.maximum(divergence, 0) / self.groups)

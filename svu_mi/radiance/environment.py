@@ -1,6 +1,7 @@
 """The light as a function on the sphere: quadrature, spherical harmonics, synthesis.
 
-Everything here is NumPy in double precision; it runs once per capture, in milliseconds.
+Everything here is NumPy in double precision and runs once per capture: 0.1 s for a map of
+512 x 256, a second for 2048 x 1024.
 
 Conventions. A direction is given in the emitter's *local* frame, where Mitsuba's lat-long
 maps have their pole on +Y: theta = acos(y), phi = atan2(x, -z) in [0, 2 pi). Spherical
@@ -22,6 +23,7 @@ from svu_mi.errors import SceneError
 from svu_mi.interop import owned
 
 SKY_GRID = (512, 257)  # columns, rows at which a procedural sky is sampled
+FINEST = 130  # columns and rows that resolve degree 64; smaller maps are sampled finer
 SUN_RINGS, SUN_SPOKES = 16, 64  # nodes on a sun's disk, finer than any sky grid
 
 
@@ -81,11 +83,18 @@ def read_environment(emitter: Any) -> Environment:
 
 
 def _grid(emitter: Any) -> tuple[int, int]:
-    """Return (columns, rows): the map's own nodes, so that quadrature sees each texel once."""
+    """Return (columns, rows): the map's own nodes, so that quadrature sees each texel once.
+
+    On too few nodes a constant is not orthogonal to high degrees. A small map is sampled
+    between its nodes too, an odd number of times so that they stay among the samples.
+    """
     if emitter.class_name() != "EnvironmentMapEmitter":
         return SKY_GRID
     rows, columns = mi.traverse(emitter)["data"].shape[:2]
-    return columns - 2, rows  # Mitsuba 3.9 keeps one halo column on each side
+    columns -= 2  # Mitsuba 3.9 keeps one halo column on each side
+    finer = int(np.ceil(max(FINEST / columns, FINEST / (rows - 1))))
+    finer += 1 - finer % 2
+    return columns * finer, (rows - 1) * finer + 1
 
 
 def directions(columns: int, rows: int) -> np.ndarray:
@@ -173,7 +182,7 @@ def polar_from_local(local: np.ndarray) -> np.ndarray:
 
 
 def analyze(grid: np.ndarray, degree: int) -> np.ndarray:
-    """Integrate a lat-long grid against spherical harmonics: FFT per ring, then Legendre.
+    """Integrate a lat-long grid against spherical harmonics: Fourier per ring, then Legendre.
 
     Args:
         grid: (H, W, C) values on the grid of ``directions``.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass
 from typing import Any
 
@@ -94,13 +95,15 @@ def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
         OptionError: the resolution is not positive or too large.
         MeshError: no UVs, UVs outside [0, 1], charts that overlap, or none at all.
     """
-    width, height = (resolution, resolution) if isinstance(resolution, int) else resolution
+    width, height = _pair(resolution)
     if not (0 < width <= MAX_RESOLUTION and 0 < height <= MAX_RESOLUTION):
         raise OptionError(
             f"The texel grid must have 1 to {MAX_RESOLUTION} texels per side, "
             f"got {width} x {height}."
         )
     name = f"Shape '{mesh.id()}'"
+    if not mesh.is_mesh():
+        raise MeshError(f"{name} is not a triangle mesh; convert it to a PLY or OBJ mesh with UVs.")
     if not has_uvs(mesh):
         raise MeshError(
             f"{name} has no UVs, so it has no texels; load it with svu.load_capture (which "
@@ -127,6 +130,18 @@ def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
         )
     kept = kept[np.argsort(_morton(kept % width, kept // width), kind="stable")]
     return _surface_points(source, kept, owner[kept], (width, height), overlapping, int(flat.sum()))
+
+
+def _pair(resolution: Any) -> tuple[int, int]:
+    """Return (width, height) from an int or two of them, NumPy's own included."""
+    try:
+        sides = resolution if np.iterable(resolution) else (resolution, resolution)
+        width, height = (operator.index(side) for side in sides)
+    except (TypeError, ValueError) as error:
+        raise OptionError(
+            f"The texel grid's resolution must be a whole number or two, got {resolution!r}."
+        ) from error
+    return width, height
 
 
 def _unit_square(source: MeshArrays, name: str) -> np.ndarray:
