@@ -81,7 +81,7 @@ def test_entropy_writes_four_files(shot, tmp_path):
 
 
 def test_a_scene_and_a_folder_of_images_are_an_input_too(shot, tmp_path):
-    status = run("entropy", scenes.path("vase"), "--images", shot, "-D", "light=window",
+    status = run("entropy", scenes.path("vase"), "--images", shot, "-D", "light=window", "-t", 1,
                  "--resolution", 48, "-o", tmp_path, "--preset", "paper")  # fmt: skip
     assert status == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == FILES

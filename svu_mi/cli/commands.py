@@ -72,7 +72,8 @@ class Common:
         import svu_mi.plugins  # noqa: F401 - registers them for the variant
 
         if self.threads:
-            dr.set_thread_count(self.threads)
+            # One thread means one worker: without any, Mitsuba's scene loader waits for ever.
+            dr.set_thread_count(max(self.threads, 2))
         mi.set_log_level(mi.LogLevel.Info if self.verbose else mi.LogLevel.Error)
 
 
