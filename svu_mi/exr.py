@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -20,6 +19,7 @@ import numpy as np
 import OpenEXR
 
 from svu_mi.errors import CaptureError, OutputError, ShapeError
+from svu_mi.files import replacing
 
 MAGIC = b"\x76\x2f\x31\x01"
 GROUPS = ("RGBA", "RGB")  # last part of a channel name that stands for several channels
@@ -65,34 +65,6 @@ def write_exr(
         for name, plane in planes.items():
             if written[name].dtype != plane.dtype or written[name].tobytes() != plane.tobytes():
                 raise OutputError(f"{path}: channel {name} did not survive writing; not kept.")
-
-
-@contextlib.contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
-    """Give a new, empty temporary file that becomes ``path`` when the block succeeds.
-
-    Every writer of this package goes through here, so a reader never meets half a file: the
-    temporary one lies in the same folder, replaces ``path`` in one step, and is removed if
-    the block raises.
-
-    Raises:
-        OutputError: the folder is missing or not writable, or ``path`` is a folder.
-    """
-    path = Path(path)
-    # The suffix stays last: writers such as matplotlib go by it.
-    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.tmp{path.suffix}")
-    try:
-        # Opened here because the operating system's reason is clearer than OpenEXR's.
-        temporary.open("xb").close()
-        yield temporary
-        if path.is_dir():
-            raise OutputError(f"{path}: is a folder; remove it, or choose another name.")
-        temporary.replace(path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({_reason(path, error)}).") from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def read_exr(path: str | Path) -> dict[str, np.ndarray]:
@@ -234,9 +206,3 @@ def _quiet() -> Iterator[None]:
         yield
 
 
-def _reason(path: Path, error: OSError) -> str:
-    if not path.parent.exists():
-        return f"there is no folder {path.parent}"
-    if not path.parent.is_dir():
-        return f"{path.parent} is not a folder"
-    return error.strerror or type(error).__name__

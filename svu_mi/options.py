@@ -36,6 +36,9 @@ class Preset:
     """Use alpha^2 - alpha'^2 in the likelihood: the photographs are not band-limited, the
     light is (alpha' = v^(-1/2))."""
 
+    bounded_alpha: bool = True
+    """alpha = max(roughness^2, 1e-3), as Mitsuba's BSDF has it; False leaves out the bound."""
+
     spacing: GridSpacing = "dielectric"
     """Nodes of Ks: ``uniform`` on [0, 1], or ``dielectric``: 0.04 + 0.96 t^2, t uniform."""
 
@@ -74,8 +77,8 @@ PRESETS: dict[str, Preset] = {
     "default": Preset(),
     "fast": Preset(name="fast", degree=4),
     "paper": Preset(
-        name="paper", penalize_constant=True, undo_prefilter=False, spacing="uniform",
-        channels="sum", noise="fixed", sigma=0.1,
+        name="paper", penalize_constant=True, undo_prefilter=False, bounded_alpha=False,
+        spacing="uniform", channels="sum", noise="fixed", sigma=0.1,
     ),
 }  # fmt: skip
 

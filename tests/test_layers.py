@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 LAYERS = (
-    "errors", "_llvm", "interop", "exr", "progress", "options", "capture", "surface", "radiance",
-    "brdf", "frequency", "posterior", "pipeline", "output", "cli",
+    "errors", "_llvm", "interop", "files", "exr", "progress", "options", "capture", "surface",
+    "radiance", "brdf", "frequency", "posterior", "pipeline", "output", "cli",
 )  # fmt: skip
 # Built on the stages; only what stands at the very top may use them.
 ABOVE = {"plugins": ("output", "cli"), "scenes": ("output", "cli")}

@@ -17,7 +17,8 @@ from svu_mi import exr
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture.poses import sphere_sensors
 from svu_mi.errors import CaptureError, OutputError, ShapeError
-from svu_mi.exr import read_attributes, read_exr, replacing, write_exr
+from svu_mi.exr import read_attributes, read_exr, write_exr
+from svu_mi.files import replacing
 from svu_mi.options import preset
 from svu_mi.output import (
     environment_record,

@@ -12,6 +12,7 @@ from typing import Any
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import check_sensor
 from svu_mi.errors import CaptureError
+from svu_mi.files import replacing
 
 FILE = "capture.json"
 FORMAT = "svu-capture"
@@ -90,6 +91,5 @@ def write(folder: Path, description: Description, sensors: Sequence[Any]) -> Non
         "exposure": list(description.exposures),
         "sensors": [describe(sensor) for sensor in sensors],
     }
-    temporary = folder / (FILE + ".tmp")
-    temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    temporary.replace(folder / FILE)
+    with replacing(folder / FILE) as temporary:
+        temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.mesh import arrays
+from svu_mi.capture.scene import last_sentence, to_world
 from svu_mi.errors import CaptureError, OptionError
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
@@ -36,7 +37,7 @@ def describe(sensor: Any) -> dict[str, Any]:
         return [int(value[0]), int(value[1])]
 
     return {
-        "to_world": np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4).tolist(),
+        "to_world": to_world(sensor).tolist(),
         "x_fov": number("x_fov"),
         "principal_point_offset": [
             number("principal_point_offset_x"),
@@ -89,8 +90,8 @@ def make_sensor(record: Mapping[str, Any], label: str) -> Any:
             "render or import the capture again."
         ) from error
     except RuntimeError as error:
-        reason = str(error).strip().splitlines()[-1]
-        raise CaptureError(f"{label}: Mitsuba refuses the sensor ({reason}).") from error
+        reason = last_sentence(str(error))
+        raise CaptureError(f"{label}: Mitsuba refuses the sensor: {reason}") from error
 
 
 def _check_finite(record: Mapping[str, Any], label: str) -> None:

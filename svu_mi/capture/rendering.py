@@ -27,6 +27,7 @@ from svu_mi.capture.scene import (
 )
 from svu_mi.errors import OptionError, OutputError, SceneError
 from svu_mi.exr import write_exr
+from svu_mi.files import prepare_folder
 
 MASK_GRID = 3  # mask rays per pixel side; any miss puts a pixel off the object
 
@@ -84,7 +85,7 @@ def render_capture(
     if folder is not None:
         # The description first: an interrupted run leaves a folder that can be rendered again,
         # and never the poses of an older run beside new pictures.
-        capture_folder.write(_made(Path(folder)), description, sensors)
+        capture_folder.write(_emptied(Path(folder)), description, sensors)
         _render_views(scene, target, sensors, Path(folder), spp, seed, progress)
         return read_capture(scene, sensors, Path(folder), description, unwrap=unwrap)
     with tempfile.TemporaryDirectory(prefix="svu-capture-") as temporary:
@@ -93,11 +94,9 @@ def render_capture(
         return replace(capture, source=None)
 
 
-def _made(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: the folder cannot be made ({error.strerror}).") from error
+def _emptied(folder: Path) -> Path:
+    """Make the folder, and remove the photographs of an earlier run."""
+    prepare_folder(folder)
     stale = sorted(folder.glob("view_*"))
     if stale and not (folder / capture_folder.FILE).exists():
         raise OutputError(

@@ -82,6 +82,11 @@ def find_sensors(scene: Any, path: str) -> tuple[Any, ...]:
     return sensors
 
 
+def to_world(endpoint: Any) -> np.ndarray:
+    """Return the (4, 4) float64 matrix of a sensor or emitter, local to world."""
+    return np.array(endpoint.world_transform().matrix, np.float64).reshape(4, 4)
+
+
 def check_sensor(sensor: Any, label: str) -> None:
     """Refuse sensors whose projection is not the pinhole the method assumes.
 
@@ -92,7 +97,7 @@ def check_sensor(sensor: Any, label: str) -> None:
         raise SceneError(
             f"{label} is a {sensor.class_name()}; only 'perspective' sensors are supported."
         )
-    rotation = np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4)[:3, :3]
+    rotation = to_world(sensor)[:3, :3]
     if np.linalg.det(rotation) < 0:
         raise SceneError(
             f"{label} has a mirrored to_world (determinant < 0); camera space is "

@@ -12,6 +12,7 @@ import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, arrays, make
 from svu_mi.errors import MeshError
+from svu_mi.files import replacing
 
 log = logging.getLogger(__name__)
 
@@ -65,9 +66,8 @@ def unwrapped(mesh: Any, folder: Path | None) -> Any:
         log.warning("%s belongs to another mesh; it is made again.", path)
     made = unwrap(mesh)
     if path is not None and os.access(path.parent, os.W_OK):
-        temporary = path.with_suffix(".tmp.ply")
-        made.write_ply(str(temporary))
-        temporary.replace(path)
+        with replacing(path) as temporary:
+            made.write_ply(str(temporary))
     return made
 
 

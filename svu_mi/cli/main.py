@@ -60,6 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         kind = type(error).__name__
         return _fail(f"internal error ({kind}: {error}); please report it with the output of -v", 1)
 
+
 def _fail(sentence: str, status: int) -> int:
     # Not through rich: the line must stay one line, whatever the terminal's width.
     sys.stderr.write(f"svu: {' '.join(sentence.split())}\n")

@@ -18,7 +18,7 @@ import numpy as np
 import svu_mi
 from svu_mi import _llvm
 from svu_mi.errors import OutputError
-from svu_mi.exr import replacing
+from svu_mi.files import replacing
 
 PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "trimesh", "xatlas")
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.exr import replacing
+from svu_mi.files import replacing
 from svu_mi.output import views
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ import svu_mi.plugins  # noqa: F401 - registers svu_entropy
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture.poses import describe, film_size, make_sensor
 from svu_mi.capture.rendering import object_mask
+from svu_mi.capture.scene import to_world
 
 SIDE = 512  # pixels of the longer side of a picture
 SAMPLES = 16
@@ -124,7 +125,7 @@ def _span(center: float, side: float, size: int) -> tuple[float, float]:
 
 
 def _origin(sensor: Any) -> np.ndarray:
-    return np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4)[:3, 3]
+    return to_world(sensor)[:3, 3]
 
 
 def _small(sensor: Any) -> Any:

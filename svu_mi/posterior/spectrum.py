@@ -116,9 +116,8 @@ def _groups(switches: Preset, channels: int) -> tuple[tuple[int, ...], ...]:
 
 def _decay(switches: Preset, grid: ParameterGrid, degree: int, prefilter: float) -> np.ndarray:
     """(R, l*) factors exp(-2 (alpha l)^2) of each roughness, l = 1 ... l* (Eq. 11)."""
-    # The paper has no lower bound of alpha; Mitsuba's BSDF has.
-    plain = switches.name == "paper"
-    alpha = (unbounded_alpha if plain else alpha_from_roughness)(grid.roughness_nodes)
+    of_roughness = alpha_from_roughness if switches.bounded_alpha else unbounded_alpha
+    alpha = of_roughness(grid.roughness_nodes)
     width = alpha**2
     if switches.undo_prefilter:
         width = np.maximum(width - prefilter**2, 0)

@@ -19,6 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture import scene
 from svu_mi.errors import SceneError
 from svu_mi.interop import owned
 
@@ -64,7 +65,7 @@ def read_environment(emitter: Any) -> Environment:
     Raises:
         SceneError: ``to_world`` is not a rotation, or the light is not finite or all black.
     """
-    to_world = np.array(emitter.world_transform().matrix, np.float64).reshape(4, 4)[:3, :3]
+    to_world = scene.to_world(emitter)[:3, :3]
     if not np.allclose(to_world.T @ to_world, np.eye(3), atol=1e-3):
         raise SceneError(
             f"Emitter '{emitter.id()}': to_world must be a rotation; remove its scale or shear."

@@ -14,8 +14,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture import Capture
-from svu_mi.capture.poses import film_size
+from svu_mi.capture import Capture, scene
+from svu_mi.capture.poses import describe, film_size
 from svu_mi.errors import CaptureError
 from svu_mi.interop import owned
 from svu_mi.radiance.silhouette import interior
@@ -89,15 +89,14 @@ def pack_views(capture: Capture) -> Views:
 def _camera(sensor: Any) -> np.ndarray:
     """Return the 16 floats of one view (see ``Views.cameras``)."""
     width, height = film_size(sensor)
-    to_world = np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4)
+    to_world = scene.to_world(sensor)
     projection = np.array(sensor.projection_transform().matrix, np.float64).reshape(4, 4)
     # Mitsuba projects to [0, 1]^2 of the crop window; row 2 is depth, which is not needed. The
     # principal point, in units of the full film, is not part of that projection.
     pixel = np.diag([width, height, 1.0, 1.0])
-    params, film = mi.traverse(sensor), sensor.film().size()
-    for axis, name in enumerate("xy"):
-        offset = float(np.array(params[f"principal_point_offset_{name}"]).ravel()[0])
-        pixel[axis, 3] = -offset * int(film[axis])
+    record = describe(sensor)
+    for axis in range(2):
+        pixel[axis, 3] = -record["principal_point_offset"][axis] * record["film"][axis]
     world_to_pixel = pixel @ projection @ np.linalg.inv(to_world)
     return np.concatenate(
         [

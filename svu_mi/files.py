@@ -1,0 +1,75 @@
+"""Where results go: folders that can be written, files that are whole or not there."""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from svu_mi.errors import OutputError
+
+
+def prepare_folder(folder: str | Path) -> Path:
+    """Make a folder for results and check that files can be written there.
+
+    Worth calling before a long run: it fails in a millisecond.
+
+    Raises:
+        OutputError: it cannot be made, is a file, or is not writable.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise OutputError(f"{folder}: is a file, not a folder; choose another folder.") from error
+    except OSError as error:
+        raise OutputError(
+            f"{folder}: the folder cannot be made ({error.strerror}); choose another folder."
+        ) from error
+    try:
+        # Permissions do not tell: root, read-only mounts and quotas are known by trying.
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise OutputError(
+            f"{folder}: no file can be written there ({error.strerror}); choose another "
+            "folder, or change its permissions."
+        ) from error
+    return folder
+
+
+@contextlib.contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """Give a new, empty temporary file that becomes ``path`` when the block succeeds.
+
+    Every writer of this package goes through here, so a reader never meets half a file: the
+    temporary one lies in the same folder, replaces ``path`` in one step, and is removed if
+    the block raises.
+
+    Raises:
+        OutputError: the folder is missing or not writable, or ``path`` is a folder.
+    """
+    path = Path(path)
+    # The suffix stays last: writers such as matplotlib go by it.
+    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.tmp{path.suffix}")
+    try:
+        # Opened here because the operating system's reason is clearer than OpenEXR's.
+        temporary.open("xb").close()
+        yield temporary
+        if path.is_dir():
+            raise OutputError(f"{path}: is a folder; remove it, or choose another name.")
+        temporary.replace(path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({_reason(path, error)}).") from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _reason(path: Path, error: OSError) -> str:
+    if not path.parent.exists():
+        return f"there is no folder {path.parent}"
+    if not path.parent.is_dir():
+        return f"{path.parent} is not a folder"
+    return error.strerror or type(error).__name__
