@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from svu_mi.frequency import fit_sh, power_spectrum
     from svu_mi.options import Preset, preset
     from svu_mi.pipeline import Estimate, estimate
-    from svu_mi.posterior import ParameterGrid, Posterior, spectrum_posterior
+    from svu_mi.posterior import ParameterGrid, Posterior, PrincipledGrid, spectrum_posterior
+    from svu_mi.reference import Reference, reference_posterior
     from svu_mi.surface import Texels, texels
 
 __version__ = "0.1.0"
@@ -27,16 +28,18 @@ _HOME = {
     "Capture": "capture", "load_capture": "capture", "render_capture": "capture",
     "Texels": "surface", "texels": "surface",
     "fit_sh": "frequency", "power_spectrum": "frequency",
-    "ParameterGrid": "posterior", "Posterior": "posterior", "spectrum_posterior": "posterior",
+    "ParameterGrid": "posterior", "PrincipledGrid": "posterior", "Posterior": "posterior",
+    "spectrum_posterior": "posterior",
     "Preset": "options", "preset": "options",
     "Estimate": "pipeline", "estimate": "pipeline",
+    "Reference": "reference", "reference_posterior": "reference",
     "SvuError": "errors",
 }  # fmt: skip
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
-    "Capture", "Estimate", "ParameterGrid", "Posterior", "Preset", "SvuError", "Texels",
-    "estimate", "fit_sh", "load_capture", "power_spectrum", "preset", "render_capture",
-    "spectrum_posterior", "texels",
+    "Capture", "Estimate", "ParameterGrid", "Posterior", "Preset", "PrincipledGrid",
+    "Reference", "SvuError", "Texels", "estimate", "fit_sh", "load_capture", "power_spectrum",
+    "preset", "reference_posterior", "render_capture", "spectrum_posterior", "texels",
 ]  # fmt: skip
 
 _llvm.bootstrap()

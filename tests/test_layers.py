@@ -8,10 +8,11 @@ from pathlib import Path
 
 LAYERS = (
     "errors", "_llvm", "interop", "files", "exr", "progress", "options", "capture", "surface",
-    "radiance", "brdf", "frequency", "posterior", "pipeline", "output", "cli",
+    "radiance", "brdf", "frequency", "posterior", "pipeline", "reference", "metrics", "output",
+    "bench", "cli",
 )  # fmt: skip
 # Built on the stages; only what stands at the very top may use them.
-ABOVE = {"plugins": ("output", "cli"), "scenes": ("output", "cli")}
+ABOVE = {"plugins": ("output", "cli"), "scenes": ("output", "bench", "cli")}
 
 
 def stage_of(path: Path, package: Path) -> str:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -14,41 +15,53 @@ import numpy as np
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.frequency import arrays
 from svu_mi.interop import owned
-from svu_mi.posterior import kernel
-from svu_mi.posterior.grid import ParameterGrid
+from svu_mi.posterior.grid import Grid
 
-CHUNK = 1 << 16  # texels per pass of everything that is not the entropy
+CHUNK = 1 << 22  # cells per pass of everything that is not the entropy
 MAX_PROBABILITIES = 1 << 29  # floats; 2 GiB
 
-Parameter = Literal["roughness", "specular"]
 
-
-@dataclass(frozen=True)
-class Posterior:
-    """p(psi | B, L) on a grid for each of T texels (Eq. 3, 4, 11).
+@dataclass(frozen=True, kw_only=True)
+class Posterior(ABC):
+    """p(psi | B, L) on a grid for each of T texels (Eq. 3, 4).
 
     Attributes:
-        problem: spectra, noise and grid tables (see ``kernel``).
-        grid: the parameter grid, R roughness and S specular nodes.
+        grid: the parameter grid; its ``axes`` name the parameters, in the order of the axes of
+            ``probabilities``.
         observed: (T,) bool; a texel nobody saw has a uniform posterior and entropy 1.
-        count: T.
     """
 
-    problem: kernel.Problem
-    grid: ParameterGrid
+    grid: Grid
     observed: np.ndarray
-    count: int
+
+    @property
+    def count(self) -> int:
+        """Number of texels T."""
+        return len(self.observed)
+
+    @property
+    def axes(self) -> dict[str, np.ndarray]:
+        """Nodes of every parameter, by name, in the order of the axes of ``probabilities``."""
+        return self.grid.axes
 
     @property
     def groups(self) -> int:
-        """Number G of Ks per texel: 3 when each colour channel has its own, else 1."""
-        return len(self.problem.groups)
+        """Number G of distributions per texel: 3 when each colour channel has its own, else 1."""
+        return 1
+
+    @abstractmethod
+    def _entropy_of_all(self) -> Any:
+        """Normalised entropy, (T,) Float, of texels as if all were observed; T > 0."""
+
+    @abstractmethod
+    def _tables(self, span: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Return p (t, *grid, G) float32, and the index of the best node (t, axes, G)."""
 
     def entropy(self) -> Any:
         """Return H = -1/log(n) sum p log p, (T,) TensorXf in [0, 1] (Eq. 5).
 
-        n = R * S. When each channel has its own Ks, the mean over channels of the entropy of
-        (roughness, Ks of that channel). Computed in one kernel, without the probabilities.
+        n is the number of cells of the grid. When each channel has a distribution of its own,
+        the mean of their entropies. Computed in one kernel, without the probabilities.
         """
         return mi.TensorXf(self._entropy)
 
@@ -56,96 +69,96 @@ class Posterior:
     def _entropy(self) -> Any:
         if self.count == 0:
             return mi.Float()
-        value = kernel.entropy(self.problem, self.count)
-        value = dr.select(owned(mi.Bool, self.observed), value, 1)
+        value = dr.select(owned(mi.Bool, self.observed), self._entropy_of_all(), 1)
         dr.eval(value)
         return value
 
     @property
     def probabilities(self) -> Any:
-        """p, TensorXf (T, R, S); or (T, R, S, 3) when each channel has its own Ks.
+        """p, TensorXf (T, *grid); or (T, *grid, 3) when each channel has its own.
 
-        The last axis then holds one distribution of (roughness, Ks) per channel, each with
-        the other channels marginalised.
+        The last axis then holds one distribution per channel, each with the other channels
+        marginalised.
 
         Raises:
             OptionError: it would take more than 2 GiB; ask for marginals instead.
         """
-        shape = (self.count, self.grid.roughness, self.grid.specular, self.groups)
+        shape = (self.count, *self.grid.shape, self.groups)
         if np.prod(shape, dtype=float) > MAX_PROBABILITIES:
             raise OptionError(
                 f"Posterior.probabilities: {shape} values do not fit in 2 GiB; use entropy(), "
                 "marginal() or map(), or estimate fewer texels."
             )
         result = np.empty(shape, np.float32)
-        for span, rough, given in self._chunks_of_probabilities():
-            result[span] = rough[:, :, None, None] * given
-        result[~self.observed] = 1 / (self.grid.roughness * self.grid.specular)
+        for span in self._chunks():
+            result[span] = self._tables(span)[0]
+        result[~self.observed] = 1 / np.prod(self.grid.shape)
         return _tensor(result if self.groups > 1 else result[..., 0])
 
-    def marginal(self, name: Parameter) -> Any:
+    def marginal(self, name: str) -> Any:
         """Return the marginal of one parameter.
 
         Args:
-            name: ``roughness`` -> (T, R); ``specular`` -> (T, S), or (T, S, 3) when each
-                channel has its own Ks.
+            name: a name of ``axes``.
+
+        Returns:
+            (T, nodes); or (T, nodes, 3) when each channel has its own and they differ, which
+            they do not for roughness.
 
         Raises:
             OptionError: an unknown parameter.
         """
-        _check_parameter(name)
-        return _tensor(self._marginals[name].copy())
+        self._check_parameter(name)
+        return _tensor(self._summary[0][name].copy())
 
-    @cached_property
-    def _marginals(self) -> dict[str, np.ndarray]:
-        rough = np.empty((self.count, self.grid.roughness), np.float32)
-        specular = np.empty((self.count, self.grid.specular, self.groups), np.float32)
-        for span, weight, given in self._chunks_of_probabilities():
-            rough[span] = weight
-            specular[span] = np.einsum("tr,trsg->tsg", weight, given)
-        rough[~self.observed] = 1 / self.grid.roughness
-        specular[~self.observed] = 1 / self.grid.specular
-        return {
-            "roughness": rough,
-            "specular": specular if self.groups > 1 else specular[..., 0],
-        }
-
-    def marginal_entropy(self, name: Parameter) -> Any:
+    def marginal_entropy(self, name: str) -> Any:
         """Return the normalised entropy of a marginal: (T,), or (T, 3) per channel."""
-        _check_parameter(name)
-        p = self._marginals[name].astype(np.float64)
+        self._check_parameter(name)
+        p = self._summary[0][name].astype(np.float64)
         bits = -np.where(p > 0, p * np.log(np.where(p > 0, p, 1)), 0).sum(axis=1)
         return _tensor(np.clip(bits / np.log(p.shape[1]), 0, 1))
 
     def map(self) -> dict[str, Any]:
-        """Return the most probable cell: ``roughness`` (T,), ``specular`` (T,) or (T, 3).
+        """Return the most probable cell by parameter: (T,), or (T, 3) per channel.
 
         A texel nobody saw gets the middle of the grid.
         """
-        rough = np.full(self.count, self.grid.roughness // 2)
-        specular = np.full((self.count, self.groups), self.grid.specular // 2)
-        for span, base, offsets in self._chunks():
-            row = base.argmin(axis=1)
-            rough[span] = row
-            specular[span] = offsets[np.arange(len(row)), row].argmin(axis=-1)
-        rough[~self.observed] = self.grid.roughness // 2
-        specular[~self.observed] = self.grid.specular // 2
-        values = self.grid.specular_nodes[specular]
-        return {
-            "roughness": _tensor(self.grid.roughness_nodes[rough]),
-            "specular": _tensor(values if self.groups > 1 else values[:, 0]),
+        return {name: _tensor(values.copy()) for name, values in self._summary[1].items()}
+
+    @cached_property
+    def _summary(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Marginals and the most probable cell, from one pass over the probabilities."""
+        axes, groups = self.axes, self.groups
+        marginals: dict[str, Any] = {
+            name: np.full((self.count, len(nodes), groups), 1 / len(nodes), np.float32)
+            for name, nodes in axes.items()
         }
+        best = np.empty((self.count, len(axes), groups), np.int64)
+        for span in self._chunks():
+            p, best[span] = self._tables(span)
+            seen = self.observed[span]
+            for axis, marginal in enumerate(marginals.values(), 1):
+                others = tuple(k for k in range(1, len(axes) + 1) if k != axis)
+                marginal[span][seen] = p.sum(axis=others)[seen]
+        best[~self.observed] = np.array(self.grid.shape)[:, None] // 2
+        values: dict[str, Any] = {
+            name: nodes[best[:, k]] for k, (name, nodes) in enumerate(axes.items())
+        }
+        shared = [name for name in axes if groups == 1 or name == "roughness"]
+        for table in (marginals, values):
+            table.update({name: table[name][..., 0] for name in shared})
+        return marginals, values
 
     def kl(self, other: Posterior) -> Any:
         """Return KL(p || q) of every texel p to every texel q of another: (T, T') (Sec. 5.2).
 
         sum p log p - p . log q, one matrix product; the mean over channels when each has its
-        own Ks. Probabilities below 1e-30 count as 1e-30.
+        own distribution. Probabilities below 1e-30 count as 1e-30.
 
         Raises:
             ShapeError: the grids differ.
         """
-        cells = self.grid.roughness * self.grid.specular * self.groups
+        cells = int(np.prod(self.grid.shape)) * self.groups
         if self.grid != other.grid or self.groups != other.groups:
             raise ShapeError(f"Posterior.kl(): the grids differ: {self.grid} and {other.grid}.")
         p = np.array(self.probabilities, np.float64).reshape(self.count, cells)
@@ -154,25 +167,30 @@ class Posterior:
         divergence = (p * log_p).sum(axis=1)[:, None] - p @ log_q.T
         return _tensor(np.maximum(divergence, 0) / self.groups)
 
-    def _chunks(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        for first in range(0, self.count, CHUNK):
-            size = min(CHUNK, self.count - first)
-            yield slice(first, first + size), *kernel.tables(self.problem, first, size)
+    def _chunks(self) -> Iterator[slice]:
+        size = max(CHUNK // (int(np.prod(self.grid.shape)) * self.groups), 1)
+        for first in range(0, self.count, size):
+            yield slice(first, min(first + size, self.count))
+
+    def _check_parameter(self, name: str) -> None:
+        if name not in self.axes:
+            known = " or ".join(self.axes)
+            raise OptionError(f"Posterior: there is no parameter {name!r}; use {known}.")
 
 
-    def _chunks_of_probabilities(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Yield p(roughness) (T, R), and p(Ks | roughness) per channel (T, R, S, G)."""
-        for span, base, offsets in self._chunks():
-            terms = np.exp(-np.swapaxes(offsets, 2, 3))
-            z = terms.sum(axis=2)
-            weight = np.exp(-base) * z.prod(axis=-1, dtype=np.float64)
-            yield span, weight / weight.sum(axis=1, keepdims=True), terms / z[:, :, None]
+def normalized(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Turn energies (t, *grid) into p = exp(-energy) / Z and the index of the best node.
+
+    Returns:
+        (t, *grid, 1) float32 and (t, axes, 1) int64, as ``Posterior._tables`` has them.
+    """
+    flat = energies.reshape(len(energies), -1)
+    best = flat.argmin(axis=1)
+    p = np.exp(-(flat - np.take_along_axis(flat, best[:, None], axis=1)))
+    p /= p.sum(axis=1, keepdims=True, dtype=np.float64)
+    node = np.stack(np.unravel_index(best, energies.shape[1:]), axis=-1)
+    return p.reshape(*energies.shape, 1).astype(np.float32), node[..., None]
 
 
 def _tensor(values: np.ndarray) -> Any:
     return arrays.tensor(values, "Posterior", "a result", ["n"] * values.ndim)
-
-
-def _check_parameter(name: str) -> None:
-    if name not in ("roughness", "specular"):
-        raise OptionError(f"Posterior: there is no parameter {name!r}; use roughness or specular.")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -15,12 +15,43 @@ from svu_mi.frequency import arrays
 from svu_mi.interop import owned
 from svu_mi.options import Preset
 from svu_mi.options import preset as find_preset
-from svu_mi.posterior import kernel
+from svu_mi.posterior import spectrum_kernel as kernel
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.record import Posterior
 
 DARK = 1e-4  # part of the incident power that counts when nothing at all is reflected
 FITTED = 2  # parameters per texel and channel that the marginal noise rule pays for
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpectrumPosterior(Posterior):
+    """p over (roughness, specular), from power spectra.
+
+    Attributes:
+        problem: spectra, noise and grid tables (see ``spectrum_kernel``).
+    """
+
+    problem: kernel.Problem
+
+    @property
+    def groups(self) -> int:
+        """Number of Ks per texel: 3 when each colour channel has its own, else 1."""
+        return len(self.problem.groups)
+
+    def _entropy_of_all(self) -> Any:
+        return kernel.entropy(self.problem, self.count)
+
+    def _tables(self, span: slice) -> tuple[np.ndarray, np.ndarray]:
+        base, offsets = kernel.tables(self.problem, span.start, span.stop - span.start)
+        # p(roughness) p(Ks of a channel | roughness): the channels factorise.
+        terms = np.exp(-np.swapaxes(offsets, 2, 3))
+        z = terms.sum(axis=2)
+        weight = np.exp(-base) * z.prod(axis=-1, dtype=np.float64)
+        weight /= weight.sum(axis=1, keepdims=True)
+        row = base.argmin(axis=1)
+        column = offsets[np.arange(len(row)), row].argmin(axis=-1)
+        best = np.stack([np.broadcast_to(row[:, None], column.shape), column], axis=1)
+        return weight[:, :, None, None] * (terms / z[:, :, None]), best
 
 
 def spectrum_posterior(
@@ -35,7 +66,7 @@ def spectrum_posterior(
     observed: Any | None = None,
     samples: Any | None = None,
     scale: float | None = None,
-) -> Posterior:
+) -> SpectrumPosterior:
     """Compare observed spectra with those of every (roughness, Ks) of a grid.
 
         d = sum_{l=1}^{l*} (S_B(l) - Ks^2 exp(-2 (alpha l)^2) S_L(l))^2        (Eq. 11)
@@ -86,7 +117,7 @@ def spectrum_posterior(
         specular=grid.specular_nodes,
         prior=_prior(prior, grid),
     )
-    posterior = Posterior(problem, grid, seen, count)
+    posterior = SpectrumPosterior(grid=grid, observed=seen, problem=problem)
     return _most_certain_channel(posterior) if switches.channels == "minimum" else posterior
 
 
@@ -189,7 +220,7 @@ def _prior(prior: Any | None, grid: ParameterGrid) -> tuple[Any, Any] | None:
     return mi.Float64(log_rough), mi.Float64(log_given.ravel())
 
 
-def _most_certain_channel(posterior: Posterior) -> Posterior:
+def _most_certain_channel(posterior: SpectrumPosterior) -> SpectrumPosterior:
     """Keep, per texel, the channel with the smallest entropy (the published code's rule)."""
     problem, count = posterior.problem, posterior.count
     single = [replace(problem, groups=(group,)) for group in problem.groups]
