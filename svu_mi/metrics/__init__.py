@@ -1,0 +1,19 @@
+"""How good an uncertainty is: against a reference posterior, and against the truth.
+
+Plain NumPy and SciPy. Nothing here returns NaN: where a figure is not defined, such as the
+correlation with a constant, the docstring says what comes instead.
+"""
+
+from svu_mi.metrics.correlation import Interval as Interval
+from svu_mi.metrics.correlation import mean_over_objects as mean_over_objects
+from svu_mi.metrics.correlation import pearson as pearson
+from svu_mi.metrics.correlation import spearman as spearman
+from svu_mi.metrics.credible import Coverage as Coverage
+from svu_mi.metrics.credible import credible_coverage as credible_coverage
+from svu_mi.metrics.credible import nearest_cells as nearest_cells
+from svu_mi.metrics.error import ErrorSummary as ErrorSummary
+from svu_mi.metrics.error import error_summary as error_summary
+from svu_mi.metrics.sparsification import Sparsification as Sparsification
+from svu_mi.metrics.sparsification import sparsification as sparsification
+from svu_mi.metrics.truth import GroundTruth as GroundTruth
+from svu_mi.metrics.truth import ground_truth as ground_truth

@@ -1,0 +1,100 @@
+"""Correlation of two maps, and its mean over benchmark cells with an interval."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from svu_mi.errors import OptionError, ShapeError
+from svu_mi.metrics.checks import pair, vector
+
+ROUNDING = 1e-12  # relative spread below which a map counts as constant
+
+
+def pearson(x: Any, y: Any) -> float:
+    """Return Pearson's rho of two (n,) arrays, in [-1, 1].
+
+    A constant says nothing about the other map: 0.0 if either is constant, or n is 1.
+
+    Raises:
+        ShapeError: the arrays are empty or their lengths differ.
+        OptionError: NaN or infinite values.
+    """
+    a, b = pair(x, y, ("x", "y"))
+    if _constant(a) or _constant(b):
+        return 0.0
+    return float(stats.pearsonr(a, b).statistic)
+
+
+def spearman(x: Any, y: Any) -> float:
+    """Return Spearman's rank correlation, ties sharing their mean rank (as ``pearson``)."""
+    a, b = pair(x, y, ("x", "y"))
+    if _constant(a) or _constant(b):
+        return 0.0
+    return float(stats.spearmanr(a, b).statistic)
+
+
+def _constant(values: np.ndarray) -> bool:
+    return float(np.ptp(values)) <= ROUNDING * float(np.abs(values).max())
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean and its confidence interval.
+
+    Attributes:
+        mean: of all cells.
+        low, high: ends of the interval; None where there are fewer than two objects.
+        objects: number of objects.
+    """
+
+    mean: float
+    low: float | None
+    high: float | None
+    objects: int
+
+
+def mean_over_objects(
+    values: Any, objects: Sequence[str], *, confidence: float = 0.95, seed: int = 0
+) -> Interval:
+    """Return the mean over benchmark cells, with a bootstrap interval over objects.
+
+    Cells of one object under several lights are not independent, so whole objects are drawn
+    with replacement, 2000 times, and the interval is the central part of the means
+    (percentile bootstrap; Efron and Tibshirani, An Introduction to the Bootstrap, 1993).
+
+    Args:
+        values: (n,) one figure per cell.
+        objects: n names; cells of one name are drawn together.
+        confidence: part of the resampled means inside the interval.
+        seed: of the resampling.
+
+    Raises:
+        ShapeError: the lengths differ or are 0.
+        OptionError: a value is not finite, or the confidence not in (0, 1).
+    """
+    cells = vector(values, "values")
+    if len(objects) != len(cells):
+        raise ShapeError(f"There are {len(cells)} values but {len(objects)} objects' names.")
+    if not 0 < confidence < 1:
+        raise OptionError(f"The confidence must be in (0, 1), got {confidence}.")
+    names, owner = np.unique(np.array(objects, str), return_inverse=True)
+    mean = float(cells.mean())
+    if len(names) < 2:
+        return Interval(mean, None, None, len(names))
+    sums, counts = np.bincount(owner, cells), np.bincount(owner)
+    found = stats.bootstrap(
+        (sums, counts),
+        lambda s, c, axis: s.sum(axis=axis) / c.sum(axis=axis),
+        paired=True,
+        vectorized=True,
+        n_resamples=2000,
+        confidence_level=confidence,
+        method="percentile",
+        random_state=np.random.default_rng(seed),
+    ).confidence_interval
+    return Interval(mean, float(found.low), float(found.high), len(names))

@@ -1,0 +1,120 @@
+"""Is the truth where the posterior says: coverage of highest-density credible sets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from svu_mi.errors import OptionError, ShapeError
+from svu_mi.metrics.checks import require_finite, vector
+
+TIE = 1e-6  # relative difference below which two float32 probabilities are equal
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How often a credible set of one level holds the truth.
+
+    Attributes:
+        level: mass the set must hold.
+        plain: part of the texels whose set holds the truth. A set of whole cells holds at
+            least the level, often much more; so does the coverage of a calibrated posterior.
+        fractional: the same with the last cells taken in with the probability that makes the
+            set's mass the level exactly; the level itself for a calibrated posterior.
+        size: mean part of the grid's cells that a set takes.
+        count: number of texels.
+    """
+
+    level: float
+    plain: float
+    fractional: float
+    size: float
+    count: int
+
+
+def nearest_cells(axes: Mapping[str, Any], truth: Mapping[str, Any]) -> np.ndarray:
+    """Return the (T,) flat index of the grid cell that each true value falls into.
+
+    Args:
+        axes: nodes of each axis by name, in the order of the grid's axes.
+        truth: (T,) true value by name, for every axis; the nearest node is its cell, the
+            lower one of two equally near.
+
+    Raises:
+        ShapeError: an axis has no truth, or the lengths differ.
+        OptionError: a value is not finite.
+    """
+    missing = [name for name in axes if name not in truth]
+    if missing or not axes:
+        raise ShapeError(f"nearest_cells(): no true value for {missing or 'any axis'}.")
+    count = len(vector(truth[next(iter(axes))], next(iter(axes))))
+    flat = np.zeros(count, np.int64)
+    for name, nodes in axes.items():
+        grid = vector(nodes, f"the nodes of {name}")
+        values = vector(truth[name], name, count)
+        flat = flat * len(grid) + np.abs(values[:, None] - grid).argmin(axis=1)
+    return flat
+
+
+def credible_coverage(probabilities: Any, cells: Any, level: float) -> Coverage:
+    """Return how often the highest-density credible set of a level holds the truth.
+
+    The set is the smallest set of cells with a mass of at least ``level``; cells as probable
+    as the last one all belong to it.
+
+    Args:
+        probabilities: (T, *grid) non-negative, each texel's sum 1.
+        cells: (T,) flat index of the true cell (``nearest_cells``).
+        level: in (0, 1).
+
+    Raises:
+        ShapeError: the shapes do not fit, or a cell is not in the grid.
+        OptionError: the level is outside (0, 1), or probabilities are not distributions.
+    """
+    if not 0 < level < 1:
+        raise OptionError(f"The level of a credible set must be in (0, 1), got {level}.")
+    p = _distributions(probabilities)
+    true = np.array(cells)
+    if true.shape != (len(p),) or true.dtype.kind not in "iu":
+        raise ShapeError(f"cells must be ({len(p)},) integers, got {true.dtype} {true.shape}.")
+    if true.min() < 0 or true.max() >= p.shape[1]:
+        raise ShapeError(f"A true cell is outside the grid of {p.shape[1]} cells.")
+    own = p[np.arange(len(p)), true][:, None]
+    above = np.where(p > own * (1 + TIE), p, 0).sum(axis=1)
+    tied = np.where(np.abs(p - own) <= TIE * own, p, 0).sum(axis=1)
+    held = above < level - TIE
+    part = np.clip((level - above) / np.where(tied > 0, tied, 1), 0, 1)
+    return Coverage(
+        level=level,
+        plain=float(held.mean()),
+        fractional=float(np.where(tied > 0, part, 0).mean()),
+        size=float(_sizes(p, level).mean()),
+        count=len(p),
+    )
+
+
+def _distributions(probabilities: Any) -> np.ndarray:
+    p = np.array(probabilities, np.float64)
+    if p.ndim < 2 or p.size == 0:
+        raise ShapeError(f"probabilities must be (T, *grid), got shape {p.shape}.")
+    p = p.reshape(len(p), -1)
+    require_finite(p, "probabilities")
+    sums = p.sum(axis=1)
+    if (p < 0).any() or np.abs(sums - 1).max() > 1e-3:
+        raise OptionError(
+            f"probabilities must be distributions; their sums are {sums.min():.4g} to "
+            f"{sums.max():.4g}."
+        )
+    return p / sums[:, None]
+
+
+def _sizes(p: np.ndarray, level: float) -> np.ndarray:
+    """Return the (T,) part of the cells in each set."""
+    ordered = -np.sort(-p, axis=1)
+    reached = np.cumsum(ordered, axis=1) >= level - TIE
+    last = np.where(reached.any(axis=1), reached.argmax(axis=1), p.shape[1] - 1)
+    threshold = ordered[np.arange(len(p)), last][:, None]
+    return (p >= threshold * (1 - TIE)).mean(axis=1)

@@ -1,0 +1,83 @@
+"""Ground truth of a synthetic capture: the textures of the scene that was rendered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.brdf.principled import specular_from_principled
+from svu_mi.errors import SceneError
+
+if TYPE_CHECKING:
+    from svu_mi.capture import Capture
+    from svu_mi.surface import Texels
+
+NAMES = ("base_color", "roughness", "metallic")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundTruth:
+    """True parameters of T texels, all in [0, 1]; colours are linear.
+
+    Attributes:
+        base_color: (T, 3).
+        roughness: (T,).
+        metallic: (T,).
+    """
+
+    base_color: np.ndarray
+    roughness: np.ndarray
+    metallic: np.ndarray
+
+    @property
+    def specular(self) -> np.ndarray:
+        """Ks = 0.04 + (base_color - 0.04) metallic, (T, 3)."""
+        return specular_from_principled(self.base_color, self.metallic[:, None])
+
+    def grey(self, name: str) -> np.ndarray:
+        """Return a parameter as (T,), the mean over channels for a colour."""
+        values: np.ndarray = getattr(self, name)
+        return values.mean(axis=1) if values.ndim == 2 else values
+
+
+def ground_truth(capture: Capture, texels: Texels) -> GroundTruth:
+    """Evaluate the target's BSDF parameters at every texel's centre.
+
+    Only the scene of a synthetic capture knows them; that of real photographs holds a guess.
+
+    Args:
+        capture: its ``shape`` must have a ``principled`` BSDF, and its own UVs.
+        texels: T texels of ``capture.mesh``.
+
+    Raises:
+        SceneError: another BSDF, or a mesh that was unwrapped anew.
+    """
+    label = f"Shape '{capture.shape.id()}'"
+    if capture.mesh is not capture.shape:
+        raise SceneError(
+            f"{label} was unwrapped anew, so its texels have no place in its textures; give it "
+            "UVs of its own."
+        )
+    bsdf = capture.shape.bsdf()
+    if bsdf is None or not all(dr.all(bsdf.has_attribute(name)) for name in NAMES):
+        raise SceneError(f"{label} has no principled BSDF, so its true parameters are unknown.")
+    si = dr.zeros(mi.SurfaceInteraction3f, texels.count)
+    si.uv = texels.uv
+    return GroundTruth(
+        base_color=_columns(bsdf.eval_attribute("base_color", si), texels.count),
+        roughness=_column(bsdf.eval_attribute_1("roughness", si), texels.count),
+        metallic=_column(bsdf.eval_attribute_1("metallic", si), texels.count),
+    )
+
+
+def _column(value: Any, count: int) -> np.ndarray:
+    """Copy to (T,) float64; a uniform texture gives one value for all."""
+    return np.broadcast_to(np.array(value, np.float64).ravel(), (count,)).copy()
+
+
+def _columns(color: Any, count: int) -> np.ndarray:
+    return np.stack([_column(channel, count) for channel in color], axis=-1)

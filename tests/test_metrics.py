@@ -1,0 +1,252 @@
+"""Metrics against hand-computed cases, and the properties that define them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import ball_scene, memory_capture
+
+from svu_mi import metrics
+from svu_mi.capture import render_capture
+from svu_mi.capture.poses import sphere_sensors
+from svu_mi.errors import OptionError, SceneError, ShapeError
+from svu_mi.scenes import path
+from svu_mi.surface import texels
+
+SEED = 90417
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(SEED)
+
+
+# --- correlation --------------------------------------------------------------------------
+
+
+def test_pearson_by_hand():
+    """x = 0 1 2, y = 0 1 4: covariance 2 / 1.0, deviations sqrt(2) and sqrt(26/3)."""
+    assert metrics.pearson([0, 1, 2], [0, 1, 4]) == pytest.approx(4 / np.sqrt(2 * 26 / 3))
+    assert metrics.pearson([0, 1, 2], [2, 1, 0]) == pytest.approx(-1)
+
+
+def test_spearman_sees_only_the_order():
+    assert metrics.spearman([0, 1, 2, 3], [0, 1, 10, 1000]) == pytest.approx(1)
+    # Ties share their mean rank: 1.5 1.5 3 against 1 2 3.
+    assert metrics.spearman([5, 5, 9], [1, 2, 3]) == pytest.approx(np.sqrt(3) / 2)
+
+
+@pytest.mark.parametrize("rho", [metrics.pearson, metrics.spearman])
+@pytest.mark.parametrize("constant", [[0.0] * 4, [0.1] * 4, [1e9] * 4, [0.3 + 1e-17, 0.3] * 2])
+def test_a_constant_correlates_with_nothing(rho, constant):
+    assert rho(constant, [1, 2, 3, 5]) == 0
+    assert rho([1, 2, 3, 5], constant) == 0
+    assert rho([1.0], [2.0]) == 0
+
+
+@pytest.mark.parametrize("function", [metrics.pearson, metrics.spearman, metrics.sparsification,
+                                      metrics.error_summary])  # fmt: skip
+def test_shapes_and_numbers_are_checked(function):
+    with pytest.raises(ShapeError, match="3 values like the others, got 2"):
+        function([1, 2, 3], [1, 2])
+    with pytest.raises(ShapeError, match="non-empty"):
+        function([], [])
+    with pytest.raises(ShapeError, match=r"got shape \(1, 2\)"):
+        function([[1, 2]], [1, 2])
+    with pytest.raises(OptionError, match="1 values that are NaN"):
+        function([1, 2], [np.nan, 1])
+
+
+# --- mean over cells ----------------------------------------------------------------------
+
+
+def test_objects_are_resampled_not_cells():
+    """Twenty equal cells of two objects tell no more than one cell of each."""
+    few = metrics.mean_over_objects([0.2, 0.8], ["a", "b"])
+    many = metrics.mean_over_objects([0.2] * 10 + [0.8] * 10, ["a"] * 10 + ["b"] * 10)
+    assert (few.mean, many.mean) == (pytest.approx(0.5), pytest.approx(0.5))
+    assert (many.low, many.high) == (pytest.approx(0.2), pytest.approx(0.8))
+    assert many.objects == 2
+
+
+def test_the_interval_covers_the_mean_as_often_as_it_says(rng):
+    """30 objects of 3 cells: 95 % (percentile intervals are a little too short)."""
+    names = np.repeat(np.arange(30).astype(str), 3)
+    held = 0
+    for index in range(200):
+        cells = np.repeat(rng.normal(0.7, 0.1, 30), 3) + rng.normal(0, 0.02, 90)
+        found = metrics.mean_over_objects(cells, names, seed=index)
+        held += found.low <= 0.7 <= found.high
+    assert 0.88 <= held / 200 <= 0.99
+
+
+def test_one_object_has_a_mean_and_no_interval():
+    assert metrics.mean_over_objects([0.5, 0.7], ["a", "a"]) == metrics.Interval(
+        pytest.approx(0.6), None, None, 1
+    )
+    with pytest.raises(ShapeError, match="2 values but 1"):
+        metrics.mean_over_objects([0.5, 0.7], ["a"])
+    with pytest.raises(OptionError, match=r"\(0, 1\)"):
+        metrics.mean_over_objects([0.5], ["a"], confidence=1)
+
+
+# --- sparsification -----------------------------------------------------------------------
+
+
+def test_sparsification_by_hand():
+    """Errors 1 2 3 (mean 2). The oracle removes 3, then 2: 1, 3/4, 1/2. The uncertainty removes
+    1, then 2: 1, 5/4, 3/2. The area between: trapezoids of 0, 1/2, 1 with step 1/3."""
+    found = metrics.sparsification([1, 2, 3], [0.9, 0.5, 0.1])
+    np.testing.assert_allclose(found.removed, [0, 1 / 3, 2 / 3])
+    np.testing.assert_allclose(found.oracle, [1, 3 / 4, 1 / 2])
+    np.testing.assert_allclose(found.by_uncertainty, [1, 5 / 4, 3 / 2])
+    assert found.ause == pytest.approx(1 / 3)
+    assert found.relative == pytest.approx(2)  # as much worse than chance as the oracle is better
+
+
+def test_a_perfect_order_has_no_area_and_no_order_is_chance(rng):
+    error = rng.exponential(size=500)
+    assert metrics.sparsification(error, error**3).ause == 0
+    constant = metrics.sparsification(error, np.full(500, 0.3))
+    np.testing.assert_allclose(constant.by_uncertainty, 1)
+    assert constant.relative == pytest.approx(1)
+    noise = [metrics.sparsification(error, rng.random(500)).relative for _ in range(20)]
+    assert np.mean(noise) == pytest.approx(1, abs=0.15)
+
+
+def test_sparsification_does_not_depend_on_units_or_order(rng):
+    error, said = rng.exponential(size=200), rng.integers(0, 20, 200)
+    order = rng.permutation(200)
+    first = metrics.sparsification(error, said)
+    other = metrics.sparsification(7 * error[order], np.exp(said[order] / 3))
+    assert other.ause == pytest.approx(first.ause)
+
+
+def test_sparsification_without_errors():
+    for error in ([0.0, 0.0, 0.0], [0.5, 0.5, 0.5], [2.0]):
+        found = metrics.sparsification(error, np.arange(len(error)))
+        assert (found.ause, found.relative) == (0, 0)
+        np.testing.assert_allclose(found.by_uncertainty, 1)
+    with pytest.raises(OptionError, match="negative"):
+        metrics.sparsification([-1, 1], [0, 1])
+
+
+def test_curves_for_a_plot():
+    found = metrics.sparsification([1, 2, 3], [1, 2, 3]).sampled(3)
+    assert found == {"removed": [0, 0.33333, 0.66667], "by_uncertainty": [1, 0.75, 0.5],
+                     "oracle": [1, 0.75, 0.5]}  # fmt: skip
+
+
+# --- credible sets ------------------------------------------------------------------------
+
+
+def test_the_truth_falls_into_the_nearest_cell():
+    axes = {"roughness": [0, 0.5, 1], "specular": [0, 1]}
+    truth = {"roughness": [0.1, 0.26, 0.9], "specular": [0.2, 0.9, 0.5], "other": [1, 2, 3]}
+    np.testing.assert_array_equal(metrics.nearest_cells(axes, truth), [0, 3, 4])
+    with pytest.raises(ShapeError, match="specular"):
+        metrics.nearest_cells(axes, {"roughness": [0.1]})
+
+
+def test_credible_sets_by_hand():
+    """0.5 needs the first cell; 0.9 needs 0.6, 0.3 and, to be whole, nothing more."""
+    p = np.array([[0.6, 0.3, 0.1]] * 3)
+    half = metrics.credible_coverage(p, np.array([0, 1, 2]), 0.5)
+    assert (half.plain, half.size) == (pytest.approx(1 / 3), pytest.approx(1 / 3))
+    assert half.fractional == pytest.approx(0.5 / 0.6 / 3)
+    most = metrics.credible_coverage(p, np.array([0, 1, 2]), 0.9)
+    assert (most.plain, most.size) == (pytest.approx(2 / 3), pytest.approx(2 / 3))
+    assert most.fractional == pytest.approx(2 / 3)
+
+
+def test_ties_are_taken_in_whole():
+    p = np.full((4, 2, 2), 0.25)
+    found = metrics.credible_coverage(p, np.arange(4), 0.5)
+    assert (found.plain, found.size) == (1, 1)
+    assert found.fractional == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("level", [0.5, 0.9])
+def test_a_calibrated_posterior_is_covered_as_it_says(rng, level):
+    """Truth drawn from each posterior: the level within four binomial deviations."""
+    count = 4000
+    p = rng.dirichlet(np.full(64, 0.1), count)
+    truth = (p.cumsum(axis=1) > rng.random((count, 1))).argmax(axis=1)
+    found = metrics.credible_coverage(p.reshape(count, 8, 8).astype(np.float32), truth, level)
+    margin = 4 * np.sqrt(level * (1 - level) / count)
+    assert found.fractional == pytest.approx(level, abs=margin)
+    assert found.plain >= level - margin
+    assert 0 < found.size < level
+
+
+def test_a_truth_without_probability_is_not_covered():
+    p = np.array([[1.0, 0.0]] * 2)
+    found = metrics.credible_coverage(p, np.array([0, 1]), 0.9)
+    assert found.plain == 0.5
+    assert found.fractional == pytest.approx(0.45)
+
+
+def test_what_credible_coverage_refuses():
+    p = np.full((2, 4), 0.25)
+    with pytest.raises(ShapeError, match=r"must be \(2,\) integers"):
+        metrics.credible_coverage(p, np.array([0]), 0.5)
+    with pytest.raises(ShapeError, match="outside the grid of 4"):
+        metrics.credible_coverage(p, np.array([0, 4]), 0.5)
+    with pytest.raises(OptionError, match="sums are 2"):
+        metrics.credible_coverage(2 * p, np.array([0, 1]), 0.5)
+    with pytest.raises(OptionError, match="level"):
+        metrics.credible_coverage(p, np.array([0, 1]), 1)
+
+
+# --- errors and truth ---------------------------------------------------------------------
+
+
+def test_errors_by_hand():
+    found = metrics.error_summary([1, 2, 6], [1, 3, 3])
+    assert found.bias == pytest.approx(2 / 3)
+    assert found.mae == pytest.approx(4 / 3)
+    assert found.rmse == pytest.approx(np.sqrt(10 / 3))
+
+
+def test_the_truth_of_a_scene_is_its_textures():
+    """The vase's band is metal; a lookup by hand in the texture's pixels agrees."""
+    from svu_mi.exr import read_exr
+
+    capture = render_capture(path("vase"), 1, views=1, resolution=(8, 8))
+    grid = texels(capture.mesh, 64)
+    truth = metrics.ground_truth(capture, grid)
+    picture = read_exr(path("vase").parent / "metallic.exr")
+    pixels = next(iter(picture.values()))
+    side = len(pixels) // 64
+    # The centre of a texel is the corner of four pixels; bilinear lookup is their mean.
+    blocks = pixels.reshape(64, side, 64, side)[:, side // 2 - 1 : side // 2 + 1, :,
+                                                 side // 2 - 1 : side // 2 + 1]  # fmt: skip
+    np.testing.assert_allclose(
+        truth.metallic, blocks.mean(axis=(1, 3)).ravel()[np.array(grid.index)], atol=1e-5
+    )
+    assert truth.metallic.min() == 0
+    assert truth.metallic.max() == 1
+    metal, matte = truth.metallic == 1, truth.metallic == 0
+    np.testing.assert_allclose(truth.specular[metal], truth.base_color[metal])
+    np.testing.assert_allclose(truth.specular[matte], 0.04)
+    np.testing.assert_allclose(truth.grey("base_color"), truth.base_color.mean(axis=1))
+    assert truth.grey("roughness").shape == (grid.count,)
+
+
+def test_uniform_parameters_and_other_materials(tmp_path):
+    light = {"type": "constant"}
+    paint = {"type": "principled", "roughness": 0.25, "metallic": 0.75,
+             "base_color": {"type": "rgb", "value": [0.25, 0.5, 1.0]}}  # fmt: skip
+    scene = ball_scene(tmp_path, light, paint)
+    capture = memory_capture(scene, [np.ones((8, 8, 3), np.float32)],
+                             sphere_sensors(scene.shapes()[0], 1, (8, 8)))  # fmt: skip
+    grid = texels(capture.mesh, 16)
+    truth = metrics.ground_truth(capture, grid)
+    np.testing.assert_allclose(truth.base_color, [[0.25, 0.5, 1.0]] * grid.count, rtol=1e-6)
+    np.testing.assert_allclose(truth.roughness, 0.25)
+    np.testing.assert_allclose(truth.metallic, 0.75)
+    scene = ball_scene(tmp_path, light, {"type": "diffuse"})
+    capture = memory_capture(scene, [np.ones((8, 8, 3), np.float32)],
+                             sphere_sensors(scene.shapes()[0], 1, (8, 8)))  # fmt: skip
+    with pytest.raises(SceneError, match="principled"):
+        metrics.ground_truth(capture, grid)
