@@ -1,0 +1,97 @@
+"""Squared deviation of every psi from what was observed, averaged over a texel's views.
+
+With two independent renders A and B of one psi, E[(b - A)(b - B)] = (b - r)^2, where r is the
+exact radiance; E[(b - A)^2] has the variance of A on top, which differs from psi to psi.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from svu_mi.posterior import PrincipledGrid
+
+Render = Callable[[float, float, float], tuple[np.ndarray, np.ndarray]]
+"""(roughness, metallic, base colour) to the radiances (P,) of halves A and B, float64."""
+
+KINDS = 3  # AB, AA, BB
+CORNERS = ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0))  # (metallic, base colour)
+
+
+@dataclass(frozen=True)
+class PerTexel:
+    """Means over the P pairs of each of n texels; a texel without pairs has 0."""
+
+    texel: np.ndarray
+    count: int
+
+    @property
+    def pairs(self) -> np.ndarray:
+        """(n,) int64, number of pairs."""
+        return np.bincount(self.texel, minlength=self.count)
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """Average (P,) values to (n,) float64."""
+        total = np.bincount(self.texel, weights=values, minlength=self.count)
+        return total / np.maximum(self.pairs, 1)
+
+
+def brute(observed: np.ndarray, mean: PerTexel, grid: PrincipledGrid, render: Render) -> np.ndarray:
+    """Render every psi.
+
+    Args:
+        observed: (P,) float64, grey radiance b.
+        mean: the texels of the pairs.
+        grid: R x M x C nodes of psi.
+        render: traces both halves of one psi.
+
+    Returns:
+        (3, n, R, M, C) float64: means of (b-A)(b-B), (b-A)^2 and (b-B)^2.
+    """
+    result = np.empty((KINDS, mean.count, *grid.shape))
+    for cell in np.ndindex(*grid.shape):
+        psi = (float(nodes[k]) for nodes, k in zip(grid.axes.values(), cell, strict=True))
+        a, b = (observed - half for half in render(*psi))
+        result[(slice(None), slice(None), *cell)] = [mean.mean(x) for x in (a * b, a * a, b * b)]
+    return result
+
+
+def linear(
+    observed: np.ndarray, mean: PerTexel, grid: PrincipledGrid, render: Render
+) -> np.ndarray:
+    """Render four psi per roughness, and derive all others; exact for direct light alone.
+
+    At fixed roughness, principled radiance is linear in (1-m) c, (1-m), m and m c: it is
+    bilinear in metallic m and base colour c, hence r = sum_k w_k(m, c) r_k over the four
+    corners. With q = (1, -w) and y = (b, r_1..r_4), (b - r)^2 = q' (y y') q: the mean over views
+    of the 5 x 5 moments y y' is all that the cells need.
+
+    Args and result are those of ``brute``.
+    """
+    _, metallic, base_color = np.meshgrid(
+        [0.0], grid.metallic_nodes, grid.base_color_nodes, indexing="ij"
+    )
+    m, c = metallic.ravel(), base_color.ravel()
+    q = np.stack([np.ones_like(m), -(1 - m) * (1 - c), -(1 - m) * c, -m * (1 - c), -m * c], axis=-1)
+    forms = np.einsum("gi,gj->gij", q, q)
+    result = np.empty((KINDS, mean.count, *grid.shape))
+    for row, roughness in enumerate(grid.roughness_nodes):
+        corners = [render(float(roughness), *corner) for corner in CORNERS]
+        a, b = ([observed, *(corner[half] for corner in corners)] for half in range(2))
+        for kind, (left, right) in enumerate(((a, b), (a, a), (b, b))):
+            cells = np.einsum("nij,gij->ng", _moments(mean, left, right), forms, optimize=True)
+            result[kind, :, row] = cells.reshape(mean.count, *grid.shape[1:])
+    return result
+
+
+def _moments(mean: PerTexel, left: list[np.ndarray], right: list[np.ndarray]) -> np.ndarray:
+    """Return (n, k, k) symmetrised cross-moments of k values per pair."""
+    size = len(left)
+    result = np.empty((mean.count, size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            product = (left[i] * right[j] + left[j] * right[i]) / 2
+            result[:, i, j] = result[:, j, i] = mean.mean(product)
+    return result

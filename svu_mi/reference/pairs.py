@@ -1,0 +1,127 @@
+"""Visible (texel, view) pairs: what was observed there, and the ray that looks there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.radiance import Surface, Views, observe, over_views
+from svu_mi.radiance.observe import RAY_OFFSET
+from svu_mi.radiance.views import CAMERA_FLOATS
+from svu_mi.reference.uniform import UniformScene
+from svu_mi.surface import Texels
+
+TOLERANCE = 4e-5  # of the object's extent: how far from a texel's tangent plane a ray may land
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What all views together show of each of T texels.
+
+    Attributes:
+        coverage: (T,) int64, number of views that see it.
+        total: (T,) float64, sum over those views of the observed grey radiance.
+    """
+
+    coverage: np.ndarray
+    total: np.ndarray
+
+    @property
+    def scale(self) -> float:
+        """Mean grey radiance over all visible (texel, view) samples; 0 without any."""
+        return float(self.total.sum() / max(self.coverage.sum(), 1))
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """P visible pairs of a batch of texels, texel by texel.
+
+    Attributes:
+        texel: (P,) int64, place of the texel in the batch.
+        observed: (P,) float64, observed grey radiance.
+        rays: (P,) RayDifferential3f from the camera to the texel, world space.
+        dropped: number of visible pairs left out: their ray meets something else first.
+    """
+
+    texel: np.ndarray
+    observed: np.ndarray
+    rays: Any
+    dropped: int
+
+    @property
+    def count(self) -> int:
+        """Number of pairs P."""
+        return len(self.texel)
+
+
+def grey(radiance: Any) -> Any:
+    """Mean of the channels: Color3f to Float."""
+    return (radiance[0] + radiance[1] + radiance[2]) / 3
+
+
+def survey(views: Views, texels: Texels) -> Survey:
+    """Add up, for every texel, what the views show of it: one kernel."""
+
+    def add(seen: Any, _view: Any, count: Any, total: Any) -> tuple[Any, Any]:
+        return count + dr.select(seen.seen, mi.UInt32(1), 0), total + grey(seen.radiance)
+
+    zeros = (dr.zeros(mi.UInt32, texels.count), dr.zeros(mi.Float, texels.count))
+    count, total = over_views(views, Surface.of(texels), add, zeros)
+    dr.eval(count, total)
+    return Survey(count.numpy().astype(np.int64), total.numpy().astype(np.float64))
+
+
+def visible_pairs(views: Views, texels: Texels, batch: Any, target: UniformScene) -> Pairs:
+    """Find the pairs of a batch of texels that a camera ray confirms.
+
+    Takes 100 bytes per texel of the batch and view.
+
+    Args:
+        views: the packed capture.
+        texels: the T texels.
+        batch: (n,) UInt32, which of them.
+        target: the scene that will be traced.
+    """
+    lane = dr.arange(mi.UInt32, dr.width(batch) * views.number)
+    place = lane // views.count
+    view = lane - place * views.count
+    seen = observe(views, Surface.of(texels, dr.gather(mi.UInt32, batch, place)), view)
+    observed = grey(seen.radiance)
+    dr.eval(place, view, observed, seen.seen)
+    visible = dr.compress(seen.seen)
+    place, view, observed = (
+        dr.gather(type(values), values, visible) for values in (place, view, observed)
+    )
+    rays, hit = _aim(views, Surface.of(texels, dr.gather(mi.UInt32, batch, place)), view, target)
+    dr.eval(place, observed, rays, hit)
+    kept = dr.compress(hit)
+    place, observed, rays = (dr.gather(type(x), x, kept) for x in (place, observed, rays))
+    dr.eval(place, observed, rays)
+    return Pairs(
+        texel=place.numpy().astype(np.int64),
+        observed=observed.numpy().astype(np.float64),
+        rays=mi.RayDifferential3f(rays),
+        dropped=dr.width(visible) - dr.width(kept),
+    )
+
+
+def _aim(views: Views, surface: Surface, view: Any, target: UniformScene) -> tuple[Any, Any]:
+    """Return rays from the cameras to the texels, and whether they land there.
+
+    Rays can leak between faces, and the back of a thin object is close to its front; what
+    counts is the distance from the texel's tangent plane, which grazing angles do not blow up.
+    """
+    camera = mi.Point3f(
+        *(dr.gather(mi.Float, views.cameras, view * CAMERA_FLOATS + 12 + k) for k in range(3))
+    )
+    ray = mi.Ray3f(camera, dr.normalize(surface.position - camera))
+    hit = target.scene.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True)
+    miss = dr.abs(dr.dot(ray(hit.t) - surface.position, surface.geometric_normal))
+    # Opaque: as a literal, every scene of a process would get a kernel of its own.
+    on_object = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, target.shape))
+    # surface.offset is a fraction of the extent, and already opaque.
+    return ray, on_object & (miss < (TOLERANCE / RAY_OFFSET) * surface.offset)

@@ -1,0 +1,271 @@
+"""p(psi | B, L) by path tracing every psi: slow, and free of the estimators' approximations."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from numbers import Integral
+from pathlib import Path
+from typing import Any, Literal
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.interop import owned
+from svu_mi.posterior import PrincipledGrid, TabulatedPosterior
+from svu_mi.progress import Progress
+from svu_mi.radiance import Views, pack_views
+from svu_mi.reference import cache as cached
+from svu_mi.reference.deviations import CORNERS, PerTexel, brute, linear
+from svu_mi.reference.pairs import Pairs, Survey, survey, visible_pairs
+from svu_mi.reference.record import Reference
+from svu_mi.reference.trace import path_integrator, trace
+from svu_mi.reference.uniform import UniformScene
+from svu_mi.surface import Texels
+
+Method = Literal["linear", "brute"]
+LANES = 1 << 20  # (texel, view) pairs in memory at a time, visible or not
+
+
+@dataclass(frozen=True)
+class Options:
+    """The numbers of ``reference_posterior``, checked.
+
+    Raises:
+        OptionError: one is out of range.
+    """
+
+    spp: int
+    grid: PrincipledGrid
+    sigma: float
+    max_depth: int
+    method: Method
+    seed: int
+
+    def __post_init__(self) -> None:
+        label = "reference_posterior()"
+        if not _is_whole(self.spp, 2) or self.spp % 2:
+            raise OptionError(
+                f"{label}: spp must be even and at least 2, got {self.spp!r}: two independent "
+                "halves keep Monte Carlo noise out of the squared error."
+            )
+        if not (np.isfinite(self.sigma) and self.sigma > 0):
+            raise OptionError(f"{label}: sigma must be above 0, got {self.sigma!r}.")
+        if not _is_whole(self.max_depth, 2):
+            raise OptionError(
+                f"{label}: max_depth must be at least 2 (direct light), got {self.max_depth!r}."
+            )
+        if not _is_whole(self.seed, 0):
+            raise OptionError(f"{label}: seed must be a whole number >= 0, got {self.seed!r}.")
+        if self.method not in ("linear", "brute"):
+            raise OptionError(f"{label}: method must be linear or brute, got {self.method!r}.")
+        if self.method == "linear" and self.max_depth > 2:
+            raise OptionError(
+                f"{label}: radiance is linear in the material for direct light alone; use "
+                f"method='brute' for max_depth {self.max_depth}, or max_depth=2."
+            )
+
+    @property
+    def renders(self) -> int:
+        """Number of psi that are traced."""
+        rows, *others = self.grid.shape
+        return rows * (len(CORNERS) if self.method == "linear" else int(np.prod(others)))
+
+
+def reference_posterior(
+    capture: Capture,
+    texels: Texels,
+    subset: int | np.ndarray = 1000,
+    spp: int = 32,
+    *,
+    grid: PrincipledGrid | None = None,
+    sigma: float = 0.08,
+    max_depth: int = 2,
+    method: Method = "linear",
+    seed: int = 0,
+    cache: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Reference:
+    """Path trace the posterior of roughness, metallic and a grey base colour (Eq. 1-5).
+
+    The object gets one uniform ``principled`` material psi after the other (specular 0.5), and
+    every visible (texel, view) pair is traced as a ray from the camera to the texel. With b and r
+    the observed and traced radiance, means of the three channels, p ~ exp(-energy) and
+    energy(psi) = mean over the texel's views of (b - r(psi))^2 / (2 s^2), where s is ``sigma``
+    times the mean observed radiance of the whole capture.
+
+    Args:
+        capture: scene, photographs and light; nothing of it is modified.
+        texels: texels of ``capture.mesh``.
+        subset: that many texels, drawn at random from those that some view sees (all if there
+            are fewer), or an array of indices into the T texels.
+        spp: paths per psi and pair; even.
+        grid: nodes of psi; 8 x 8 x 8 by default.
+        sigma: standard deviation of the likelihood, as a part of the mean radiance.
+        max_depth: longest path; 2 is direct light.
+        method: ``linear`` renders 4 psi per roughness and derives the others, exactly, for
+            direct light; ``brute`` renders all.
+        seed: of the subset and of the paths; all psi share their random numbers.
+        cache: folder where results are kept, and looked for.
+        progress: shows what is going on and collects timings.
+
+    Raises:
+        OptionError: an option is out of range, or ``subset`` names texels that do not exist.
+        CaptureError: no texel is seen in any photograph, or all that is seen is black.
+        OutputError: the cache cannot be written.
+    """
+    options = Options(spp, grid or PrincipledGrid(), sigma, max_depth, method, seed)
+    wanted = _check_subset(subset, texels.count)
+    progress = progress or Progress()
+    path = cached.locate(cache, capture, texels, wanted, options) if cache is not None else None
+    if path is not None and (known := cached.load(path, options)) is not None:
+        return known
+    with progress.stage("Finding silhouettes"):
+        views = pack_views(capture)
+    with progress.stage("Tracing visibility"):
+        seen = survey(views, texels)
+    chosen = _choose(wanted, seen, capture, seed)
+    with progress.stage("Tracing the reference") as stage:
+        result = _trace(capture, views, texels, chosen, seen.scale, options, stage.update)
+    if path is not None:
+        cached.store(path, result)
+    return result
+
+
+def _trace(
+    capture: Capture,
+    views: Views,
+    texels: Texels,
+    chosen: np.ndarray,
+    scale: float,
+    options: Options,
+    update: Callable[[int, int], None],
+) -> Reference:
+    """Work through the texels in batches of bounded memory."""
+    dr.sync_thread()
+    start = time.perf_counter()
+    target = UniformScene.of(capture)
+    size = max(LANES // views.number, 1)
+    batches = [chosen[first : first + size] for first in range(0, len(chosen), size)]
+    rays = dropped = 0
+    deviations, brightness, coverage = [], [], []
+    for number, batch in enumerate(batches):
+        pairs = visible_pairs(views, texels, owned(mi.UInt32, batch.astype(np.uint32)), target)
+        renderer = _Renderer(target, pairs, options, number, len(batches), update)
+        mean = PerTexel(pairs.texel, len(batch))
+        derive = linear if options.method == "linear" else brute
+        deviations.append(derive(pairs.observed, mean, options.grid, renderer))
+        brightness.append(mean.mean(pairs.observed))
+        coverage.append(mean.pairs)
+        rays += pairs.count * options.renders * options.spp
+        dropped += pairs.dropped
+    used = np.concatenate(coverage)
+    energies = np.concatenate(deviations, axis=1) / (2 * (options.sigma * scale) ** 2)
+    dr.sync_thread()
+    whole, first, second = (
+        TabulatedPosterior(energies=table, grid=options.grid, observed=used > 0)
+        for table in energies
+    )
+    return Reference(
+        subset=chosen,
+        posterior=whole,
+        halves=(first, second),
+        brightness=np.concatenate(brightness),
+        coverage=used,
+        scale=scale,
+        seconds=time.perf_counter() - start,
+        cached=False,
+        rays=rays,
+        dropped=dropped,
+        spp=options.spp,
+        max_depth=options.max_depth,
+        method=options.method,
+    )
+
+
+class _Renderer:
+    """Renders one psi after the other for a batch of pairs."""
+
+    def __init__(
+        self,
+        target: UniformScene,
+        pairs: Pairs,
+        options: Options,
+        batch: int,
+        batches: int,
+        update: Callable[[int, int], None],
+    ) -> None:
+        self._target, self._pairs, self._samples = target, pairs, options.spp // 2
+        self._integrator = path_integrator(options.max_depth)
+        # Own random numbers for each half and batch, the same for all psi.
+        self._seeds = [
+            int(np.random.default_rng((options.seed, batch, half)).integers(2**32))
+            for half in range(2)
+        ]
+        self._done, self._total = batch * options.renders, batches * options.renders
+        self._update = update
+
+    def __call__(
+        self, roughness: float, metallic: float, base_color: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        self._target.paint(roughness, metallic, base_color)
+        first, second = (self._half(seed) for seed in self._seeds)
+        self._done += 1
+        self._update(self._done, self._total)
+        return first, second
+
+    def _half(self, seed: int) -> np.ndarray:
+        if self._pairs.count == 0:
+            return np.zeros(0)
+        radiance = trace(
+            self._target.scene, self._integrator, self._pairs.rays, self._samples, seed
+        )
+        return radiance.numpy().astype(np.float64)
+
+
+def _check_subset(subset: Any, count: int) -> int | np.ndarray:
+    """Return a number of texels, or (n,) int64 indices of texels that exist."""
+    label = "reference_posterior(): subset"
+    if np.ndim(subset) == 0:
+        if not _is_whole(subset, 1):
+            raise OptionError(f"{label} must be a number of texels >= 1, got {subset!r}.")
+        return int(subset)
+    indices = np.asarray(subset)
+    if indices.ndim != 1 or not indices.size or not np.issubdtype(indices.dtype, np.integer):
+        raise OptionError(
+            f"{label} must be a list of texel indices, got {indices.dtype} of shape "
+            f"{indices.shape}."
+        )
+    wrong = (indices < 0) | (indices >= count)
+    if wrong.any():
+        raise OptionError(
+            f"{label} names texel {indices[wrong][0]}, but there are texels 0 to {count - 1}."
+        )
+    return indices.astype(np.int64)
+
+
+def _choose(wanted: int | np.ndarray, seen: Survey, capture: Capture, seed: int) -> np.ndarray:
+    """Return (n,) int64 indices; random ones are seen, and sorted, so neighbours stay together."""
+    visible = np.flatnonzero(seen.coverage)
+    if len(visible) == 0:
+        raise CaptureError(
+            f"No texel of '{capture.shape.id()}' is seen in any photograph, so there is nothing "
+            "to trace; check the poses and masks."
+        )
+    if not seen.scale > 0:
+        raise CaptureError(
+            f"All that the photographs show of '{capture.shape.id()}' is black, so sigma, a part "
+            "of the mean radiance, would be 0; check the photographs."
+        )
+    if isinstance(wanted, np.ndarray):
+        return wanted
+    count = min(wanted, len(visible))
+    return np.sort(np.random.default_rng(seed).choice(visible, count, replace=False))
+
+
+def _is_whole(value: object, least: int) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least

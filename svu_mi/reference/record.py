@@ -1,0 +1,89 @@
+"""The reference as a record: posterior, its own noise, and what it was traced with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from svu_mi.posterior import TabulatedPosterior
+
+
+class SplitHalf(NamedTuple):
+    """How well a reference agrees with itself.
+
+    Attributes:
+        correlation: Pearson correlation of the two entropies over the observed texels; NaN
+            when there are fewer than two, or all have one entropy.
+        first, second: (n,) float64 entropy of each half of the samples.
+    """
+
+    correlation: float
+    first: np.ndarray
+    second: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference:
+    """Path-traced posterior of n texels.
+
+    Attributes:
+        subset: (n,) int64, which of the T texels.
+        posterior: p(psi | B, L) on roughness x metallic x base colour. Not observed, with
+            entropy 1, is a texel that no view sees or that no ray met.
+        halves: the same from the first and from the second half of the samples. Their energies
+            are (b - r)^2, Monte Carlo variance included; those of ``posterior`` are free of it.
+        brightness: (n,) float64, mean observed grey radiance over the views used; 0 without any.
+        coverage: (n,) int64, number of views used.
+        scale: mean grey radiance over all visible (texel, view) samples of the capture.
+        seconds: time the tracing took, device synchronised; that of the original run when
+            the result came from a cache.
+        cached: whether it came from a cache.
+        rays: number of camera paths traced, those for all psi together.
+        dropped: number of visible (texel, view) pairs left out since their ray missed the texel.
+        spp: paths per psi and pair, both halves together.
+        max_depth: longest path, in edges seen from the camera; 2 is direct light.
+        method: ``linear`` or ``brute``.
+    """
+
+    subset: np.ndarray
+    posterior: TabulatedPosterior
+    halves: tuple[TabulatedPosterior, TabulatedPosterior]
+    brightness: np.ndarray
+    coverage: np.ndarray
+    scale: float
+    seconds: float
+    cached: bool
+    rays: int
+    dropped: int
+    spp: int
+    max_depth: int
+    method: str
+
+    @property
+    def count(self) -> int:
+        """Number of texels n."""
+        return len(self.subset)
+
+    @cached_property
+    def entropy(self) -> np.ndarray:
+        """Normalised entropy (n,) float64 in [0, 1]; 1 where not observed (Eq. 5)."""
+        return _entropy(self.posterior)
+
+    def split_half(self) -> SplitHalf:
+        """Compare the entropies of the two independent halves of the samples.
+
+        The correlation bounds what any estimator can reach against one half; the full
+        reference has twice the samples and is better than that.
+        """
+        first, second = (_entropy(half) for half in self.halves)
+        kept = self.posterior.observed
+        a, b = first[kept], second[kept]
+        varied = len(a) > 1 and np.ptp(a) > 0 and np.ptp(b) > 0
+        return SplitHalf(float(np.corrcoef(a, b)[0, 1]) if varied else np.nan, first, second)
+
+
+def _entropy(posterior: TabulatedPosterior) -> np.ndarray:
+    return np.array(posterior.entropy(), np.float64)
