@@ -11,6 +11,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from svu_mi.cli.bench import Bench
 from svu_mi.cli.commands import Demo, Doctor, Entropy, Render
 from svu_mi.errors import SvuError
 
@@ -18,6 +19,7 @@ Command = (
     Annotated[Entropy, tyro.conf.subcommand("entropy")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
 )
 

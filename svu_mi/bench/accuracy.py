@@ -1,0 +1,201 @@
+"""How well every estimator agrees with a path-traced posterior and with the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from svu_mi import metrics
+from svu_mi.bench.captures import capture_of
+from svu_mi.bench.cells import Cell, Settings
+from svu_mi.bench.judge import agreement, judge_posterior
+from svu_mi.bench.store import Store, key_of
+from svu_mi.bench.variants import Variant
+from svu_mi.capture import Capture
+from svu_mi.pipeline import Estimate, estimate
+from svu_mi.progress import Progress
+from svu_mi.reference import reference_posterior
+from svu_mi.surface import Texels, texels
+
+Tracer = Callable[..., Any]
+DIGITS = 4  # of the entropies that are kept for scatter plots
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Where and how a benchmark runs.
+
+    Attributes:
+        folder: of all results.
+        settings: sizes.
+        progress: shows what is going on.
+        trace: gives the reference posterior.
+        fresh: compute anew what is finished.
+    """
+
+    folder: Path
+    settings: Settings
+    progress: Progress
+    trace: Tracer = reference_posterior
+    fresh: bool = False
+
+    @property
+    def store(self) -> Store:
+        """Finished cells."""
+        return Store(self.folder / "cells")
+
+    def capture(self, cell: Cell, settings: Settings | None = None, name: str = "") -> Capture:
+        """Photographs of a cell, rendered once per settings."""
+        folder = self.folder / "cells" / cell.name / (name or "capture")
+        return capture_of(cell, settings or self.settings, folder, self.progress)
+
+    def reference(self, capture: Capture, grid: Texels, **changes: Any) -> Any:
+        """Path-traced posterior of a few texels, from the cache if it is there."""
+        asked: dict[str, Any] = {
+            "subset": self.settings.reference_texels,
+            "spp": self.settings.reference_spp,
+            "seed": self.settings.seed,
+            "cache": self.folder / "cache",
+            **changes,
+        }
+        return self.trace(capture, grid, **asked)
+
+
+@dataclass(frozen=True)
+class Timed:
+    """An estimate whose kernels were all compiled before.
+
+    Attributes:
+        estimate: the result.
+        timings: seconds per stage, warm.
+        seconds: their sum.
+    """
+
+    estimate: Estimate
+    timings: dict[str, float]
+    seconds: float
+
+
+def run_warm(capture: Capture, grid: Texels, variant: Variant, **options: Any) -> Timed:
+    """Estimate; again if kernels had to be compiled."""
+    for _ in range(2):
+        progress = Progress()
+        result = estimate(
+            capture, grid, variant.method, variant.preset, progress=progress, **options
+        )
+        if not any(progress.kernels.values()):
+            break
+    return Timed(result, dict(progress.timings), sum(progress.timings.values()))
+
+
+def run_cell(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str, Any]:
+    """Return a cell's record; what is finished is taken from disk, variant by variant.
+
+    The record is written after every variant, so an interrupted run loses one at most.
+
+    Args:
+        bench: where and how.
+        cell: object and light.
+        variants: estimators to compare.
+
+    Returns:
+        ``object``, ``light``, ``reference`` (its figures), ``sanity`` (agreement of the two
+        simple maps) and ``variants``: one record per label.
+    """
+    key = key_of(str(cell.scene), cell.defines, asdict(bench.settings))
+    record = None if bench.fresh else bench.store.load(cell.name, key)
+    done = {} if record is None else dict(record["variants"])
+    keys = {v.label: key_of(v.method, asdict(v.preset)) for v in variants}
+    missing = [v for v in variants if done.get(v.label, {}).get("key") != keys[v.label]]
+    if record is None or missing:
+        capture = bench.capture(cell)
+        grid = texels(capture.mesh, bench.settings.texels)
+        with bench.progress.stage(f"Tracing the reference of {cell.title}"):
+            reference = Judge.of(bench.reference(capture, grid), capture, grid)
+        record = {**_heading(cell, grid), **reference.figures()}
+        for variant in missing:
+            with bench.progress.stage(f"{cell.title}: {variant.label}"):
+                timed = run_warm(capture, grid, variant)
+                done[variant.label] = {
+                    "key": keys[variant.label], **reference.judge(timed), "main": variant.main
+                }  # fmt: skip
+            record = bench.store.save(cell.name, key, {**record, "variants": done})
+    return {**record, "variants": {v.label: done[v.label] for v in variants}}
+
+
+def _heading(cell: Cell, grid: Texels) -> dict[str, Any]:
+    return {"object": cell.object, "light": cell.light, "texels": grid.count}
+
+
+@dataclass(frozen=True)
+class Judge:
+    """The reference of a cell, and what is needed to compare an estimate with it.
+
+    Attributes:
+        reference: as ``reference_posterior`` gives it.
+        kept: (n,) indices of the texels that the reference observed.
+        entropy: (n,) its entropy there.
+        truth: of all T texels.
+    """
+
+    reference: Any
+    kept: np.ndarray
+    entropy: np.ndarray
+    truth: metrics.GroundTruth
+
+    @classmethod
+    def of(cls, reference: Any, capture: Capture, grid: Texels) -> Judge:
+        """Leave out what nobody saw: there, every estimator is trivially right."""
+        seen = np.array(reference.coverage) > 0
+        return cls(
+            reference=reference,
+            kept=np.array(reference.subset)[seen],
+            entropy=np.array(reference.entropy, np.float64)[seen],
+            truth=metrics.ground_truth(capture, grid),
+        )
+
+    def figures(self) -> dict[str, Any]:
+        """Return what the reference says of itself, and how the two simple maps agree with it."""
+        found = self.reference
+        seen = np.array(found.coverage) > 0
+        maps = {
+            "brightness": -np.array(found.brightness, np.float64)[seen],
+            "number of views": -np.array(found.coverage, np.float64)[seen],
+        }
+        posterior = np.array(found.posterior.probabilities)[seen]
+        judged = judge_posterior(
+            posterior, found.posterior.axes, self.truth, self.entropy, self.kept
+        )
+        return {
+            "reference": {
+                "texels": len(self.kept),
+                "seconds": found.seconds,
+                "rays": found.rays,
+                "spp": found.spp,
+                "split_half": found.split_half()[0],
+                "mean_entropy": float(self.entropy.mean()),
+                "entropy": self.entropy.round(DIGITS),
+                **judged,
+            },
+            "sanity": {name: agreement(values, self.entropy) for name, values in maps.items()},
+        }
+
+    def judge(self, timed: Timed) -> dict[str, Any]:
+        """Return the figures of one estimate."""
+        result = timed.estimate
+        everywhere = np.array(result.entropy, np.float64)
+        entropy = everywhere[self.kept]
+        posterior = np.array(result.posterior.probabilities)[self.kept]
+        judged = judge_posterior(posterior, result.posterior.axes, self.truth, entropy, self.kept)
+        return {
+            **agreement(entropy, self.entropy),
+            "mean_entropy": float(everywhere[np.array(result.coverage) > 0].mean()),
+            "seconds": timed.seconds,
+            "timings": timed.timings,
+            "entropy": entropy.round(DIGITS),
+            **judged,
+        }

@@ -1,0 +1,57 @@
+"""Photographs of a cell: rendered once, read again afterwards."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from svu_mi.bench.cells import Cell, Settings
+from svu_mi.bench.store import Store, key_of
+from svu_mi.capture import Capture, load_capture, render_capture
+from svu_mi.progress import Progress
+
+MARK = "bench"  # bench.json in the capture's folder: the key it was rendered under
+
+
+def capture_of(cell: Cell, settings: Settings, folder: Path, progress: Progress) -> Capture:
+    """Render a cell's photographs into a folder, or read them if they are there.
+
+    Args:
+        cell: object and light.
+        settings: number and size of the photographs.
+        folder: of the capture.
+        progress: shows what is going on.
+
+    Raises:
+        SceneError: the scene cannot be rendered.
+        OutputError: the folder cannot be written.
+    """
+    key = key_of(
+        str(cell.scene), cell.defines, settings.views, settings.film, settings.spp, settings.seed
+    )
+    store = Store(folder)
+    if store.load(MARK, key) is not None:
+        with progress.stage(f"Loading {cell.title}"):
+            return load_capture(folder)
+    store.path(MARK).unlink(missing_ok=True)
+    with progress.stage(f"Rendering {cell.title}", settings.views) as stage:
+        capture = render_capture(
+            cell.scene, settings.spp, settings.seed, folder=folder, views=settings.views,
+            resolution=(settings.film, settings.film), defines=cell.defines,
+            progress=stage.update,
+        )  # fmt: skip
+    store.save(MARK, key, {"cell": cell.name, "settings": settings})
+    return capture
+
+
+def some_views(capture: Capture, count: int) -> Capture:
+    """Return the capture with ``count`` of its views, evenly spread over their order."""
+    chosen = np.unique(np.linspace(0, capture.count - 1, count).round().astype(int))
+    names = ("sensors", "images", "masks", "exposures", "names", "unusable", "used")
+    views: dict[str, Any] = {
+        name: tuple(getattr(capture, name)[i] for i in chosen) for name in names
+    }
+    return replace(capture, **views)

@@ -1,0 +1,183 @@
+"""What is run: objects x lights, and how large everything is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from svu_mi import scenes
+from svu_mi.bench.glb import convert_glb
+from svu_mi.errors import OptionError
+
+MESH_FILES = ("mesh.ply", "base_color.png", "roughness.png", "metallic.png")
+IMAGES = (".exr", ".hdr")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Sizes of a benchmark; part of every result's key.
+
+    Attributes:
+        views: photographs per capture, on a sphere around the object.
+        film: pixels per side of each.
+        spp: samples per pixel.
+        texels: texels per side.
+        reference_texels: texels of the reference posterior.
+        reference_spp: samples per ray of the reference.
+        seed: of photographs and reference.
+        speed_film: pixels per side of the photographs that run times are measured on.
+        repeats: warm runs of which the median is taken.
+    """
+
+    views: int = 60
+    film: int = 256
+    spp: int = 32
+    texels: int = 512
+    reference_texels: int = 1000
+    reference_spp: int = 32
+    seed: int = 0
+    speed_film: int = 512
+    repeats: int = 5
+
+
+FULL = Settings()
+QUICK = Settings(
+    views=24, film=128, spp=16, texels=256, reference_texels=200, reference_spp=16,
+    speed_film=128, repeats=3,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One object under one light.
+
+    Attributes:
+        object: its name.
+        light: its name.
+        scene: Mitsuba XML file.
+        defines: values for its parameters.
+    """
+
+    object: str
+    light: str
+    scene: Path
+    defines: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Folder of the cell's files."""
+        return f"{self.object}__{self.light}"
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return f"{self.object} / {self.light}"
+
+
+DIRECT = {"max_depth": "2"}  # what the reference simulates
+
+OWN_OBJECTS = ("vase", "knot", "spheres")
+QUICK_OBJECTS, QUICK_LIGHTS = ("vase", "knot"), ("window", "overcast")
+
+
+def own_cells(
+    objects: Sequence[str] = (), lights: Sequence[str] = (), *, quick: bool = False
+) -> tuple[Cell, ...]:
+    """Return cells of the scenes that come with svu_mi.
+
+    Args:
+        objects: names among ``svu_mi.scenes.names()``; vase, knot and spheres by default.
+        lights: names among ``svu_mi.scenes.LIGHTS``; all by default.
+        quick: vase and knot under window and overcast by default.
+
+    Raises:
+        OptionError: an unknown name.
+    """
+    shapes = _chosen(objects, scenes.names(), QUICK_OBJECTS if quick else OWN_OBJECTS, "object")
+    skies = _chosen(lights, scenes.LIGHTS, QUICK_LIGHTS if quick else scenes.LIGHTS, "light")
+    return tuple(
+        Cell(shape, sky, scenes.path(shape), {"light": sky, **DIRECT})
+        for shape in shapes
+        for sky in skies
+    )
+
+
+def data_cells(
+    data: Path, workspace: Path, objects: Sequence[str] = (), lights: Sequence[str] = ()
+) -> tuple[Cell, ...]:
+    """Return cells of a folder of objects and environments.
+
+    Args:
+        data: holds objects/NAME with mesh.ply, base_color.png, roughness.png and
+            metallic.png, or objects/NAME.glb; and envmaps/NAME.exr or NAME.hdr.
+        workspace: GLB objects are converted into its ``objects``.
+        objects: names; all by default.
+        lights: names; all by default.
+
+    Raises:
+        OptionError: a folder is missing or empty, or there is no such name.
+        MeshError: a GLB file cannot be converted.
+    """
+    found, skies = _objects(data / "objects"), _environments(data / "envmaps")
+    chosen = _chosen(objects, found, tuple(found), f"object in {data / 'objects'}")
+    under = _chosen(lights, skies, tuple(skies), f"light in {data / 'envmaps'}")
+    folders = {name: _folder(found[name], workspace / "objects" / name) for name in chosen}
+    return tuple(
+        Cell(
+            name, sky, scenes.path("object"),
+            {"object": str(folders[name]), "environment": str(skies[sky]), **DIRECT},
+        )
+        for name in chosen
+        for sky in under
+    )  # fmt: skip
+
+
+def _objects(folder: Path) -> dict[str, Path]:
+    """Return folders and GLB files by name; a folder wins."""
+    _require_folder(folder, "with objects: folders with mesh.ply and textures, or .glb files")
+    found = {path.stem: path.resolve() for path in sorted(folder.glob("*.glb"))}
+    for path in sorted(folder.iterdir()):
+        if path.is_dir() and not path.name.startswith("."):
+            missing = [name for name in MESH_FILES if not (path / name).is_file()]
+            if missing:
+                raise OptionError(
+                    f"{path}: an object's folder needs {', '.join(MESH_FILES)}; there is no "
+                    f"{missing[0]}."
+                )
+            found[path.name] = path.resolve()
+    if not found:
+        raise OptionError(
+            f"{folder}: holds no object; put in folders with {', '.join(MESH_FILES)}, or .glb "
+            "files."
+        )
+    return found
+
+
+def _environments(folder: Path) -> dict[str, Path]:
+    """Return lat-long images by name; OpenEXR before Radiance."""
+    _require_folder(folder, "with lat-long images, .exr or .hdr")
+    images = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in IMAGES]
+    images.sort(key=lambda path: path.suffix.lower(), reverse=True)
+    found = {path.stem: path.resolve() for path in images}
+    if not found:
+        raise OptionError(f"{folder}: holds no lat-long image (.exr or .hdr).")
+    return dict(sorted(found.items()))
+
+
+def _require_folder(folder: Path, what: str) -> None:
+    if not folder.is_dir():
+        raise OptionError(f"{folder}: no such folder; --data needs one {what}.")
+
+
+def _folder(path: Path, converted: Path) -> Path:
+    return path if path.is_dir() else convert_glb(path, converted.resolve())
+
+
+def _chosen(
+    given: Sequence[str], known: Sequence[str] | dict[str, Path], default: Sequence[str], what: str
+) -> tuple[str, ...]:
+    for name in given:
+        if name not in known:
+            raise OptionError(f"There is no {what} called {name!r}; there are {', '.join(known)}.")
+    return tuple(dict.fromkeys(given)) or tuple(default)

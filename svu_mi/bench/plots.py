@@ -1,0 +1,252 @@
+"""Pictures of a benchmark: run time against error, switches, entropies, sparsification."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from svu_mi.bench.text import seconds
+from svu_mi.files import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Record = dict[str, Any]
+
+DPI = 120
+INK, FAINT = "#26262b", "#8a8a93"
+COLORS = ("#2f6fb5", "#d1702a", "#3f9a5a", "#9a4fb0", "#b3404a", "#7a6a2f")
+MARKS = "osD^vP"
+MAX_CELLS = 6  # rows of the scatter plot
+TICKS = ((1e-3, "1 ms"), (1e-2, "10 ms"), (0.1, "0.1 s"), (1, "1 s"), (10, "10 s"), (60, "1 min"),
+         (600, "10 min"), (3600, "1 h"), (36000, "10 h"), (864000, "10 d"))  # fmt: skip
+
+
+def draw_plots(folder: Path, record: Record) -> list[Path]:
+    """Write every plot that the record has figures for.
+
+    Args:
+        folder: of the PNG files.
+        record: what ``run_bench`` returns.
+
+    Returns:
+        The files: time_error.png, switches.png, scatter.png, sparsification.png of the
+        accuracy, scaling.png of the speed.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    wanted: dict[str, Callable[[Record], Figure]] = {}
+    if record["cells"]:
+        wanted |= {"time_error": _time_error, "scatter": _scatter, "sparsification": _curves}
+        if any(row["kind"] == "switch" for row in record["summary"]):
+            wanted["switches"] = _switches
+    if record["speed"]:
+        wanted["scaling"] = _scaling
+    paths = []
+    for name, draw in wanted.items():
+        path = folder / f"{name}.png"
+        with replacing(path) as temporary:
+            draw(record).savefig(temporary)
+        paths.append(path)
+    return paths
+
+
+def _page(width: float, height: float) -> Figure:
+    # pyplot, with its global state and its windows, is not used.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=DPI, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _tidy(axes: Axes) -> None:
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(True, color="#e6e6ea", linewidth=0.8)
+    axes.set_axisbelow(True)
+
+
+def _time_axis(axes: Axes) -> None:
+    """Show run times on a log axis, in the units people use."""
+    low, high = axes.get_xlim()
+    axes.set_xscale("log")
+    ticks = [(value, name) for value, name in TICKS if low * 0.5 < value < high * 2]
+    axes.set_xticks([value for value, _ in ticks], [name for _, name in ticks])
+    axes.minorticks_off()
+
+
+def _styles(rows: list[Record]) -> dict[str, tuple[str, str]]:
+    """Return colour and mark of the main estimators, the same in every plot."""
+    main = [row["label"] for row in rows if row["kind"] == "main"]
+    return {label: (COLORS[k % len(COLORS)], MARKS[k % len(MARKS)]) for k, label in enumerate(main)}
+
+
+# --- run time against error ---------------------------------------------------------------
+
+
+def _time_error(record: Record) -> Figure:
+    """The headline: time for all texels, and 1 - rho, mean over cells."""
+    rows, figure = record["summary"], _page(9, 5.4)
+    axes = figure.add_subplot()
+    styles, others = _styles(rows), False
+    for row in rows:
+        if row["kind"] not in ("main", "switch"):
+            continue
+        error = 1 - row["pearson"]["mean"]
+        if row["label"] in styles:
+            color, mark = styles[row["label"]]
+            low, high = row["pearson"]["low"], row["pearson"]["high"]
+            spread = None if low is None else [[max(0, high - 1 + error)], [1 - low - error]]
+            axes.errorbar(row["seconds"], error, spread, fmt=mark, color=color, markersize=9,
+                          capsize=3, elinewidth=1, label=row["label"], zorder=3)  # fmt: skip
+        else:
+            label = None if others else "single switches"
+            axes.plot(row["seconds"], error, "o", color=FAINT, markersize=4, label=label)
+            others = True
+    _reference_points(axes, record)
+    _time_axis(axes)
+    for row in rows:
+        if row["kind"] == "sanity":
+            error = 1 - row["pearson"]["mean"]
+            axes.axhline(error, color=FAINT, linestyle="--", linewidth=1)
+            axes.annotate(f"{row['label']} alone", (0.995, error), color=FAINT, fontsize=8,
+                          xycoords=("axes fraction", "data"), ha="right", va="bottom")  # fmt: skip
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("run time for all texels (warm)")
+    axes.set_ylabel("error: 1 - Pearson correlation with the reference")
+    count = len(record["cells"])
+    axes.set_title(f"Mean over {count} cells; bars: 95 % over objects", fontsize=10, color=INK)
+    axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    _tidy(axes)
+    return figure
+
+
+def _reference_points(axes: Axes, record: Record) -> None:
+    """The reference by samples, and all psi by brute force, extrapolated to all texels."""
+    cells = record["cells"]
+    texels = np.mean([cell["texels"] / cell["reference"]["texels"] for cell in cells])
+    halves = [cell["reference"]["split_half"] for cell in cells]
+    if all(half is not None for half in halves):
+        time = np.mean([cell["reference"]["seconds"] for cell in cells]) * texels
+        axes.plot(time, 1 - np.mean(halves), "*", color=INK, markersize=13,
+                  label="reference (its halves), extrapolated")  # fmt: skip
+    if record["speed"]:
+        brute = record["speed"]["brute"]
+        axes.axvline(brute["seconds"], color=INK, linestyle=":", linewidth=1.2)
+        axes.annotate(f" all psi path traced:\n {seconds(brute['seconds'])} (extrapolated)",
+                      (brute["seconds"], 0.98), xycoords=("data", "axes fraction"), fontsize=8,
+                      ha="right", va="top", color=INK)  # fmt: skip
+
+
+def _scaling(record: Record) -> Figure:
+    """Four ways to spend time, each with the agreement that it buys."""
+    scaling = record["speed"]["scaling"]
+    titles = {"degree": "highest degree l*", "grid": "nodes per axis", "views": "views",
+              "reference_spp": "samples of the reference"}  # fmt: skip
+    figure = _page(11, 7)
+    for place, (what, curves) in enumerate(scaling.items(), 1):
+        axes = figure.add_subplot(2, 2, place)
+        for index, (label, curve) in enumerate(curves.items()):
+            points = [row for row in curve if row["pearson"] is not None]
+            if not points:
+                continue
+            x, y = [row["seconds"] for row in points], [1 - row["pearson"] for row in points]
+            axes.plot(x, y, "-o", color=COLORS[index], markersize=4, linewidth=1.2, label=label)
+            for row, at, error in zip(points, x, y, strict=True):
+                axes.annotate(f"{row['value']}", (at, error), xytext=(4, 4), fontsize=8,
+                              textcoords="offset points", color=INK)  # fmt: skip
+        axes.set_title(titles[what], fontsize=10, color=INK)
+        axes.set_xlabel("seconds")
+        axes.set_ylabel("1 - Pearson")
+        axes.set_ylim(bottom=0)
+        axes.set_xlim(left=0)
+        if axes.get_legend_handles_labels()[1]:
+            axes.legend(frameon=False, fontsize=8)
+        _tidy(axes)
+    figure.suptitle(record["speed"]["cell"], fontsize=10, color=INK)
+    return figure
+
+
+# --- accuracy -----------------------------------------------------------------------------
+
+
+def _switches(record: Record) -> Figure:
+    """How much each single switch changes the correlation, per cell and on average."""
+    rows = [row for row in record["summary"] if row["kind"] == "switch"]
+    figure = _page(8, 1.2 + 0.32 * len(rows))
+    axes = figure.add_subplot()
+    for place, row in enumerate(reversed(rows)):
+        base = f"{row['label'].split()[0]} default"
+        changes = [
+            cell["variants"][row["label"]]["pearson"] - cell["variants"][base]["pearson"]
+            for cell in record["cells"]
+            if base in cell["variants"]
+        ]
+        if changes:
+            mean = float(np.mean(changes))
+            axes.barh(place, mean, color=COLORS[2] if mean > 0 else COLORS[4], height=0.6)
+            axes.plot(changes, [place] * len(changes), "|", color=INK, markersize=7)
+    axes.set_yticks(range(len(rows)), [row["label"] for row in reversed(rows)], fontsize=8)
+    axes.axvline(0, color=INK, linewidth=0.8)
+    axes.set_xlabel("change of the Pearson correlation against the method's default")
+    axes.set_title("Single switches: mean (bar) and each cell (stroke)", fontsize=10, color=INK)
+    _tidy(axes)
+    return figure
+
+
+def _scatter(record: Record) -> Figure:
+    """Entropy of each main estimator against that of the reference, cell by cell."""
+    styles, cells = _styles(record["summary"]), record["cells"][:MAX_CELLS]
+    figure = _page(2.6 * max(len(styles), 1) + 0.6, 2.4 * len(cells) + 0.4)
+    grid = figure.subplots(len(cells), max(len(styles), 1), squeeze=False, sharex=True,
+                           sharey=True)  # fmt: skip
+    for line, cell in zip(grid, cells, strict=True):
+        for axes, (label, (color, _)) in zip(line, styles.items(), strict=False):
+            found = cell["variants"][label]
+            axes.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
+            axes.plot(cell["reference"]["entropy"], found["entropy"], ".", color=color,
+                      markersize=2.5, alpha=0.5)  # fmt: skip
+            axes.text(0.04, 0.94, f"{found['pearson']:.2f}", transform=axes.transAxes, va="top")
+            if cell is cells[0]:
+                axes.set_title(label, fontsize=9, color=INK)
+            axes.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
+            _tidy(axes)
+        line[0].set_ylabel(f"{cell['object']}\n{cell['light']}", fontsize=9)
+    figure.supxlabel("entropy of the reference", fontsize=9)
+    return figure
+
+
+def _curves(record: Record) -> Figure:
+    """Sparsification curves by parameter, mean over cells."""
+    styles = _styles(record["summary"])
+    names = list(dict.fromkeys(
+        name for label in styles for name in record["cells"][0]["variants"][label]["parameters"]
+    ))  # fmt: skip
+    figure = _page(3.9 * max(len(names), 1), 3.8)
+    grid = figure.subplots(1, max(len(names), 1), squeeze=False)[0]
+    for axes, name in zip(grid, names, strict=False):
+        axes.axhline(1, color=FAINT, linewidth=0.8, linestyle="--")
+        for label, (color, _) in styles.items():
+            found = [cell["variants"][label]["sparsification"].get(name)
+                     for cell in record["cells"]]  # fmt: skip
+            if not all(found):
+                continue
+            removed = np.mean([curve["removed"] for curve in found], axis=0)
+            for key, line in (("by_uncertainty", "-"), ("oracle", ":")):
+                mean = np.mean([curve[key] for curve in found], axis=0)
+                axes.plot(removed, mean, line, color=color, linewidth=1.4,
+                          label=label if line == "-" else None)  # fmt: skip
+        axes.set(title=name, xlabel="removed, most uncertain first", xlim=(0, 1))
+        axes.set_ylim(bottom=0)
+        _tidy(axes)
+    grid[0].set_ylabel("remaining error / error of all")
+    if grid[0].get_legend_handles_labels()[1]:
+        grid[0].legend(frameon=False, fontsize=7, loc="lower left", title="(dotted: oracle)",
+                       title_fontsize=7)  # fmt: skip
+    return figure

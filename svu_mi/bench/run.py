@@ -1,0 +1,91 @@
+"""Run a benchmark and write what it found."""
+
+from __future__ import annotations
+
+import datetime
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+from svu_mi.bench.accuracy import Bench, run_cell
+from svu_mi.bench.cells import Cell
+from svu_mi.bench.plots import draw_plots
+from svu_mi.bench.speed import run_speed
+from svu_mi.bench.summary import summarize
+from svu_mi.bench.tables import write_tables
+from svu_mi.bench.variants import Variant, available
+from svu_mi.errors import OptionError, SvuError
+from svu_mi.files import prepare_folder
+from svu_mi.output import environment_record, write_manifest
+
+WHAT = ("accuracy", "speed", "all")
+
+
+def run_bench(
+    bench: Bench,
+    cells: Sequence[Cell],
+    what: str = "all",
+    *,
+    variants: Sequence[Variant] | None = None,
+    command: str = "",
+) -> dict[str, Any]:
+    """Run cells, then run times, and write bench.json, bench.md and the plots.
+
+    A cell that cannot be run, because of its object or light, is reported and left out.
+
+    Args:
+        bench: where and how.
+        cells: objects x lights; run times are measured on the first.
+        what: ``accuracy``, ``speed`` or ``all``.
+        variants: estimators; all that this version knows by default.
+        command: as the user gave it, for the record.
+
+    Returns:
+        What bench.json holds: ``cells``, ``summary``, ``speed``, ``failed``, and how it was run.
+
+    Raises:
+        OptionError: an unknown ``what``, or no cell.
+        SvuError: that of the first cell, if every cell failed.
+        OutputError: the folder cannot be written.
+    """
+    if what not in WHAT:
+        raise OptionError(f"There is no benchmark {what!r}; there are {', '.join(WHAT)}.")
+    if not cells:
+        raise OptionError("There is no object under any light to run.")
+    prepare_folder(bench.folder)
+    variants = available() if variants is None else tuple(variants)
+    record: dict[str, Any] = {
+        "command": command,
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "environment": environment_record(),
+        "settings": bench.settings,
+        "cells": [],
+        "failed": [],
+        "speed": None,
+    }
+    if what != "speed":
+        record["cells"], record["failed"] = _all_cells(bench, cells, variants)
+    if what != "accuracy":
+        record["speed"] = run_speed(bench, cells[0], variants)
+    record["summary"] = summarize(record["cells"])
+    with bench.progress.stage("Writing tables and plots"):
+        write_manifest(bench.folder / "bench.json", record)
+        write_tables(bench.folder / "bench.md", record)
+        draw_plots(bench.folder, record)
+    return record
+
+
+def _all_cells(
+    bench: Bench, cells: Sequence[Cell], variants: Sequence[Variant]
+) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
+    done, failed, first = [], [], None
+    for cell in cells:
+        try:
+            done.append(run_cell(bench, cell, variants))
+        except SvuError as error:
+            first = first or error
+            failed.append({"cell": cell.title, "reason": str(error)})
+            warnings.warn(f"{cell.title} is left out: {error}", stacklevel=2)
+    if not done and first is not None:
+        raise first
+    return done, failed

@@ -1,0 +1,227 @@
+"""Run times, warm and cold, and how they trade against agreement with the reference."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from svu_mi import metrics
+from svu_mi.bench.accuracy import Bench, run_warm
+from svu_mi.bench.captures import some_views
+from svu_mi.bench.cells import Cell
+from svu_mi.bench.cold import run_cold
+from svu_mi.bench.store import Store, key_of
+from svu_mi.bench.variants import Variant
+from svu_mi.capture import Capture
+from svu_mi.radiance import Surface, coverage, pack_views
+from svu_mi.surface import Texels, texels
+
+DEGREES = (2, 3, 4, 5, 6, 8)
+NODES = (4, 6, 8, 12, 16, 24, 32)
+MAX_CELLS = 5000  # of a grid in the scaling curve
+VIEWS = (10, 20, 40, 60)
+SAMPLES = (2, 4, 8, 16, 32)
+BRUTE_SPP = 2
+
+Row = dict[str, Any]
+
+
+def run_speed(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str, Any]:
+    """Measure one cell; every finished part is taken from disk.
+
+    Args:
+        bench: where and how.
+        cell: object and light.
+        variants: the main ones are timed; ``default`` of each method is scaled.
+
+    Returns:
+        ``cell``; ``estimators``: warm and cold seconds by label; ``scaling``: rows of value,
+        seconds and pearson by ``degree``, ``grid``, ``views`` (each by label) and
+        ``reference_spp``; ``brute``: see ``brute_force``.
+    """
+    main = [v for v in variants if v.main]
+    scaled = [v for v in main if v.label.endswith(" default")]
+    parts: dict[str, Callable[[], dict[str, Any]]] = {
+        "estimators": lambda: time_estimators(bench, cell, main),
+        "degree": lambda: {v.label: by_degree(bench, cell, v) for v in scaled},
+        "grid": lambda: {v.label: by_grid(bench, cell, v) for v in scaled},
+        "views": lambda: {v.label: by_views(bench, cell, v) for v in scaled},
+        "reference_spp": lambda: {"reference": by_samples(bench, cell)},
+        "brute": lambda: brute_force(bench, cell),
+    }
+    key = key_of(
+        str(cell.scene), cell.defines, asdict(bench.settings),
+        [(v.label, v.method, asdict(v.preset)) for v in main],
+    )  # fmt: skip
+    store, done = Store(bench.folder / "speed"), {}
+    for name, measure in parts.items():
+        record = None if bench.fresh else store.load(name, key)
+        if record is None:
+            record = store.save(name, key, {"result": measure()})
+        done[name] = record["result"]
+    scaling = {name: done[name] for name in ("degree", "grid", "views", "reference_spp")}
+    return {
+        "cell": cell.title,
+        "estimators": done["estimators"],
+        "scaling": scaling,
+        "brute": done["brute"],
+    }
+
+
+def time_estimators(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str, Any]:
+    """Return warm (median of several) and cold (one fresh process) seconds per stage."""
+    size = bench.settings.speed_film
+    settings = replace(bench.settings, film=size)
+    name = "capture" if size == bench.settings.film else f"capture_{size}"
+    capture = bench.capture(cell, settings, name)
+    grid = texels(capture.mesh, settings.texels)
+    found = {}
+    for variant in variants:
+        with bench.progress.stage(f"Timing {variant.label}, warm"):
+            runs = [run_warm(capture, grid, variant) for _ in range(settings.repeats)]
+        with bench.progress.stage(f"Timing {variant.label}, cold"):
+            cold = run_cold(bench.folder / "cells" / cell.name / name, settings.texels,
+                            variant.label)  # fmt: skip
+        warm = {
+            stage: statistics.median(run.timings[stage] for run in runs)
+            for stage in runs[0].timings
+        }
+        found[variant.label] = {
+            "warm": warm,
+            "warm_seconds": statistics.median(run.seconds for run in runs),
+            "repeats": len(runs),
+            "cold": cold,
+        }
+    return {
+        "variants": found,
+        "views": capture.count,
+        "film": size,
+        "texels": grid.count,
+        "resolution": settings.texels,
+    }
+
+
+# --- scaling ------------------------------------------------------------------------------
+
+
+def by_degree(bench: Bench, cell: Cell, variant: Variant) -> list[Row]:
+    """Time and agreement by highest degree l*; empty for an estimator without degrees."""
+    if variant.method != "spectrum":
+        return []
+    return _rows(
+        bench, cell, variant, "degree",
+        [(d, replace(variant, switches={**variant.switches, "degree": d}), {}) for d in DEGREES],
+    )  # fmt: skip
+
+
+def by_grid(bench: Bench, cell: Cell, variant: Variant) -> list[Row]:
+    """Time and agreement by number of nodes per axis of the posterior's grid."""
+    capture, grid, _ = _setting(bench, cell)
+    shape: Any = run_warm(capture, grid, variant).estimate.posterior.grid
+    sizes = [n for n in NODES if n ** len(shape.axes) <= MAX_CELLS]
+    return _rows(
+        bench, cell, variant, "grid",
+        [(n, variant, {"grid": replace(shape, **dict.fromkeys(shape.axes, n))}) for n in sizes],
+    )  # fmt: skip
+
+
+def by_views(bench: Bench, cell: Cell, variant: Variant) -> list[Row]:
+    """Time and agreement by number of views, each with the reference of the same views."""
+    whole, grid, _ = _setting(bench, cell)
+    counts = sorted({min(count, whole.count) for count in VIEWS})
+    rows = []
+    for count in counts:
+        with bench.progress.stage(f"{variant.label}: {count} views"):
+            capture = some_views(whole, count)
+            reference = bench.reference(capture, grid)
+            rows.append(_row(bench, count, capture, grid, variant, reference, {}))
+    return rows
+
+
+def by_samples(bench: Bench, cell: Cell) -> list[Row]:
+    """Time of the reference by samples per ray, and agreement with its largest number."""
+    capture, grid, _ = _setting(bench, cell)
+    counts = [spp for spp in SAMPLES if spp <= bench.settings.reference_spp]
+    found = []
+    for spp in counts:
+        with bench.progress.stage(f"Reference with {spp} samples"):
+            found.append(bench.reference(capture, grid, spp=spp))
+    best = np.array(found[-1].entropy)
+    return [
+        {
+            "value": spp,
+            "seconds": reference.seconds,
+            # The largest agrees with itself; its own noise is what its two halves say.
+            "pearson": metrics.pearson(reference.entropy, best) if spp < counts[-1] else None,
+        }
+        for spp, reference in zip(counts, found, strict=True)
+    ]
+
+
+def _rows(
+    bench: Bench,
+    cell: Cell,
+    variant: Variant,
+    what: str,
+    points: Sequence[tuple[int, Variant, dict[str, Any]]],
+) -> list[Row]:
+    capture, grid, reference = _setting(bench, cell)
+    rows = []
+    for value, changed, options in points:
+        with bench.progress.stage(f"{variant.label}: {what} {value}"):
+            rows.append(_row(bench, value, capture, grid, changed, reference, options))
+    return rows
+
+
+def _row(
+    bench: Bench,
+    value: int,
+    capture: Capture,
+    grid: Texels,
+    variant: Variant,
+    reference: Any,
+    options: dict[str, Any],
+) -> Row:
+    runs = [run_warm(capture, grid, variant, **options) for _ in range(bench.settings.repeats)]
+    seen = np.array(reference.coverage) > 0
+    entropy = np.array(runs[0].estimate.entropy)[np.array(reference.subset)[seen]]
+    return {
+        "value": value,
+        "seconds": statistics.median(run.seconds for run in runs),
+        "pearson": metrics.pearson(entropy, np.array(reference.entropy)[seen]),
+    }
+
+
+def _setting(bench: Bench, cell: Cell) -> tuple[Capture, Texels, Any]:
+    capture = bench.capture(cell)
+    grid = texels(capture.mesh, bench.settings.texels)
+    return capture, grid, bench.reference(capture, grid)
+
+
+def brute_force(bench: Bench, cell: Cell) -> dict[str, Any]:
+    """Extrapolate the time of the plain path-traced posterior of all texels from a sample.
+
+    seconds = (texel, view) pairs x 512 psi x spp / (rays per second), where a ray is one
+    camera path, the pairs are those visible, and the rate is that of all 512 psi traced for
+    the reference's texels, compilation included.
+    """
+    capture, grid, reference = _setting(bench, cell)
+    with bench.progress.stage("Tracing all psi"):
+        sample = bench.reference(capture, grid, method="brute", spp=BRUTE_SPP)
+    psi = int(np.prod(np.array(sample.posterior.probabilities).shape[1:]))
+    pairs = int(np.array(coverage(pack_views(capture), Surface.of(grid))[0]).sum(dtype=np.int64))
+    spp, rate = bench.settings.reference_spp, sample.rays / sample.seconds
+    return {
+        "sample_rays": sample.rays,
+        "sample_seconds": sample.seconds,
+        "rays_per_second": rate,
+        "pairs": pairs,
+        "psi": psi,
+        "spp": spp,
+        "seconds": pairs * psi * spp / rate,
+        "agreement_with_linear": metrics.pearson(sample.entropy, reference.entropy),
+    }

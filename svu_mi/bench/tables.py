@@ -1,0 +1,138 @@
+"""bench.md: what a benchmark found, as Markdown tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from svu_mi.bench.speed_tables import speed_tables
+from svu_mi.bench.text import number, seconds, table
+from svu_mi.files import replacing
+
+Record = dict[str, Any]
+
+
+def write_tables(path: Path, record: Record) -> None:
+    """Write the tables of a benchmark.
+
+    Args:
+        path: the Markdown file.
+        record: what ``run_bench`` returns.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    parts = ["# Benchmark", _heading(record)]
+    if record["cells"]:
+        parts += [*_agreement(record), *_calibration(record), *_parameters(record),
+                  *_cells(record)]  # fmt: skip
+    if record["failed"]:
+        rows = [[failed["cell"], failed["reason"]] for failed in record["failed"]]
+        parts += ["## Left out", table(("cell", "reason"), rows)]
+    if record["speed"]:
+        parts += speed_tables(record["speed"])
+    with replacing(path) as temporary:
+        temporary.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+
+
+def _heading(record: Record) -> str:
+    size, place = record["settings"], record["environment"]
+    versions = place["versions"]
+    return (
+        f"`{record['command']}`, {record['date']}; svu_mi {versions['svu_mi']}, Mitsuba "
+        f"{versions['mitsuba']}, Dr.Jit {versions['drjit']}, {place['variant']}, "
+        f"{place['threads']} threads, {place['platform']}.\n\n"
+        f"{len(record['cells'])} cells (object / light); {size.views} photographs of "
+        f"{size.film} x {size.film} with {size.spp} samples per pixel, {size.texels} x "
+        f"{size.texels} texels, reference on {size.reference_texels} texels with "
+        f"{size.reference_spp} samples."
+    )
+
+
+def _agreement(record: Record) -> list[str]:
+    rows = [
+        [
+            row["label"], _interval(row["pearson"]), _mean(row["spearman"]),
+            number(row.get("mean_entropy")), number(row.get("ause_relative")),
+            seconds(row["seconds"]) if row["kind"] in ("main", "switch") else "",
+        ]
+        for row in _ordered(record["summary"])
+    ]  # fmt: skip
+    return [
+        "## Agreement with the path-traced posterior",
+        "Correlation of the entropy with that of the reference: mean over cells, and a 95 % "
+        "bootstrap interval over objects. That of the reference is between two halves of its "
+        "samples. AUSE: area between the sparsification curves by entropy and by true error of "
+        "the most probable cell, over that of a random order: 0 perfect, 1 chance. Seconds are "
+        "warm, mean over cells.",
+        table(("map", "Pearson", "Spearman", "mean entropy", "AUSE", "time"), rows),
+    ]
+
+
+def _calibration(record: Record) -> list[str]:
+    judged = [row for row in record["summary"] if row["kind"] in ("main", "reference")]
+    levels = list(judged[0]["credible"])
+    heads = [f"{float(level):.0%} {name}" for level in levels for name in
+             ("whole cells", "fractional", "part of the grid")]  # fmt: skip
+    rows = [
+        [row["label"]]
+        + [
+            f"{row['credible'][level][name]:.0%}"
+            for level in levels
+            for name in ("plain", "fractional", "size")
+        ]
+        for row in judged
+    ]
+    return [
+        "## Credible sets against the true parameters",
+        "How often the highest-density set holds the truth's cell. A set of whole cells holds at "
+        "least its level, so even a calibrated posterior exceeds it; with the last cells taken "
+        "in with the fitting probability it does not.",
+        table(("posterior", *heads), rows),
+    ]
+
+
+def _parameters(record: Record) -> list[str]:
+    rows = [
+        [row["label"], name]
+        + [f"{figures['bias']:+.3f}"]
+        + [
+            number(figures[key], 3)
+            for key in ("mae", "rmse", "entropy_correlation", "ause_relative")
+        ]
+        for row in record["summary"]
+        if row["kind"] in ("main", "reference")
+        for name, figures in row["parameters"].items()
+    ]
+    heads = ("posterior", "parameter", "bias", "MAE", "RMSE", "rho(error, entropy)", "AUSE")
+    return ["## Error of the most probable cell", table(heads, rows)]
+
+
+def _cells(record: Record) -> list[str]:
+    main = [row["label"] for row in record["summary"] if row["kind"] == "main"]
+    sanity = [row["label"] for row in record["summary"] if row["kind"] == "sanity"]
+    rows = [
+        [f"{cell['object']} / {cell['light']}"]
+        + [number(cell["variants"][label]["pearson"]) for label in main]
+        + [number(cell["sanity"][label]["pearson"]) for label in sanity]
+        + [number(cell["reference"]["split_half"], 3)]
+        for cell in record["cells"]
+    ]
+    heads = ("object / light", *main, *sanity, "reference, split half")
+    return ["## Pearson correlation by cell", table(heads, rows)]
+
+
+def _ordered(rows: Sequence[Record]) -> list[Record]:
+    order = {"main": 0, "switch": 1, "sanity": 2, "reference": 3}
+    return sorted(rows, key=lambda row: order[row["kind"]])
+
+
+def _interval(found: Record | None) -> str:
+    if found is None or found["low"] is None:
+        return _mean(found)
+    return f"{found['mean']:.2f} ({found['low']:.2f} to {found['high']:.2f})"
+
+
+def _mean(found: Record | None) -> str:
+    return "" if found is None else number(found["mean"])

@@ -1,0 +1,87 @@
+"""``svu bench``: accuracy and speed of the estimators."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from svu_mi.cli.commands import Common, Output
+from svu_mi.errors import OptionError
+from svu_mi.progress import Progress
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from svu_mi.bench.cells import Cell
+
+What = Annotated[Literal["accuracy", "speed", "all"], tyro.conf.Positional]
+Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench(Common):
+    """Compare the estimators with a path-traced posterior, and time them.
+
+    Writes bench.json, bench.md and plots. An interrupted run goes on where it stopped when
+    the same command is given again.
+    """
+
+    what: What = "all"
+    """accuracy: every object under every light; speed: run times of the first of them."""
+    output: Output = Path("out/bench")
+    data: Path | None = None
+    """Folder with objects/ and envmaps/; without it, the scenes of svu_mi."""
+    objects: Names = ""
+    """Objects to run; without it all (of svu_mi's: vase, knot and spheres)."""
+    lights: Names = ""
+    """Lights to run; without it all."""
+    quick: bool = False
+    """Small pictures, few texels; without --data two scenes under two lights."""
+    fresh: bool = False
+    """Compute finished cells anew."""
+
+    def run(self, console: Console) -> int:
+        """Run the benchmark."""
+        from svu_mi.files import prepare_folder
+
+        prepare_folder(self.output)
+        self.start()
+        from svu_mi.bench import accuracy, run_bench
+        from svu_mi.bench.cells import FULL, QUICK
+
+        bench = accuracy.Bench(
+            self.output, QUICK if self.quick else FULL, Progress(console), fresh=self.fresh
+        )
+        words = ["svu", *sys.argv[1:]]
+        record = run_bench(bench, self._cells(), self.what, command=shlex.join(words))
+        for row in record["summary"]:
+            if row["kind"] != "switch" and row["pearson"] is not None:
+                line = f"{row['label']}: Pearson {row['pearson']['mean']:.2f}"
+                console.print(line, markup=False, highlight=False, soft_wrap=True)
+        console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
+        return 0
+
+    def _cells(self) -> tuple[Cell, ...]:
+        from svu_mi.bench.cells import data_cells, own_cells
+
+        objects, lights = names(self.objects, "--objects"), names(self.lights, "--lights")
+        if self.data is None:
+            return own_cells(objects, lights, quick=self.quick)
+        return data_cells(self.data, self.output, objects, lights)
+
+
+def names(words: str, option: str) -> tuple[str, ...]:
+    """Return the names of a comma-separated list; none for an empty one.
+
+    Raises:
+        OptionError: an empty name.
+    """
+    found = tuple(word.strip() for word in words.split(",")) if words.strip() else ()
+    if not all(found):
+        raise OptionError(f"{option} takes names separated by commas, got {words!r}.")
+    return found
