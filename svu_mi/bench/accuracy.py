@@ -80,12 +80,12 @@ class Timed:
     seconds: float
 
 
-def run_warm(capture: Capture, grid: Texels, variant: Variant, **options: Any) -> Timed:
+def run_warm(capture: Capture, layout: Texels, variant: Variant, **options: Any) -> Timed:
     """Estimate; again if kernels had to be compiled."""
     for _ in range(2):
         progress = Progress()
         result = estimate(
-            capture, grid, variant.method, variant.preset, progress=progress, **options
+            capture, layout, variant.method, variant.preset, progress=progress, **options
         )
         if not any(progress.kernels.values()):
             break
@@ -120,11 +120,10 @@ def run_cell(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str,
         for variant in missing:
             with bench.progress.stage(f"{cell.title}: {variant.label}"):
                 timed = run_warm(capture, grid, variant)
-                done[variant.label] = {
-                    "key": keys[variant.label], **reference.judge(timed), "main": variant.main
-                }  # fmt: skip
+                done[variant.label] = {"key": keys[variant.label], **reference.judge(timed)}
             record = bench.store.save(cell.name, key, {**record, "variants": done})
-    return {**record, "variants": {v.label: done[v.label] for v in variants}}
+    found = record["variants"]
+    return {**record, "variants": {v.label: {**found[v.label], "main": v.main} for v in variants}}
 
 
 def _heading(cell: Cell, grid: Texels) -> dict[str, Any]:

@@ -146,6 +146,7 @@ def _objects(folder: Path) -> dict[str, Path]:
                     f"{missing[0]}."
                 )
             found[path.name] = path.resolve()
+    found = dict(sorted(found.items()))
     if not found:
         raise OptionError(
             f"{folder}: holds no object; put in folders with {', '.join(MESH_FILES)}, or .glb "

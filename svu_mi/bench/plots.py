@@ -72,11 +72,12 @@ def _tidy(axes: Axes) -> None:
     axes.set_axisbelow(True)
 
 
-def _time_axis(axes: Axes) -> None:
+def _time_axis(axes: Axes, times: list[float]) -> None:
     """Show run times on a log axis, in the units people use."""
-    low, high = axes.get_xlim()
+    low, high = min(times) / 3, max(times) * 3
     axes.set_xscale("log")
-    ticks = [(value, name) for value, name in TICKS if low * 0.5 < value < high * 2]
+    axes.set_xlim(low, high)
+    ticks = [(value, name) for value, name in TICKS if low < value < high]
     axes.set_xticks([value for value, _ in ticks], [name for _, name in ticks])
     axes.minorticks_off()
 
@@ -95,9 +96,8 @@ def _time_error(record: Record) -> Figure:
     rows, figure = record["summary"], _page(9, 5.4)
     axes = figure.add_subplot()
     styles, others = _styles(rows), False
-    for row in rows:
-        if row["kind"] not in ("main", "switch"):
-            continue
+    estimators = [row for row in rows if row["kind"] in ("main", "switch")]
+    for row in estimators:
         error = 1 - row["pearson"]["mean"]
         if row["label"] in styles:
             color, mark = styles[row["label"]]
@@ -109,8 +109,8 @@ def _time_error(record: Record) -> Figure:
             label = None if others else "single switches"
             axes.plot(row["seconds"], error, "o", color=FAINT, markersize=4, label=label)
             others = True
-    _reference_points(axes, record)
-    _time_axis(axes)
+    times = _reference_points(axes, record) + [row["seconds"] for row in estimators]
+    _time_axis(axes, times)
     for row in rows:
         if row["kind"] == "sanity":
             error = 1 - row["pearson"]["mean"]
@@ -121,27 +121,38 @@ def _time_error(record: Record) -> Figure:
     axes.set_xlabel("run time for all texels (warm)")
     axes.set_ylabel("error: 1 - Pearson correlation with the reference")
     count = len(record["cells"])
-    axes.set_title(f"Mean over {count} cells; bars: 95 % over objects", fontsize=10, color=INK)
+    of = f"Mean over {count} cells; bars: 95 % over objects" if count > 1 else "One cell"
+    axes.set_title(of, fontsize=10, color=INK)
     axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     _tidy(axes)
     return figure
 
 
-def _reference_points(axes: Axes, record: Record) -> None:
-    """The reference by samples, and all psi by brute force, extrapolated to all texels."""
-    cells = record["cells"]
-    texels = np.mean([cell["texels"] / cell["reference"]["texels"] for cell in cells])
+def _reference_points(axes: Axes, record: Record) -> list[float]:
+    """The reference by samples, and all psi by brute force; return their times.
+
+    All are extrapolated from the reference's few texels to all.
+    """
+    cells, times = record["cells"], []
+    texels = float(np.mean([cell["texels"] / cell["reference"]["texels"] for cell in cells]))
     halves = [cell["reference"]["split_half"] for cell in cells]
     if all(half is not None for half in halves):
-        time = np.mean([cell["reference"]["seconds"] for cell in cells]) * texels
-        axes.plot(time, 1 - np.mean(halves), "*", color=INK, markersize=13,
-                  label="reference (its halves), extrapolated")  # fmt: skip
+        times.append(float(np.mean([cell["reference"]["seconds"] for cell in cells])) * texels)
+        axes.plot(times, 1 - np.mean(halves), "*", color=INK, markersize=13,
+                  label="reference, half against half")  # fmt: skip
     if record["speed"]:
-        brute = record["speed"]["brute"]
-        axes.axvline(brute["seconds"], color=INK, linestyle=":", linewidth=1.2)
-        axes.annotate(f" all psi path traced:\n {seconds(brute['seconds'])} (extrapolated)",
-                      (brute["seconds"], 0.98), xycoords=("data", "axes fraction"), fontsize=8,
-                      ha="right", va="top", color=INK)  # fmt: skip
+        curve = record["speed"]["scaling"]["reference_spp"]["reference"]
+        points = [row for row in curve if row["pearson"] is not None]
+        axes.plot([row["seconds"] * texels for row in points],
+                  [1 - row["pearson"] for row in points], "-o", color=INK, markersize=4,
+                  linewidth=1, label="reference with fewer samples")  # fmt: skip
+        brute = record["speed"]["brute"]["seconds"]
+        times += [row["seconds"] * texels for row in points] + [brute]
+        axes.axvline(brute, color=INK, linestyle=":", linewidth=1.2)
+        axes.annotate(f"every psi path traced: {seconds(brute)} (extrapolated)", (brute, 0.5),
+                      xycoords=("data", "axes fraction"), fontsize=8, rotation=90, ha="right",
+                      va="center", color=INK)  # fmt: skip
+    return times
 
 
 def _scaling(record: Record) -> Figure:
@@ -164,6 +175,7 @@ def _scaling(record: Record) -> Figure:
         axes.set_title(titles[what], fontsize=10, color=INK)
         axes.set_xlabel("seconds")
         axes.set_ylabel("1 - Pearson")
+        axes.margins(0.12)
         axes.set_ylim(bottom=0)
         axes.set_xlim(left=0)
         if axes.get_legend_handles_labels()[1]:
@@ -203,7 +215,7 @@ def _switches(record: Record) -> Figure:
 def _scatter(record: Record) -> Figure:
     """Entropy of each main estimator against that of the reference, cell by cell."""
     styles, cells = _styles(record["summary"]), record["cells"][:MAX_CELLS]
-    figure = _page(2.6 * max(len(styles), 1) + 0.6, 2.4 * len(cells) + 0.4)
+    figure = _page(2.6 * max(len(styles), 1) + 0.6, 2.4 * len(cells) + 0.9)
     grid = figure.subplots(len(cells), max(len(styles), 1), squeeze=False, sharex=True,
                            sharey=True)  # fmt: skip
     for line, cell in zip(grid, cells, strict=True):

@@ -14,7 +14,7 @@ from svu_mi.bench.speed import run_speed
 from svu_mi.bench.summary import summarize
 from svu_mi.bench.tables import write_tables
 from svu_mi.bench.variants import Variant, available
-from svu_mi.errors import OptionError, SvuError
+from svu_mi.errors import OptionError, SvuError, SvuWarning
 from svu_mi.files import prepare_folder
 from svu_mi.output import environment_record, write_manifest
 
@@ -85,7 +85,7 @@ def _all_cells(
         except SvuError as error:
             first = first or error
             failed.append({"cell": cell.title, "reason": str(error)})
-            warnings.warn(f"{cell.title} is left out: {error}", stacklevel=2)
+            warnings.warn(f"{cell.title} is left out: {error}", SvuWarning, stacklevel=2)
     if not done and first is not None:
         raise first
     return done, failed
