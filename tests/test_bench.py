@@ -100,6 +100,7 @@ def test_every_figure_is_there_and_in_its_range(finished):
         assert found["credible"]["0.5"]["plain"] <= found["credible"]["0.9"]["plain"]
         assert list(found["parameters"]) == ["roughness", "specular"]
         assert len(found["entropy"]) == cell["reference"]["texels"]
+    assert 0 < cell["reference"]["half_overlap"] < 1
     assert list(cell["reference"]["parameters"]) == ["roughness", "metallic", "base_color"]
     kinds = [row["kind"] for row in record["summary"]]
     assert kinds == ["main", "main", "switch", "sanity", "sanity", "reference"]

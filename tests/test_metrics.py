@@ -61,12 +61,15 @@ def test_shapes_and_numbers_are_checked(function):
 
 
 def test_objects_are_resampled_not_cells():
-    """Twenty equal cells of two objects tell no more than one cell of each."""
-    few = metrics.mean_over_objects([0.2, 0.8], ["a", "b"])
-    many = metrics.mean_over_objects([0.2] * 10 + [0.8] * 10, ["a"] * 10 + ["b"] * 10)
-    assert (few.mean, many.mean) == (pytest.approx(0.5), pytest.approx(0.5))
-    assert (many.low, many.high) == (pytest.approx(0.2), pytest.approx(0.8))
-    assert many.objects == 2
+    """Thirty equal cells of three objects tell no more than one cell of each."""
+    few = metrics.mean_over_objects([0.2, 0.5, 0.8], ["a", "b", "c"])
+    many = metrics.mean_over_objects(np.repeat([0.2, 0.5, 0.8], 10), np.repeat(["a", "b", "c"], 10))
+    assert few.mean == pytest.approx(0.5)
+    assert few.low == pytest.approx(0.2)  # all three draws the same: 1 in 27, above 2.5 %
+    assert (many.mean, many.low, many.high) == (
+        pytest.approx(few.mean), pytest.approx(few.low), pytest.approx(few.high)
+    )  # fmt: skip
+    assert many.objects == 3
 
 
 def test_the_interval_covers_the_mean_as_often_as_it_says(rng):
@@ -80,10 +83,10 @@ def test_the_interval_covers_the_mean_as_often_as_it_says(rng):
     assert 0.88 <= held / 200 <= 0.99
 
 
-def test_one_object_has_a_mean_and_no_interval():
-    assert metrics.mean_over_objects([0.5, 0.7], ["a", "a"]) == metrics.Interval(
-        pytest.approx(0.6), None, None, 1
-    )
+def test_one_or_two_objects_have_a_mean_and_no_interval():
+    for objects, count in ((["a", "a"], 1), (["a", "b"], 2)):
+        found = metrics.mean_over_objects([0.5, 0.7], objects)
+        assert found == metrics.Interval(pytest.approx(0.6), None, None, count)
     with pytest.raises(ShapeError, match="2 values but 1"):
         metrics.mean_over_objects([0.5, 0.7], ["a"])
     with pytest.raises(OptionError, match=r"\(0, 1\)"):

@@ -176,6 +176,7 @@ class Judge:
                 "rays": found.rays,
                 "spp": found.spp,
                 "split_half": found.split_half()[0],
+                "half_overlap": _overlap(found.halves, seen),
                 "mean_entropy": float(self.entropy.mean()),
                 "entropy": self.entropy.round(DIGITS),
                 **judged,
@@ -198,3 +199,13 @@ class Judge:
             "entropy": entropy.round(DIGITS),
             **judged,
         }
+
+
+def _overlap(halves: Any, seen: np.ndarray) -> float:
+    """Return the mass that two posteriors share, mean over texels: 1 if equal, 0 if apart.
+
+    Noise that makes both halves of the reference certain, but of different parameters, shows
+    here and not in the correlation of their entropies.
+    """
+    p, q = (np.array(half.probabilities, np.float64)[seen] for half in halves)
+    return float(np.minimum(p, q).reshape(len(p), -1).sum(axis=1).mean())

@@ -72,6 +72,14 @@ def _tidy(axes: Axes) -> None:
     axes.set_axisbelow(True)
 
 
+def _from_zero(axes: Axes) -> None:
+    """Start both axes at 0 and leave room for labels beside the last point."""
+    lines = [line.get_xydata() for line in axes.get_lines()]
+    if lines:
+        right, top = np.concatenate(lines).max(axis=0)
+        axes.set(xlim=(0, 1.12 * right or 1), ylim=(0, 1.2 * top or 1))
+
+
 def _time_axis(axes: Axes, times: list[float]) -> None:
     """Show run times on a log axis, in the units people use."""
     low, high = min(times) / 3, max(times) * 3
@@ -115,8 +123,8 @@ def _time_error(record: Record) -> Figure:
         if row["kind"] == "sanity":
             error = 1 - row["pearson"]["mean"]
             axes.axhline(error, color=FAINT, linestyle="--", linewidth=1)
-            axes.annotate(f"{row['label']} alone", (0.995, error), color=FAINT, fontsize=8,
-                          xycoords=("axes fraction", "data"), ha="right", va="bottom")  # fmt: skip
+            axes.annotate(f"{row['label']} alone", (0.01, error), color=FAINT, fontsize=8,
+                          xycoords=("axes fraction", "data"), va="bottom")  # fmt: skip
     axes.set_ylim(bottom=0)
     axes.set_xlabel("run time for all texels (warm)")
     axes.set_ylabel("error: 1 - Pearson correlation with the reference")
@@ -145,7 +153,7 @@ def _reference_points(axes: Axes, record: Record) -> list[float]:
         points = [row for row in curve if row["pearson"] is not None]
         axes.plot([row["seconds"] * texels for row in points],
                   [1 - row["pearson"] for row in points], "-o", color=INK, markersize=4,
-                  linewidth=1, label="reference with fewer samples")  # fmt: skip
+                  linewidth=1, label="reference with fewer samples (one cell)")  # fmt: skip
         brute = record["speed"]["brute"]["seconds"]
         times += [row["seconds"] * texels for row in points] + [brute]
         axes.axvline(brute, color=INK, linestyle=":", linewidth=1.2)
@@ -175,11 +183,9 @@ def _scaling(record: Record) -> Figure:
         axes.set_title(titles[what], fontsize=10, color=INK)
         axes.set_xlabel("seconds")
         axes.set_ylabel("1 - Pearson")
-        axes.margins(0.12)
-        axes.set_ylim(bottom=0)
-        axes.set_xlim(left=0)
+        _from_zero(axes)
         if axes.get_legend_handles_labels()[1]:
-            axes.legend(frameon=False, fontsize=8)
+            axes.legend(frameon=False, fontsize=8, loc="lower right")
         _tidy(axes)
     figure.suptitle(record["speed"]["cell"], fontsize=10, color=INK)
     return figure
@@ -221,10 +227,12 @@ def _scatter(record: Record) -> Figure:
     for line, cell in zip(grid, cells, strict=True):
         for axes, (label, (color, _)) in zip(line, styles.items(), strict=False):
             found = cell["variants"][label]
+            box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.5}
             axes.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
             axes.plot(cell["reference"]["entropy"], found["entropy"], ".", color=color,
                       markersize=2.5, alpha=0.5)  # fmt: skip
-            axes.text(0.04, 0.94, f"{found['pearson']:.2f}", transform=axes.transAxes, va="top")
+            axes.text(0.04, 0.94, f"{found['pearson']:.2f}", transform=axes.transAxes, va="top",
+                      bbox=box)  # fmt: skip
             if cell is cells[0]:
                 axes.set_title(label, fontsize=9, color=INK)
             axes.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")

@@ -24,8 +24,8 @@ DEGREES = (2, 3, 4, 5, 6, 8)
 NODES = (4, 6, 8, 12, 16, 24, 32)
 MAX_CELLS = 5000  # of a grid in the scaling curve
 VIEWS = (10, 20, 40, 60)
-SAMPLES = (2, 4, 8, 16, 32)
-BRUTE_SPP = 2
+SAMPLES = (2, 4, 8, 16, 32, 64, 128)
+BRUTE_SPP, PLAIN_SPP = 2, 32  # measured with, extrapolated to
 
 Row = dict[str, Any]
 
@@ -214,14 +214,14 @@ def brute_force(bench: Bench, cell: Cell) -> dict[str, Any]:
         sample = bench.reference(capture, grid, method="brute", spp=BRUTE_SPP)
     psi = int(np.prod(np.array(sample.posterior.probabilities).shape[1:]))
     pairs = int(np.array(coverage(pack_views(capture), Surface.of(grid))[0]).sum(dtype=np.int64))
-    spp, rate = bench.settings.reference_spp, sample.rays / sample.seconds
+    rate = sample.rays / sample.seconds
     return {
         "sample_rays": sample.rays,
         "sample_seconds": sample.seconds,
         "rays_per_second": rate,
         "pairs": pairs,
         "psi": psi,
-        "spp": spp,
-        "seconds": pairs * psi * spp / rate,
+        "spp": PLAIN_SPP,
+        "seconds": pairs * psi * PLAIN_SPP / rate,
         "agreement_with_linear": metrics.pearson(sample.entropy, reference.entropy),
     }

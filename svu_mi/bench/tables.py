@@ -116,11 +116,16 @@ def _cells(record: Record) -> list[str]:
         [f"{cell['object']} / {cell['light']}"]
         + [number(cell["variants"][label]["pearson"]) for label in main]
         + [number(cell["sanity"][label]["pearson"]) for label in sanity]
-        + [number(cell["reference"]["split_half"], 3)]
+        + [number(cell["reference"][name], 3) for name in ("split_half", "half_overlap")]
         for cell in record["cells"]
     ]
-    heads = ("object / light", *main, *sanity, "reference, split half")
-    return ["## Pearson correlation by cell", table(heads, rows)]
+    heads = ("object / light", *main, *sanity, "reference's halves", "their shared mass")
+    return [
+        "## Pearson correlation by cell",
+        "The halves are those of the reference's samples: the correlation of their entropies, "
+        "and the part of their posteriors that they have in common.",
+        table(heads, rows),
+    ]
 
 
 def _ordered(rows: Sequence[Record]) -> list[Record]:

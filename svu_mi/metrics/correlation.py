@@ -12,6 +12,7 @@ from scipy import stats
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.metrics.checks import pair, vector
 
+MIN_OBJECTS = 3
 ROUNDING = 1e-12  # relative spread below which a map counts as constant
 
 
@@ -48,7 +49,8 @@ class Interval:
 
     Attributes:
         mean: of all cells.
-        low, high: ends of the interval; None where there are fewer than two objects.
+        low, high: ends of the interval; None where there are fewer than three objects, of which
+            drawing with replacement tells next to nothing.
         objects: number of objects.
     """
 
@@ -84,7 +86,7 @@ def mean_over_objects(
         raise OptionError(f"The confidence must be in (0, 1), got {confidence}.")
     names, owner = np.unique(np.array(objects, str), return_inverse=True)
     mean = float(cells.mean())
-    if len(names) < 2:
+    if len(names) < MIN_OBJECTS:
         return Interval(mean, None, None, len(names))
     sums, counts = np.bincount(owner, cells), np.bincount(owner)
     found = stats.bootstrap(
