@@ -1,4 +1,4 @@
-"""Presets: named, frozen sets of the method's switches.
+"""Presets: named, frozen sets of a method's switches.
 
 ``paper`` is the method as printed; ``default`` is our best, one setting for all scenes;
 ``fast`` trades accuracy for time. Each difference between them is a single switch, so an
@@ -8,13 +8,22 @@ ablation is ``preset("paper", penalize_constant=False)``.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Literal
+from typing import Any, Literal, get_args, overload
 
 from svu_mi.errors import OptionError
 
 GridSpacing = Literal["uniform", "dielectric"]
 ChannelRule = Literal["sum", "joint", "minimum"]
 NoiseRule = Literal["fixed", "relative", "marginal"]
+
+Fresnel = Literal["none", "schlick", "split_sum"]
+Lobe = Literal["gaussian", "ggx"]
+Diffuse = Literal["lambert", "disney"]
+Parameters = Literal["principled", "specular"]
+AngularChannels = Literal["grey", "joint"]
+AngularNoise = Literal["fixed", "relative", "heteroscedastic", "marginal"]
+
+Method = Literal["angular", "spectrum"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,12 +69,71 @@ class Preset:
         _require(1e-12 <= self.regularizer <= 1e12, "regularizer", "in [1e-12, 1e12]",
                  self.regularizer)  # fmt: skip
         _require(1e-30 <= self.sigma <= 1e30, "sigma", "positive, in [1e-30, 1e30]", self.sigma)
-        _require(self.spacing in ("uniform", "dielectric"), "spacing", "uniform or dielectric",
-                 self.spacing)  # fmt: skip
-        _require(self.channels in ("sum", "joint", "minimum"), "channels",
-                 "sum, joint or minimum", self.channels)  # fmt: skip
-        _require(self.noise in ("fixed", "relative", "marginal"), "noise",
-                 "fixed, relative or marginal", self.noise)  # fmt: skip
+        _require_one_of(self, "spacing", GridSpacing)
+        _require_one_of(self, "channels", ChannelRule)
+        _require_one_of(self, "noise", NoiseRule)
+
+
+
+@dataclass(frozen=True, kw_only=True)
+class AngularPreset:
+    """Switches of the angular estimator; the defaults are those of ``default``."""
+
+    name: str = "default"
+
+    fresnel: Fresnel = "split_sum"
+    """``none``: R0; ``schlick`` at theta_o, as Eq. 6 has it; ``split_sum``: averaged over the
+    lobe."""
+
+    lobe: Lobe = "ggx"
+    """``gaussian``: degrees fall off as exp(-(alpha l)^2) (Eq. 6); ``ggx``: Mitsuba's."""
+
+    off_specular: bool = True
+    """Rough lobes lean from the mirror direction towards the normal."""
+
+    occluded_specular: bool = True
+    """Light that the object itself hides is missing from the specular lobe."""
+
+    occluded_diffuse: bool = True
+    """Light that the object itself hides is missing from the irradiance."""
+
+    diffuse: Diffuse = "disney"
+    """``disney``: Mitsuba's diffuse lobe, with retro-reflection; ``lambert``: constant."""
+
+    rays: int = 128
+    """Cells of the light that visibility is traced for; half of them are above a texel."""
+
+    parameters: Parameters = "principled"
+    """``principled``: a posterior over (roughness, metallic, base colour); ``specular``: over
+    (roughness, Ks), with the diffuse term at its best for each cell."""
+
+    channels: AngularChannels = "grey"
+    """``grey``: the mean of R, G, B and a grey base colour; ``joint``: one roughness and
+    metallic for all, a base colour (or Ks) for each channel, the others marginalised."""
+
+    noise: AngularNoise = "relative"
+    """``fixed``: sigma in radiance; ``relative``: sigma times the capture's mean radiance;
+    ``heteroscedastic``: that, growing with the sample's own radiance; ``marginal``: sigma
+    unknown, p ~ d^(-nu/2)."""
+
+    sigma: float = 0.08
+    """Standard deviation of a texel's root mean squared error, in the unit that ``noise``
+    says. The error is the model's more than the camera's: it does not average out over views."""
+
+    def __post_init__(self) -> None:
+        _require_one_of(self, "fresnel", Fresnel)
+        _require_one_of(self, "lobe", Lobe)
+        _require_one_of(self, "diffuse", Diffuse)
+        _require_one_of(self, "parameters", Parameters)
+        _require_one_of(self, "channels", AngularChannels)
+        _require_one_of(self, "noise", AngularNoise)
+        _require(1e-12 <= self.sigma <= 1e12, "sigma", "positive, in [1e-12, 1e12]", self.sigma)
+        _require(16 <= self.rays <= 65536, "rays", "in [16, 65536]", self.rays)
+
+
+def _require_one_of(options: object, name: str, choices: Any) -> None:
+    allowed, value = get_args(choices), getattr(options, name)
+    _require(value in allowed, name, f"one of {', '.join(allowed)}", value)
 
 
 def _require(condition: bool, name: str, expected: str, got: object) -> None:
@@ -82,25 +150,59 @@ PRESETS: dict[str, Preset] = {
     ),
 }  # fmt: skip
 
+ANGULAR_PRESETS: dict[str, AngularPreset] = {
+    "default": AngularPreset(),
+    "fast": AngularPreset(name="fast", occluded_specular=False, occluded_diffuse=False),
+    "paper": AngularPreset(
+        name="paper", fresnel="schlick", lobe="gaussian", off_specular=False,
+        occluded_specular=False, occluded_diffuse=False, diffuse="lambert",
+    ),
+}  # fmt: skip
 
-def preset(base: str | Preset = "default", **switches: object) -> Preset:
+
+AnyPreset = Preset | AngularPreset
+
+
+@overload
+def preset(
+    base: str | AnyPreset = ..., *, method: Literal["spectrum"] = ..., **switches: object
+) -> Preset: ...
+@overload
+def preset(
+    base: str | AnyPreset = ..., *, method: Literal["angular"], **switches: object
+) -> AngularPreset: ...
+@overload
+def preset(base: str | AnyPreset = ..., *, method: Method, **switches: object) -> AnyPreset: ...
+def preset(
+    base: str | AnyPreset = "default", *, method: Method = "spectrum", **switches: object
+) -> AnyPreset:
     """Return a named preset, with single switches replaced.
 
     Args:
-        base: ``paper``, ``default``, ``fast``, or a ``Preset`` to start from.
-        **switches: fields of ``Preset`` to replace, such as ``degree=5``.
+        base: ``paper``, ``default``, ``fast``, or a preset to start from.
+        method: the estimator it is for; each has switches of its own.
+        **switches: fields of ``Preset`` or ``AngularPreset`` to replace, such as ``degree=5``.
 
     Raises:
-        OptionError: an unknown preset or switch, or a value outside its range.
+        OptionError: an unknown preset, method or switch, a preset of another method, or a
+            value outside its range.
     """
-    if isinstance(base, str) and base not in PRESETS:
-        raise OptionError(f"Unknown preset {base!r}; there are {', '.join(sorted(PRESETS))}.")
-    known = {field.name for field in fields(Preset)}
+    if method not in get_args(Method):
+        raise OptionError(f"Unknown method {method!r}; there are {', '.join(get_args(Method))}.")
+    kind: type[AnyPreset] = AngularPreset if method == "angular" else Preset
+    named: dict[str, Any] = ANGULAR_PRESETS if method == "angular" else PRESETS  # type: ignore[assignment]
+    if isinstance(base, str) and base not in named:
+        raise OptionError(f"Unknown preset {base!r}; there are {', '.join(sorted(named))}.")
+    known = {field.name for field in fields(kind)}
     unknown = sorted(set(switches) - known)
     if unknown:
         names = ", ".join(sorted(known))
-        raise OptionError(f"Unknown switch {unknown[0]!r}; a preset has {names}.")
-    if not isinstance(base, str | Preset):
-        raise OptionError(f"A preset is a name or a Preset, got {base!r}.")
-    chosen = PRESETS[base] if isinstance(base, str) else base
+        raise OptionError(
+            f"Unknown switch {unknown[0]!r}; a preset of {method!r} has {names}."
+        )
+    if not isinstance(base, str | kind):
+        raise OptionError(
+            f"A preset of method {method!r} is a name or a {kind.__name__}, got {base!r}."
+        )
+    chosen = named[base] if isinstance(base, str) else base
     return replace(chosen, **switches) if switches else chosen  # type: ignore[arg-type]

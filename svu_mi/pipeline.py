@@ -12,20 +12,28 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any, Literal
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.angular import gather, reflection
 from svu_mi.capture import Capture
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency import fit_lanes, power_lanes, scatter_rows, solver_groups
-from svu_mi.options import Preset
+from svu_mi.options import AngularPreset, AnyPreset, Method, Preset
 from svu_mi.options import preset as find_preset
-from svu_mi.posterior import ParameterGrid, Posterior, spectrum_posterior
+from svu_mi.posterior import (
+    ParameterGrid,
+    Posterior,
+    PrincipledGrid,
+    angular_posterior,
+    default_grid,
+    spectrum_posterior,
+)
 from svu_mi.progress import Progress
-from svu_mi.radiance import Lighting, Surface, Views, coverage, light, observe, pack_views
+from svu_mi.radiance import Lighting, Surface, Survey, Views, light, observe, pack_views, survey
 from svu_mi.surface import Texels
 
 log = logging.getLogger(__name__)
@@ -49,7 +57,7 @@ class Estimate:
     """
 
     method: str
-    preset: Preset
+    preset: AnyPreset
     texels: Texels
     posterior: Posterior
     coverage: Any
@@ -89,10 +97,10 @@ class Spectra:
 def estimate(
     capture: Capture,
     texels: Texels,
-    method: Literal["spectrum"] = "spectrum",
-    preset: str | Preset = "default",
+    method: Method = "angular",
+    preset: str | AnyPreset = "default",
     *,
-    grid: ParameterGrid | None = None,
+    grid: ParameterGrid | PrincipledGrid | None = None,
     prior: Any | None = None,
     progress: Progress | None = None,
 ) -> Estimate:
@@ -101,52 +109,89 @@ def estimate(
     Args:
         capture: scene, photographs and light.
         texels: texels of ``capture.mesh``.
-        method: the estimator; ``spectrum`` compares power spectra (Sec. 3.3 of the paper).
-        preset: ``default``, ``paper``, ``fast``, or a ``Preset``.
-        grid: nodes of the parameter grid, 8 x 8 by default.
-        prior: (R, S) non-negative weights of the grid's cells; uniform by default.
+        method: the estimator. ``angular`` compares photographs with what the reflection model
+            predicts for them, by statistics of all views; ``spectrum`` compares their power
+            spectra (Sec. 3.3 of the paper).
+        preset: ``default``, ``paper``, ``fast``, or a preset of the method.
+        grid: nodes of the parameter grid; by default 8 per parameter: roughness, metallic and
+            base colour (``PrincipledGrid``) for ``angular``, roughness and Ks
+            (``ParameterGrid``) for ``spectrum``.
+        prior: non-negative weights of the grid's cells; uniform by default.
         progress: shows what is going on and collects timings.
 
     Raises:
-        OptionError: an unknown method or preset.
+        OptionError: an unknown method or preset, or a grid of another method.
         CaptureError: no texel is seen in any photograph.
     """
-    if method != "spectrum":
-        raise OptionError(f"Unknown method {method!r}; there is 'spectrum'.")
-    switches = find_preset(preset)
+    switches: Any = find_preset(preset, method=method)
     progress = progress or Progress()
     with progress.stage("Reading the light"):
         lighting = light(capture, sum(capture.used))
     with progress.stage("Finding silhouettes"):
         views = pack_views(capture)
     with progress.stage("Tracing visibility"):
-        seen, seen_per_view = coverage(views, Surface.of(texels))
-    _require_seen(seen_per_view, capture)
-    with progress.stage("Fitting spectra"):
-        spectra = fit_spectra(views, lighting, texels, seen, switches)
+        found = survey(views, Surface.of(texels))
+    _require_seen(found.per_view, capture)
+    by_method = _from_angles if method == "angular" else _from_spectra
+    posterior = by_method(views, lighting, texels, found, switches, grid, prior, progress)
     with progress.stage("Computing entropy"):
-        posterior = spectrum_posterior(
+        result = Estimate(
+            method=method,
+            preset=switches,
+            texels=texels,
+            posterior=posterior,
+            coverage=found.coverage,
+            seen_per_view=found.per_view.numpy().astype(np.int64),
+            skipped=_skipped(capture, texels, found),
+            timings=progress.timings,
+        )
+        dr.eval(result.entropy)
+    return result
+
+
+def _from_angles(
+    views: Views,
+    lighting: Lighting,
+    texels: Texels,
+    found: Survey,
+    switches: AngularPreset,
+    grid: Any,
+    prior: Any | None,
+    progress: Progress,
+) -> Posterior:
+    grid = grid or default_grid(switches)
+    surface = Surface.of(texels)
+    with progress.stage("Tracing occlusion"):
+        model = reflection(views.scene, surface, lighting, grid.roughness_nodes, switches)
+    with progress.stage("Gathering statistics"):
+        statistics = gather(views, surface, model, dr.opaque(mi.Float, found.scale))
+    # Photographs without any light say nothing; any scale will do.
+    return angular_posterior(statistics, grid, found.scale or 1.0, switches, prior=prior)
+
+
+def _from_spectra(
+    views: Views,
+    lighting: Lighting,
+    texels: Texels,
+    found: Survey,
+    switches: Preset,
+    grid: Any,
+    prior: Any | None,
+    progress: Progress,
+) -> Posterior:
+    with progress.stage("Fitting spectra"):
+        spectra = fit_spectra(views, lighting, texels, found.coverage, switches)
+    with progress.stage("Computing entropy"):
+        return spectrum_posterior(
             spectra.incoming,
             spectra.outgoing,
             grid or ParameterGrid(),
             preset=switches,
             prefilter=lighting.prefilter,
             prior=prior,
-            observed=seen > 0,
-            samples=mi.Float(seen),
+            observed=found.coverage > 0,
+            samples=mi.Float(found.coverage),
         )
-        result = Estimate(
-            method=method,
-            preset=switches,
-            texels=texels,
-            posterior=posterior,
-            coverage=seen,
-            seen_per_view=seen_per_view.numpy().astype(np.int64),
-            skipped=_skipped(capture, texels, seen, seen_per_view),
-            timings=progress.timings,
-        )
-        dr.eval(result.entropy)
-    return result
 
 
 def fit_spectra(
@@ -217,14 +262,12 @@ def _require_seen(seen_per_view: Any, capture: Capture) -> None:
         log.warning("%d photographs show no texel: %s", len(blind), ", ".join(blind[:5]))
 
 
-def _skipped(
-    capture: Capture, texels: Texels, seen: Any, seen_per_view: Any
-) -> dict[str, int]:
+def _skipped(capture: Capture, texels: Texels, found: Survey) -> dict[str, int]:
     width, height = texels.resolution
     return {
         "texels outside the charts": width * height - texels.count - texels.overlapping,
         "texels on overlapping charts": texels.overlapping,
-        "texels never seen": int((seen.numpy() == 0).sum()),
+        "texels never seen": int((found.coverage.numpy() == 0).sum()),
         "views left out": capture.count - sum(capture.used),
-        "views that show no texel": int((seen_per_view.numpy() == 0).sum()),
+        "views that show no texel": int((found.per_view.numpy() == 0).sum()),
     }

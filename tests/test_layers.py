@@ -8,7 +8,7 @@ from pathlib import Path
 
 LAYERS = (
     "errors", "_llvm", "interop", "files", "exr", "progress", "options", "capture", "surface",
-    "radiance", "brdf", "frequency", "posterior", "pipeline", "reference", "metrics", "output",
+    "radiance", "brdf", "frequency", "angular", "posterior", "pipeline", "reference", "metrics", "output",
     "bench", "cli",
 )  # fmt: skip
 # Built on the stages; only what stands at the very top may use them.

@@ -1,5 +1,8 @@
 """p(psi | B, L) on a grid of BRDF parameters, and its entropy."""
 
+from svu_mi.posterior.angular import AngularPosterior as AngularPosterior
+from svu_mi.posterior.angular import angular_posterior as angular_posterior
+from svu_mi.posterior.angular import default_grid as default_grid
 from svu_mi.posterior.grid import ParameterGrid as ParameterGrid
 from svu_mi.posterior.grid import PrincipledGrid as PrincipledGrid
 from svu_mi.posterior.record import Posterior as Posterior

@@ -16,6 +16,7 @@ from svu_mi.interop import owned
 from svu_mi.options import Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.posterior import spectrum_kernel as kernel
+from svu_mi.posterior import streaming
 from svu_mi.posterior.grid import ParameterGrid
 from svu_mi.posterior.record import Posterior
 
@@ -43,15 +44,7 @@ class SpectrumPosterior(Posterior):
 
     def _tables(self, span: slice) -> tuple[np.ndarray, np.ndarray]:
         base, offsets = kernel.tables(self.problem, span.start, span.stop - span.start)
-        # p(roughness) p(Ks of a channel | roughness): the channels factorise.
-        terms = np.exp(-np.swapaxes(offsets, 2, 3))
-        z = terms.sum(axis=2)
-        weight = np.exp(-base) * z.prod(axis=-1, dtype=np.float64)
-        weight /= weight.sum(axis=1, keepdims=True)
-        row = base.argmin(axis=1)
-        column = offsets[np.arange(len(row)), row].argmin(axis=-1)
-        best = np.stack([np.broadcast_to(row[:, None], column.shape), column], axis=1)
-        return weight[:, :, None, None] * (terms / z[:, :, None]), best
+        return streaming.probabilities(base, offsets, self.grid.shape)
 
 
 def spectrum_posterior(
@@ -105,6 +98,7 @@ def spectrum_posterior(
     seen = np.ones(count, bool) if observed is None else np.array(observed, bool).ravel()
     if len(seen) != count:
         raise ShapeError(f"spectrum_posterior(): {len(seen)} flags for {count} texels.")
+    tables = streaming.log_prior(prior, grid.shape, "spectrum_posterior()")
     problem = kernel.Problem(
         incoming=S_L.array,
         outgoing=S_B.array,
@@ -115,7 +109,7 @@ def spectrum_posterior(
         groups=_groups(switches, channels),
         decay=mi.Float64(_decay(switches, grid, degrees - 1, prefilter).ravel()),
         specular=grid.specular_nodes,
-        prior=_prior(prior, grid),
+        prior=None if tables is None else (mi.Float64(tables[0]), mi.Float64(tables[1])),
     )
     posterior = SpectrumPosterior(grid=grid, observed=seen, problem=problem)
     return _most_certain_channel(posterior) if switches.channels == "minimum" else posterior
@@ -193,31 +187,6 @@ def _power(switches: Preset, samples: Any | None, count: int) -> Any | None:
     if len(seen) != count:
         raise ShapeError(f"spectrum_posterior(): {len(seen)} sample counts for {count} texels.")
     return owned(mi.Float64, np.maximum(seen - FITTED, 1) / 2)
-
-
-def _prior(prior: Any | None, grid: ParameterGrid) -> tuple[Any, Any] | None:
-    """-log of the prior of a roughness, and of Ks given that roughness."""
-    if prior is None:
-        return None
-    weights = np.array(prior, np.float64)
-    if weights.shape == (grid.roughness,):
-        weights = np.repeat(weights[:, None], grid.specular, axis=1)
-    if weights.shape != (grid.roughness, grid.specular):
-        raise ShapeError(
-            f"spectrum_posterior(): the prior must be ({grid.roughness}, {grid.specular}) or "
-            f"({grid.roughness},), got {weights.shape}."
-        )
-    if not (np.isfinite(weights).all() and (weights >= 0).all() and weights.sum() > 0):
-        raise OptionError(
-            "spectrum_posterior(): the prior must be finite, non-negative and not all zero."
-        )
-    rough = weights.sum(axis=1)
-    with np.errstate(divide="ignore"):
-        given = np.where(rough[:, None] > 0, weights / np.maximum(rough[:, None], 1e-300), 1.0)
-        # An impossible cell is far away, not infinitely far: infinity times 0 is NaN.
-        log_rough = np.minimum(-np.log(rough / rough.sum()), kernel.IMPOSSIBLE)
-        log_given = np.minimum(-np.log(given), kernel.IMPOSSIBLE)
-    return mi.Float64(log_rough), mi.Float64(log_given.ravel())
 
 
 def _most_certain_channel(posterior: SpectrumPosterior) -> SpectrumPosterior:

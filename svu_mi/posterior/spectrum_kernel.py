@@ -8,12 +8,6 @@ For one roughness, the distance of Eq. 11 is a quadratic in K = Ks^2. Around the
 so the degrees are summed once per roughness, not once per cell. The expansion around K = 0
 would cancel: with S / sigma = 1e3, single precision then leaves nothing of d / (2 sigma^2).
 Sums over degrees are in double precision, exponentials are not.
-
-Channels come in groups. One group of three channels is one Ks for all (``sum``); three
-groups of one channel are a joint posterior over one roughness and a Ks of its own per
-channel, which factorises for a given roughness and needs no grid over all three. Its
-entropy is that of (roughness, Ks of a channel), the other channels marginalised, averaged
-over channels, so that it means the same for grey and for coloured light.
 """
 
 from __future__ import annotations
@@ -26,8 +20,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-FAR = 1e4  # exp(-FAR) is 0, FAR * 0 is not NaN
-IMPOSSIBLE = 1e200  # energy of a cell the prior excludes: above any other, and finite
+from svu_mi.posterior import streaming
 
 Scaled = list[tuple[list[Any], list[Any]]]  # per group: S_L and S_B over sqrt(2) sigma
 
@@ -65,65 +58,21 @@ class Problem:
         """Number of roughness nodes R."""
         return int(dr.width(self.decay)) // self.degree
 
-    @property
-    def cells(self) -> int:
-        """Number of cells n of the grid: R * S."""
-        return self.rows * len(self.specular)
-
 
 def entropy(problem: Problem, count: int) -> Any:
-    """Return the normalised entropy (T,) of Eq. 5, before unseen texels are set to 1.
-
-    With energies x, p = exp(-x) / Z: H = (log Z + sum p x) / log n, one logarithm per texel.
-    Energies are taken relative to the smallest so far, and sums rescaled when it drops.
-    """
+    """Return the normalised entropy (T,) of Eq. 5, before unseen texels are set to 1."""
     texel = dr.arange(mi.UInt32, count)
-    rows = dr.opaque(mi.UInt32, problem.rows)
     # Read once, outside of the loop: strided reads would dominate it.
     spectra, power = _spectra(problem, texel), _power(problem, texel)
 
-    def body(row: Any, low: Any, z: Any, zx: Any) -> tuple[Any, ...]:
-        base, weight, excess = _row(problem, spectra, power, row)
-        lowest = dr.minimum(low, base)
-        # exp(-inf) on the first row: there is nothing to rescale yet.
-        drop = mi.Float(dr.minimum(low - lowest, FAR))
-        rise = mi.Float(dr.minimum(base - lowest, FAR))
-        old, new = dr.exp(-drop), dr.exp(-rise) * weight
-        zx = old * dr.fma(drop, z, zx) + new * (rise + excess)
-        return row + 1, lowest, dr.fma(old, z, new), zx
+    def energies(row: Any) -> list[tuple[Any, list[Any]]]:
+        groups = _row_energies(problem, spectra, power, row)
+        if problem.prior is not None:
+            low, offsets = groups[0]
+            groups[0] = (low + dr.gather(mi.Float64, problem.prior[0], row), offsets)
+        return groups
 
-    zero = dr.zeros(mi.Float, count)
-    _, _, z, zx = dr.while_loop(
-        state=(mi.UInt32(0), dr.full(mi.Float64, 1e300, count), zero, dr.zeros(mi.Float, count)),
-        cond=lambda row, *_: row < rows,
-        body=body,
-    )
-    return dr.clip((dr.log(z) + zx / z) / float(np.log(problem.cells)), 0, 1)
-
-
-def _row(problem: Problem, spectra: Scaled, power: Any, row: Any) -> tuple[Any, Any, Any]:
-    """Sum one roughness over all groups.
-
-    With z_g = sum exp(-(x - smallest)) of group g, a row weighs w = exp(-base) prod z_g, and
-    adds p(row) (base - log prod z + mean_g (log z_g + mean of x - smallest)) to the entropy.
-
-    Returns:
-        base (Float64), the sum of smallest energies; prod z_g; what a row adds beyond base.
-    """
-    base, weight, excess = mi.Float64(0), mi.Float(1), mi.Float(0)
-    for low, offsets in _row_energies(problem, spectra, power, row):
-        terms = [dr.exp(-x) for x in offsets]
-        z = sum(terms)
-        zx = sum(x * term for x, term in zip(offsets, terms, strict=True))
-        base += low
-        weight *= z
-        excess += zx / z
-    groups = len(problem.groups)
-    if groups > 1:
-        excess = (excess - (groups - 1) * dr.log(weight)) / groups
-    if problem.prior is not None:
-        base += dr.gather(mi.Float64, problem.prior[0], row)
-    return base, weight, excess
+    return streaming.entropy(energies, count, problem.rows, len(problem.specular))
 
 
 def _row_energies(
@@ -144,10 +93,7 @@ def _row_energies(
                 x + dr.gather(mi.Float64, problem.prior[1], row * len(energies) + s)
                 for s, x in enumerate(energies)
             ]
-        low = energies[0]
-        for x in energies[1:]:
-            low = dr.minimum(low, x)
-        result.append((low, [mi.Float(dr.minimum(x - low, FAR)) for x in energies]))
+        result.append(streaming.above_smallest(energies))
     return result
 
 

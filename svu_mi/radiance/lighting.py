@@ -54,14 +54,18 @@ class Lighting:
         return self._look_up(self.irradiance_map, normal)
 
     def _look_up(self, texture: Any, direction: Any) -> Any:
-        local = self.to_local @ mi.Vector3f(direction)
-        u = dr.atan2(local.x, -local.z) * dr.inv_two_pi
-        u -= dr.floor(u)
-        v = dr.acos(dr.clip(local.y, -1, 1)) * dr.inv_pi
-        # Rows are on the poles (align-corners), textures have theirs at (j + 0.5) / H.
-        rows = texture.shape[0]
-        v = (v * (rows - 1) + 0.5) / rows
-        return mi.Color3f(*texture.eval(mi.Point2f(u, v)))
+        return mi.Color3f(*look_up(texture, self.to_local @ mi.Vector3f(direction)))
+
+
+def look_up(texture: Any, local: Any) -> list[Any]:
+    """Look a lat-long map up in a local direction: a Float per channel."""
+    u = dr.atan2(local.x, -local.z) * dr.inv_two_pi
+    u -= dr.floor(u)
+    v = dr.acos(dr.clip(local.y, -1, 1)) * dr.inv_pi
+    # Rows are on the poles (align-corners), textures have theirs at (j + 0.5) / H.
+    rows = texture.shape[0]
+    v = (v * (rows - 1) + 0.5) / rows
+    return texture.eval(mi.Point2f(u, v))
 
 
 def light(capture: Capture, views: int) -> Lighting:
@@ -118,6 +122,10 @@ def clamped_cosine(degree: int) -> np.ndarray:
 def _texture(coefficients: np.ndarray) -> Any:
     degree = int(np.sqrt(len(coefficients))) - 1
     rows = int(np.clip(degree * TEXELS_PER_WAVE // 2, 128, 768)) + 1
-    grid = synthesize(coefficients, 2 * (rows - 1), rows)
+    return lat_long_texture(synthesize(coefficients, 2 * (rows - 1), rows))
+
+
+def lat_long_texture(grid: np.ndarray) -> Any:
+    """Return values (H, W, C) on the grid of ``environment.directions`` as a Texture2f."""
     tensor = mi.TensorXf(np.ascontiguousarray(grid, np.float32))
     return mi.Texture2f(tensor, filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Repeat)

@@ -14,6 +14,7 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from svu_mi.radiance.views import CAMERA_FLOATS, Views
 from svu_mi.surface import Texels
@@ -214,22 +215,45 @@ def over_views(views: Views, surface: Surface, consume: Callable[..., Any], stat
     )[1:]
 
 
-def coverage(views: Views, surface: Surface) -> tuple[Any, Any]:
-    """Count who sees whom.
+@dataclass(frozen=True)
+class Survey:
+    """What all views together show of T texels.
 
-    Returns:
-        (T,) UInt32, the number of views that see each texel; (V,) UInt32, the number of
-        texels that each view sees.
+    Attributes:
+        coverage: (T,) UInt32, number of views that see each texel.
+        total: (T,) Float, grey (channel mean) radiance summed over those views.
+        per_view: (V,) UInt32, number of texels that each view sees.
     """
+
+    coverage: Any
+    total: Any
+    per_view: Any
+
+    @property
+    def scale(self) -> float:
+        """Mean grey radiance over all visible (texel, view) samples; 0 without any."""
+        samples = int(self.coverage.numpy().sum(dtype=np.int64))
+        return float(self.total.numpy().sum(dtype=np.float64) / max(samples, 1))
+
+
+def survey(views: Views, surface: Surface) -> Survey:
+    """Find who sees whom, and how bright it is: one pass over all views."""
     per_view = dr.zeros(mi.UInt32, max(views.number, 1))
 
-    def count(seen: Observation, view: Any, total: Any) -> tuple[Any]:
+    def count(seen: Observation, view: Any, views_of: Any, total: Any) -> tuple[Any, Any]:
         one = dr.select(seen.seen, mi.UInt32(1), mi.UInt32(0))
         # The default mode bakes the number of views into the kernel; all lanes of a packet
         # add to one view, which this mode sums up first.
         dr.scatter_add(per_view, one, view, seen.seen, dr.ReduceMode.Local)
-        return (total + one,)
+        return views_of + one, total + dr.sum(seen.radiance) / 3
 
-    (per_texel,) = over_views(views, surface, count, (dr.zeros(mi.UInt32, surface.count),))
-    dr.eval(per_texel, per_view)
-    return per_texel, per_view
+    zeros = (dr.zeros(mi.UInt32, surface.count), dr.zeros(mi.Float, surface.count))
+    coverage, total = over_views(views, surface, count, zeros)
+    dr.eval(coverage, total, per_view)
+    return Survey(coverage, total, per_view)
+
+
+def coverage(views: Views, surface: Surface) -> tuple[Any, Any]:
+    """Deprecated."""
+    found = survey(views, surface)
+    return found.coverage, found.per_view

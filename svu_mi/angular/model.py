@@ -1,0 +1,191 @@
+"""The reflection model (Eq. 6) that angular statistics compare photographs with.
+
+For a roughness level k, radiance is linear in Kd and R0:
+
+    r = Kd e_k + R0 p_k + q_k
+
+with the diffuse shading e, and a specular lobe of visible light s split into a part p that is
+proportional to R0, and a part q that Fresnel adds whatever R0 is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.brdf.diffuse import diffuse_shading
+from svu_mi.brdf.lobes import ALBEDO_NODES, dominance, smith_g1, split_sum, zonal_profile
+from svu_mi.brdf.principled import alpha_from_roughness
+from svu_mi.frequency import harmonics
+from svu_mi.interop import owned
+from svu_mi.options import AngularPreset
+from svu_mi.radiance import Hemisphere, Levels, Lighting, filter_light, hemisphere, light_cells
+from svu_mi.radiance.observe import Surface
+
+DEGREE = 4  # of the harmonics that occlude wide lobes
+CELL_WIDTH = 0.2  # [rad] a cell blurs what is known of visibility
+SHARP = 6.0  # a lobe of width alpha trusts the mirror ray by exp(-(6 alpha)^2)
+
+
+@dataclass(frozen=True)
+class Reflection:
+    """Everything the model needs to know of a capture's light and of a set of texels.
+
+    Attributes:
+        switches: which model.
+        roughness: (R,) of the levels.
+        levels: light filtered for each.
+        albedo: (R * ALBEDO_NODES * 2,) Float, the split-sum pair.
+        arriving: light that reaches each texel.
+        channels: 3, or 1 for grey.
+    """
+
+    switches: AngularPreset
+    roughness: np.ndarray
+    levels: Levels
+    albedo: Any
+    arriving: Hemisphere
+    channels: int
+
+    @property
+    def alpha(self) -> np.ndarray:
+        """(R,) lobe widths."""
+        return alpha_from_roughness(self.roughness)
+
+
+def reflection(
+    scene: Any, surface: Surface, lighting: Lighting, roughness: np.ndarray, switches: AngularPreset
+) -> Reflection:
+    """Filter the light and trace the texels' hemispheres.
+
+    Args:
+        scene: what occludes.
+        surface: the texels.
+        lighting: the capture's light.
+        roughness: (R,) levels.
+        switches: the model.
+    """
+    channels = 1 if switches.channels == "grey" else 3
+    alpha = alpha_from_roughness(roughness)
+    profile = partial(zonal_profile, switches.lobe)
+    return Reflection(
+        switches=switches,
+        roughness=roughness,
+        levels=filter_light(lighting, alpha, profile, grey=channels == 1),
+        albedo=owned(mi.Float, split_sum(alpha).ravel()),
+        arriving=hemisphere(
+            scene,
+            surface,
+            lighting,
+            light_cells(lighting.environment, DEGREE, switches.rays),
+            channels=channels,
+            occluded=switches.occluded_diffuse,
+            lobes=switches.occluded_specular,
+        ),
+        channels=channels,
+    )
+
+
+@dataclass(frozen=True)
+class Terms:
+    """e, p and q of one sample, per level and channel: Floats."""
+
+    diffuse: list[list[Any]]
+    scaled: list[list[Any]]
+    added: list[list[Any]]
+
+
+def terms(model: Reflection, normal: Any, direction: Any, cosine: Any, mirror_free: Any) -> Terms:
+    """Evaluate the model for one view of every texel.
+
+    Args:
+        model: the light and the texels.
+        normal: Normal3f, shading normals.
+        direction: unit Vector3f to the camera.
+        cosine: Float, between the two, positive.
+        mirror_free: Bool, nothing stands in the mirror direction.
+    """
+    shading = [
+        diffuse_shading(model.switches.diffuse, moments, direction, cosine)
+        for moments in model.arriving.diffuse
+    ]
+    mirror = 2 * cosine * normal - direction
+    lost = _lost(model, mirror)
+    diffuse, scaled, added = [], [], []
+    for k, roughness in enumerate(model.roughness.tolist()):
+        alpha = float(model.alpha[k])
+        lobe = _lobe_light(model, k, alpha, normal, mirror)
+        if lost is not None:
+            visible = _visible_part(lost, alpha, mirror_free)
+            lobe = [visible * value for value in lobe]
+        A, B = _fresnel(model, k, alpha, cosine)
+        diffuse.append([a + roughness * b for a, b in shading])
+        scaled.append([value * A for value in lobe])
+        added.append([value * B for value in lobe])
+    return Terms(diffuse, scaled, added)
+
+
+def _lobe_light(
+    model: Reflection, level: int, alpha: float, normal: Any, mirror: Any
+) -> list[Any]:
+    """Filtered light where the lobe of one level points."""
+    direction = mirror
+    if model.switches.off_specular:
+        part = float(dominance(np.array(alpha)))
+        direction = dr.normalize(dr.lerp(mi.Vector3f(normal), mirror, part))
+    return model.levels.radiance(level, direction)
+
+
+def _fresnel(model: Reflection, level: int, alpha: float, cosine: Any) -> tuple[Any, Any]:
+    """(A, B): the lobe reflects R0 A + B."""
+    rule = model.switches.fresnel
+    if rule == "split_sum":
+        place = dr.clip(cosine * ALBEDO_NODES - 0.5, 0, ALBEDO_NODES - 1.001)
+        first = mi.UInt32(place)
+        part = place - first
+        index = first + level * ALBEDO_NODES
+        here, after = (dr.gather(mi.Vector2f, model.albedo, index + step) for step in (0, 1))
+        pair = dr.lerp(here, after, part)
+        return pair.x, pair.y
+    masking = smith_g1(cosine, alpha)
+    if rule == "none":
+        return masking, mi.Float(0)
+    schlick = (1 - cosine) ** 5
+    return masking * (1 - schlick), masking * schlick
+
+
+def _lost(model: Reflection, mirror: Any) -> tuple[list[Any], list[Any]] | None:
+    """Visible and all light around the mirror direction, by degree."""
+    arriving = model.arriving
+    if not arriving.visible:
+        return None
+    basis = harmonics.basis(mirror, DEGREE)
+    sums: tuple[list[Any], list[Any]] = ([], [])
+    for result, coefficients in zip(sums, (arriving.visible, arriving.unoccluded), strict=True):
+        for l in range(DEGREE + 1):
+            span = slice(l * l, (l + 1) ** 2)
+            pairs = zip(coefficients[span], basis[span], strict=True)
+            result.append(sum(c * Y for c, Y in pairs))
+    return sums
+
+
+def _visible_part(lost: tuple[list[Any], list[Any]], alpha: float, mirror_free: Any) -> Any:
+    """Part of a lobe's light that is visible, in [0, 1].
+
+    Wide lobes see what the cells saw; narrow ones what one ray in the mirror direction did.
+    """
+    # Square of the widths of the lobe and of a cell, exp(-l (l + 1) w^2 / 2) for the latter.
+    factors = [
+        float(np.exp(-((alpha * l) ** 2) - l * (l + 1) * CELL_WIDTH**2 / 2))
+        for l in range(DEGREE + 1)
+    ]
+    free, whole = (sum(f * v for f, v in zip(factors, values, strict=True)) for values in lost)
+    # Where hardly any light comes from, it does not matter which part of it is seen.
+    wide = dr.select(whole > 1e-3 * dr.abs(lost[1][0]), dr.clip(free / whole, 0, 1), 1)
+    sharp = float(np.exp(-((SHARP * alpha) ** 2)))
+    return sharp * dr.select(mirror_free, mi.Float(1), 0) + (1 - sharp) * wide

@@ -1,0 +1,177 @@
+"""Sufficient statistics of all views, per texel and roughness level (method: one pass).
+
+For weights w_i the mean squared error of the model b ~ Kd e + R0 p + q is a quadratic in
+(Kd, R0). With t = b - q, six weighted sums hold it,
+
+    sum w (e^2, e p, p^2, e t, p t, t^2),
+
+and it is kept in *square-root form*: the triangular factor U of the sums, as a QR
+factorisation of the samples would give it,
+
+    1/W sum_i w_i (b_i - r_i)^2 = |U (Kd, R0)^T - z|^2 + floor + least,        W = sum_i w_i,
+
+where least is the same for all levels: what no (Kd, R0) of any roughness explains.
+
+The sums are in double precision and the factor in single, which is safe: a residual taken
+from the factor is exact to rounding of the *radiance*, where one taken from the sums would be
+to rounding of its square. The number of views no longer matters, and no sample is stored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from svu_mi.angular.model import Reflection, Terms, terms
+from svu_mi.radiance import Surface, Views, over_views
+from svu_mi.radiance.hemisphere import as_channels
+from svu_mi.radiance.observe import Observation
+
+FIELDS = 6  # U_ee, U_ep, U_pp, z_e, z_p, floor
+SUMS = 6
+TINY = 1e-12  # part of its diagonal below which a pivot is nothing but rounding
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What remains of the views of T texels.
+
+    Attributes:
+        values: ((R * C * 6 + C) * T,) Float: for level, channel and field, one value per
+            texel; fields are U_ee, U_ep, U_pp, z_e, z_p, all in radiance, and floor, in
+            squared radiance. Then, for every channel, least.
+        weight: (T,) Float, W: the sum of weights; 0 for a texel nobody sees.
+        views: (T,) UInt32, number of views that see each texel.
+        levels: R.
+        channels: C.
+        count: T.
+    """
+
+    values: Any
+    weight: Any
+    views: Any
+    levels: int
+    channels: int
+    count: int
+
+
+def gather(views: Views, surface: Surface, model: Reflection, scale: Any) -> Statistics:
+    """Collect the statistics of every texel: one kernel, one pass over the views.
+
+    Args:
+        views: the packed capture.
+        surface: the texels; ``model`` is of the same.
+        model: the reflection model.
+        scale: Float, opaque: radiance above which heteroscedastic weights fall off; not used
+            by the other noise rules.
+    """
+    levels, channels = len(model.roughness), model.channels
+    normal = mi.Vector3f(surface.normal)
+
+    def consume(seen: Observation, _view: Any, count: Any, weight: Any, *sums: Any) -> Any:
+        free = mi.Bool(True)
+        if model.arriving.visible:
+            free = _mirror_free(views.scene, surface, seen)
+
+        def add(*state: Any) -> tuple[Any, ...]:
+            # Inputs of the model reach a branch through the closure: they do not change.
+            part = terms(model, normal, seen.direction, dr.maximum(seen.cosine, 1e-3), free)
+            radiance = as_channels(seen.radiance, channels)
+            w = _weight(model, radiance, scale)
+            added = [w, *(w * product for product in _products(part, radiance))]
+            return tuple(old + new for old, new in zip(state, added, strict=True))
+
+        one = dr.select(seen.seen, mi.UInt32(1), 0)
+        new = dr.if_stmt(
+            args=(weight, *sums), cond=seen.seen, true_fn=add, false_fn=lambda *s: s
+        )
+        return (count + one, *new)
+
+    start = [dr.zeros(mi.UInt32, surface.count)]
+    start += [dr.zeros(mi.Float64, surface.count) for _ in range(1 + levels * channels * SUMS)]
+    count, weight, *sums = over_views(views, surface, consume, tuple(start))
+    factors = [_factor(sums[i : i + SUMS], weight) for i in range(0, len(sums), SUMS)]
+    least = []
+    for channel in range(channels):
+        of_channel = factors[channel::channels]
+        low = of_channel[0][-1]
+        for factor in of_channel:
+            low = dr.minimum(low, factor[-1])
+        for factor in of_channel:
+            factor[-1] = factor[-1] - low
+        least.append(low)
+    weight = mi.Float(weight)
+    columns = [field for factor in factors for field in factor]
+    values = _scatter_columns([*columns, *least], surface.count)
+    dr.eval(values, weight, count)
+    return Statistics(values, weight, count, levels, channels, surface.count)
+
+
+def _mirror_free(scene: Any, surface: Surface, seen: Observation) -> Any:
+    """Trace the mirror direction of visible samples; below the horizon nothing is free."""
+    mirror = 2 * seen.cosine * mi.Vector3f(surface.normal) - seen.direction
+    free = seen.seen & (dr.dot(surface.geometric_normal, mirror) > 0)
+    origin = surface.position + surface.offset * surface.geometric_normal
+    ray = mi.Ray3f(origin, mirror, dr.largest(mi.Float), 0.0, [])
+    return free & ~scene.ray_test(ray, free)
+
+
+def _weight(model: Reflection, radiance: list[Any], scale: Any) -> Any:
+    """w of a sample, as Float64."""
+    if model.switches.noise != "heteroscedastic":
+        return mi.Float64(1)
+    # The standard deviation grows with radiance: 1 + (b / scale)^2, in units of that of black.
+    brightness = sum(radiance) / len(radiance)
+    return mi.Float64(dr.rcp(1 + dr.square(brightness / scale)))
+
+
+def _products(part: Terms, radiance: list[Any]) -> list[Any]:
+    """The six products of every level and channel, in double precision."""
+    products = []
+    for level in zip(part.diffuse, part.scaled, part.added, strict=True):
+        for e, p, q, b in zip(*level, radiance, strict=True):
+            e, p, t = mi.Float64(e), mi.Float64(p), mi.Float64(b - q)
+            products += [e * e, e * p, p * p, e * t, p * t, t * t]
+    return products
+
+
+def _factor(sums: list[Any], weight: Any) -> list[Any]:
+    """Cholesky factor of the sums divided by W: U_ee, U_ep, U_pp, z_e, z_p, floor."""
+    inverse = dr.select(weight > 0, dr.rcp(weight), 0)
+    ee, ep, pp, et, pt, tt = (value * inverse for value in sums)
+    scale_e = _inverse_root(ee, 0 * ee)
+    u_ee, u_ep, z_e = ee * scale_e, ep * scale_e, et * scale_e
+    rest = pp - u_ep * u_ep
+    scale_p = _inverse_root(rest, TINY * pp)
+    u_pp, z_p = rest * scale_p, (pt - u_ep * z_e) * scale_p
+    floor = dr.maximum(tt - z_e * z_e - z_p * z_p, 0)
+    return [u_ee, u_ep, u_pp, z_e, z_p, floor]
+
+
+def _inverse_root(pivot: Any, threshold: Any) -> Any:
+    """1 / sqrt(pivot), or 0 where the pivot is not above its threshold: a dependent column."""
+    good = pivot > threshold
+    return dr.select(good, dr.rsqrt(dr.select(good, pivot, 1)), 0)
+
+
+@dr.syntax
+def _scatter_columns(columns: list[Any], count: int) -> Any:
+    """Return an array with column k of every lane at ``k * count + lane``: part of one kernel."""
+    # As in frequency.scatter_rows: outside a symbolic loop, every scatter is a kernel.
+    size = len(columns)
+    target = dr.zeros(mi.Float, size * count)
+    dr.eval(target)
+    memory = dr.alloc_local(mi.Float, size)
+    for k, value in enumerate(columns):
+        memory[k] = mi.Float(value)
+    stride = dr.opaque(mi.UInt32, count)
+    place = dr.arange(mi.UInt32, count)
+    k = mi.UInt32(0)
+    while k < dr.opaque(mi.UInt32, size):
+        dr.scatter(target, memory[k], place)
+        place += stride
+        k += 1
+    return target

@@ -1,0 +1,98 @@
+"""Specular lobes: their shape, where they point, and how much they reflect.
+
+A lobe of width alpha is treated as if it were symmetric around one direction: light is
+filtered once for every alpha (radiance/levels.py) and looked up there. What depends on the
+angle of view is left to the directional albedo, and to where the lobe points.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from svu_mi.options import Lobe
+
+ALBEDO_NODES = 32  # of cos theta_o, at (i + 0.5) / 32
+_U, _V = 64, 16  # stratified samples of visible normals per table entry
+
+
+def zonal_profile(lobe: Lobe, alpha: float, cosine: np.ndarray) -> np.ndarray:
+    """Weight of light at an angle theta from the centre of a lobe, up to a factor.
+
+    ``gaussian`` is the function on the sphere whose degrees fall off like Eq. 6's
+    exp(-(alpha l)^2). ``ggx`` is D(theta / 2) G1(theta), the lobe seen along the normal, where
+    the half vector turns by half the angle [Walter et al. 2007].
+
+    Args:
+        lobe: which shape.
+        alpha: its width.
+        cosine: cos theta, in [-1, 1].
+    """
+    if lobe == "gaussian":
+        return np.exp(-((np.arccos(cosine) / (2 * alpha)) ** 2))
+    distribution = (alpha / ((1 + cosine) / 2 * (alpha**2 - 1) + 1)) ** 2
+    return np.where(cosine > 0, distribution * smith_g1(np.maximum(cosine, 1e-6), alpha), 0)
+
+
+def smith_g1(cosine: Any, alpha: Any) -> Any:
+    """G1 = 1 / (1 + Lambda), Lambda = (sqrt(1 + alpha^2 tan^2 theta) - 1) / 2 (Eq. 6)."""
+    root = dr.sqrt if dr.is_array_v(cosine) else np.sqrt
+    tangent2 = (1 - cosine * cosine) / (cosine * cosine)
+    return 2 / (1 + root(1 + alpha * alpha * tangent2))
+
+
+def dominance(alpha: np.ndarray) -> np.ndarray:
+    """How far a lobe points from the normal (0) to the mirror direction (1).
+
+    Rough lobes lean towards the normal: (1 - alpha) (sqrt(1 - alpha) + alpha)
+    [Lagarde and de Rousiers, Moving Frostbite to PBR, 2014, Sec. 4.9.3].
+    """
+    return (1 - alpha) * (np.sqrt(np.maximum(1 - alpha, 0)) + alpha)
+
+
+@lru_cache(maxsize=256)
+def _albedo(alpha: float) -> np.ndarray:
+    """(2, ALBEDO_NODES): the pair (A, B) of a GGX lobe, by importance sampling."""
+    mu = (np.arange(ALBEDO_NODES) + 0.5)[:, None] / ALBEDO_NODES
+    view = np.stack([np.sqrt(1 - mu**2), np.zeros_like(mu), mu], axis=-1)
+    half = _visible_normals(view, alpha)
+    cosine = np.einsum("isk,iok->is", half, view)
+    light = 2 * cosine[..., None] * half - view
+    masking = smith_g1(np.maximum(light[..., 2], 1e-6), alpha)
+    weight = np.where(light[..., 2] > 0, masking, 0.0)
+    fresnel = (1 - np.clip(cosine, 0, 1)) ** 5
+    return np.stack([(weight * (1 - fresnel)).mean(axis=1), (weight * fresnel).mean(axis=1)])
+
+
+def split_sum(alpha: np.ndarray) -> np.ndarray:
+    """Directional albedo R0 A + B of GGX with Schlick's Fresnel [Karis 2013].
+
+    Args:
+        alpha: (R,) widths.
+
+    Returns:
+        (R, ALBEDO_NODES, 2) float64 of A and B at cos theta_o = (i + 0.5) / ALBEDO_NODES.
+    """
+    return np.stack([_albedo(float(a)).T for a in alpha])
+
+
+def _visible_normals(view: np.ndarray, alpha: float) -> np.ndarray:
+    """Half vectors (views, samples, 3), distributed as seen from ``view`` [Heitz 2018]."""
+    u = np.repeat((np.arange(_U) + 0.5) / _U, _V)
+    phi = 2 * np.pi * (np.tile(np.arange(_V), _U) + (np.repeat(np.arange(_U), _V) % 7) / 7) / _V
+    stretched = view * [alpha, alpha, 1.0]
+    stretched = stretched / np.linalg.norm(stretched, axis=-1, keepdims=True)
+    side = np.array([0.0, 1.0, 0.0])  # views lie in the xz plane
+    up = np.cross(stretched, side)
+    s = 0.5 * (1 + stretched[..., 2])
+    x = np.sqrt(u) * np.cos(phi)
+    y = np.sqrt(u) * np.sin(phi)
+    y = (1 - s) * np.sqrt(np.maximum(1 - x * x, 0)) + s * y
+    z = np.sqrt(np.maximum(1 - x * x - y * y, 0))
+    normal = x[..., None] * side + y[..., None] * up + z[..., None] * stretched
+    normal = normal * [alpha, alpha, 1.0]
+    normal[..., 2] = np.maximum(normal[..., 2], 1e-9)
+    return normal / np.linalg.norm(normal, axis=-1, keepdims=True)

@@ -1,0 +1,110 @@
+"""The posterior from angular statistics (Eq. 3 to 6, without a frequency domain)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.angular import Statistics
+from svu_mi.errors import OptionError, ShapeError
+from svu_mi.interop import owned
+from svu_mi.options import AngularPreset
+from svu_mi.options import preset as find_preset
+from svu_mi.posterior import angular_kernel as kernel
+from svu_mi.posterior import streaming
+from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
+from svu_mi.posterior.record import Posterior
+
+FITTED = 3  # roughness, Kd and Ks, which the marginal noise rule pays for
+
+
+@dataclass(frozen=True, kw_only=True)
+class AngularPosterior(Posterior):
+    """p over (roughness, metallic, base_color), or over (roughness, specular).
+
+    Attributes:
+        problem: statistics, noise and grid (see ``angular_kernel``).
+    """
+
+    problem: kernel.Problem
+
+    @property
+    def groups(self) -> int:
+        """3 when each colour channel has its own base colour or Ks, else 1."""
+        return self.problem.statistics.channels
+
+    def _entropy_of_all(self) -> Any:
+        return kernel.entropy(self.problem)
+
+    def _tables(self, span: slice) -> tuple[np.ndarray, np.ndarray]:
+        base, offsets = kernel.tables(self.problem, span.start, span.stop - span.start)
+        return streaming.probabilities(base, offsets, self.grid.shape)
+
+
+def default_grid(switches: AngularPreset) -> ParameterGrid | PrincipledGrid:
+    """Return the 8 x 8 x 8 or 8 x 8 grid that a preset's parameters call for."""
+    if switches.parameters == "principled":
+        return PrincipledGrid()
+    return ParameterGrid(spacing="dielectric")
+
+
+def angular_posterior(
+    statistics: Statistics,
+    grid: PrincipledGrid | ParameterGrid | None = None,
+    scale: float = 1.0,
+    preset: str | AngularPreset = "default",
+    *,
+    prior: Any | None = None,
+) -> AngularPosterior:
+    """Compare photographs with what every cell of a grid predicts for them.
+
+        p ~ exp(-d / (2 sigma^2)) prior,    d = 1/W sum_i w_i (b_i - r_i(psi))^2
+
+    The *mean* squared error: the model's own error is the same from many views as from few,
+    and must not be averaged away.
+
+    Args:
+        statistics: what ``angular.gather`` collected; its levels are the grid's roughness.
+        grid: ``PrincipledGrid``, or ``ParameterGrid`` for (roughness, Ks); the preset's
+            ``parameters`` say which, by default 8 nodes each.
+        scale: radiance that sigma is a part of, unless the preset's noise is ``fixed``.
+        preset: switches.
+        prior: non-negative weights of the cells, of the grid's shape, or one per roughness.
+
+    Raises:
+        ShapeError: the grid's roughness is not the statistics'.
+        OptionError: a grid of other parameters than the preset's, an invalid scale or prior.
+    """
+    switches = find_preset(preset, method="angular")
+    grid = grid or default_grid(switches)
+    wanted = PrincipledGrid if switches.parameters == "principled" else ParameterGrid
+    if not isinstance(grid, wanted):
+        raise OptionError(
+            f"angular_posterior(): parameters={switches.parameters!r} need a "
+            f"{wanted.__name__}, got {grid!r}."
+        )
+    if grid.roughness != statistics.levels:
+        raise ShapeError(
+            f"angular_posterior(): the grid has {grid.roughness} roughness nodes, but the "
+            f"statistics {statistics.levels} levels."
+        )
+    if not (np.isfinite(scale) and scale > 0):
+        raise OptionError(f"angular_posterior(): scale must be positive, got {scale!r}.")
+    sigma = switches.sigma * (1.0 if switches.noise == "fixed" else scale)
+    views = np.array(statistics.views)
+    power = np.maximum(views.astype(np.float64) - FITTED, 1) / 2
+    *_, cells = grid.axes.values()
+    tables = streaming.log_prior(prior, grid.shape, "angular_posterior()")
+    problem = kernel.Problem(
+        statistics=statistics,
+        sigma=dr.opaque(mi.Float, sigma),
+        power=owned(mi.Float, power) if switches.noise == "marginal" else None,
+        metallic=grid.metallic_nodes if isinstance(grid, PrincipledGrid) else None,
+        cells=cells,
+        prior=None if tables is None else (mi.Float64(tables[0]), mi.Float(tables[1])),
+    )
+    return AngularPosterior(grid=grid, observed=views > 0, problem=problem)

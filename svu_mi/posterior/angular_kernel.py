@@ -1,0 +1,140 @@
+"""Energies of grid cells from angular statistics.
+
+A row is one roughness and metallic; its cells are base colours, along which Kd and R0 are
+linear. On the smaller grid a row is one roughness, its cells are values of Ks = R0, and Kd
+takes the best value in [0, 1] for each ("profiled out"): what is left of the quadratic then is
+its second component alone, unless that value lies outside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.angular import Statistics
+from svu_mi.angular.statistics import FIELDS
+from svu_mi.brdf.principled import F0
+from svu_mi.posterior import streaming
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything an energy depends on.
+
+    Attributes:
+        statistics: of T texels, R levels and G channels; every channel is a group.
+        sigma: Float, opaque: standard deviation of a texel's error, in radiance.
+        power: (T,) Float nu / 2 of d^(-nu/2), or None for exp(-d / (2 sigma^2)); sigma^2 is
+            then the floor that is added to d.
+        metallic: (M,) nodes, or None for a grid of Ks.
+        cells: nodes of base colour, or of Ks.
+        prior: (-log prior of a row, of a cell given its row) as Float64 and Float, or None.
+    """
+
+    statistics: Statistics
+    sigma: Any
+    power: Any | None
+    metallic: np.ndarray | None
+    cells: np.ndarray
+    prior: tuple[Any, Any] | None
+
+    @property
+    def columns(self) -> int:
+        """Rows per roughness: M, or 1."""
+        return 1 if self.metallic is None else len(self.metallic)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of the grid."""
+        return self.statistics.levels * self.columns
+
+
+def entropy(problem: Problem) -> Any:
+    """Return the normalised entropy (T,) of Eq. 5, before unseen texels are set to 1."""
+    count = problem.statistics.count
+    energies = _row_energies(problem, dr.arange(mi.UInt32, count))
+    return streaming.entropy(energies, count, problem.rows, len(problem.cells))
+
+
+def tables(problem: Problem, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the energies of ``count`` texels, for everything that is not the hot path.
+
+    Returns:
+        (t, rows) float64, smallest energy of each row; (t, rows, G, cells) float32, energies
+        relative to their group's smallest.
+    """
+    lane = dr.arange(mi.UInt32, count * problem.rows)
+    rows = dr.opaque(mi.UInt32, problem.rows)
+    texel = lane // rows
+    groups = _row_energies(problem, dr.opaque(mi.UInt32, first) + texel)(lane - texel * rows)
+    base = sum(low for low, _ in groups)
+    columns = [offset for _, offsets in groups for offset in offsets]
+    dr.eval(base, columns)
+    offsets = np.stack([np.broadcast_to(c.numpy(), count * problem.rows) for c in columns], axis=-1)
+    return (
+        base.numpy().reshape(count, problem.rows),
+        offsets.reshape(count, problem.rows, len(groups), len(problem.cells)),
+    )
+
+
+def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:
+    stats = problem.statistics
+    stride = dr.opaque(mi.UInt32, stats.count)
+    scale = dr.rsqrt(mi.Float(2)) / problem.sigma
+    power = None if problem.power is None else dr.gather(mi.Float, problem.power, texel)
+    start = stats.levels * stats.channels * FIELDS
+
+    def read(column: Any) -> Any:
+        return dr.gather(mi.Float, stats.values, column * stride + texel)
+
+    least = [scale * scale * read(start + c) for c in range(stats.channels)] if power else []
+
+    def energies(row: Any) -> list[tuple[Any, list[Any]]]:
+        level = row // problem.columns
+        groups = []
+        for channel in range(stats.channels):
+            column = (level * stats.channels + channel) * FIELDS
+            fields = [scale * read(column + field) for field in range(FIELDS)]
+            x = _cells(problem, row - level * problem.columns, fields, scale)
+            if power is not None:
+                x = [power * dr.log(2 * (value + least[channel]) + 1) for value in x]
+            if problem.prior is not None:
+                place = row * len(x)
+                x = [
+                    value + dr.gather(mi.Float, problem.prior[1], place + j)
+                    for j, value in enumerate(x)
+                ]
+            groups.append(streaming.above_smallest(x))
+        if problem.prior is not None:
+            low, offsets = groups[0]
+            groups[0] = (low + dr.gather(mi.Float64, problem.prior[0], row), offsets)
+        return groups
+
+    return energies
+
+
+def _cells(problem: Problem, column: Any, fields: list[Any], scale: Any) -> list[Any]:
+    """Mean squared error of every cell of a row, over 2 sigma^2."""
+    u_ee, u_ep, u_pp, z_e, z_p, floor = fields
+    floor = scale * floor  # it is a square
+    energies = []
+    if problem.metallic is None:
+        inverse = dr.select(u_ee > 0, dr.rcp(dr.select(u_ee > 0, u_ee, 1)), 0)
+        for Ks in problem.cells.tolist():
+            rest = dr.fma(-u_ep, Ks, z_e)
+            Kd = dr.clip(rest * inverse, 0, 1)
+            first, second = dr.fma(u_ee, Kd, -rest), dr.fma(u_pp, Ks, -z_p)
+            energies.append(dr.fma(first, first, dr.fma(second, second, floor)))
+        return energies
+    m = mi.Float(column) / (len(problem.metallic) - 1)
+    # Kd = (1 - m) c and R0 = F0 (1 - m) + m c: both components are linear in c.
+    first_0, first_1 = dr.fma(u_ep * F0, 1 - m, -z_e), dr.fma(u_ee, 1 - m, u_ep * m)
+    second_0, second_1 = dr.fma(u_pp * F0, 1 - m, -z_p), u_pp * m
+    for c in problem.cells.tolist():
+        first, second = dr.fma(first_1, c, first_0), dr.fma(second_1, c, second_0)
+        energies.append(dr.fma(first, first, dr.fma(second, second, floor)))
+    return energies

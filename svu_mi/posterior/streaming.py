@@ -1,0 +1,156 @@
+"""Entropy of a grid that is walked row by row, in one kernel, without storing probabilities.
+
+A row is what the cells of all channel groups share (a roughness, or a roughness and metallic);
+the cells of a row differ in one parameter of the group's own. One group of three channels is
+one parameter for all; three groups of one channel are a joint posterior in which each channel
+has a parameter of its own, which factorises for a given row and needs no grid over all three.
+Its entropy is that of (row, parameter of a channel), the other channels marginalised, averaged
+over channels, so that it means the same for grey and for coloured light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.errors import OptionError, ShapeError
+
+FAR = 1e4  # exp(-FAR) is 0, FAR * 0 is not NaN
+IMPOSSIBLE = 1e200  # energy of a cell the prior excludes: above any other, and finite
+
+RowEnergies = Callable[[Any], list[tuple[Any, list[Any]]]]
+"""Row index -> per group the smallest energy (Float64) and all others' distance to it."""
+
+
+def entropy(row_energies: RowEnergies, count: int, rows: int, cells: int) -> Any:
+    """Return the normalised entropy (T,) of Eq. 5.
+
+    With energies x, p = exp(-x) / Z: H = (log Z + sum p x) / log n, one logarithm per texel.
+    Energies are taken relative to the smallest so far, and sums rescaled when it drops.
+
+    Args:
+        row_energies: energies of a row, prior included; traced once.
+        count: T.
+        rows: number of rows.
+        cells: cells of one group's row; n = rows * cells.
+    """
+    last = dr.opaque(mi.UInt32, rows)
+
+    def body(row: Any, low: Any, z: Any, zx: Any) -> tuple[Any, ...]:
+        base, weight, excess = _combine(row_energies(row))
+        lowest = dr.minimum(low, base)
+        # exp(-inf) on the first row: there is nothing to rescale yet.
+        drop = mi.Float(dr.minimum(low - lowest, FAR))
+        rise = mi.Float(dr.minimum(base - lowest, FAR))
+        old, new = dr.exp(-drop), dr.exp(-rise) * weight
+        zx = old * dr.fma(drop, z, zx) + new * (rise + excess)
+        return row + 1, lowest, dr.fma(old, z, new), zx
+
+    zero = dr.zeros(mi.Float, count)
+    _, _, z, zx = dr.while_loop(
+        state=(mi.UInt32(0), dr.full(mi.Float64, 1e300, count), zero, dr.zeros(mi.Float, count)),
+        cond=lambda row, *_: row < last,
+        body=body,
+    )
+    return dr.clip((dr.log(z) + zx / z) / float(np.log(rows * cells)), 0, 1)
+
+
+def _combine(groups: list[tuple[Any, list[Any]]]) -> tuple[Any, Any, Any]:
+    """Sum one row over all groups.
+
+    With z_g = sum exp(-(x - smallest)) of group g, a row weighs w = exp(-base) prod z_g, and
+    adds p(row) (base - log prod z + mean_g (log z_g + mean of x - smallest)) to the entropy.
+
+    Returns:
+        base (Float64), the sum of smallest energies; prod z_g; what a row adds beyond base.
+    """
+    base, weight, excess = mi.Float64(0), mi.Float(1), mi.Float(0)
+    for low, offsets in groups:
+        terms = [dr.exp(-x) for x in offsets]
+        z = sum(terms)
+        zx = sum(x * term for x, term in zip(offsets, terms, strict=True))
+        base += low
+        weight *= z
+        excess += zx / z
+    if len(groups) > 1:
+        excess = (excess - (len(groups) - 1) * dr.log(weight)) / len(groups)
+    return base, weight, excess
+
+
+def above_smallest(energies: list[Any]) -> tuple[Any, list[Any]]:
+    """Return the smallest of a row's energies, and all of them relative to it (Float)."""
+    low = energies[0]
+    for x in energies[1:]:
+        low = dr.minimum(low, x)
+    return mi.Float64(low), [mi.Float(dr.minimum(x - low, FAR)) for x in energies]
+
+
+def probabilities(
+    base: np.ndarray, offsets: np.ndarray, shape: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Turn a table of row energies into probabilities.
+
+    Args:
+        base: (t, rows) float64, smallest energy of each row, any origin per texel.
+        offsets: (t, rows, G, cells) energies relative to their group's smallest.
+        shape: of the grid; its last axis is ``cells``, the others together ``rows``.
+
+    Returns:
+        p (t, *shape, G) float32 and the index of the best node (t, axes, G) int64, as
+        ``Posterior._tables`` has them.
+    """
+    # p(row) p(cell of a group | row): the groups factorise.
+    terms = np.exp(-np.swapaxes(offsets, 2, 3))
+    z = terms.sum(axis=2)
+    weight = np.exp(base.min(axis=1, keepdims=True) - base) * z.prod(axis=-1, dtype=np.float64)
+    weight /= weight.sum(axis=1, keepdims=True)
+    p = weight[:, :, None, None] * (terms / z[:, :, None])
+    row = base.argmin(axis=1)
+    cell = offsets[np.arange(len(row)), row].argmin(axis=-1)
+    shared = np.unravel_index(row, shape[:-1])
+    best = [np.broadcast_to(node[:, None], cell.shape) for node in shared]
+    count = len(base)
+    return (
+        p.reshape(count, *shape, -1).astype(np.float32),
+        np.stack([*best, cell], axis=1).astype(np.int64),
+    )
+
+
+def log_prior(
+    prior: Any | None, shape: tuple[int, ...], caller: str
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """-log of the prior of a row (rows,), and of a cell given its row (rows * cells,).
+
+    Args:
+        prior: weights of the cells: ``shape``, or of the first axis only; None is uniform.
+        shape: of the grid.
+        caller: function named in errors.
+
+    Raises:
+        ShapeError: another shape.
+        OptionError: negative or not finite weights, or nothing but zeros.
+    """
+    if prior is None:
+        return None
+    weights = np.array(prior, np.float64)
+    if weights.shape == shape[:1]:
+        weights = np.broadcast_to(weights.reshape(-1, *(1,) * (len(shape) - 1)), shape)
+    if weights.shape != shape:
+        raise ShapeError(
+            f"{caller}: the prior must be {shape} or ({shape[0]},), got {weights.shape}."
+        )
+    if not (np.isfinite(weights).all() and (weights >= 0).all() and weights.sum() > 0):
+        raise OptionError(f"{caller}: the prior must be finite, non-negative and not all zero.")
+    weights = weights.reshape(-1, shape[-1])
+    row = weights.sum(axis=1)
+    with np.errstate(divide="ignore"):
+        given = np.where(row[:, None] > 0, weights / np.maximum(row[:, None], 1e-300), 1.0)
+        # An impossible cell is far away, not infinitely far: infinity times 0 is NaN.
+        return (
+            np.minimum(-np.log(row / row.sum()), IMPOSSIBLE),
+            np.minimum(-np.log(given), IMPOSSIBLE).ravel(),
+        )

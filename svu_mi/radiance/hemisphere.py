@@ -1,0 +1,116 @@
+"""What of the light reaches every texel: visibility rays, traced once for all views.
+
+A texel looks along the directions of the light's cells (``cells.py``). What it finds is kept
+as a few moments, so that memory does not depend on the number of rays:
+
+* four moments of the visible light under the cosine, which hold the irradiance and what
+  Disney's diffuse model makes of it for *any* direction of view and roughness
+  (brdf/diffuse.py);
+* harmonics of the visible, and of all light above the horizon, whose ratio says how much of a
+  wide specular lobe is lost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from svu_mi.radiance.cells import LightCells
+from svu_mi.radiance.lighting import Lighting
+from svu_mi.radiance.observe import Surface
+
+MOMENTS = 8  # per channel: two scalars, two vectors
+
+
+@dataclass(frozen=True)
+class Hemisphere:
+    """Light that reaches T texels.
+
+    Attributes:
+        diffuse: per channel 8 Floats (T,): c0, m0 (3), c1, m1 (3), with
+            c0 = sum L V cos, m0 = sum L V cos w, and the same with Schlick's
+            (1 - cos)^5 of the incident direction w as c1, m1.
+        visible, unoccluded: (degree + 1)^2 Floats (T,), harmonics of the (channel mean)
+            light of visible, and of all directions above the horizon; empty if not traced.
+    """
+
+    diffuse: list[list[Any]]
+    visible: list[Any]
+    unoccluded: list[Any]
+
+
+def hemisphere(
+    scene: Any, surface: Surface, lighting: Lighting, cells: LightCells, *,
+    channels: int, occluded: bool, lobes: bool,
+) -> Hemisphere:
+    """Trace every texel's hemisphere, or assume that all of it is visible.
+
+    The sum over cells only says which part is lost: the irradiance of an unoccluded surface
+    comes from the light's harmonics, which know it better.
+
+    Args:
+        scene: what occludes.
+        surface: the texels.
+        lighting: the capture's light.
+        cells: its cells.
+        channels: 3, or 1 for the mean of the colour channels.
+        occluded: trace for the diffuse moments.
+        lobes: trace for ``visible``.
+
+    Returns:
+        Evaluated arrays.
+    """
+    harmonics = (cells.degree + 1) ** 2 if lobes else 0
+    traced = occluded or lobes
+
+    def body(cell: Any, *state: Any) -> tuple[Any, ...]:
+        direction = mi.Vector3f(dr.gather(mi.Vector3f, cells.directions, cell))
+        cosine = dr.dot(surface.normal, direction)
+        above = cosine > 0
+        free = above & (dr.dot(surface.geometric_normal, direction) > 0)
+        if traced:
+            origin = surface.position + surface.offset * surface.geometric_normal
+            ray = mi.Ray3f(origin, direction, dr.largest(mi.Float), 0.0, [])
+            free &= ~scene.ray_test(ray, free)
+        flux = as_channels(dr.gather(mi.Color3f, cells.flux, cell), channels)
+        cosine = dr.maximum(cosine, 0)
+        lit = free if occluded else above
+        grazing = (1 - cosine) ** 5
+        added = []
+        for value in flux:
+            received = dr.select(lit, value * cosine, 0)
+            for part in (received, received * grazing):
+                added += [part, *(part * direction)]
+            added.append(value * cosine)
+        total = sum(flux)
+        for seen in (free, above):
+            for k in range(harmonics):
+                basis = dr.gather(mi.Float, cells.basis, cell * harmonics + k)
+                added.append(dr.select(seen, total * basis, 0))
+        return (cell + 1, *(old + new for old, new in zip(state, added, strict=True)))
+
+    size = channels * (MOMENTS + 1) + 2 * harmonics
+    state = dr.while_loop(
+        state=(mi.UInt32(0), *(dr.zeros(mi.Float, surface.count) for _ in range(size))),
+        cond=lambda cell, *_: cell < cells.count,
+        body=body,
+    )[1:]
+    known = as_channels(lighting.irradiance(surface.normal), channels)
+    diffuse = []
+    for channel in range(channels):
+        first = channel * (MOMENTS + 1)
+        *moments, unoccluded = state[first : first + MOMENTS + 1]
+        scale = dr.select(unoccluded > 0, dr.maximum(known[channel], 0) / unoccluded, 0)
+        diffuse.append([moment * scale for moment in moments])
+    rest = list(state[channels * (MOMENTS + 1) :])
+    result = Hemisphere(diffuse, rest[:harmonics], rest[harmonics:])
+    dr.eval(result.diffuse, result.visible, result.unoccluded)
+    return result
+
+
+def as_channels(color: Any, channels: int) -> list[Any]:
+    """Return a colour as 3 channels, or as 1: their mean."""
+    return list(color) if channels == 3 else [(color[0] + color[1] + color[2]) / 3]

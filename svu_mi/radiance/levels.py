@@ -1,0 +1,166 @@
+"""The light, filtered once for every width of the specular lobe."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.radiance import environment as env
+from svu_mi.radiance.environment import Environment
+from svu_mi.radiance.lighting import Lighting, lat_long_texture, look_up
+
+DELTA = 2e-3  # lobes narrower than this [rad] are mirrors at the resolution of any map
+NEGLIGIBLE = 1e-5  # part of a lobe's peak below which it is cut off
+COARSE = 12.0  # nodes of a level's map over a lobe's width alpha are enough
+FEWEST = 33  # rows of the coarsest map
+
+Profile = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Levels:
+    """Filtered light, one texture per level.
+
+    Attributes:
+        textures: R lat-long Texture2f of 3 channels, or of 1 when the light was made grey.
+        to_local: Matrix3f, world to local.
+    """
+
+    textures: tuple[Any, ...]
+    to_local: Any
+
+    @property
+    def count(self) -> int:
+        """Number of levels R."""
+        return len(self.textures)
+
+    def radiance(self, level: int, direction: Any) -> list[Any]:
+        """Look up one level *from* a world direction: a Float per channel."""
+        return look_up(self.textures[level], self.to_local @ mi.Vector3f(direction))
+
+
+def filter_light(
+    lighting: Lighting, widths: Sequence[float], profile: Callable[[float, np.ndarray], np.ndarray],
+    grey: bool = False,
+) -> Levels:
+    """Convolve the light with a lobe of every width.
+
+    Args:
+        lighting: the capture's light.
+        widths: R widths alpha.
+        profile: weight of a lobe of width alpha by the cosine from its centre, any scale.
+        grey: filter the mean of the channels only.
+    """
+    grid = resolved(lighting.environment)
+    grid = grid.mean(axis=2, keepdims=True) if grey else grid
+    textures = tuple(
+        lat_long_texture(convolve(grid, width, partial(profile, width))) for width in widths
+    )
+    return Levels(textures=textures, to_local=lighting.to_local)
+
+
+def resolved(environment: Environment) -> np.ndarray:
+    """Return the light on its lat-long grid (H, W, 3), a sun's disk spread over the nearest nodes.
+
+    Radiance is conserved in the sense of the grid's own quadrature.
+    """
+    grid = environment.radiance
+    if not len(environment.disk_weights):
+        return grid
+    rows, columns = grid.shape[:2]
+    solid = env.quadrature(rows) * (2 * np.pi / columns)
+    x, y, z = environment.disk_directions.T
+    row = np.rint(np.arccos(np.clip(y, -1, 1)) / np.pi * (rows - 1)).astype(int)
+    azimuth = np.arctan2(x, -z) / (2 * np.pi) % 1
+    column = np.floor(azimuth * columns).astype(int) % columns
+    flux = environment.disk_radiance * environment.disk_weights[:, None]
+    grid = grid.copy()
+    np.add.at(grid, (row, column), flux / solid[row, None])
+    return grid
+
+
+def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
+    """Average a lat-long grid under a lobe around every node: exact on the grid's quadrature.
+
+    Rows are convolved along the azimuth by FFT; only rows that the lobe reaches take part.
+    The lobe is normalised where it stands, so that a constant stays what it is.
+
+    Args:
+        grid: (H, W, C) on the nodes of ``environment.directions``.
+        width: alpha; about half the lobe's standard deviation.
+        profile: weight by the cosine from the lobe's centre.
+
+    Returns:
+        (H', W', C) float64 on a grid of the same kind, coarser for wide lobes.
+    """
+    if width < DELTA:
+        return grid
+    grid = _coarser(grid, width)
+    rows, columns = grid.shape[:2]
+    weights = env.quadrature(rows)
+    theta = np.pi * np.arange(rows) / (rows - 1)
+    turn = np.cos(2 * np.pi * np.arange(columns // 2 + 1) / columns)  # even: half is enough
+    spectrum = np.fft.rfft(grid * weights[:, None, None], axis=1)
+    reach = _reach(profile, rows)
+    result = np.empty_like(grid)
+    for i in range(rows):
+        near = slice(max(i - reach, 0), i + reach + 1)
+        cosine = np.cos(theta[i]) * np.cos(theta[near, None]) + (
+            np.sin(theta[i]) * np.sin(theta[near, None]) * turn
+        )
+        kernel = profile(np.clip(cosine, -1, 1))
+        full = np.concatenate([kernel, kernel[:, columns - columns // 2 - 1 : 0 : -1]], axis=1)
+        wave = np.fft.rfft(full, axis=1)
+        total = (full.sum(axis=1) * weights[near]).sum()
+        summed = np.einsum("jm,jmc->mc", wave, spectrum[near])
+        result[i] = np.fft.irfft(summed, n=columns, axis=0) / total
+    # FFT rounding can leave black a hair below zero.
+    return np.maximum(result, 0)
+
+
+def _reach(profile: Profile, rows: int) -> int:
+    """Rows to either side of a node that its lobe covers."""
+    angle = np.pi * np.arange(rows) / (rows - 1)
+    weight = profile(np.cos(angle))
+    above = np.flatnonzero(weight > NEGLIGIBLE * weight[0])
+    return int(above[-1]) + 1
+
+
+def _coarser(grid: np.ndarray, width: float) -> np.ndarray:
+    """Bring a grid down to as few nodes as still resolve a lobe.
+
+    Every node's light is shared among the two nearest new ones, per axis: none is lost.
+    """
+    rows, columns = grid.shape[:2]
+    fewer = max(int(np.ceil(COARSE / width)) + 1, FEWEST)
+    if fewer >= rows:
+        return grid
+    solid = env.quadrature(rows)
+    down = _shares(np.linspace(0, fewer - 1, rows), fewer, wrap=False)
+    across = 2 * (fewer - 1)
+    place = (np.arange(columns) + 0.5) * across / columns - 0.5
+    around = _shares(place, across, wrap=True)
+    moved = np.einsum("jr,r...->j...", down, grid * solid[:, None, None])
+    moved = np.einsum("ic,jc...->ji...", around, moved)
+    return moved / ((down @ solid)[:, None] * around.sum(axis=1))[..., None]
+
+
+def _shares(place: np.ndarray, count: int, wrap: bool) -> np.ndarray:
+    """(count, N): what each of N points gives to its two neighbours among ``count`` nodes."""
+    first = np.floor(place).astype(int)
+    part = place - first
+    second = first + 1
+    if wrap:
+        first, second = first % count, second % count
+    else:
+        second = np.minimum(second, count - 1)
+    shares = np.zeros((count, len(place)))
+    points = np.arange(len(place))
+    np.add.at(shares, (first, points), 1 - part)
+    np.add.at(shares, (second, points), part)
+    return shares
