@@ -91,7 +91,7 @@ def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:
     def read(column: Any) -> Any:
         return dr.gather(mi.Float, stats.values, column * stride + texel)
 
-    least = [scale * scale * read(start + c) for c in range(stats.channels)] if power else []
+    least = [scale * scale * read(start + c) for c in range(stats.channels)]
 
     def energies(row: Any) -> list[tuple[Any, list[Any]]]:
         level = row // problem.columns
