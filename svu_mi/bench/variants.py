@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
+from svu_mi.errors import OptionError
 from svu_mi.options import Preset, preset
+from svu_mi.pipeline import estimate
 
 
 @dataclass(frozen=True)
@@ -69,14 +71,14 @@ VARIANTS = SPECTRUM + ANGULAR
 
 
 def available(variants: tuple[Variant, ...] = VARIANTS) -> tuple[Variant, ...]:
-    """Return the variants whose presets this version knows."""
-    from svu_mi.errors import OptionError
+    """Return the variants that this version's ``estimate`` and presets know."""
+    methods = get_args(get_type_hints(estimate)["method"])
+    return tuple(v for v in variants if v.method in methods and _known(v))
 
-    found = []
-    for variant in variants:
-        try:
-            _ = variant.preset
-        except OptionError:
-            continue
-        found.append(variant)
-    return tuple(found)
+
+def _known(variant: Variant) -> bool:
+    try:
+        _ = variant.preset
+    except OptionError:
+        return False
+    return True
