@@ -43,7 +43,7 @@ class Pairs:
     Attributes:
         texel: (P,) int64, place of the texel in the batch.
         observed: (P,) float64, observed grey radiance.
-        rays: (P,) RayDifferential3f from the camera to the texel, world space.
+        rays: (P,) Ray3f from the camera to the texel, world space.
         dropped: number of visible pairs left out: their ray meets something else first.
     """
 
@@ -104,7 +104,7 @@ def visible_pairs(views: Views, texels: Texels, batch: Any, target: UniformScene
     return Pairs(
         texel=place.numpy().astype(np.int64),
         observed=observed.numpy().astype(np.float64),
-        rays=mi.RayDifferential3f(rays),
+        rays=rays,
         dropped=dr.width(visible) - dr.width(kept),
     )
 

@@ -199,13 +199,10 @@ class _Renderer:
         batches: int,
         update: Callable[[int, int], None],
     ) -> None:
-        self._target, self._pairs, self._samples = target, pairs, options.spp // 2
+        self._target, self._pairs, self._spp = target, pairs, options.spp
         self._integrator = path_integrator(options.max_depth)
-        # Own random numbers for each half and batch, the same for all psi.
-        self._seeds = [
-            int(np.random.default_rng((options.seed, batch, half)).integers(2**32))
-            for half in range(2)
-        ]
+        # Own random numbers for each batch, the same for all psi.
+        self._seed = int(np.random.default_rng((options.seed, batch)).integers(2**63))
         self._done, self._total = batch * options.renders, batches * options.renders
         self._update = update
 
@@ -213,18 +210,12 @@ class _Renderer:
         self, roughness: float, metallic: float, base_color: float
     ) -> tuple[np.ndarray, np.ndarray]:
         self._target.paint(roughness, metallic, base_color)
-        first, second = (self._half(seed) for seed in self._seeds)
+        halves = trace(
+            self._target.scene, self._integrator, self._pairs.rays, self._spp, self._seed
+        )
         self._done += 1
         self._update(self._done, self._total)
-        return first, second
-
-    def _half(self, seed: int) -> np.ndarray:
-        if self._pairs.count == 0:
-            return np.zeros(0)
-        radiance = trace(
-            self._target.scene, self._integrator, self._pairs.rays, self._samples, seed
-        )
-        return radiance.numpy().astype(np.float64)
+        return halves
 
 
 def _check_subset(subset: Any, count: int) -> int | np.ndarray:

@@ -6,8 +6,11 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from svu_mi.reference.pairs import grey
+
+LANES = 1 << 20  # paths in memory at a time
 
 
 def path_integrator(max_depth: int) -> Any:
@@ -19,27 +22,38 @@ def path_integrator(max_depth: int) -> Any:
     return mi.load_dict({"type": "path", "max_depth": max_depth})
 
 
-def trace(scene: Any, integrator: Any, rays: Any, samples: int, seed: int) -> Any:
-    """Average ``samples`` paths per ray: grey radiance, (P,) Float.
+def trace(
+    scene: Any, integrator: Any, rays: Any, samples: int, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Average two independent halves of ``samples`` paths per ray.
 
-    Samples are taken one after the other in one kernel, so memory grows with the rays alone.
-    Equal seeds give equal random numbers, whatever the material.
+    A lane traces one path, with random numbers of its own: for equal seeds they are the same
+    for every material, even where that makes paths longer or shorter, so part of the noise
+    cancels in the differences between materials, which are all that a posterior depends on.
+
+    Args:
+        scene: what is traced.
+        integrator: how; see ``path_integrator``.
+        rays: (P,) Ray3f.
+        samples: paths per ray, even.
+        seed: a whole number >= 0.
+
+    Returns:
+        (P,) and (P,) float64 grey radiance.
     """
+    count, half = dr.width(rays.o), samples // 2
+    result = np.zeros((count, 2))
+    size = max(LANES // samples, 1)
     sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(dr.opaque(mi.UInt32, seed), dr.width(rays))
     number = dr.opaque(mi.UInt32, samples)
-
-    def step(done: Any, total: Any, sampler: Any) -> tuple[Any, Any, Any]:
-        radiance, _, _ = integrator.sample(scene, sampler, rays)
-        return done + 1, total + grey(radiance), sampler
-
-    _, total, _ = dr.while_loop(
-        state=(mi.UInt32(0), dr.zeros(mi.Float, dr.width(rays)), sampler),
-        cond=lambda done, *_: done < number,
-        body=step,
-        labels=("done", "total", "sampler"),
-    )
-    mean = total / mi.Float(number)
-    # Now, since a lazy result would be computed with the material of a later call.
-    dr.eval(mean)
-    return mean
+    for slot, first in enumerate(range(0, count, size)):
+        span = slice(first, min(first + size, count))
+        lanes = (span.stop - first) * samples
+        own = np.random.default_rng((seed, slot)).integers(2**32)
+        sampler.seed(dr.opaque(mi.UInt32, int(own)), lanes)
+        index = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, lanes) // number
+        ray = mi.RayDifferential3f(dr.gather(mi.Ray3f, rays, index))
+        radiance, _, _ = integrator.sample(scene, sampler, ray)
+        # Read now: a lazy result would be computed with the material of a later call.
+        result[span] = dr.block_sum(grey(radiance), half).numpy().reshape(-1, 2) / half
+    return result[:, 0], result[:, 1]

@@ -1,0 +1,478 @@
+"""The path-traced reference: right, repeatable, and harmless to the capture."""
+
+from __future__ import annotations
+
+import warnings
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from helpers import ball, ball_scene, memory_capture, render_ball, write_ball
+
+from svu_mi.capture import mesh as capture_mesh
+from svu_mi.capture.poses import sphere_sensors
+from svu_mi.errors import CaptureError, OptionError, SvuWarning
+from svu_mi.posterior import PrincipledGrid
+from svu_mi.progress import Progress
+from svu_mi.reference import pairs, posterior, reference_posterior
+from svu_mi.reference.deviations import PerTexel, brute, linear
+from svu_mi.surface import texels
+
+GRID = PrincipledGrid(3, 3, 3)
+TRUTH = (1, 2, 1)  # cell of GRID
+SEED = 52673  # drawn
+
+
+def sky(gain: float = 1.0) -> dict[str, Any]:
+    """A soft gradient and two windows: every roughness looks different under it."""
+    image = np.full((16, 32, 3), 0.2, np.float32)
+    image[:8] += np.linspace(0.6, 0, 8, dtype=np.float32)[:, None, None]
+    image[3:6, 4:7] = (6, 5, 4)
+    image[8:11, 20:24] = (2, 3, 4)
+    return {"type": "envmap", "bitmap": mi.Bitmap(image * np.float32(gain))}
+
+
+def paint(roughness: float = 0.5, metallic: float = 1.0, base_color: float = 0.5) -> dict[str, Any]:
+    return {
+        "type": "principled",
+        "roughness": roughness,
+        "metallic": metallic,
+        "base_color": {"type": "rgb", "value": base_color},
+    }
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ball")
+    return render_ball(folder, sky(), paint(), views=24, resolution=(48, 48), spp=256)
+
+
+@pytest.fixture(scope="module")
+def layout(capture):
+    return texels(capture.mesh, 24)
+
+
+def energies(reference) -> np.ndarray:
+    return reference.posterior.energies
+
+
+def valley() -> capture_mesh.MeshArrays:
+    """Two squares that face each other across a right angle, one half of the chart each."""
+    x = np.array([0.0, 1.0])
+    left = [(u, v, 0.0) for v in x for u in x]
+    right = [(0.0, v, u) for v in x for u in x]
+    uvs = [(0.05 + 0.4 * u + side, 0.05 + 0.9 * v) for side in (0, 0.5) for v in x for u in x]
+    faces = [(0, 1, 3), (0, 3, 2), (4, 7, 5), (4, 6, 7)]
+    return capture_mesh.MeshArrays(np.array(left + right), np.array(faces), None, np.array(uvs))
+
+
+def valley_capture(tmp_path, max_depth: int):
+    path = tmp_path / "valley.ply"
+    capture_mesh.make("valley", valley()).write_ply(str(path))
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": max_depth},
+            "light": {"type": "constant"},
+            "valley": {
+                "type": "ply",
+                "filename": str(path),
+                "face_normals": True,
+                "bsdf": paint(1.0, 0.0, 1.0),
+            },
+        },
+        optimize=False,
+    )
+    sensors = sphere_sensors(scene.shapes()[0], 12, (32, 32))
+    images = [
+        np.array(mi.render(scene, sensor=sensor, spp=128, seed=k))[..., :3]
+        for k, sensor in enumerate(sensors)
+    ]
+    return memory_capture(scene, images, sensors)
+
+
+# --- right -------------------------------------------------------------------------------
+
+
+def test_four_corners_give_all_of_a_row_exactly_where_paths_are_shared(capture, layout):
+    """At metallic 0 and 1 sampling does not depend on the base colour: equal path by path."""
+    a, b = (
+        energies(reference_posterior(capture, layout, 30, 8, grid=GRID, method=m, seed=SEED))
+        for m in ("linear", "brute")
+    )
+    ends = [0, 2]
+    # Both sum the same float32 radiances in another order.
+    assert a[:, :, ends] == pytest.approx(b[:, :, ends], rel=1e-3, abs=1e-3)
+    assert not np.allclose(a[:, :, 1], b[:, :, 1], rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.slow
+def test_linear_and_brute_agree_within_their_noise(capture, layout):
+    """z-scores of the mean energy of each cell, over independent runs of both methods."""
+    runs = {
+        method: np.array(
+            [
+                energies(
+                    reference_posterior(
+                        capture, layout, np.arange(0, layout.count, 24), 16, grid=GRID,
+                        method=method, seed=SEED + 100 * offset + run,
+                    )
+                ).mean(axis=0)
+                for run in range(8)
+            ]
+        )
+        for offset, method in enumerate(("linear", "brute"))
+    }  # fmt: skip
+    means = {name: values.mean(axis=0) for name, values in runs.items()}
+    error = np.sqrt(sum(values.var(axis=0, ddof=1) / len(values) for values in runs.values()))
+    z = (means["linear"] - means["brute"]) / error
+    # |z| has mean 0.8; of 27 cells with Student's tails of 14 degrees, 4.5 is one in 200 runs.
+    assert np.abs(z).mean() < 1.4
+    assert np.abs(z).max() < 4.5
+    assert error.max() < 0.05 * means["brute"].max(), "too noisy to see a difference"
+
+
+def test_light_between_parts_needs_brute_force(tmp_path):
+    """In a white valley a third of the light comes by way of the other side."""
+    capture = valley_capture(tmp_path, max_depth=3)
+    layout = texels(capture.mesh, 16)
+    direct, bounced = (
+        reference_posterior(
+            capture, layout, 40, 128, grid=PrincipledGrid(2, 2, 2), method="brute",
+            max_depth=depth, seed=SEED,
+        )
+        for depth in (2, 3)
+    )  # fmt: skip
+    rough_white = (slice(None), 1, 0, 1)
+    seen = direct.posterior.observed
+    right, wrong = energies(bounced)[rough_white][seen], energies(direct)[rough_white][seen]
+    assert seen.sum() > 20
+    assert abs(right.mean()) < 0.2
+    assert wrong.mean() > 1
+    assert (wrong > right).mean() > 0.9
+
+
+def assert_finds_truth(reference, part: float = 0.95) -> None:
+    best = energies(reference).reshape(reference.count, -1).argmin(axis=1)
+    truth = np.ravel_multi_index(TRUTH, GRID.shape)
+    often = reference.coverage >= 4
+    assert often.sum() > 40
+    assert (best == truth)[often].mean() >= part
+
+
+def test_the_true_material_has_the_smallest_energy(capture, layout):
+    reference = reference_posterior(capture, layout, 200, 128, grid=GRID, seed=SEED)
+    assert reference.count == 200
+    assert reference.dropped <= 0.01 * reference.coverage.sum()
+    assert (reference.coverage > 0).all()
+    assert_finds_truth(reference)
+    # The neighbours in the grid are far away; what doubt there is has few views.
+    assert np.median(reference.entropy) < 0.05
+
+
+@pytest.mark.parametrize("kind", ["neighbour", "twosided", "flipped", "area light"])
+def test_the_rest_of_the_scene_stays(tmp_path, kind):
+    """Other shapes shade, other lights shine, and the object keeps its orientation."""
+    scene = {"type": "scene", "light": sky(), "ball": ball_part(tmp_path, kind, paint())}
+    if kind == "neighbour":
+        scene["lid"] = {
+            "type": "disk",
+            "to_world": mi.ScalarTransform4f().translate([0, 1.6, 0]).rotate([1, 0, 0], 90),
+            "bsdf": {"type": "twosided", "nested": {"type": "diffuse"}},
+        }
+    if kind == "area light":
+        scene["lamp"] = {
+            "type": "sphere",
+            "center": [0, 2.5, 0],
+            "radius": 0.4,
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [9, 7, 5]}},
+        }
+    made = mi.load_dict({"integrator": {"type": "path", "max_depth": 2}, **scene}, optimize=False)
+    sensors = sphere_sensors(made.shapes()[0], 20, (40, 40))
+    images = [
+        np.array(mi.render(made, sensor=sensor, spp=64, seed=k))[..., :3]
+        for k, sensor in enumerate(sensors)
+    ]
+    target = next(shape for shape in made.shapes() if shape.id() == "ball")
+    capture = memory_capture(made, images, sensors, shape=target, mesh=target)
+    reference = reference_posterior(
+        capture, texels(capture.mesh, 16), 80, 128, grid=GRID, seed=SEED
+    )
+    assert_finds_truth(reference, 0.9)
+
+
+def ball_part(tmp_path, kind: str, bsdf: dict[str, Any]) -> dict[str, Any]:
+    if kind == "flipped":
+        inside_out = ball()
+        path = write_ball(tmp_path, faces=inside_out.faces[:, ::-1], normals=-inside_out.normals)
+        return {"type": "ply", "filename": str(path), "flip_normals": True, "bsdf": bsdf}
+    if kind == "twosided":
+        bsdf = {"type": "twosided", "nested": bsdf}
+    return {"type": "ply", "filename": str(write_ball(tmp_path)), "bsdf": bsdf}
+
+
+def test_exposure_does_not_matter(tmp_path, capture, layout):
+    """Four times the light and four times the photographs: the same entropies."""
+    bright = memory_capture(
+        ball_scene(tmp_path, sky(4.0), paint()), [4 * i for i in capture.images], capture.sensors
+    )
+    a, b = (reference_posterior(c, layout, 50, 8, grid=GRID, seed=SEED) for c in (capture, bright))
+    assert b.scale == pytest.approx(4 * a.scale, rel=1e-5)
+    assert b.brightness == pytest.approx(4 * a.brightness, rel=1e-5)
+    assert b.entropy == pytest.approx(a.entropy, abs=1e-3)
+
+
+def test_two_halves_take_the_noise_out_of_squares():
+    """E[(b - A)(b - B)] is (b - r)^2; the square of one half has the variance on top."""
+    rng = np.random.default_rng(SEED)
+    grid, deviation, count = PrincipledGrid(2, 3, 3), 0.1, 20_000
+
+    def exact(roughness: float, metallic: float, base_color: float) -> float:
+        diffuse, coat, metal = 1 + roughness, 0.3 - 0.2 * roughness, 2 - roughness
+        return (1 - metallic) * (base_color * diffuse + coat) + metallic * base_color * metal
+
+    def render(*psi: float) -> tuple[np.ndarray, np.ndarray]:
+        return tuple(exact(*psi) + deviation * rng.standard_normal((2, count)))
+
+    observed = np.full(count, exact(1.0, 0.5, 0.5))
+    truth = np.array(
+        [(observed[0] - exact(*(float(n) for n in psi))) ** 2 for psi in nodes(grid)]
+    ).reshape(grid.shape)
+    mean = PerTexel(np.zeros(count, np.int64), 1)
+    for derive in (linear, brute):
+        cross, first, second = derive(observed, mean, grid, render)[:, 0]
+        # Five standard errors of a mean of products of two normal deviates.
+        error = 5 * (deviation**2 + 2 * deviation * np.sqrt(truth)) / np.sqrt(count)
+        assert (np.abs(cross - truth) < error).all(), derive.__name__
+        # Mixing four renders lowers the variance, to a quarter at most.
+        assert (np.minimum(first, second) - truth > 0.2 * deviation**2 - error).all()
+        assert first[1, 1, 1] > 0.2 * deviation**2 > 4 * abs(cross[1, 1, 1])
+
+
+def nodes(grid: PrincipledGrid) -> list[tuple[float, ...]]:
+    mesh = np.meshgrid(*grid.axes.values(), indexing="ij")
+    return list(zip(*(axis.ravel() for axis in mesh), strict=True))
+
+
+def test_few_paths_do_not_bias_the_energies(capture, layout):
+    """At the true psi, mean energies of 2 paths match those of 256; squares of one do not."""
+    some = np.arange(0, layout.count, 4)
+    cell = (slice(None), *TRUTH)
+    exact = energies(reference_posterior(capture, layout, some, 256, grid=GRID))[cell].mean()
+    runs = [
+        reference_posterior(capture, layout, some, 2, grid=GRID, seed=SEED + k) for k in range(6)
+    ]
+    cross = np.array([energies(run)[cell].mean() for run in runs])
+    naive = np.array([run.halves[0].energies[cell].mean() for run in runs])
+    error = cross.std(ddof=1) / np.sqrt(len(cross))
+    assert abs(cross.mean() - exact) < 5 * error
+    assert naive.mean() - exact > 10 * error
+
+
+# --- what it is made of --------------------------------------------------------------------
+
+
+def test_batches_change_nothing_but_the_random_numbers(capture, layout, monkeypatch):
+    whole = reference_posterior(capture, layout, 60, 32, grid=GRID, seed=SEED)
+    monkeypatch.setattr(posterior, "LANES", 600)  # 25 texels of 24 views
+    parts = reference_posterior(capture, layout, 60, 32, grid=GRID, seed=SEED)
+    assert np.array_equal(parts.subset, whole.subset)
+    assert np.array_equal(parts.coverage, whole.coverage)
+    assert parts.brightness == pytest.approx(whole.brightness, rel=1e-6)
+    assert parts.rays == whole.rays == whole.coverage.sum() * 3 * 4 * 32
+    assert np.median(np.abs(parts.entropy - whole.entropy)) < 0.05
+
+
+def test_rays_that_miss_are_left_out(capture, layout, monkeypatch):
+    monkeypatch.setattr(pairs, "TOLERANCE", 0.0)
+    reference = reference_posterior(capture, layout, 20, 2, grid=GRID)
+    assert reference.dropped > 20
+    assert reference.rays == 0
+    assert not reference.posterior.observed.any()
+    assert (reference.entropy == 1).all()
+    assert np.isnan(reference.split_half().correlation)
+
+
+def test_a_texel_nobody_sees_has_entropy_one(capture, layout):
+    masks = tuple(np.arange(48 * 48).reshape(48, 48) % 48 < 24 for _ in capture.images)
+    half = replace(capture, masks=masks)
+    reference = reference_posterior(half, layout, np.arange(layout.count), 2, grid=GRID)
+    unseen = reference.coverage == 0
+    assert np.array_equal(reference.posterior.observed, ~unseen)
+    assert (reference.entropy[unseen] == 1).all()
+    drawn = reference_posterior(half, layout, layout.count, 2, grid=GRID)
+    assert np.array_equal(drawn.subset, np.flatnonzero(~unseen))
+
+
+def test_split_half_tells_noise(capture, layout):
+    reference = reference_posterior(capture, layout, 100, 64, grid=PrincipledGrid(4, 4, 4))
+    correlation, first, second = reference.split_half()
+    assert first.shape == second.shape == (100,)
+    assert not np.array_equal(first, second)
+    assert correlation == pytest.approx(np.corrcoef(first, second)[0, 1])
+    assert 0.8 < correlation < 1
+
+
+def test_no_psi_and_no_batch_compiles_a_kernel(capture, layout, monkeypatch):
+    """After two renders of the first batch, everything is found in the cache."""
+    monkeypatch.setattr(posterior, "LANES", 600)
+    done: list[int] = []
+
+    class Watch(Progress):
+        @contextmanager
+        def _shown(self, *_: Any):
+            yield self
+
+        def update(self, now: int, _total: int) -> None:
+            done.append(now)
+            if now == 2:
+                dr.kernel_history_clear()
+
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        reference_posterior(capture, layout, 60, 4, grid=GRID, progress=Watch())
+        history = dr.kernel_history((dr.KernelType.JIT,))
+    assert done == list(range(1, 37))
+    assert len(history) >= 34
+    assert all(entry["cache_hit"] for entry in history)
+
+
+def test_the_capture_is_not_touched(capture, layout):
+    def state() -> dict[str, Any]:
+        params = mi.traverse(capture.scene)
+        return {name: np.array(getattr(value, "matrix", value)) for name, value in params}
+
+    def picture() -> np.ndarray:
+        return np.array(mi.render(capture.scene, sensor=capture.sensors[0], spp=4, seed=SEED))
+
+    before, image = state(), picture()
+    reference_posterior(capture, layout, 10, 2, grid=GRID)
+    after = state()
+    assert before.keys() == after.keys()
+    assert all(np.array_equal(before[name], after[name]) for name in before)
+    assert np.array_equal(picture(), image)
+
+
+# --- cache -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def traced(monkeypatch):
+    """Counts how often anything is traced."""
+    calls: list[int] = []
+    trace = posterior.trace
+
+    def counted(*args, **kwargs):
+        calls.append(1)
+        return trace(*args, **kwargs)
+
+    monkeypatch.setattr(posterior, "trace", counted)
+    return calls
+
+
+def test_a_cached_reference_is_not_traced_again(capture, layout, tmp_path, traced):
+    first = reference_posterior(capture, layout, 20, 2, grid=GRID, cache=tmp_path / "new")
+    count = len(traced)
+    second = reference_posterior(capture, layout, 20, 2, grid=GRID, cache=tmp_path / "new")
+    assert count > 0
+    assert len(traced) == count
+    assert (first.cached, second.cached) == (False, True)
+    for name in ("subset", "brightness", "coverage", "entropy"):
+        assert np.array_equal(getattr(first, name), getattr(second, name)), name
+    for name in ("scale", "seconds", "rays", "dropped", "spp", "max_depth", "method"):
+        assert getattr(first, name) == getattr(second, name), name
+    assert np.array_equal(energies(first), energies(second))
+    assert second.split_half().correlation == first.split_half().correlation
+
+
+@pytest.mark.slow
+def test_whatever_matters_misses_the_cache(capture, layout, tmp_path, traced):
+    def run(capture=capture, subset=20, spp=2, **changes: Any) -> bool:
+        options = {"grid": GRID, "seed": 1, **changes}
+        return not reference_posterior(
+            capture, layout, subset, spp, cache=tmp_path, **options
+        ).cached
+
+    assert run()
+    assert not run()
+    images = list(capture.images)
+    images[3] = images[3].copy()
+    images[3][24, 24] *= 1.5
+    assert run(replace(capture, images=tuple(images)))
+    masks = (np.ones((48, 48), bool), *capture.masks[1:])
+    assert run(replace(capture, masks=masks))
+    assert run(replace(capture, sensors=capture.sensors[1:] + capture.sensors[:1]))
+    assert run(replace(capture, used=(False, *capture.used[1:])))
+    other = ball_scene(tmp_path, sky(1.5), paint())
+    assert run(replace(capture, scene=other, shape=other.shapes()[0]))
+    assert run(subset=21)
+    assert run(subset=np.arange(20))
+    assert run(spp=4)
+    assert run(seed=2)
+    assert run(sigma=0.1)
+    assert run(grid=PrincipledGrid(3, 3, 2))
+    assert run(method="brute")
+    assert not run()
+
+
+@pytest.mark.parametrize("damage", ["truncated", "empty", "not an archive", "wrong content"])
+def test_a_damaged_cache_is_traced_again(capture, layout, tmp_path, damage):
+    first = reference_posterior(capture, layout, 20, 2, grid=GRID, cache=tmp_path)
+    (path,) = tmp_path.glob("*.npz")
+    whole = path.read_bytes()
+    if damage == "wrong content":
+        np.savez(path, subset=np.zeros(3))
+    else:
+        path.write_bytes(
+            {"truncated": whole[: len(whole) // 2], "empty": b"", "not an archive": b"x" * 99}[
+                damage
+            ]
+        )
+    with pytest.warns(SvuWarning, match="traced again"):
+        again = reference_posterior(capture, layout, 20, 2, grid=GRID, cache=tmp_path)
+    assert not again.cached
+    assert np.array_equal(energies(again), energies(first))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert reference_posterior(capture, layout, 20, 2, grid=GRID, cache=tmp_path).cached
+
+
+# --- bad input ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"spp": 1}, "spp must be even and at least 2, got 1"),
+        ({"spp": 33}, "spp must be even and at least 2, got 33"),
+        ({"spp": 4.0}, "spp must be even and at least 2, got 4.0"),
+        ({"subset": 0}, "number of texels >= 1, got 0"),
+        ({"subset": [0, 10**6]}, "names texel 1000000, but there are texels 0 to"),
+        ({"subset": [-1]}, "names texel -1"),
+        ({"subset": [0.5]}, "list of texel indices"),
+        ({"subset": []}, "list of texel indices"),
+        ({"sigma": 0}, "sigma must be above 0"),
+        ({"sigma": np.nan}, "sigma must be above 0"),
+        ({"max_depth": 1}, "max_depth must be at least 2"),
+        ({"max_depth": 3}, "use method='brute' for max_depth 3"),
+        ({"method": "magic"}, "method must be linear or brute, got 'magic'"),
+        ({"seed": -1}, "seed must be a whole number >= 0"),
+    ],
+)
+def test_bad_options_are_refused_in_a_sentence(capture, layout, changes, sentence):
+    with pytest.raises(OptionError) as caught:
+        reference_posterior(capture, layout, **{"subset": 5, "spp": 2, **changes})
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_nothing_seen_and_nothing_bright_are_refused(capture, layout):
+    nothing = tuple(np.zeros((48, 48), bool) for _ in capture.images)
+    with pytest.raises(CaptureError, match="No texel of 'ball' is seen"):
+        reference_posterior(replace(capture, masks=nothing), layout, 5, 2)
+    black = tuple(np.zeros_like(image) for image in capture.images)
+    with pytest.raises(CaptureError, match="is black"):
+        reference_posterior(replace(capture, images=black), layout, 5, 2)
