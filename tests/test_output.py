@@ -226,8 +226,12 @@ class FakePosterior:
     specular: np.ndarray
     grid: ParameterGrid = ParameterGrid(roughness=4, specular=5, spacing="uniform")
 
-    def marginal(self, name):
-        return mi.TensorXf(self.rough if name == "roughness" else self.specular)
+    @property
+    def axes(self):
+        return self.grid.axes
+
+    def marginal(self, name, chosen):
+        return mi.TensorXf((self.rough if name == "roughness" else self.specular)[chosen])
 
 
 def dome() -> mi.Mesh:

@@ -95,7 +95,8 @@ class Entropy(Common):
     """Id of the object, if the scene has several."""
     resolution: Resolution = (512,)
     """Texels per side, or width and height."""
-    method: Literal["spectrum"] = "spectrum"
+    method: Literal["angular", "spectrum"] = "angular"
+    """angular compares radiance by statistics of all views; spectrum, power spectra (the paper)."""
     preset: Literal["default", "paper", "fast"] = "default"
     unwrap: bool = False
     """Lay out new UVs even if the mesh has some."""

@@ -24,6 +24,7 @@ OUTSIDE = (0.95, 0.95, 0.96)
 INK, FAINT, RULE = "#26262b", "#6f6f78", "#c4c4cb"
 THIN_SPACE = "\u2009"
 CERTAIN_PART = 0.1  # the most certain texels, whose marginals are shown beside the mean
+SAMPLE = 4_000  # texels that a mean marginal is taken over
 
 
 @dataclass(frozen=True)
@@ -79,15 +80,16 @@ def write_overview(capture: Any, estimate: Any, path: str | Path) -> None:
     _heading(figure, capture, estimate, result)
     objects = figure.add_gridspec(1, 4, left=LEFT, right=RIGHT, top=0.86, bottom=0.455, wspace=0.03)
     maps = figure.add_gridspec(1, 2, left=LEFT, right=0.485, top=0.405, bottom=0.075, wspace=0.09)
+    parameters = list(estimate.posterior.axes)
     plots = figure.add_gridspec(
-        2, 2, left=0.535, right=RIGHT, top=0.405, bottom=0.04, hspace=0.6, wspace=0.14
+        2, len(parameters), left=0.535, right=RIGHT, top=0.405, bottom=0.04, hspace=0.6, wspace=0.2
     )
     _object_row(figure, objects, capture, estimate, result)
     _entropy_map(figure, figure.add_subplot(maps[0, 0]), estimate, result)
     _coverage_map(figure, figure.add_subplot(maps[0, 1]), capture, estimate, result)
     _histogram(figure.add_subplot(plots[0, :]), result)
-    _marginal(figure.add_subplot(plots[1, 0]), estimate, result, "roughness")
-    _marginal(figure.add_subplot(plots[1, 1]), estimate, result, "specular")
+    for column, name in enumerate(parameters):
+        _marginal(figure.add_subplot(plots[1, column]), estimate, result, name)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png")
 
@@ -106,7 +108,7 @@ def _heading(figure: Figure, capture: Any, estimate: Any, result: Result) -> Non
         f"{np.nansum(list(estimate.timings.values())):.1f} s",
     )
     figure.text(
-        LEFT, 0.962, "What the photographs say about roughness and specular",
+        LEFT, 0.962, "What the photographs say about the reflectance",
         size=19, weight="bold", color=INK, va="center",
     )  # fmt: skip
     figure.text(LEFT, 0.922, "   ·   ".join(words), size=11.5, color=FAINT, va="center")
@@ -231,27 +233,35 @@ def _histogram(axes: Axes, result: Result) -> None:
 
 def _marginal(axes: Axes, estimate: Any, result: Result, name: str) -> None:
     """Mean marginal over the texels seen, and over the most certain of them."""
-    _title(axes, f"Posterior of {name}")
+    words = name.replace("_", " ")
+    _title(axes, f"Posterior of {words}")
     _plain(axes)
     if not result.seen.any():
         _nothing(axes)
         return
-    nodes = getattr(estimate.posterior.grid, f"{name}_nodes")
-    p = np.array(estimate.posterior.marginal(name))
-    channels = p.reshape(len(p), len(nodes), -1)
+    nodes = estimate.posterior.axes[name]
     limit = np.quantile(result.entropy[result.seen], CERTAIN_PART)
     certain = result.seen & (result.entropy <= limit)
-    colors = ("#c23b3b", "#2f8f4e", "#3566b8") if channels.shape[2] == 3 else (INK,)
+
+    def mean(of: np.ndarray) -> np.ndarray:
+        every = np.flatnonzero(of)
+        some = every[:: max(len(every) // SAMPLE, 1)]
+        p = np.array(estimate.posterior.marginal(name, some))
+        return p.reshape(len(some), len(nodes), -1).mean(axis=0)
+
+    means = {True: mean(certain), False: mean(result.seen)}
+    channels = means[False].shape[1]
+    colors = ("#c23b3b", "#2f8f4e", "#3566b8") if channels == 3 else (INK,)
     for k, color in enumerate(colors):
-        axes.plot(nodes, channels[result.seen, :, k].mean(axis=0), "o-", color=color, lw=1.8, ms=3)
-        axes.plot(nodes, channels[certain, :, k].mean(axis=0), color=color, lw=1.2, ls=(0, (3, 2)))
+        axes.plot(nodes, means[False][:, k], "o-", color=color, lw=1.8, ms=3)
+        axes.plot(nodes, means[True][:, k], color=color, lw=1.2, ls=(0, (3, 2)))
     axes.axhline(1 / len(nodes), color=RULE, lw=1, zorder=0)
     axes.set(xlim=(0, 1), ylim=(0, None))
-    for style, words in (("o-", "mean of all seen"), ("--", "of the most certain 10 %")):
-        axes.plot([], [], style, color=INK, lw=1.4, ms=3, label=words)
+    for style, label in (("o-", "mean of all seen"), ("--", "of the most certain 10 %")):
+        axes.plot([], [], style, color=INK, lw=1.4, ms=3, label=label)
     axes.legend(fontsize=8.5, frameon=False, labelcolor=INK, loc="best")
-    if channels.shape[2] == 3:
-        _title(axes, f"Posterior of {name}: R, G, B")
+    if channels == 3:
+        _title(axes, f"Posterior of {words}: R, G, B")
 
 
 def _colorbar(figure: Figure, axes: Axes, name: str, scale: Any, label: str) -> Any:

@@ -40,8 +40,8 @@ class AngularPosterior(Posterior):
     def _entropy_of_all(self) -> Any:
         return kernel.entropy(self.problem)
 
-    def _tables(self, span: slice) -> tuple[np.ndarray, np.ndarray]:
-        base, offsets = kernel.tables(self.problem, span.start, span.stop - span.start)
+    def _tables(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        base, offsets = kernel.tables(self.problem, chosen)
         return streaming.probabilities(base, offsets, self.grid.shape)
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from svu_mi.angular import Statistics
 from svu_mi.angular.statistics import FIELDS
 from svu_mi.brdf.principled import F0
+from svu_mi.interop import owned
 from svu_mi.posterior import streaming
 
 
@@ -60,17 +61,19 @@ def entropy(problem: Problem) -> Any:
     return streaming.entropy(energies, count, problem.rows, len(problem.cells))
 
 
-def tables(problem: Problem, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the energies of ``count`` texels, for everything that is not the hot path.
+def tables(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the energies of t chosen texels, for everything that is not the hot path.
 
     Returns:
         (t, rows) float64, smallest energy of each row; (t, rows, G, cells) float32, energies
         relative to their group's smallest.
     """
+    count = len(chosen)
     lane = dr.arange(mi.UInt32, count * problem.rows)
     rows = dr.opaque(mi.UInt32, problem.rows)
-    texel = lane // rows
-    groups = _row_energies(problem, dr.opaque(mi.UInt32, first) + texel)(lane - texel * rows)
+    place = lane // rows
+    texel = dr.gather(mi.UInt32, owned(mi.UInt32, chosen), place)
+    groups = _row_energies(problem, texel)(lane - place * rows)
     base = sum(low for low, _ in groups)
     columns = [offset for _, offsets in groups for offset in offsets]
     dr.eval(base, columns)

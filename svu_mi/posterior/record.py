@@ -54,8 +54,15 @@ class Posterior(ABC):
         """Normalised entropy, (T,) Float, of texels as if all were observed; T > 0."""
 
     @abstractmethod
-    def _tables(self, span: slice) -> tuple[np.ndarray, np.ndarray]:
-        """Return p (t, *grid, G) float32, and the index of the best node (t, axes, G)."""
+    def _tables(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return p and the best nodes of some texels, as if they were observed.
+
+        Args:
+            chosen: (t,) int64 indices of texels.
+
+        Returns:
+            p (t, *grid, G) float32, and the index of the best node (t, axes, G).
+        """
 
     def entropy(self) -> Any:
         """Return H = -1/log(n) sum p log p, (T,) TensorXf in [0, 1] (Eq. 5).
@@ -81,35 +88,52 @@ class Posterior(ABC):
         marginalised.
 
         Raises:
-            OptionError: it would take more than 2 GiB; ask for marginals instead.
+            OptionError: it would take more than 2 GiB; ask for ``probabilities_of`` some.
         """
-        shape = (self.count, *self.grid.shape, self.groups)
+        return self.probabilities_of(np.arange(self.count))
+
+    def probabilities_of(self, chosen: Any) -> Any:
+        """Return p of some texels.
+
+        Args:
+            chosen: (t,) indices of texels.
+
+        Returns:
+            TensorXf (t, *grid) or (t, *grid, 3), as ``probabilities`` has it.
+
+        Raises:
+            OptionError: an index outside [0, T), or a result of more than 2 GiB.
+        """
+        chosen = self._indices(chosen)
+        shape = (len(chosen), *self.grid.shape, self.groups)
         if np.prod(shape, dtype=float) > MAX_PROBABILITIES:
             raise OptionError(
                 f"Posterior.probabilities: {shape} values do not fit in 2 GiB; use entropy(), "
-                "marginal() or map(), or estimate fewer texels."
+                "marginal(), map(), or probabilities_of() fewer texels."
             )
         result = np.empty(shape, np.float32)
-        for span in self._chunks():
-            result[span] = self._tables(span)[0]
-        result[~self.observed] = 1 / np.prod(self.grid.shape)
+        for span in self._chunks(len(chosen)):
+            result[span] = self._tables(chosen[span])[0]
+        result[~self.observed[chosen]] = 1 / np.prod(self.grid.shape)
         return _tensor(result if self.groups > 1 else result[..., 0])
 
-    def marginal(self, name: str) -> Any:
+    def marginal(self, name: str, chosen: Any | None = None) -> Any:
         """Return the marginal of one parameter.
 
         Args:
             name: a name of ``axes``.
+            chosen: (t,) indices of texels; all by default.
 
         Returns:
-            (T, nodes); or (T, nodes, 3) when each channel has its own and they differ, which
-            they do not for roughness.
+            (t, nodes); or (t, nodes, 3) when each channel has its own and they differ, which
+            they do not for what channels share (roughness, metallic).
 
         Raises:
-            OptionError: an unknown parameter.
+            OptionError: an unknown parameter, or an index outside [0, T).
         """
         self._check_parameter(name)
-        return _tensor(self._summary[0][name].copy())
+        summary = self._summary if chosen is None else self._summarize(self._indices(chosen))
+        return _tensor(summary[0][name].copy())
 
     def marginal_entropy(self, name: str) -> Any:
         """Return the normalised entropy of a marginal: (T,), or (T, 3) per channel."""
@@ -127,24 +151,29 @@ class Posterior(ABC):
 
     @cached_property
     def _summary(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        return self._summarize(np.arange(self.count))
+
+    def _summarize(self, chosen: np.ndarray) -> tuple[dict[str, Any], dict[str, Any]]:
         """Marginals and the most probable cell, from one pass over the probabilities."""
         axes, groups = self.axes, self.groups
         marginals: dict[str, Any] = {
-            name: np.full((self.count, len(nodes), groups), 1 / len(nodes), np.float32)
+            name: np.full((len(chosen), len(nodes), groups), 1 / len(nodes), np.float32)
             for name, nodes in axes.items()
         }
-        best = np.empty((self.count, len(axes), groups), np.int64)
-        for span in self._chunks():
-            p, best[span] = self._tables(span)
-            seen = self.observed[span]
+        best = np.empty((len(chosen), len(axes), groups), np.int64)
+        observed = self.observed[chosen]
+        for span in self._chunks(len(chosen)):
+            p, best[span] = self._tables(chosen[span])
+            seen = observed[span]
             for axis, marginal in enumerate(marginals.values(), 1):
                 others = tuple(k for k in range(1, len(axes) + 1) if k != axis)
                 marginal[span][seen] = p.sum(axis=others)[seen]
-        best[~self.observed] = np.array(self.grid.shape)[:, None] // 2
+        best[~observed] = np.array(self.grid.shape)[:, None] // 2
         values: dict[str, Any] = {
             name: nodes[best[:, k]] for k, (name, nodes) in enumerate(axes.items())
         }
-        shared = [name for name in axes if groups == 1 or name == "roughness"]
+        # Only the last parameter is a channel's own.
+        shared = list(axes) if groups == 1 else list(axes)[:-1]
         for table in (marginals, values):
             table.update({name: table[name][..., 0] for name in shared})
         return marginals, values
@@ -167,10 +196,19 @@ class Posterior(ABC):
         divergence = (p * log_p).sum(axis=1)[:, None] - p @ log_q.T
         return _tensor(np.maximum(divergence, 0) / self.groups)
 
-    def _chunks(self) -> Iterator[slice]:
+    def _chunks(self, count: int) -> Iterator[slice]:
         size = max(CHUNK // (int(np.prod(self.grid.shape)) * self.groups), 1)
-        for first in range(0, self.count, size):
-            yield slice(first, min(first + size, self.count))
+        for first in range(0, count, size):
+            yield slice(first, min(first + size, count))
+
+    def _indices(self, chosen: Any) -> np.ndarray:
+        indices = np.array(chosen, np.int64).reshape(-1)
+        if len(indices) and not (indices.min() >= 0 and indices.max() < self.count):
+            raise OptionError(
+                f"Posterior: texels are numbered 0 to {self.count - 1}, got "
+                f"{indices.min()} to {indices.max()}."
+            )
+        return indices
 
     def _check_parameter(self, name: str) -> None:
         if name not in self.axes:

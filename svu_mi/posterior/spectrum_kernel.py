@@ -20,6 +20,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.interop import owned
 from svu_mi.posterior import streaming
 
 Scaled = list[tuple[list[Any], list[Any]]]  # per group: S_L and S_B over sqrt(2) sigma
@@ -135,16 +136,18 @@ def _energies(specular: np.ndarray, S_L: list, S_B: list, decay: list) -> list[A
     return [dr.fma(dr.fma(c, K, -2 * slope), K, least) for K in offsets]
 
 
-def tables(problem: Problem, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the energies of ``count`` texels, for everything that is not the hot path.
+def tables(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the energies of t chosen texels, for everything that is not the hot path.
 
     Returns:
         (T, R) float64: the smallest energy of each roughness, relative to the texel's
         smallest; (T, R, G, S) float32: energies of each Ks relative to that, per group.
     """
     rows, groups, nodes = problem.rows, len(problem.groups), len(problem.specular)
+    count = len(chosen)
     lane = dr.arange(mi.UInt32, count * rows)
-    texel, row = dr.opaque(mi.UInt32, first) + lane // rows, lane % rows
+    row = lane % rows
+    texel = dr.gather(mi.UInt32, owned(mi.UInt32, chosen), lane // rows)
     base, columns = mi.Float64(0), []
     for low, offsets in _row_energies(
         problem, _spectra(problem, texel), _power(problem, texel), row

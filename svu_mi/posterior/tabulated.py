@@ -48,6 +48,6 @@ class TabulatedPosterior(Posterior):
         mean = np.einsum("tn,tn->t", p, np.minimum(x, 1e4)) / z
         return owned(mi.Float, np.clip((np.log(z) + mean) / np.log(x.shape[1]), 0, 1))
 
-    def _tables(self, span: slice) -> tuple[np.ndarray, np.ndarray]:
-        seen = self.observed[span].reshape(-1, *(1,) * len(self.grid.shape))
-        return normalized(np.where(seen, self.energies[span], 0.0))
+    def _tables(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        seen = self.observed[chosen].reshape(-1, *(1,) * len(self.grid.shape))
+        return normalized(np.where(seen, self.energies[chosen], 0.0))
