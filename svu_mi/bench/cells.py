@@ -29,6 +29,7 @@ class Settings:
         seed: of photographs and reference.
         speed_film: pixels per side of the photographs that run times are measured on.
         repeats: warm runs of which the median is taken.
+        stride: of the points of each scaling curve, only every so many-th is measured.
     """
 
     views: int = 60
@@ -40,12 +41,13 @@ class Settings:
     seed: int = 0
     speed_film: int = 512
     repeats: int = 5
+    stride: int = 1
 
 
 FULL = Settings()
 QUICK = Settings(
     views=24, film=128, spp=16, texels=256, reference_texels=200, reference_spp=64,
-    speed_film=128, repeats=3,
+    speed_film=128, repeats=3, stride=2,
 )  # fmt: skip
 
 

@@ -129,7 +129,9 @@ def _time_error(record: Record) -> Figure:
     axes.set_xlabel("run time for all texels (warm)")
     axes.set_ylabel("error: 1 - Pearson correlation with the reference")
     count = len(record["cells"])
-    of = f"Mean over {count} cells; bars: 95 % over objects" if count > 1 else "One cell"
+    of = f"Mean over {count} cells" if count > 1 else "One cell"
+    if any(row["pearson"]["low"] is not None for row in estimators):
+        of += "; bars: 95 % over objects"
     axes.set_title(of, fontsize=10, color=INK)
     axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     _tidy(axes)
@@ -185,7 +187,7 @@ def _scaling(record: Record) -> Figure:
         axes.set_ylabel("1 - Pearson")
         _from_zero(axes)
         if axes.get_legend_handles_labels()[1]:
-            axes.legend(frameon=False, fontsize=8, loc="lower right")
+            axes.legend(frameon=False, fontsize=8, loc="best")
         _tidy(axes)
     figure.suptitle(record["speed"]["cell"], fontsize=10, color=INK)
     return figure

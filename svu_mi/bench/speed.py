@@ -108,21 +108,26 @@ def time_estimators(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> di
 # --- scaling ------------------------------------------------------------------------------
 
 
+def _points(bench: Bench, values: tuple[int, ...]) -> tuple[int, ...]:
+    return values[:: bench.settings.stride]
+
+
 def by_degree(bench: Bench, cell: Cell, variant: Variant) -> list[Row]:
     """Time and agreement by highest degree l*; empty for an estimator without degrees."""
     if variant.method != "spectrum":
         return []
-    return _rows(
-        bench, cell, variant, "degree",
-        [(d, replace(variant, switches={**variant.switches, "degree": d}), {}) for d in DEGREES],
-    )  # fmt: skip
+    changed = {
+        degree: replace(variant, switches={**variant.switches, "degree": degree})
+        for degree in _points(bench, DEGREES)
+    }
+    return _rows(bench, cell, variant, "degree", [(d, v, {}) for d, v in changed.items()])
 
 
 def by_grid(bench: Bench, cell: Cell, variant: Variant) -> list[Row]:
     """Time and agreement by number of nodes per axis of the posterior's grid."""
     capture, grid, _ = _setting(bench, cell)
     shape: Any = run_warm(capture, grid, variant).estimate.posterior.grid
-    sizes = [n for n in NODES if n ** len(shape.axes) <= MAX_CELLS]
+    sizes = [n for n in _points(bench, NODES) if n ** len(shape.axes) <= MAX_CELLS]
     return _rows(
         bench, cell, variant, "grid",
         [(n, variant, {"grid": replace(shape, **dict.fromkeys(shape.axes, n))}) for n in sizes],
@@ -145,7 +150,8 @@ def by_views(bench: Bench, cell: Cell, variant: Variant) -> list[Row]:
 def by_samples(bench: Bench, cell: Cell) -> list[Row]:
     """Time of the reference by samples per ray, and agreement with its largest number."""
     capture, grid, _ = _setting(bench, cell)
-    counts = [spp for spp in SAMPLES if spp <= bench.settings.reference_spp]
+    most = bench.settings.reference_spp
+    counts = [spp for spp in _points(bench, SAMPLES) if spp < most] + [most]
     found = []
     for spp in counts:
         with bench.progress.stage(f"Reference with {spp} samples"):
@@ -155,7 +161,7 @@ def by_samples(bench: Bench, cell: Cell) -> list[Row]:
         {
             "value": spp,
             "seconds": reference.seconds,
-            # The largest agrees with itself; its own noise is what its two halves say.
+            # The largest agrees with itself; what noise it has is seen in its two halves.
             "pearson": metrics.pearson(reference.entropy, best) if spp < counts[-1] else None,
         }
         for spp, reference in zip(counts, found, strict=True)
@@ -186,7 +192,9 @@ def _row(
     reference: Any,
     options: dict[str, Any],
 ) -> Row:
-    runs = [run_warm(capture, grid, variant, **options) for _ in range(bench.settings.repeats)]
+    # Half as many as for the table of run times: there are many points.
+    repeats = range((bench.settings.repeats + 1) // 2)
+    runs = [run_warm(capture, grid, variant, **options) for _ in repeats]
     seen = np.array(reference.coverage) > 0
     entropy = np.array(runs[0].estimate.entropy)[np.array(reference.subset)[seen]]
     return {
