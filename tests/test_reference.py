@@ -18,7 +18,7 @@ from svu_mi.capture.poses import sphere_sensors
 from svu_mi.errors import CaptureError, OptionError, SvuWarning
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.progress import Progress
-from svu_mi.reference import pairs, posterior, reference_posterior
+from svu_mi.reference import pairs, posterior, reference_posterior, trace
 from svu_mi.reference.deviations import PerTexel, brute, linear
 from svu_mi.surface import texels
 
@@ -181,7 +181,10 @@ def test_the_rest_of_the_scene_stays(tmp_path, kind):
     if kind == "neighbour":
         scene["lid"] = {
             "type": "disk",
-            "to_world": mi.ScalarTransform4f().translate([0, 1.6, 0]).rotate([1, 0, 0], 90),
+            "to_world": mi.ScalarTransform4f()
+            .translate([0, 1.2, 0])
+            .rotate([1, 0, 0], 90)
+            .scale(2),
             "bsdf": {"type": "twosided", "nested": {"type": "diffuse"}},
         }
     if kind == "area light":
@@ -203,6 +206,8 @@ def test_the_rest_of_the_scene_stays(tmp_path, kind):
         capture, texels(capture.mesh, 16), 80, 128, grid=GRID, seed=SEED
     )
     assert_finds_truth(reference, 0.9)
+    # The photographs' own noise leaves 0.6 to 0.8; without the lid it would be 60.
+    assert energies(reference)[:, *TRUTH].mean() < 1.5
 
 
 def ball_part(tmp_path, kind: str, bsdf: dict[str, Any]) -> dict[str, Any]:
@@ -320,6 +325,7 @@ def test_split_half_tells_noise(capture, layout):
 def test_no_psi_and_no_batch_compiles_a_kernel(capture, layout, monkeypatch):
     """After two renders of the first batch, everything is found in the cache."""
     monkeypatch.setattr(posterior, "LANES", 600)
+    monkeypatch.setattr(trace, "LANES", 500)
     done: list[int] = []
 
     class Watch(Progress):
@@ -336,8 +342,8 @@ def test_no_psi_and_no_batch_compiles_a_kernel(capture, layout, monkeypatch):
         reference_posterior(capture, layout, 60, 4, grid=GRID, progress=Watch())
         history = dr.kernel_history((dr.KernelType.JIT,))
     assert done == list(range(1, 37))
-    assert len(history) >= 34
-    assert all(entry["cache_hit"] for entry in history)
+    assert len(history) > 34
+    assert all(entry["cache_hit"] and not entry["cache_disk"] for entry in history)
 
 
 def test_the_capture_is_not_touched(capture, layout):
@@ -363,11 +369,10 @@ def test_the_capture_is_not_touched(capture, layout):
 def traced(monkeypatch):
     """Counts how often anything is traced."""
     calls: list[int] = []
-    trace = posterior.trace
 
     def counted(*args, **kwargs):
         calls.append(1)
-        return trace(*args, **kwargs)
+        return trace.trace(*args, **kwargs)
 
     monkeypatch.setattr(posterior, "trace", counted)
     return calls
