@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, get_args, get_type_hints
 
 from svu_mi.errors import OptionError
-from svu_mi.options import Preset, preset
+from svu_mi.options import preset
 from svu_mi.pipeline import estimate
 
 
@@ -30,9 +30,9 @@ class Variant:
     main: bool = False
 
     @property
-    def preset(self) -> Preset:
+    def preset(self) -> Any:
         """The preset with its switches replaced."""
-        return preset(self.base, **self.switches)
+        return preset(self.base, method=self.method, **self.switches)
 
 
 def _spectrum(label: str, main: bool = False, base: str = "default", **switches: Any) -> Variant:
@@ -40,7 +40,7 @@ def _spectrum(label: str, main: bool = False, base: str = "default", **switches:
 
 
 def _angular(label: str, main: bool = False, base: str = "default", **switches: Any) -> Variant:
-    return Variant(f"angular {label}", "angular", base, {"method": "angular", **switches}, main)
+    return Variant(f"angular {label}", "angular", base, switches, main)
 
 
 SPECTRUM = (
