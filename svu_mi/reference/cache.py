@@ -7,7 +7,7 @@ import logging
 import warnings
 import zipfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -19,12 +19,10 @@ from svu_mi.capture.poses import describe
 from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.files import prepare_folder, replacing
 from svu_mi.posterior import TabulatedPosterior
+from svu_mi.reference.options import Options
 from svu_mi.reference.record import Reference
 from svu_mi.reference.uniform import is_same, is_two_sided
 from svu_mi.surface import Texels
-
-if TYPE_CHECKING:
-    from svu_mi.reference.posterior import Options
 
 log = logging.getLogger(__name__)
 

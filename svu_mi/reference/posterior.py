@@ -4,76 +4,28 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from numbers import Integral
 from pathlib import Path
-from typing import Any, Literal
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.errors import CaptureError, OptionError
+from svu_mi.errors import CaptureError
 from svu_mi.interop import owned
 from svu_mi.posterior import PrincipledGrid, TabulatedPosterior
 from svu_mi.progress import Progress
 from svu_mi.radiance import Views, pack_views
 from svu_mi.reference import cache as cached
-from svu_mi.reference.deviations import CORNERS, PerTexel, brute, linear
+from svu_mi.reference.deviations import PerTexel, brute, linear
+from svu_mi.reference.options import Method, Options, check_subset
 from svu_mi.reference.pairs import Pairs, Survey, survey, visible_pairs
 from svu_mi.reference.record import Reference
 from svu_mi.reference.trace import path_integrator, trace
 from svu_mi.reference.uniform import UniformScene
 from svu_mi.surface import Texels
 
-Method = Literal["linear", "brute"]
 LANES = 1 << 20  # (texel, view) pairs in memory at a time, visible or not
-
-
-@dataclass(frozen=True)
-class Options:
-    """The numbers of ``reference_posterior``, checked.
-
-    Raises:
-        OptionError: one is out of range.
-    """
-
-    spp: int
-    grid: PrincipledGrid
-    sigma: float
-    max_depth: int
-    method: Method
-    seed: int
-
-    def __post_init__(self) -> None:
-        label = "reference_posterior()"
-        if not _is_whole(self.spp, 2) or self.spp % 2:
-            raise OptionError(
-                f"{label}: spp must be even and at least 2, got {self.spp!r}: two independent "
-                "halves keep Monte Carlo noise out of the squared error."
-            )
-        if not (np.isfinite(self.sigma) and self.sigma > 0):
-            raise OptionError(f"{label}: sigma must be above 0, got {self.sigma!r}.")
-        if not _is_whole(self.max_depth, 2):
-            raise OptionError(
-                f"{label}: max_depth must be at least 2 (direct light), got {self.max_depth!r}."
-            )
-        if not _is_whole(self.seed, 0):
-            raise OptionError(f"{label}: seed must be a whole number >= 0, got {self.seed!r}.")
-        if self.method not in ("linear", "brute"):
-            raise OptionError(f"{label}: method must be linear or brute, got {self.method!r}.")
-        if self.method == "linear" and self.max_depth > 2:
-            raise OptionError(
-                f"{label}: radiance is linear in the material for direct light alone; use "
-                f"method='brute' for max_depth {self.max_depth}, or max_depth=2."
-            )
-
-    @property
-    def renders(self) -> int:
-        """Number of psi that are traced."""
-        rows, *others = self.grid.shape
-        return rows * (len(CORNERS) if self.method == "linear" else int(np.prod(others)))
 
 
 def reference_posterior(
@@ -119,7 +71,7 @@ def reference_posterior(
         OutputError: the cache cannot be written.
     """
     options = Options(spp, grid or PrincipledGrid(), sigma, max_depth, method, seed)
-    wanted = _check_subset(subset, texels.count)
+    wanted = check_subset(subset, texels.count)
     progress = progress or Progress()
     path = cached.locate(cache, capture, texels, wanted, options) if cache is not None else None
     if path is not None and (known := cached.load(path, options)) is not None:
@@ -218,27 +170,6 @@ class _Renderer:
         return halves
 
 
-def _check_subset(subset: Any, count: int) -> int | np.ndarray:
-    """Return a number of texels, or (n,) int64 indices of texels that exist."""
-    label = "reference_posterior(): subset"
-    if np.ndim(subset) == 0:
-        if not _is_whole(subset, 1):
-            raise OptionError(f"{label} must be a number of texels >= 1, got {subset!r}.")
-        return int(subset)
-    indices = np.asarray(subset)
-    if indices.ndim != 1 or not indices.size or not np.issubdtype(indices.dtype, np.integer):
-        raise OptionError(
-            f"{label} must be a list of texel indices, got {indices.dtype} of shape "
-            f"{indices.shape}."
-        )
-    wrong = (indices < 0) | (indices >= count)
-    if wrong.any():
-        raise OptionError(
-            f"{label} names texel {indices[wrong][0]}, but there are texels 0 to {count - 1}."
-        )
-    return indices.astype(np.int64)
-
-
 def _choose(wanted: int | np.ndarray, seen: Survey, capture: Capture, seed: int) -> np.ndarray:
     """Return (n,) int64 indices; random ones are seen, and sorted, so neighbours stay together."""
     visible = np.flatnonzero(seen.coverage)
@@ -256,7 +187,3 @@ def _choose(wanted: int | np.ndarray, seen: Survey, capture: Capture, seed: int)
         return wanted
     count = min(wanted, len(visible))
     return np.sort(np.random.default_rng(seed).choice(visible, count, replace=False))
-
-
-def _is_whole(value: object, least: int) -> bool:
-    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least

@@ -1,0 +1,89 @@
+"""What a reference is asked for, checked before anything is traced."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from numbers import Integral
+from typing import Any, Literal
+
+import numpy as np
+
+from svu_mi.errors import OptionError
+from svu_mi.posterior import PrincipledGrid
+from svu_mi.reference.deviations import CORNERS
+
+Method = Literal["linear", "brute"]
+
+
+@dataclass(frozen=True)
+class Options:
+    """The numbers of ``reference_posterior``, checked.
+
+    Raises:
+        OptionError: one is out of range.
+    """
+
+    spp: int
+    grid: PrincipledGrid
+    sigma: float
+    max_depth: int
+    method: Method
+    seed: int
+
+    def __post_init__(self) -> None:
+        label = "reference_posterior()"
+        if not _is_whole(self.spp, 2) or self.spp % 2:
+            raise OptionError(
+                f"{label}: spp must be even and at least 2, got {self.spp!r}: two independent "
+                "halves keep Monte Carlo noise out of the squared error."
+            )
+        if not (np.isfinite(self.sigma) and self.sigma > 0):
+            raise OptionError(f"{label}: sigma must be above 0, got {self.sigma!r}.")
+        if not _is_whole(self.max_depth, 2):
+            raise OptionError(
+                f"{label}: max_depth must be at least 2 (direct light), got {self.max_depth!r}."
+            )
+        if not _is_whole(self.seed, 0):
+            raise OptionError(f"{label}: seed must be a whole number >= 0, got {self.seed!r}.")
+        if self.method not in ("linear", "brute"):
+            raise OptionError(f"{label}: method must be linear or brute, got {self.method!r}.")
+        if self.method == "linear" and self.max_depth > 2:
+            raise OptionError(
+                f"{label}: radiance is linear in the material for direct light alone; use "
+                f"method='brute' for max_depth {self.max_depth}, or max_depth=2."
+            )
+
+    @property
+    def renders(self) -> int:
+        """Number of psi that are traced."""
+        rows, *others = self.grid.shape
+        return rows * (len(CORNERS) if self.method == "linear" else int(np.prod(others)))
+
+
+def check_subset(subset: Any, count: int) -> int | np.ndarray:
+    """Return a number of texels, or (n,) int64 indices of texels that exist.
+
+    Raises:
+        OptionError: it is neither, or names texels that do not exist.
+    """
+    label = "reference_posterior(): subset"
+    if np.ndim(subset) == 0:
+        if not _is_whole(subset, 1):
+            raise OptionError(f"{label} must be a number of texels >= 1, got {subset!r}.")
+        return int(subset)
+    indices = np.asarray(subset)
+    if indices.ndim != 1 or not indices.size or not np.issubdtype(indices.dtype, np.integer):
+        raise OptionError(
+            f"{label} must be a list of texel indices, got {indices.dtype} of shape "
+            f"{indices.shape}."
+        )
+    wrong = (indices < 0) | (indices >= count)
+    if wrong.any():
+        raise OptionError(
+            f"{label} names texel {indices[wrong][0]}, but there are texels 0 to {count - 1}."
+        )
+    return indices.astype(np.int64)
+
+
+def _is_whole(value: object, least: int) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= least
