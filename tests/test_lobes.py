@@ -1,0 +1,130 @@
+"""Lobes and their albedo against dense quadrature; the diffuse model against light by light."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracle import angular as oracle
+
+from svu_mi.brdf.diffuse import diffuse_shading
+from svu_mi.brdf.lobes import ALBEDO_NODES, dominance, smith_g1, split_sum, zonal_profile
+
+WIDTHS = [1e-3, 0.02, 0.1, 0.3, 0.6, 1.0]
+COSINES = (np.arange(ALBEDO_NODES) + 0.5) / ALBEDO_NODES
+
+
+@pytest.mark.parametrize("alpha", WIDTHS)
+def test_masking_is_smith(alpha):
+    cosine = np.linspace(0.01, 1, 50)
+    np.testing.assert_allclose(smith_g1(cosine, alpha), oracle.g1(cosine, alpha), rtol=1e-12)
+    on_device = smith_g1(mi.Float(cosine.astype(np.float32)), alpha).numpy()
+    np.testing.assert_allclose(on_device, oracle.g1(cosine, alpha), rtol=1e-5)
+    assert smith_g1(1.0, alpha) == 1
+
+
+@pytest.mark.parametrize("alpha", [0.02, 0.1, 0.3, 0.6, 1.0])
+@pytest.mark.parametrize("kind", ["ggx", "gaussian"])
+def test_profile_is_the_lobe_up_to_a_factor(kind, alpha):
+    angle = np.linspace(0, np.pi, 181)
+    ours = zonal_profile(kind, alpha, np.cos(angle))
+    truth = oracle.lobe(kind, alpha, angle)
+    assert (ours >= 0).all()
+    np.testing.assert_allclose(ours / ours[0], truth / truth[0], rtol=1e-6, atol=3e-6)
+
+
+def test_gaussian_degrees_fall_off_as_in_equation_6():
+    """exp(-(alpha l)^2), where a narrow lobe does not feel that the sphere is curved."""
+    alpha = 0.1
+    x, weight = np.polynomial.legendre.leggauss(300)
+    profile = zonal_profile("gaussian", alpha, x)
+    for l in range(1, 13):
+        legendre = np.polynomial.legendre.Legendre.basis(l)(x)
+        part = (weight * profile * legendre).sum() / (weight * profile).sum()
+        # exp(-(alpha l)^2) is on the plane; l (l + 1) takes the place of l^2 on the sphere.
+        assert part == pytest.approx(np.exp(-(alpha**2) * l * (l + 1)), abs=3e-3)
+
+
+def test_lobes_lean_from_the_mirror_to_the_normal_as_they_widen():
+    part = dominance(np.linspace(0, 1, 101))
+    assert part[0] == 1
+    assert part[-1] == 0
+    assert ((part >= 0) & (part <= 1 + 0.06)).all()
+    assert (np.diff(part[20:]) < 0).all()
+
+
+@pytest.mark.parametrize("alpha", WIDTHS)
+def test_split_sum_is_the_directional_albedo(alpha):
+    table = split_sum(np.array([alpha]))[0]
+    for node in range(0, ALBEDO_NODES, 5):
+        truth = oracle.albedo(alpha, COSINES[node])
+        np.testing.assert_allclose(table[node], truth, atol=5e-3)
+
+
+def test_no_surface_reflects_more_than_it_receives():
+    A, B = np.moveaxis(split_sum(np.array(WIDTHS)), -1, 0)
+    assert (A >= 0).all()
+    assert (B >= 0).all()
+    assert (A + B <= 1 + 1e-12).all()
+    # R0 = 1 under a white sky: only masking takes away, and the more the wider the lobe.
+    assert (np.diff((A + B)[:, 4:], axis=0) < 1e-3).all()
+    assert (A + B)[0].min() > 0.99
+
+
+def shading(lights, flux, n, o, roughness, model="disney"):
+    """``diffuse_shading`` of moments that are summed here."""
+    cosine = np.maximum(lights @ n, 0)
+    grazing = (1 - cosine) ** 5
+    moments = []
+    for part in (flux * cosine, flux * cosine * grazing):
+        moments += [part.sum(), *(part @ lights)]
+    a, b = diffuse_shading(model, [mi.Float(float(m)) for m in moments],
+                           [mi.Float(float(x)) for x in o], mi.Float(float(o @ n)))  # fmt: skip
+    return float((a + roughness * b)[0])
+
+
+def unit_vectors(rng, count):
+    d = rng.normal(size=(count, 3))
+    return d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.5, 1.0])
+def test_moments_hold_disneys_diffuse_model(roughness):
+    """All but the product of both grazing weights, exactly; that one where it is small."""
+    rng = np.random.default_rng(30113)
+    lights, flux = unit_vectors(rng, 40), rng.exponential(size=40)
+    for n, o in zip(unit_vectors(rng, 12), unit_vectors(rng, 12), strict=True):
+        o = o if o @ n > 0 else o - 2 * (o @ n) * n
+        ours = shading(lights, flux, n, o, roughness)
+        exact = oracle.diffuse_radiance(lights, flux, o, n, roughness, product=False)
+        assert ours == pytest.approx(exact, rel=1e-5)
+        if o @ n > 0.4:
+            whole = oracle.diffuse_radiance(lights, flux, o, n, roughness)
+            assert ours == pytest.approx(whole, rel=0.02)
+
+
+def test_lambert_is_the_irradiance_over_pi():
+    rng = np.random.default_rng(40)
+    lights, flux = unit_vectors(rng, 40), rng.exponential(size=40)
+    n, o = np.array([0, 0, 1.0]), np.array([0.6, 0, 0.8])
+    irradiance = (flux * np.maximum(lights[:, 2], 0)).sum()
+    assert shading(lights, flux, n, o, 0.7, "lambert") == pytest.approx(irradiance / np.pi)
+
+
+@pytest.mark.parametrize("roughness", [0.2, 0.9])
+def test_the_diffuse_model_is_that_of_mitsuba(roughness):
+    """A dielectric's specular lobe does not know the base colour: white minus black is diffuse."""
+    rng = np.random.default_rng(8)
+    up = np.array([0, 0, 1.0])
+    lights, o = unit_vectors(rng, 30), np.array([0.48, -0.6, 0.64])
+    lights[:, 2] = np.abs(lights[:, 2])
+    values = []
+    for shade in (1.0, 0.0):
+        bsdf = mi.load_dict({"type": "principled", "roughness": roughness, "metallic": 0.0,
+                             "base_color": {"type": "rgb", "value": [shade] * 3}})  # fmt: skip
+        si = mi.SurfaceInteraction3f()
+        si.wi = mi.Vector3f(*(float(x) for x in o))
+        to_light = mi.Vector3f(np.ascontiguousarray(lights.T, np.float32))
+        values.append(bsdf.eval(mi.BSDFContext(), si, to_light).numpy()[0])
+    truth = oracle.disney_diffuse(lights, o, up, roughness) * lights[:, 2]
+    np.testing.assert_allclose(values[0] - values[1], truth, rtol=1e-4, atol=1e-6)
