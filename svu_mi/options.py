@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args, overload
 from svu_mi.errors import OptionError
 
 GridSpacing = Literal["uniform", "dielectric"]
-ChannelRule = Literal["sum", "joint", "minimum"]
+ChannelRule = Literal["grey", "sum", "joint", "minimum"]
 NoiseRule = Literal["fixed", "relative", "marginal"]
 
 Fresnel = Literal["none", "schlick", "split_sum"]
@@ -35,15 +35,27 @@ class Preset:
     degree: int = 6
     """Highest degree l* of the fit and of the sum in Eq. 11; the paper uses 5 and 6."""
 
-    regularizer: float = 1e-3
+    regularizer: float = 1e-2
     """lambda of Eq. 12; the paper uses 1e-3 and 1e-2."""
 
     penalize_constant: bool = False
     """R_00 = e^0 = 1 as Eq. 12 prints it; False leaves l = 0, the diffuse term, free."""
 
-    undo_prefilter: bool = True
+    undo_prefilter: bool = False
     """Use alpha^2 - alpha'^2 in the likelihood: the photographs are not band-limited, the
-    light is (alpha' = v^(-1/2))."""
+    light is (alpha' = v^(-1/2)). But the fit attenuates what it regularises in the photographs
+    as well, and roughness below v^(-1/4) becomes one: measured, it is worse."""
+
+    occluded: bool = True
+    """No light comes from where the object itself stands in the mirror direction."""
+
+    albedo: bool = True
+    """Rough lobes reflect less than all light, by GGX's directional albedo; on a grid of
+    principled parameters, as Ks in itself is the scale of a lobe."""
+
+    parameters: Parameters = "principled"
+    """``principled``: a posterior over (roughness, metallic, base colour), in which degree 0
+    takes part; ``specular``: over (roughness, Ks), l > 0 alone, as in the paper."""
 
     bounded_alpha: bool = True
     """alpha = max(roughness^2, 1e-3), as Mitsuba's BSDF has it; False leaves out the bound."""
@@ -51,17 +63,22 @@ class Preset:
     spacing: GridSpacing = "dielectric"
     """Nodes of Ks: ``uniform`` on [0, 1], or ``dielectric``: 0.04 + 0.96 t^2, t uniform."""
 
-    channels: ChannelRule = "joint"
-    """How R, G, B combine: ``sum`` adds them in d (one Ks); ``joint`` shares roughness and
-    gives each channel its own Ks, the others marginalised; ``minimum`` keeps the smallest of
-    three separate entropies."""
+    channels: ChannelRule = "grey"
+    """How R, G, B combine: ``grey`` fits their mean; ``joint`` shares what a row of the grid
+    has (roughness, metallic) and gives each channel its own base colour or Ks, the others
+    marginalised; ``sum`` adds them in d (one Ks), ``minimum`` keeps the smallest of three
+    separate entropies: both are over (roughness, Ks) whatever ``parameters`` say."""
 
     noise: NoiseRule = "relative"
     """``fixed``: sigma in squared radiance (depends on exposure); ``relative``: sigma times
     the capture's mean observed power; ``marginal``: sigma unknown, p ~ d^(-nu/2)."""
 
-    sigma: float = 0.01
+    sigma: float = 0.004
     """Standard deviation of a degree's power, in the unit that ``noise`` says."""
+
+    constant_sigma: float = 0.08
+    """Standard deviation of sqrt(S(0)), in radiance if ``noise`` is ``fixed``, else relative
+    to the square root of the capture's mean power."""
 
     def __post_init__(self) -> None:
         _require(1 <= self.degree <= 9, "degree", "in [1, 9]", self.degree)  # dr.sh_eval
@@ -69,10 +86,17 @@ class Preset:
         _require(1e-12 <= self.regularizer <= 1e12, "regularizer", "in [1e-12, 1e12]",
                  self.regularizer)  # fmt: skip
         _require(1e-30 <= self.sigma <= 1e30, "sigma", "positive, in [1e-30, 1e30]", self.sigma)
+        _require(1e-30 <= self.constant_sigma <= 1e30, "constant_sigma",
+                 "positive, in [1e-30, 1e30]", self.constant_sigma)  # fmt: skip
+        _require_one_of(self, "parameters", Parameters)
         _require_one_of(self, "spacing", GridSpacing)
         _require_one_of(self, "channels", ChannelRule)
         _require_one_of(self, "noise", NoiseRule)
 
+    @property
+    def principled(self) -> bool:
+        """Whether the posterior is over principled parameters."""
+        return self.parameters == "principled" and self.channels in ("grey", "joint")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,6 +170,7 @@ PRESETS: dict[str, Preset] = {
     "fast": Preset(name="fast", degree=4),
     "paper": Preset(
         name="paper", penalize_constant=True, undo_prefilter=False, bounded_alpha=False,
+        regularizer=1e-3, occluded=False, albedo=False, parameters="specular",
         spacing="uniform", channels="sum", noise="fixed", sigma=0.1,
     ),
 }  # fmt: skip

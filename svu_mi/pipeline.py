@@ -34,11 +34,10 @@ from svu_mi.posterior import (
 )
 from svu_mi.progress import Progress
 from svu_mi.radiance import Lighting, Surface, Survey, Views, light, observe, pack_views, survey
+from svu_mi.radiance.hemisphere import as_channels, mirror_free
 from svu_mi.surface import Texels
 
 log = logging.getLogger(__name__)
-
-COLORS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +87,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Spectra:
-    """Power spectra of T texels, TensorXf (T, l* + 1, 3) in squared radiance."""
+    """Power spectra of T texels, TensorXf (T, l* + 1, C) in squared radiance; C is 3, or 1."""
 
     incoming: Any
     outgoing: Any
@@ -114,8 +113,8 @@ def estimate(
             spectra (Sec. 3.3 of the paper).
         preset: ``default``, ``paper``, ``fast``, or a preset of the method.
         grid: nodes of the parameter grid; by default 8 per parameter: roughness, metallic and
-            base colour (``PrincipledGrid``) for ``angular``, roughness and Ks
-            (``ParameterGrid``) for ``spectrum``.
+            base colour (``PrincipledGrid``), or roughness and Ks (``ParameterGrid``), as the
+            preset's ``parameters`` say.
         prior: non-negative weights of the grid's cells; uniform by default.
         progress: shows what is going on and collects timings.
 
@@ -182,16 +181,27 @@ def _from_spectra(
     with progress.stage("Fitting spectra"):
         spectra = fit_spectra(views, lighting, texels, found.coverage, switches)
     with progress.stage("Computing entropy"):
+        irradiance = None
+        if switches.principled and not isinstance(grid, ParameterGrid):
+            irradiance = _irradiance(lighting, texels, int(spectra.outgoing.shape[2]))
         return spectrum_posterior(
             spectra.incoming,
             spectra.outgoing,
-            grid or ParameterGrid(),
+            grid,
             preset=switches,
+            irradiance=irradiance,
             prefilter=lighting.prefilter,
             prior=prior,
             observed=found.coverage > 0,
             samples=mi.Float(found.coverage),
         )
+
+
+def _irradiance(lighting: Lighting, texels: Texels, channels: int) -> np.ndarray:
+    """(T, C) irradiance as if nothing stood in the light."""
+    value = as_channels(lighting.irradiance(texels.normal), channels)
+    dr.eval(value)
+    return np.maximum(np.stack([v.numpy() for v in value], axis=-1), 0)
 
 
 def fit_spectra(
@@ -204,31 +214,32 @@ def fit_spectra(
         lighting: its band-limited light.
         texels: the T texels.
         seen: (T,) UInt32, number of views that see each.
-        switches: degree, regulariser and R_00 of Eq. 12.
+        switches: degree, regulariser, R_00 of Eq. 12, channels and occlusion.
     """
-    shape = (texels.count, switches.degree + 1, COLORS)
+    colors = 1 if switches.channels == "grey" else 3
+    shape = (texels.count, switches.degree + 1, colors)
     outgoing, incoming = dr.zeros(mi.TensorXf, shape), dr.zeros(mi.TensorXf, shape)
     dr.eval(outgoing, incoming)
     for group in solver_groups(seen, switches.degree):
         coefficients = fit_lanes(
-            partial(sample, views, lighting, Surface.of(texels, group.selection)),
+            partial(sample, views, lighting, Surface.of(texels, group.selection), switches),
             views.count,
             degree=switches.degree,
-            channels=2 * COLORS,
+            channels=2 * colors,
             regularizer=switches.regularizer,
             penalize_constant=switches.penalize_constant,
             method=group.method,
             capacity=group.capacity,
         )
         power = power_lanes(coefficients)
-        for spectra, channels in ((outgoing, slice(COLORS)), (incoming, slice(COLORS, None))):
+        for spectra, channels in ((outgoing, slice(colors)), (incoming, slice(colors, None))):
             scatter_rows(spectra.array, [row[channels] for row in power], group.selection)
         dr.eval(outgoing, incoming)
     return Spectra(incoming=incoming, outgoing=outgoing)
 
 
 def sample(
-    views: Views, lighting: Lighting, surface: Surface, view: Any
+    views: Views, lighting: Lighting, surface: Surface, switches: Preset, view: Any
 ) -> tuple[Any, Any, list[Any]]:
     """One row of Eq. 12: view direction, w = |cos theta|, and both right-hand sides.
 
@@ -236,17 +247,20 @@ def sample(
     which is looked up where the mirror sends that direction.
     """
     seen = observe(views, surface, view)
+    lit = mirror_free(views.scene, surface, seen) if switches.occluded else seen.seen
 
     def mirrored(direction: Any, normal: Any) -> Any:
         return lighting.radiance(2 * dr.dot(normal, direction) * normal - direction)
 
     incoming = dr.if_stmt(
         args=(seen.direction, mi.Vector3f(surface.normal)),
-        cond=seen.seen,
+        cond=lit,
         true_fn=mirrored,
         false_fn=lambda *_: dr.zeros(mi.Color3f),
     )
-    return seen.direction, seen.cosine, [*seen.radiance, *incoming]
+    colors = 1 if switches.channels == "grey" else 3
+    both = (*as_channels(seen.radiance, colors), *as_channels(incoming, colors))
+    return seen.direction, seen.cosine, list(both)
 
 
 def _require_seen(seen_per_view: Any, capture: Capture) -> None:

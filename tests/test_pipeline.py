@@ -43,13 +43,13 @@ def glossy(tmp_path_factory):
     return capture, svu.texels(capture.mesh, 40)
 
 
-def stored_samples(capture, texels):
-    """What the kernels see, as arrays: directions (T,V,3), weights (T,V), values (T,V,6)."""
+def stored_samples(capture, texels, switches):
+    """What the kernels see, as arrays: directions (T,V,3), weights (T,V), values (T,V,2C)."""
     views, surface = pack_views(capture), Surface.of(texels)
     lighting = light(capture, sum(capture.used))
     columns = []
     for view in range(views.number):
-        direction, weight, values = sample(views, lighting, surface, mi.UInt32(view))
+        direction, weight, values = sample(views, lighting, surface, switches, mi.UInt32(view))
         dr.eval(direction, weight, values)
         columns.append((direction.numpy().T, weight.numpy(), np.stack([v.numpy() for v in values])))
     d, w, f = zip(*columns, strict=True)
@@ -69,7 +69,7 @@ def test_the_fused_kernels_agree_with_the_oracle(glossy, name):
     """Samples stored, fitted and compared in float64, straight from the equations."""
     capture, texels = glossy
     switches = preset(name)
-    d, w, f, lighting = stored_samples(capture, texels)
+    d, w, f, lighting = stored_samples(capture, texels, switches)
     seen, _ = coverage(pack_views(capture), Surface.of(texels))
     spectra = fit_spectra(pack_views(capture), lighting, texels, seen, switches)
     exact = exact_spectra(d, w, f, switches)
@@ -252,11 +252,12 @@ def test_memory_does_not_grow_with_texels_times_views(tmp_path, method):
 
 
 def planes_entropy(light_name, method):
-    """Mean entropy of the matte and of the glossy plane under a light."""
+    """Mean entropy over (roughness, Ks), as in the figure, of the matte and the glossy plane."""
     scene = load_scene(scenes.path("planes"), {"light": light_name, "resolution": "96"})
     capture = svu.render_capture(scene, spp=64)
     texels = svu.texels(capture.mesh, 48)
-    result = estimate(capture, texels, method)
+    switches = preset("default", method=method, parameters="specular")
+    result = estimate(capture, texels, method, switches)
     entropy = np.array(result.entropy)
     seen = np.array(result.coverage) > 3
     left = texels.uv.x.numpy() < 0.5
@@ -298,7 +299,7 @@ def test_figure_4_ordering(tmp_path, method):
 def test_the_oracle_and_the_posterior_agree_on_a_rendered_object(glossy):
     capture, texels = glossy
     switches = preset("paper", sigma=0.05)
-    d, w, f, lighting = stored_samples(capture, texels)
+    d, w, f, lighting = stored_samples(capture, texels, switches)
     S = exact_spectra(d, w, f, switches)
     seen = (w > 0).any(axis=1)
     roughness, Ks = oracle_posterior.nodes(8, 8, "uniform")

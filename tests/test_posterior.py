@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from oracle import posterior as oracle
 
+from svu_mi.brdf.lobes import split_sum
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.options import preset
-from svu_mi.posterior import ParameterGrid, spectrum_posterior
+from svu_mi.posterior import ParameterGrid, PrincipledGrid, spectrum_posterior
 
 L = 6
 GRID = ParameterGrid(roughness=5, specular=4)
@@ -262,7 +263,7 @@ def test_map_recovers_the_truth(channels):
     np.testing.assert_allclose(got, np.broadcast_to(truth[:, 1:], got.shape), atol=1e-6)
 
 
-def test_prefilter_of_the_light_is_undone_by_default_only():
+def test_prefilter_of_the_light_is_undone_when_asked():
     """Light is band-limited, photographs are not: the exponent is alpha^2 - alpha'^2."""
     rough, Ks = oracle.nodes(8, 8, "dielectric")
     l = np.arange(L + 1)
@@ -270,11 +271,55 @@ def test_prefilter_of_the_light_is_undone_by_default_only():
     S_B = oracle.model(S_L, Ks[5], rough[5] ** 2)
     softened = S_L * np.exp(-2 * (0.4 * l) ** 2)
     arguments = [x[None, :, None].astype(np.float32) for x in (softened, S_B)]
-    best = spectrum_posterior(*arguments, sigma=1e-3, prefilter=0.4).map()
+    undone = preset("default", undo_prefilter=True)
+    best = spectrum_posterior(*arguments, sigma=1e-3, preset=undone, prefilter=0.4).map()
     assert np.array(best["roughness"])[0] == pytest.approx(rough[5])
     ignored = preset("default", undo_prefilter=False)
     best = spectrum_posterior(*arguments, sigma=1e-3, preset=ignored, prefilter=0.4).map()
     assert np.array(best["roughness"])[0] < rough[5] - 0.1
+
+
+@pytest.mark.parametrize("channels", ["grey", "joint"])
+def test_degree_0_decides_on_the_diffuse_part(channels):
+    """(roughness, metallic, base colour) by brute force, from Eq. 7 and 11."""
+    rng = np.random.default_rng(31337)
+    S_L, S_B = spectra(rng, 8, 1 if channels == "grey" else 3)
+    E = rng.random((8, S_L.shape[2])) * 3
+    switches = preset("default", channels=channels, sigma=0.02)
+    grid = PrincipledGrid(4, 3, 5)
+    posterior = spectrum_posterior(S_L, S_B, grid, preset=switches, irradiance=E)
+    p, H = np.array(posterior.probabilities), np.array(posterior.entropy())
+    unit = mean_power(S_B)
+    albedo = split_sum(np.maximum(np.linspace(0, 1, 4) ** 2, 1e-3)).sum(axis=2).mean(axis=1)
+    for t in range(8):
+        x = np.zeros((S_L.shape[2], 4, 3, 5))
+        for c, k, i, j in itertools.product(*map(range, x.shape)):
+            roughness, m, color = k / 3, i / 2, j / 4
+            Ks = albedo[k] * (0.04 * (1 - m) + m * color)
+            model = oracle.model(S_L[t, :, c].astype(float), Ks, max(roughness**2, 1e-3))
+            d = ((S_B[t, 1:, c] - model[1:]) ** 2).sum()
+            constant = 2 * (1 - m) * color * E[t, c] / np.sqrt(np.pi) + Ks * S_L[t, 0, c] ** 0.5
+            x[c, k, i, j] = d / (2 * (0.02 * unit) ** 2) + (
+                (S_B[t, 0, c] ** 0.5 - constant) ** 2 / (2 * switches.constant_sigma**2 * unit)
+            )
+        z = np.exp(-(x - x.min(axis=3, keepdims=True))).sum(axis=3)
+        row = np.exp((-x.min(axis=3) + np.log(z)).sum(axis=0))
+        row /= row.sum()
+        given = np.exp(-(x - x.min(axis=3, keepdims=True))) / z[..., None]
+        truth = row[None, ..., None] * given
+        expected = truth[0] if channels == "grey" else np.moveaxis(truth, 0, 3)
+        np.testing.assert_allclose(p[t], expected, atol=3e-6)
+        assert abs(H[t] - np.mean([oracle.entropy(q) for q in truth])) < 2e-6
+
+
+def test_a_grid_that_needs_more_than_there_is_says_so():
+    arguments = spectra(np.random.default_rng(1), 2)
+    with pytest.raises(OptionError, match="PrincipledGrid needs the irradiance"):
+        spectrum_posterior(*arguments, PrincipledGrid())
+    with pytest.raises(OptionError, match="channels='sum'"):
+        spectrum_posterior(*arguments, PrincipledGrid(), preset="paper", irradiance=np.ones((2, 3)))
+    with pytest.raises(OptionError, match="irradiance is negative"):
+        spectrum_posterior(*arguments, PrincipledGrid(), irradiance=-np.ones((2, 3)))
 
 
 @pytest.mark.parametrize("channels", ["sum", "joint", "minimum"])

@@ -1,14 +1,14 @@
 """Sufficient statistics of all views, per texel and roughness level (method: one pass).
 
-For weights w_i the mean squared error of the model b ~ Kd e + R0 p + q is a quadratic in
-(Kd, R0). With t = b - q, six weighted sums hold it,
+For weights w_i the mean squared error over n views of the model b ~ Kd e + R0 p + q is a
+quadratic in (Kd, R0). With t = b - q, six weighted sums hold it,
 
     sum w (e^2, e p, p^2, e t, p t, t^2),
 
 and it is kept in *square-root form*: the triangular factor U of the sums, as a QR
 factorisation of the samples would give it,
 
-    1/W sum_i w_i (b_i - r_i)^2 = |U (Kd, R0)^T - z|^2 + floor + least,        W = sum_i w_i,
+    1/n sum_i w_i (b_i - r_i)^2 = |U (Kd, R0)^T - z|^2 + floor + least,
 
 where least is the same for all levels: what no (Kd, R0) of any roughness explains.
 
@@ -27,7 +27,7 @@ import mitsuba as mi
 
 from svu_mi.angular.model import Reflection, Terms, terms
 from svu_mi.radiance import Surface, Views, over_views
-from svu_mi.radiance.hemisphere import as_channels
+from svu_mi.radiance.hemisphere import as_channels, mirror_free
 from svu_mi.radiance.observe import Observation
 
 FIELDS = 6  # U_ee, U_ep, U_pp, z_e, z_p, floor
@@ -43,15 +43,13 @@ class Statistics:
         values: ((R * C * 6 + C) * T,) Float: for level, channel and field, one value per
             texel; fields are U_ee, U_ep, U_pp, z_e, z_p, all in radiance, and floor, in
             squared radiance. Then, for every channel, least.
-        weight: (T,) Float, W: the sum of weights; 0 for a texel nobody sees.
-        views: (T,) UInt32, number of views that see each texel.
+        views: (T,) UInt32, number n of views that see each texel.
         levels: R.
         channels: C.
         count: T.
     """
 
     values: Any
-    weight: Any
     views: Any
     levels: int
     channels: int
@@ -71,29 +69,27 @@ def gather(views: Views, surface: Surface, model: Reflection, scale: Any) -> Sta
     levels, channels = len(model.roughness), model.channels
     normal = mi.Vector3f(surface.normal)
 
-    def consume(seen: Observation, _view: Any, count: Any, weight: Any, *sums: Any) -> Any:
+    def consume(seen: Observation, _view: Any, count: Any, *sums: Any) -> Any:
         free = mi.Bool(True)
         if model.arriving.visible:
-            free = _mirror_free(views.scene, surface, seen)
+            free = mirror_free(views.scene, surface, seen)
 
         def add(*state: Any) -> tuple[Any, ...]:
             # Inputs of the model reach a branch through the closure: they do not change.
             part = terms(model, normal, seen.direction, dr.maximum(seen.cosine, 1e-3), free)
             radiance = as_channels(seen.radiance, channels)
             w = _weight(model, radiance, scale)
-            added = [w, *(w * product for product in _products(part, radiance))]
-            return tuple(old + new for old, new in zip(state, added, strict=True))
+            products = _products(part, radiance)
+            return tuple(dr.fma(w, new, old) for old, new in zip(state, products, strict=True))
 
         one = dr.select(seen.seen, mi.UInt32(1), 0)
-        new = dr.if_stmt(
-            args=(weight, *sums), cond=seen.seen, true_fn=add, false_fn=lambda *s: s
-        )
+        new = dr.if_stmt(args=sums, cond=seen.seen, true_fn=add, false_fn=lambda *s: s)
         return (count + one, *new)
 
     start = [dr.zeros(mi.UInt32, surface.count)]
-    start += [dr.zeros(mi.Float64, surface.count) for _ in range(1 + levels * channels * SUMS)]
-    count, weight, *sums = over_views(views, surface, consume, tuple(start))
-    factors = [_factor(sums[i : i + SUMS], weight) for i in range(0, len(sums), SUMS)]
+    start += [dr.zeros(mi.Float64, surface.count) for _ in range(levels * channels * SUMS)]
+    count, *sums = over_views(views, surface, consume, tuple(start))
+    factors = [_factor(sums[i : i + SUMS], count) for i in range(0, len(sums), SUMS)]
     least = []
     for channel in range(channels):
         of_channel = factors[channel::channels]
@@ -103,20 +99,10 @@ def gather(views: Views, surface: Surface, model: Reflection, scale: Any) -> Sta
         for factor in of_channel:
             factor[-1] = factor[-1] - low
         least.append(low)
-    weight = mi.Float(weight)
     columns = [field for factor in factors for field in factor]
     values = _scatter_columns([*columns, *least], surface.count)
-    dr.eval(values, weight, count)
-    return Statistics(values, weight, count, levels, channels, surface.count)
-
-
-def _mirror_free(scene: Any, surface: Surface, seen: Observation) -> Any:
-    """Trace the mirror direction of visible samples; below the horizon nothing is free."""
-    mirror = 2 * seen.cosine * mi.Vector3f(surface.normal) - seen.direction
-    free = seen.seen & (dr.dot(surface.geometric_normal, mirror) > 0)
-    origin = surface.position + surface.offset * surface.geometric_normal
-    ray = mi.Ray3f(origin, mirror, dr.largest(mi.Float), 0.0, [])
-    return free & ~scene.ray_test(ray, free)
+    dr.eval(values, count)
+    return Statistics(values, count, levels, channels, surface.count)
 
 
 def _weight(model: Reflection, radiance: list[Any], scale: Any) -> Any:
@@ -138,9 +124,9 @@ def _products(part: Terms, radiance: list[Any]) -> list[Any]:
     return products
 
 
-def _factor(sums: list[Any], weight: Any) -> list[Any]:
-    """Cholesky factor of the sums divided by W: U_ee, U_ep, U_pp, z_e, z_p, floor."""
-    inverse = dr.select(weight > 0, dr.rcp(weight), 0)
+def _factor(sums: list[Any], views: Any) -> list[Any]:
+    """Cholesky factor of the sums divided by n: U_ee, U_ep, U_pp, z_e, z_p, floor."""
+    inverse = dr.rcp(mi.Float64(dr.maximum(views, 1)))
     ee, ep, pp, et, pt, tt = (value * inverse for value in sums)
     scale_e = _inverse_root(ee, 0 * ee)
     u_ee, u_ep, z_e = ee * scale_e, ep * scale_e, et * scale_e

@@ -62,7 +62,7 @@ def angular_posterior(
 ) -> AngularPosterior:
     """Compare photographs with what every cell of a grid predicts for them.
 
-        p ~ exp(-d / (2 sigma^2)) prior,    d = 1/W sum_i w_i (b_i - r_i(psi))^2
+        p ~ exp(-d / (2 sigma^2)) prior,    d = 1/n sum_i w_i (b_i - r_i(psi))^2
 
     The *mean* squared error: the model's own error is the same from many views as from few,
     and must not be averaged away.

@@ -9,6 +9,7 @@ its second component alone, unless that value lies outside.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -18,7 +19,6 @@ import numpy as np
 from svu_mi.angular import Statistics
 from svu_mi.angular.statistics import FIELDS
 from svu_mi.brdf.principled import F0
-from svu_mi.interop import owned
 from svu_mi.posterior import streaming
 
 
@@ -62,26 +62,8 @@ def entropy(problem: Problem) -> Any:
 
 
 def tables(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the energies of t chosen texels, for everything that is not the hot path.
-
-    Returns:
-        (t, rows) float64, smallest energy of each row; (t, rows, G, cells) float32, energies
-        relative to their group's smallest.
-    """
-    count = len(chosen)
-    lane = dr.arange(mi.UInt32, count * problem.rows)
-    rows = dr.opaque(mi.UInt32, problem.rows)
-    place = lane // rows
-    texel = dr.gather(mi.UInt32, owned(mi.UInt32, chosen), place)
-    groups = _row_energies(problem, texel)(lane - place * rows)
-    base = sum(low for low, _ in groups)
-    columns = [offset for _, offsets in groups for offset in offsets]
-    dr.eval(base, columns)
-    offsets = np.stack([np.broadcast_to(c.numpy(), count * problem.rows) for c in columns], axis=-1)
-    return (
-        base.numpy().reshape(count, problem.rows),
-        offsets.reshape(count, problem.rows, len(groups), len(problem.cells)),
-    )
+    """Return the energies of chosen texels, as ``streaming.tables`` does."""
+    return streaming.tables(partial(_row_energies, problem), chosen, problem.rows)
 
 
 def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:

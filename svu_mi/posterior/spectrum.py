@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.brdf.lobes import split_sum
 from svu_mi.brdf.principled import alpha_from_roughness, unbounded_alpha
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.frequency import arrays
@@ -17,7 +18,7 @@ from svu_mi.options import Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.posterior import spectrum_kernel as kernel
 from svu_mi.posterior import streaming
-from svu_mi.posterior.grid import ParameterGrid
+from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.record import Posterior
 
 DARK = 1e-4  # part of the incident power that counts when nothing at all is reflected
@@ -26,7 +27,7 @@ FITTED = 2  # parameters per texel and channel that the marginal noise rule pays
 
 @dataclass(frozen=True, kw_only=True)
 class SpectrumPosterior(Posterior):
-    """p over (roughness, specular), from power spectra.
+    """p over (roughness, specular) or (roughness, metallic, base_color), from power spectra.
 
     Attributes:
         problem: spectra, noise and grid tables (see ``spectrum_kernel``).
@@ -50,7 +51,7 @@ class SpectrumPosterior(Posterior):
 def spectrum_posterior(
     incoming: Any,
     outgoing: Any,
-    grid: ParameterGrid | None = None,
+    grid: ParameterGrid | PrincipledGrid | None = None,
     sigma: float | None = None,
     preset: str | Preset = "default",
     *,
@@ -59,36 +60,45 @@ def spectrum_posterior(
     observed: Any | None = None,
     samples: Any | None = None,
     scale: float | None = None,
+    irradiance: Any | None = None,
 ) -> SpectrumPosterior:
-    """Compare observed spectra with those of every (roughness, Ks) of a grid.
+    """Compare observed spectra with those of every cell of a grid.
 
         d = sum_{l=1}^{l*} (S_B(l) - Ks^2 exp(-2 (alpha l)^2) S_L(l))^2        (Eq. 11)
         p ~ exp(-d / (2 sigma^2)) prior                                        (Eq. 3, 4)
 
+    With the irradiance E known, the grid may be of (roughness, metallic, base colour): Ks and
+    Kd follow from these, and degree 0 takes part as
+
+        (sqrt(S_B(0)) - 2 Kd E / sqrt(pi) - Ks sqrt(S_L(0)))^2 / (2 sigma_0^2).       (Eq. 7)
+
     Args:
         incoming: (T, l* + 1, C) power spectra S_L of the light, in squared radiance.
         outgoing: (T, l* + 1, C) power spectra S_B of the observations.
-        grid: parameter grid, 8 x 8 by default.
+        grid: ``ParameterGrid``, 8 x 8 by default; or ``PrincipledGrid``, which is the default
+            if the irradiance is given and the preset's parameters are principled.
         sigma: standard deviation of a degree's power, in the unit of the preset's noise rule;
             the preset's own by default.
         preset: switches; ``paper`` is Eq. 3, 5, 11 as printed with alpha = roughness^2.
         prefilter: alpha' that the light was band-limited with; used if the preset undoes it:
             the exponent is then max(alpha^2 - alpha'^2, 0).
-        prior: (R, S) or (R,) non-negative weights of the cells, any scale.
+        prior: non-negative weights of the cells, of the grid's shape, or one per roughness.
         observed: (T,) bool, False for texels nobody saw; all by default.
         samples: (T,) number of views that see each texel; needed by the marginal noise rule.
         scale: power that a relative sigma is a part of; by default the mean over the observed
             texels and channels of sum_l S_B(l). Give it when these texels are only some of a
             capture's.
+        irradiance: (T, C) E of every texel; needed by a ``PrincipledGrid``.
 
     Raises:
         ShapeError: arrays that do not fit each other.
-        OptionError: an invalid sigma or prior, or negative or non-finite spectra.
+        OptionError: an invalid sigma or prior, negative or non-finite spectra, or a grid that
+            asks for what is not there.
     """
     switches = find_preset(preset)
     if sigma is not None:
         switches = replace(switches, sigma=float(sigma))
-    grid = (grid or ParameterGrid()).resolved(switches)
+    grid = _grid(grid, switches, irradiance)
     S_L, S_B = _spectrum("incoming", incoming), _spectrum("outgoing", outgoing)
     if S_L.shape != S_B.shape:
         raise ShapeError(
@@ -99,17 +109,20 @@ def spectrum_posterior(
     if len(seen) != count:
         raise ShapeError(f"spectrum_posterior(): {len(seen)} flags for {count} texels.")
     tables = streaming.log_prior(prior, grid.shape, "spectrum_posterior()")
+    unit = _unit(switches, S_L, S_B, seen, scale)
+    *_, cells = grid.axes.values()
     problem = kernel.Problem(
         incoming=S_L.array,
         outgoing=S_B.array,
-        sigma=dr.opaque(mi.Float64, _sigma(switches, S_L, S_B, seen, scale)),
+        sigma=dr.opaque(mi.Float64, switches.sigma * unit),
         power=_power(switches, samples, count),
         degree=degrees - 1,
         channels=channels,
         groups=_groups(switches, channels),
         decay=mi.Float64(_decay(switches, grid, degrees - 1, prefilter).ravel()),
-        specular=grid.specular_nodes,
+        cells=cells,
         prior=None if tables is None else (mi.Float64(tables[0]), mi.Float64(tables[1])),
+        constant=_constant(switches, grid, irradiance, (count, channels), unit),
     )
     posterior = SpectrumPosterior(grid=grid, observed=seen, problem=problem)
     return _most_certain_channel(posterior) if switches.channels == "minimum" else posterior
@@ -139,31 +152,89 @@ def _groups(switches: Preset, channels: int) -> tuple[tuple[int, ...], ...]:
     return tuple((channel,) for channel in range(channels))
 
 
-def _decay(switches: Preset, grid: ParameterGrid, degree: int, prefilter: float) -> np.ndarray:
-    """(R, l*) factors exp(-2 (alpha l)^2) of each roughness, l = 1 ... l* (Eq. 11)."""
+def _grid(
+    grid: ParameterGrid | PrincipledGrid | None, switches: Preset, irradiance: Any | None
+) -> ParameterGrid | PrincipledGrid:
+    """The grid to use, with the preset's spacing unless it has its own."""
+    if grid is None:
+        principled = irradiance is not None and switches.principled
+        grid = PrincipledGrid() if principled else ParameterGrid()
+    if isinstance(grid, ParameterGrid):
+        return grid.resolved(switches)
+    if irradiance is None:
+        raise OptionError(
+            "spectrum_posterior(): a PrincipledGrid needs the irradiance; give it, or use a "
+            "ParameterGrid."
+        )
+    if switches.channels not in ("grey", "joint"):
+        raise OptionError(
+            f"spectrum_posterior(): channels={switches.channels!r} have one Ks for all, or none "
+            "in common; use a ParameterGrid, or channels='joint'."
+        )
+    return grid
+
+
+def _alpha(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarray:
     of_roughness = alpha_from_roughness if switches.bounded_alpha else unbounded_alpha
-    alpha = of_roughness(grid.roughness_nodes)
-    width = alpha**2
+    return of_roughness(grid.roughness_nodes)
+
+
+def _albedo(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarray:
+    """(R,) part of constant light that a lobe with R0 = 1 reflects, mean over cos theta_o.
+
+    On a grid of Ks it is 1: there Ks is the lobe's own scale, as in the paper.
+    """
+    if not switches.albedo or isinstance(grid, ParameterGrid):
+        return np.ones(grid.roughness)
+    return split_sum(alpha_from_roughness(grid.roughness_nodes)).sum(axis=2).mean(axis=1)
+
+
+def _decay(
+    switches: Preset, grid: ParameterGrid | PrincipledGrid, degree: int, prefilter: float
+) -> np.ndarray:
+    """(R, l*) factors exp(-2 (alpha l)^2) of each roughness, l = 1 ... l* (Eq. 11)."""
+    width = _alpha(switches, grid) ** 2
     if switches.undo_prefilter:
         width = np.maximum(width - prefilter**2, 0)
     l = np.arange(1, degree + 1)
-    return np.exp(-2 * width[:, None] * l**2)
+    return _albedo(switches, grid)[:, None] ** 2 * np.exp(-2 * width[:, None] * l**2)
 
 
-def _sigma(switches: Preset, S_L: Any, S_B: Any, seen: np.ndarray, scale: float | None) -> float:
-    """Standard deviation of a degree's power, one number for the capture.
+def _constant(
+    switches: Preset,
+    grid: ParameterGrid | PrincipledGrid,
+    irradiance: Any | None,
+    shape: tuple[int, int],
+    unit: float,
+) -> kernel.Constant | None:
+    if not isinstance(grid, PrincipledGrid):
+        return None
+    known = arrays.tensor(irradiance, "spectrum_posterior()", "irradiance", shape, copy=True)
+    if not dr.all((known.array >= 0) & dr.isfinite(known.array)):
+        raise OptionError("spectrum_posterior(): the irradiance is negative or not finite.")
+    sigma = switches.constant_sigma * (1.0 if switches.noise == "fixed" else unit**0.5)
+    return kernel.Constant(
+        metallic=grid.metallic_nodes,
+        irradiance=known.array,
+        albedo=mi.Float64(_albedo(switches, grid)),
+        sigma=dr.opaque(mi.Float64, sigma),
+    )
+
+
+def _unit(switches: Preset, S_L: Any, S_B: Any, seen: np.ndarray, scale: float | None) -> float:
+    """Power that sigma is a part of, one number for the capture.
 
     Noise and the model's error come with the photographs, not with the texel: relative to
     each texel's own power, a dark texel would seem as well measured as a bright one.
     """
     if switches.noise == "fixed":
-        return switches.sigma
+        return 1.0
     if scale is None:
         scale = _mean_power(S_B, seen) or DARK * _mean_power(S_L, seen)
     elif not (np.isfinite(scale) and scale > 0):
         raise OptionError(f"spectrum_posterior(): scale must be positive, got {scale!r}.")
     # Neither light nor reflection: any positive number leaves the posterior uniform.
-    return switches.sigma * (scale or 1.0)
+    return scale or 1.0
 
 
 def _mean_power(spectrum: Any, seen: np.ndarray) -> float:

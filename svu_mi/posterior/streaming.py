@@ -18,6 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError, ShapeError
+from svu_mi.interop import owned
 
 FAR = 1e4  # exp(-FAR) is 0, FAR * 0 is not NaN
 IMPOSSIBLE = 1e200  # energy of a cell the prior excludes: above any other, and finite
@@ -87,6 +88,35 @@ def above_smallest(energies: list[Any]) -> tuple[Any, list[Any]]:
     for x in energies[1:]:
         low = dr.minimum(low, x)
     return mi.Float64(low), [mi.Float(dr.minimum(x - low, FAR)) for x in energies]
+
+
+def tables(
+    energies_of: Callable[[Any], RowEnergies], chosen: np.ndarray, rows: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the energies of t chosen texels, for everything that is not the hot path.
+
+    Args:
+        energies_of: texel index -> energies of a row.
+        chosen: (t,) int64 indices of texels.
+        rows: number of rows.
+
+    Returns:
+        (t, rows) float64: the smallest energy of each row; (t, rows, G, cells) float32:
+        energies relative to their group's smallest.
+    """
+    count = len(chosen)
+    lane = dr.arange(mi.UInt32, count * rows)
+    place = lane // dr.opaque(mi.UInt32, rows)
+    texel = dr.gather(mi.UInt32, owned(mi.UInt32, chosen), place)
+    groups = energies_of(texel)(lane - place * rows)
+    base = sum(low for low, _ in groups)
+    columns = [offset for _, offsets in groups for offset in offsets]
+    dr.eval(base, columns)
+    table = np.stack([np.broadcast_to(c.numpy(), count * rows) for c in columns], axis=-1)
+    return (
+        np.broadcast_to(base.numpy(), count * rows).reshape(count, rows),
+        table.reshape(count, rows, len(groups), -1),
+    )
 
 
 def probabilities(

@@ -20,7 +20,7 @@ import mitsuba as mi
 
 from svu_mi.radiance.cells import LightCells
 from svu_mi.radiance.lighting import Lighting
-from svu_mi.radiance.observe import Surface
+from svu_mi.radiance.observe import Observation, Surface
 
 MOMENTS = 8  # per channel: two scalars, two vectors
 
@@ -109,6 +109,15 @@ def hemisphere(
     result = Hemisphere(diffuse, rest[:harmonics], rest[harmonics:])
     dr.eval(result.diffuse, result.visible, result.unoccluded)
     return result
+
+
+def mirror_free(scene: Any, surface: Surface, seen: Observation) -> Any:
+    """Trace the mirror direction of visible samples; below the horizon nothing is free."""
+    mirror = 2 * seen.cosine * mi.Vector3f(surface.normal) - seen.direction
+    free = seen.seen & (dr.dot(surface.geometric_normal, mirror) > 0)
+    origin = surface.position + surface.offset * surface.geometric_normal
+    ray = mi.Ray3f(origin, mirror, dr.largest(mi.Float), 0.0, [])
+    return free & ~scene.ray_test(ray, free)
 
 
 def as_channels(color: Any, channels: int) -> list[Any]:
