@@ -25,12 +25,12 @@ def gram(w, e, p, q, b) -> np.ndarray:
 
 
 def mean_squared_error(w, e, p, q, b, Kd: float, R0: float) -> float:
-    """1/W sum w (b - Kd e - R0 p - q)^2, sample by sample; 0 without samples."""
+    """1/n sum w (b - Kd e - R0 p - q)^2 over n samples, one by one; 0 without any."""
     w, e, p, q, b = (np.float64(x) for x in (w, e, p, q, b))
     total = 0.0
     for W, E, P, Q, B in zip(w, e, p, q, b, strict=True):
         total += W * (B - (Kd * E + R0 * P + Q)) ** 2
-    return total / w.sum() if w.sum() > 0 else 0.0
+    return total / max(len(w), 1)
 
 
 def principled_errors(w, e, p, q, b, metallic, base_color) -> np.ndarray:
