@@ -124,7 +124,7 @@ class AngularPreset:
     diffuse: Diffuse = "disney"
     """``disney``: Mitsuba's diffuse lobe, with retro-reflection; ``lambert``: constant."""
 
-    rays: int = 128
+    rays: int = 64
     """Cells of the light that visibility is traced for; half of them are above a texel."""
 
     parameters: Parameters = "principled"

@@ -128,11 +128,9 @@ def estimate(
         lighting = light(capture, sum(capture.used))
     with progress.stage("Finding silhouettes"):
         views = pack_views(capture)
-    with progress.stage("Tracing visibility"):
-        found = survey(views, Surface.of(texels))
-    _require_seen(found.per_view, capture)
     by_method = _from_angles if method == "angular" else _from_spectra
-    posterior = by_method(views, lighting, texels, found, switches, grid, prior, progress)
+    run = _Run(capture, views, lighting, texels, grid, prior, progress)
+    posterior, found = by_method(run, switches)
     with progress.stage("Computing entropy"):
         result = Estimate(
             method=method,
@@ -148,53 +146,62 @@ def estimate(
     return result
 
 
-def _from_angles(
-    views: Views,
-    lighting: Lighting,
-    texels: Texels,
-    found: Survey,
-    switches: AngularPreset,
-    grid: Any,
-    prior: Any | None,
-    progress: Progress,
-) -> Posterior:
-    grid = grid or default_grid(switches)
-    surface = Surface.of(texels)
-    with progress.stage("Tracing occlusion"):
-        model = reflection(views.scene, surface, lighting, grid.roughness_nodes, switches)
-    with progress.stage("Gathering statistics"):
-        statistics = gather(views, surface, model, dr.opaque(mi.Float, found.scale))
+@dataclass(frozen=True)
+class _Run:
+    """What both methods start from."""
+
+    capture: Capture
+    views: Views
+    lighting: Lighting
+    texels: Texels
+    grid: Any
+    prior: Any | None
+    progress: Progress
+
+    def survey(self) -> Survey:
+        with self.progress.stage("Tracing visibility"):
+            found = survey(self.views, Surface.of(self.texels))
+        _require_seen(found.per_view, self.capture)
+        return found
+
+
+def _from_angles(run: _Run, switches: AngularPreset) -> tuple[Posterior, Survey]:
+    grid = run.grid or default_grid(switches)
+    surface = Surface.of(run.texels)
+    # Only these weights ask for the capture's mean radiance before all views were seen.
+    scale = run.survey().scale if switches.noise == "heteroscedastic" else 1.0
+    with run.progress.stage("Tracing occlusion"):
+        model = reflection(run.views.scene, surface, run.lighting, grid.roughness_nodes, switches)
+    with run.progress.stage("Gathering statistics"):
+        statistics = gather(run.views, surface, model, dr.opaque(mi.Float, scale or 1.0))
+    found = statistics.survey
+    assert found is not None
+    _require_seen(found.per_view, run.capture)
     # Photographs without any light say nothing; any scale will do.
-    return angular_posterior(statistics, grid, found.scale or 1.0, switches, prior=prior)
+    unit = found.scale or 1.0
+    return angular_posterior(statistics, grid, unit, switches, prior=run.prior), found
 
 
-def _from_spectra(
-    views: Views,
-    lighting: Lighting,
-    texels: Texels,
-    found: Survey,
-    switches: Preset,
-    grid: Any,
-    prior: Any | None,
-    progress: Progress,
-) -> Posterior:
-    with progress.stage("Fitting spectra"):
-        spectra = fit_spectra(views, lighting, texels, found.coverage, switches)
-    with progress.stage("Computing entropy"):
+def _from_spectra(run: _Run, switches: Preset) -> tuple[Posterior, Survey]:
+    found = run.survey()
+    with run.progress.stage("Fitting spectra"):
+        spectra = fit_spectra(run.views, run.lighting, run.texels, found.coverage, switches)
+    with run.progress.stage("Computing entropy"):
         irradiance = None
-        if switches.principled and not isinstance(grid, ParameterGrid):
-            irradiance = _irradiance(lighting, texels, int(spectra.outgoing.shape[2]))
-        return spectrum_posterior(
+        if switches.principled and not isinstance(run.grid, ParameterGrid):
+            irradiance = _irradiance(run.lighting, run.texels, int(spectra.outgoing.shape[2]))
+        posterior = spectrum_posterior(
             spectra.incoming,
             spectra.outgoing,
-            grid,
+            run.grid,
             preset=switches,
-            irradiance=irradiance,
-            prefilter=lighting.prefilter,
-            prior=prior,
+            prefilter=run.lighting.prefilter,
+            prior=run.prior,
             observed=found.coverage > 0,
             samples=mi.Float(found.coverage),
+            irradiance=irradiance,
         )
+    return posterior, found
 
 
 def _irradiance(lighting: Lighting, texels: Texels, channels: int) -> np.ndarray:

@@ -26,9 +26,9 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.angular.model import Reflection, Terms, terms
-from svu_mi.radiance import Surface, Views, over_views
+from svu_mi.radiance import Surface, Survey, Views, over_views
 from svu_mi.radiance.hemisphere import as_channels, mirror_free
-from svu_mi.radiance.observe import Observation
+from svu_mi.radiance.observe import Observation, Tally
 
 FIELDS = 6  # U_ee, U_ep, U_pp, z_e, z_p, floor
 SUMS = 6
@@ -47,6 +47,7 @@ class Statistics:
         levels: R.
         channels: C.
         count: T.
+        survey: what was seen on the way, if the statistics were gathered from views.
     """
 
     values: Any
@@ -54,6 +55,7 @@ class Statistics:
     levels: int
     channels: int
     count: int
+    survey: Survey | None = None
 
 
 def gather(views: Views, surface: Surface, model: Reflection, scale: Any) -> Statistics:
@@ -67,9 +69,10 @@ def gather(views: Views, surface: Surface, model: Reflection, scale: Any) -> Sta
             by the other noise rules.
     """
     levels, channels = len(model.roughness), model.channels
+    tally = Tally(views)
     normal = mi.Vector3f(surface.normal)
 
-    def consume(seen: Observation, _view: Any, count: Any, *sums: Any) -> Any:
+    def consume(seen: Observation, view: Any, found: tuple[Any, Any], *sums: Any) -> Any:
         free = mi.Bool(True)
         if model.arriving.visible:
             free = mirror_free(views.scene, surface, seen)
@@ -82,13 +85,13 @@ def gather(views: Views, surface: Surface, model: Reflection, scale: Any) -> Sta
             products = _products(part, radiance)
             return tuple(dr.fma(w, new, old) for old, new in zip(state, products, strict=True))
 
-        one = dr.select(seen.seen, mi.UInt32(1), 0)
         new = dr.if_stmt(args=sums, cond=seen.seen, true_fn=add, false_fn=lambda *s: s)
-        return (count + one, *new)
+        return (tally.add(seen, view, found), *new)
 
-    start = [dr.zeros(mi.UInt32, surface.count)]
-    start += [dr.zeros(mi.Float64, surface.count) for _ in range(levels * channels * SUMS)]
-    count, *sums = over_views(views, surface, consume, tuple(start))
+    size = levels * channels * SUMS
+    zeros = [dr.zeros(mi.Float64, surface.count) for _ in range(size)]
+    found, *sums = over_views(views, surface, consume, (tally.start(surface), *zeros))
+    count = found[0]
     factors = [_factor(sums[i : i + SUMS], count) for i in range(0, len(sums), SUMS)]
     least = []
     for channel in range(channels):
@@ -101,8 +104,8 @@ def gather(views: Views, surface: Surface, model: Reflection, scale: Any) -> Sta
         least.append(low)
     columns = [field for factor in factors for field in factor]
     values = _scatter_columns([*columns, *least], surface.count)
-    dr.eval(values, count)
-    return Statistics(values, count, levels, channels, surface.count)
+    dr.eval(values, found, tally.per_view)
+    return Statistics(values, count, levels, channels, surface.count, tally.survey(found))
 
 
 def _weight(model: Reflection, radiance: list[Any], scale: Any) -> Any:

@@ -100,25 +100,26 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
     """
     if width < DELTA:
         return grid
-    grid = _coarser(grid, width)
+    grid, weights = _coarser(grid, width)
     rows, columns = grid.shape[:2]
-    weights = env.quadrature(rows)
     theta = np.pi * np.arange(rows) / (rows - 1)
     turn = np.cos(2 * np.pi * np.arange(columns // 2 + 1) / columns)  # even: half is enough
     spectrum = np.fft.rfft(grid * weights[:, None, None], axis=1)
     reach = _reach(profile, rows)
     result = np.empty_like(grid)
-    for i in range(rows):
+    for i in range((rows + 1) // 2):
         near = slice(max(i - reach, 0), i + reach + 1)
         cosine = np.cos(theta[i]) * np.cos(theta[near, None]) + (
             np.sin(theta[i]) * np.sin(theta[near, None]) * turn
         )
         kernel = profile(np.clip(cosine, -1, 1))
         full = np.concatenate([kernel, kernel[:, columns - columns // 2 - 1 : 0 : -1]], axis=1)
-        wave = np.fft.rfft(full, axis=1)
         total = (full.sum(axis=1) * weights[near]).sum()
-        summed = np.einsum("jm,jmc->mc", wave, spectrum[near])
-        result[i] = np.fft.irfft(summed, n=columns, axis=0) / total
+        wave = np.fft.rfft(full, axis=1) / total
+        # The sphere looks the same from its other pole: one lobe serves two rows.
+        for row, seen in ((i, spectrum), (rows - 1 - i, spectrum[::-1])):
+            summed = np.einsum("jm,jmc->mc", wave, seen[near])
+            result[row] = np.fft.irfft(summed, n=columns, axis=0)
     # FFT rounding can leave black a hair below zero.
     return np.maximum(result, 0)
 
@@ -131,23 +132,29 @@ def _reach(profile: Profile, rows: int) -> int:
     return int(above[-1]) + 1
 
 
-def _coarser(grid: np.ndarray, width: float) -> np.ndarray:
+def _coarser(grid: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
     """Bring a grid down to as few nodes as still resolve a lobe.
 
-    Every node's light is shared among the two nearest new ones, per axis: none is lost.
+    Every node's light and weight are shared among the two nearest new nodes, per axis: none
+    is lost, and a constant stays what it is.
+
+    Returns:
+        (H', W', C), and the weight of every row's nodes (H',), which at the poles is not that
+        of a quadrature of its own.
     """
     rows, columns = grid.shape[:2]
+    solid = env.quadrature(rows)
     fewer = max(int(np.ceil(COARSE / width)) + 1, FEWEST)
     if fewer >= rows:
-        return grid
-    solid = env.quadrature(rows)
+        return grid, solid
     down = _shares(np.linspace(0, fewer - 1, rows), fewer, wrap=False)
     across = 2 * (fewer - 1)
     place = (np.arange(columns) + 0.5) * across / columns - 0.5
     around = _shares(place, across, wrap=True)
     moved = np.einsum("jr,r...->j...", down, grid * solid[:, None, None])
     moved = np.einsum("ic,jc...->ji...", around, moved)
-    return moved / ((down @ solid)[:, None] * around.sum(axis=1))[..., None]
+    weights = down @ solid
+    return moved / (weights[:, None] * around.sum(axis=1))[..., None], weights
 
 
 def _shares(place: np.ndarray, count: int, wrap: bool) -> np.ndarray:

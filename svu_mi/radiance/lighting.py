@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import factorial
 from typing import Any
 
@@ -15,35 +16,48 @@ from svu_mi.capture.scene import find_environment
 from svu_mi.radiance.environment import Environment, read_environment, synthesize
 
 MIN_DEGREE, MAX_DEGREE = 24, 64
+COSINE_DEGREE = 16
 NEGLIGIBLE = 1e-4  # factor of the filter from which higher degrees are left out
 TEXELS_PER_WAVE = 24  # rows per period of the highest degree: bilinear error below 1 %
 
 
 @dataclass(frozen=True)
 class Lighting:
-    """Light of a capture, filtered for v views.
+    """Light of a capture, filtered for v views; each map is computed when first asked for.
 
     Attributes:
         environment: what the light was read from.
-        coefficients: ((degree + 1)^2, 3) float64, *before* band-limiting (polar frame of
-            ``environment``, in radiance).
         prefilter: alpha' = v^(-1/2), the width the light is band-limited with.
-        filtered: Texture2f of the band-limited radiance.
-        irradiance_map: Texture2f of the irradiance.
         to_local: Matrix3f, world to local.
     """
 
     environment: Environment
-    coefficients: np.ndarray
     prefilter: float
-    filtered: Any
-    irradiance_map: Any
     to_local: Any
 
     @property
     def degree(self) -> int:
-        """Highest degree of the expansion."""
-        return int(np.sqrt(len(self.coefficients))) - 1
+        """Highest degree of the expansion that the band-limit leaves anything of."""
+        wanted = int(np.ceil(np.sqrt(-np.log(NEGLIGIBLE)) / self.prefilter))
+        return int(np.clip(wanted, MIN_DEGREE, MAX_DEGREE))
+
+    @cached_property
+    def coefficients(self) -> np.ndarray:
+        """((degree + 1)^2, 3) float64, *before* band-limiting (polar frame, in radiance)."""
+        return self.environment.coefficients(self.degree)
+
+    @cached_property
+    def filtered(self) -> Any:
+        """Texture2f of the band-limited radiance."""
+        smooth = np.exp(-((self.prefilter * degrees(self.degree)) ** 2))
+        return _texture(self.coefficients * smooth[:, None])
+
+    @cached_property
+    def irradiance_map(self) -> Any:
+        """Texture2f of the irradiance."""
+        # Cosine lobes fall off as l^-2, and odd degrees above 1 vanish: beyond 16, 0.2 %.
+        cosine = clamped_cosine(COSINE_DEGREE)[degrees(COSINE_DEGREE)]
+        return _texture(self.environment.coefficients(COSINE_DEGREE) * cosine[:, None])
 
     def radiance(self, direction: Any) -> Any:
         """Look up band-limited incoming radiance *from* a world direction: Color3f."""
@@ -82,19 +96,9 @@ def light(capture: Capture, views: int) -> Lighting:
 
 def band_limit(environment: Environment, views: int) -> Lighting:
     """Filter an environment for v views; see ``light``."""
-    prefilter = max(views, 1) ** -0.5
-    wanted = int(np.ceil(np.sqrt(-np.log(NEGLIGIBLE)) / prefilter))
-    degree = int(np.clip(wanted, MIN_DEGREE, MAX_DEGREE))
-    coefficients = environment.coefficients(degree)
-    l = degrees(degree)
-    smooth = coefficients * np.exp(-((prefilter * l) ** 2))[:, None]
-    cosine = coefficients * clamped_cosine(degree)[l][:, None]
     return Lighting(
         environment=environment,
-        coefficients=coefficients,
-        prefilter=prefilter,
-        filtered=_texture(smooth),
-        irradiance_map=_texture(cosine),
+        prefilter=max(views, 1) ** -0.5,
         to_local=mi.Matrix3f(environment.to_local),
     )
 

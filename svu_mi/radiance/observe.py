@@ -236,21 +236,44 @@ class Survey:
         return float(self.total.numpy().sum(dtype=np.float64) / max(samples, 1))
 
 
-def survey(views: Views, surface: Surface) -> Survey:
-    """Find who sees whom, and how bright it is: one pass over all views."""
-    per_view = dr.zeros(mi.UInt32, max(views.number, 1))
+class Tally:
+    """Counts who sees whom, within a loop over views.
 
-    def count(seen: Observation, view: Any, views_of: Any, total: Any) -> tuple[Any, Any]:
+    Attributes:
+        per_view: (V,) UInt32, filled when the kernel runs.
+    """
+
+    def __init__(self, views: Views) -> None:
+        self.per_view = dr.zeros(mi.UInt32, max(views.number, 1))
+
+    @staticmethod
+    def start(surface: Surface) -> tuple[Any, Any]:
+        """Return the state before the first view."""
+        return dr.zeros(mi.UInt32, surface.count), dr.zeros(mi.Float, surface.count)
+
+    def add(self, seen: Observation, view: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
+        """Return the state after one more view."""
         one = dr.select(seen.seen, mi.UInt32(1), mi.UInt32(0))
         # The default mode bakes the number of views into the kernel; all lanes of a packet
         # add to one view, which this mode sums up first.
-        dr.scatter_add(per_view, one, view, seen.seen, dr.ReduceMode.Local)
-        return views_of + one, total + dr.sum(seen.radiance) / 3
+        dr.scatter_add(self.per_view, one, view, seen.seen, dr.ReduceMode.Local)
+        return state[0] + one, state[1] + dr.sum(seen.radiance) / 3
 
-    zeros = (dr.zeros(mi.UInt32, surface.count), dr.zeros(mi.Float, surface.count))
-    coverage, total = over_views(views, surface, count, zeros)
-    dr.eval(coverage, total, per_view)
-    return Survey(coverage, total, per_view)
+    def survey(self, state: tuple[Any, Any]) -> Survey:
+        """Return the record of all views."""
+        return Survey(coverage=state[0], total=state[1], per_view=self.per_view)
+
+
+def survey(views: Views, surface: Surface) -> Survey:
+    """Find who sees whom, and how bright it is: one pass over all views."""
+    tally = Tally(views)
+
+    def count(seen: Observation, view: Any, state: tuple[Any, Any]) -> tuple[Any]:
+        return (tally.add(seen, view, state),)
+
+    (state,) = over_views(views, surface, count, (tally.start(surface),))
+    dr.eval(state, tally.per_view)
+    return tally.survey(state)
 
 
 def coverage(views: Views, surface: Surface) -> tuple[Any, Any]:
