@@ -1,8 +1,10 @@
 """Presets: named, frozen sets of a method's switches.
 
 ``paper`` is the method as printed; ``default`` is our best, one setting for all scenes;
-``fast`` trades accuracy for time. Each difference between them is a single switch, so an
-ablation is ``preset("paper", penalize_constant=False)``.
+``fast`` trades accuracy for time; ``calibrated`` (angular only) is for those who take credible
+sets at their word: its noise grows with radiance, as the errors of model and photographs do.
+Each difference between them is a single switch, so an ablation is
+``preset("paper", penalize_constant=False)``.
 """
 
 from __future__ import annotations
@@ -177,6 +179,7 @@ PRESETS: dict[str, Preset] = {
 
 ANGULAR_PRESETS: dict[str, AngularPreset] = {
     "default": AngularPreset(),
+    "calibrated": AngularPreset(name="calibrated", noise="heteroscedastic", sigma=0.16),
     "fast": AngularPreset(name="fast", occluded_specular=False, occluded_diffuse=False),
     "paper": AngularPreset(
         name="paper", fresnel="schlick", lobe="gaussian", off_specular=False,

@@ -10,7 +10,7 @@ from helpers import ball, ball_scene, memory_capture, sensor_xml, write_scene
 
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.scene import load_scene
-from svu_mi.radiance import Surface, coverage, observe, over_views, pack_views
+from svu_mi.radiance import Surface, observe, over_views, pack_views, survey
 from svu_mi.surface import texels
 
 WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
@@ -125,7 +125,8 @@ def test_visibility_does_not_depend_on_the_scale_of_the_scene(tmp_path, scale):
     sensors = sphere_sensors(shape, 6, (64, 64))
     capture = memory_capture(scene, [np.ones((64, 64, 3))] * 6, sensors)
     found = texels(shape, 48)
-    count, per_view = coverage(pack_views(capture), Surface.of(found))
+    seen = survey(pack_views(capture), Surface.of(found))
+    count, per_view = seen.coverage, seen.per_view
     assert int(count.numpy().sum()) == int(per_view.numpy().sum())
     # A camera 3.5 radii away sees 36 % of a sphere, and grazing pixels are not used.
     assert 0.2 < count.numpy().mean() / 6 < 0.36
@@ -212,6 +213,6 @@ def test_one_kernel_serves_any_number_of_views(tmp_path):
         views, surface = pack_views(capture), Surface.of(found)
         dr.sync_thread()
         compiled = sum(dr.detail.launch_stats()[1:])  # looked for on disk, or compiled
-        coverage(views, surface)
+        survey(views, surface)
         if run:
             assert sum(dr.detail.launch_stats()[1:]) == compiled

@@ -19,7 +19,7 @@ from svu_mi.capture.scene import load_scene
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.options import preset
 from svu_mi.pipeline import estimate, fit_spectra, sample
-from svu_mi.radiance import Surface, coverage, light, pack_views
+from svu_mi.radiance import Surface, light, pack_views, survey
 
 DIFFUSE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.5, 0.3]}}
 GLOSSY = {"type": "principled", "base_color": {"type": "rgb", "value": [0.9, 0.7, 0.4]},
@@ -70,7 +70,7 @@ def test_the_fused_kernels_agree_with_the_oracle(glossy, name):
     capture, texels = glossy
     switches = preset(name)
     d, w, f, lighting = stored_samples(capture, texels, switches)
-    seen, _ = coverage(pack_views(capture), Surface.of(texels))
+    seen = survey(pack_views(capture), Surface.of(texels)).coverage
     spectra = fit_spectra(pack_views(capture), lighting, texels, seen, switches)
     exact = exact_spectra(d, w, f, switches)
     ours = np.concatenate([np.array(spectra.outgoing), np.array(spectra.incoming)], axis=2)
@@ -153,7 +153,7 @@ def test_a_diffuse_ball_has_no_power_above_degree_zero(tmp_path):
     capture = render_ball(tmp_path, studio(), DIFFUSE, views=30, spp=256)
     texels = svu.texels(capture.mesh, 32)
     views, lighting = pack_views(capture), light(capture, 30)
-    seen, _ = coverage(views, Surface.of(texels))
+    seen = survey(views, Surface.of(texels)).coverage
     many = seen.numpy() >= 6
     leak = {}
     for name in ("default", "paper"):

@@ -175,7 +175,7 @@ class Judge:
                 "seconds": found.seconds,
                 "rays": found.rays,
                 "spp": found.spp,
-                "split_half": found.split_half()[0],
+                "split_half": found.split_half().correlation,
                 "half_overlap": _overlap(found.halves, seen),
                 "mean_entropy": float(self.entropy.mean()),
                 "entropy": self.entropy.round(DIGITS),
@@ -189,7 +189,7 @@ class Judge:
         result = timed.estimate
         everywhere = np.array(result.entropy, np.float64)
         entropy = everywhere[self.kept]
-        posterior = np.array(result.posterior.probabilities)[self.kept]
+        posterior = np.array(result.posterior.probabilities_of(self.kept))
         judged = judge_posterior(posterior, result.posterior.axes, self.truth, entropy, self.kept)
         return {
             **agreement(entropy, self.entropy),

@@ -23,6 +23,7 @@ class Settings:
         film: pixels per side of each.
         spp: samples per pixel.
         texels: texels per side.
+        speed_texels: the same, where run times are measured.
         reference_texels: texels of the reference posterior.
         reference_spp: samples per ray of the reference. Fewer do for its entropy, but at bright
             texels its posterior then gathers where the noise happens to fit.
@@ -35,7 +36,8 @@ class Settings:
     views: int = 60
     film: int = 256
     spp: int = 32
-    texels: int = 512
+    texels: int = 256
+    speed_texels: int = 512
     reference_texels: int = 1000
     reference_spp: int = 128
     seed: int = 0
@@ -46,8 +48,8 @@ class Settings:
 
 FULL = Settings()
 QUICK = Settings(
-    views=24, film=128, spp=16, texels=256, reference_texels=200, reference_spp=64,
-    speed_film=128, repeats=3, stride=2,
+    views=24, film=128, spp=16, texels=192, speed_texels=256, reference_texels=200,
+    reference_spp=64, speed_film=128, repeats=3, stride=2,
 )  # fmt: skip
 
 

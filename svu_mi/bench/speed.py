@@ -17,7 +17,7 @@ from svu_mi.bench.cold import run_cold
 from svu_mi.bench.store import Store, key_of
 from svu_mi.bench.variants import Variant
 from svu_mi.capture import Capture
-from svu_mi.radiance import Surface, coverage, pack_views
+from svu_mi.radiance import Surface, pack_views, survey
 from svu_mi.surface import Texels, texels
 
 DEGREES = (2, 3, 4, 5, 6, 8)
@@ -78,13 +78,13 @@ def time_estimators(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> di
     settings = replace(bench.settings, film=size)
     name = "capture" if size == bench.settings.film else f"capture_{size}"
     capture = bench.capture(cell, settings, name)
-    grid = texels(capture.mesh, settings.texels)
+    grid = texels(capture.mesh, settings.speed_texels)
     found = {}
     for variant in variants:
         with bench.progress.stage(f"Timing {variant.label}, warm"):
             runs = [run_warm(capture, grid, variant) for _ in range(settings.repeats)]
         with bench.progress.stage(f"Timing {variant.label}, cold"):
-            cold = run_cold(bench.folder / "cells" / cell.name / name, settings.texels,
+            cold = run_cold(bench.folder / "cells" / cell.name / name, settings.speed_texels,
                             variant.label)  # fmt: skip
         warm = {
             stage: statistics.median(run.timings[stage] for run in runs)
@@ -101,7 +101,7 @@ def time_estimators(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> di
         "views": capture.count,
         "film": size,
         "texels": grid.count,
-        "resolution": settings.texels,
+        "resolution": settings.speed_texels,
     }
 
 
@@ -221,7 +221,8 @@ def brute_force(bench: Bench, cell: Cell) -> dict[str, Any]:
     with bench.progress.stage("Tracing all psi"):
         sample = bench.reference(capture, grid, method="brute", spp=BRUTE_SPP)
     psi = int(np.prod(np.array(sample.posterior.probabilities).shape[1:]))
-    pairs = int(np.array(coverage(pack_views(capture), Surface.of(grid))[0]).sum(dtype=np.int64))
+    found = survey(pack_views(capture), Surface.of(grid))
+    pairs = int(found.coverage.numpy().sum(dtype=np.int64))
     rate = sample.rays / sample.seconds
     return {
         "sample_rays": sample.rays,

@@ -45,26 +45,45 @@ def _angular(label: str, main: bool = False, base: str = "default", **switches: 
 
 SPECTRUM = (
     _spectrum("paper", main=True, base="paper"),
-    _spectrum("paper, relative noise", main=True, base="paper", noise="relative", sigma=0.01),
+    _spectrum("paper, relative noise", main=True, base="paper", noise="relative", sigma=0.02),
     _spectrum("default", main=True),
     _spectrum("constant penalised", penalize_constant=True),
-    _spectrum("band-limit not undone", undo_prefilter=False),
-    _spectrum("uniform Ks", spacing="uniform"),
+    _spectrum("band-limit undone", undo_prefilter=True),
+    _spectrum("no occlusion", occluded=False),
+    _spectrum("no albedo", albedo=False),
+    _spectrum("roughness and Ks only", parameters="specular"),
+    _spectrum("roughness and Ks only, uniform Ks", parameters="specular", spacing="uniform"),
+    _spectrum("channels joint", channels="joint"),
     _spectrum("channels summed", channels="sum"),
     _spectrum("least of three channels", channels="minimum"),
-    _spectrum("fixed noise", noise="fixed", sigma=0.1),
     _spectrum("unknown noise", noise="marginal"),
+    _spectrum("half the sigma", sigma=0.002),
+    _spectrum("twice the sigma", sigma=0.008),
     _spectrum("degree 4", degree=4),
-    _spectrum("degree 5", degree=5),
     _spectrum("degree 8", degree=8),
-    _spectrum("regularizer 1e-2", regularizer=1e-2),
+    _spectrum("regularizer 1e-3", regularizer=1e-3),
     _spectrum("regularizer 1e-1", regularizer=1e-1),
 )
 
-# --- angular: ADD VARIANTS HERE -----------------------------------------------------------
-ANGULAR: tuple[Variant, ...] = (
+ANGULAR = (
     _angular("default", main=True),
-    # _angular("Schlick's Fresnel", fresnel="schlick"),
+    _angular("fast", main=True, base="fast"),
+    _angular("calibrated", main=True, base="calibrated"),
+    _angular("as printed", base="paper"),
+    _angular("Fresnel: none", fresnel="none"),
+    _angular("Fresnel: Schlick at theta_o", fresnel="schlick"),
+    _angular("lobe: Gaussian", lobe="gaussian"),
+    _angular("no off-specular shift", off_specular=False),
+    _angular("specular not occluded", occluded_specular=False),
+    _angular("diffuse not occluded", occluded_diffuse=False),
+    _angular("nothing occluded", occluded_specular=False, occluded_diffuse=False),
+    _angular("256 rays", rays=256),
+    _angular("Lambert", diffuse="lambert"),
+    _angular("roughness and Ks only", parameters="specular"),
+    _angular("channels joint", channels="joint"),
+    _angular("unknown noise", noise="marginal"),
+    _angular("half the sigma", sigma=0.04),
+    _angular("twice the sigma", sigma=0.16),
 )
 
 VARIANTS = SPECTRUM + ANGULAR

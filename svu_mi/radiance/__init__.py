@@ -11,7 +11,6 @@ from svu_mi.radiance.lighting import light as light
 from svu_mi.radiance.observe import Observation as Observation
 from svu_mi.radiance.observe import Surface as Surface
 from svu_mi.radiance.observe import Survey as Survey
-from svu_mi.radiance.observe import coverage as coverage
 from svu_mi.radiance.observe import observe as observe
 from svu_mi.radiance.observe import over_views as over_views
 from svu_mi.radiance.observe import survey as survey

@@ -274,9 +274,3 @@ def survey(views: Views, surface: Surface) -> Survey:
     (state,) = over_views(views, surface, count, (tally.start(surface),))
     dr.eval(state, tally.per_view)
     return tally.survey(state)
-
-
-def coverage(views: Views, surface: Surface) -> tuple[Any, Any]:
-    """Deprecated."""
-    found = survey(views, surface)
-    return found.coverage, found.per_view

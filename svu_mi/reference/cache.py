@@ -26,7 +26,7 @@ from svu_mi.surface import Texels
 
 log = logging.getLogger(__name__)
 
-FORMAT = 1  # raised whenever the same input would give another result, or another file
+FORMAT = 2  # raised whenever the same input would give another result, or another file
 
 
 def locate(

@@ -1,7 +1,9 @@
 """Squared deviation of every psi from what was observed, averaged over a texel's views.
 
-With two independent renders A and B of one psi, E[(b - A)(b - B)] = (b - r)^2, where r is the
-exact radiance; E[(b - A)^2] has the variance of A on top, which differs from psi to psi.
+With two independent renders A and B of one psi the reference takes their mean, and each of
+them to state its own noise. E[(b - A)(b - B)] = (b - r)^2 would be free of bias where those have
+the variance of a render on top; but its noise, of mean zero, makes false minima: the entropy from
+it is off by .065 against .042 at 32 samples (RMSE against 1024), and no better from 64 on.
 """
 
 from __future__ import annotations
@@ -16,16 +18,24 @@ from svu_mi.posterior import PrincipledGrid
 Render = Callable[[float, float, float], tuple[np.ndarray, np.ndarray]]
 """(roughness, metallic, base colour) to the radiances (P,) of halves A and B, float64."""
 
-KINDS = 3  # AB, AA, BB
+KINDS = 3  # mean of both halves, A, B
 CORNERS = ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0))  # (metallic, base colour)
 
 
 @dataclass(frozen=True)
 class PerTexel:
-    """Means over the P pairs of each of n texels; a texel without pairs has 0."""
+    """Means over the P pairs of each of n texels; a texel without pairs has 0.
+
+    Attributes:
+        texel: (P,) int64, place of each pair's texel.
+        count: n.
+        weight: (P,) float64 that values are multiplied by, the mean still being over all
+            pairs; or None.
+    """
 
     texel: np.ndarray
     count: int
+    weight: np.ndarray | None = None
 
     @property
     def pairs(self) -> np.ndarray:
@@ -34,7 +44,8 @@ class PerTexel:
 
     def mean(self, values: np.ndarray) -> np.ndarray:
         """Average (P,) values to (n,) float64."""
-        total = np.bincount(self.texel, weights=values, minlength=self.count)
+        weighted = values if self.weight is None else self.weight * values
+        total = np.bincount(self.texel, weights=weighted, minlength=self.count)
         return total / np.maximum(self.pairs, 1)
 
 
@@ -48,13 +59,14 @@ def brute(observed: np.ndarray, mean: PerTexel, grid: PrincipledGrid, render: Re
         render: traces both halves of one psi.
 
     Returns:
-        (3, n, R, M, C) float64: means of (b-A)(b-B), (b-A)^2 and (b-B)^2.
+        (3, n, R, M, C) float64: means of (b - (A + B) / 2)^2, (b - A)^2 and (b - B)^2.
     """
     result = np.empty((KINDS, mean.count, *grid.shape))
     for cell in np.ndindex(*grid.shape):
         psi = (float(nodes[k]) for nodes, k in zip(grid.axes.values(), cell, strict=True))
         a, b = (observed - half for half in render(*psi))
-        result[(slice(None), slice(None), *cell)] = [mean.mean(x) for x in (a * b, a * a, b * b)]
+        both = (a + b) / 2
+        result[(slice(None), slice(None), *cell)] = [mean.mean(x * x) for x in (both, a, b)]
     return result
 
 
@@ -80,18 +92,18 @@ def linear(
     for row, roughness in enumerate(grid.roughness_nodes):
         corners = [render(float(roughness), *corner) for corner in CORNERS]
         a, b = ([observed, *(corner[half] for corner in corners)] for half in range(2))
-        for kind, (left, right) in enumerate(((a, b), (a, a), (b, b))):
-            cells = np.einsum("nij,gij->ng", _moments(mean, left, right), forms, optimize=True)
+        both = [(x + y) / 2 for x, y in zip(a, b, strict=True)]
+        for kind, values in enumerate((both, a, b)):
+            cells = np.einsum("nij,gij->ng", _moments(mean, values), forms, optimize=True)
             result[kind, :, row] = cells.reshape(mean.count, *grid.shape[1:])
     return result
 
 
-def _moments(mean: PerTexel, left: list[np.ndarray], right: list[np.ndarray]) -> np.ndarray:
-    """Return (n, k, k) symmetrised cross-moments of k values per pair."""
-    size = len(left)
+def _moments(mean: PerTexel, values: list[np.ndarray]) -> np.ndarray:
+    """Return (n, k, k) moments of k values per pair."""
+    size = len(values)
     result = np.empty((mean.count, size, size))
     for i in range(size):
         for j in range(i + 1):
-            product = (left[i] * right[j] + left[j] * right[i]) / 2
-            result[:, i, j] = result[:, j, i] = mean.mean(product)
+            result[:, i, j] = result[:, j, i] = mean.mean(values[i] * values[j])
     return result

@@ -13,6 +13,7 @@ from svu_mi.posterior import PrincipledGrid
 from svu_mi.reference.deviations import CORNERS
 
 Method = Literal["linear", "brute"]
+Noise = Literal["relative", "heteroscedastic"]
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,7 @@ class Options:
     max_depth: int
     method: Method
     seed: int
+    noise: Noise = "relative"
 
     def __post_init__(self) -> None:
         label = "reference_posterior()"
@@ -47,6 +49,10 @@ class Options:
             raise OptionError(f"{label}: seed must be a whole number >= 0, got {self.seed!r}.")
         if self.method not in ("linear", "brute"):
             raise OptionError(f"{label}: method must be linear or brute, got {self.method!r}.")
+        if self.noise not in ("relative", "heteroscedastic"):
+            raise OptionError(
+                f"{label}: noise must be relative or heteroscedastic, got {self.noise!r}."
+            )
         if self.method == "linear" and self.max_depth > 2:
             raise OptionError(
                 f"{label}: radiance is linear in the material for direct light alone; use "

@@ -9,31 +9,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.radiance import Surface, Views, observe, over_views
+from svu_mi.radiance import Surface, Views, observe
 from svu_mi.radiance.observe import RAY_OFFSET
 from svu_mi.radiance.views import CAMERA_FLOATS
 from svu_mi.reference.uniform import UniformScene
 from svu_mi.surface import Texels
 
 TOLERANCE = 4e-5  # of the object's extent: how far from a texel's tangent plane a ray may land
-
-
-@dataclass(frozen=True)
-class Survey:
-    """What all views together show of each of T texels.
-
-    Attributes:
-        coverage: (T,) int64, number of views that see it.
-        total: (T,) float64, sum over those views of the observed grey radiance.
-    """
-
-    coverage: np.ndarray
-    total: np.ndarray
-
-    @property
-    def scale(self) -> float:
-        """Mean grey radiance over all visible (texel, view) samples; 0 without any."""
-        return float(self.total.sum() / max(self.coverage.sum(), 1))
 
 
 @dataclass(frozen=True)
@@ -61,18 +43,6 @@ class Pairs:
 def grey(radiance: Any) -> Any:
     """Mean of the channels: Color3f to Float."""
     return (radiance[0] + radiance[1] + radiance[2]) / 3
-
-
-def survey(views: Views, texels: Texels) -> Survey:
-    """Add up, for every texel, what the views show of it: one kernel."""
-
-    def add(seen: Any, _view: Any, count: Any, total: Any) -> tuple[Any, Any]:
-        return count + dr.select(seen.seen, mi.UInt32(1), 0), total + grey(seen.radiance)
-
-    zeros = (dr.zeros(mi.UInt32, texels.count), dr.zeros(mi.Float, texels.count))
-    count, total = over_views(views, Surface.of(texels), add, zeros)
-    dr.eval(count, total)
-    return Survey(count.numpy().astype(np.int64), total.numpy().astype(np.float64))
 
 
 def visible_pairs(views: Views, texels: Texels, batch: Any, target: UniformScene) -> Pairs:

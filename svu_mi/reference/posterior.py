@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import drjit as dr
@@ -15,11 +16,11 @@ from svu_mi.errors import CaptureError
 from svu_mi.interop import owned
 from svu_mi.posterior import PrincipledGrid, TabulatedPosterior
 from svu_mi.progress import Progress
-from svu_mi.radiance import Views, pack_views
+from svu_mi.radiance import Surface, Survey, Views, pack_views, survey
 from svu_mi.reference import cache as cached
 from svu_mi.reference.deviations import PerTexel, brute, linear
-from svu_mi.reference.options import Method, Options, check_subset
-from svu_mi.reference.pairs import Pairs, Survey, survey, visible_pairs
+from svu_mi.reference.options import Method, Noise, Options, check_subset
+from svu_mi.reference.pairs import Pairs, visible_pairs
 from svu_mi.reference.record import Reference
 from svu_mi.reference.trace import path_integrator, trace
 from svu_mi.reference.uniform import UniformScene
@@ -39,6 +40,7 @@ def reference_posterior(
     max_depth: int = 2,
     method: Method = "linear",
     seed: int = 0,
+    noise: Noise = "relative",
     cache: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Reference:
@@ -58,6 +60,8 @@ def reference_posterior(
         spp: paths per psi and pair; even.
         grid: nodes of psi; 8 x 8 x 8 by default.
         sigma: standard deviation of the likelihood, as a part of the mean radiance.
+        noise: ``relative``: that, for all samples; ``heteroscedastic``: it grows with a sample's
+            own radiance b, by sqrt(1 + (b / mean)^2), as the estimator of that name has it.
         max_depth: longest path; 2 is direct light.
         method: ``linear`` renders 4 psi per roughness and derives the others, exactly, for
             direct light; ``brute`` renders all.
@@ -70,7 +74,7 @@ def reference_posterior(
         CaptureError: no texel is seen in any photograph, or all that is seen is black.
         OutputError: the cache cannot be written.
     """
-    options = Options(spp, grid or PrincipledGrid(), sigma, max_depth, method, seed)
+    options = Options(spp, grid or PrincipledGrid(), sigma, max_depth, method, seed, noise)
     wanted = check_subset(subset, texels.count)
     progress = progress or Progress()
     path = cached.locate(cache, capture, texels, wanted, options) if cache is not None else None
@@ -79,7 +83,7 @@ def reference_posterior(
     with progress.stage("Finding silhouettes"):
         views = pack_views(capture)
     with progress.stage("Tracing visibility"):
-        seen = survey(views, texels)
+        seen = survey(views, Surface.of(texels))
     chosen = _choose(wanted, seen, capture, seed)
     with progress.stage("Tracing the reference") as stage:
         result = _trace(capture, views, texels, chosen, seen.scale, options, stage.update)
@@ -109,8 +113,9 @@ def _trace(
         pairs = visible_pairs(views, texels, owned(mi.UInt32, batch.astype(np.uint32)), target)
         renderer = _Renderer(target, pairs, options, number, len(batches), update)
         mean = PerTexel(pairs.texel, len(batch))
+        weighted = replace(mean, weight=_weights(pairs.observed, scale, options.noise))
         derive = linear if options.method == "linear" else brute
-        deviations.append(derive(pairs.observed, mean, options.grid, renderer))
+        deviations.append(derive(pairs.observed, weighted, options.grid, renderer))
         brightness.append(mean.mean(pairs.observed))
         coverage.append(mean.pairs)
         rays += pairs.count * options.renders * options.spp
@@ -137,6 +142,11 @@ def _trace(
         max_depth=options.max_depth,
         method=options.method,
     )
+
+
+def _weights(observed: np.ndarray, scale: float, noise: Noise) -> np.ndarray | None:
+    """(P,) weights of the squared deviations; None is 1 for all."""
+    return None if noise == "relative" else 1 / (1 + (observed / scale) ** 2)
 
 
 class _Renderer:
@@ -172,7 +182,7 @@ class _Renderer:
 
 def _choose(wanted: int | np.ndarray, seen: Survey, capture: Capture, seed: int) -> np.ndarray:
     """Return (n,) int64 indices; random ones are seen, and sorted, so neighbours stay together."""
-    visible = np.flatnonzero(seen.coverage)
+    visible = np.flatnonzero(seen.coverage.numpy())
     if len(visible) == 0:
         raise CaptureError(
             f"No texel of '{capture.shape.id()}' is seen in any photograph, so there is nothing "

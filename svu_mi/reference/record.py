@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from svu_mi.posterior import TabulatedPosterior
 
 
-class SplitHalf(NamedTuple):
+@dataclass(frozen=True)
+class SplitHalf:
     """How well a reference agrees with itself.
 
     Attributes:
@@ -21,8 +21,8 @@ class SplitHalf(NamedTuple):
     """
 
     correlation: float
-    first: np.ndarray
-    second: np.ndarray
+    first: np.ndarray = field(repr=False)
+    second: np.ndarray = field(repr=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,8 +33,7 @@ class Reference:
         subset: (n,) int64, which of the T texels.
         posterior: p(psi | B, L) on roughness x metallic x base colour. Not observed, with
             entropy 1, is a texel that no view sees or that no ray met.
-        halves: the same from the first and from the second half of the samples. Their energies
-            are (b - r)^2, Monte Carlo variance included; those of ``posterior`` are free of it.
+        halves: the same from the first and from the second half of the samples.
         brightness: (n,) float64, mean observed grey radiance over the views used; 0 without any.
         coverage: (n,) int64, number of views used.
         scale: mean grey radiance over all visible (texel, view) samples of the capture.
