@@ -57,7 +57,8 @@ def layout(capture):
 
 
 def energies(reference) -> np.ndarray:
-    return reference.posterior.energies
+    """Free of Monte Carlo variance, which few paths have a lot of."""
+    return reference.unbiased_energies
 
 
 def valley() -> capture_mesh.MeshArrays:
@@ -249,13 +250,15 @@ def test_two_halves_take_the_noise_out_of_squares():
     ).reshape(grid.shape)
     mean = PerTexel(np.zeros(count, np.int64), 1)
     for derive in (linear, brute):
-        cross, first, second = derive(observed, mean, grid, render)[:, 0]
+        both, first, second = derive(observed, mean, grid, render)[:, 0]
+        cross = (4 * both - first - second) / 2
         # Five standard errors of a mean of products of two normal deviates.
         error = 5 * (deviation**2 + 2 * deviation * np.sqrt(truth)) / np.sqrt(count)
         assert (np.abs(cross - truth) < error).all(), derive.__name__
         # Mixing four renders lowers the variance, to a quarter at most.
         assert (np.minimum(first, second) - truth > 0.2 * deviation**2 - error).all()
         assert first[1, 1, 1] > 0.2 * deviation**2 > 4 * abs(cross[1, 1, 1])
+        assert both[1, 1, 1] == pytest.approx(first[1, 1, 1] / 2, rel=0.1)
 
 
 def nodes(grid: PrincipledGrid) -> list[tuple[float, ...]]:
@@ -313,9 +316,37 @@ def test_a_texel_nobody_sees_has_entropy_one(capture, layout):
     assert np.array_equal(drawn.subset, np.flatnonzero(~unseen))
 
 
+def test_bright_samples_weigh_less_when_noise_grows_with_them():
+    rng = np.random.default_rng(SEED)
+    texel, observed = rng.integers(0, 3, 40), rng.exponential(2.0, 40)
+    grid, radiance = PrincipledGrid(2, 2, 2), rng.random((2, 40))
+    weight = posterior._weights(observed, 1.5, "heteroscedastic")
+    found = brute(observed, PerTexel(texel, 3, weight), grid, lambda *_: tuple(radiance))
+    for t in range(3):
+        mine = texel == t
+        b, r = observed[mine], radiance.mean(axis=0)[mine]
+        expected = ((b - r) ** 2 / (1 + (b / 1.5) ** 2)).mean()
+        assert found[0, t] == pytest.approx(expected)
+    assert posterior._weights(observed, 1.5, "relative") is None
+
+
+def test_exposure_changes_nothing_whatever_the_noise(tmp_path, capture, layout):
+    bright = memory_capture(
+        ball_scene(tmp_path, sky(4.0), paint()), [4 * i for i in capture.images], capture.sensors
+    )
+    a, b = (
+        reference_posterior(c, layout, 50, 8, grid=GRID, seed=SEED, noise="heteroscedastic")
+        for c in (capture, bright)
+    )
+    assert b.entropy == pytest.approx(a.entropy, abs=1e-3)
+    same = reference_posterior(capture, layout, 50, 8, grid=GRID, seed=SEED)
+    assert np.abs(same.entropy - a.entropy).max() > 0.01
+
+
 def test_split_half_tells_noise(capture, layout):
     reference = reference_posterior(capture, layout, 100, 64, grid=PrincipledGrid(4, 4, 4))
-    correlation, first, second = reference.split_half()
+    halves = reference.split_half()
+    correlation, first, second = halves.correlation, halves.first, halves.second
     assert first.shape == second.shape == (100,)
     assert not np.array_equal(first, second)
     assert correlation == pytest.approx(np.corrcoef(first, second)[0, 1])

@@ -71,6 +71,15 @@ class Reference:
         """Normalised entropy (n,) float64 in [0, 1]; 1 where not observed (Eq. 5)."""
         return _entropy(self.posterior)
 
+    @property
+    def unbiased_energies(self) -> np.ndarray:
+        """(n, R, M, C) float64 energies free of the renders' variance; may be negative.
+
+        (b - A)(b - B) of the halves A and B, whose noise makes them worse for a posterior.
+        """
+        first, second = self.halves
+        return (4 * self.posterior.energies - first.energies - second.energies) / 2
+
     def split_half(self) -> SplitHalf:
         """Compare the entropies of the two independent halves of the samples.
 
