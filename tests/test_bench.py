@@ -29,8 +29,9 @@ from svu_mi.metrics import GroundTruth
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.progress import Progress
 
-TINY = Settings(views=6, film=32, spp=4, texels=48, reference_texels=20, reference_spp=4,
-                speed_film=32, repeats=1)  # fmt: skip
+TINY = Settings(views=6, film=32, spp=4, texels=48, speed_texels=48, reference_texels=20,
+                reference_spp=4, brute_texels=6, brute_spp=2, checked=1, speed_film=32,
+                repeats=1)  # fmt: skip
 TWO = (Variant("spectrum paper", "spectrum", "paper", main=True),
        Variant("spectrum default", "spectrum", "default", main=True),
        Variant("spectrum degree 4", "spectrum", "default", {"degree": 4}))  # fmt: skip
@@ -92,14 +93,16 @@ def test_every_figure_is_there_and_in_its_range(finished):
     _, record = finished
     (cell,) = record["cells"]
     assert list(cell["variants"]) == [variant.label for variant in TWO]
-    for found in cell["variants"].values():
+    for label, found in cell["variants"].items():
+        paper = label == "spectrum paper"
         assert -1 <= found["pearson"] <= 1
         assert -1 <= found["spearman"] <= 1
         assert 0 <= found["mean_entropy"] <= 1
         assert found["seconds"] == pytest.approx(sum(found["timings"].values()))
         assert set(found["credible"]) == {"0.5", "0.9"}
         assert found["credible"]["0.5"]["plain"] <= found["credible"]["0.9"]["plain"]
-        assert list(found["parameters"]) == ["roughness", "specular"]
+        others = ["specular"] if paper else ["metallic", "base_color"]
+        assert list(found["parameters"]) == ["roughness", *others]
         assert len(found["entropy"]) == cell["reference"]["texels"]
     assert 0 < cell["reference"]["half_overlap"] < 1
     assert list(cell["reference"]["parameters"]) == ["roughness", "metallic", "base_color"]
@@ -174,7 +177,13 @@ def test_run_times_of_one_cell(finished, monkeypatch):
         return accuracy.reference_posterior(*arguments, **options, **few)
 
     one = TWO[1:2]
-    found = run_bench(bench_in(folder, trace=trace), CELLS, "all", variants=one)["speed"]
+    record = run_bench(bench_in(folder, trace=trace), CELLS, "all", variants=one)
+    (checked,) = record["checks"]
+    cases = checked["estimators"]["spectrum default"]
+    assert list(cases) == ["direct", "photographs", "both", "heteroscedastic"]
+    assert all(-1 <= rho <= 1 for rho in (*cases.values(), checked["references"]))
+    assert "noise grows with radiance" in (folder / "bench.md").read_text()
+    found = record["speed"]
     timed = found["estimators"]["variants"]
     assert list(timed) == ["spectrum default"]
     for times in timed.values():

@@ -27,6 +27,8 @@ class Settings:
         reference_texels: texels of the reference posterior.
         reference_spp: samples per ray of the reference. Fewer do for its entropy, but at bright
             texels its posterior then gathers where the noise happens to fit.
+        brute_texels, brute_spp: texels and samples where every psi is rendered.
+        checked: number of objects this is done for.
         seed: of photographs and reference.
         speed_film: pixels per side of the photographs that run times are measured on.
         repeats: warm runs of which the median is taken.
@@ -40,6 +42,9 @@ class Settings:
     speed_texels: int = 512
     reference_texels: int = 1000
     reference_spp: int = 128
+    brute_texels: int = 150
+    brute_spp: int = 32
+    checked: int = 4
     seed: int = 0
     speed_film: int = 512
     repeats: int = 5
@@ -49,7 +54,8 @@ class Settings:
 FULL = Settings()
 QUICK = Settings(
     views=24, film=128, spp=16, texels=192, speed_texels=256, reference_texels=200,
-    reference_spp=64, speed_film=128, repeats=3, stride=2,
+    reference_spp=64, brute_texels=40, brute_spp=8, checked=1, speed_film=128, repeats=3,
+    stride=2,
 )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from svu_mi.bench.accuracy import Bench, run_cell
 from svu_mi.bench.cells import Cell
+from svu_mi.bench.checks import run_checks
 from svu_mi.bench.plots import draw_plots
 from svu_mi.bench.speed import run_speed
 from svu_mi.bench.summary import summarize
@@ -18,7 +19,7 @@ from svu_mi.errors import OptionError, SvuError, SvuWarning
 from svu_mi.files import prepare_folder
 from svu_mi.output import environment_record, write_manifest
 
-WHAT = ("accuracy", "speed", "all")
+WHAT = ("accuracy", "checks", "speed", "all")
 
 
 def run_bench(
@@ -36,12 +37,13 @@ def run_bench(
     Args:
         bench: where and how.
         cells: objects x lights; run times are measured on the first.
-        what: ``accuracy``, ``speed`` or ``all``.
+        what: ``accuracy``, ``checks``, ``speed`` or ``all``.
         variants: estimators; all that this version knows by default.
         command: as the user gave it, for the record.
 
     Returns:
-        What bench.json holds: ``cells``, ``summary``, ``speed``, ``failed``, and how it was run.
+        What bench.json holds: ``cells``, ``summary``, ``checks``, ``speed``, ``failed``, and how
+        it was run.
 
     Raises:
         OptionError: an unknown ``what``, or no cell.
@@ -61,11 +63,14 @@ def run_bench(
         "settings": bench.settings,
         "cells": [],
         "failed": [],
+        "checks": [],
         "speed": None,
     }
-    if what != "speed":
+    if what in ("accuracy", "all"):
         record["cells"], record["failed"] = _all_cells(bench, cells, variants)
-    if what != "accuracy":
+    if what in ("checks", "all"):
+        record["checks"] = run_checks(bench, cells, variants)
+    if what in ("speed", "all"):
         record["speed"] = run_speed(bench, cells[0], variants)
     record["summary"] = summarize(record["cells"])
     with bench.progress.stage("Writing tables and plots"):

@@ -30,6 +30,8 @@ def write_tables(path: Path, record: Record) -> None:
     if record["failed"]:
         rows = [[failed["cell"], failed["reason"]] for failed in record["failed"]]
         parts += ["## Left out", table(("cell", "reason"), rows)]
+    if record["checks"]:
+        parts += _checks(record["checks"])
     if record["speed"]:
         parts += speed_tables(record["speed"])
     with replacing(path) as temporary:
@@ -125,6 +127,30 @@ def _cells(record: Record) -> list[str]:
         "The halves are those of the reference's samples: the correlation of their entropies, "
         "and the part of their posteriors that they have in common.",
         table(heads, rows),
+    ]
+
+
+def _checks(checks: Sequence[Record]) -> list[str]:
+    cases = {
+        "direct": "direct light",
+        "photographs": "all light in the photographs",
+        "both": "all light in both",
+        "heteroscedastic": "noise grows with radiance",
+    }
+    rows = [
+        [found["cell"], label, *(number(row[case]) for case in cases), number(found["references"])]
+        for found in checks
+        for label, row in found["estimators"].items()
+    ]
+    return [
+        "## Light between parts of the object, and another noise rule",
+        f"Pearson correlation with references in which every psi is rendered, on up to "
+        f"{checks[0]['texels']} texels: of direct light, as above; with photographs of up to "
+        "5 bounces against the reference of direct light; with the same photographs against a "
+        "reference of up to 3 bounces, in which all of the object has the psi in question; and "
+        "of direct light, with noise that grows with radiance. Last, the references of direct "
+        "and of all light with each other.",
+        table(("object / light", "map", *cases.values(), "both references"), rows),
     ]
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from svu_mi.bench.cells import Cell
 
-What = Annotated[Literal["accuracy", "speed", "all"], tyro.conf.Positional]
+What = Annotated[Literal["accuracy", "checks", "speed", "all"], tyro.conf.Positional]
 Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
 
 
@@ -32,7 +32,8 @@ class Bench(Common):
     """
 
     what: What = "all"
-    """accuracy: every object under every light; speed: run times of the first of them."""
+    """accuracy: every object under every light; checks: what these comparisons take for granted,
+    for some objects; speed: run times, of the first object and light."""
     output: Output = Path("out/bench")
     data: Path | None = None
     """Folder with objects/ and envmaps/; without it, the scenes of svu_mi."""
@@ -41,7 +42,9 @@ class Bench(Common):
     lights: Names = ""
     """Lights to run; without it all."""
     quick: bool = False
-    """Small pictures, few texels; without --data two scenes under two lights."""
+    """Small pictures, few texels, main estimators; without --data two scenes, two lights."""
+    main: bool = False
+    """Only the main estimators, without the single switches."""
     fresh: bool = False
     """Compute finished cells anew."""
 
@@ -53,12 +56,16 @@ class Bench(Common):
         self.start()
         from svu_mi.bench import accuracy, run_bench
         from svu_mi.bench.cells import FULL, QUICK
+        from svu_mi.bench.variants import available
 
         bench = accuracy.Bench(
             self.output, QUICK if self.quick else FULL, Progress(console), fresh=self.fresh
         )
         words = ["svu", *sys.argv[1:]]
-        record = run_bench(bench, self._cells(), self.what, command=shlex.join(words))
+        chosen = tuple(v for v in available() if v.main or not (self.main or self.quick))
+        record = run_bench(
+            bench, self._cells(), self.what, variants=chosen, command=shlex.join(words)
+        )
         for row in record["summary"]:
             if row["kind"] != "switch" and row["pearson"] is not None:
                 line = f"{row['label']}: Pearson {row['pearson']['mean']:.2f}"
