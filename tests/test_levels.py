@@ -136,6 +136,19 @@ def test_a_suns_disk_keeps_its_energy_and_its_place():
     assert np.arccos(middle @ sun / np.linalg.norm(middle)) < np.pi / rows
 
 
+@pytest.mark.parametrize("row, column", [(0, 3), (5, 0), (32, 127), (40, 64), (63, 20)])
+def test_a_disk_lands_on_the_node_nearest_to_it(row, column):
+    nodes = directions(128, 65)
+    beside = nodes[row, column] + [4e-4, -3e-4, 5e-4]
+    beside /= np.linalg.norm(beside)
+    black = np.zeros((65, 128, 3))
+    environment = Environment(black, beside[None], np.array([1e-4]), np.ones((1, 3)), np.eye(3))
+    lit = np.argwhere(resolved(environment)[..., 0] > 0)
+    assert len(lit) == 1
+    assert lit[0, 0] == row
+    assert nodes[tuple(lit[0])] @ nodes[row, column] > 1 - 1e-9
+
+
 def test_the_sun_of_a_sky_is_in_all_levels():
     sky = mi.load_dict({"type": "sunsky", "sun_direction": [0.4, 0.6, 0.7], "turbidity": 3.0})
     environment = read_environment(sky)
