@@ -252,7 +252,7 @@ def shade(direction, size=0.03):
 def test_a_hidden_sun_gives_no_light(turned):
     """Anywhere in its cell: the cell is traced towards the light, not towards its middle."""
     turn = rotation(34) if turned else None
-    for sun in unit_vectors(np.random.default_rng(77), 40):
+    for sun in unit_vectors(np.random.default_rng(77), 16):
         sun = sun * np.sign(sun @ UP)
         if sun @ UP < 0.2:
             continue
