@@ -182,13 +182,8 @@ def test_statistics_are_sufficient(scene, switches):
     assert_sufficient(noise_capture(scene), switches)
 
 
-ONE_OF_TWO = pytest.mark.xfail(
-    reason="statistics.TINY: of weights 1 and 1e-8, the second's pivot is nothing but rounding"
-)
-
-
 @pytest.mark.parametrize("noise", [
-    "relative", pytest.param("heteroscedastic", marks=ONE_OF_TWO),
+    "relative", "heteroscedastic",
 ])  # fmt: skip
 def test_a_lamp_in_the_photograph_is_a_sample_like_others(scene, noise):
     assert_sufficient(noise_capture(scene, bright=1e4), angular(noise=noise))
@@ -514,7 +509,6 @@ def test_light_for_many_views_runs_the_same_kernels(scene):
     assert second == first
 
 
-@pytest.mark.xfail(reason="lighting.look_up bakes the rows of a map into the kernel")
 def test_a_map_of_another_size_runs_the_same_kernels(tmp_path, scene):
     first, _ = kernels_of(noise_capture(scene), 20, angular())
     sky = ball_scene(tmp_path, {"type": "constant", "radiance": 0.7}, GLOSSY)

@@ -32,7 +32,7 @@ from svu_mi.radiance.observe import Observation, Tally
 
 FIELDS = 6  # U_ee, U_ep, U_pp, z_e, z_p, floor
 SUMS = 6
-TINY = 1e-12  # part of its diagonal below which a pivot is nothing but rounding
+TINY = 2e-11  # part of its diagonal below which a pivot is nothing but rounding
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from svu_mi.posterior import streaming
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.record import Posterior
 
+UNLIKELY = 1e30  # energy, in single precision, of a cell that the prior excludes
 FITTED = 3  # roughness, Kd and Ks, which the marginal noise rule pays for
 
 
@@ -105,6 +106,8 @@ def angular_posterior(
         power=owned(mi.Float, power) if switches.noise == "marginal" else None,
         metallic=grid.metallic_nodes if isinstance(grid, PrincipledGrid) else None,
         cells=cells,
-        prior=None if tables is None else (mi.Float64(tables[0]), mi.Float(tables[1])),
+        prior=None if tables is None else (
+            owned(mi.Float64, tables[0]), owned(mi.Float, np.minimum(tables[1], UNLIKELY))
+        ),
     )
     return AngularPosterior(grid=grid, observed=views > 0, problem=problem)

@@ -121,7 +121,7 @@ def spectrum_posterior(
         groups=_groups(switches, channels),
         decay=mi.Float64(_decay(switches, grid, degrees - 1, prefilter).ravel()),
         cells=cells,
-        prior=None if tables is None else (mi.Float64(tables[0]), mi.Float64(tables[1])),
+        prior=None if tables is None else tuple(owned(mi.Float64, t) for t in tables),
         constant=_constant(switches, grid, irradiance, (count, channels), unit),
     )
     posterior = SpectrumPosterior(grid=grid, observed=seen, problem=problem)

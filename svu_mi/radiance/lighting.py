@@ -77,7 +77,7 @@ def look_up(texture: Any, local: Any) -> list[Any]:
     u -= dr.floor(u)
     v = dr.acos(dr.clip(local.y, -1, 1)) * dr.inv_pi
     # Rows are on the poles (align-corners), textures have theirs at (j + 0.5) / H.
-    rows = texture.shape[0]
+    rows = dr.opaque(mi.Float, texture.shape[0])  # else a kernel for every size of map
     v = (v * (rows - 1) + 0.5) / rows
     return texture.eval(mi.Point2f(u, v))
 

@@ -31,13 +31,13 @@ def interior(scene: Any, target: Any, sensor: Any) -> Any:
         (H * W,) Bool, row-major.
     """
     width, height = film_size(sensor)
-    columns = width + 1
-    index = dr.arange(mi.UInt32, columns * (height + 1))
+    # Opaque: as literals, every size of film and every scene would get kernels of its own.
+    columns, pixels = dr.opaque(mi.UInt32, width + 1), dr.opaque(mi.UInt32, width)
+    index = dr.arange(mi.UInt32, (width + 1) * (height + 1))
     x = mi.Float(index % columns) / dr.opaque(mi.Float, width)
     y = mi.Float(index // columns) / dr.opaque(mi.Float, height)
     ray, _ = sensor.sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
     si = scene.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True)
-    # Opaque: as a literal, every scene of a process would get a kernel of its own.
     on_target = si.is_valid() & (si.shape == dr.opaque(mi.ShapePtr, target))
     cosine = dr.maximum(dr.abs(dr.dot(si.n, ray.d)), MIN_COSINE)
     slope = dr.sqrt(1 - dr.square(cosine)) / cosine
@@ -45,7 +45,8 @@ def interior(scene: Any, target: Any, sensor: Any) -> Any:
     distance = dr.select(on_target, si.t, dr.inf)
     dr.eval(distance, slope)
     pixel = dr.arange(mi.UInt32, width * height)
-    corner = pixel // width * columns + pixel % width
+    row = pixel // pixels
+    corner = row * columns + pixel - row * pixels
     corners = [corner, corner + 1, corner + columns, corner + columns + 1]
     near, far = _extremes([dr.gather(mi.Float, distance, c) for c in corners])
     shallowest, _ = _extremes([dr.gather(mi.Float, slope, c) for c in corners])

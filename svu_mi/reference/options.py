@@ -37,7 +37,7 @@ class Options:
         if not _is_whole(self.spp, 2) or self.spp % 2:
             raise OptionError(
                 f"{label}: spp must be even and at least 2, got {self.spp!r}: two independent "
-                "halves keep Monte Carlo noise out of the squared error."
+                "halves tell how noisy the reference is."
             )
         if not (np.isfinite(self.sigma) and self.sigma > 0):
             raise OptionError(f"{label}: sigma must be above 0, got {self.sigma!r}.")

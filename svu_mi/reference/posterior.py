@@ -49,8 +49,10 @@ def reference_posterior(
     The object gets one uniform ``principled`` material psi after the other (specular 0.5), and
     every visible (texel, view) pair is traced as a ray from the camera to the texel. With b and r
     the observed and traced radiance, means of the three channels, p ~ exp(-energy) and
-    energy(psi) = mean over the texel's views of (b - r(psi))^2 / (2 s^2), where s is ``sigma``
-    times the mean observed radiance of the whole capture.
+    energy(psi) = mean over the texel's views of w (b - r(psi))^2 / (2 s^2), where s is ``sigma``
+    times the mean observed radiance of the whole capture, and w is 1 unless ``noise`` has it fall
+    off. The Monte Carlo variance of r stays in the square: what is free of it gives a worse
+    entropy (RMSE against 1024 spp at 32 spp: .065 in place of .042).
 
     Args:
         capture: scene, photographs and light; nothing of it is modified.
@@ -61,7 +63,7 @@ def reference_posterior(
         grid: nodes of psi; 8 x 8 x 8 by default.
         sigma: standard deviation of the likelihood, as a part of the mean radiance.
         noise: ``relative``: that, for all samples; ``heteroscedastic``: it grows with a sample's
-            own radiance b, by sqrt(1 + (b / mean)^2), as the estimator of that name has it.
+            own radiance b, w = 1 / (1 + (b / mean)^2), as the angular estimator has it.
         max_depth: longest path; 2 is direct light.
         method: ``linear`` renders 4 psi per roughness and derives the others, exactly, for
             direct light; ``brute`` renders all.

@@ -47,11 +47,11 @@ class Reference:
         method: ``linear`` or ``brute``.
     """
 
-    subset: np.ndarray
-    posterior: TabulatedPosterior
-    halves: tuple[TabulatedPosterior, TabulatedPosterior]
-    brightness: np.ndarray
-    coverage: np.ndarray
+    subset: np.ndarray = field(repr=False)
+    posterior: TabulatedPosterior = field(repr=False)
+    halves: tuple[TabulatedPosterior, TabulatedPosterior] = field(repr=False)
+    brightness: np.ndarray = field(repr=False)
+    coverage: np.ndarray = field(repr=False)
     scale: float
     seconds: float
     cached: bool
