@@ -49,7 +49,11 @@ class Preset:
     as well, and roughness below v^(-1/4) becomes one: measured, it is worse."""
 
     occluded: bool = True
-    """No light comes from where the object itself stands in the mirror direction."""
+    """No light comes from where the object itself stands: in the mirror direction, and in the
+    irradiance."""
+
+    rays: int = 64
+    """Cells of the light that the irradiance is traced for; half of them are above a texel."""
 
     albedo: bool = True
     """Rough lobes reflect less than all light, by GGX's directional albedo; on a grid of
@@ -78,7 +82,7 @@ class Preset:
     sigma: float = 0.004
     """Standard deviation of a degree's power, in the unit that ``noise`` says."""
 
-    constant_sigma: float = 0.08
+    constant_sigma: float = 0.06
     """Standard deviation of sqrt(S(0)), in radiance if ``noise`` is ``fixed``, else relative
     to the square root of the capture's mean power."""
 
@@ -90,6 +94,7 @@ class Preset:
         _require(1e-30 <= self.sigma <= 1e30, "sigma", "positive, in [1e-30, 1e30]", self.sigma)
         _require(1e-30 <= self.constant_sigma <= 1e30, "constant_sigma",
                  "positive, in [1e-30, 1e30]", self.constant_sigma)  # fmt: skip
+        _require(16 <= self.rays <= 65536, "rays", "in [16, 65536]", self.rays)
         _require_one_of(self, "parameters", Parameters)
         _require_one_of(self, "spacing", GridSpacing)
         _require_one_of(self, "channels", ChannelRule)

@@ -34,7 +34,8 @@ from svu_mi.posterior import (
 )
 from svu_mi.progress import Progress
 from svu_mi.radiance import Lighting, Surface, Survey, Views, light, observe, pack_views, survey
-from svu_mi.radiance.hemisphere import as_channels, mirror_free
+from svu_mi.radiance.cells import light_cells
+from svu_mi.radiance.hemisphere import as_channels, hemisphere, mirror_free
 from svu_mi.surface import Texels
 
 log = logging.getLogger(__name__)
@@ -186,10 +187,11 @@ def _from_spectra(run: _Run, switches: Preset) -> tuple[Posterior, Survey]:
     found = run.survey()
     with run.progress.stage("Fitting spectra"):
         spectra = fit_spectra(run.views, run.lighting, run.texels, found.coverage, switches)
+    irradiance = None
+    if switches.principled and not isinstance(run.grid, ParameterGrid):
+        with run.progress.stage("Tracing occlusion"):
+            irradiance = _irradiance(run, switches, int(spectra.outgoing.shape[2]))
     with run.progress.stage("Computing entropy"):
-        irradiance = None
-        if switches.principled and not isinstance(run.grid, ParameterGrid):
-            irradiance = _irradiance(run.lighting, run.texels, int(spectra.outgoing.shape[2]))
         posterior = spectrum_posterior(
             spectra.incoming,
             spectra.outgoing,
@@ -204,11 +206,14 @@ def _from_spectra(run: _Run, switches: Preset) -> tuple[Posterior, Survey]:
     return posterior, found
 
 
-def _irradiance(lighting: Lighting, texels: Texels, channels: int) -> np.ndarray:
-    """(T, C) irradiance as if nothing stood in the light."""
-    value = as_channels(lighting.irradiance(texels.normal), channels)
-    dr.eval(value)
-    return np.maximum(np.stack([v.numpy() for v in value], axis=-1), 0)
+def _irradiance(run: _Run, switches: Preset, channels: int) -> np.ndarray:
+    """(T, C) irradiance; if the preset says so, less what the object itself hides."""
+    cells = light_cells(run.lighting.environment, 0, switches.rays)
+    arriving = hemisphere(
+        run.views.scene, Surface.of(run.texels), run.lighting, cells,
+        channels=channels, occluded=switches.occluded, lobes=False,
+    )  # fmt: skip
+    return np.stack([moments[0].numpy() for moments in arriving.diffuse], axis=-1)
 
 
 def fit_spectra(
