@@ -256,10 +256,14 @@ def _marginal(axes: Axes, estimate: Any, result: Result, name: str) -> None:
         axes.plot(nodes, means[False][:, k], "o-", color=color, lw=1.8, ms=3)
         axes.plot(nodes, means[True][:, k], color=color, lw=1.2, ls=(0, (3, 2)))
     axes.axhline(1 / len(nodes), color=RULE, lw=1, zorder=0)
-    axes.set(xlim=(0, 1), ylim=(0, None))
+    highest = max(float(mean.max()) for mean in means.values())
+    axes.set(xlim=(0, 1), ylim=(0, 1.6 * highest))  # room for the key
     for style, label in (("o-", "mean of all seen"), ("--", "of the most certain 10 %")):
         axes.plot([], [], style, color=INK, lw=1.4, ms=3, label=label)
-    axes.legend(fontsize=8.5, frameon=False, labelcolor=INK, loc="best")
+    axes.legend(
+        fontsize=8, frameon=False, labelcolor=INK, loc="upper left", borderaxespad=0,
+        handlelength=1.6, labelspacing=0.2,
+    )  # fmt: skip
     if channels == 3:
         _title(axes, f"Posterior of {words}: R, G, B")
 
