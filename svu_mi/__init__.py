@@ -14,11 +14,17 @@ from svu_mi import _llvm
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture, load_capture, render_capture
-    from svu_mi.errors import SvuError
+    from svu_mi.errors import SvuError, SvuWarning
     from svu_mi.frequency import fit_sh, power_spectrum
     from svu_mi.options import AngularPreset, Preset, preset
     from svu_mi.pipeline import Estimate, estimate
-    from svu_mi.posterior import ParameterGrid, Posterior, PrincipledGrid, spectrum_posterior
+    from svu_mi.posterior import (
+        ParameterGrid,
+        Posterior,
+        PrincipledGrid,
+        angular_posterior,
+        spectrum_posterior,
+    )
     from svu_mi.reference import Reference, reference_posterior
     from svu_mi.surface import Texels, texels
 
@@ -29,18 +35,18 @@ _HOME = {
     "Texels": "surface", "texels": "surface",
     "fit_sh": "frequency", "power_spectrum": "frequency",
     "ParameterGrid": "posterior", "PrincipledGrid": "posterior", "Posterior": "posterior",
-    "spectrum_posterior": "posterior",
+    "angular_posterior": "posterior", "spectrum_posterior": "posterior",
     "AngularPreset": "options", "Preset": "options", "preset": "options",
     "Estimate": "pipeline", "estimate": "pipeline",
     "Reference": "reference", "reference_posterior": "reference",
-    "SvuError": "errors",
+    "SvuError": "errors", "SvuWarning": "errors",
 }  # fmt: skip
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "AngularPreset", "Capture", "Estimate", "ParameterGrid", "Posterior", "Preset",
-    "PrincipledGrid", "Reference", "SvuError", "Texels", "estimate", "fit_sh", "load_capture",
-    "power_spectrum", "preset", "reference_posterior", "render_capture", "spectrum_posterior",
-    "texels",
+    "PrincipledGrid", "Reference", "SvuError", "SvuWarning", "Texels", "angular_posterior",
+    "estimate", "fit_sh", "load_capture", "power_spectrum", "preset", "reference_posterior",
+    "render_capture", "spectrum_posterior", "texels",
 ]  # fmt: skip
 
 _llvm.bootstrap()

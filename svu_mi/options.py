@@ -10,6 +10,7 @@ Each difference between them is a single switch, so an ablation is
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from numbers import Integral, Real
 from typing import Any, Literal, get_args, overload
 
 from svu_mi.errors import OptionError
@@ -87,6 +88,7 @@ class Preset:
     to the square root of the capture's mean power."""
 
     def __post_init__(self) -> None:
+        _require_types(self)
         _require(1 <= self.degree <= 9, "degree", "in [1, 9]", self.degree)  # dr.sh_eval
         # Beyond these, double precision ends: a singular fit, an infinite 1 / sigma^2.
         _require(1e-12 <= self.regularizer <= 1e12, "regularizer", "in [1e-12, 1e12]",
@@ -152,6 +154,7 @@ class AngularPreset:
     says. The error is the model's more than the camera's: it does not average out over views."""
 
     def __post_init__(self) -> None:
+        _require_types(self)
         _require_one_of(self, "fresnel", Fresnel)
         _require_one_of(self, "lobe", Lobe)
         _require_one_of(self, "diffuse", Diffuse)
@@ -160,6 +163,19 @@ class AngularPreset:
         _require_one_of(self, "noise", AngularNoise)
         _require(1e-12 <= self.sigma <= 1e12, "sigma", "positive, in [1e-12, 1e12]", self.sigma)
         _require(16 <= self.rays <= 65536, "rays", "in [16, 65536]", self.rays)
+
+
+def _require_types(options: Any) -> None:
+    """Refuse what is no whole number, number or truth value where one is needed."""
+    kinds = {"int": (Integral, "a whole number"), "float": (Real, "a number"),
+             "bool": (bool, "True or False")}  # fmt: skip
+    for field in fields(options):
+        if field.type not in kinds:
+            continue
+        kind, words = kinds[str(field.type)]
+        value = getattr(options, field.name)
+        fits = isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
+        _require(fits, field.name, words, value)
 
 
 def _require_one_of(options: object, name: str, choices: Any) -> None:

@@ -1,6 +1,7 @@
 """The pipeline, capture to posterior: the file to read first.
 
-    capture -> texels -> observe in every view -> SH fit -> power spectra -> posterior
+    capture -> texels -> observe in every view -> angular statistics       -> posterior
+                                               -> SH fit -> power spectra  -> posterior
 
 Memory at its peak, measured (BENCHMARKS.md): 26 bytes per pixel of all photographs (float32
 RGB as read, a packed copy, two flags), 560 bytes per texel (most of it double-precision
@@ -28,10 +29,12 @@ from svu_mi.posterior import (
     ParameterGrid,
     Posterior,
     PrincipledGrid,
+    angular_grid,
     angular_posterior,
-    default_grid,
+    spectrum_grid,
     spectrum_posterior,
 )
+from svu_mi.posterior.streaming import log_prior
 from svu_mi.progress import Progress
 from svu_mi.radiance import Lighting, Surface, Survey, Views, light, observe, pack_views, survey
 from svu_mi.radiance.cells import light_cells
@@ -39,6 +42,8 @@ from svu_mi.radiance.hemisphere import as_channels, hemisphere, mirror_free
 from svu_mi.surface import Texels
 
 log = logging.getLogger(__name__)
+
+DARK = 1e-2  # part of the light that counts as the unit of radiance when all is black
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +117,8 @@ def estimate(
         method: the estimator. ``angular`` compares photographs with what the reflection model
             predicts for them, by statistics of all views; ``spectrum`` compares their power
             spectra (Sec. 3.3 of the paper).
-        preset: ``default``, ``paper``, ``fast``, or a preset of the method.
+        preset: ``default``, ``paper``, ``fast``, ``calibrated`` (angular), or a preset of the
+            method.
         grid: nodes of the parameter grid; by default 8 per parameter: roughness, metallic and
             base colour (``PrincipledGrid``), or roughness and Ks (``ParameterGrid``), as the
             preset's ``parameters`` say.
@@ -120,18 +126,21 @@ def estimate(
         progress: shows what is going on and collects timings.
 
     Raises:
-        OptionError: an unknown method or preset, or a grid of another method.
+        OptionError: an unknown method or preset, a grid of other parameters, a bad prior.
+        ShapeError: a prior that does not fit the grid.
         CaptureError: no texel is seen in any photograph.
     """
     switches: Any = find_preset(preset, method=method)
     progress = progress or Progress()
+    angular = isinstance(switches, AngularPreset)
+    chosen = angular_grid(grid, switches) if angular else spectrum_grid(grid, switches)
+    log_prior(prior, chosen.shape, "estimate()")  # a bad one is refused before any work
     with progress.stage("Reading the light"):
         lighting = light(capture, sum(capture.used))
     with progress.stage("Finding silhouettes"):
         views = pack_views(capture)
-    by_method = _from_angles if method == "angular" else _from_spectra
-    run = _Run(capture, views, lighting, texels, grid, prior, progress)
-    posterior, found = by_method(run, switches)
+    run = _Run(capture, views, lighting, texels, chosen, prior, progress)
+    posterior, found = (_from_angles if angular else _from_spectra)(run, switches)
     with progress.stage("Computing entropy"):
         result = Estimate(
             method=method,
@@ -165,22 +174,26 @@ class _Run:
         _require_seen(found.per_view, self.capture)
         return found
 
+    def unit(self, found: Survey) -> float:
+        """Radiance that sigma is a part of: the photographs' mean, or if that is 0, some of the
+        light's, since black under a known light is an observation too."""
+        return found.scale or DARK * float(self.lighting.environment.coefficients(0).mean())
+
 
 def _from_angles(run: _Run, switches: AngularPreset) -> tuple[Posterior, Survey]:
-    grid = run.grid or default_grid(switches)
     surface = Surface.of(run.texels)
     # Only these weights ask for the capture's mean radiance before all views were seen.
-    scale = run.survey().scale if switches.noise == "heteroscedastic" else 1.0
+    scale = run.unit(run.survey()) if switches.noise == "heteroscedastic" else 1.0
     with run.progress.stage("Tracing occlusion"):
-        model = reflection(run.views.scene, surface, run.lighting, grid.roughness_nodes, switches)
+        levels = run.grid.roughness_nodes
+        model = reflection(run.views.scene, surface, run.lighting, levels, switches)
     with run.progress.stage("Gathering statistics"):
-        statistics = gather(run.views, surface, model, dr.opaque(mi.Float, scale or 1.0))
+        statistics = gather(run.views, surface, model, dr.opaque(mi.Float, scale))
     found = statistics.survey
     assert found is not None
     _require_seen(found.per_view, run.capture)
-    # Photographs without any light say nothing; any scale will do.
-    unit = found.scale or 1.0
-    return angular_posterior(statistics, grid, unit, switches, prior=run.prior), found
+    posterior = angular_posterior(statistics, run.grid, run.unit(found), switches, prior=run.prior)
+    return posterior, found
 
 
 def _from_spectra(run: _Run, switches: Preset) -> tuple[Posterior, Survey]:
@@ -188,7 +201,7 @@ def _from_spectra(run: _Run, switches: Preset) -> tuple[Posterior, Survey]:
     with run.progress.stage("Fitting spectra"):
         spectra = fit_spectra(run.views, run.lighting, run.texels, found.coverage, switches)
     irradiance = None
-    if switches.principled and not isinstance(run.grid, ParameterGrid):
+    if isinstance(run.grid, PrincipledGrid):
         with run.progress.stage("Tracing occlusion"):
             irradiance = _irradiance(run, switches, int(spectra.outgoing.shape[2]))
     with run.progress.stage("Computing entropy"):

@@ -173,8 +173,9 @@ def test_run_times_of_one_cell(finished, monkeypatch):
         monkeypatch.setattr(speed, name, short)
 
     def trace(*arguments, **options):
-        few = {"grid": PrincipledGrid(2, 2, 2)} if options.get("method") == "brute" else {}
-        return accuracy.reference_posterior(*arguments, **options, **few)
+        if options.get("method") == "brute":
+            options["grid"] = PrincipledGrid(2, 2, 2)
+        return accuracy.reference_posterior(*arguments, **options)
 
     one = TWO[1:2]
     record = run_bench(bench_in(folder, trace=trace), CELLS, "all", variants=one)
@@ -195,9 +196,10 @@ def test_run_times_of_one_cell(finished, monkeypatch):
     assert [row["value"] for row in curves["views"]["spectrum default"]] == [3, 6]
     assert [row["value"] for row in curves["reference_spp"]["reference"]] == [2, 4]
     brute = found["brute"]
-    assert brute["psi"] == 8
-    rays = brute["pairs"] * 8 * brute["spp"]
-    assert brute["seconds"] == pytest.approx(rays / brute["rays_per_second"])
+    assert brute["psi"] == 512
+    assert brute["sample_rays"] % (8 * brute["spp"]) == 0
+    assert brute["seconds"] == pytest.approx(16 * brute["linear_seconds"])
+    assert brute["seconds"] > brute["sample_seconds"]
     assert {"scaling.png", "time_error.png"} <= {path.name for path in folder.iterdir()}
     assert "(extrapolated)" in (folder / "bench.md").read_text()
 

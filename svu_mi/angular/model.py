@@ -28,7 +28,7 @@ from svu_mi.radiance import Hemisphere, Levels, Lighting, filter_light, hemisphe
 from svu_mi.radiance.observe import Surface
 
 DEGREE = 4  # of the harmonics that occlude wide lobes
-CELL_WIDTH = 0.2  # [rad] a cell blurs what is known of visibility
+CELL_BLUR = 0.45  # of the mean distance between cells, which blur what is known of visibility
 SHARP = 6.0  # a lobe of width alpha trusts the mirror ray by exp(-(6 alpha)^2)
 
 
@@ -51,6 +51,11 @@ class Reflection:
     albedo: Any
     arriving: Hemisphere
     channels: int
+
+    @property
+    def cell_blur(self) -> float:
+        """Width of a cell of the light [rad]."""
+        return float(CELL_BLUR * np.sqrt(4 * np.pi / self.switches.rays))
 
     @property
     def alpha(self) -> np.ndarray:
@@ -121,7 +126,7 @@ def terms(model: Reflection, normal: Any, direction: Any, cosine: Any, mirror_fr
         alpha = float(model.alpha[k])
         lobe = _lobe_light(model, k, alpha, normal, mirror)
         if lost is not None:
-            visible = _visible_part(lost, alpha, mirror_free)
+            visible = _visible_part(lost, alpha, model.cell_blur, mirror_free)
             lobe = [visible * value for value in lobe]
         A, B = _fresnel(model, k, alpha, cosine)
         diffuse.append([a + roughness * b for a, b in shading])
@@ -174,14 +179,16 @@ def _lost(model: Reflection, mirror: Any) -> tuple[list[Any], list[Any]] | None:
     return sums
 
 
-def _visible_part(lost: tuple[list[Any], list[Any]], alpha: float, mirror_free: Any) -> Any:
+def _visible_part(
+    lost: tuple[list[Any], list[Any]], alpha: float, cell: float, mirror_free: Any
+) -> Any:
     """Part of a lobe's light that is visible, in [0, 1].
 
     Wide lobes see what the cells saw; narrow ones what one ray in the mirror direction did.
     """
-    # Square of the widths of the lobe and of a cell, exp(-l (l + 1) w^2 / 2) for the latter.
+    # What the lobe leaves of a degree, and a cell: exp(-l (l + 1) w^2 / 2).
     factors = [
-        float(np.exp(-((alpha * l) ** 2) - l * (l + 1) * CELL_WIDTH**2 / 2))
+        float(np.exp(-((alpha * l) ** 2) - l * (l + 1) * cell**2 / 2))
         for l in range(DEGREE + 1)
     ]
     free, whole = (sum(f * v for f, v in zip(factors, values, strict=True)) for values in lost)

@@ -13,7 +13,7 @@ from svu_mi import metrics
 from svu_mi.bench.captures import capture_of
 from svu_mi.bench.cells import Cell, Settings
 from svu_mi.bench.judge import agreement, judge_posterior
-from svu_mi.bench.store import Store, key_of
+from svu_mi.bench.store import Store, code_and_machine, key_of
 from svu_mi.bench.variants import Variant
 from svu_mi.capture import Capture
 from svu_mi.pipeline import Estimate, estimate
@@ -53,7 +53,7 @@ class Bench:
         folder = self.folder / "cells" / cell.name / (name or "capture")
         return capture_of(cell, settings or self.settings, folder, self.progress)
 
-    def reference(self, capture: Capture, grid: Texels, **changes: Any) -> Any:
+    def reference(self, capture: Capture, layout: Texels, **changes: Any) -> Any:
         """Path-traced posterior of a few texels, from the cache if it is there."""
         asked: dict[str, Any] = {
             "subset": self.settings.reference_texels,
@@ -62,7 +62,7 @@ class Bench:
             "cache": self.folder / "cache",
             **changes,
         }
-        return self.trace(capture, grid, **asked)
+        return self.trace(capture, layout, **asked)
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def run_cell(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str,
     key = key_of(str(cell.scene), cell.defines, asdict(bench.settings))
     record = None if bench.fresh else bench.store.load(cell.name, key)
     done = {} if record is None else dict(record["variants"])
-    keys = {v.label: key_of(v.method, asdict(v.preset)) for v in variants}
+    keys = {v.label: key_of(*code_and_machine(), v.method, asdict(v.preset)) for v in variants}
     missing = [v for v in variants if done.get(v.label, {}).get("key") != keys[v.label]]
     if record is None or missing:
         capture = bench.capture(cell)

@@ -11,7 +11,7 @@ import numpy as np
 from svu_mi import metrics
 from svu_mi.bench.accuracy import Bench, run_warm
 from svu_mi.bench.cells import Cell
-from svu_mi.bench.store import Store, key_of
+from svu_mi.bench.store import Store, code_and_machine, key_of
 from svu_mi.bench.variants import Variant
 from svu_mi.surface import texels
 
@@ -36,7 +36,7 @@ def run_checks(bench: Bench, cells: Sequence[Cell], variants: Sequence[Variant])
     for cell in chosen:
         key = key_of(
             str(cell.scene), cell.defines, asdict(bench.settings),
-            [(v.label, v.method, asdict(v.preset)) for v in main],
+            [(v.label, v.method, asdict(v.preset)) for v in main], code_and_machine(),
         )  # fmt: skip
         record = None if bench.fresh else store.load(cell.name, key)
         if record is None:

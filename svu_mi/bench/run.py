@@ -68,16 +68,25 @@ def run_bench(
     }
     if what in ("accuracy", "all"):
         record["cells"], record["failed"] = _all_cells(bench, cells, variants)
+        bad = {failure["cell"] for failure in record["failed"]}
+        cells = [cell for cell in cells if cell.title not in bad]
+        _write(bench, record)
     if what in ("checks", "all"):
         record["checks"] = run_checks(bench, cells, variants)
+        _write(bench, record)
     if what in ("speed", "all"):
         record["speed"] = run_speed(bench, cells[0], variants)
+        _write(bench, record)
+    return record
+
+
+def _write(bench: Bench, record: dict[str, Any]) -> None:
+    """Write all that is known so far; a later part may fail."""
     record["summary"] = summarize(record["cells"])
     with bench.progress.stage("Writing tables and plots"):
         write_manifest(bench.folder / "bench.json", record)
         write_tables(bench.folder / "bench.md", record)
         draw_plots(bench.folder, record)
-    return record
 
 
 def _all_cells(

@@ -14,9 +14,10 @@ from svu_mi.bench.accuracy import Bench, run_warm
 from svu_mi.bench.captures import some_views
 from svu_mi.bench.cells import Cell
 from svu_mi.bench.cold import run_cold
-from svu_mi.bench.store import Store, key_of
+from svu_mi.bench.store import Store, code_and_machine, key_of
 from svu_mi.bench.variants import Variant
 from svu_mi.capture import Capture
+from svu_mi.posterior import PrincipledGrid
 from svu_mi.radiance import Surface, pack_views, survey
 from svu_mi.surface import Texels, texels
 
@@ -25,7 +26,7 @@ NODES = (4, 6, 8, 12, 16, 24, 32)
 MAX_CELLS = 5000  # of a grid in the scaling curve
 VIEWS = (10, 20, 40, 60)
 SAMPLES = (2, 4, 8, 16, 32, 64, 128)
-BRUTE_SPP, PLAIN_SPP = 2, 32  # measured with, extrapolated to
+PLAIN_SPP, PLAIN_PSI, LINEAR_PSI = 32, 512, 32  # of the path-traced posterior that is timed
 
 Row = dict[str, Any]
 
@@ -55,7 +56,7 @@ def run_speed(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str
     }
     key = key_of(
         str(cell.scene), cell.defines, asdict(bench.settings),
-        [(v.label, v.method, asdict(v.preset)) for v in main],
+        [(v.label, v.method, asdict(v.preset)) for v in main], code_and_machine(),
     )  # fmt: skip
     store, done = Store(bench.folder / "speed"), {}
     for name, measure in parts.items():
@@ -74,18 +75,15 @@ def run_speed(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str
 
 def time_estimators(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str, Any]:
     """Return warm (median of several) and cold (one fresh process) seconds per stage."""
-    size = bench.settings.speed_film
-    settings = replace(bench.settings, film=size)
-    name = "capture" if size == bench.settings.film else f"capture_{size}"
-    capture = bench.capture(cell, settings, name)
-    grid = texels(capture.mesh, settings.speed_texels)
+    settings = bench.settings
+    capture, grid = _timed_setting(bench, cell)
+    folder = bench.folder / "cells" / cell.name / _timed_name(bench)
     found = {}
     for variant in variants:
         with bench.progress.stage(f"Timing {variant.label}, warm"):
             runs = [run_warm(capture, grid, variant) for _ in range(settings.repeats)]
         with bench.progress.stage(f"Timing {variant.label}, cold"):
-            cold = run_cold(bench.folder / "cells" / cell.name / name, settings.speed_texels,
-                            variant.label)  # fmt: skip
+            cold = run_cold(folder, settings.speed_texels, variant.label)
         warm = {
             stage: statistics.median(run.timings[stage] for run in runs)
             for stage in runs[0].timings
@@ -99,7 +97,7 @@ def time_estimators(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> di
     return {
         "variants": found,
         "views": capture.count,
-        "film": size,
+        "film": settings.speed_film,
         "texels": grid.count,
         "resolution": settings.speed_texels,
     }
@@ -211,16 +209,20 @@ def _setting(bench: Bench, cell: Cell) -> tuple[Capture, Texels, Any]:
 
 
 def brute_force(bench: Bench, cell: Cell) -> dict[str, Any]:
-    """Extrapolate the time of the plain path-traced posterior of all texels from a sample.
+    """Extrapolate the time of the path-traced posterior of all texels from a sample.
 
-    seconds = (texel, view) pairs x 512 psi x spp / (rays per second), where a ray is one
-    camera path, the pairs are those visible, and the rate is that of all 512 psi traced for
-    the reference's texels, compilation included.
+    seconds = (texel, view) pairs x psi x spp / (rays per second), where a ray is one camera
+    path, the pairs are those visible, and psi are the 512 of the grid, or the 32 that are
+    enough for direct light. The rate is that of the reference's texels with the full number of
+    samples, 8 psi, kernels compiled before: larger batches are not faster.
     """
-    capture, grid, reference = _setting(bench, cell)
+    capture, grid = _timed_setting(bench, cell)
+    few = PrincipledGrid(2, 2, 2)
     with bench.progress.stage("Tracing all psi"):
-        sample = bench.reference(capture, grid, method="brute", spp=BRUTE_SPP)
-    psi = int(np.prod(np.array(sample.posterior.probabilities).shape[1:]))
+        for seed in range(2):  # the first compiles
+            sample = bench.reference(
+                capture, grid, method="brute", spp=PLAIN_SPP, grid=few, seed=seed, cache=None
+            )
     found = survey(pack_views(capture), Surface.of(grid))
     pairs = int(found.coverage.numpy().sum(dtype=np.int64))
     rate = sample.rays / sample.seconds
@@ -229,8 +231,20 @@ def brute_force(bench: Bench, cell: Cell) -> dict[str, Any]:
         "sample_seconds": sample.seconds,
         "rays_per_second": rate,
         "pairs": pairs,
-        "psi": psi,
+        "psi": PLAIN_PSI,
         "spp": PLAIN_SPP,
-        "seconds": pairs * psi * PLAIN_SPP / rate,
-        "agreement_with_linear": metrics.pearson(sample.entropy, reference.entropy),
+        "seconds": pairs * PLAIN_PSI * PLAIN_SPP / rate,
+        "linear_seconds": pairs * LINEAR_PSI * PLAIN_SPP / rate,
     }
+
+
+def _timed_setting(bench: Bench, cell: Cell) -> tuple[Capture, Texels]:
+    size = bench.settings.speed_film
+    settings = replace(bench.settings, film=size)
+    capture = bench.capture(cell, settings, _timed_name(bench))
+    return capture, texels(capture.mesh, bench.settings.speed_texels)
+
+
+def _timed_name(bench: Bench) -> str:
+    size = bench.settings.speed_film
+    return "capture" if size == bench.settings.film else f"capture_{size}"

@@ -5,12 +5,18 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
+
+import drjit as dr
+import mitsuba as mi
 
 import svu_mi
 from svu_mi.files import prepare_folder
 from svu_mi.output import write_manifest
+
+AROUND = ("bench", "cli", "output")  # parts of svu_mi that no figure depends on
 
 
 def key_of(*parts: Any) -> str:
@@ -21,6 +27,17 @@ def key_of(*parts: Any) -> str:
     """
     text = json.dumps([svu_mi.__version__, *parts], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@cache
+def code_and_machine() -> tuple[str, ...]:
+    """What an estimate depends on beside its input: source code, libraries, device."""
+    digest, root = hashlib.sha256(), Path(svu_mi.__file__).parent
+    for path in sorted(root.rglob("*.py")):
+        if path.relative_to(root).parts[0] not in AROUND:
+            digest.update(path.read_bytes())
+    versions = (mi.__version__, dr.__version__, mi.variant() or "", str(dr.thread_count()))
+    return digest.hexdigest(), *versions
 
 
 class Store:

@@ -97,7 +97,7 @@ class Entropy(Common):
     """Texels per side, or width and height."""
     method: Literal["angular", "spectrum"] = "angular"
     """angular compares radiance by statistics of all views; spectrum, power spectra (the paper)."""
-    preset: Literal["default", "paper", "fast"] = "default"
+    preset: Literal["default", "calibrated", "fast", "paper"] = "default"
     unwrap: bool = False
     """Lay out new UVs even if the mesh has some."""
     spp: int = 64

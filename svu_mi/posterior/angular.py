@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -46,11 +46,26 @@ class AngularPosterior(Posterior):
         return streaming.probabilities(base, offsets, self.grid.shape)
 
 
-def default_grid(switches: AngularPreset) -> ParameterGrid | PrincipledGrid:
-    """Return the 8 x 8 x 8 or 8 x 8 grid that a preset's parameters call for."""
-    if switches.parameters == "principled":
-        return PrincipledGrid()
-    return ParameterGrid(spacing="dielectric")
+def angular_grid(grid: Any | None, switches: AngularPreset) -> ParameterGrid | PrincipledGrid:
+    """Return the grid that a preset's parameters call for.
+
+    Args:
+        grid: of those parameters, or None for 8 nodes each. Without a spacing of its own, Ks
+            is spaced for dielectrics.
+        switches: the preset.
+
+    Raises:
+        OptionError: a grid of other parameters.
+    """
+    wanted = PrincipledGrid if switches.parameters == "principled" else ParameterGrid
+    grid = wanted() if grid is None else grid
+    if not isinstance(grid, wanted):
+        raise OptionError(
+            f"parameters={switches.parameters!r} need a {wanted.__name__}, got {grid!r}."
+        )
+    if isinstance(grid, ParameterGrid) and grid.spacing is None:
+        return replace(grid, spacing="dielectric")
+    return grid
 
 
 def angular_posterior(
@@ -81,13 +96,7 @@ def angular_posterior(
         OptionError: a grid of other parameters than the preset's, an invalid scale or prior.
     """
     switches = find_preset(preset, method="angular")
-    grid = grid or default_grid(switches)
-    wanted = PrincipledGrid if switches.parameters == "principled" else ParameterGrid
-    if not isinstance(grid, wanted):
-        raise OptionError(
-            f"angular_posterior(): parameters={switches.parameters!r} need a "
-            f"{wanted.__name__}, got {grid!r}."
-        )
+    grid = angular_grid(grid, switches)
     if grid.roughness != statistics.levels:
         raise ShapeError(
             f"angular_posterior(): the grid has {grid.roughness} roughness nodes, but the "

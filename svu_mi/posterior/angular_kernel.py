@@ -21,6 +21,8 @@ from svu_mi.angular.statistics import FIELDS
 from svu_mi.brdf.principled import F0
 from svu_mi.posterior import streaming
 
+HOPELESS = 1e30  # an energy beyond single precision would be infinite, its differences NaN
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -85,6 +87,7 @@ def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:
             column = (level * stats.channels + channel) * FIELDS
             fields = [scale * read(column + field) for field in range(FIELDS)]
             x = _cells(problem, row - level * problem.columns, fields, scale)
+            x = [dr.minimum(value, HOPELESS) for value in x]
             if power is not None:
                 x = [power * dr.log(2 * (value + least[channel]) + 1) for value in x]
             if problem.prior is not None:

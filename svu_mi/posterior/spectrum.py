@@ -98,7 +98,7 @@ def spectrum_posterior(
     switches = find_preset(preset)
     if sigma is not None:
         switches = replace(switches, sigma=float(sigma))
-    grid = _grid(grid, switches, irradiance)
+    grid = spectrum_grid(grid, switches, irradiance=irradiance is not None)
     S_L, S_B = _spectrum("incoming", incoming), _spectrum("outgoing", outgoing)
     if S_L.shape != S_B.shape:
         raise ShapeError(
@@ -152,24 +152,34 @@ def _groups(switches: Preset, channels: int) -> tuple[tuple[int, ...], ...]:
     return tuple((channel,) for channel in range(channels))
 
 
-def _grid(
-    grid: ParameterGrid | PrincipledGrid | None, switches: Preset, irradiance: Any | None
+def spectrum_grid(
+    grid: Any | None, switches: Preset, *, irradiance: bool = True
 ) -> ParameterGrid | PrincipledGrid:
-    """The grid to use, with the preset's spacing unless it has its own."""
+    """Return the grid to use, with the preset's spacing unless it has its own.
+
+    Args:
+        grid: either kind, or None for what the preset's parameters call for.
+        switches: the preset.
+        irradiance: whether it is known, which a ``PrincipledGrid`` needs.
+
+    Raises:
+        OptionError: no grid, or one that asks for what is not there.
+    """
     if grid is None:
-        principled = irradiance is not None and switches.principled
-        grid = PrincipledGrid() if principled else ParameterGrid()
+        grid = PrincipledGrid() if irradiance and switches.principled else ParameterGrid()
     if isinstance(grid, ParameterGrid):
         return grid.resolved(switches)
-    if irradiance is None:
+    if not isinstance(grid, PrincipledGrid):
+        raise OptionError(f"A grid is a ParameterGrid or a PrincipledGrid, got {grid!r}.")
+    if not irradiance:
         raise OptionError(
             "spectrum_posterior(): a PrincipledGrid needs the irradiance; give it, or use a "
             "ParameterGrid."
         )
     if switches.channels not in ("grey", "joint"):
         raise OptionError(
-            f"spectrum_posterior(): channels={switches.channels!r} have one Ks for all, or none "
-            "in common; use a ParameterGrid, or channels='joint'."
+            f"channels={switches.channels!r} have one Ks for all, or nothing in common; use a "
+            "ParameterGrid, or channels='joint'."
         )
     return grid
 

@@ -20,8 +20,6 @@ from svu_mi.interop import owned
 from svu_mi.radiance import environment as env
 from svu_mi.radiance.environment import Environment
 
-CELLS = 128
-
 
 @dataclass(frozen=True)
 class LightCells:
@@ -43,7 +41,7 @@ class LightCells:
     count: Any
 
 
-def light_cells(environment: Environment, degree: int, count: int = CELLS) -> LightCells:
+def light_cells(environment: Environment, degree: int, count: int) -> LightCells:
     """Gather an environment into cells.
 
     Args:

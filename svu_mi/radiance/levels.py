@@ -9,6 +9,7 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+from scipy.sparse import csr_array
 
 from svu_mi.radiance import environment as env
 from svu_mi.radiance.environment import Environment
@@ -16,7 +17,7 @@ from svu_mi.radiance.lighting import Lighting, lat_long_texture, look_up
 
 DELTA = 2e-3  # lobes narrower than this [rad] are mirrors at the resolution of any map
 NEGLIGIBLE = 1e-5  # part of a lobe's peak below which it is cut off
-COARSE = 12.0  # nodes of a level's map over a lobe's width alpha are enough
+COARSE = 10.0  # nodes of a level's map over a lobe's width alpha are enough
 FEWEST = 33  # rows of the coarsest map
 
 Profile = Callable[[np.ndarray], np.ndarray]
@@ -100,13 +101,15 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
     """
     if width < DELTA:
         return grid
-    grid, weights = _coarser(grid, width)
-    rows, columns = grid.shape[:2]
+    if np.ptp(grid, axis=(0, 1)).max() == 0:
+        return grid[:2, :2]
+    flux = _coarser(grid, width)
+    rows, columns = flux.shape[:2]
     theta = np.pi * np.arange(rows) / (rows - 1)
     turn = np.cos(2 * np.pi * np.arange(columns // 2 + 1) / columns)  # even: half is enough
-    spectrum = np.fft.rfft(grid * weights[:, None, None], axis=1)
+    spectrum = np.fft.rfft(flux, axis=1)
     reach = _reach(profile, rows)
-    result = np.empty_like(grid)
+    result = np.empty_like(flux)
     for i in range((rows + 1) // 2):
         near = slice(max(i - reach, 0), i + reach + 1)
         cosine = np.cos(theta[i]) * np.cos(theta[near, None]) + (
@@ -114,14 +117,13 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
         )
         kernel = profile(np.clip(cosine, -1, 1))
         full = np.concatenate([kernel, kernel[:, columns - columns // 2 - 1 : 0 : -1]], axis=1)
-        total = (full.sum(axis=1) * weights[near]).sum()
-        wave = np.fft.rfft(full, axis=1) / total
+        wave = np.fft.rfft(full, axis=1)
         # The sphere looks the same from its other pole: one lobe serves two rows.
         for row, seen in ((i, spectrum), (rows - 1 - i, spectrum[::-1])):
             summed = np.einsum("jm,jmc->mc", wave, seen[near])
             result[row] = np.fft.irfft(summed, n=columns, axis=0)
     # FFT rounding can leave black a hair below zero.
-    return np.maximum(result, 0)
+    return np.maximum(result[..., :-1], 0) / result[..., -1:]
 
 
 def _reach(profile: Profile, rows: int) -> int:
@@ -132,33 +134,35 @@ def _reach(profile: Profile, rows: int) -> int:
     return int(above[-1]) + 1
 
 
-def _coarser(grid: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Bring a grid down to as few nodes as still resolve a lobe.
+def _coarser(grid: np.ndarray, width: float) -> np.ndarray:
+    """Return the flux of every node, on as few nodes as still resolve a lobe.
 
-    Every node's light and weight are shared among the two nearest new nodes, per axis: none
-    is lost, and a constant stays what it is.
+    Every node's light and solid angle are shared among the two nearest new nodes, per axis:
+    none is lost. New nodes do not stand for equal shares, so each brings its own.
 
     Returns:
-        (H', W', C), and the weight of every row's nodes (H',), which at the poles is not that
-        of a quadrature of its own.
+        (H', W', C + 1): radiance times solid angle, and the solid angle, up to a factor.
     """
     rows, columns = grid.shape[:2]
-    solid = env.quadrature(rows)
+    solid = np.broadcast_to(env.quadrature(rows)[:, None, None], (rows, columns, 1))
+    flux = np.concatenate([grid * solid, solid], axis=2)
     fewer = max(int(np.ceil(COARSE / width)) + 1, FEWEST)
     if fewer >= rows:
-        return grid, solid
+        return flux
     down = _shares(np.linspace(0, fewer - 1, rows), fewer, wrap=False)
+    flux = (down @ flux.reshape(rows, -1)).reshape(fewer, columns, -1)
     across = 2 * (fewer - 1)
-    place = (np.arange(columns) + 0.5) * across / columns - 0.5
-    around = _shares(place, across, wrap=True)
-    moved = np.einsum("jr,r...->j...", down, grid * solid[:, None, None])
-    moved = np.einsum("ic,jc...->ji...", around, moved)
-    weights = down @ solid
-    return moved / (weights[:, None] * around.sum(axis=1))[..., None], weights
+    if across < columns:
+        place = (np.arange(columns) + 0.5) * across / columns - 0.5
+        around = _shares(place, across, wrap=True)
+        turned = np.moveaxis(flux, 1, 0)
+        shared = (around @ turned.reshape(columns, -1)).reshape(across, fewer, -1)
+        flux = np.ascontiguousarray(np.moveaxis(shared, 0, 1))
+    return flux
 
 
-def _shares(place: np.ndarray, count: int, wrap: bool) -> np.ndarray:
-    """(count, N): what each of N points gives to its two neighbours among ``count`` nodes."""
+def _shares(place: np.ndarray, count: int, wrap: bool) -> csr_array:
+    """(count, N), sparse: what each of N points gives to its neighbours among ``count`` nodes."""
     first = np.floor(place).astype(int)
     part = place - first
     second = first + 1
@@ -166,8 +170,6 @@ def _shares(place: np.ndarray, count: int, wrap: bool) -> np.ndarray:
         first, second = first % count, second % count
     else:
         second = np.minimum(second, count - 1)
-    shares = np.zeros((count, len(place)))
     points = np.arange(len(place))
-    np.add.at(shares, (first, points), 1 - part)
-    np.add.at(shares, (second, points), part)
-    return shares
+    nodes = (np.concatenate([first, second]), np.concatenate([points, points]))
+    return csr_array((np.concatenate([1 - part, part]), nodes), shape=(count, len(place)))
