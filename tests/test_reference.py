@@ -102,7 +102,9 @@ def valley_capture(tmp_path, max_depth: int):
 def test_four_corners_give_all_of_a_row_exactly_where_paths_are_shared(capture, layout):
     """At metallic 0 and 1 sampling does not depend on the base colour: equal path by path."""
     a, b = (
-        energies(reference_posterior(capture, layout, 30, 8, grid=GRID, method=m, seed=SEED))
+        reference_posterior(
+            capture, layout, 30, 8, grid=GRID, method=m, seed=SEED
+        ).posterior.energies
         for m in ("linear", "brute")
     )
     ends = [0, 2]
@@ -119,7 +121,7 @@ def test_linear_and_brute_agree_within_their_noise(capture, layout):
             [
                 energies(
                     reference_posterior(
-                        capture, layout, np.arange(0, layout.count, 24), 16, grid=GRID,
+                        capture, layout, np.arange(0, layout.count, 36), 16, grid=GRID,
                         method=method, seed=SEED + 100 * offset + run,
                     )
                 ).mean(axis=0)
@@ -157,8 +159,9 @@ def test_light_between_parts_needs_brute_force(tmp_path):
     assert (wrong > right).mean() > 0.9
 
 
-def assert_finds_truth(reference, part: float = 0.95) -> None:
-    best = energies(reference).reshape(reference.count, -1).argmin(axis=1)
+def assert_finds_truth(reference, part: float = 0.9) -> None:
+    """Chance would find 1 in 27; noise of the photographs takes some texels to a neighbour."""
+    best = reference.posterior.energies.reshape(reference.count, -1).argmin(axis=1)
     truth = np.ravel_multi_index(TRUTH, GRID.shape)
     often = reference.coverage >= 4
     assert often.sum() > 40
@@ -206,7 +209,7 @@ def test_the_rest_of_the_scene_stays(tmp_path, kind):
     reference = reference_posterior(
         capture, texels(capture.mesh, 16), 80, 128, grid=GRID, seed=SEED
     )
-    assert_finds_truth(reference, 0.9)
+    assert_finds_truth(reference, 0.8)
     # The photographs' own noise leaves 0.6 to 0.8; without the lid it would be 60.
     assert energies(reference)[:, *TRUTH].mean() < 1.5
 
@@ -221,15 +224,66 @@ def ball_part(tmp_path, kind: str, bsdf: dict[str, Any]) -> dict[str, Any]:
     return {"type": "ply", "filename": str(write_ball(tmp_path)), "bsdf": bsdf}
 
 
-def test_exposure_does_not_matter(tmp_path, capture, layout):
+@pytest.mark.parametrize("noise", ["relative", "heteroscedastic"])
+def test_exposure_does_not_matter(tmp_path, capture, layout, noise):
     """Four times the light and four times the photographs: the same entropies."""
     bright = memory_capture(
         ball_scene(tmp_path, sky(4.0), paint()), [4 * i for i in capture.images], capture.sensors
     )
-    a, b = (reference_posterior(c, layout, 50, 8, grid=GRID, seed=SEED) for c in (capture, bright))
+    a, b = (
+        reference_posterior(c, layout, 50, 8, grid=GRID, noise=noise, seed=SEED)
+        for c in (capture, bright)
+    )
     assert b.scale == pytest.approx(4 * a.scale, rel=1e-5)
     assert b.brightness == pytest.approx(4 * a.brightness, rel=1e-5)
     assert b.entropy == pytest.approx(a.entropy, abs=1e-3)
+
+
+@pytest.mark.parametrize("noise", ["relative", "heteroscedastic"])
+def test_energies_are_weighted_squares_of_the_mean_radiance(capture, layout, monkeypatch, noise):
+    """Every psi of every texel again, from the pairs and the traced halves, in NumPy."""
+    found, rendered = [], []
+    find, render = posterior.visible_pairs, posterior.trace
+    monkeypatch.setattr(
+        posterior, "visible_pairs", lambda *args: found.append(find(*args)) or found[-1]
+    )
+    monkeypatch.setattr(
+        posterior, "trace", lambda *args: rendered.append(render(*args)) or rendered[-1]
+    )
+    grid, sigma = PrincipledGrid(2, 2, 3), 0.05
+    reference = reference_posterior(
+        capture, layout, 20, 4, grid=grid, sigma=sigma, method="brute", noise=noise, seed=SEED
+    )
+    (pair,), scale = found, reference.scale
+    halves = np.array(rendered)  # (psi, half, P)
+    assert halves.shape == (12, 2, pair.count)
+    for k in range(20):
+        own = pair.texel == k
+        b = pair.observed[own]
+        w = np.ones(len(b)) if noise == "relative" else 1 / (1 + (b / scale) ** 2)
+        a, c = halves[:, 0, own], halves[:, 1, own]
+        for table, r in zip(
+            (reference.posterior, *reference.halves), ((a + c) / 2, a, c), strict=True
+        ):
+            expected = (w * (b - r) ** 2).sum(axis=1) / len(b) / (2 * (sigma * scale) ** 2)
+            # Only the order of sums in float64 differs.
+            assert table.energies[k].ravel() == pytest.approx(expected, rel=1e-9)
+        product = (w * (b - a) * (b - c)).mean(axis=1) / (2 * (sigma * scale) ** 2)
+        assert energies(reference)[k].ravel() == pytest.approx(product, rel=1e-9, abs=1e-9)
+
+
+def test_weights_go_through_the_four_corners():
+    """Where radiance is exactly bilinear, both ways give the same weighted means."""
+    rng = np.random.default_rng(SEED)
+    texel, observed, weight = rng.integers(0, 3, 40), rng.random(40), rng.random(40)
+    corners = rng.random((2, 2, 2, 40))  # half, metallic, base colour
+
+    def render(_roughness: float, m: float, c: float) -> tuple[np.ndarray, np.ndarray]:
+        return tuple(np.einsum("hmcp,m,c->hp", corners, [1 - m, m], [1 - c, c]))
+
+    mean = PerTexel(texel, 3, weight)
+    a, b = (derive(observed, mean, GRID, render) for derive in (linear, brute))
+    assert a == pytest.approx(b, rel=1e-9)
 
 
 def test_two_halves_take_the_noise_out_of_squares():
@@ -266,19 +320,19 @@ def nodes(grid: PrincipledGrid) -> list[tuple[float, ...]]:
     return list(zip(*(axis.ravel() for axis in mesh), strict=True))
 
 
-def test_few_paths_do_not_bias_the_energies(capture, layout):
-    """At the true psi, mean energies of 2 paths match those of 256; squares of one do not."""
+def test_few_paths_do_not_bias_the_products_of_halves(capture, layout):
+    """At the true psi, their mean for 2 paths is that for 128; squares are above it."""
     some = np.arange(0, layout.count, 4)
     cell = (slice(None), *TRUTH)
-    exact = energies(reference_posterior(capture, layout, some, 256, grid=GRID))[cell].mean()
+    exact = energies(reference_posterior(capture, layout, some, 128, grid=GRID))[cell].mean()
     runs = [
         reference_posterior(capture, layout, some, 2, grid=GRID, seed=SEED + k) for k in range(6)
     ]
     cross = np.array([energies(run)[cell].mean() for run in runs])
-    naive = np.array([run.halves[0].energies[cell].mean() for run in runs])
+    whole = np.array([run.posterior.energies[cell].mean() for run in runs])
     error = cross.std(ddof=1) / np.sqrt(len(cross))
     assert abs(cross.mean() - exact) < 5 * error
-    assert naive.mean() - exact > 10 * error
+    assert whole.mean() - exact > 10 * error
 
 
 # --- what it is made of --------------------------------------------------------------------
@@ -316,33 +370,6 @@ def test_a_texel_nobody_sees_has_entropy_one(capture, layout):
     assert np.array_equal(drawn.subset, np.flatnonzero(~unseen))
 
 
-def test_bright_samples_weigh_less_when_noise_grows_with_them():
-    rng = np.random.default_rng(SEED)
-    texel, observed = rng.integers(0, 3, 40), rng.exponential(2.0, 40)
-    grid, radiance = PrincipledGrid(2, 2, 2), rng.random((2, 40))
-    weight = posterior._weights(observed, 1.5, "heteroscedastic")
-    found = brute(observed, PerTexel(texel, 3, weight), grid, lambda *_: tuple(radiance))
-    for t in range(3):
-        mine = texel == t
-        b, r = observed[mine], radiance.mean(axis=0)[mine]
-        expected = ((b - r) ** 2 / (1 + (b / 1.5) ** 2)).mean()
-        assert found[0, t] == pytest.approx(expected)
-    assert posterior._weights(observed, 1.5, "relative") is None
-
-
-def test_exposure_changes_nothing_whatever_the_noise(tmp_path, capture, layout):
-    bright = memory_capture(
-        ball_scene(tmp_path, sky(4.0), paint()), [4 * i for i in capture.images], capture.sensors
-    )
-    a, b = (
-        reference_posterior(c, layout, 50, 8, grid=GRID, seed=SEED, noise="heteroscedastic")
-        for c in (capture, bright)
-    )
-    assert b.entropy == pytest.approx(a.entropy, abs=1e-3)
-    same = reference_posterior(capture, layout, 50, 8, grid=GRID, seed=SEED)
-    assert np.abs(same.entropy - a.entropy).max() > 0.01
-
-
 def test_split_half_tells_noise(capture, layout):
     reference = reference_posterior(capture, layout, 100, 64, grid=PrincipledGrid(4, 4, 4))
     halves = reference.split_half()
@@ -351,6 +378,9 @@ def test_split_half_tells_noise(capture, layout):
     assert not np.array_equal(first, second)
     assert correlation == pytest.approx(np.corrcoef(first, second)[0, 1])
     assert 0.8 < correlation < 1
+    assert repr(halves) == f"SplitHalf(correlation={correlation})"
+    assert "array" not in repr(reference)
+    assert "spp=64" in repr(reference)
 
 
 def test_no_psi_and_no_batch_compiles_a_kernel(capture, layout, monkeypatch):
@@ -451,6 +481,7 @@ def test_whatever_matters_misses_the_cache(capture, layout, tmp_path, traced):
     assert run(sigma=0.1)
     assert run(grid=PrincipledGrid(3, 3, 2))
     assert run(method="brute")
+    assert run(noise="heteroscedastic")
     assert not run()
 
 
@@ -495,6 +526,7 @@ def test_a_damaged_cache_is_traced_again(capture, layout, tmp_path, damage):
         ({"max_depth": 1}, "max_depth must be at least 2"),
         ({"max_depth": 3}, "use method='brute' for max_depth 3"),
         ({"method": "magic"}, "method must be linear or brute, got 'magic'"),
+        ({"noise": "fixed"}, "noise must be relative or heteroscedastic, got 'fixed'"),
         ({"seed": -1}, "seed must be a whole number >= 0"),
     ],
 )
