@@ -181,3 +181,22 @@ def test_levels_turn_with_the_light(grey):
         truth = at(grid, local)
         truth = truth.mean(axis=1, keepdims=True) if grey else truth
         np.testing.assert_allclose(ours, truth, rtol=5e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("alpha", [0.055, 0.068, 0.0816])
+def test_a_column_is_as_bright_wherever_it_stands(alpha):
+    """New columns do not stand for equal shares of the old: each brings its own solid angle."""
+    energy = []
+    for column in range(0, 64, 7):
+        grid = np.zeros((257, 512, 1))
+        grid[128, column] = 1
+        level = convolve(grid, alpha, partial(zonal_profile, "ggx", alpha))
+        energy.append((level[..., 0].mean(axis=1) * quadrature(len(level))).sum())
+    exact = quadrature(257)[128] / 512
+    np.testing.assert_allclose(energy, exact, rtol=1e-3)
+
+
+def test_a_constant_needs_no_convolution():
+    grid = np.full((257, 512, 3), 0.7)
+    level = convolve(grid, 0.05, partial(zonal_profile, "ggx", 0.05))
+    assert level.shape == (2, 2, 3) and (level == 0.7).all()

@@ -312,3 +312,59 @@ def test_the_oracle_and_the_posterior_agree_on_a_rendered_object(glossy):
     ])  # fmt: skip
     ours = np.array(estimate(capture, texels, "spectrum", switches).entropy)
     np.testing.assert_allclose(ours[seen], exact[seen], atol=2e-3)  # spectra differ by 1e-6
+
+
+# --- what is refused, and what must not be mistaken -------------------------------------------
+
+
+@METHODS
+def test_black_photographs_are_an_observation_at_any_exposure(tmp_path, method):
+    """Black under a known light is the strongest sign of a black surface there is."""
+    means = []
+    for gain in (1e-3, 1.0, 1e3):
+        scene = ball_scene(tmp_path, studio(scale=gain), GLOSSY)
+        sensors = sphere_sensors(scene.shapes()[0], 12, (32, 32))
+        capture = memory_capture(scene, [np.zeros((32, 32, 3))] * 12, sensors)
+        result = estimate(capture, svu.texels(capture.mesh, 20), method)
+        means.append(np.array(result.entropy)[np.array(result.coverage) > 2].mean())
+    assert means[0] < 0.9
+    assert means == pytest.approx([means[1]] * 3, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "method, options, sentence",
+    [
+        ("angular", {"grid": svu.ParameterGrid()}, "need a PrincipledGrid, got ParameterGrid"),
+        ("angular", {"grid": (8, 8, 8)}, r"need a PrincipledGrid, got \(8, 8, 8\)"),
+        ("angular", {"prior": np.ones(3)}, r"the prior must be \(8, 8, 8\) or \(8,\)"),
+        ("spectrum", {"grid": (8, 8)}, "A grid is a ParameterGrid or a PrincipledGrid"),
+        ("spectrum", {"prior": -np.ones(8)}, "the prior must be finite, non-negative"),
+        ("spectrum", {"preset": "calibrated"}, "Unknown preset 'calibrated'"),
+    ],
+)
+def test_a_wrong_grid_or_prior_is_refused_before_any_work(glossy, method, options, sentence):
+    capture, texels = glossy
+    blind = replace(capture, scene=None, sensors=())  # any work on it would fail otherwise
+    with pytest.raises(svu.SvuError, match=sentence):
+        estimate(blind, texels, method, **options)
+
+
+def test_a_grid_of_ks_without_a_spacing_resolves_dielectrics(glossy):
+    capture, texels = glossy
+    switches = preset("default", method="angular", parameters="specular")
+    result = estimate(capture, texels, "angular", switches, grid=svu.ParameterGrid())
+    assert result.posterior.axes["specular"][0] == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize(
+    "method, switches",
+    [
+        ("angular", {"rays": 64.5}), ("angular", {"rays": True}), ("angular", {"sigma": "0.1"}),
+        ("angular", {"occluded_diffuse": "no"}), ("spectrum", {"degree": 4.5}),
+    ],
+)  # fmt: skip
+def test_switches_of_the_wrong_kind_are_refused(method, switches):
+    (name,) = switches
+    wanted = "a whole number|a number|True or False"
+    with pytest.raises(OptionError, match=f"Preset: {name} must be ({wanted})"):
+        preset("default", method=method, **switches)
