@@ -90,17 +90,8 @@ def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:
             x = [dr.minimum(value, HOPELESS) for value in x]
             if power is not None:
                 x = [power * dr.log(2 * (value + least[channel]) + 1) for value in x]
-            if problem.prior is not None:
-                place = row * len(x)
-                x = [
-                    value + dr.gather(mi.Float, problem.prior[1], place + j)
-                    for j, value in enumerate(x)
-                ]
-            groups.append(streaming.above_smallest(x))
-        if problem.prior is not None:
-            low, offsets = groups[0]
-            groups[0] = (low + dr.gather(mi.Float64, problem.prior[0], row), offsets)
-        return groups
+            groups.append(x)
+        return streaming.with_prior(groups, problem.prior, row)
 
     return energies
 

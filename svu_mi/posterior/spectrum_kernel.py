@@ -116,17 +116,8 @@ def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:
                 x = [value + more for value, more in zip(x, first, strict=True)]
             if power is not None:
                 x = [power * dr.log(2 * value + 1) for value in x]
-            if problem.prior is not None:
-                place = row * len(x)
-                x = [
-                    value + dr.gather(mi.Float64, problem.prior[1], place + j)
-                    for j, value in enumerate(x)
-                ]
-            result.append(streaming.above_smallest(x))
-        if problem.prior is not None:
-            low, offsets = result[0]
-            result[0] = (low + dr.gather(mi.Float64, problem.prior[0], row), offsets)
-        return result
+            result.append(x)
+        return streaming.with_prior(result, problem.prior, row)
 
     return energies
 

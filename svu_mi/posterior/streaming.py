@@ -82,6 +82,28 @@ def _combine(groups: list[tuple[Any, list[Any]]]) -> tuple[Any, Any, Any]:
     return base, weight, excess
 
 
+def with_prior(
+    energies: list[list[Any]], prior: tuple[Any, Any] | None, row: Any
+) -> list[tuple[Any, list[Any]]]:
+    """Turn the energies of a row, a list per group, into what ``RowEnergies`` returns.
+
+    Args:
+        energies: of the likelihood.
+        prior: -log prior of a row, and of a cell given its row, as ``log_prior`` has them.
+        row: which row.
+    """
+    if prior is None:
+        return [above_smallest(x) for x in energies]
+    of_row, of_cell = prior
+    groups = []
+    for x in energies:
+        place = row * len(x)
+        known = [dr.gather(type(of_cell), of_cell, place + j) for j in range(len(x))]
+        groups.append(above_smallest([a + b for a, b in zip(x, known, strict=True)]))
+    low, offsets = groups[0]
+    return [(low + dr.gather(mi.Float64, of_row, row), offsets), *groups[1:]]
+
+
 def above_smallest(energies: list[Any]) -> tuple[Any, list[Any]]:
     """Return the smallest of a row's energies, and all of them relative to it (Float)."""
     low = energies[0]
