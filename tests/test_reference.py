@@ -159,9 +159,9 @@ def test_light_between_parts_needs_brute_force(tmp_path):
     assert (wrong > right).mean() > 0.9
 
 
-def assert_finds_truth(reference, part: float = 0.9) -> None:
+def assert_finds_truth(reference, part: float = 0.95) -> None:
     """Chance would find 1 in 27; noise of the photographs takes some texels to a neighbour."""
-    best = reference.posterior.energies.reshape(reference.count, -1).argmin(axis=1)
+    best = energies(reference).reshape(reference.count, -1).argmin(axis=1)
     truth = np.ravel_multi_index(TRUTH, GRID.shape)
     often = reference.coverage >= 4
     assert often.sum() > 40
@@ -209,7 +209,7 @@ def test_the_rest_of_the_scene_stays(tmp_path, kind):
     reference = reference_posterior(
         capture, texels(capture.mesh, 16), 80, 128, grid=GRID, seed=SEED
     )
-    assert_finds_truth(reference, 0.8)
+    assert_finds_truth(reference, 0.9)
     # The photographs' own noise leaves 0.6 to 0.8; without the lid it would be 60.
     assert energies(reference)[:, *TRUTH].mean() < 1.5
 
