@@ -5,7 +5,8 @@
 
 Memory at its peak, measured (BENCHMARKS.md): 26 bytes per pixel of all photographs (float32
 RGB as read, a packed copy, two flags), 560 bytes per texel (most of it double-precision
-temporaries of the texel layout), and nothing that grows with texels times views.
+temporaries of the texel layout; 800 with angular statistics and what reaches each texel), and
+nothing that grows with texels times views.
 """
 
 from __future__ import annotations
