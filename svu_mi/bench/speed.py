@@ -26,7 +26,7 @@ NODES = (4, 6, 8, 12, 16, 24, 32)
 MAX_CELLS = 5000  # of a grid in the scaling curve
 VIEWS = (10, 20, 40, 60)
 SAMPLES = (2, 4, 8, 16, 32, 64, 128)
-PLAIN_SPP, PLAIN_PSI, LINEAR_PSI = 32, 512, 32  # of the path-traced posterior that is timed
+PLAIN_PSI, LINEAR_PSI = 512, 32  # of the path-traced posterior that is timed
 
 Row = dict[str, Any]
 
@@ -217,11 +217,11 @@ def brute_force(bench: Bench, cell: Cell) -> dict[str, Any]:
     samples, 8 psi, kernels compiled before: larger batches are not faster.
     """
     capture, grid = _timed_setting(bench, cell)
-    few = PrincipledGrid(2, 2, 2)
+    few, spp = PrincipledGrid(2, 2, 2), bench.settings.reference_spp
     with bench.progress.stage("Tracing all psi"):
         for seed in range(2):  # the first compiles
             sample = bench.reference(
-                capture, grid, method="brute", spp=PLAIN_SPP, grid=few, seed=seed, cache=None
+                capture, grid, method="brute", spp=spp, grid=few, seed=seed, cache=None
             )
     found = survey(pack_views(capture), Surface.of(grid))
     pairs = int(found.coverage.numpy().sum(dtype=np.int64))
@@ -232,9 +232,9 @@ def brute_force(bench: Bench, cell: Cell) -> dict[str, Any]:
         "rays_per_second": rate,
         "pairs": pairs,
         "psi": PLAIN_PSI,
-        "spp": PLAIN_SPP,
-        "seconds": pairs * PLAIN_PSI * PLAIN_SPP / rate,
-        "linear_seconds": pairs * LINEAR_PSI * PLAIN_SPP / rate,
+        "spp": spp,
+        "seconds": pairs * PLAIN_PSI * spp / rate,
+        "linear_seconds": pairs * LINEAR_PSI * spp / rate,
     }
 
 

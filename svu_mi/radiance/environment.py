@@ -198,7 +198,7 @@ def analyze(grid: np.ndarray, degree: int) -> np.ndarray:
     azimuth = np.pi - 2 * np.pi * (np.arange(columns) + 0.5) / columns
     m = np.arange(degree + 1)
     wave = np.exp(-1j * np.outer(m, azimuth)) * (2 * np.pi / columns)
-    rings = np.einsum("mi,jic->mjc", wave, grid) * quadrature(rows)[None, :, None]
+    rings = np.tensordot(wave, grid, axes=(1, 1)) * quadrature(rows)[None, :, None]
     legendre = associated_legendre(np.cos(np.pi * np.arange(rows) / (rows - 1)), degree)
     result = np.zeros(((degree + 1) ** 2, grid.shape[2]))
     for order in range(degree + 1):

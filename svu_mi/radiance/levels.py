@@ -105,6 +105,10 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
         return grid[:2, :2]
     flux = _coarser(grid, width)
     rows, columns = flux.shape[:2]
+    # On the map's own nodes a row has one solid angle, and a lobe one norm all along it.
+    even = flux.shape[:2] == grid.shape[:2]
+    solid = flux[:, 0, -1]
+    flux = flux[..., :-1] if even else flux
     theta = np.pi * np.arange(rows) / (rows - 1)
     turn = np.cos(2 * np.pi * np.arange(columns // 2 + 1) / columns)  # even: half is enough
     spectrum = np.fft.rfft(flux, axis=1)
@@ -118,12 +122,14 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
         kernel = profile(np.clip(cosine, -1, 1))
         full = np.concatenate([kernel, kernel[:, columns - columns // 2 - 1 : 0 : -1]], axis=1)
         wave = np.fft.rfft(full, axis=1)
+        if even:
+            wave /= full.sum(axis=1) @ solid[near]
         # The sphere looks the same from its other pole: one lobe serves two rows.
         for row, seen in ((i, spectrum), (rows - 1 - i, spectrum[::-1])):
             summed = np.einsum("jm,jmc->mc", wave, seen[near])
             result[row] = np.fft.irfft(summed, n=columns, axis=0)
     # FFT rounding can leave black a hair below zero.
-    return np.maximum(result[..., :-1], 0) / result[..., -1:]
+    return np.maximum(result if even else result[..., :-1] / result[..., -1:], 0)
 
 
 def _reach(profile: Profile, rows: int) -> int:

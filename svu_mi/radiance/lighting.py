@@ -16,7 +16,7 @@ from svu_mi.capture.scene import find_environment
 from svu_mi.radiance.environment import Environment, read_environment, synthesize
 
 MIN_DEGREE, MAX_DEGREE = 24, 64
-COSINE_DEGREE = 16
+COSINE_DEGREE, COSINE_ROWS = 16, 97
 NEGLIGIBLE = 1e-4  # factor of the filter from which higher degrees are left out
 TEXELS_PER_WAVE = 24  # rows per period of the highest degree: bilinear error below 1 %
 
@@ -57,7 +57,8 @@ class Lighting:
         """Texture2f of the irradiance."""
         # Cosine lobes fall off as l^-2, and odd degrees above 1 vanish: beyond 16, 0.2 %.
         cosine = clamped_cosine(COSINE_DEGREE)[degrees(COSINE_DEGREE)]
-        return _texture(self.environment.coefficients(COSINE_DEGREE) * cosine[:, None])
+        coefficients = self.environment.coefficients(COSINE_DEGREE) * cosine[:, None]
+        return lat_long_texture(synthesize(coefficients, 2 * (COSINE_ROWS - 1), COSINE_ROWS))
 
     def radiance(self, direction: Any) -> Any:
         """Look up band-limited incoming radiance *from* a world direction: Color3f."""
