@@ -115,11 +115,14 @@ def test_python_scripts_use_the_same_names(shot):
 
     capture = svu.load_capture(shot)
     texels = svu.texels(capture.mesh, resolution=32)
-    estimate = svu.estimate(capture, texels, method="spectrum", preset="default")
-    assert estimate.image("entropy").shape == (32, 32)
-    p = np.array(estimate.posterior.probabilities)
-    assert p.shape[:3] == (texels.count, 8, 8)
-    np.testing.assert_allclose(p.sum(axis=(1, 2)), 1, rtol=1e-5)
+    for method in ("angular", "spectrum"):
+        estimate = svu.estimate(capture, texels, method=method, preset="default")
+        assert estimate.image("entropy").shape == (32, 32)
+        p = np.array(estimate.posterior.probabilities)
+        assert p.shape == (texels.count, 8, 8, 8)
+        np.testing.assert_allclose(p.sum(axis=(1, 2, 3)), 1, rtol=1e-5)
+    paper = svu.estimate(capture, texels, method="spectrum", preset="paper")
+    assert np.array(paper.posterior.probabilities).shape == (texels.count, 8, 8)
     for name in svu.__all__:
         assert getattr(svu, name) is not None
 
