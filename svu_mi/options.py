@@ -29,8 +29,19 @@ AngularNoise = Literal["fixed", "relative", "heteroscedastic", "marginal"]
 Method = Literal["angular", "spectrum"]
 
 
+class _Channels:
+    """What the presets of all methods say of colour."""
+
+    channels: Any
+
+    @property
+    def colors(self) -> int:
+        """Number of colour channels that are looked at: 3, or 1 for their mean."""
+        return 1 if self.channels == "grey" else 3
+
+
 @dataclass(frozen=True, kw_only=True)
-class Preset:
+class Preset(_Channels):
     """Switches of the spectrum estimator; the defaults are those of ``default``."""
 
     name: str = "default"
@@ -109,7 +120,7 @@ class Preset:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AngularPreset:
+class AngularPreset(_Channels):
     """Switches of the angular estimator; the defaults are those of ``default``."""
 
     name: str = "default"

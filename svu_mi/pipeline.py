@@ -204,7 +204,7 @@ def _from_spectra(run: _Run, switches: Preset) -> tuple[Posterior, Survey]:
     irradiance = None
     if isinstance(run.grid, PrincipledGrid):
         with run.progress.stage("Tracing occlusion"):
-            irradiance = _irradiance(run, switches, int(spectra.outgoing.shape[2]))
+            irradiance = _irradiance(run, switches, switches.colors)
     with run.progress.stage("Computing entropy"):
         posterior = spectrum_posterior(
             spectra.incoming,
@@ -242,7 +242,7 @@ def fit_spectra(
         seen: (T,) UInt32, number of views that see each.
         switches: degree, regulariser, R_00 of Eq. 12, channels and occlusion.
     """
-    colors = 1 if switches.channels == "grey" else 3
+    colors = switches.colors
     shape = (texels.count, switches.degree + 1, colors)
     outgoing, incoming = dr.zeros(mi.TensorXf, shape), dr.zeros(mi.TensorXf, shape)
     dr.eval(outgoing, incoming)
@@ -284,7 +284,7 @@ def sample(
         true_fn=mirrored,
         false_fn=lambda *_: dr.zeros(mi.Color3f),
     )
-    colors = 1 if switches.channels == "grey" else 3
+    colors = switches.colors
     both = (*as_channels(seen.radiance, colors), *as_channels(incoming, colors))
     return seen.direction, seen.cosine, list(both)
 

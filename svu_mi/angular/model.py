@@ -75,7 +75,7 @@ def reflection(
         roughness: (R,) levels.
         switches: the model.
     """
-    channels = 1 if switches.channels == "grey" else 3
+    channels = switches.colors
     alpha = alpha_from_roughness(roughness)
     profile = partial(zonal_profile, switches.lobe)
     return Reflection(

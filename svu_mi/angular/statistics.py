@@ -26,6 +26,7 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.angular.model import Reflection, Terms, terms
+from svu_mi.frequency.arrays import scatter_strided
 from svu_mi.radiance import Surface, Survey, Views, over_views
 from svu_mi.radiance.hemisphere import as_channels, mirror_free
 from svu_mi.radiance.observe import Observation, Tally
@@ -103,7 +104,11 @@ def gather(views: Views, surface: Surface, model: Reflection, scale: Any) -> Sta
             factor[-1] = factor[-1] - low
         least.append(low)
     columns = [field for factor in factors for field in factor]
-    values = _scatter_columns([*columns, *least], surface.count)
+    columns += least
+    values = dr.zeros(mi.Float, len(columns) * surface.count)
+    dr.eval(values)
+    lane, stride = dr.arange(mi.UInt32, surface.count), dr.opaque(mi.UInt32, surface.count)
+    values = scatter_strided(values, columns, lane, stride)
     dr.eval(values, found, tally.per_view)
     return Statistics(values, count, levels, channels, surface.count, tally.survey(found))
 
@@ -144,23 +149,3 @@ def _inverse_root(pivot: Any, threshold: Any) -> Any:
     """1 / sqrt(pivot), or 0 where the pivot is not above its threshold: a dependent column."""
     good = pivot > threshold
     return dr.select(good, dr.rsqrt(dr.select(good, pivot, 1)), 0)
-
-
-@dr.syntax
-def _scatter_columns(columns: list[Any], count: int) -> Any:
-    """Return an array with column k of every lane at ``k * count + lane``: part of one kernel."""
-    # As in frequency.scatter_rows: outside a symbolic loop, every scatter is a kernel.
-    size = len(columns)
-    target = dr.zeros(mi.Float, size * count)
-    dr.eval(target)
-    memory = dr.alloc_local(mi.Float, size)
-    for k, value in enumerate(columns):
-        memory[k] = mi.Float(value)
-    stride = dr.opaque(mi.UInt32, count)
-    place = dr.arange(mi.UInt32, count)
-    k = mi.UInt32(0)
-    while k < dr.opaque(mi.UInt32, size):
-        dr.scatter(target, memory[k], place)
-        place += stride
-        k += 1
-    return target

@@ -48,6 +48,13 @@ class Bench:
         """Finished cells."""
         return Store(self.folder / "cells")
 
+    def key(self, cell: Cell, variants: Sequence[Variant]) -> str:
+        """Key of a result that takes all of these variants together."""
+        labels = [(v.label, v.method, asdict(v.preset)) for v in variants]
+        return key_of(
+            str(cell.scene), cell.defines, asdict(self.settings), labels, code_and_machine()
+        )
+
     def capture(self, cell: Cell, settings: Settings | None = None, name: str = "") -> Capture:
         """Photographs of a cell, rendered once per settings."""
         folder = self.folder / "cells" / cell.name / (name or "capture")

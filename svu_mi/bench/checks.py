@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from svu_mi import metrics
 from svu_mi.bench.accuracy import Bench, run_warm
 from svu_mi.bench.cells import Cell
-from svu_mi.bench.store import Store, code_and_machine, key_of
+from svu_mi.bench.store import Store
 from svu_mi.bench.variants import Variant
 from svu_mi.surface import texels
 
@@ -34,14 +35,9 @@ def run_checks(bench: Bench, cells: Sequence[Cell], variants: Sequence[Variant])
     chosen = list(first.values())[::-1][: bench.settings.checked]
     store, found = Store(bench.folder / "checks"), []
     for cell in chosen:
-        key = key_of(
-            str(cell.scene), cell.defines, asdict(bench.settings),
-            [(v.label, v.method, asdict(v.preset)) for v in main], code_and_machine(),
-        )  # fmt: skip
-        record = None if bench.fresh else store.load(cell.name, key)
-        if record is None:
-            record = store.save(cell.name, key, check(bench, cell, main))
-        found.append(record)
+        compute = partial(check, bench, cell, main)
+        key = bench.key(cell, main)
+        found.append(store.recall(cell.name, key, compute, fresh=bench.fresh))
     return found
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from svu_mi.bench.accuracy import Bench, run_warm
 from svu_mi.bench.captures import some_views
 from svu_mi.bench.cells import Cell
 from svu_mi.bench.cold import run_cold
-from svu_mi.bench.store import Store, code_and_machine, key_of
+from svu_mi.bench.store import Store
 from svu_mi.bench.variants import Variant
 from svu_mi.capture import Capture
 from svu_mi.posterior import PrincipledGrid
@@ -54,16 +55,11 @@ def run_speed(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str
         "reference_spp": lambda: {"reference": by_samples(bench, cell)},
         "brute": lambda: brute_force(bench, cell),
     }
-    key = key_of(
-        str(cell.scene), cell.defines, asdict(bench.settings),
-        [(v.label, v.method, asdict(v.preset)) for v in main], code_and_machine(),
-    )  # fmt: skip
-    store, done = Store(bench.folder / "speed"), {}
-    for name, measure in parts.items():
-        record = None if bench.fresh else store.load(name, key)
-        if record is None:
-            record = store.save(name, key, {"result": measure()})
-        done[name] = record["result"]
+    store, key = Store(bench.folder / "speed"), bench.key(cell, main)
+    done = {
+        name: store.recall(name, key, partial(_result, measure), fresh=bench.fresh)["result"]
+        for name, measure in parts.items()
+    }
     scaling = {name: done[name] for name in ("degree", "grid", "views", "reference_spp")}
     return {
         "cell": cell.title,
@@ -71,6 +67,10 @@ def run_speed(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str
         "scaling": scaling,
         "brute": done["brute"],
     }
+
+
+def _result(measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    return {"result": measure()}
 
 
 def time_estimators(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -69,6 +69,13 @@ class Store:
             return None
         matches = isinstance(record, dict) and record.get("key") == key
         return record if matches else None
+
+    def recall(
+        self, name: str, key: str, compute: Callable[[], Mapping[str, Any]], *, fresh: bool
+    ) -> dict[str, Any]:
+        """Return a finished record, or compute and keep it; ``fresh`` always computes."""
+        record = None if fresh else self.load(name, key)
+        return self.save(name, key, compute()) if record is None else record
 
     def save(self, name: str, key: str, record: Mapping[str, Any]) -> dict[str, Any]:
         """Write a record in one step, and return it as it will be read again.

@@ -12,7 +12,6 @@ from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr
 
 SUFFIXES = (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg")
-LDR_SUFFIXES = (".png", ".jpg", ".jpeg")
 SATURATED = 0.98  # of an 8-bit photograph's encoded range; a clipped highlight is no measurement
 ON_OBJECT = 0.999  # alpha from which a pixel shows nothing but the object
 IN_MASK = 0.5  # the same for 8-bit masks, which say inside or outside, with noise if JPEG

@@ -48,7 +48,6 @@ def tensor(
     return out
 
 
-@dr.syntax
 def scatter_rows(target: Any, rows: list[list[Any]], texel: Any) -> Any:
     """Write lanes to texel-major memory, within the kernel that computes them.
 
@@ -60,16 +59,31 @@ def scatter_rows(target: Any, rows: list[list[Any]], texel: Any) -> Any:
     Returns:
         ``target``, to be evaluated.
     """
+    values = [value for channels in rows for value in channels]
+    return scatter_strided(target, values, texel * len(values), 1)
+
+
+@dr.syntax
+def scatter_strided(target: Any, values: list[Any], start: Any, stride: Any) -> Any:
+    """Write value k of every lane to ``start + k * stride``, within the kernel that computes it.
+
+    Args:
+        target: flat Float array.
+        values: one number per lane each, converted to Float.
+        start: UInt32, per lane.
+        stride: UInt32.
+
+    Returns:
+        ``target``, to be evaluated.
+    """
     # Scatters outside a symbolic loop would each become a kernel that computes all over
     # again, and dr.concat one per number of lanes.
-    values = [value for channels in rows for value in channels]
     count = len(values)
     memory = dr.alloc_local(mi.Float, count)
-    for i, value in enumerate(values):
-        memory[i] = value
-    start = texel * count
-    i = mi.UInt32(0)
-    while i < dr.opaque(mi.UInt32, count):
-        dr.scatter(target, memory[i], start + i)
-        i += 1
+    for k, value in enumerate(values):
+        memory[k] = mi.Float(value)
+    k = mi.UInt32(0)
+    while k < dr.opaque(mi.UInt32, count):
+        dr.scatter(target, memory[k], start + k * stride)
+        k += 1
     return target
