@@ -119,7 +119,8 @@ def spectrum_posterior(
         degree=degrees - 1,
         channels=channels,
         groups=_groups(switches, channels),
-        decay=mi.Float64(_decay(switches, grid, degrees - 1, prefilter).ravel()),
+        decay=owned(mi.Float64, _decay(switches, grid, prefilter)),
+        albedo=owned(mi.Float64, np.square(_albedo(switches, grid))),
         cells=cells,
         prior=None if tables is None else tuple(owned(mi.Float64, t) for t in tables),
         constant=_constant(switches, grid, irradiance, (count, channels), unit),
@@ -200,14 +201,13 @@ def _albedo(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarra
 
 
 def _decay(
-    switches: Preset, grid: ParameterGrid | PrincipledGrid, degree: int, prefilter: float
+    switches: Preset, grid: ParameterGrid | PrincipledGrid, prefilter: float
 ) -> np.ndarray:
-    """(R, l*) factors exp(-2 (alpha l)^2) of each roughness, l = 1 ... l* (Eq. 11)."""
+    """(R,) q = exp(-2 alpha^2) of each roughness; degree l falls off as q^(l^2) (Eq. 11)."""
     width = _alpha(switches, grid) ** 2
     if switches.undo_prefilter:
         width = np.maximum(width - prefilter**2, 0)
-    l = np.arange(1, degree + 1)
-    return _albedo(switches, grid)[:, None] ** 2 * np.exp(-2 * width[:, None] * l**2)
+    return np.exp(-2 * width)
 
 
 def _constant(
@@ -226,7 +226,7 @@ def _constant(
     return kernel.Constant(
         metallic=grid.metallic_nodes,
         irradiance=known.array,
-        albedo=mi.Float64(_albedo(switches, grid)),
+        albedo=owned(mi.Float64, _albedo(switches, grid)),
         sigma=dr.opaque(mi.Float64, sigma),
     )
 

@@ -1,13 +1,13 @@
 """The posterior of Eq. 11 in one kernel: energies of grid cells, and their entropy.
 
-For one roughness, the distance of Eq. 11 is a quadratic in K = Ks^2. Around the best K_0 in
-[0, 1], with the model m_l = e_l S_L(l) and the residual r = S_B - K_0 m,
+For one roughness, the distance of Eq. 11 is a quadratic in K = Ks^2,
 
-    d(K) = sum r^2 - 2 (K - K_0) sum m r + (K - K_0)^2 sum m^2,
+    d(K) = sum S_B^2 - 2 K sum e_l S_L S_B + K^2 sum e_l^2 S_L^2,
 
-so the degrees are summed once per row, not once per cell. The expansion around K = 0 would
-cancel: with S / sigma = 1e3, single precision then leaves nothing of d / (2 sigma^2). Sums
-over degrees are in double precision, exponentials are not.
+and the products of spectra do not depend on the roughness: channels that share a Ks are summed
+once per texel, degrees once per row, cells cost two multiplications each. It cancels, so it is
+in double precision: what is left of d / (2 sigma^2) is exact to 1e-16 of sum S_B^2 / (2 sigma^2),
+where single precision *spectra* are a billion times worse. Exponentials are in single.
 
 A row is a roughness and its cells are values of Ks, as in the paper; or a row is a roughness
 and metallic, its cells are base colours, and degree 0 takes part with the diffuse term that
@@ -28,8 +28,6 @@ import numpy as np
 from svu_mi.brdf.principled import F0
 from svu_mi.posterior import streaming
 
-Scaled = list[tuple[list[Any], list[Any]]]  # per group: S_L and S_B over sqrt(2) sigma
-
 
 @dataclass(frozen=True)
 class Constant:
@@ -49,6 +47,15 @@ class Constant:
 
 
 @dataclass(frozen=True)
+class _Products:
+    """Of one texel and group, over 2 sigma^2: sums over channels by degree, and over all."""
+
+    light: list[Any]  # S_L(l)^2
+    both: list[Any]  # S_L(l) S_B(l)
+    observed: Any  # sum_l S_B(l)^2
+
+
+@dataclass(frozen=True)
 class Problem:
     """Everything an energy depends on, as flat Dr.Jit arrays.
 
@@ -60,7 +67,7 @@ class Problem:
         degree: L = l*.
         channels: C.
         groups: channel indices that share one Ks.
-        decay: (R * L) Float64, e_l of each roughness, l = 1 ... L.
+        decay, albedo: (R,) Float64, q and a^2 of e_l = a^2 q^(l^2), by roughness.
         cells: nodes of Ks, or of base colour.
         prior: ((rows,), (rows * cells,)) Float64 of -log prior: of a row, of a cell given it;
             or None.
@@ -75,6 +82,7 @@ class Problem:
     channels: int
     groups: tuple[tuple[int, ...], ...]
     decay: Any
+    albedo: Any
     cells: np.ndarray
     prior: tuple[Any, Any] | None
     constant: Constant | None = None
@@ -87,7 +95,7 @@ class Problem:
     @property
     def rows(self) -> int:
         """Number of rows of the grid."""
-        return int(dr.width(self.decay)) // self.degree * self.columns
+        return int(dr.width(self.decay)) * self.columns
 
 
 def entropy(problem: Problem, count: int) -> Any:
@@ -98,20 +106,18 @@ def entropy(problem: Problem, count: int) -> Any:
 
 def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:
     # Read once, outside of the loop over rows: strided reads would dominate it.
-    spectra, power = _spectra(problem, texel), _power(problem, texel)
+    products = [_products(problem, texel, group) for group in problem.groups]
+    power = _power(problem, texel)
     constants = _constants(problem, texel)
 
     def energies(row: Any) -> list[tuple[Any, list[Any]]]:
         level = row // problem.columns
-        decay = [
-            dr.gather(mi.Float64, problem.decay, level * problem.degree + l)
-            for l in range(problem.degree)
-        ]
+        decay = _decay(problem, level)
         result = []
-        for (incoming, outgoing), constant in zip(spectra, constants, strict=True):
+        for product, constant in zip(products, constants, strict=True):
             metallic = row - level * problem.columns
             R0, first = _cells(problem, level, metallic, constant)
-            x = _energies([R * R for R in R0], incoming, outgoing, decay)
+            x = _energies([R * R for R in R0], product, decay)
             if first is not None:
                 x = [value + more for value, more in zip(x, first, strict=True)]
             if power is not None:
@@ -158,42 +164,51 @@ def _constants(problem: Problem, texel: Any) -> list[tuple[Any, Any, Any] | None
     return result
 
 
-def _spectra(problem: Problem, texel: Any) -> Scaled:
-    """Read S_L(l), S_B(l) for l >= 1, the channels of a group one after the other."""
-    result = []
-    scale = math.sqrt(0.5) * dr.rcp(problem.sigma)
-    for group in problem.groups:
-        index = [
-            (texel * (problem.degree + 1) + l) * problem.channels + c
-            for c in group
-            for l in range(1, problem.degree + 1)
-        ]
-        incoming, outgoing = (
-            [scale * mi.Float64(dr.gather(mi.Float, spectrum, i)) for i in index]
-            for spectrum in (problem.incoming, problem.outgoing)
-        )
-        result.append((incoming, outgoing))
-    return result
+def _products(problem: Problem, texel: Any, group: tuple[int, ...]) -> _Products:
+    """Read the spectra of l >= 1 and multiply them."""
+    scale = 0.5 * dr.square(dr.rcp(problem.sigma))
+    light = [mi.Float64(0)] * problem.degree
+    both, observed = list(light), mi.Float64(0)
+    for c in group:
+        for l in range(problem.degree):
+            place = (texel * (problem.degree + 1) + (l + 1)) * problem.channels + c
+            L, B = (
+                mi.Float64(dr.gather(mi.Float, spectrum, place))
+                for spectrum in (problem.incoming, problem.outgoing)
+            )
+            light[l] = dr.fma(L, L, light[l])
+            both[l] = dr.fma(L, B, both[l])
+            observed = dr.fma(B, B, observed)
+    return _Products([scale * x for x in light], [scale * x for x in both], scale * observed)
 
 
 def _power(problem: Problem, texel: Any) -> Any | None:
     return None if problem.power is None else dr.gather(mi.Float64, problem.power, texel)
 
 
-def _energies(squares: list, S_L: list, S_B: list, decay: list) -> list[Any]:
-    """d of every Ks^2 for one roughness (Eq. 11), in the unit of the scaled spectra."""
-    model = [e * s for e, s in zip(decay * (len(S_L) // len(decay)), S_L, strict=True)]
-    b, c = mi.Float64(0), mi.Float64(0)
-    for m, s in zip(model, S_B, strict=True):
-        b, c = dr.fma(m, s, b), dr.fma(m, m, c)
-    # Kept inside [0, 1]: around a far-away optimum the grid's own differences would be lost.
-    best = dr.select(b < c, b / dr.select(c > 0, c, 1), 1)
-    least, slope = mi.Float64(0), mi.Float64(0)
-    for m, s in zip(model, S_B, strict=True):
-        r = dr.fma(-best, m, s)
-        least, slope = dr.fma(r, r, least), dr.fma(m, r, slope)
-    offsets = [K - best for K in squares]
-    return [dr.fma(dr.fma(c, K, -2 * slope), K, least) for K in offsets]
+def _decay(problem: Problem, level: Any) -> list[Any]:
+    """e_l = a^2 q^(l^2), l = 1 ... L, of one roughness: multiplying is faster than reading."""
+    q = dr.gather(mi.Float64, problem.decay, level)
+    power = dr.gather(mi.Float64, problem.albedo, level)  # a^2 q^(l^2), l = 0
+    step, two, result = q, q * q, []
+    for _ in range(problem.degree):
+        power = power * step  # (l + 1)^2 = l^2 + 2 l + 1
+        step = step * two
+        result.append(power)
+    return result
+
+
+def _energies(squares: list, products: _Products, decay: list) -> list[Any]:
+    """d / (2 sigma^2) of every Ks^2 for one roughness (Eq. 11)."""
+    slope, curve = mi.Float64(0), mi.Float64(0)
+    for e, light, both in zip(decay, products.light, products.both, strict=True):
+        slope = dr.fma(e, both, slope)
+        curve = dr.fma(e * e, light, curve)
+    slope = -2 * slope
+    # Rounding may leave a perfect match a hair below zero.
+    return [
+        dr.maximum(dr.fma(dr.fma(curve, K, slope), K, products.observed), 0) for K in squares
+    ]
 
 
 def tables(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
