@@ -11,7 +11,8 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Iterator, Mapping
+import threading
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,7 @@ def write_exr(
     }
     with replacing(path) as temporary:
         try:
-            with _quiet(), OpenEXR.File(header, dict(planes)) as file:
+            with _quiet, OpenEXR.File(header, dict(planes)) as file:
                 file.write(str(temporary))
             written = _read_channels(temporary)
         except (RuntimeError, ValueError, TypeError, CaptureError) as error:
@@ -68,7 +69,7 @@ def write_exr(
 
 
 def read_exr(path: str | Path) -> dict[str, np.ndarray]:
-    """Read the first part of an EXR.
+    """Read the first part of an EXR; several threads may do so at a time.
 
     Returns:
         (H, W) float32 arrays by channel name, such as ``R``, ``G``, ``B``, ``A``, ``Y``, in
@@ -94,7 +95,7 @@ def read_attributes(path: str | Path) -> dict[str, str | int | float]:
     path = Path(path)
     _check_magic(path)
     try:
-        with _quiet(), OpenEXR.File(str(path), header_only=True) as file:
+        with _quiet, OpenEXR.File(str(path), header_only=True) as file:
             header = dict(file.parts[0].header)
     except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
         raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
@@ -177,10 +178,10 @@ def _check_magic(path: Path) -> None:
 def _read_channels(path: Path) -> dict[str, np.ndarray]:
     """Return (H, W) arrays of the first part, in the types stored."""
     try:
-        with _quiet(), OpenEXR.File(str(path), separate_channels=True) as file:
+        with _quiet, OpenEXR.File(str(path), separate_channels=True) as file:
             # Damaged pixels end in a file without parts or channels, not in an exception.
             found = dict(file.parts[0].channels)
-            pixels = {name: np.array(channel.pixels) for name, channel in found.items()}
+            pixels = {name: np.asarray(channel.pixels) for name, channel in found.items()}
     except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
         raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
     if not pixels or any(plane.ndim != 2 for plane in pixels.values()):
@@ -190,19 +191,40 @@ def _read_channels(path: Path) -> dict[str, np.ndarray]:
     return pixels
 
 
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence the library's own lines on stdout and stderr; our exception says it better."""
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(contextlib.redirect_stdout(None))
-        with contextlib.suppress(OSError, ValueError, AttributeError):
-            sys.stderr.flush()
-            kept = os.dup(2)
-            stack.callback(os.close, kept)
-            sink = os.open(os.devnull, os.O_WRONLY)
-            stack.callback(os.close, sink)
-            os.dup2(sink, 2)
-            stack.callback(os.dup2, kept, 2)
-        yield
+class _Quiet:
+    """Silence the library's own lines on stdout and stderr; our exception says it better.
+
+    Both belong to the whole process: the first thread that comes in turns them off and the
+    last one that leaves turns them on again.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._inside = 0
+        self._undo = contextlib.ExitStack()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if self._inside == 0:
+                self._undo.enter_context(contextlib.redirect_stdout(None))
+                with contextlib.suppress(OSError, ValueError, AttributeError):
+                    self._silence_stderr()
+            self._inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0:
+                self._undo.close()
+
+    def _silence_stderr(self) -> None:
+        sys.stderr.flush()
+        kept = os.dup(2)
+        self._undo.callback(os.close, kept)
+        sink = os.open(os.devnull, os.O_WRONLY)
+        self._undo.callback(os.close, sink)
+        os.dup2(sink, 2)
+        self._undo.callback(os.dup2, kept, 2)
 
 
+_quiet = _Quiet()

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import sys
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import mitsuba as mi
 import numpy as np
@@ -221,6 +224,52 @@ def test_a_truncated_image_is_named(scene):
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(CaptureError, match="view_0002.exr"):
+        load_capture(scene)
+
+
+@pytest.mark.parametrize("worst", [0, 7])
+def test_the_first_bad_image_in_order_is_named_whichever_thread_meets_it_first(tmp_path, worst):
+    path = write_scene(tmp_path, sensors=sensor_xml(12))
+    folder = write_images(tmp_path / "images", 12)
+    for index in range(worst, 12):
+        (folder / f"view_{index:04d}.exr").write_bytes(b"" if index % 2 else b"no image")
+    with pytest.raises(CaptureError, match=f"view_{worst:04d}.exr"):
+        load_capture(path)
+
+
+def test_threads_that_read_leave_stdout_and_stderr_as_they_were(scene, capfd):
+    path = scene.parent / "images" / "view_0000.exr"
+    whole = path.read_bytes()
+    broken = path.with_name("broken.exr")
+    broken.write_bytes(whole[: len(whole) // 2])
+
+    def read(index):
+        try:
+            return read_exr(broken if index % 3 else path)
+        except CaptureError as error:
+            return str(error)
+
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(read, range(60)))
+    assert sum(isinstance(one, str) for one in found) == 40
+    assert all("damaged" in one for one in found if isinstance(one, str))
+    sys.stdout.write("still here\n")
+    os.write(2, b"and here")
+    assert capfd.readouterr() == ("still here\n", "and here")
+
+
+def test_a_film_much_larger_than_memory_is_refused_as_any_other_size(scene, monkeypatch):
+    """There is no room for all films in one block, but then they are not what was read."""
+
+    def full(count, dtype):
+        if np.ndim(count) == 0:
+            raise MemoryError
+        return np.zeros(count, dtype)
+
+    monkeypatch.setattr("svu_mi.capture.block.np.empty", full)
+    assert load_capture(scene).count == 3
+    write_exr(scene.parent / "images" / "view_0001.exr", {"RGB": np.ones((12, 24, 3))})
+    with pytest.raises(CaptureError, match="view_0001.exr"):
         load_capture(scene)
 
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture.block import rooms
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr
 
@@ -27,6 +31,7 @@ class Photograph:
         invalid: number of pixels that were NaN, infinite or negative.
         saturated: number of clipped pixels of an 8-bit photograph.
         low_range: True for an 8-bit photograph.
+        black: True where no usable pixel holds any light.
     """
 
     pixels: np.ndarray
@@ -34,11 +39,7 @@ class Photograph:
     invalid: int
     saturated: int
     low_range: bool
-
-    @property
-    def black(self) -> bool:
-        """Return whether no usable pixel holds any light."""
-        return not np.nanmax(self.pixels, initial=0.0) > 0
+    black: bool
 
 
 def find_images(folder: Path, count: int) -> list[Path]:
@@ -76,44 +77,75 @@ def find_images(folder: Path, count: int) -> list[Path]:
     return [found[name] for name in expected]
 
 
-def read_photograph(path: Path, size: tuple[int, int], exposure: float) -> Photograph:
-    """Read one photograph and its mask.
+def read_photographs(
+    paths: Sequence[Path], sizes: Sequence[tuple[int, int]], exposures: Sequence[float]
+) -> list[Photograph]:
+    """Read photographs and their masks, on as many threads as Dr.Jit has.
 
-    The mask is the image's alpha channel, or ``mask_NNNN.*`` beside it.
+    A mask is the image's alpha channel, or ``mask_NNNN.*`` beside it. All pixels lie in one
+    block of memory, one photograph after the other, where kernels can look them up.
 
     Args:
-        path: an EXR, HDR, PFM (linear), PNG or JPEG (8-bit sRGB) file.
-        size: (width, height) of the sensor's film (its crop window).
-        exposure: gain of the photograph; pixels are divided by it.
+        paths: V EXR, HDR, PFM (linear), PNG or JPEG (8-bit sRGB) files.
+        sizes: V (width, height) of the sensors' films (their crop windows).
+        exposures: V gains of the photographs; pixels are divided by them.
 
     Raises:
-        CaptureError: unreadable, or of another size than the film.
+        CaptureError: one is unreadable or of another size than its film; the first in order.
     """
-    rgba, low_range = _read(path)
-    height, width = rgba.shape[:2]
-    if (width, height) != size:
+    with ThreadPoolExecutor(max(1, dr.thread_count())) as threads:
+        return list(threads.map(_read_photograph, paths, rooms(sizes), exposures))
+
+
+def _read_photograph(path: Path, room: np.ndarray, exposure: float) -> Photograph:
+    """Read one photograph into ``room`` (H, W, 3)."""
+    planes, low_range = _read(path)
+    shape = planes[0].shape
+    if shape != room.shape[:2]:
         raise CaptureError(
-            f"{path}: the photograph has {width} x {height} pixels but its sensor's film has "
-            f"{size[0]} x {size[1]}; resample it, or set the film's size (or crop window)."
+            f"{path}: the photograph has {shape[1]} x {shape[0]} pixels but its sensor's film has "
+            f"{room.shape[1]} x {room.shape[0]}; resample it, or set the film's size (or crop "
+            "window)."
         )
-    color, saturated = rgba[..., :3].astype(np.float32), 0
-    if low_range:
-        clipped = (color > SATURATED).any(axis=-1)
-        color = _linear_from_srgb(color)
-        color[clipped] = np.nan
-        saturated = int(clipped.sum())
+    for channel in range(3):
+        room[..., channel] = planes[channel]
+    saturated = _linearise(room) if low_range else 0
+    invalid, black = _mark(room, exposure)
+    mask = _mask_beside(path, shape)
+    if len(planes) > 3:
+        mask = planes[3] >= (IN_MASK if low_range else ON_OBJECT)
+    return Photograph(room, mask, invalid - saturated, saturated, low_range, black)
+
+
+def _linearise(color: np.ndarray) -> int:
+    """Decode sRGB in place, clipped pixels as NaN; return how many those are."""
+    clipped = (color > SATURATED).any(axis=-1)
+    color[:] = _linear_from_srgb(color)
+    color[clipped] = np.nan
+    return int(clipped.sum())
+
+
+def _mark(color: np.ndarray, exposure: float) -> tuple[int, bool]:
+    """Divide by the exposure and set pixels that hold no radiance to NaN, in place.
+
+    Returns:
+        The number of those pixels, and whether all others are black.
+    """
     with np.errstate(invalid="ignore"):
-        bad = ~(np.isfinite(color) & (color >= 0)).all(axis=-1)
-    color /= np.float32(exposure)
+        # Two fast passes say that nearly every photograph is sound; NaN fails both tests.
+        low, high = color.min(initial=0), color.max(initial=0)
+        sound = bool(low >= 0 and high < np.inf)
+        bad = None if sound else ~(np.isfinite(color) & (color >= 0)).all(axis=-1)
+    if exposure != 1:
+        color /= np.float32(exposure)
+    if bad is None:
+        return 0, not high > 0
     color[bad] = np.nan
-    mask = _mask_beside(path, (height, width))
-    if rgba.shape[2] > 3:
-        mask = rgba[..., 3] >= (IN_MASK if low_range else ON_OBJECT)
-    return Photograph(color, mask, int(bad.sum()) - saturated, saturated, low_range)
+    return int(bad.sum()), not np.fmax.reduce(color, axis=None, initial=0) > 0
 
 
-def _read(path: Path) -> tuple[np.ndarray, bool]:
-    """Return (H, W, 3 or 4) values as stored and whether they are 8-bit sRGB."""
+def _read(path: Path) -> tuple[list[np.ndarray], bool]:
+    """Return three or four planes (H, W) as stored and whether they are 8-bit sRGB."""
     if path.suffix.lower() == ".exr":
         channels = read_exr(path)
         grey = channels.get("Y")
@@ -123,27 +155,25 @@ def _read(path: Path) -> tuple[np.ndarray, bool]:
             raise CaptureError(
                 f"{path}: expected the channels R, G, B (or Y), found {', '.join(channels)}."
             )
-        planes += [channels["A"]] if "A" in channels else []
-        return np.stack(planes, axis=-1), False
+        return planes + ([channels["A"]] if "A" in channels else []), False
     try:
         bitmap = mi.Bitmap(str(path))
     except Exception as error:  # Mitsuba raises RuntimeError for everything
         raise CaptureError(f"{path}: not a readable image; write it again as EXR.") from error
     values = np.array(bitmap)
     values = values[..., None] if values.ndim == 2 else values
-    if values.shape[2] < 3:
-        values = np.concatenate([values[..., :1].repeat(3, axis=2), values[..., 1:]], axis=2)
-    if np.issubdtype(values.dtype, np.integer):
-        return values / np.float32(np.iinfo(values.dtype).max), True
-    return values.astype(np.float32), False
+    low_range = np.issubdtype(values.dtype, np.integer)
+    scale = np.float32(np.iinfo(values.dtype).max if low_range else 1)
+    planes = [values[..., k].astype(np.float32) / scale for k in range(values.shape[2])]
+    return planes if len(planes) >= 3 else planes[:1] * 3 + planes[1:], low_range
 
 
-def _mask_beside(path: Path, shape: tuple[int, int]) -> np.ndarray | None:
+def _mask_beside(path: Path, shape: tuple[int, ...]) -> np.ndarray | None:
     for suffix in SUFFIXES:
         candidate = path.with_name(path.stem.replace("view_", "mask_") + suffix)
         if candidate.is_file():
-            pixels, low_range = _read(candidate)
-            values = pixels[..., 0]
+            planes, low_range = _read(candidate)
+            values = planes[0]
             if values.shape != shape:
                 raise CaptureError(
                     f"{candidate}: the mask has {values.shape[1]} x {values.shape[0]} pixels but "

@@ -11,7 +11,7 @@ from typing import Any
 
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.folder import Description
-from svu_mi.capture.images import Photograph, find_images, read_photograph
+from svu_mi.capture.images import Photograph, find_images, read_photographs
 from svu_mi.capture.mesh import has_uvs
 from svu_mi.capture.poses import film_size
 from svu_mi.capture.record import Capture
@@ -89,10 +89,7 @@ def read_capture(
     target = find_shape(scene, description.shape, label)
     names = find_images(folder, len(sensors))
     exposures = _exposures(description.exposures, len(sensors), folder)
-    photographs = [
-        read_photograph(name, film_size(sensor), exposure)
-        for name, sensor, exposure in zip(names, sensors, exposures, strict=True)
-    ]
+    photographs = read_photographs(names, [film_size(sensor) for sensor in sensors], exposures)
     notes, used = _judge(photographs, names)
     mesh, note = _texel_mesh(target, unwrap, folder)
     for sentence in notes + note:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -54,6 +55,15 @@ def arrays(mesh: Any) -> MeshArrays:
         normals=normals,
         uvs=rows(mesh.vertex_texcoords_buffer(), 2) if has_uvs(mesh) else None,
     )
+
+
+def face_normals(mesh: Any, face: Any, active: Any) -> Any:
+    """Return unit normals (Normal3f) of triangles, by index; the sign is that of the winding."""
+    corners = dr.gather(mi.Vector3u, mesh.faces_buffer(), face, active)
+    a, b, c = (
+        dr.gather(mi.Point3f, mesh.vertex_positions_buffer(), corner, active) for corner in corners
+    )
+    return dr.normalize(mi.Normal3f(dr.cross(b - a, c - a)))
 
 
 def make(name: str, mesh: MeshArrays) -> Any:

@@ -3,64 +3,126 @@
 A pixel on a silhouette mixes two radiances, and the mixture is no measurement of either. A
 pixel is interior when rays through its four corners all hit the object, at distances that a
 smooth surface through it explains.
+
+Rays of many views share a launch. A lane is a corner of a tile (see ``tiles``), and the 16
+lanes of a packet are a square of 4 x 4 corners, whose rays take nearly the same way.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.poses import film_size
+from svu_mi.capture.mesh import face_normals
+from svu_mi.interop import owned
+from svu_mi.radiance.rays import film_ray
+from svu_mi.radiance.tiles import TILE
 
 SLOPE_MARGIN = 3.0  # how much steeper than its tangent plane a smooth surface may look
 MIN_COSINE = 0.05  # grazing surfaces recede at most as fast as this cosine says
+BLOCK = 1024  # tiles per launch: 1 M rays, 8 MiB
 
 
-def interior(scene: Any, target: Any, sensor: Any) -> Any:
-    """Find the interior pixels of one view: one ray per pixel corner.
+@dataclass(frozen=True)
+class Films:
+    """Where the pixels of V views lie, and the rays through them.
+
+    Attributes:
+        width, height: (V,) UInt32, size of each photograph in pixels.
+        offset: (V,) UInt32, index of each photograph's first pixel.
+        angle: (V,) Float, radians between neighbouring pixels at the centre of the film.
+        rays: (V * 24,) Float, see ``ray_floats``.
+    """
+
+    width: Any
+    height: Any
+    offset: Any
+    angle: Any
+    rays: Any
+
+
+def interior(scene: Any, target: Any, films: Films, tiles: np.ndarray) -> Iterator[tuple[Any, Any]]:
+    """Find the interior pixels among those of the tiles: one ray per pixel corner.
 
     Args:
         scene: the ``mi.Scene``.
         target: the shape whose pixels are asked for.
-        sensor: the view.
+        films: the views.
+        tiles: (N, 3) uint32, see ``find_tiles``.
 
-    Returns:
-        (H * W,) Bool, row-major.
+    Yields:
+        UInt32 index of a pixel (over all photographs) and Bool whether it is interior; not
+        evaluated yet. No pixel comes twice, and those that do not come are not interior.
     """
-    width, height = film_size(sensor)
-    # Opaque: as literals, every size of film and every scene would get kernels of its own.
-    columns, pixels = dr.opaque(mi.UInt32, width + 1), dr.opaque(mi.UInt32, width)
-    index = dr.arange(mi.UInt32, (width + 1) * (height + 1))
-    x = mi.Float(index % columns) / dr.opaque(mi.Float, width)
-    y = mi.Float(index // columns) / dr.opaque(mi.Float, height)
-    ray, _ = sensor.sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
-    si = scene.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True)
-    on_target = si.is_valid() & (si.shape == dr.opaque(mi.ShapePtr, target))
-    cosine = dr.maximum(dr.abs(dr.dot(si.n, ray.d)), MIN_COSINE)
-    slope = dr.sqrt(1 - dr.square(cosine)) / cosine
+    for start in range(0, len(tiles), BLOCK):
+        block = tiles[start : start + BLOCK]
+        table = owned(mi.UInt32, np.pad(block, ((0, 0), (0, 1))).ravel())
+        lane = dr.arange(mi.UInt32, len(block) * TILE * TILE)
+        column, row = _corner(lane & (TILE * TILE - 1))
+        view, left, top, _ = dr.gather(mi.Vector4u, table, lane // (TILE * TILE))
+        width = dr.gather(mi.UInt32, films.width, view)
+        height = dr.gather(mi.UInt32, films.height, view)
+        x, y = left + column, top + row
+        ray = film_ray(films.rays, view, mi.Float(x), mi.Float(y))
+        hit = _trace(scene, target, ray, (x <= width) & (y <= height))
+        dr.eval(hit)
+        corners = [_lane(lane, column + i, row + j) for j in (0, 1) for i in (0, 1)]
+        pixel = (column < TILE - 1) & (row < TILE - 1) & (x < width) & (y < height)
+        angle = SLOPE_MARGIN * dr.gather(mi.Float, films.angle, view, pixel)
+        index = dr.gather(mi.UInt32, films.offset, view, pixel) + y * width + x
+        yield index, _is_smooth(hit, corners, angle, pixel)
+        del hit  # before the next block is traced
+
+
+def _corner(lane: Any) -> tuple[Any, Any]:
+    """Return column and row of a lane's corner in its tile."""
+    high = TILE - 4
+    return (lane & 3) | ((lane >> 2) & high), ((lane >> 2) & 3) | ((lane >> 5) & high)
+
+
+def _lane(lane: Any, column: Any, row: Any) -> Any:
+    """Return the lane of another corner in a lane's tile: ``_corner`` the other way."""
+    high = TILE - 4
+    first = lane - (lane & (TILE * TILE - 1))
+    low_bits = (column & 3) | ((row & 3) << 2)
+    return first | low_bits | ((column & high) << 2) | ((row & high) << 5)
+
+
+def _trace(scene: Any, target: Any, ray: Any, active: Any) -> tuple[Any, Any]:
+    """Return the distance along a ray to the target and the slope that it is met at."""
+    hit = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
+    # Opaque: as a literal, every scene would get a kernel of its own.
+    on_target = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, target))
+    # A full intersection would ask every kind of shape that is alive: another kernel for each.
+    normal = face_normals(target, hit.prim_index, on_target)
+    cosine = dr.maximum(dr.abs(dr.dot(normal, ray.d)), MIN_COSINE)
+    slope = dr.safe_sqrt(1 - dr.square(cosine)) / cosine
     # A corner off the object is infinitely far away: no slope explains it.
-    distance = dr.select(on_target, si.t, dr.inf)
-    dr.eval(distance, slope)
-    pixel = dr.arange(mi.UInt32, width * height)
-    row = pixel // pixels
-    corner = row * columns + pixel - row * pixels
-    corners = [corner, corner + 1, corner + columns, corner + columns + 1]
-    near, far = _extremes([dr.gather(mi.Float, distance, c) for c in corners])
-    shallowest, _ = _extremes([dr.gather(mi.Float, slope, c) for c in corners])
-    angle = dr.opaque(mi.Float, SLOPE_MARGIN * _pixel_angle(sensor, width))
-    return dr.isfinite(far) & (far - near <= angle * far * (0.5 + shallowest))
+    return dr.select(on_target, hit.t, dr.inf), slope
+
+
+def _is_smooth(hit: tuple[Any, Any], corners: list[Any], angle: Any, pixel: Any) -> Any:
+    """Return whether a pixel's corners lie on one surface, as far as their slopes allow."""
+    distance, slope = hit
+    near, far = _extremes([dr.gather(mi.Float, distance, corner, pixel) for corner in corners])
+    depth, reach = far - near, angle * far
+    on_object = pixel & dr.isfinite(far)
+    steep = on_object & (depth > 0.5 * reach)
+
+    def explained(steep: Any, corners: list[Any]) -> Any:
+        slopes = [dr.gather(mi.Float, slope, corner, steep) for corner in corners]
+        return depth <= reach * (0.5 + _extremes(slopes)[0])
+
+    # Most pixels are nearly level: only the others look their slopes up.
+    return on_object & dr.if_stmt((steep, corners), steep, explained, lambda *_: mi.Bool(True))
 
 
 def _extremes(values: list[Any]) -> tuple[Any, Any]:
     low = dr.minimum(dr.minimum(values[0], values[1]), dr.minimum(values[2], values[3]))
     high = dr.maximum(dr.maximum(values[0], values[1]), dr.maximum(values[2], values[3]))
     return low, high
-
-
-def _pixel_angle(sensor: Any, width: int) -> float:
-    """Angle between neighbouring pixels at the centre of the film, in radians."""
-    projection = np.array(sensor.projection_transform().matrix, np.float64).reshape(4, 4)
-    return float(1 / abs(projection[0, 0] * width))

@@ -1,12 +1,14 @@
 """All views of a capture in flat arrays that one kernel can index by view.
 
-Memory: 12 bytes per pixel for the photographs (float32 RGB) and 1 byte per pixel for the
-flag that says whether a pixel may be used, V * H * W pixels in all; nothing here depends
-on the number of texels.
+Memory: 1 byte per pixel for the flag that says whether a pixel may be used. The photographs
+of a capture that was read from files lie in one block already (12 bytes per pixel) and are
+looked up there; others are copied. Grey ones take 4 bytes per pixel more. Nothing here
+depends on the number of texels.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,12 +17,16 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture, scene
+from svu_mi.capture.block import in_one_block
 from svu_mi.capture.poses import describe, film_size
 from svu_mi.errors import CaptureError
 from svu_mi.interop import owned
-from svu_mi.radiance.silhouette import interior
+from svu_mi.radiance.rays import ray_floats
+from svu_mi.radiance.silhouette import Films, interior
+from svu_mi.radiance.tiles import find_tiles
 
 CAMERA_FLOATS = 16  # rows x, y, w of the projection (4 each), position (3), near clip
+GREY = 1e-6  # part of its largest channel that the channels of a grey pixel differ by
 
 
 @dataclass(frozen=True)
@@ -32,11 +38,16 @@ class Views:
             depth), position in world space, near clip as a depth.
         width, height: (V,) UInt32, size of each photograph in pixels.
         offset: (V,) UInt32, index of each photograph's first pixel.
-        pixels: (3 P,) Float, interleaved RGB radiance of all photographs; NaN = not usable.
+        pixels: Float, radiance of all photographs. 3 channels: (3 P,), interleaved RGB, the
+            capture's own memory where its photographs lie in one block. 1 channel: (P,), the
+            mean of R, G and B, NaN where not usable.
         usable: (P,) Bool, the pixel shows nothing but the object and holds a radiance.
         count: V, an opaque UInt32, so that its value is not part of a kernel.
         number: V as a Python int.
         scene: the ``mi.Scene`` that visibility is traced in.
+        channels: floats per pixel, 3 or 1.
+        grey: R = G = B in every usable pixel of the photographs (to 1e-6 of the largest), so
+            that one channel says what three do. True without any usable pixel.
     """
 
     cameras: Any
@@ -48,62 +59,151 @@ class Views:
     count: Any
     number: int
     scene: Any
+    channels: int
+    grey: bool
 
 
-def pack_views(capture: Capture) -> Views:
-    """Lay the used views of a capture out for the gather kernels."""
+def pack_views(capture: Capture, channels: int = 3) -> Views:
+    """Lay the used views of a capture out for the gather kernels.
+
+    Args:
+        capture: the photographs and where they were taken.
+        channels: 3 to look up RGB, 1 to store and look up its mean.
+
+    Raises:
+        CaptureError: more pixels than 32-bit indices reach.
+    """
     kept = [index for index in range(capture.count) if capture.used[index]]
-    sensors = [capture.sensors[index] for index in kept]
-    sizes = np.array([film_size(sensor) for sensor in sensors], np.uint32).reshape(-1, 2)
-    pixels_per_view = sizes[:, 0].astype(np.int64) * sizes[:, 1]
-    offset = np.concatenate([[0], np.cumsum(pixels_per_view)])
-    if offset[-1] * 3 >= 2**32:
+    if not kept:
         raise CaptureError(
-            f"The photographs have {offset[-1]} pixels in all, but 32-bit indices reach only "
+            f"There is no photograph to look at: {capture.count} were given, and none can be used."
+        )
+    block, offset = in_one_block([capture.images[index] for index in kept])
+    if block.size >= 2**32:
+        raise CaptureError(
+            f"The photographs have {block.size // 3} pixels in all, but 32-bit indices reach only "
             f"{2**32 // 3}: reduce their resolution."
         )
-    usable = np.zeros(offset[-1], bool)
-    pixels = np.zeros((offset[-1], 3), np.float32)
-    for slot, index in enumerate(kept):
-        span = slice(offset[slot], offset[slot + 1])
-        image, mask = capture.images[index], capture.masks[index]
-        pixels[span] = image.reshape(-1, 3)
-        good = interior(capture.scene, capture.shape, sensors[slot]).numpy()
-        if mask is not None:
-            good = good & mask.ravel()
-        usable[span] = good & np.isfinite(pixels[span]).all(axis=-1)
+    poses = [_Pose.of(capture.sensors[index]) for index in kept]
+    films = _films(poses, offset)
+    # The photographs stay where they are; they are only looked up, never streamed.
+    pixels = _Pixels(mi.Float(block), _allowed(capture, kept, offset, block.size // 3), channels)
+    tiles = _tiles(capture, kept, poses)
+    for index, inside in interior(capture.scene, capture.shape, films, tiles):
+        pixels.judge(index, inside)
     return Views(
-        cameras=owned(mi.Float, np.array([_camera(s) for s in sensors], np.float32).ravel()),
-        width=owned(mi.UInt32, sizes[:, 0]),
-        height=owned(mi.UInt32, sizes[:, 1]),
-        offset=owned(mi.UInt32, offset[:-1].astype(np.uint32)),
-        # The two large arrays stay where they are; they are only looked up, never streamed.
-        pixels=mi.Float(pixels.ravel()),
-        usable=mi.Bool(usable),
+        cameras=owned(mi.Float, np.array([pose.camera for pose in poses], np.float32).ravel()),
+        width=films.width,
+        height=films.height,
+        offset=films.offset,
+        pixels=pixels.radiance if pixels.mean is None else pixels.mean,
+        usable=pixels.usable,
         count=dr.opaque(mi.UInt32, len(kept)),
         number=len(kept),
         scene=capture.scene,
+        channels=channels,
+        grey=not pixels.coloured[0],
     )
 
 
-def _camera(sensor: Any) -> np.ndarray:
-    """Return the 16 floats of one view (see ``Views.cameras``)."""
-    width, height = film_size(sensor)
-    to_world = scene.to_world(sensor)
-    projection = np.array(sensor.projection_transform().matrix, np.float64).reshape(4, 4)
-    # Mitsuba projects to [0, 1]^2 of the crop window; row 2 is depth, which is not needed. The
-    # principal point, in units of the full film, is not part of that projection.
-    pixel = np.diag([width, height, 1.0, 1.0])
-    record = describe(sensor)
-    for axis in range(2):
-        pixel[axis, 3] = -record["principal_point_offset"][axis] * record["film"][axis]
-    world_to_pixel = pixel @ projection @ np.linalg.inv(to_world)
-    return np.concatenate(
-        [
-            world_to_pixel[0],
-            world_to_pixel[1],
-            world_to_pixel[3],
-            to_world[:3, 3],
-            [float(sensor.near_clip())],
-        ]
+class _Pixels:
+    """What is found out about the P pixels, a launch at a time.
+
+    Attributes:
+        radiance: (3 P,) Float, the photographs.
+        usable: (P,) Bool.
+        mean: (P,) Float, NaN where not usable; None unless asked for.
+        coloured: (1,) UInt32, 1 when a usable pixel is not grey.
+    """
+
+    def __init__(self, radiance: Any, allowed: Any, channels: int) -> None:
+        count = dr.width(radiance) // 3
+        self.radiance = radiance
+        self.usable = dr.zeros(mi.Bool, count)
+        self.mean = dr.full(mi.Float, dr.nan, count) if channels == 1 else None
+        self.coloured = dr.zeros(mi.UInt32, 1)
+        self._allowed = allowed
+
+    def judge(self, index: Any, inside: Any) -> None:
+        """Mark those interior pixels that the mask allows and that hold a radiance."""
+        inside = inside & dr.gather(mi.Bool, self._allowed, index, inside)
+        color = dr.gather(mi.Color3f, self.radiance, index, inside)
+        good = inside & dr.all(dr.isfinite(color))
+        most = dr.max(color)
+        dr.scatter(self.usable, mi.Bool(True), index, good)
+        coloured = good & (most - dr.min(color) > GREY * most)
+        dr.scatter(self.coloured, mi.UInt32(1), 0, coloured)
+        if self.mean is not None:
+            # dr.mean would write the number of lanes into the kernel.
+            dr.scatter(self.mean, dr.sum(color) / 3, index, good)
+        dr.eval(self.usable, self.coloured, self.mean)
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """What the kernels know of one sensor.
+
+    Attributes:
+        size: (width, height) of its photograph.
+        camera: (16,) float64, see ``Views.cameras``.
+        rays: (24,) float32, see ``ray_floats``.
+        angle: radians between neighbouring pixels at the centre of the film.
+    """
+
+    size: tuple[int, int]
+    camera: np.ndarray
+    rays: np.ndarray
+    angle: float
+
+    @staticmethod
+    def of(sensor: Any) -> _Pose:
+        """Read a perspective sensor."""
+        width, height = film_size(sensor)
+        to_world = scene.to_world(sensor)
+        projection = np.array(sensor.projection_transform().matrix, np.float64).reshape(4, 4)
+        # Mitsuba projects to [0, 1]^2 of the crop window; row 2 is depth, which is not needed.
+        # The principal point, in units of the full film, is not part of that projection.
+        pixel = np.diag([width, height, 1.0, 1.0])
+        record = describe(sensor)
+        for axis in range(2):
+            pixel[axis, 3] = -record["principal_point_offset"][axis] * record["film"][axis]
+        rows = (pixel @ projection @ np.linalg.inv(to_world))[[0, 1, 3]]
+        return _Pose(
+            size=(width, height),
+            camera=np.concatenate([rows.ravel(), to_world[:3, 3], [float(sensor.near_clip())]]),
+            rays=ray_floats(sensor, record["principal_point_offset"]),
+            angle=float(1 / abs(projection[0, 0] * width)),
+        )
+
+
+def _films(poses: Sequence[_Pose], offset: np.ndarray) -> Films:
+    sizes = np.array([pose.size for pose in poses], np.uint32).reshape(-1, 2)
+    return Films(
+        width=owned(mi.UInt32, sizes[:, 0]),
+        height=owned(mi.UInt32, sizes[:, 1]),
+        offset=owned(mi.UInt32, offset.astype(np.uint32)),
+        angle=owned(mi.Float, np.array([pose.angle for pose in poses], np.float32)),
+        rays=owned(mi.Float, np.array([pose.rays for pose in poses], np.float32).ravel()),
     )
+
+
+def _tiles(capture: Capture, kept: Sequence[int], poses: Sequence[_Pose]) -> np.ndarray:
+    cameras = np.array([pose.camera for pose in poses]).reshape(-1, CAMERA_FLOATS)
+    bounds = capture.shape.bbox()
+    return find_tiles(
+        cameras[:, :12].reshape(-1, 3, 4),
+        cameras[:, 15],
+        np.array([pose.size for pose in poses]).reshape(-1, 2),
+        np.array([bounds.min, bounds.max], np.float64),
+        [capture.masks[index] for index in kept],
+    )
+
+
+def _allowed(capture: Capture, kept: Sequence[int], offset: np.ndarray, count: int) -> Any:
+    """Return (P,) Bool, False off the masks."""
+    allowed = np.ones(count, bool)
+    for start, index in zip(offset, kept, strict=True):
+        mask = capture.masks[index]
+        if mask is not None:
+            allowed[start : start + mask.size] = mask.ravel()
+    return mi.Bool(allowed)

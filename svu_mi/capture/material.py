@@ -1,0 +1,32 @@
+"""What a scene's own material says of an object: parameters that do not vary over it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+PRINCIPLED = ("base_color", "roughness", "metallic")
+
+
+def constant_parameters(shape: Any) -> dict[str, float]:
+    """Return the ``principled`` parameters of a shape that are no textures, by name.
+
+    A grey value each, in [0, 1]; a constant colour is left out unless it is grey. Empty for
+    another BSDF, and when nothing varies: a material without any texture is a placeholder.
+
+    Args:
+        shape: a ``mi.Shape``.
+    """
+    bsdf = shape.bsdf()
+    found: dict[str, float] = {}
+    if bsdf is None or not all(bsdf.has_attribute(name) for name in PRINCIPLED):
+        return found
+    for key, value in mi.traverse(bsdf):
+        name, _, kind = key.removeprefix("brdf_0.").partition(".")
+        if name in PRINCIPLED and kind == "value":
+            values = np.array(value, np.float64).ravel()
+            if np.ptp(values) == 0 and 0 <= values[0] <= 1:
+                found[name] = float(values[0])
+    return found if len(found) < len(PRINCIPLED) else {}

@@ -1,0 +1,240 @@
+"""Packing: which pixels may be used, where they lie, and what it costs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from helpers import ball, ball_scene, memory_capture, write_scene
+
+from svu_mi import scenes
+from svu_mi.capture import load_capture, render_capture
+from svu_mi.capture.block import in_one_block, rooms
+from svu_mi.capture.poses import describe, film_size, make_sensor, sphere_sensors
+from svu_mi.capture.scene import load_scene
+from svu_mi.radiance import pack_views
+from svu_mi.radiance.silhouette import MIN_COSINE, SLOPE_MARGIN
+
+WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
+
+
+def interior(scene, target, sensor):
+    """The same, one view at a time, with Mitsuba's own rays through the whole film."""
+    width, height = film_size(sensor)
+    index = dr.arange(mi.UInt32, (width + 1) * (height + 1))
+    x = mi.Float(index % (width + 1)) / dr.opaque(mi.Float, width)
+    y = mi.Float(index // (width + 1)) / dr.opaque(mi.Float, height)
+    ray, _ = sensor.sample_ray(0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
+    si = scene.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True)
+    on_target = si.is_valid() & (si.shape == mi.ShapePtr(target))
+    cosine = dr.maximum(dr.abs(dr.dot(si.n, ray.d)), MIN_COSINE)
+    slope = dr.sqrt(1 - dr.square(cosine)) / cosine
+    shape = (height + 1, width + 1)
+    distance = dr.select(on_target, si.t, dr.inf).numpy().reshape(shape)
+    slope = slope.numpy().reshape(shape)
+
+    def extremes(grid):
+        four = [grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]]
+        return np.min(four, axis=0), np.max(four, axis=0)
+
+    near, far = extremes(distance)
+    shallowest, _ = extremes(slope)
+    projection = np.array(sensor.projection_transform().matrix).reshape(4, 4)
+    angle = np.float32(SLOPE_MARGIN * float(1 / abs(np.float64(projection[0, 0]) * width)))
+    with np.errstate(invalid="ignore"):
+        level = far - near <= angle * far * (np.float32(0.5) + shallowest)
+    return (np.isfinite(far) & level).ravel()
+
+
+def expected_usable(capture):
+    """Flags of all pixels of the used views, one view after the other."""
+    flags = []
+    for view in np.flatnonzero(capture.used):
+        good = interior(capture.scene, capture.shape, capture.sensors[view])
+        good &= np.isfinite(capture.images[view]).all(axis=-1).ravel()
+        mask = capture.masks[view]
+        flags.append(good if mask is None else good & mask.ravel())
+    return np.concatenate(flags)
+
+
+def odd_sensors(target):
+    """Films of several sizes and shapes, crop windows, principal points, a camera close by."""
+    changes = [
+        {"film": [97, 61], "crop_size": [97, 61]},
+        {"film": [40, 90], "crop_size": [40, 90], "principal_point_offset": [0.11, -0.07]},
+        {"film": [120, 80], "crop_offset": [31, 17], "crop_size": [53, 33]},
+        {"film": [64, 64], "crop_size": [64, 64]},
+        {"film": [1, 1], "crop_size": [1, 1]},
+    ]
+    found = sphere_sensors(target, len(changes), (64, 64))
+    records = [{**describe(s), **c} for s, c in zip(found, changes, strict=True)]
+    inside = np.array(records[3]["to_world"])
+    inside[:3, 3] *= 0.25  # its film shows the object only, whose box reaches behind it
+    records[3] = {**records[3], "to_world": inside.tolist(), "x_fov": 70.0}
+    return [make_sensor(record, "odd") for record in records]
+
+
+def capture_of(scene, sensors, seed=91, **changes):
+    """A capture of random radiance."""
+    rng = np.random.default_rng(seed)
+    sizes = [film_size(sensor) for sensor in sensors]
+    images = [rng.uniform(0.1, 1, (h, w, 3)).astype(np.float32) for w, h in sizes]
+    return memory_capture(scene, images, sensors, **changes)
+
+
+# --- the same flags as one view at a time ---------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["vase", "knot"])
+def test_silhouettes_are_those_of_single_views(name):
+    scene = load_scene(scenes.FOLDER / name / f"{name}.xml")
+    target = scene.shapes()[0]
+    sensors = [*sphere_sensors(target, 5, (130, 101)), *odd_sensors(target)]
+    capture = capture_of(scene, sensors)
+    usable = pack_views(capture).usable.numpy()
+    assert 0.1 < usable.mean() < 0.6
+    np.testing.assert_array_equal(usable, expected_usable(capture))
+
+
+def test_masks_and_unusable_pixels_and_views_left_out(tmp_path):
+    scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
+    sensors = [*sphere_sensors(scene.shapes()[0], 3, (70, 50)), *odd_sensors(scene.shapes()[0])]
+    rng = np.random.default_rng(417)
+    capture = capture_of(scene, sensors)
+    for image in capture.images:
+        image[rng.random(image.shape) < 0.05] = np.nan
+        image[rng.random(image.shape) < 0.01] = np.inf
+    masks = [rng.random(image.shape[:2]) < 0.7 for image in capture.images]
+    masks[0], masks[1] = None, np.zeros((50, 70), bool)
+    masks[2][:, :60] = False  # most tiles of this view have nothing to do
+    used = tuple(view != 5 for view in range(len(sensors)))
+    capture = replace(capture, masks=tuple(masks), used=used)
+    usable = pack_views(capture).usable.numpy()
+    assert usable.any()
+    np.testing.assert_array_equal(usable, expected_usable(capture))
+
+
+def test_an_occluder_and_another_shape_are_not_the_object(tmp_path):
+    wall = (
+        '<shape type="rectangle" id="wall"><transform name="to_world">'
+        '<scale value="0.6"/><translate x="-1" z="2"/></transform></shape>'
+    )
+    scene = load_scene(write_scene(tmp_path, extra=wall))
+    target = next(shape for shape in scene.shapes() if shape.id() == "ball")
+    capture = capture_of(scene, sphere_sensors(target, 6, (64, 64)), shape=target, mesh=target)
+    usable = pack_views(capture).usable.numpy()
+    np.testing.assert_array_equal(usable, expected_usable(capture))
+
+
+def test_a_camera_that_looks_away_has_no_pixels(tmp_path):
+    scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
+    record = describe(sphere_sensors(scene.shapes()[0], 1, (32, 32))[0])
+    record["to_world"] = (np.array(record["to_world"]) @ np.diag([1, -1, -1, 1])).tolist()
+    views = pack_views(capture_of(scene, [make_sensor(record, "away")]))
+    assert not views.usable.numpy().any()
+    assert views.grey  # nothing says otherwise
+
+
+# --- one channel ----------------------------------------------------------------------------
+
+
+def test_one_channel_is_the_mean_where_a_pixel_is_usable(tmp_path):
+    scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
+    capture = capture_of(scene, sphere_sensors(scene.shapes()[0], 3, (40, 30)))
+    three, one = pack_views(capture), pack_views(capture, channels=1)
+    usable = three.usable.numpy()
+    assert (three.channels, one.channels) == (3, 1)
+    np.testing.assert_array_equal(usable, one.usable.numpy())
+    np.testing.assert_array_equal(usable, np.isfinite(one.pixels.numpy()))
+    mean = three.pixels.numpy().reshape(-1, 3).mean(axis=1, dtype=np.float64)
+    np.testing.assert_allclose(one.pixels.numpy()[usable], mean[usable], rtol=3e-7)
+
+
+@pytest.mark.parametrize(("change", "grey"), [(0.0, True), (5e-7, True), (3e-6, False)])
+def test_grey_photographs_are_recognised(tmp_path, change, grey):
+    scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
+    capture = capture_of(scene, sphere_sensors(scene.shapes()[0], 2, (32, 32)))
+    for image in capture.images:
+        image[:] = image[..., :1]
+    capture.images[0][0, 0] = (1, 2, 3)  # off the object: does not matter
+    capture.images[1][16, 16, 1] *= 1 + change
+    assert pack_views(capture).grey is grey
+
+
+# --- memory and kernels ---------------------------------------------------------------------
+
+
+def test_photographs_that_were_read_are_not_copied(tmp_path):
+    render_capture(write_scene(tmp_path), spp=1, folder=tmp_path / "shot", views=3,
+                   resolution=(40, 24))  # fmt: skip
+    capture = load_capture(tmp_path / "shot")
+    pixels, offset = in_one_block(capture.images)
+    assert offset.tolist() == [0, 960, 1920]
+    assert all(np.shares_memory(pixels, image) for image in capture.images)
+    views = pack_views(capture)
+    assert np.shares_memory(views.pixels.numpy(), capture.images[0])
+    later = pack_views(replace(capture, used=(False, True, True)))
+    assert later.offset.numpy().tolist() == [0, 960]
+    np.testing.assert_array_equal(later.usable.numpy(), views.usable.numpy()[960:])
+
+
+def test_photographs_in_any_order_are_found_and_shared_ones_are_copied():
+    a, b, c = rooms([(4, 2), (3, 5), (2, 2)])
+    for value, image in enumerate((a, b, c)):
+        image[:] = value
+    pixels, offset = in_one_block([c, a, b])
+    assert np.shares_memory(pixels, a)
+    assert offset.tolist() == [23, 0, 8]
+    for images in ([a, b, a], [a[:, ::-1], b], [a, np.ones((2, 2, 3), np.float32)], [a[0:1], b]):
+        pixels, offset = in_one_block(images)
+        for image, start in zip(images, offset, strict=True):
+            found = pixels[3 * start : 3 * start + image.size].reshape(image.shape)
+            np.testing.assert_array_equal(found, image)
+    assert [part.size for part in in_one_block([])] == [0, 0]
+
+
+def test_one_photograph_for_two_cameras_is_judged_twice(tmp_path):
+    scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
+    sensors = sphere_sensors(scene.shapes()[0], 2, (32, 32))
+    (image,) = rooms([(32, 32)])
+    image[:] = 0.5
+    left_out = np.zeros((32, 32), bool)
+    capture = memory_capture(scene, [image, image], sensors, masks=(left_out, None))
+    np.testing.assert_array_equal(pack_views(capture).usable.numpy(), expected_usable(capture))
+
+
+@pytest.mark.parametrize("channels", [3, 1])
+def test_no_kernel_for_another_scene_film_or_number_of_views(tmp_path, channels):
+    for run, (number, size) in enumerate(((3, (24, 24)), (7, (40, 31)), (2, (100, 8)))):
+        path = tmp_path / str(run)
+        path.mkdir()
+        flat = ball()
+        scene = load_scene(write_scene(path, positions=flat.positions * (run + 1)))
+        capture = capture_of(scene, sphere_sensors(scene.shapes()[0], number, size))
+        dr.sync_thread()
+        compiled = sum(dr.detail.launch_stats()[1:])  # looked for on disk, or compiled
+        pack_views(capture, channels)
+        if run:
+            assert sum(dr.detail.launch_stats()[1:]) == compiled
+
+
+def test_memory_of_the_allocator(tmp_path):
+    """One byte per pixel, and a launch's rays, however many photographs there are."""
+    scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
+    sensors = sphere_sensors(scene.shapes()[0], 24, (512, 512))
+    made = rooms([(512, 512)] * 24)
+    for image in made:
+        image[:] = 0.5
+    capture = memory_capture(scene, made, sensors)
+    pixels = 24 * 512 * 512
+    pack_views(capture)  # kernels, and what Mitsuba keeps
+    dr.sync_thread()
+    dr.flush_malloc_cache()
+    dr.detail.malloc_clear_statistics()
+    before = dr.detail.malloc_watermark(dr.JitBackend.LLVM)
+    views = pack_views(capture)
+    assert dr.detail.malloc_watermark(dr.JitBackend.LLVM) - before < 2 * pixels + 2**25
+    assert views.number == 24
