@@ -10,6 +10,7 @@ from oracle import frequency as oracle
 
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.frequency import fit_lanes, fit_sh, power_spectrum, solver_groups
+from svu_mi.frequency.precision import choose
 
 LAMBDA = 1e-3
 METHODS = ["primal", "dual"]
@@ -28,6 +29,8 @@ def placed(rng: np.random.Generator, kind: str, texels: int, views: int) -> np.n
         d[..., 2] *= 1e-3
     elif kind == "duplicated":
         d[:] = d[:, :1]
+    elif kind == "crowded":
+        d = d[:, :1] + 1e-3 * d
     elif kind == "collinear":  # on one great circle
         d[..., :2] = d[:, :1, :2]
     return (d / np.linalg.norm(d, axis=-1, keepdims=True)).astype(np.float32)
@@ -69,6 +72,45 @@ def test_spectra_agree_with_a_double_precision_solve(kind, views, lmax, method):
         got = fit_sh(d, w, f, lmax, LAMBDA, preset, method)
         assert got.shape == truth.shape
         assert spectrum_error(got, truth) < 1e-6, preset
+
+
+@pytest.mark.parametrize("preset, penalized", [("default", False), ("paper", True)])
+@pytest.mark.parametrize("kind", ["hemisphere", "grazing", "duplicated", "crowded", "collinear"])
+@pytest.mark.parametrize("views, lmax", [(1, 9), (5, 1), (31, 6), (64, 6), (100, 4), (256, 9)])
+def test_spectra_are_within_a_ten_thousandth_whatever_the_precision(
+    views, lmax, kind, preset, penalized
+):
+    """Noise is the worst signal: its residuals, which are rounded, are as large as itself."""
+    d, w, f = samples(np.random.default_rng(515377 + views), 2, views, 2, kind=kind)
+    for regularizer in (1e-8, 1e-4, 1e-2, 0.1, 100):
+        truth = oracle.fit(d, w, f, lmax, regularizer, penalized)
+        got = fit_sh(d, w, f, lmax, regularizer, preset)
+        assert spectrum_error(got, truth) < 1e-4, regularizer
+
+
+def test_single_precision_is_chosen_where_it_is_safe():
+    assert choose(64, 6, 1e-2, False) == "single"
+    assert choose(64, 9, 1e-2, False) == "single", "higher degrees add next to nothing to k(0)"
+    assert choose(128, 6, 1e-2, False) == "double"
+    assert choose(32, 6, 1e-3, True) == "double", "paper"
+    assert choose(256, 6, 1.0, True) == "single"
+    assert choose(64, 6, 1e-2, False, weights=(0.1, 10.0)) == "double", "weights count twice"
+    assert choose(64, 6, 1e-2, False, weights=(1e-20, 1.0)) == "double", "w^2 underflows"
+
+
+def test_precision_of_a_call_can_be_forced_and_differs_by_rounding_only():
+    d, w, f = samples(np.random.default_rng(90125), 64, 24, 2)
+    single, double = (lanes(d, w, f, precision=p, regularizer=1e-2) for p in ("single", "double"))
+    assert 0 < spectrum_error(single, double.astype(np.float64)) < 1e-5
+
+
+@pytest.mark.parametrize("scale", [1e-20, 1e-3, 1e3])
+def test_weights_of_any_size_can_be_used(scale):
+    """Only w^2 / lambda counts, and where that is tiny the free constant still is the mean."""
+    d, w, f = samples(np.random.default_rng(4711), 8, 20, 2)
+    w = (w * scale).astype(np.float32)
+    truth = oracle.fit(d, w, f, 3, 1e-2, False)
+    assert spectrum_error(fit_sh(d, w, f, 3, 1e-2), truth) < 1e-5
 
 
 @pytest.mark.parametrize("lmax", [0, 9])
@@ -190,34 +232,45 @@ def test_empty_and_single_inputs_work(texels, views):
     assert power_spectrum(c).shape == (texels, 4, 2)
 
 
-def test_other_data_needs_no_compilation():
-    """Sizes, values and lambda are data of the kernel, not code."""
-    rng = np.random.default_rng(5551)
-    fit_sh(*samples(rng, 30, 20, 3), 3)
-    dr.kernel_history_clear()
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        fit_sh(*samples(rng, 57, 26, 3), 3, 2e-2)
-        history = dr.kernel_history()
-    kernels = [k for k in history if k["type"] == dr.KernelType.JIT]
-    assert kernels
-    assert all(k["cache_hit"] for k in kernels)
+@pytest.mark.parametrize("before, after", [(1e-4, 1e-3), (2e-2, 5e-2)])
+def test_other_data_needs_no_compilation(before, after):
+    """Sizes, values and lambda are data of the kernel, not code; either precision."""
+
+    def kernels(texels: int, views: int, regularizer: float) -> set[int]:
+        dr.kernel_history_clear()
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            fit_sh(*samples(np.random.default_rng(5551), texels, views, 3), 3, regularizer)
+            history = dr.kernel_history()
+        return {k["hash"] for k in history if k["type"] == dr.KernelType.JIT}
+
+    first = kernels(30, 20, before)
+    assert kernels(57, 26, after) == first
 
 
-def test_more_views_than_the_capacity_are_dropped_not_written_elsewhere():
-    d, w, f = samples(np.random.default_rng(16180), 40, 30, 1)
-    flat = [mi.Float(x.ravel()) for x in (d, w, f)]
-    views, texel = dr.opaque(mi.UInt32, 30), dr.arange(mi.UInt32, 40)
+def lanes(d: np.ndarray, w: np.ndarray, f: np.ndarray, **options: object) -> np.ndarray:
+    """Fit by ``fit_lanes``, degree 2, as (T, 9, C)."""
+    (texels, count, channels), flat = f.shape, [mi.Float(x.ravel()) for x in (d, w, f)]
+    views, texel = dr.opaque(mi.UInt32, count), dr.arange(mi.UInt32, texels)
 
     def sample(view):
         i = texel * views + view
         xyz = [dr.gather(mi.Float, flat[0], i * 3 + k) for k in range(3)]
-        return mi.Vector3f(*xyz), dr.gather(mi.Float, flat[1], i), [dr.gather(mi.Float, flat[2], i)]
+        values = [dr.gather(mi.Float, flat[2], i * channels + k) for k in range(channels)]
+        return mi.Vector3f(*xyz), dr.gather(mi.Float, flat[1], i), values
 
-    c = fit_lanes(sample, views, degree=2, channels=1, regularizer=LAMBDA,
-                  penalize_constant=False, method="dual", capacity=8)  # fmt: skip
-    got = np.stack([row[0].numpy() for row in c], axis=1)[..., None]
+    c = fit_lanes(sample, views, **{
+        "degree": 2, "channels": channels, "regularizer": LAMBDA, "penalize_constant": False,
+        "method": "dual", "capacity": 32, **options,
+    })  # fmt: skip
+    return np.stack([np.stack([x.numpy() for x in row], axis=-1) for row in c], axis=1)
+
+
+def test_more_views_than_the_capacity_are_dropped_not_written_elsewhere():
+    d, w, f = samples(np.random.default_rng(16180), 40, 30, 1)
     truth = oracle.fit(d[:, :8], w[:, :8], f[:, :8], 2, LAMBDA, False)
-    np.testing.assert_allclose(got, truth, atol=1e-6 * np.abs(truth).max())
+    for precision, tolerance in (("single", 1e-4), ("double", 1e-6)):
+        got = lanes(d, w, f, capacity=8, precision=precision)
+        np.testing.assert_allclose(got, truth, atol=tolerance * np.abs(truth).max())
 
 
 def good() -> dict[str, np.ndarray]:

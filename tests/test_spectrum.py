@@ -63,7 +63,7 @@ def test_zonal_kernel_is_the_addition_theorem(free):
     inverse = np.exp(-oracle.degrees(6).astype(float))
     inverse[0] = 0 if free else 1
     t = mi.Float64((d[0] * d[1]).sum(axis=-1))
-    got = harmonics.zonal_kernel(t, harmonics.zonal_weights(6, not free))
+    got = harmonics.zonal_kernel(t, harmonics.zonal_polynomial(6, not free))
     np.testing.assert_allclose(got.numpy(), (a * inverse * b).sum(axis=-1), atol=1e-13)
 
 

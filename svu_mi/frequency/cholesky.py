@@ -178,7 +178,7 @@ def factor_and_forward(
 
 
 @dr.syntax
-def backward(lower: list[Any], solution: list[Any], blocks: Any, size: int) -> list[Any]:
+def backward(lower: list[Any], solution: list[Any], blocks: Any, size: int, held: int) -> list[Any]:
     """Solve L^T x = z in place, from the last tile row to the first.
 
     Args:
@@ -186,20 +186,23 @@ def backward(lower: list[Any], solution: list[Any], blocks: Any, size: int) -> l
         solution: z on entry.
         blocks: number of tile rows, may vary from lane to lane.
         size: edge of a tile.
+        held: the most tile rows a lane may have. Counting down from it rather than from
+            ``blocks`` keeps all lanes at the same tile: loads rather than gathers.
 
     Returns:
         ``solution``, holding x.
     """
-    bi = mi.UInt32(blocks)
-    while bi > 0:
-        row = bi - 1
-        block = load(solution, row)
-        bk = mi.UInt32(bi)
-        while bk < blocks:
-            tile = load(lower, packed_count(bk) + row)
-            block = _subtract_applied(block, tile, load(solution, bk), size, True)
-            bk += 1
-        diagonal = load(lower, packed_count(row) + row)
-        store(solution, row, _substitute(block, diagonal, size, True))
-        bi -= 1
+    past = mi.UInt32(held)
+    while past > 0:
+        row = past - 1
+        if row < blocks:
+            block = load(solution, row)
+            bk = mi.UInt32(past)
+            while bk < blocks:
+                tile = load(lower, packed_count(bk) + row)
+                block = _subtract_applied(block, tile, load(solution, bk), size, True)
+                bk += 1
+            diagonal = load(lower, packed_count(row) + row)
+            store(solution, row, _substitute(block, diagonal, size, True))
+        past -= 1
     return solution

@@ -8,51 +8,58 @@ for u = W Y_00, c_00 = u^T M^-1 W f / u^T M^-1 u and a = M^-1 (W f - u c_00).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
 from svu_mi.frequency import cholesky, harmonics
-from svu_mi.frequency.system import Sample, System, unit
+from svu_mi.frequency.system import Sample, System, vector
 
 TILE = 4
-"""Edge of a tile: 16 double precision values stay in registers while it is updated."""
+"""Edge of a tile: in single precision its 16 values stay in registers while it is updated, in
+double precision half of them do. Measured from 2 to 8: the fastest in both."""
 
 Y00 = 1 / math.sqrt(4 * math.pi)
 
 
 def fit_dual(sample: Sample, views: Any, system: System, capacity: int) -> list[list[Any]]:
     """Compact the visible samples of the lane, solve for them, and go back to coefficients."""
+    channels = system.channels
     free = system.ridge[0] == 0
-    columns = system.channels + free
-    size = TILE
-    held = -(-max(capacity, 1) // size)  # tile rows
+    columns = channels + free
+    held = -(-max(capacity, 1) // TILE)  # tile rows
     # One local array per number of a sample: x, y, z, w, values.
-    types = [mi.Float64] * 4 + [mi.Float] * system.channels
-    samples = [dr.alloc_local(Type, held * size) for Type in types]
-    samples, count = _compact(sample, views, samples, held * size)
-    blocks = (count + (size - 1)) // size
-    _pad(samples, count, blocks, size)
+    types = [system.Float] * 4 + [mi.Float] * channels
+    samples = [dr.alloc_local(Type, held * TILE) for Type in types]
+    samples, count = _compact(sample, views, samples, held * TILE, system.unit)
+    blocks = (count + (TILE - 1)) // TILE
+    _pad(samples, count, blocks)
 
-    lower = cholesky.allocate(mi.Float64, size * size, cholesky.packed_count(held))
-    solution = cholesky.allocate(mi.Float64, size * columns, held)
+    lower = cholesky.allocate(system.Float, TILE * TILE, cholesky.packed_count(held))
+    solution = cholesky.allocate(system.Float, TILE * columns, held)
     lower, solution = cholesky.factor_and_forward(
-        lower, solution, blocks, size,
+        lower, solution, blocks, TILE,
         matrix=lambda bi, bj, diagonal: _kernel_tile(samples, bi, bj, diagonal, system),
-        right=lambda bi: _dual_right(samples, bi, free),
+        right=lambda bi: _dual_right(samples, bi, system, free),
     )  # fmt: skip
     constant = None
     if free:
-        solution, constant = _free_constant(solution, blocks, system.channels)
-        solution = [s for q, s in enumerate(solution) if q % columns < system.channels]
-    solution = cholesky.backward(lower, solution, blocks, size)
-    total = _sum_samples(samples, solution, blocks, system.degree, system.channels)
+        solution, constant = _free_constant(solution, blocks, [system.Float(0)] * channels)
+        solution = [s for q, s in enumerate(solution) if q % columns < channels]
+    solution = cholesky.backward(lower, solution, blocks, TILE, held)
+    rows = [dr.alloc_local(system.Float, held * TILE) for _ in range(channels)]
+    rows = _weigh(samples, solution, rows, blocks)
+    zero = [[system.Float(0) for _ in range(channels)] for _ in system.degrees]
+    total = _sum_samples(samples[:3], rows, count, zero, system.basis)
     return _scale_coefficients(total, system, constant, count > 0)
 
 
 @dr.syntax
-def _compact(sample: Sample, views: Any, samples: list, capacity: int) -> tuple[list, Any]:
+def _compact(
+    sample: Sample, views: Any, samples: list, capacity: int, unit: Callable[[Any], Any]
+) -> tuple[list, Any]:
     """Store the visible samples of each lane one after the other."""
     count = mi.UInt32(0)
     view = mi.UInt32(0)
@@ -62,65 +69,64 @@ def _compact(sample: Sample, views: Any, samples: list, capacity: int) -> tuple[
         # Local memory takes an index of width 1 (such as a counter that starts from a literal)
         # for the same in all lanes; the select gives it the width of the lanes.
         slot = dr.select(held, count, 0)
-        _append(samples, slot, [*unit(direction), mi.Float64(weight), *values], held)
-        count += dr.select(held, mi.UInt32(1), mi.UInt32(0))
+        if held:
+            _append(samples, slot, [*unit(direction), weight, *values])
+            count += 1
         view += 1
     return samples, count
 
 
-def _append(samples: list, index: Any, numbers: list, held: Any) -> None:
+def _append(samples: list, index: Any, numbers: list) -> None:
     for memory, number in zip(samples, numbers, strict=True):
-        memory.write(number, index, held)
+        memory[index] = number
 
 
-def _pad(samples: list, count: Any, blocks: Any, size: int) -> None:
+def _pad(samples: list, count: Any, blocks: Any) -> None:
     """Fill the last tile row with samples of weight 0: rows of the identity in M."""
-    for k in range(size - 1):
-        inside = count + k < blocks * size
+    for k in range(TILE - 1):
+        inside = count + k < blocks * TILE
         for slot in samples:
             slot.write(0, count + k, inside)
 
 
 def _kernel_tile(samples: list, bi: Any, bj: Any, diagonal: bool, system: System) -> list:
     """Return tile (bi, bj) of M = W K W + 1; only its lower triangle if it is diagonal."""
-    size = TILE
-    weights = harmonics.zonal_weights(system.degree, system.ridge[0] > 0)
+    powers = harmonics.zonal_polynomial(system.degree, system.ridge[0] > 0)
     scale = dr.rcp(system.regularizer)
 
     def points(block: Any) -> list:
-        read = [[s[block * size + i] for s in samples[:4]] for i in range(size)]
-        return [(mi.Vector3d(x, y, z), w) for x, y, z, w in read]
+        read = [[s[block * TILE + i] for s in samples[:4]] for i in range(TILE)]
+        return [(vector(system.Float, x, y, z), w) for x, y, z, w in read]
 
     a = points(bi)
     b = a if diagonal else points(bj)
-    tile = [mi.Float64(0)] * (size * size)
-    for i in range(size):
-        for j in range(i + 1 if diagonal else size):
-            kernel = harmonics.zonal_kernel(dr.dot(a[i][0], b[j][0]), weights)
-            tile[i * size + j] = kernel * (scale * a[i][1] * b[j][1])
+    tile = [system.Float(0)] * (TILE * TILE)
+    for i in range(TILE):
+        for j in range(i + 1 if diagonal else TILE):
+            kernel = harmonics.zonal_kernel(dr.dot(a[i][0], b[j][0]), powers)
+            tile[i * TILE + j] = kernel * (scale * a[i][1] * b[j][1])
         if diagonal:
-            tile[i * size + i] += 1
+            tile[i * TILE + i] += 1
     return tile
 
 
-def _dual_right(samples: list, bi: Any, free: bool) -> list:
+def _dual_right(samples: list, bi: Any, system: System, free: bool) -> list:
     """Return rows of W f and, if the constant is free, of u = W Y_00 as the last column."""
     out = []
     for i in range(TILE):
-        weight, *values = (mi.Float64(s[bi * TILE + i]) for s in samples[3:])
+        weight, *values = (system.Float(s[bi * TILE + i]) for s in samples[3:])
         out += [weight * value for value in values] + [weight * Y00] * free
     return out
 
 
 @dr.syntax
-def _free_constant(solution: list, blocks: Any, channels: int) -> tuple[list, list]:
+def _free_constant(solution: list, blocks: Any, products: list) -> tuple[list, list]:
     """Solve for the unpenalised c_00 and take it out of the right-hand sides.
 
     With z = L^-1 W f and v = L^-1 u: c_00 = v.z / v.v, and W f - u c_00 becomes z - v c_00.
+    ``products`` holds one 0 per channel.
     """
-    columns = channels + 1
-    norm = mi.Float64(0)
-    products = [mi.Float64(0) for _ in range(channels)]
+    norm = type(products[0])(0)
     bi = mi.UInt32(0)
     while bi < blocks:
         norm, products = _project(cholesky.load(solution, bi), norm, products)
@@ -129,7 +135,7 @@ def _free_constant(solution: list, blocks: Any, channels: int) -> tuple[list, li
     bi = mi.UInt32(0)
     while bi < blocks:
         z = cholesky.load(solution, bi)
-        cholesky.store(solution, bi, _remove_constant(z, constant, columns))
+        cholesky.store(solution, bi, _remove_constant(z, constant))
         bi += 1
     return solution, constant
 
@@ -144,7 +150,8 @@ def _project(z: list, norm: Any, products: list) -> tuple[Any, list]:
     return norm, out
 
 
-def _remove_constant(z: list, constant: list, columns: int) -> list:
+def _remove_constant(z: list, constant: list) -> list:
+    columns = len(constant) + 1
     out = list(z)
     for i in range(TILE):
         v = z[i * columns + columns - 1]
@@ -154,37 +161,54 @@ def _remove_constant(z: list, constant: list, columns: int) -> list:
 
 
 @dr.syntax
-def _sum_samples(samples: list, solution: list, blocks: Any, degree: int, channels: int) -> list:
-    """Return Y^T W a, channels of one coefficient next to each other."""
-    total = [mi.Float64(0) for _ in range((degree + 1) ** 2 * channels)]
+def _weigh(samples: list, solution: list, rows: list, blocks: Any) -> list:
+    """Write W a sample by sample."""
     bi = mi.UInt32(0)
     while bi < blocks:
-        total = _add_samples(total, samples, cholesky.load(solution, bi), bi, degree)
+        _weigh_block(samples[3], cholesky.load(solution, bi), rows, bi)
         bi += 1
+    return rows
+
+
+def _weigh_block(weights: Any, a: list, rows: list, bi: Any) -> None:
+    for i in range(TILE):
+        w = weights[bi * TILE + i]
+        for c, row in enumerate(rows):
+            row[bi * TILE + i] = w * a[i * len(rows) + c]
+
+
+@dr.syntax
+def _sum_samples(
+    directions: list, rows: list, count: Any, total: list, basis: Callable[[list], list]
+) -> list:
+    """Add Y^T W a to ``total``, a list of channels per coefficient.
+
+    One sample at a time: the sums do not fit in registers, and the values of more than one
+    basis beside them would be spilled as well (four at a time take 1.4 times as long).
+    """
+    row = mi.UInt32(0)
+    while row < count:
+        wa = cholesky.load(rows, row)
+        total = _add_outer(total, basis(cholesky.load(directions, row)), wa)
+        row += 1
     return total
 
 
-def _add_samples(total: list, samples: list, a: list, bi: Any, degree: int) -> list:
-    channels = len(a) // TILE
-    out = list(total)
-    for i in range(TILE):
-        x, y, z, w = (s[bi * TILE + i] for s in samples[:4])
-        basis = harmonics.basis(mi.Vector3d(x, y, z), degree)
-        wa = [w * value for value in a[i * channels : (i + 1) * channels]]
-        out = [dr.fma(basis[q // channels], wa[q % channels], out[q]) for q in range(len(out))]
-    return out
+def _add_outer(total: list, y: list, wa: list) -> list:
+    return [[dr.fma(b, v, s) for v, s in zip(wa, sums, strict=True)]
+            for b, sums in zip(y, total, strict=True)]  # fmt: skip
 
 
 def _scale_coefficients(
     total: list, system: System, constant: list | None, seen: Any
 ) -> list[list[Any]]:
     """c = (lambda R)^-1 Y^T W a; the constant itself where it is free."""
-    channels, out = system.channels, []
-    for i, l in enumerate(system.degrees):
-        row = total[i * channels : (i + 1) * channels]
+    out = []
+    for l, row in zip(system.degrees, total, strict=True):
         if system.ridge[l] > 0:
-            row = [value / (system.ridge[l] * system.regularizer) for value in row]
+            scale = dr.rcp(system.ridge[l] * system.regularizer)
+            c = [scale * value for value in row]
         else:
-            row = list(constant or [])
-        out.append([mi.Float(dr.select(seen, value, 0)) for value in row])
+            c = list(constant or [])
+        out.append([mi.Float(dr.select(seen, value, 0)) for value in c])
     return out

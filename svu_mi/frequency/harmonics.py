@@ -15,6 +15,7 @@ from numbers import Integral
 from typing import Any
 
 import drjit as dr
+from numpy.polynomial import legendre
 
 from svu_mi.errors import OptionError, ShapeError
 
@@ -67,25 +68,24 @@ def ridge(degree: int, penalize_constant: bool) -> list[float]:
     return [math.exp(l) if l or penalize_constant else 0.0 for l in range(degree + 1)]
 
 
-def zonal_weights(degree: int, penalize_constant: bool) -> list[float]:
-    """Legendre coefficients of lambda * k(t): (2l + 1) / (4 pi R_l), and 0 where R_l is 0."""
+def zonal_polynomial(degree: int, penalize_constant: bool) -> list[float]:
+    """Powers of t in lambda * k(t) = sum_l (2l + 1) / (4 pi R_l) P_l(t), R_l = 0 left out."""
     penalty = ridge(degree, penalize_constant)
-    return [(2 * l + 1) / (4 * math.pi * r) if r else 0.0 for l, r in enumerate(penalty)]
+    weights = [(2 * l + 1) / (4 * math.pi * r) if r else 0.0 for l, r in enumerate(penalty)]
+    return [float(power) for power in legendre.leg2poly(weights)]
 
 
-def zonal_kernel(t: Any, weights: list[float]) -> Any:
-    """Evaluate sum_l weights[l] P_l(t) by Clenshaw's recurrence.
+def zonal_kernel(t: Any, powers: list[float]) -> Any:
+    """Evaluate lambda * k(t) by Horner's rule.
 
-    By the addition theorem this is Y(a)^T R^-1 Y(b) for unit vectors with a.b = t.
+    By the addition theorem this is Y(a)^T R^-1 Y(b) for unit vectors with a.b = t. Powers of t
+    are safe here: R grows by e per degree, coefficients of P_l only by 1 + sqrt(2).
 
     Args:
         t: cosine of the angle, any Dr.Jit float array.
-        weights: one literal per degree, as ``zonal_weights`` returns them.
+        powers: literals, as ``zonal_polynomial`` returns them.
     """
-    Float = type(t)
-    above, current = Float(0), Float(0)  # b_{l+2}, b_{l+1} of the recurrence
-    for l in range(len(weights) - 1, -1, -1):
-        slope, tail = (2 * l + 1) / (l + 1), (l + 1) / (l + 2)
-        step = dr.fma(-tail, above, weights[l])
-        above, current = current, dr.fma(slope * t, current, step)
-    return current
+    value = type(t)(powers[-1])
+    for power in reversed(powers[:-1]):
+        value = dr.fma(value, t, power)
+    return value
