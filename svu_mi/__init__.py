@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from svu_mi.capture import Capture, load_capture, render_capture
     from svu_mi.errors import SvuError, SvuWarning
     from svu_mi.frequency import fit_sh, power_spectrum
-    from svu_mi.options import AngularPreset, Preset, preset
+    from svu_mi.options import AngularPreset, Preset, Skip, preset
     from svu_mi.pipeline import Estimate, estimate
     from svu_mi.posterior import (
         ParameterGrid,
@@ -36,7 +36,8 @@ _HOME = {
     "fit_sh": "frequency", "power_spectrum": "frequency",
     "ParameterGrid": "posterior", "PrincipledGrid": "posterior", "Posterior": "posterior",
     "angular_posterior": "posterior", "spectrum_posterior": "posterior",
-    "AngularPreset": "options", "Preset": "options", "preset": "options",
+    "AngularPreset": "options", "Preset": "options", "Skip": "options",
+    "preset": "options",
     "Estimate": "pipeline", "estimate": "pipeline",
     "Reference": "reference", "reference_posterior": "reference",
     "SvuError": "errors", "SvuWarning": "errors",
@@ -44,7 +45,7 @@ _HOME = {
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "AngularPreset", "Capture", "Estimate", "ParameterGrid", "Posterior", "Preset",
-    "PrincipledGrid", "Reference", "SvuError", "SvuWarning", "Texels", "angular_posterior",
+    "PrincipledGrid", "Reference", "Skip", "SvuError", "SvuWarning", "Texels", "angular_posterior",
     "estimate", "fit_sh", "load_capture", "power_spectrum", "preset", "reference_posterior",
     "render_capture", "spectrum_posterior", "texels",
 ]  # fmt: skip

@@ -176,6 +176,30 @@ class AngularPreset(_Channels):
         _require(16 <= self.rays <= 65536, "rays", "in [16, 65536]", self.rays)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Skip:
+    """Work that is left out because the result is the same without; all of it by default.
+
+    Texels outside the charts are never work. ``Skip(unseen=False)`` turns one off, to see what
+    it saves; ``NOTHING`` turns off all.
+    """
+
+    unseen: bool = True
+    """Texels that no photograph shows: no occlusion rays, no statistics, no fit."""
+
+    blind: bool = True
+    """Views that show no texel."""
+
+    channels: bool = True
+    """Under grey light and in grey photographs, one channel stands for three."""
+
+    levels: bool = True
+    """Roughness that the prior excludes: no filtered light, no statistics, no energies."""
+
+
+NOTHING = Skip(unseen=False, blind=False, channels=False, levels=False)
+
+
 def _require_types(options: Any) -> None:
     """Refuse what is no whole number, number or truth value where one is needed."""
     kinds = {"int": (Integral, "a whole number"), "float": (Real, "a number"),

@@ -12,9 +12,10 @@ nothing that grows with texels times views.
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, partial
-from typing import Any
+from functools import cached_property
+from typing import Any, Literal
 
 import drjit as dr
 import mitsuba as mi
@@ -23,8 +24,8 @@ import numpy as np
 from svu_mi.angular import gather, reflection
 from svu_mi.capture import Capture
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.frequency import fit_lanes, power_lanes, scatter_rows, solver_groups
-from svu_mi.options import AngularPreset, AnyPreset, Method, Preset
+from svu_mi.frequency.gather import fit_spectra
+from svu_mi.options import AngularPreset, AnyPreset, Method, Preset, Skip
 from svu_mi.options import preset as find_preset
 from svu_mi.posterior import (
     ParameterGrid,
@@ -37,13 +38,15 @@ from svu_mi.posterior import (
 )
 from svu_mi.posterior.streaming import log_prior
 from svu_mi.progress import Progress
-from svu_mi.radiance import Lighting, Surface, Survey, Views, light, observe, pack_views, survey
+from svu_mi.radiance import Lighting, Surface, Survey, Views, light, pack_views, survey
 from svu_mi.radiance.cells import light_cells
-from svu_mi.radiance.hemisphere import as_channels, hemisphere, mirror_free
+from svu_mi.radiance.hemisphere import hemisphere
+from svu_mi.skipping import Plan, make_plan, with_known
 from svu_mi.surface import Texels
 
 log = logging.getLogger(__name__)
 
+BRIGHTEST = 1e12  # mean radiance; what is in range loses nothing to exposure
 DARK = 1e-2  # part of the light that counts as the unit of radiance when all is black
 
 
@@ -92,14 +95,6 @@ class Estimate:
         raise OptionError(f"Estimate.image(): there is no map {name!r}; use entropy or coverage.")
 
 
-@dataclass(frozen=True)
-class Spectra:
-    """Power spectra of T texels, TensorXf (T, l* + 1, C) in squared radiance; C is 3, or 1."""
-
-    incoming: Any
-    outgoing: Any
-
-
 def estimate(
     capture: Capture,
     texels: Texels,
@@ -108,6 +103,8 @@ def estimate(
     *,
     grid: ParameterGrid | PrincipledGrid | None = None,
     prior: Any | None = None,
+    known: Mapping[str, float] | Literal["scene"] | None = None,
+    skip: Skip | None = None,
     progress: Progress | None = None,
 ) -> Estimate:
     """Estimate how much a capture says about the reflectance of every texel.
@@ -124,24 +121,36 @@ def estimate(
             base colour (``PrincipledGrid``), or roughness and Ks (``ParameterGrid``), as the
             preset's ``parameters`` say.
         prior: non-negative weights of the grid's cells; uniform by default.
+        known: parameters that are not in question, such as ``{"metallic": 0.0}``: they leave
+            the grid, and the entropy is that of the others. ``"scene"`` takes what the scene's
+            own ``principled`` material does not vary. Nothing by default: in a scene made for
+            photographs, a constant is more often a placeholder than a fact.
+        skip: work to leave out where it changes nothing; all of it by default.
         progress: shows what is going on and collects timings.
 
     Raises:
-        OptionError: an unknown method or preset, a grid of other parameters, a bad prior.
+        OptionError: an unknown method or preset, a grid of other parameters, a bad prior, a
+            known value that is none.
         ShapeError: a prior that does not fit the grid.
         CaptureError: no texel is seen in any photograph.
     """
     switches: Any = find_preset(preset, method=method)
-    progress = progress or Progress()
+    progress, skip = progress or Progress(), skip or Skip()
     angular = isinstance(switches, AngularPreset)
     chosen = angular_grid(grid, switches) if angular else spectrum_grid(grid, switches)
-    log_prior(prior, chosen.shape, "estimate()")  # a bad one is refused before any work
+    chosen = with_known(chosen, known, capture.shape)
+    tables = log_prior(prior, chosen.shape, "estimate()")  # refused before any work
     with progress.stage("Reading the light"):
         lighting = light(capture, sum(capture.used))
     with progress.stage("Finding silhouettes"):
-        views = pack_views(capture)
-    run = _Run(capture, views, lighting, texels, chosen, prior, progress)
-    posterior, found = (_from_angles if angular else _from_spectra)(run, switches)
+        views = pack_views(capture, switches.colors)
+    with progress.stage("Tracing visibility"):
+        found = survey(views, Surface.of(texels), skip_blind=skip.blind)
+    _require_seen(found.per_view, capture)
+    _require_range(found.scale)
+    plan = make_plan(skip, switches, views, lighting, found, chosen, tables)
+    run = _Run(capture, views, lighting, texels, found, chosen, prior, plan, progress)
+    posterior = (_from_angles if angular else _from_spectra)(run, switches)
     with progress.stage("Computing entropy"):
         result = Estimate(
             method=method,
@@ -149,8 +158,8 @@ def estimate(
             texels=texels,
             posterior=posterior,
             coverage=found.coverage,
-            seen_per_view=found.per_view.numpy().astype(np.int64),
-            skipped=_skipped(capture, texels, found),
+            seen_per_view=found.per_view,
+            skipped=_skipped(capture, texels, found) | plan.skipped,
             timings=progress.timings,
         )
         dr.eval(result.entropy)
@@ -165,48 +174,56 @@ class _Run:
     views: Views
     lighting: Lighting
     texels: Texels
+    found: Survey
     grid: Any
     prior: Any | None
+    plan: Plan
     progress: Progress
 
-    def survey(self) -> Survey:
-        with self.progress.stage("Tracing visibility"):
-            found = survey(self.views, Surface.of(self.texels))
-        _require_seen(found.per_view, self.capture)
-        return found
+    @cached_property
+    def surface(self) -> Surface:
+        """The texels that are worth any work."""
+        return Surface.of(self.texels, self.plan.texels)
 
-    def unit(self, found: Survey) -> float:
+    @cached_property
+    def unit(self) -> float:
         """Radiance that sigma is a part of: the photographs' mean, or if that is 0, some of the
         light's, since black under a known light is an observation too."""
-        return found.scale or DARK * float(self.lighting.environment.coefficients(0).mean())
+        return self.found.scale or DARK * float(self.lighting.environment.coefficients(0).mean())
 
 
-def _from_angles(run: _Run, switches: AngularPreset) -> tuple[Posterior, Survey]:
-    surface = Surface.of(run.texels)
-    # Only these weights ask for the capture's mean radiance before all views were seen.
-    scale = run.unit(run.survey()) if switches.noise == "heteroscedastic" else 1.0
+def _from_angles(run: _Run, switches: AngularPreset) -> Posterior:
+    plan = run.plan
     with run.progress.stage("Tracing occlusion"):
-        levels = run.grid.roughness_nodes
-        model = reflection(run.views.scene, surface, run.lighting, levels, switches)
+        levels = run.grid.roughness_nodes[plan.levels]
+        model = reflection(
+            run.views.scene, run.surface, run.lighting, levels, switches, plan.light_channels
+        )
     with run.progress.stage("Gathering statistics"):
-        statistics = gather(run.views, surface, model, dr.opaque(mi.Float, scale))
-    found = statistics.survey
-    assert found is not None
-    _require_seen(found.per_view, run.capture)
-    posterior = angular_posterior(statistics, run.grid, run.unit(found), switches, prior=run.prior)
-    return posterior, found
+        scale = dr.opaque(mi.Float, run.unit)
+        statistics = gather(
+            run.views, run.surface, run.found, model, scale, plan.channels
+        )
+    return angular_posterior(
+        statistics, run.grid, run.unit, switches,
+        prior=run.prior, copies=plan.copies, levels=plan.levels,
+    )  # fmt: skip
 
 
-def _from_spectra(run: _Run, switches: Preset) -> tuple[Posterior, Survey]:
-    found = run.survey()
+def _from_spectra(run: _Run, switches: Preset) -> Posterior:
+    plan, found = run.plan, run.found
     with run.progress.stage("Fitting spectra"):
-        spectra = fit_spectra(run.views, run.lighting, run.texels, found.coverage, switches)
+        spectra = fit_spectra(
+            run.views, run.lighting, run.texels, found, switches,
+            channels=plan.channels, light_channels=plan.light_channels,
+            skip_unseen=plan.texels is not None,
+        )  # fmt: skip
     irradiance = None
     if isinstance(run.grid, PrincipledGrid):
         with run.progress.stage("Tracing occlusion"):
-            irradiance = _irradiance(run, switches, switches.colors)
+            irradiance = _irradiance(run, switches)
     with run.progress.stage("Computing entropy"):
-        posterior = spectrum_posterior(
+        return spectrum_posterior(
             spectra.incoming,
             spectra.outgoing,
             run.grid,
@@ -216,81 +233,24 @@ def _from_spectra(run: _Run, switches: Preset) -> tuple[Posterior, Survey]:
             observed=found.coverage > 0,
             samples=mi.Float(found.coverage),
             irradiance=irradiance,
+            copies=plan.copies,
         )
-    return posterior, found
 
 
-def _irradiance(run: _Run, switches: Preset, channels: int) -> np.ndarray:
+def _irradiance(run: _Run, switches: Preset) -> np.ndarray:
     """(T, C) irradiance; if the preset says so, less what the object itself hides."""
     cells = light_cells(run.lighting.environment, 0, switches.rays)
     arriving = hemisphere(
-        run.views.scene, Surface.of(run.texels), run.lighting, cells,
-        channels=channels, occluded=switches.occluded, lobes=False,
+        run.views.scene, run.surface, run.lighting, cells,
+        channels=run.plan.light_channels, occluded=switches.occluded, lobes=False,
     )  # fmt: skip
-    return np.stack([moments[0].numpy() for moments in arriving.diffuse], axis=-1)
+    result = np.zeros((run.texels.count, run.plan.channels), np.float32)
+    light = np.stack([moments[0].numpy() for moments in arriving.diffuse], axis=-1)
+    result[run.surface.index.numpy()] = light  # one channel of grey light is all of them
+    return result
 
 
-def fit_spectra(
-    views: Views, lighting: Lighting, texels: Texels, seen: Any, switches: Preset
-) -> Spectra:
-    """Gather, fit and take power spectra in one kernel per solver; samples are never stored.
-
-    Args:
-        views: the packed capture.
-        lighting: its band-limited light.
-        texels: the T texels.
-        seen: (T,) UInt32, number of views that see each.
-        switches: degree, regulariser, R_00 of Eq. 12, channels and occlusion.
-    """
-    colors = switches.colors
-    shape = (texels.count, switches.degree + 1, colors)
-    outgoing, incoming = dr.zeros(mi.TensorXf, shape), dr.zeros(mi.TensorXf, shape)
-    dr.eval(outgoing, incoming)
-    for group in solver_groups(seen, switches.degree):
-        coefficients = fit_lanes(
-            partial(sample, views, lighting, Surface.of(texels, group.selection), switches),
-            views.count,
-            degree=switches.degree,
-            channels=2 * colors,
-            regularizer=switches.regularizer,
-            penalize_constant=switches.penalize_constant,
-            method=group.method,
-            capacity=group.capacity,
-        )
-        power = power_lanes(coefficients)
-        for spectra, channels in ((outgoing, slice(colors)), (incoming, slice(colors, None))):
-            scatter_rows(spectra.array, [row[channels] for row in power], group.selection)
-        dr.eval(outgoing, incoming)
-    return Spectra(incoming=incoming, outgoing=outgoing)
-
-
-def sample(
-    views: Views, lighting: Lighting, surface: Surface, switches: Preset, view: Any
-) -> tuple[Any, Any, list[Any]]:
-    """One row of Eq. 12: view direction, w = |cos theta|, and both right-hand sides.
-
-    Outgoing radiance B is indexed by the direction to the camera; so is incoming radiance L,
-    which is looked up where the mirror sends that direction.
-    """
-    seen = observe(views, surface, view)
-    lit = mirror_free(views.scene, surface, seen) if switches.occluded else seen.seen
-
-    def mirrored(direction: Any, normal: Any) -> Any:
-        return lighting.radiance(2 * dr.dot(normal, direction) * normal - direction)
-
-    incoming = dr.if_stmt(
-        args=(seen.direction, mi.Vector3f(surface.normal)),
-        cond=lit,
-        true_fn=mirrored,
-        false_fn=lambda *_: dr.zeros(mi.Color3f),
-    )
-    colors = switches.colors
-    both = (*as_channels(seen.radiance, colors), *as_channels(incoming, colors))
-    return seen.direction, seen.cosine, list(both)
-
-
-def _require_seen(seen_per_view: Any, capture: Capture) -> None:
-    counts = seen_per_view.numpy()
+def _require_seen(counts: np.ndarray, capture: Capture) -> None:
     if not counts.any():
         raise CaptureError(
             f"No texel of '{capture.shape.id()}' is seen in any of {len(counts)} photographs; "
@@ -302,6 +262,15 @@ def _require_seen(seen_per_view: Any, capture: Capture) -> None:
         log.warning("%d photographs show no texel: %s", len(blind), ", ".join(blind[:5]))
 
 
+def _require_range(radiance: float) -> None:
+    """Squares of radiance must fit in single precision: black is an observation, 1e-30 is not."""
+    if radiance and not 1 / BRIGHTEST <= radiance <= BRIGHTEST:
+        raise CaptureError(
+            f"The photographs' mean radiance is {radiance:g}; scale them and the light so that it "
+            f"is between {1 / BRIGHTEST:g} and {BRIGHTEST:g}, or mask pixels that are no radiance."
+        )
+
+
 def _skipped(capture: Capture, texels: Texels, found: Survey) -> dict[str, int]:
     width, height = texels.resolution
     return {
@@ -309,5 +278,5 @@ def _skipped(capture: Capture, texels: Texels, found: Survey) -> dict[str, int]:
         "texels on overlapping charts": texels.overlapping,
         "texels never seen": int((found.coverage.numpy() == 0).sum()),
         "views left out": capture.count - sum(capture.used),
-        "views that show no texel": int((found.per_view.numpy() == 0).sum()),
+        "views that show no texel": int((found.per_view == 0).sum()),
     }

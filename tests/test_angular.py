@@ -22,7 +22,7 @@ from svu_mi.interop import owned
 from svu_mi.options import preset
 from svu_mi.pipeline import estimate
 from svu_mi.posterior import ParameterGrid, PrincipledGrid, angular_posterior
-from svu_mi.radiance import Surface, light, observe, pack_views
+from svu_mi.radiance import Surface, light, pack_views, survey
 from svu_mi.radiance.hemisphere import as_channels
 
 ROUGHNESS = np.array([0.0, 0.3, 0.6, 1.0])
@@ -80,9 +80,9 @@ def stored_samples(views, surface, model, scale):
         seen (V, T), w (V, T), b (V, C, T), and e, p, q as (V, R, C, T).
     """
     columns = []
-    normal = mi.Vector3f(surface.normal)
+    normal, found = mi.Vector3f(surface.normal), survey(views, surface, skip_blind=False)
     for view in range(views.number):
-        seen = observe(views, surface, dr.opaque(mi.UInt32, view))
+        seen = found.look(views, surface, dr.opaque(mi.UInt32, view))
         mirror = 2 * dr.dot(normal, seen.direction) * normal - seen.direction
         free = dr.dot(surface.geometric_normal, mirror) > 0
         origin = surface.position + surface.offset * surface.geometric_normal
@@ -137,7 +137,7 @@ def worst_error(capture, switches, scale=1.0, seed=1):
     """
     rng = np.random.default_rng(seed)
     views, surface, model = setup(capture, switches)
-    statistics = gather(views, surface, model, dr.opaque(mi.Float, scale))
+    statistics = gather(views, surface, survey(views, surface), model, dr.opaque(mi.Float, scale))
     seen, w, b, e, p, q = stored_samples(views, surface, model, scale)
     counts = np.array(statistics.views)
     np.testing.assert_array_equal(counts, seen.sum(axis=0))
@@ -198,7 +198,7 @@ def test_one_view_and_identical_views_are_no_special_case(scene, channels):
 
 def test_texels_nobody_sees_have_no_statistics(scene):
     views, surface, model = setup(noise_capture(scene, [0]), angular())
-    statistics = gather(views, surface, model, dr.opaque(mi.Float, 1.0))
+    statistics = gather(views, surface, survey(views, surface), model, dr.opaque(mi.Float, 1.0))
     unseen = np.array(statistics.views) == 0
     assert unseen.any()
     factors, least = tables(statistics)
@@ -433,7 +433,7 @@ def test_statistics_and_posterior_together_are_brute_force(scene, channels):
     switches = angular(channels=channels, sigma=0.4)
     grid = PrincipledGrid(roughness=4, metallic=3, base_color=3)
     views, surface, model = setup(noise_capture(scene), switches, grid.roughness_nodes)
-    statistics = gather(views, surface, model, dr.opaque(mi.Float, 1.0))
+    statistics = gather(views, surface, survey(views, surface), model, dr.opaque(mi.Float, 1.0))
     H = np.array(angular_posterior(statistics, grid, 1.0, switches).entropy())
     seen, w, b, e, p, q = stored_samples(views, surface, model, 1.0)
     for t in np.flatnonzero(seen.any(axis=0))[::12]:
@@ -484,7 +484,8 @@ def kernels_of(capture, resolution, switches, lit_for=12):
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         model = reflection(views.scene, surface, lighting, np.linspace(0, 1, 8), switches)
-        statistics = gather(views, surface, model, dr.opaque(mi.Float, 1.0 / capture.count))
+        found, scale = survey(views, surface), dr.opaque(mi.Float, 1.0 / capture.count)
+        statistics = gather(views, surface, found, model, scale)
         dr.eval(angular_posterior(statistics, None, 0.3, switches).entropy())
         history = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
     return {k["hash"] for k in history}, [k for k in history if not k["cache_hit"]]

@@ -17,8 +17,9 @@ from svu_mi import scenes
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.scene import load_scene
 from svu_mi.errors import CaptureError, OptionError
+from svu_mi.frequency.gather import Samples, fit_spectra
 from svu_mi.options import preset
-from svu_mi.pipeline import estimate, fit_spectra, sample
+from svu_mi.pipeline import estimate
 from svu_mi.radiance import Surface, light, pack_views, survey
 
 DIFFUSE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.5, 0.3]}}
@@ -48,8 +49,11 @@ def stored_samples(capture, texels, switches):
     views, surface = pack_views(capture), Surface.of(texels)
     lighting = light(capture, sum(capture.used))
     columns = []
-    for view in range(views.number):
-        direction, weight, values = sample(views, lighting, surface, switches, mi.UInt32(view))
+    found = survey(views, surface)
+    colors = switches.colors
+    samples = Samples(views, lighting, surface, found, switches.occluded, colors, colors)
+    for place in range(int(found.count[0])):
+        direction, weight, values = samples.at(mi.UInt32(place))
         dr.eval(direction, weight, values)
         columns.append((direction.numpy().T, weight.numpy(), np.stack([v.numpy() for v in values])))
     d, w, f = zip(*columns, strict=True)
@@ -70,8 +74,9 @@ def test_the_fused_kernels_agree_with_the_oracle(glossy, name):
     capture, texels = glossy
     switches = preset(name)
     d, w, f, lighting = stored_samples(capture, texels, switches)
-    seen = survey(pack_views(capture), Surface.of(texels)).coverage
-    spectra = fit_spectra(pack_views(capture), lighting, texels, seen, switches)
+    views = pack_views(capture)
+    found = survey(views, Surface.of(texels))
+    spectra = fit_spectra(views, lighting, texels, found, switches)
     exact = exact_spectra(d, w, f, switches)
     ours = np.concatenate([np.array(spectra.outgoing), np.array(spectra.incoming)], axis=2)
     largest = np.maximum(exact.max(axis=1, keepdims=True), 1e-6)
@@ -153,11 +158,11 @@ def test_a_diffuse_ball_has_no_power_above_degree_zero(tmp_path):
     capture = render_ball(tmp_path, studio(), DIFFUSE, views=30, spp=256)
     texels = svu.texels(capture.mesh, 32)
     views, lighting = pack_views(capture), light(capture, 30)
-    seen = survey(views, Surface.of(texels)).coverage
-    many = seen.numpy() >= 6
+    found = survey(views, Surface.of(texels))
+    many = found.coverage.numpy() >= 6
     leak = {}
     for name in ("default", "paper"):
-        power = np.array(fit_spectra(views, lighting, texels, seen, preset(name)).outgoing)[many]
+        power = np.array(fit_spectra(views, lighting, texels, found, preset(name)).outgoing)[many]
         leak[name] = np.median(power[:, 1:].sum(axis=1) / power[:, 0])
     assert leak["default"] < 1e-3  # noise of the render, texel against pixel
     assert leak["paper"] > 10 * leak["default"]

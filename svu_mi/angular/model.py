@@ -64,7 +64,12 @@ class Reflection:
 
 
 def reflection(
-    scene: Any, surface: Surface, lighting: Lighting, roughness: np.ndarray, switches: AngularPreset
+    scene: Any,
+    surface: Surface,
+    lighting: Lighting,
+    roughness: np.ndarray,
+    switches: AngularPreset,
+    channels: int | None = None,
 ) -> Reflection:
     """Filter the light and trace the texels' hemispheres.
 
@@ -74,8 +79,9 @@ def reflection(
         lighting: the capture's light.
         roughness: (R,) levels.
         switches: the model.
+        channels: of colour, 1 or 3; the preset's own by default.
     """
-    channels = switches.colors
+    channels = channels or switches.colors
     alpha = alpha_from_roughness(roughness)
     profile = partial(zonal_profile, switches.lobe)
     return Reflection(

@@ -27,12 +27,11 @@ import mitsuba as mi
 
 from svu_mi.angular.model import Reflection, Terms, terms
 from svu_mi.frequency.arrays import scatter_strided
-from svu_mi.radiance import Surface, Survey, Views, over_views
+from svu_mi.radiance import Surface, Survey, Views
 from svu_mi.radiance.hemisphere import as_channels, mirror_free
-from svu_mi.radiance.observe import Observation, Tally
+from svu_mi.radiance.observe import Observation
 
 FIELDS = 6  # U_ee, U_ep, U_pp, z_e, z_p, floor
-SUMS = 6
 TINY = 2e-11  # part of its diagonal below which a pivot is nothing but rounding
 
 
@@ -48,7 +47,6 @@ class Statistics:
         levels: R.
         channels: C.
         count: T.
-        survey: what was seen on the way, if the statistics were gathered from views.
     """
 
     values: Any
@@ -56,24 +54,32 @@ class Statistics:
     levels: int
     channels: int
     count: int
-    survey: Survey | None = None
 
 
-def gather(views: Views, surface: Surface, model: Reflection, scale: Any) -> Statistics:
-    """Collect the statistics of every texel: one kernel, one pass over the views.
+def gather(
+    views: Views,
+    surface: Surface,
+    found: Survey,
+    model: Reflection,
+    scale: Any,
+    channels: int | None = None,
+) -> Statistics:
+    """Collect the statistics of texels: one kernel, one pass over the views.
 
     Args:
         views: the packed capture.
-        surface: the texels; ``model`` is of the same.
+        surface: the texels that are asked for; ``model`` is of the same. Others stay 0.
+        found: who sees whom, of all T texels.
         model: the reflection model.
         scale: Float, opaque: radiance above which heteroscedastic weights fall off; not used
             by the other noise rules.
+        channels: of the photographs that are looked at, 1 or 3; by default those of the model,
+            which has 1 for all of them under grey light.
     """
-    levels, channels = len(model.roughness), model.channels
-    tally = Tally(views)
+    levels, channels = len(model.roughness), channels or model.channels
     normal = mi.Vector3f(surface.normal)
 
-    def consume(seen: Observation, view: Any, found: tuple[Any, Any], *sums: Any) -> Any:
+    def consume(seen: Observation, *sums: Any) -> Any:
         free = mi.Bool(True)
         if model.arriving.visible:
             free = mirror_free(views.scene, surface, seen)
@@ -86,14 +92,25 @@ def gather(views: Views, surface: Surface, model: Reflection, scale: Any) -> Sta
             products = _products(part, radiance)
             return tuple(dr.fma(w, new, old) for old, new in zip(state, products, strict=True))
 
-        new = dr.if_stmt(args=sums, cond=seen.seen, true_fn=add, false_fn=lambda *s: s)
-        return (tally.add(seen, view, found), *new)
+        return dr.if_stmt(args=sums, cond=seen.seen, true_fn=add, false_fn=lambda *s: s)
 
-    size = levels * channels * SUMS
-    zeros = [dr.zeros(mi.Float64, surface.count) for _ in range(size)]
-    found, *sums = over_views(views, surface, consume, (tally.start(surface), *zeros))
-    count = found[0]
-    factors = [_factor(sums[i : i + SUMS], count) for i in range(0, len(sums), SUMS)]
+    size = 3 * levels * (model.channels + channels)
+    zeros = tuple(dr.zeros(mi.Float64, surface.count) for _ in range(size))
+    sums = found.over_views(views, surface, consume, zeros)
+    texel = surface.index
+    count = dr.gather(mi.UInt32, found.coverage, texel)
+    systems = _systems(list(sums), model.channels, channels)
+    columns = _columns([_factor(system, count) for system in systems], channels)
+    all_texels = int(dr.width(found.coverage))
+    values = dr.zeros(mi.Float, len(columns) * all_texels)
+    dr.eval(values)
+    values = scatter_strided(values, columns, texel, found.stride)
+    dr.eval(values)
+    return Statistics(values, found.coverage, levels, channels, all_texels)
+
+
+def _columns(factors: list[list[Any]], channels: int) -> list[Any]:
+    """Fields of every level and channel, then what no level of a channel explains."""
     least = []
     for channel in range(channels):
         of_channel = factors[channel::channels]
@@ -103,14 +120,7 @@ def gather(views: Views, surface: Surface, model: Reflection, scale: Any) -> Sta
         for factor in of_channel:
             factor[-1] = factor[-1] - low
         least.append(low)
-    columns = [field for factor in factors for field in factor]
-    columns += least
-    values = dr.zeros(mi.Float, len(columns) * surface.count)
-    dr.eval(values)
-    lane, stride = dr.arange(mi.UInt32, surface.count), dr.opaque(mi.UInt32, surface.count)
-    values = scatter_strided(values, columns, lane, stride)
-    dr.eval(values, found, tally.per_view)
-    return Statistics(values, count, levels, channels, surface.count, tally.survey(found))
+    return [field for factor in factors for field in factor] + least
 
 
 def _weight(model: Reflection, radiance: list[Any], scale: Any) -> Any:
@@ -123,17 +133,40 @@ def _weight(model: Reflection, radiance: list[Any], scale: Any) -> Any:
 
 
 def _products(part: Terms, radiance: list[Any]) -> list[Any]:
-    """The six products of every level and channel, in double precision."""
+    """The sums' terms, in double precision, level by level.
+
+    First e^2, e p, p^2 of every channel of the light, then e t, p t, t^2 of every channel of
+    the photographs.
+    """
     products = []
-    for level in zip(part.diffuse, part.scaled, part.added, strict=True):
-        for e, p, q, b in zip(*level, radiance, strict=True):
-            e, p, t = mi.Float64(e), mi.Float64(p), mi.Float64(b - q)
-            products += [e * e, e * p, p * p, e * t, p * t, t * t]
+    for e, p, q in zip(part.diffuse, part.scaled, part.added, strict=True):
+        e, p = _double(e), _double(p)
+        for e_c, p_c in zip(e, p, strict=True):
+            products += [e_c * e_c, e_c * p_c, p_c * p_c]
+        for c, b in enumerate(radiance):
+            k = c % len(e)  # grey light has one channel for all
+            t = mi.Float64(b - q[k])
+            products += [e[k] * t, p[k] * t, t * t]
     return products
 
 
+def _double(values: list[Any]) -> list[Any]:
+    return [mi.Float64(value) for value in values]
+
+
+def _systems(sums: list[Any], light: int, channels: int) -> list[list[Any]]:
+    """Return the six sums of every level and channel of the photographs."""
+    systems, size = [], 3 * (light + channels)
+    for first in range(0, len(sums), size):
+        level = sums[first : first + size]
+        for c in range(channels):
+            shared, own = 3 * (c % light), 3 * (light + c)
+            systems.append(level[shared : shared + 3] + level[own : own + 3])
+    return systems
+
+
 def _factor(sums: list[Any], views: Any) -> list[Any]:
-    """Cholesky factor of the sums divided by n: U_ee, U_ep, U_pp, z_e, z_p, floor."""
+    """Cholesky factor of six sums divided by n: U_ee, U_ep, U_pp, z_e, z_p, floor."""
     inverse = dr.rcp(mi.Float64(dr.maximum(views, 1)))
     ee, ep, pp, et, pt, tt = (value * inverse for value in sums)
     scale_e = _inverse_root(ee, 0 * ee)

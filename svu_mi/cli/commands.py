@@ -30,6 +30,11 @@ Defines = Annotated[
     tyro.conf.arg(aliases=["-D"], metavar="KEY=VALUE", help="Scene parameter; can be repeated."),
     tyro.conf.UseAppendAction,
 ]
+Known = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(metavar="NAME=VALUE | scene", help_behavior_hint="(can be repeated)"),
+    tyro.conf.UseAppendAction,
+]
 Threads = Annotated[int, tyro.conf.arg(aliases=["-t"], help="CPU threads; 0 = all.")]
 Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"], help="Log more; errors with traceback.")]
 Variant = Annotated[str, tyro.conf.arg(aliases=["-m"], help="Mitsuba variant.")]
@@ -98,6 +103,11 @@ class Entropy(Common):
     method: Literal["angular", "spectrum"] = "angular"
     """angular compares radiance by statistics of all views; spectrum, power spectra (the paper)."""
     preset: Literal["default", "calibrated", "fast", "paper"] = "default"
+    known: Known = ()
+    """Parameters that are not in question, such as metallic=0: they leave the grid. "scene" stands
+    for those that the scene's own material does not vary."""
+    skip: bool = True
+    """Leave out work that changes nothing (unseen texels, blind views, equal channels, ...)."""
     unwrap: bool = False
     """Lay out new UVs even if the mesh has some."""
     spp: int = 64
@@ -105,19 +115,23 @@ class Entropy(Common):
 
     def run(self, console: Console) -> int:
         """Run the pipeline and write the four files."""
+        from svu_mi.options import NOTHING, Skip
         from svu_mi.output import prepare_folder, write_outputs
         from svu_mi.pipeline import estimate
         from svu_mi.surface import texels
 
         size = pair(self.resolution, "--resolution")
-        defines = parse_defines(self.define)
+        defines, known = parse_defines(self.define), parse_known(self.known)
         prepare_folder(self.output)
         self.start()
         progress = Progress(console)
         capture = self._capture(progress, defines)
         with progress.stage("Laying out texels"):
             grid = texels(capture.mesh, size)
-        result = estimate(capture, grid, self.method, self.preset, progress=progress)
+        result = estimate(
+            capture, grid, self.method, self.preset, known=known,
+            skip=Skip() if self.skip else NOTHING, progress=progress,
+        )  # fmt: skip
         with progress.stage("Writing the results"):
             write_outputs(
                 capture, result, self.output, settings=_settings(self), kernels=progress.kernels
@@ -251,6 +265,27 @@ def parse_defines(words: tuple[str, ...]) -> dict[str, str]:
             raise OptionError(f"-D {word}: {key!r} cannot be the name of a scene parameter.")
         defines[key] = value
     return defines
+
+
+def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] | None:
+    """Return ``--known`` words as values by parameter, or as ``"scene"``.
+
+    Raises:
+        OptionError: a word is not NAME=NUMBER, or "scene" among others.
+    """
+    if words == ("scene",):
+        return "scene"
+    known = {}
+    for word in words:
+        name, _, value = word.partition("=")
+        try:
+            known[name] = float(value)
+        except ValueError:
+            raise OptionError(
+                f"--known takes NAME=NUMBER, such as metallic=0, or the single word scene; got "
+                f"{word!r}."
+            ) from None
+    return known or None
 
 
 def _settings(options: Any) -> dict[str, Any]:

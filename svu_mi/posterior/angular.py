@@ -36,7 +36,7 @@ class AngularPosterior(Posterior):
     @property
     def groups(self) -> int:
         """3 when each colour channel has its own base colour or Ks, else 1."""
-        return self.problem.statistics.channels
+        return self.problem.statistics.channels * self.problem.copies
 
     def _entropy_of_all(self) -> Any:
         return kernel.entropy(self.problem)
@@ -75,6 +75,8 @@ def angular_posterior(
     preset: str | AngularPreset = "default",
     *,
     prior: Any | None = None,
+    copies: int = 1,
+    levels: np.ndarray | None = None,
 ) -> AngularPosterior:
     """Compare photographs with what every cell of a grid predicts for them.
 
@@ -90,6 +92,9 @@ def angular_posterior(
         scale: radiance that sigma is a part of, unless the preset's noise is ``fixed``.
         preset: switches.
         prior: non-negative weights of the cells, of the grid's shape, or one per roughness.
+        copies: how many equal colour channels each channel of the statistics stands for.
+        levels: (R,) bool, the roughness nodes that the statistics have; all by default. The
+            prior must exclude the others.
 
     Raises:
         ShapeError: the grid's roughness is not the statistics'.
@@ -97,9 +102,10 @@ def angular_posterior(
     """
     switches = find_preset(preset, method="angular")
     grid = angular_grid(grid, switches)
-    if grid.roughness != statistics.levels:
+    levels = np.ones(grid.shape[0], bool) if levels is None else levels
+    if levels.sum() != statistics.levels:
         raise ShapeError(
-            f"angular_posterior(): the grid has {grid.roughness} roughness nodes, but the "
+            f"angular_posterior(): the grid has {levels.sum()} roughness nodes, but the "
             f"statistics {statistics.levels} levels."
         )
     if not (np.isfinite(scale) and scale > 0):
@@ -111,6 +117,10 @@ def angular_posterior(
     tables = streaming.log_prior(prior, grid.shape, "angular_posterior()")
     problem = kernel.Problem(
         statistics=statistics,
+        copies=copies,
+        slots=owned(mi.UInt32, np.maximum(np.cumsum(levels) - 1, 0).astype(np.uint32)),
+        rows=streaming.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
+        total=int(np.prod(grid.shape)),
         sigma=dr.opaque(mi.Float, sigma),
         power=owned(mi.Float, power) if switches.noise == "marginal" else None,
         metallic=grid.metallic_nodes if isinstance(grid, PrincipledGrid) else None,

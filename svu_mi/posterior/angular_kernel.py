@@ -29,7 +29,11 @@ class Problem:
     """Everything an energy depends on.
 
     Attributes:
-        statistics: of T texels, R levels and G channels; every channel is a group.
+        statistics: of T texels, their levels, and C channels; every channel is a group.
+        copies: how many equal channels each stands for.
+        slots: (R,) UInt32, which level of the statistics a roughness of the grid is.
+        rows: UInt32, rows of the grid that the prior does not exclude.
+        total: number of cells of the grid.
         sigma: Float, opaque: standard deviation of a texel's error, in radiance.
         power: (T,) Float nu / 2 of d^(-nu/2), or None for exp(-d / (2 sigma^2)); sigma^2 is
             then the floor that is added to d.
@@ -39,6 +43,10 @@ class Problem:
     """
 
     statistics: Statistics
+    copies: int
+    slots: Any
+    rows: Any
+    total: int
     sigma: Any
     power: Any | None
     metallic: np.ndarray | None
@@ -50,22 +58,18 @@ class Problem:
         """Rows per roughness: M, or 1."""
         return 1 if self.metallic is None else len(self.metallic)
 
-    @property
-    def rows(self) -> int:
-        """Number of rows of the grid."""
-        return self.statistics.levels * self.columns
-
 
 def entropy(problem: Problem) -> Any:
     """Return the normalised entropy (T,) of Eq. 5, before unseen texels are set to 1."""
     count = problem.statistics.count
     energies = _row_energies(problem, dr.arange(mi.UInt32, count))
-    return streaming.entropy(energies, count, problem.rows, len(problem.cells))
+    return streaming.entropy(energies, count, problem.rows, problem.total)
 
 
 def tables(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the energies of chosen texels, as ``streaming.tables`` does."""
-    return streaming.tables(partial(_row_energies, problem), chosen, problem.rows)
+    rows = problem.total // len(problem.cells)
+    return streaming.tables(partial(_row_energies, problem), chosen, rows)
 
 
 def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:
@@ -78,20 +82,23 @@ def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:
     def read(column: Any) -> Any:
         return dr.gather(mi.Float, stats.values, column * stride + texel)
 
-    least = [scale * scale * read(start + c) for c in range(stats.channels)]
+    # Squares may leave single precision where their roots do not: 0 times infinity is NaN.
+    squares = [scale * (scale * read(start + c)) for c in range(stats.channels)]
+    least = [dr.minimum(square, HOPELESS) for square in squares]
 
     def energies(row: Any) -> list[tuple[Any, list[Any]]]:
         level = row // problem.columns
+        slot = dr.gather(mi.UInt32, problem.slots, level)
         groups = []
         for channel in range(stats.channels):
-            column = (level * stats.channels + channel) * FIELDS
+            column = (slot * stats.channels + channel) * FIELDS
             fields = [scale * read(column + field) for field in range(FIELDS)]
             x = _cells(problem, row - level * problem.columns, fields, scale)
             x = [dr.minimum(value, HOPELESS) for value in x]
             if power is not None:
                 x = [power * dr.log(2 * (value + least[channel]) + 1) for value in x]
             groups.append(x)
-        return streaming.with_prior(groups, problem.prior, row)
+        return streaming.with_prior(groups * problem.copies, problem.prior, row)
 
     return energies
 
@@ -100,20 +107,20 @@ def _cells(problem: Problem, column: Any, fields: list[Any], scale: Any) -> list
     """Mean squared error of every cell of a row, over 2 sigma^2."""
     u_ee, u_ep, u_pp, z_e, z_p, floor = fields
     floor = scale * floor  # it is a square
-    energies = []
+    energies, nodes = [], [mi.Float(node) for node in streaming.cells(problem.cells)]
     if problem.metallic is None:
         inverse = dr.select(u_ee > 0, dr.rcp(dr.select(u_ee > 0, u_ee, 1)), 0)
-        for Ks in problem.cells.tolist():
+        for Ks in nodes:
             rest = dr.fma(-u_ep, Ks, z_e)
             Kd = dr.clip(rest * inverse, 0, 1)
             first, second = dr.fma(u_ee, Kd, -rest), dr.fma(u_pp, Ks, -z_p)
             energies.append(dr.fma(first, first, dr.fma(second, second, floor)))
         return energies
-    m = mi.Float(column) / (len(problem.metallic) - 1)
+    m = streaming.node(mi.Float, problem.metallic, column)
     # Kd = (1 - m) c and R0 = F0 (1 - m) + m c: both components are linear in c.
     first_0, first_1 = dr.fma(u_ep * F0, 1 - m, -z_e), dr.fma(u_ee, 1 - m, u_ep * m)
     second_0, second_1 = dr.fma(u_pp * F0, 1 - m, -z_p), u_pp * m
-    for c in problem.cells.tolist():
+    for c in nodes:
         first, second = dr.fma(first_1, c, first_0), dr.fma(second_1, c, second_0)
         energies.append(dr.fma(first, first, dr.fma(second, second, floor)))
     return energies

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from numbers import Integral
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from numbers import Integral, Real
 from typing import Protocol
 
 import numpy as np
@@ -37,18 +38,20 @@ class ParameterGrid:
         spacing: ``uniform``: Ks uniform on [0, 1]; ``dielectric``: Ks = 0.04 + 0.96 t^2 with t
             uniform on [0, 1], which resolves dielectrics and leaves out Ks = 0, where every
             roughness is the same. None takes the preset's.
+        known: values of parameters that are not in question, by name; each is one node.
 
     Raises:
-        OptionError: fewer than 2 or more than 64 nodes, or an unknown spacing.
+        OptionError: fewer than 2 or more than 64 nodes, an unknown spacing, or known values
+            that are no parameters, not in [0, 1], or all there is.
     """
 
     roughness: int = 8
     specular: int = 8
     spacing: GridSpacing | None = None
+    known: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("roughness", "specular"):
-            _require_nodes("ParameterGrid", name, getattr(self, name))
+        _require_valid(self, ("roughness", "specular"))
         if self.spacing not in (None, "uniform", "dielectric"):
             raise OptionError(
                 f"ParameterGrid: spacing must be uniform or dielectric, got {self.spacing!r}."
@@ -61,13 +64,14 @@ class ParameterGrid:
     @property
     def roughness_nodes(self) -> np.ndarray:
         """(R,) float64 roughness of each row."""
-        return np.linspace(0, 1, self.roughness)
+        return _nodes(self, "roughness")
 
     @property
     def specular_nodes(self) -> np.ndarray:
         """(S,) float64 Ks of each column."""
-        t = np.linspace(0, 1, self.specular)
-        return F0 + (1 - F0) * t**2 if self.spacing == "dielectric" else t
+        t = _nodes(self, "specular")
+        uneven = self.spacing == "dielectric" and "specular" not in self.known
+        return F0 + (1 - F0) * t**2 if uneven else t
 
     @property
     def axes(self) -> dict[str, np.ndarray]:
@@ -75,9 +79,9 @@ class ParameterGrid:
         return {"roughness": self.roughness_nodes, "specular": self.specular_nodes}
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> tuple[int, ...]:
         """(R, S)."""
-        return self.roughness, self.specular
+        return tuple(len(nodes) for nodes in self.axes.values())
 
 
 @dataclass(frozen=True)
@@ -88,33 +92,35 @@ class PrincipledGrid:
         roughness: number of nodes R; 8 as in the paper.
         metallic: number of nodes M.
         base_color: number of nodes C of a grey base colour.
+        known: values of parameters that are not in question, by name; each is one node.
 
     Raises:
-        OptionError: fewer than 2 or more than 64 nodes.
+        OptionError: fewer than 2 or more than 64 nodes, or known values that are no
+            parameters, not in [0, 1], or all there is.
     """
 
     roughness: int = 8
     metallic: int = 8
     base_color: int = 8
+    known: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("roughness", "metallic", "base_color"):
-            _require_nodes("PrincipledGrid", name, getattr(self, name))
+        _require_valid(self, ("roughness", "metallic", "base_color"))
 
     @property
     def roughness_nodes(self) -> np.ndarray:
         """(R,) float64."""
-        return np.linspace(0, 1, self.roughness)
+        return _nodes(self, "roughness")
 
     @property
     def metallic_nodes(self) -> np.ndarray:
         """(M,) float64."""
-        return np.linspace(0, 1, self.metallic)
+        return _nodes(self, "metallic")
 
     @property
     def base_color_nodes(self) -> np.ndarray:
         """(C,) float64, linear."""
-        return np.linspace(0, 1, self.base_color)
+        return _nodes(self, "base_color")
 
     @property
     def axes(self) -> dict[str, np.ndarray]:
@@ -126,9 +132,29 @@ class PrincipledGrid:
         }
 
     @property
-    def shape(self) -> tuple[int, int, int]:
+    def shape(self) -> tuple[int, ...]:
         """(R, M, C)."""
-        return self.roughness, self.metallic, self.base_color
+        return tuple(len(nodes) for nodes in self.axes.values())
+
+
+def _nodes(grid: ParameterGrid | PrincipledGrid, name: str) -> np.ndarray:
+    """Nodes of a parameter, uniform on [0, 1]; or what is known of it."""
+    if name in grid.known:
+        return np.array([grid.known[name]], np.float64)
+    return np.linspace(0, 1, getattr(grid, name))
+
+
+def _require_valid(grid: ParameterGrid | PrincipledGrid, names: tuple[str, ...]) -> None:
+    kind = type(grid).__name__
+    for name in names:
+        _require_nodes(kind, name, getattr(grid, name))
+    for name, value in grid.known.items():
+        if name not in names:
+            raise OptionError(f"{kind}: known {name!r} is no parameter; use {', '.join(names)}.")
+        if not (isinstance(value, Real) and 0 <= float(value) <= 1):
+            raise OptionError(f"{kind}: known {name} must be in [0, 1], got {value!r}.")
+    if len(grid.known) == len(names):
+        raise OptionError(f"{kind}: {', '.join(names)} are all known; nothing is left to ask for.")
 
 
 def _require_nodes(grid: str, name: str, count: object) -> None:

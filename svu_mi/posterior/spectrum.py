@@ -61,6 +61,7 @@ def spectrum_posterior(
     samples: Any | None = None,
     scale: float | None = None,
     irradiance: Any | None = None,
+    copies: int = 1,
 ) -> SpectrumPosterior:
     """Compare observed spectra with those of every cell of a grid.
 
@@ -89,6 +90,7 @@ def spectrum_posterior(
             texels and channels of sum_l S_B(l). Give it when these texels are only some of a
             capture's.
         irradiance: (T, C) E of every texel; needed by a ``PrincipledGrid``.
+        copies: how many equal colour channels each given one stands for.
 
     Raises:
         ShapeError: arrays that do not fit each other.
@@ -118,7 +120,9 @@ def spectrum_posterior(
         power=_power(switches, samples, count),
         degree=degrees - 1,
         channels=channels,
-        groups=_groups(switches, channels),
+        groups=_groups(switches, channels, copies),
+        rows=streaming.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
+        total=int(np.prod(grid.shape)),
         decay=owned(mi.Float64, _decay(switches, grid, prefilter)),
         albedo=owned(mi.Float64, np.square(_albedo(switches, grid))),
         cells=cells,
@@ -147,10 +151,11 @@ def _spectrum(name: str, values: Any) -> Any:
     return tensor
 
 
-def _groups(switches: Preset, channels: int) -> tuple[tuple[int, ...], ...]:
-    if switches.channels == "sum":
-        return (tuple(range(channels)),)
-    return tuple((channel,) for channel in range(channels))
+def _groups(switches: Preset, channels: int, copies: int) -> tuple[tuple[int, ...], ...]:
+    if switches.channels == "minimum":
+        copies = 1  # of equal entropies, the smallest is any
+    every = tuple(range(channels)) * copies
+    return (every,) if switches.channels == "sum" else tuple((channel,) for channel in every)
 
 
 def spectrum_grid(
@@ -196,7 +201,7 @@ def _albedo(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarra
     On a grid of Ks it is 1: there Ks is the lobe's own scale, as in the paper.
     """
     if not switches.albedo or isinstance(grid, ParameterGrid):
-        return np.ones(grid.roughness)
+        return np.ones(grid.shape[0])
     return split_sum(alpha_from_roughness(grid.roughness_nodes)).sum(axis=2).mean(axis=1)
 
 

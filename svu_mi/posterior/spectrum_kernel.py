@@ -67,6 +67,8 @@ class Problem:
         degree: L = l*.
         channels: C.
         groups: channel indices that share one Ks.
+        rows: UInt32, rows of the grid that the prior does not exclude.
+        total: number of cells of the grid.
         decay, albedo: (R,) Float64, q and a^2 of e_l = a^2 q^(l^2), by roughness.
         cells: nodes of Ks, or of base colour.
         prior: ((rows,), (rows * cells,)) Float64 of -log prior: of a row, of a cell given it;
@@ -81,6 +83,8 @@ class Problem:
     degree: int
     channels: int
     groups: tuple[tuple[int, ...], ...]
+    rows: Any
+    total: int
     decay: Any
     albedo: Any
     cells: np.ndarray
@@ -92,16 +96,11 @@ class Problem:
         """Rows per roughness."""
         return 1 if self.constant is None else len(self.constant.metallic)
 
-    @property
-    def rows(self) -> int:
-        """Number of rows of the grid."""
-        return int(dr.width(self.decay)) * self.columns
-
 
 def entropy(problem: Problem, count: int) -> Any:
     """Return the normalised entropy (T,) of Eq. 5, before unseen texels are set to 1."""
     energies = _row_energies(problem, dr.arange(mi.UInt32, count))
-    return streaming.entropy(energies, count, problem.rows, len(problem.cells))
+    return streaming.entropy(energies, count, problem.rows, problem.total)
 
 
 def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:
@@ -132,14 +131,15 @@ def _cells(
     problem: Problem, level: Any, column: Any, read: tuple[Any, Any, Any] | None
 ) -> tuple[list[Any], list[Any] | None]:
     """R0 of every cell of a row, and what degree 0 adds to its energy."""
+    cells = streaming.cells(problem.cells)
     if problem.constant is None or read is None:
-        return problem.cells.tolist(), None
-    m = mi.Float64(column) / (len(problem.constant.metallic) - 1)
+        return cells, None
+    m = streaming.node(mi.Float64, problem.constant.metallic, column)
     seen, diffuse, specular = read
     specular = specular * dr.gather(mi.Float64, problem.constant.albedo, level)
-    R0 = [dr.fma(c, m, F0 * (1 - m)) for c in problem.cells.tolist()]
+    R0 = [dr.fma(c, m, F0 * (1 - m)) for c in cells]
     energies = []
-    for c, R in zip(problem.cells.tolist(), R0, strict=True):
+    for c, R in zip(cells, R0, strict=True):
         residual = seen - (1 - m) * c * diffuse - R * specular
         energies.append(residual * residual)
     return R0, energies
@@ -213,4 +213,5 @@ def _energies(squares: list, products: _Products, decay: list) -> list[Any]:
 
 def tables(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the energies of chosen texels, as ``streaming.tables`` does."""
-    return streaming.tables(partial(_row_energies, problem), chosen, problem.rows)
+    rows = problem.total // len(problem.cells)
+    return streaming.tables(partial(_row_energies, problem), chosen, rows)

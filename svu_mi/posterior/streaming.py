@@ -27,7 +27,7 @@ RowEnergies = Callable[[Any], list[tuple[Any, list[Any]]]]
 """Row index -> per group the smallest energy (Float64) and all others' distance to it."""
 
 
-def entropy(row_energies: RowEnergies, count: int, rows: int, cells: int) -> Any:
+def entropy(row_energies: RowEnergies, count: int, rows: Any, total: int) -> Any:
     """Return the normalised entropy (T,) of Eq. 5.
 
     With energies x, p = exp(-x) / Z: H = (log Z + sum p x) / log n, one logarithm per texel.
@@ -36,12 +36,13 @@ def entropy(row_energies: RowEnergies, count: int, rows: int, cells: int) -> Any
     Args:
         row_energies: energies of a row, prior included; traced once.
         count: T.
-        rows: number of rows.
-        cells: cells of one group's row; n = rows * cells.
+        rows: UInt32, the rows that are not impossible, as ``possible_rows`` finds them.
+        total: n, number of cells of the grid.
     """
-    last = dr.opaque(mi.UInt32, rows)
+    last = dr.opaque(mi.UInt32, dr.width(rows))
 
-    def body(row: Any, low: Any, z: Any, zx: Any) -> tuple[Any, ...]:
+    def body(place: Any, low: Any, z: Any, zx: Any) -> tuple[Any, ...]:
+        row = dr.gather(mi.UInt32, rows, place)
         base, weight, excess = _combine(row_energies(row))
         lowest = dr.minimum(low, base)
         # exp(-inf) on the first row: there is nothing to rescale yet.
@@ -49,15 +50,15 @@ def entropy(row_energies: RowEnergies, count: int, rows: int, cells: int) -> Any
         rise = mi.Float(dr.minimum(base - lowest, FAR))
         old, new = dr.exp(-drop), dr.exp(-rise) * weight
         zx = old * dr.fma(drop, z, zx) + new * (rise + excess)
-        return row + 1, lowest, dr.fma(old, z, new), zx
+        return place + 1, lowest, dr.fma(old, z, new), zx
 
     zero = dr.zeros(mi.Float, count)
     _, _, z, zx = dr.while_loop(
         state=(mi.UInt32(0), dr.full(mi.Float64, 1e300, count), zero, dr.zeros(mi.Float, count)),
-        cond=lambda row, *_: row < last,
+        cond=lambda place, *_: place < last,
         body=body,
     )
-    return dr.clip((dr.log(z) + zx / z) / float(np.log(rows * cells)), 0, 1)
+    return dr.clip((dr.log(z) + zx / z) / float(np.log(total)), 0, 1)
 
 
 def _combine(groups: list[tuple[Any, list[Any]]]) -> tuple[Any, Any, Any]:
@@ -206,3 +207,21 @@ def log_prior(
             np.minimum(-np.log(row / row.sum()), IMPOSSIBLE),
             np.minimum(-np.log(given), IMPOSSIBLE).ravel(),
         )
+
+
+def node(kind: Any, nodes: np.ndarray, index: Any) -> Any:
+    """Return one of evenly spaced nodes as ``kind``, Float or Float64; index UInt32."""
+    if len(nodes) == 1:  # known: read, so that another value needs no kernel of its own
+        return dr.gather(kind, owned(kind, nodes), index)
+    return dr.fma(kind(index), float(nodes[1] - nodes[0]), float(nodes[0]))
+
+
+def cells(nodes: np.ndarray) -> list[Any]:
+    """Return the nodes along a row: literals, or what is known of the only one."""
+    return nodes.tolist() if len(nodes) > 1 else [dr.opaque(mi.Float64, nodes[0])]
+
+
+def possible_rows(tables: tuple[np.ndarray, np.ndarray] | None, rows: int) -> Any:
+    """Return the rows that a prior, as ``log_prior`` returns it, does not exclude: UInt32."""
+    kept = np.arange(rows) if tables is None else np.flatnonzero(tables[0] < IMPOSSIBLE)
+    return owned(mi.UInt32, kept.astype(np.uint32))

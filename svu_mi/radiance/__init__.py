@@ -10,9 +10,9 @@ from svu_mi.radiance.lighting import Lighting as Lighting
 from svu_mi.radiance.lighting import light as light
 from svu_mi.radiance.observe import Observation as Observation
 from svu_mi.radiance.observe import Surface as Surface
-from svu_mi.radiance.observe import Survey as Survey
 from svu_mi.radiance.observe import observe as observe
 from svu_mi.radiance.observe import over_views as over_views
-from svu_mi.radiance.observe import survey as survey
+from svu_mi.radiance.survey import Survey as Survey
+from svu_mi.radiance.survey import survey as survey
 from svu_mi.radiance.views import Views as Views
 from svu_mi.radiance.views import pack_views as pack_views

@@ -25,6 +25,7 @@ from svu_mi.interop import owned
 
 SKY_GRID = (512, 257)  # columns, rows at which a procedural sky is sampled
 FINEST = 130  # columns and rows that resolve degree 64; smaller maps are sampled finer
+GREY = 1e-6  # of the brightest radiance: channels that differ by less are equal
 SUN_RINGS, SUN_SPOKES = 16, 64  # nodes on a sun's disk, finer than any sky grid
 
 
@@ -46,6 +47,14 @@ class Environment:
     disk_weights: np.ndarray
     disk_radiance: np.ndarray
     to_local: np.ndarray
+
+    @property
+    def grey(self) -> bool:
+        """Whether all colour channels are equal."""
+        return all(
+            bool((np.ptp(values, axis=-1) <= GREY * values.max(initial=0)).all())
+            for values in (self.radiance, self.disk_radiance)
+        )
 
     def coefficients(self, degree: int) -> np.ndarray:
         """Project the light on spherical harmonics: ((degree + 1)^2, 3) float64."""

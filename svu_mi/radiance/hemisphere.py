@@ -121,5 +121,6 @@ def mirror_free(scene: Any, surface: Surface, seen: Observation) -> Any:
 
 
 def as_channels(color: Any, channels: int) -> list[Any]:
-    """Return a colour as 3 channels, or as 1: their mean."""
-    return list(color) if channels == 3 else [(color[0] + color[1] + color[2]) / 3]
+    """Return a colour of 3 channels, or of 1, as that many: one is the mean of three."""
+    found = list(color)
+    return found if len(found) == channels else [sum(found) / len(found)]

@@ -1,8 +1,9 @@
 """What one view shows of one texel; called inside a symbolic loop over views.
 
-``observe`` is the only place where texels meet photographs. A consumer (SH fit, coverage,
-...) calls it once while tracing its loop, so that samples live in registers and no
-(texel x view) array exists.
+Texels meet photographs here and nowhere else: ``observe`` finds out whether a view sees a
+texel, ``look`` reads the pixels of one that does. A consumer (SH fit, statistics, ...) calls
+them once while tracing its loop, so that samples live in registers and no (texel x view)
+array of them exists.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from svu_mi.radiance.views import CAMERA_FLOATS, Views
 from svu_mi.surface import Texels
@@ -26,12 +26,19 @@ MIN_COSINE = 1e-3  # more grazing than this, neither pixel nor ray means the tex
 
 @dataclass(frozen=True)
 class Surface:
-    """The texels of a kernel launch, in lanes."""
+    """The texels of a kernel launch, in lanes.
+
+    Attributes:
+        position, normal, geometric_normal: of each, world space.
+        offset: Float, opaque: how far from the surface rays start.
+        texel: UInt32, which of all texels each is; None for all, in order.
+    """
 
     position: Any
     normal: Any
     geometric_normal: Any
-    offset: float
+    offset: Any
+    texel: Any | None = None
 
     @staticmethod
     def of(texels: Texels, selection: Any | None = None) -> Surface:
@@ -44,8 +51,15 @@ class Surface:
             position=take(texels.position),
             normal=take(texels.normal),
             geometric_normal=take(texels.geometric_normal),
-            offset=dr.opaque(mi.Float, RAY_OFFSET * texels.extent),
+            # Far from the origin, less than the step between coordinates is no offset at all.
+            offset=dr.opaque(mi.Float, max(RAY_OFFSET * texels.extent, 2 * texels.step)),
+            texel=selection,
         )
+
+    @property
+    def index(self) -> Any:
+        """UInt32, which of all texels each lane is."""
+        return dr.arange(mi.UInt32, self.count) if self.texel is None else self.texel
 
     @property
     def count(self) -> int:
@@ -60,7 +74,8 @@ class Observation:
     Attributes:
         direction: unit Vector3f from the texel to the camera, world space.
         cosine: Float, between direction and shading normal; 0 where not seen.
-        radiance: Color3f, outgoing radiance; 0 where not seen.
+        radiance: outgoing radiance, Color3f, or Color1f of photographs packed in grey; 0 where
+            not seen.
         seen: Bool.
     """
 
@@ -97,10 +112,35 @@ def observe(views: Views, surface: Surface, view: Any) -> Observation:
         args=(surface.position, surface.geometric_normal, taps.pixels, taps.weights,
               direction, distance, seen),
         cond=seen,
-        true_fn=partial(_look, views, surface.offset),
-        false_fn=lambda *args: (dr.zeros(mi.Color3f), args[-1]),
+        true_fn=partial(_reach, views, surface.offset),
+        false_fn=lambda *args: (_black(views), args[-1]),
     )  # fmt: skip
     return Observation(direction, dr.select(seen, cosine, 0), radiance, seen)
+
+
+def look(views: Views, surface: Surface, view: Any, seen: Any) -> Observation:
+    """Observe texels that a view is known to see: no test, no ray, and no work for others.
+
+    Args:
+        views: the packed capture.
+        surface: the texels.
+        view: UInt32, index of the view.
+        seen: Bool, which of the texels it sees.
+    """
+
+    def read(position: Any, normal: Any) -> tuple[Any, Any, Any]:
+        camera = _read_camera(views, view)
+        direction = mi.Vector3f(dr.normalize(camera.position - position))
+        taps = _taps(camera, position)
+        return direction, dr.dot(normal, direction), _radiance(views, taps.pixels, taps.weights)
+
+    direction, cosine, radiance = dr.if_stmt(
+        args=(surface.position, mi.Vector3f(surface.normal)),
+        cond=seen,
+        true_fn=read,
+        false_fn=lambda _, normal: (normal, mi.Float(0), _black(views)),
+    )
+    return Observation(direction, cosine, radiance, seen)
 
 
 @dataclass(frozen=True)
@@ -166,7 +206,7 @@ def _taps(camera: _Camera, position: Any) -> _Taps:
     )
 
 
-def _look(
+def _reach(
     views: Views,
     offset: Any,
     position: Any,
@@ -178,18 +218,26 @@ def _look(
     seen: Any,
 ) -> tuple[Any, Any]:
     """Look the pixels up and trace visibility, for lanes that face the camera."""
-    usable = mi.Bool(True)
-    radiance = dr.zeros(mi.Color3f)
-    for pixel, weight in zip(pixels, weights, strict=True):
-        usable &= dr.gather(mi.Bool, views.usable, pixel, seen)
-        radiance += weight * dr.gather(mi.Color3f, views.pixels, pixel, seen)
+    for pixel in pixels:
+        seen &= dr.gather(mi.Bool, views.usable, pixel, seen)
     # Mitsuba's own spawn_ray offset has an absolute part, which drowns small meshes.
     origin = position + offset * normal
     reach = distance * (1 - RAY_END)
     ray = mi.Ray3f(origin, direction, reach, 0.0, [])
-    seen = seen & usable
     seen &= ~views.scene.ray_test(ray, seen)
-    return dr.select(seen, radiance, 0), seen
+    return dr.select(seen, _radiance(views, pixels, weights, seen), 0), seen
+
+
+def _black(views: Views) -> Any:
+    return dr.zeros(mi.Color3f if views.channels == 3 else mi.Color1f)
+
+
+def _radiance(views: Views, pixels: list[Any], weights: list[Any], active: Any = True) -> Any:
+    """Interpolate between four pixels."""
+    total = _black(views)
+    for pixel, weight in zip(pixels, weights, strict=True):
+        total += weight * dr.gather(type(total), views.pixels, pixel, active)
+    return total
 
 
 def over_views(views: Views, surface: Surface, consume: Callable[..., Any], state: Any) -> Any:
@@ -213,64 +261,3 @@ def over_views(views: Views, surface: Surface, consume: Callable[..., Any], stat
         cond=lambda view, *_: view < views.count,
         body=body,
     )[1:]
-
-
-@dataclass(frozen=True)
-class Survey:
-    """What all views together show of T texels.
-
-    Attributes:
-        coverage: (T,) UInt32, number of views that see each texel.
-        total: (T,) Float, grey (channel mean) radiance summed over those views.
-        per_view: (V,) UInt32, number of texels that each view sees.
-    """
-
-    coverage: Any
-    total: Any
-    per_view: Any
-
-    @property
-    def scale(self) -> float:
-        """Mean grey radiance over all visible (texel, view) samples; 0 without any."""
-        samples = int(self.coverage.numpy().sum(dtype=np.int64))
-        return float(self.total.numpy().sum(dtype=np.float64) / max(samples, 1))
-
-
-class Tally:
-    """Counts who sees whom, within a loop over views.
-
-    Attributes:
-        per_view: (V,) UInt32, filled when the kernel runs.
-    """
-
-    def __init__(self, views: Views) -> None:
-        self.per_view = dr.zeros(mi.UInt32, max(views.number, 1))
-
-    @staticmethod
-    def start(surface: Surface) -> tuple[Any, Any]:
-        """Return the state before the first view."""
-        return dr.zeros(mi.UInt32, surface.count), dr.zeros(mi.Float, surface.count)
-
-    def add(self, seen: Observation, view: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
-        """Return the state after one more view."""
-        one = dr.select(seen.seen, mi.UInt32(1), mi.UInt32(0))
-        # The default mode bakes the number of views into the kernel; all lanes of a packet
-        # add to one view, which this mode sums up first.
-        dr.scatter_add(self.per_view, one, view, seen.seen, dr.ReduceMode.Local)
-        return state[0] + one, state[1] + dr.sum(seen.radiance) / 3
-
-    def survey(self, state: tuple[Any, Any]) -> Survey:
-        """Return the record of all views."""
-        return Survey(coverage=state[0], total=state[1], per_view=self.per_view)
-
-
-def survey(views: Views, surface: Surface) -> Survey:
-    """Find who sees whom, and how bright it is: one pass over all views."""
-    tally = Tally(views)
-
-    def count(seen: Observation, view: Any, state: tuple[Any, Any]) -> tuple[Any]:
-        return (tally.add(seen, view, state),)
-
-    (state,) = over_views(views, surface, count, (tally.start(surface),))
-    dr.eval(state, tally.per_view)
-    return tally.survey(state)

@@ -18,6 +18,7 @@ from svu_mi.surface.raster import rasterize
 OVERLAP_LIMIT = 0.05  # part of the covered texels; below it they are left out, above refused
 OUTSIDE_LIMIT = 1e-3  # part of the faces that may lie outside the unit square
 MAX_RESOLUTION = 16384
+COARSEST = 1e-4  # part of a mesh's extent that coordinates must resolve
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +37,7 @@ class Texels:
         overlapping: number of texels left out because several faces claim them.
         degenerate: number of texels left out because their face has no area in space.
         extent: diagonal of the mesh's bounding box, in world units.
+        step: between neighbouring single precision coordinates, where these are largest.
     """
 
     resolution: tuple[int, int]
@@ -49,6 +51,7 @@ class Texels:
     overlapping: int
     degenerate: int
     extent: float
+    step: float
 
     @property
     def count(self) -> int:
@@ -110,6 +113,11 @@ def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
             "unwraps it) and use capture.mesh."
         )
     source = arrays(mesh)
+    if len(source.positions) and _step(source) > COARSEST * _extent(source):
+        raise MeshError(
+            f"{name} is {_extent(source):g} wide, but single precision coordinates are "
+            f"{_step(source):g} apart where it stands; move the scene closer to the origin."
+        )
     owner, count = rasterize(_unit_square(source, name)[source.faces], (width, height))
     overlapping = int((count > 1).sum())
     covered = int((count > 0).sum())
@@ -130,6 +138,14 @@ def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
         )
     kept = kept[np.argsort(_morton(kept % width, kept // width), kind="stable")]
     return _surface_points(source, kept, owner[kept], (width, height), overlapping, int(flat.sum()))
+
+
+def _extent(source: MeshArrays) -> float:
+    return float(np.linalg.norm(np.ptp(source.positions, axis=0)))
+
+
+def _step(source: MeshArrays) -> float:
+    return float(np.spacing(np.float32(np.abs(source.positions).max(initial=0))))
 
 
 def _pair(resolution: Any) -> tuple[int, int]:
@@ -214,7 +230,8 @@ def _surface_points(
         footprint=owned(mi.Float, footprint.astype(np.float32)),
         overlapping=overlapping,
         degenerate=degenerate,
-        extent=float(np.linalg.norm(np.ptp(source.positions, axis=0))),
+        extent=_extent(source),
+        step=_step(source),
     )
 
 

@@ -1,0 +1,115 @@
+"""Who sees whom: traced once, kept as one bit per texel and view, used by every later pass."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.interop import owned
+from svu_mi.radiance.hemisphere import as_channels
+from svu_mi.radiance.observe import Observation, Surface, look, over_views
+from svu_mi.radiance.views import Views
+
+WORD = 32
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What V views together show of T texels.
+
+    Attributes:
+        coverage: (T,) UInt32, number of views that see each texel.
+        total: (T,) Float, grey (channel mean) radiance summed over those views.
+        per_view: (V,) int64, number of texels that each view sees.
+        bits: (ceil(V / 32) T,) UInt32, bit v % 32 of word (v // 32) T + t: view v sees texel t.
+        order: (N,) UInt32, the views that a pass goes through.
+        count: N, an opaque UInt32.
+        stride: T, an opaque UInt32.
+    """
+
+    coverage: Any
+    total: Any
+    per_view: np.ndarray
+    bits: Any
+    order: Any
+    count: Any
+    stride: Any
+
+    @property
+    def scale(self) -> float:
+        """Mean grey radiance over all visible (texel, view) samples; 0 without any."""
+        samples = int(self.coverage.numpy().sum(dtype=np.int64))
+        return float(self.total.numpy().sum(dtype=np.float64) / max(samples, 1))
+
+    def look(self, views: Views, surface: Surface, place: Any) -> Observation:
+        """Observe every texel of a launch in the view at ``place`` of ``order``."""
+        view = dr.gather(mi.UInt32, self.order, place)
+        word = dr.gather(mi.UInt32, self.bits, (view // WORD) * self.stride + surface.index)
+        return look(views, surface, view, ((word >> (view % WORD)) & 1) != 0)
+
+    def over_views(
+        self, views: Views, surface: Surface, consume: Callable[..., Any], state: tuple[Any, ...]
+    ) -> tuple[Any, ...]:
+        """Run a consumer over all views in one symbolic loop.
+
+        Args:
+            views: the packed capture.
+            surface: the texels of the launch.
+            consume: ``consume(observation, *state)`` returns the new state; traced once.
+            state: Dr.Jit arrays, one value per texel of the launch.
+
+        Returns:
+            The state after the last view.
+        """
+
+        def body(place: Any, *state: Any) -> tuple[Any, ...]:
+            return (place + 1, *consume(self.look(views, surface, place), *state))
+
+        return dr.while_loop(
+            state=(mi.UInt32(0), *state),
+            cond=lambda place, *_: place < self.count,
+            body=body,
+        )[1:]
+
+
+def survey(views: Views, surface: Surface, *, skip_blind: bool = True) -> Survey:
+    """Find who sees whom, and how bright it is: one pass over all views, the only one with rays.
+
+    Args:
+        views: the packed capture.
+        surface: all texels.
+        skip_blind: leave views that see nothing out of later passes.
+    """
+    per_view = dr.zeros(mi.UInt32, max(views.number, 1))
+    bits = dr.zeros(mi.UInt32, -(-max(views.number, 1) // WORD) * surface.count)
+    stride, lane = dr.opaque(mi.UInt32, surface.count), surface.index
+
+    def count(seen: Observation, view: Any, found: Any, total: Any) -> tuple[Any, Any]:
+        one = dr.select(seen.seen, mi.UInt32(1), mi.UInt32(0))
+        # The default mode bakes the number of views into the kernel; all lanes of a packet
+        # add to one view, which this mode sums up first.
+        dr.scatter_add(per_view, one, view, seen.seen, dr.ReduceMode.Local)
+        place = (view // WORD) * stride + lane
+        bit = mi.UInt32(1) << (view % WORD)
+        dr.scatter_add(bits, bit, place, seen.seen, dr.ReduceMode.NoConflicts)
+        return found + one, total + as_channels(seen.radiance, 1)[0]
+
+    zeros = dr.zeros(mi.UInt32, surface.count), dr.zeros(mi.Float, surface.count)
+    found, total = over_views(views, surface, count, zeros)
+    dr.eval(found, total, per_view, bits)
+    counts = per_view.numpy()[: views.number].astype(np.int64)
+    order = np.flatnonzero(counts) if skip_blind else np.arange(views.number)
+    return Survey(
+        coverage=found,
+        total=total,
+        per_view=counts,
+        bits=bits,
+        order=owned(mi.UInt32, order.astype(np.uint32)),
+        count=dr.opaque(mi.UInt32, len(order)),
+        stride=stride,
+    )

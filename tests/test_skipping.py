@@ -1,0 +1,221 @@
+"""What is skipped changes nothing: with and without, and against a prior that says the same."""
+
+from __future__ import annotations
+
+import logging
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from helpers import ball_scene, memory_capture
+
+import svu_mi as svu
+from svu_mi.capture.material import constant_parameters
+from svu_mi.capture.poses import sphere_sensors
+from svu_mi.errors import OptionError
+from svu_mi.options import NOTHING, Skip, preset
+from svu_mi.pipeline import estimate
+
+METHODS = pytest.mark.parametrize("method", ["angular", "spectrum"])
+TOLERANCE = 1e-5
+RNG = np.random.default_rng(5)
+TEXTURE = {
+    "type": "bitmap", "raw": True, "filter_type": "nearest",
+    "data": RNG.uniform(0.1, 0.9, (8, 8, 1)).astype(np.float32),
+}  # fmt: skip
+
+
+def material(**changes):
+    """Grey, with textures for all but the metallic."""
+    def texture():
+        return {**TEXTURE, "data": mi.TensorXf(TEXTURE["data"])}
+
+    return {"type": "principled", "base_color": texture(), "roughness": texture(),
+            "metallic": 0.0, **changes}  # fmt: skip
+
+
+def lamps(color=(1, 1, 1)):
+    """A sky with two lamps in it."""
+    sky = np.full((16, 32, 3), 0.2) * color
+    sky[4:6, 5:8] += 12 * np.array(color)
+    sky[9:11, 20:24] += 5 * np.array(color)
+    return {"type": "envmap", "bitmap": mi.Bitmap(sky.astype(np.float32)), "scale": 1.0}
+
+
+def one_sided(tmp_path, emitter=None, bsdf=None):
+    """Photographs of one side of a ball; the last camera looks away from it."""
+    scene = ball_scene(tmp_path, emitter or lamps(), bsdf or material())
+    sensors = [s for s in sphere_sensors(scene.shapes()[0], 40, (48, 40)) if place(s)[2] > 0.5]
+    images = [np.array(mi.render(scene, sensor=s, spp=8, seed=i)) for i, s in enumerate(sensors)]
+    away = mi.load_dict({
+        "type": "perspective", "fov": 20.0,
+        "to_world": mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 9], [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": 48, "height": 40},
+    })  # fmt: skip
+    return memory_capture(scene, [*images, np.ones((40, 48, 3))], [*sensors, away])
+
+
+def place(sensor):
+    return np.array(sensor.world_transform().matrix).reshape(4, 4)[:3, 3]
+
+
+@pytest.fixture(scope="module")
+def grey(tmp_path_factory):
+    """A grey capture with unseen texels and a blind view, and its texels."""
+    capture = one_sided(tmp_path_factory.mktemp("grey"))
+    return capture, svu.texels(capture.mesh, 40)
+
+
+def entropy(result):
+    return np.array(result.entropy)
+
+
+@METHODS
+@pytest.mark.parametrize("name", ["unseen", "blind", "channels", "levels"])
+def test_every_switch_leaves_the_result(grey, method, name):
+    capture, texels = grey
+    switches = preset("default", method=method, channels="joint")
+    prior = np.array([0, 0, 1, 1, 2, 1, 1, 0.0])
+    ours = estimate(capture, texels, method, switches, prior=prior)
+    alone = Skip(**{**vars(NOTHING), name: True})
+    for skip in (NOTHING, alone):
+        other = estimate(capture, texels, method, switches, prior=prior, skip=skip)
+        np.testing.assert_allclose(entropy(ours), entropy(other), atol=TOLERANCE)
+        chosen = np.flatnonzero(np.array(ours.coverage) > 0)[::97]
+        np.testing.assert_allclose(
+            np.array(ours.posterior.probabilities_of(chosen)),
+            np.array(other.posterior.probabilities_of(chosen)),
+            atol=2e-5,
+        )
+    assert (entropy(ours)[np.array(ours.coverage) == 0] == 1).all()
+
+
+def test_the_record_says_what_was_skipped(grey, caplog):
+    capture, texels = grey
+    switches = preset("default", method="angular", channels="joint")
+    prior = np.array([0, 0, 1, 1, 2, 1, 1, 0.0])
+    with caplog.at_level(logging.INFO, logger="svu_mi.skipping"):
+        result = estimate(
+            capture, texels, "angular", switches, prior=prior, known={"metallic": 0.0}
+        )
+    assert result.skipped["texels never seen"] == (np.array(result.coverage) == 0).sum() > 100
+    assert result.skipped["views that show no texel"] == 1
+    assert result.skipped["channels of the light equal to another"] == 2
+    assert result.skipped["channels of the photographs equal to another"] == 2
+    assert result.skipped["roughness levels that the prior excludes"] == 3
+    assert result.skipped["parameters known"] == 1
+    said = caplog.text
+    for words in ("texels that no photograph", "1 of", "two thirds", "3 of 8 levels", "metallic"):
+        assert words in said
+
+
+def test_work_is_really_left_out(grey):
+    """Statistics of two levels and one channel only, whatever the grid."""
+    capture, texels = grey
+    switches = preset("default", method="angular", channels="joint")
+    prior = np.array([0, 0, 1, 1, 0, 0, 0, 0.0])
+    few, all_of_it = (
+        estimate(capture, texels, "angular", switches, prior=prior, skip=skip).posterior.problem
+        for skip in (Skip(), NOTHING)
+    )
+    assert (few.statistics.levels, few.statistics.channels) == (2, 1)
+    assert (all_of_it.statistics.levels, all_of_it.statistics.channels) == (8, 3)
+    assert few.total == all_of_it.total == 512
+
+
+@pytest.mark.parametrize("channels", ["joint", "sum", "minimum"])
+def test_one_channel_stands_for_three(grey, channels):
+    capture, texels = grey
+    switches = preset("paper", channels=channels)
+    one, three = (
+        estimate(capture, texels, "spectrum", switches, skip=skip) for skip in (Skip(), NOTHING)
+    )
+    assert one.skipped["channels of the photographs equal to another"] == 2
+    np.testing.assert_allclose(entropy(one), entropy(three), atol=TOLERANCE)
+
+
+@METHODS
+@pytest.mark.parametrize("colored", ["light", "object"])
+def test_of_coloured_photographs_only_grey_light_is_skipped(tmp_path, method, colored):
+    emitter = lamps((1.0, 0.7, 0.4)) if colored == "light" else lamps()
+    paint = {"base_color": {"type": "rgb", "value": [0.7, 0.3, 0.2]}} if colored == "object" else {}
+    capture = one_sided(tmp_path, emitter, material(**paint))
+    texels = svu.texels(capture.mesh, 24)
+    switches = preset("default", method=method, channels="joint")
+    result = estimate(capture, texels, method, switches)
+    assert result.skipped["channels of the photographs equal to another"] == 0
+    expected = 2 if colored == "object" else 0
+    assert result.skipped["channels of the light equal to another"] == expected
+    without = estimate(capture, texels, method, switches, skip=NOTHING)
+    np.testing.assert_allclose(entropy(result), entropy(without), atol=TOLERANCE)
+
+
+# --- known parameters -----------------------------------------------------------------------
+
+
+@METHODS
+@pytest.mark.parametrize("name, node", [("metallic", 0), ("metallic", 7), ("roughness", 3),
+                                        ("base_color", 5)])  # fmt: skip
+def test_a_known_value_is_a_prior_that_says_so(grey, method, name, node):
+    """H log n is the same as on the whole grid with all of the prior on that node."""
+    capture, texels = grey
+    axes = {"roughness": 0, "metallic": 1, "base_color": 2}
+    prior = np.zeros((8, 8, 8))
+    prior[(slice(None),) * axes[name] + (node,)] = 1
+    whole = estimate(capture, texels, method, prior=prior, skip=NOTHING)
+    known = estimate(capture, texels, method, known={name: node / 7})
+    seen = np.array(known.coverage) > 0
+    nats = entropy(known)[seen] * np.log(64), entropy(whole)[seen] * np.log(512)
+    np.testing.assert_allclose(*nats, atol=TOLERANCE * np.log(512))
+    assert known.posterior.axes[name].tolist() == [node / 7]
+    assert 1 in np.array(known.posterior.probabilities_of([0])).shape
+
+
+def test_a_known_value_need_not_be_a_node(grey):
+    """Between two nodes, entropy is continuous in what is known."""
+    capture, texels = grey
+    values = [0.3, 0.3 + 1e-4]
+    a, b = (entropy(estimate(capture, texels, known={"metallic": value})) for value in values)
+    assert 0 < np.abs(a - b).max() < 1e-2
+
+
+def test_another_known_value_needs_no_other_kernel(grey):
+    from drjit import detail
+
+    capture, texels = grey
+    for run, value in enumerate((0.1, 0.7, 0.45)):
+        compiled = sum(detail.launch_stats()[1:])
+        estimate(capture, texels, known={"metallic": value})
+        if run:
+            assert sum(detail.launch_stats()[1:]) == compiled
+
+
+def test_what_a_material_does_not_vary(grey, tmp_path):
+    capture, texels = grey
+    assert constant_parameters(capture.shape) == {"metallic": 0.0}
+    result = estimate(capture, texels, known="scene")
+    assert result.posterior.grid.known == {"metallic": 0.0}
+    assert estimate(capture, texels).posterior.grid.known == {}
+    plain = {"type": "principled", "metallic": 0.3}
+    for bsdf in (plain, {"type": "diffuse"}, {"type": "twosided", "inside": plain}):
+        shape = ball_scene(tmp_path, {"type": "constant"}, bsdf).shapes()[0]
+        assert constant_parameters(shape) == {}
+    both = {"type": "twosided", "inside": material(metallic=0.3)}
+    shape = ball_scene(tmp_path, {"type": "constant"}, both).shapes()[0]
+    assert constant_parameters(shape) == pytest.approx({"metallic": 0.3})
+
+
+@pytest.mark.parametrize(
+    "known, words",
+    [
+        ({"metalness": 0.0}, "metalness"),
+        ({"metallic": 1.5}, r"in \[0, 1\]"),
+        ({"metallic": float("nan")}, r"in \[0, 1\]"),
+        ({"roughness": 0.1, "metallic": 0.0, "base_color": 0.5}, "nothing is left"),
+        ("bsdf", "'scene'"),
+    ],
+)
+def test_known_values_that_are_refused(grey, known, words):
+    capture, texels = grey
+    with pytest.raises(OptionError, match=words):
+        estimate(capture, texels, known=known)
