@@ -2,117 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 
 import numpy as np
 
-from oracle.posterior import entropy, normalize
-
-F0 = 0.04
-
-
-# --- errors of all cells --------------------------------------------------------------------
-
-
-def gram(w, e, p, q, b) -> np.ndarray:
-    """Sums of w, w e^2, w e p, w p^2, w e t, w p t, w t^2 over samples, t = b - q."""
-    sums = np.zeros(7)
-    for W, E, P, Q, B in zip(*(np.float64(x) for x in (w, e, p, q, b)), strict=True):
-        t = B - Q
-        sums += W * np.array([1, E * E, E * P, P * P, E * t, P * t, t * t])
-    return sums
-
-
-def mean_squared_error(w, e, p, q, b, Kd: float, R0: float) -> float:
-    """1/n sum w (b - Kd e - R0 p - q)^2 over n samples, one by one; 0 without any."""
-    w, e, p, q, b = (np.float64(x) for x in (w, e, p, q, b))
-    total = 0.0
-    for W, E, P, Q, B in zip(w, e, p, q, b, strict=True):
-        total += W * (B - (Kd * E + R0 * P + Q)) ** 2
-    return total / max(len(w), 1)
-
-
-def principled_errors(w, e, p, q, b, metallic, base_color) -> np.ndarray:
-    """Errors on the (roughness, metallic, base_color) grid.
-
-    Args:
-        w: (V,) weights.
-        e: (R, V) diffuse shading by roughness; p and q alike.
-        p: part of the lobe that R0 scales.
-        q: part that Fresnel adds.
-        b: (V,) radiance.
-        metallic: (M,) nodes.
-        base_color: (C,) nodes.
-    """
-    d = np.zeros((len(e), len(metallic), len(base_color)))
-    for r, j, k in itertools.product(*(range(n) for n in d.shape)):
-        m, c = metallic[j], base_color[k]
-        d[r, j, k] = mean_squared_error(
-            w, e[r], p[r], q[r], b, (1 - m) * c, F0 + (c - F0) * m
-        )
-    return d
-
-
-def specular_errors(w, e, p, q, b, specular) -> np.ndarray:
-    """Errors on the (roughness, Ks) grid, each with the Kd in [0, 1] that fits best."""
-    d = np.zeros((len(e), len(specular)))
-    for r, j in itertools.product(*(range(n) for n in d.shape)):
-        rest = b - specular[j] * p[r] - q[r]
-        square = (w * e[r] ** 2).sum()
-        # A parabola in Kd: its lowest point, or the end of [0, 1] that is nearer to it.
-        Kd = np.clip((w * e[r] * rest).sum() / square, 0, 1) if square > 0 else 0.0
-        d[r, j] = mean_squared_error(w, e[r], p[r], q[r], b, Kd, specular[j])
-    return d
-
-
-def energies(d: np.ndarray, sigma: float, views: int | None = None) -> np.ndarray:
-    """-log p up to a constant; with a number of views, of the unknown-sigma rule d^(-nu/2)."""
-    if views is None:
-        return d / (2 * sigma**2)
-    return max(views - 3, 1) / 2 * np.log(d / sigma**2 + 1)
-
-
-def joint(channels: list[np.ndarray], prior: np.ndarray | None = None) -> np.ndarray:
-    """p of every combination: rows, then one cell for each channel.
-
-    All channels share a row (roughness, or roughness and metallic); the last axis is each
-    channel's own.
-
-    Args:
-        channels: energies (..., cells) of each channel.
-        prior: (..., cells) weights of one channel: of a row, times those of its cells given it.
-    """
-    shape = channels[0].shape
-    flat = [x.reshape(-1, shape[-1]) for x in channels]
-    rows, cells = flat[0].shape
-    prior = np.ones(shape) if prior is None else prior
-    prior = prior.reshape(rows, cells)
-    energy = np.zeros((rows, *(cells,) * len(flat)))
-    weight = np.zeros_like(energy)
-    for place in itertools.product(*(range(n) for n in energy.shape)):
-        row, own = place[0], place[1:]
-        energy[place] = sum(x[row, k] for x, k in zip(flat, own, strict=True))
-        of_row = prior[row].sum()
-        if of_row > 0:
-            weight[place] = of_row * np.prod([prior[row, k] / of_row for k in own])
-    return normalize(energy, weight)
-
-
-def of_channels(p: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """The distribution of each channel with the others summed over: (*shape, channels)."""
-    count = p.ndim - 1
-    parts = []
-    for channel in range(count):
-        others = tuple(1 + k for k in range(count) if k != channel)
-        parts.append(p.sum(axis=others).reshape(shape))
-    return np.stack(parts, axis=-1)
-
-
-def mean_entropy(p: np.ndarray) -> float:
-    """Mean over the last axis (channels) of the normalised entropy."""
-    return float(np.mean([entropy(p[..., c]) for c in range(p.shape[-1])]))
-
+from svu_mi.bench.oracle import energies as energies
+from svu_mi.bench.oracle import joint as joint
+from svu_mi.bench.oracle import mean_entropy as mean_entropy
+from svu_mi.bench.oracle import mean_squared_error as mean_squared_error
+from svu_mi.bench.oracle import of_channels as of_channels
+from svu_mi.bench.oracle import principled_errors as principled_errors
+from svu_mi.bench.oracle import specular_errors as specular_errors
 
 # --- lobes ----------------------------------------------------------------------------------
 

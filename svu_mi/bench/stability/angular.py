@@ -1,0 +1,212 @@
+"""Stability of the posterior from angular statistics (Eq. 3 to 6)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.angular import Statistics
+from svu_mi.bench.stability.cases import Axis, Case, Found, entropies
+from svu_mi.bench.stability.exact import Grid, U, angular_entropy
+from svu_mi.interop import owned
+from svu_mi.options import AngularPreset, preset
+from svu_mi.posterior import ParameterGrid, PrincipledGrid, angular_posterior
+
+TEXELS = 4
+SCALE = 0.7
+KS = ParameterGrid(8, 8, "dielectric")
+PRINCIPLED = PrincipledGrid(8, 8, 8)
+
+Samples = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""w (T, V), b (T, C, V), and e, p, q (T, R, C, V)."""
+
+
+def samples(
+    seed: int, channels: int, levels: int = 8, views: int = 9, texels: int = TEXELS,
+    noise: float = 0.1, truth: tuple[int, float, float] | None = None,
+) -> Samples:  # fmt: skip
+    """Samples of texels with a roughness among the levels.
+
+    Args:
+        seed: of everything.
+        channels: C.
+        levels: R.
+        views: V.
+        texels: T.
+        noise: of the photographs, a part of their radiance.
+        truth: (level, Kd, R0) of all texels; random ones by default.
+    """
+    rng = np.random.default_rng(seed)
+    e = rng.random((texels, 1, channels, 1)) * (0.8 + 0.4 * rng.random((texels, levels, 1, views)))
+    s = rng.exponential(size=(texels, levels, channels, views))
+    f = 0.3 * rng.random((texels, 1, 1, views))
+    p, q = s * (1 - f), s * f
+    level, (Kd, R0) = rng.integers(0, levels, texels), rng.random((2, texels, channels, 1))
+    if truth is not None:
+        level[:], Kd[:], R0[:] = truth
+    own = np.arange(texels), level
+    b = (Kd * e[own] + R0 * p[own] + q[own]) * np.exp(noise * rng.normal(size=(texels, 1, views)))
+    return np.ones((texels, views)), b, e, p, q
+
+
+def statistics_of(data: Samples, counts: np.ndarray | None = None) -> Statistics:
+    """What ``angular.gather`` keeps of samples, by a QR factorisation of each texel's."""
+    w, b, e, p, q = data
+    texels, levels, channels, views = e.shape
+    root = np.sqrt(w / max(views, 1))[:, None, None, :, None]
+    columns = np.stack([e, p, b[:, None] - q], axis=-1) * root
+    padded = np.concatenate([columns, np.zeros((texels, levels, channels, 3, 3))], axis=-2)
+    factor: Any = np.linalg.qr(padded, mode="r")
+    R = factor * np.where(np.diagonal(factor, axis1=-2, axis2=-1) < 0, -1, 1)[..., None]
+    fields = [R[..., 0, 0], R[..., 0, 1], R[..., 1, 1], R[..., 0, 2], R[..., 1, 2],
+              R[..., 2, 2] ** 2]  # fmt: skip
+    factors = np.moveaxis(np.stack(fields, axis=-1), 0, -1)  # (R, C, 6, T)
+    least = factors[:, :, 5].min(axis=0)
+    factors[:, :, 5] -= least
+    values = np.concatenate([factors.ravel(), least.ravel()]).astype(np.float32)
+    seen = np.full(texels, views) if counts is None else counts
+    return Statistics(
+        values=owned(mi.Float, values), views=owned(mi.UInt32, seen.astype(np.uint32)),
+        levels=levels, channels=channels, count=texels,
+    )  # fmt: skip
+
+
+def posterior_error(
+    data: Samples, switches: AngularPreset, grid: Grid, scale: float = SCALE,
+    prior: np.ndarray | None = None,
+) -> Found:  # fmt: skip
+    """Entropy of every texel against double precision from its samples."""
+    w, b, e, p, q = data
+    found = angular_posterior(statistics_of(data), grid, scale, switches, prior=prior)
+    truth = [
+        angular_entropy(w[t], e[t], p[t], q[t], b[t], switches, grid, scale, prior)
+        for t in range(len(w))
+    ]
+    bounds = np.array([x.bound for x in truth])
+    return entropies(found.entropy(), [x.entropy for x in truth], bounds)
+
+
+def rules(quick: bool = False) -> list[tuple[str, AngularPreset, Grid]]:
+    """Every channel and noise rule on both grids. Weights belong to the statistics."""
+    found: list[tuple[str, AngularPreset, Grid]] = []
+    grids: tuple[tuple[str, Grid], ...] = (("principled", PRINCIPLED), ("specular", KS))
+    for parameters, grid in grids:
+        for channels in ("grey", "joint"):
+            for noise in ("relative", "marginal") if quick else ("relative", "fixed", "marginal"):
+                switches: Any = preset(
+                    "default", method="angular", parameters=parameters, channels=channels,
+                    noise=noise,
+                )  # fmt: skip
+                found.append((f"{channels}, {noise}, {parameters}", switches, grid))
+    return found
+
+
+def _rules(_: Path, quick: bool) -> Iterator[Case]:
+    for name, switches, grid in rules(quick):
+        for views in (1, 9) if quick else (1, 2, 3, 9, 60, 512):
+            data = samples(20011 + views, switches.colors, views=views)
+            yield f"{name}, {views} views", partial(posterior_error, data, switches, grid)
+        same: Any = tuple(np.repeat(x[..., :1], 12, axis=-1) for x in data)
+        yield f"{name}, 12 identical views", partial(posterior_error, same, switches, grid)
+        if not quick:
+            prior = np.random.default_rng(20021).random(grid.shape)
+            prior[2] = 0
+            yield f"{name}, prior", partial(
+                posterior_error, samples(20023, switches.colors), switches, grid, prior=prior
+            )
+
+
+def _radiance(_: Path, quick: bool) -> Iterator[Case]:
+    for name, switches, grid in rules(quick):
+        w, b, e, p, q = samples(20029, switches.colors)
+        bright, sun = b.copy(), one_bright_view(p)
+        bright[..., 4] = 1e5
+        changed: dict[str, Samples] = {
+            "black photographs": (w, 0 * b, e, p, q),
+            "a highlight of 1e5": (w, bright, e, p, q),
+            "a sun of 1e5": (w, b, e, sun * p, sun * q),
+            "a sun in light and photographs": (w, bright, e, sun * p, sun * q),
+            "no light": (w, b, 0 * e, 0 * p, 0 * q),
+            "no diffuse light": (w, b, 0 * e, p, q),
+            "no specular light": (w, b, e, 0 * p, 0 * q),
+            "constant light": (w, 0 * b + 0.5, 0 * e + 1, 0 * p + 1, 0 * q),
+        }
+        for what, data in changed.items():
+            yield f"{name}: {what}", partial(posterior_error, data, switches, grid)
+        for power in (-6, 6) if quick else (-6, -3, 3, 6):
+            gain = 10.0**power
+            data = (w, gain * b, gain * e, gain * p, gain * q)
+            yield f"{name}: radiance times 1e{power}", partial(
+                posterior_error, data, switches, grid, SCALE * gain
+            )
+
+
+def one_bright_view(p: np.ndarray) -> np.ndarray:
+    """Gains of the shape of p's last axis: 1e5 for one view, 1 for the others."""
+    gains = np.ones(p.shape[-1])
+    gains[4] = 1e5
+    return gains
+
+
+def _exposure(_: Path, quick: bool) -> Iterator[Case]:
+    for name, switches, grid in rules(quick):
+        if switches.noise == "fixed":
+            continue
+        for power in (-20, 20) if quick else (-20, -10, -1, 1, 10, 20):
+            yield f"{name}, radiance times 2^{power}", partial(_exposed, switches, grid, power)
+
+
+def _exposed(switches: AngularPreset, grid: Grid, power: int) -> Found:
+    w, b, e, p, q = samples(20047, switches.colors)
+    H = []
+    for gain in (1.0, 2.0**power):
+        data = (w, gain * b, gain * e, gain * p, gain * q)
+        found = angular_posterior(statistics_of(data), grid, SCALE * gain, switches)
+        H.append(np.array(found.entropy(), np.float64))
+    return entropies(H[1], H[0], 4 * U)
+
+
+def _sigma(_: Path, quick: bool) -> Iterator[Case]:
+    for noise in ("relative", "marginal"):
+        for power in (-12, 12) if quick else (-12, -6, -3, -2, -1, 0, 3, 12):
+            for channels in ("grey", "joint"):
+                switches = preset(
+                    "default", method="angular", noise=noise, sigma=10.0**power, channels=channels
+                )
+                data = samples(20051, switches.colors)
+                yield f"{noise}, sigma 1e{power}, {channels}", partial(
+                    posterior_error, data, switches, PRINCIPLED
+                )
+
+
+def _grids(_: Path, quick: bool) -> Iterator[Case]:
+    shapes = [(2, 2, 2), (5, 3, 4)] if quick else [
+        (2, 2, 2), (5, 3, 4), (16, 16, 16), (64, 2, 2), (2, 64, 2), (2, 2, 64), (24, 24, 24),
+    ]  # fmt: skip
+    for nodes in shapes:
+        data = samples(20063, 1, levels=nodes[0], texels=2)
+        switches = preset("default", method="angular")
+        grid = PrincipledGrid(*nodes)
+        yield f"principled {nodes}", partial(posterior_error, data, switches, grid)
+    for shape in [(2, 2)] if quick else [(2, 2), (3, 64), (64, 3), (64, 64)]:
+        data = samples(20071, 1, levels=shape[0], texels=2)
+        switches = preset("default", method="angular", parameters="specular")
+        grid_of_ks = ParameterGrid(*shape, "dielectric")
+        yield f"Ks {shape}", partial(posterior_error, data, switches, grid_of_ks)
+
+
+AGAINST = "entropy with that of every cell in double precision"
+AXES = (
+    Axis("rules of the statistics", "1 to 512 views, identical ones; channel and noise rules, "
+         "both grids, priors", AGAINST, _rules),
+    Axis("radiance of statistics", "1e-6 to 1e6, a sun of 1e5, black, constant", AGAINST,
+         _radiance),
+    Axis("exposure of statistics", "2^-20 to 2^20", "entropy with that before", _exposure),
+    Axis("sigma of statistics", "1e-12 to 1e12", AGAINST, _sigma),
+    Axis("grids of statistics", "2 to 64 nodes", AGAINST, _grids),
+)  # fmt: skip

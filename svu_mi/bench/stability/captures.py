@@ -1,0 +1,280 @@
+"""Small captures of a ball, made in memory, and what an estimate of them should be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.angular import reflection
+from svu_mi.angular.model import terms
+from svu_mi.bench import oracle
+from svu_mi.bench.stability.exact import SPECTRUM, Exact, angular_entropy, spectrum_entropy
+from svu_mi.capture import Capture
+from svu_mi.capture.mesh import MeshArrays, make
+from svu_mi.capture.poses import make_sensor
+from svu_mi.options import AngularPreset, Preset
+from svu_mi.pipeline import Estimate
+from svu_mi.radiance import Lighting, Surface, Views, light, light_cells, observe, pack_views
+from svu_mi.radiance.hemisphere import as_channels, hemisphere
+from svu_mi.radiance.observe import Observation
+from svu_mi.scenes import meshes
+from svu_mi.surface import Texels
+
+METAL = {"metallic": 1.0, "roughness": 0.3, "base_color": 0.8}
+DISTANCE = 4.0  # of a camera from the middle of the ball, in radii
+FOV = 35.0
+
+
+def sphere(columns: int = 48, rows: int = 24) -> MeshArrays:
+    """A unit ball with exact normals and one lat-long chart."""
+    theta = np.linspace(0, np.pi, rows + 1)
+    profile = np.stack([np.sin(theta), np.cos(theta)], axis=-1)
+    points, faces, uvs = meshes.sheet(meshes.revolve(profile, columns), (0, 0), (1, 1))
+    return MeshArrays(points, faces, points.copy(), uvs)
+
+
+def lamps(contrast: float = 40.0, rows: int = 32, seed: int = 20260) -> np.ndarray:
+    """A lat-long map (rows, 2 rows, 3): a dim sky, and five texels ``contrast`` times as bright."""
+    rng = np.random.default_rng(seed)
+    image = np.exp(0.3 * rng.normal(size=(rows, 2 * rows, 3)))
+    place = rng.integers(4, rows - 4, 5), rng.integers(0, 2 * rows, 5)
+    image[place] *= contrast
+    return image.astype(np.float32)
+
+
+def map_light(image: np.ndarray, scale: float = 1.0, to_world: Any = None) -> dict[str, Any]:
+    """An environment map as a Mitsuba dictionary."""
+    emitter = {"type": "envmap", "bitmap": mi.Bitmap(image), "scale": scale}
+    return emitter if to_world is None else {**emitter, "to_world": to_world}
+
+
+def around(count: int) -> np.ndarray:
+    """(count, 3) unit directions, evenly spread (Fibonacci)."""
+    i = np.arange(count) + 0.5
+    z, turn = 1 - 2 * i / max(count, 1), i * np.pi * (3 - np.sqrt(5))
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(turn), z, r * np.sin(turn)], axis=-1)
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A ball, its light and where its cameras stand; ``to_world`` moves all of them.
+
+    Attributes:
+        light: dictionary of the emitter, already turned as ``to_world`` turns.
+        paint: scalar parameters of Mitsuba's ``principled``.
+        directions: (V, 3) from the ball's centre to its cameras.
+        mesh: of the ball, before ``to_world``.
+        to_world: (4, 4) similarity.
+        size: pixels along a side of a photograph.
+    """
+
+    light: dict[str, Any]
+    paint: dict[str, float]
+    directions: np.ndarray
+    mesh: MeshArrays
+    to_world: np.ndarray
+    size: int = 24
+
+    def capture(self, folder: Path, images: Sequence[np.ndarray] | None = None) -> Capture:
+        """Load the scene and photograph it, unless photographs are given.
+
+        Args:
+            folder: for the mesh.
+            images: V photographs (H, W, 3).
+        """
+        scene = self._scene(folder)
+        sensors = tuple(self._sensor(d, k) for k, d in enumerate(self.directions))
+        if images is None:
+            images = [
+                np.array(mi.render(scene, sensor=sensor, spp=16, seed=k))[..., :3]
+                for k, sensor in enumerate(sensors)
+            ]
+        count, shape = len(sensors), scene.shapes()[0]
+        return Capture(
+            scene=scene, shape=shape, mesh=shape, sensors=sensors,
+            images=tuple(np.ascontiguousarray(image, np.float32) for image in images),
+            masks=(None,) * count, exposures=(1.0,) * count,
+            names=tuple(f"view_{k:04d}.exr" for k in range(count)),
+            unusable=(0,) * count, used=(True,) * count,
+        )  # fmt: skip
+
+    def _scene(self, folder: Path) -> Any:
+        path = folder / "ball.ply"
+        linear, shift = self.to_world[:3, :3], self.to_world[:3, 3]
+        unit = linear / np.cbrt(np.linalg.det(linear))
+        moved = MeshArrays(
+            self.mesh.positions @ linear.T + shift, self.mesh.faces,
+            None if self.mesh.normals is None else self.mesh.normals @ unit.T, self.mesh.uvs,
+        )  # fmt: skip
+        make("ball", moved).write_ply(str(path))
+        color = {"type": "rgb", "value": [self.paint["base_color"]] * 3}
+        bsdf = {"type": "principled", **self.paint, "base_color": color}
+        return mi.load_dict(
+            {"type": "scene", "integrator": {"type": "direct"}, "light": self.light,
+             "ball": {"type": "ply", "filename": str(path), "bsdf": bsdf}},
+            optimize=False,
+        )  # fmt: skip
+
+    def _sensor(self, direction: np.ndarray, number: int) -> Any:
+        up = [0, 1, 0] if abs(direction[1]) < 0.99 else [0, 0, 1]
+        pose = mi.ScalarTransform4f().look_at((DISTANCE * direction).tolist(), [0, 0, 0], up)
+        scale = float(np.cbrt(np.linalg.det(self.to_world[:3, :3])))
+        matrix = self.to_world @ np.array(pose.matrix, np.float64)
+        matrix[:3, :3] /= scale
+        reach = DISTANCE * scale
+        record = {"to_world": matrix, "x_fov": FOV, "principal_point_offset": [0.0, 0.0],
+                  "clip": [reach * 1e-2, reach * 1e2], "film": [self.size] * 2,
+                  "crop_offset": [0, 0], "crop_size": [self.size] * 2}  # fmt: skip
+        return make_sensor(record, f"view_{number:04d}")
+
+
+def ball(**changes: Any) -> Ball:
+    """Return a metal ball under five lamps, seen by 12 cameras; ``changes`` replace fields."""
+    fields: dict[str, Any] = {"paint": METAL, "directions": around(12), "mesh": sphere(),
+                              "to_world": np.eye(4)}  # fmt: skip
+    if "light" not in changes:
+        fields["light"] = map_light(lamps())
+    return Ball(**(fields | changes))
+
+
+# --- the same estimate in double precision, from samples that are kept ----------------------
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """What both methods look at."""
+
+    views: Views
+    surface: Surface
+    lighting: Lighting
+
+
+def exact(
+    capture: Capture, texels: Texels, found: Estimate, chosen: np.ndarray
+) -> list[Exact]:
+    """What the entropy of chosen texels is, in double precision from single samples on.
+
+    Args:
+        capture: the capture.
+        texels: its texels.
+        found: the estimate, for its switches and grid.
+        chosen: (t,) indices of texels that are seen.
+    """
+    setting = _Setting(pack_views(capture), Surface.of(texels), light(capture, sum(capture.used)))
+    if isinstance(found.preset, AngularPreset):
+        return _exact_angles(setting, found, chosen)
+    return _exact_spectra(setting, found, chosen)
+
+
+def _exact_angles(setting: _Setting, found: Estimate, chosen: np.ndarray) -> list[Exact]:
+    grid: Any = found.posterior.grid
+    switches: Any = found.preset
+    views, surface = setting.views, setting.surface
+    model = reflection(views.scene, surface, setting.lighting, grid.roughness_nodes, switches)
+    columns: list[Any] = []
+    for view in range(views.number):
+        seen = observe(views, surface, dr.opaque(mi.UInt32, view))
+        _, free = _mirror(views, surface, seen)
+        part = terms(model, mi.Vector3f(surface.normal), seen.direction,
+                     dr.maximum(seen.cosine, 1e-3), free)  # fmt: skip
+        radiance = as_channels(seen.radiance, model.channels)
+        dr.eval(seen, radiance, part.diffuse, part.scaled, part.added)
+        fields = [_table(table, surface.count)[..., chosen]
+                  for table in (part.diffuse, part.scaled, part.added)]  # fmt: skip
+        columns.append((seen.seen.numpy()[chosen], _table([radiance], surface.count)[0][:, chosen],
+                        *fields))  # fmt: skip
+    on, b, e, p, q = map(_last, zip(*columns, strict=True))
+    scale = _unit(found)
+    weights = np.ones((len(chosen), views.number))
+    if switches.noise == "heteroscedastic":
+        weights = 1 / (1 + (b.mean(axis=0) / scale) ** 2)
+    result = []
+    for t in range(len(chosen)):
+        seen = on[t]
+        e_t, p_t, q_t = (x[:, :, t, seen] for x in (e, p, q))
+        result.append(
+            angular_entropy(
+                weights[t, seen], e_t, p_t, q_t, b[:, t, seen], switches, grid, scale
+            )
+        )
+    return result
+
+
+def _exact_spectra(setting: _Setting, found: Estimate, chosen: np.ndarray) -> list[Exact]:
+    grid: Any = found.posterior.grid
+    switches: Any = found.preset
+    views, lighting = setting.views, setting.lighting
+    columns = [
+        [field[chosen] for field in _sample(setting, switches, view)]
+        for view in range(views.number)
+    ]
+    d, w, f = (np.stack(column, axis=1) for column in zip(*columns, strict=True))
+    fitted = partial(oracle.fit, lmax=switches.degree, regularizer=switches.regularizer,
+                     penalize_constant=switches.penalize_constant)  # fmt: skip
+    S = oracle.power(fitted(d, w, f))
+    colors = switches.colors
+    E = _irradiance(setting, switches)[chosen] if switches.principled else None
+    unit = _unit(found)
+    return [
+        spectrum_entropy(
+            S[t, :, colors:], S[t, :, :colors], switches, grid, unit,
+            samples=float((w[t] > 0).sum()), irradiance=None if E is None else E[t],
+            prefilter=lighting.prefilter, error=SPECTRUM,
+        )
+        for t in range(len(chosen))
+    ]  # fmt: skip
+
+
+def _sample(setting: _Setting, switches: Preset, view: int) -> tuple[np.ndarray, ...]:
+    """Directions (T, 3), cosines (T,), and values (T, 2 C): photographs, then mirrored light."""
+    views, surface = setting.views, setting.surface
+    seen = observe(views, surface, dr.opaque(mi.UInt32, view))
+    mirror, free = _mirror(views, surface, seen)
+    lit = free if switches.occluded else mi.Bool(True)
+    incoming = dr.select(seen.seen & lit, setting.lighting.radiance(mirror), 0)
+    both = [*as_channels(seen.radiance, switches.colors), *as_channels(incoming, switches.colors)]
+    dr.eval(seen.direction, seen.cosine, both)
+    return seen.direction.numpy().T, seen.cosine.numpy(), _table([both], surface.count)[0].T
+
+
+def _mirror(views: Views, surface: Surface, seen: Observation) -> tuple[Any, Any]:
+    """The mirror direction, and whether nothing stands there."""
+    normal = mi.Vector3f(surface.normal)
+    mirror = 2 * dr.dot(normal, seen.direction) * normal - seen.direction
+    origin = surface.position + surface.offset * surface.geometric_normal
+    ray = mi.Ray3f(origin, mirror, dr.largest(mi.Float), 0.0, [])
+    return mirror, (dr.dot(surface.geometric_normal, mirror) > 0) & ~views.scene.ray_test(ray)
+
+
+def _irradiance(setting: _Setting, switches: Preset) -> np.ndarray:
+    cells = light_cells(setting.lighting.environment, 0, switches.rays)
+    arriving = hemisphere(
+        setting.views.scene, setting.surface, setting.lighting, cells,
+        channels=switches.colors, occluded=switches.occluded, lobes=False,
+    )  # fmt: skip
+    return np.stack([moments[0].numpy() for moments in arriving.diffuse], axis=-1)
+
+
+def _unit(found: Estimate) -> float:
+    """What the estimate took for the unit of a relative sigma: a mean over all its texels."""
+    problem: Any = getattr(found.posterior, "problem")  # noqa: B009 - not of every posterior
+    return float(np.array(problem.sigma).ravel()[0]) / found.preset.sigma
+
+
+def _last(column: tuple[np.ndarray, ...]) -> np.ndarray:
+    return np.stack(column, axis=-1)
+
+
+def _table(rows: Any, count: int) -> np.ndarray:
+    """(len(rows), len(rows[0]), count) float64 of nested lists of Floats."""
+    return np.array(
+        [[np.broadcast_to(x.numpy(), count) for x in row] for row in rows], np.float64
+    )

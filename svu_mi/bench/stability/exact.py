@@ -1,0 +1,220 @@
+"""Entropy of a texel in double precision, and how far single precision may be from it.
+
+A bound is not a number that fits: it is what the rounding of a texel's own energies does to
+its entropy. For p = exp(-x) / Z, to first order,
+
+    |dH| <= 1 / log n sum_k p_k |log p_k + H log n| |dx_k|,
+
+so a texel whose cells are close to one another, or far apart, may be as wrong as its data
+are, and no more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from svu_mi.bench import oracle
+from svu_mi.brdf.lobes import split_sum
+from svu_mi.brdf.principled import MIN_ALPHA
+from svu_mi.options import AngularPreset, Preset
+from svu_mi.posterior import ParameterGrid, PrincipledGrid
+
+U = 2.0**-24  # unit roundoff of single precision
+SPECTRUM = 1e-4  # of a texel's largest degree: what ``fit_sh`` promises
+ROOT = 5e-6  # of a texel's radiance: the square root of the pivot that statistics drop
+PAID = {"angular": 3, "spectrum": 2}  # parameters that the marginal noise rule pays for
+
+Grid = ParameterGrid | PrincipledGrid
+
+
+@dataclass(frozen=True)
+class Exact:
+    """Entropy of one texel in double precision, and a bound of the kernels' error."""
+
+    entropy: float
+    bound: float
+
+
+def exact_entropy(
+    energies: list[np.ndarray], errors: list[np.ndarray], prior: np.ndarray | None = None
+) -> Exact:
+    """Entropy of a joint posterior from the energies of each channel.
+
+    Args:
+        energies: per channel (rows..., cells), -log p up to a constant.
+        errors: the same shapes: how wrong the kernel's energies may be before they are
+            rounded to single precision.
+        prior: weights of one channel's cells.
+    """
+    p = oracle.joint(energies, prior)
+    cells, count = energies[0].shape[-1], len(energies)
+    rows = energies[0].size // cells
+    rounded: Any = 0.0
+    for channel, (x, dx) in enumerate(zip(energies, errors, strict=True)):
+        own = (rows, *(cells if k == channel else 1 for k in range(count)))
+        # Offsets, exponentials, and sums over a row and over rows, one after the other.
+        single = 4 * (x - x.min()) + rows + cells + 16
+        rounded = rounded + (dx + U * single).reshape(own)
+    weighted = oracle.of_channels(p * rounded, energies[0].shape)
+    marginals = oracle.of_channels(p, energies[0].shape)
+    log_n = np.log(rows * cells)
+    bounds = [_moved(marginals[..., k], weighted[..., k], log_n) for k in range(count)]
+    # log Z and sum p x are rounded apart from each other: what they share does not cancel.
+    apart = U * (rows + cells + 16 * count) / log_n
+    return Exact(oracle.mean_entropy(marginals), min(float(np.mean(bounds)) + apart, 1.0))
+
+
+def _moved(p: np.ndarray, weighted: np.ndarray, log_n: float) -> float:
+    """Bound of |dH| from p and p |dx|, both of the grid's shape.
+
+    On the way from x to x + dx, p grows by exp(2 |dx|) at most, and log p and H move by |dx|.
+    """
+    dx = weighted / np.where(p > 0, p, 1)
+    mean = float(weighted.sum())
+    distance = np.abs(np.log(np.where(p > 0, p, 1)) + oracle.entropy(p) * log_n)
+    first = (weighted * (distance + 2 * (dx + mean))).sum() / log_n
+    return float(first * np.exp(2 * min(mean, 50.0)))
+
+
+def spectrum_entropy(
+    S_L: np.ndarray,
+    S_B: np.ndarray,
+    switches: Preset,
+    grid: Grid,
+    unit: float,
+    *,
+    samples: float = 1.0,
+    irradiance: np.ndarray | None = None,
+    prefilter: float = 0.0,
+    prior: np.ndarray | None = None,
+    error: float = 0.0,
+) -> Exact:
+    """Entropy of one texel from its spectra (Eq. 3 to 5, 7 and 11).
+
+    Args:
+        S_L: (l* + 1, C) power of the light.
+        S_B: (l* + 1, C) power of the photographs.
+        switches: the preset.
+        grid: (roughness, Ks), or principled parameters.
+        unit: power that a relative sigma is a part of.
+        samples: number of views that see the texel.
+        irradiance: (C,), for a principled grid.
+        prefilter: alpha' of the light.
+        prior: weights of the cells.
+        error: of a degree's power, as a part of the largest.
+    """
+    S_L, S_B = S_L.astype(np.float64), S_B.astype(np.float64)
+    unit = 1.0 if switches.noise == "fixed" else unit
+    views = samples + 3 - PAID["spectrum"] if switches.noise == "marginal" else None
+    x, dx = [], []
+    for c in range(S_L.shape[1]):
+        E = None if irradiance is None else float(irradiance[c])
+        d, wrong = _degrees(S_L[:, c], S_B[:, c], switches, grid, prefilter, error)
+        first, first_wrong = _degree_0(S_L[0, c], S_B[0, c], E, switches, grid, error)
+        sigma = switches.sigma * unit
+        # In units of sigma: degree 0 is a radiance, with a sigma of its own.
+        more = first * (sigma / (switches.constant_sigma * unit**0.5)) ** 2
+        more_wrong = first_wrong * (sigma / (switches.constant_sigma * unit**0.5)) ** 2
+        x.append(d + more)
+        dx.append(wrong + more_wrong)
+    if switches.channels == "sum":
+        x, dx = [np.sum(x, axis=0)], [np.sum(dx, axis=0)]
+    dx = [_of_energy(d, wrong, sigma, views) for d, wrong in zip(x, dx, strict=True)]
+    x = [oracle.energies(d, sigma, views) for d in x]
+    if switches.channels == "minimum":
+        alone = [exact_entropy([a], [b], prior) for a, b in zip(x, dx, strict=True)]
+        return Exact(min(a.entropy for a in alone), max(a.bound for a in alone))
+    return exact_entropy(x, dx, prior)
+
+
+def angular_entropy(
+    w: np.ndarray, e: np.ndarray, p: np.ndarray, q: np.ndarray, b: np.ndarray,
+    switches: AngularPreset, grid: Grid, scale: float, prior: np.ndarray | None = None,
+) -> Exact:  # fmt: skip
+    """Entropy of one texel from its samples (Eq. 3 to 6).
+
+    Args:
+        w: (V,) weights of the views that see it.
+        e: (R, C, V) diffuse shading; p, q alike: what R0 scales, and what Fresnel adds.
+        p: see e.
+        q: see e.
+        b: (C, V) radiance.
+        switches: the preset.
+        grid: (roughness, Ks), or principled parameters.
+        scale: radiance that a relative sigma is a part of.
+        prior: weights of the cells.
+    """
+    sigma = switches.sigma * (1.0 if switches.noise == "fixed" else scale)
+    views = len(w) if switches.noise == "marginal" else None
+    x, dx = [], []
+    for c in range(b.shape[0]):
+        samples = (w, e[:, c], p[:, c], q[:, c], b[c])
+        if isinstance(grid, PrincipledGrid):
+            d = oracle.principled_errors(*samples, grid.metallic_nodes, grid.base_color_nodes)
+        else:
+            d = oracle.specular_errors(*samples, grid.specular_nodes)
+        size = np.sqrt((w * (b[c] ** 2 + (e[:, c] + p[:, c] + q[:, c]) ** 2)).mean(axis=1).max())
+        root = ROOT * size
+        dx.append(_of_energy(d, 2 * np.sqrt(d) * root + root**2, sigma, views))
+        x.append(oracle.energies(d, sigma, views))
+    return exact_entropy(x, dx, prior)
+
+
+def _of_energy(d: np.ndarray, wrong: np.ndarray, sigma: float, views: float | None) -> np.ndarray:
+    """Error of an energy from that of its squared error d."""
+    if views is None:
+        return wrong / (2 * sigma**2)
+    return max(views - 3, 1) / 2 * wrong / (d + sigma**2)
+
+
+def _alphas(switches: Preset, grid: Grid) -> np.ndarray:
+    alpha = grid.roughness_nodes**2
+    return np.maximum(alpha, MIN_ALPHA) if switches.bounded_alpha else alpha
+
+
+def _albedo(switches: Preset, grid: Grid) -> np.ndarray:
+    """(R,) what lobes of R0 = 1 reflect of constant light: the table is the kernels' own."""
+    if not switches.albedo or isinstance(grid, ParameterGrid):
+        return np.ones(grid.roughness)
+    return split_sum(np.maximum(grid.roughness_nodes**2, MIN_ALPHA)).sum(axis=2).mean(axis=1)
+
+
+def _reflectance(switches: Preset, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Kd and Ks of every cell, of the grid's shape (Kd = 0 on a grid of Ks)."""
+    if isinstance(grid, ParameterGrid):
+        Ks = np.broadcast_to(grid.specular_nodes, grid.shape)
+        return np.zeros(grid.shape), Ks
+    m, c = grid.metallic_nodes[:, None], grid.base_color_nodes[None, :]
+    R0 = oracle.F0 + (c - oracle.F0) * m
+    Ks = _albedo(switches, grid)[:, None, None] * R0
+    return np.broadcast_to((1 - m) * c, grid.shape), Ks
+
+
+def _degrees(
+    S_L: np.ndarray, S_B: np.ndarray, switches: Preset, grid: Grid, prefilter: float, error: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """d of every cell (Eq. 11), and its error if the power of a degree has one."""
+    _, Ks = _reflectance(switches, grid)
+    flat = Ks.reshape(grid.roughness, -1)
+    prefilter = prefilter if switches.undo_prefilter else 0.0
+    d = oracle.distances(S_L, S_B, _alphas(switches, grid), flat, prefilter).reshape(grid.shape)
+    step = error * (S_B.max() + Ks**2 * S_L.max())
+    # sum (r + step)^2 - r^2 over l* degrees, with |sum r| <= sqrt(l* sum r^2).
+    count = len(S_L) - 1
+    return d, 2 * np.sqrt(count * d) * step + count * step**2
+
+
+def _degree_0(
+    S_L0: float, S_B0: float, E: float | None, switches: Preset, grid: Grid, error: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Squared residual of degree 0 and its error, or zeros on a grid of Ks (Eq. 7)."""
+    if E is None or isinstance(grid, ParameterGrid):
+        return np.zeros(grid.shape), np.zeros(grid.shape)
+    Kd, Ks = _reflectance(switches, grid)
+    r = np.abs(oracle.constant_residual(S_L0, S_B0, E, Kd, Ks))
+    # The root of a power that is known to a part of itself, plus the rounding of E.
+    step = error * (S_B0**0.5 + Ks * S_L0**0.5) + U * 2 * Kd * E
+    return r**2, 2 * r * step + step**2

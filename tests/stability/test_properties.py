@@ -1,0 +1,229 @@
+"""What must hold for any data: bounded examples, always the same ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from svu_mi.bench.stability import angular
+from svu_mi.bench.stability import spectra as spectral
+from svu_mi.bench.stability.exact import SPECTRUM, U
+from svu_mi.bench.stability.fits import samples
+from svu_mi.frequency import fit_sh, power_spectrum
+from svu_mi.options import preset
+from svu_mi.posterior import PrincipledGrid, angular_posterior, spectrum_posterior
+
+SEEDS = st.integers(0, 2**32 - 1)
+PLACES = st.sampled_from(["spread", "in a plane", "on a line", "grazing", "crowded"])
+GRID = PrincipledGrid(8, 8, 8)
+ANGULAR = preset("default", method="angular")
+
+
+def few(examples: int):
+    return settings(max_examples=examples, deadline=None, derandomize=True)
+
+
+def powers(d, w, f, regularizer=1e-3):
+    S = np.array(power_spectrum(fit_sh(d, w, f, 6, regularizer)), np.float64)
+    return S / S.max(axis=1, keepdims=True)
+
+
+def entropy(data, switches=ANGULAR, grid=GRID, scale=angular.SCALE, counts=None):
+    found = angular_posterior(angular.statistics_of(data, counts), grid, scale, switches)
+    return np.array(found.entropy(), np.float64)
+
+
+def bounds(data, switches=ANGULAR, scale=angular.SCALE):
+    """How far the kernels may be from double precision, per texel."""
+    w, b, e, p, q = data
+    return np.array([
+        angular.angular_entropy(w[t], e[t], p[t], q[t], b[t], switches, GRID, scale).bound
+        for t in range(len(w))
+    ])  # fmt: skip
+
+
+# --- entropy is a number in [0, 1] ----------------------------------------------------------
+
+radiance = st.one_of(
+    st.sampled_from([0.0, 1e-30, 1e-6, 1.0, 1e5, 1e9]), st.floats(0, 100), st.floats(0, 1e12)
+)
+RULES = angular.rules(quick=True)
+
+
+@few(60)
+@given(st.sampled_from(RULES), arrays(np.float64, (4, 2, 3), elements=radiance),
+       st.sampled_from([1e-6, 0.7, 1e6]))  # fmt: skip
+def test_entropy_is_in_0_1_for_any_samples(rule, values, scale):
+    """Light and photographs need not fit each other."""
+    _, switches, grid = rule
+    colors = switches.colors
+    b, e, p, q = (np.repeat(x[:, None], colors, axis=1) for x in values)
+    e, p, q = (np.repeat(x[:, None], 8, axis=1) for x in (e, p, q))
+    found = angular_posterior(
+        angular.statistics_of((np.ones((2, 3)), b, e, p, q)), grid, scale, switches
+    )
+    H, probability = np.array(found.entropy()), np.array(found.probabilities)
+    assert ((H >= 0) & (H <= 1)).all()  # NaN is neither
+    assert np.isfinite(probability).all()
+
+
+# --- what must not matter -------------------------------------------------------------------
+
+
+@few(12)
+@given(SEEDS, PLACES)
+def test_a_rotation_leaves_the_spectra(seed, place):
+    """R depends on the degree alone. Rounded directions are other directions, by 2 U: of
+    degree 6 they move a sample by 6 times that, and the fit amplifies it by 1 / sqrt(lambda),
+    which is little beside what the fit promises."""
+    d, w, f = samples(seed, 24, place)
+    turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    turned = (d @ turn.T).astype(np.float32)
+    np.testing.assert_allclose(powers(turned, w, f), powers(d, w, f), atol=2 * SPECTRUM)
+
+
+@few(12)
+@given(SEEDS, PLACES)
+def test_the_order_of_views_leaves_the_spectra(seed, place):
+    d, w, f = samples(seed, 24, place)
+    order = np.random.default_rng(seed).permutation(24)
+    again = powers(d[:, order], w[:, order], f[:, order])
+    np.testing.assert_allclose(again, powers(d, w, f), atol=2 * SPECTRUM)
+
+
+@few(8)
+@given(SEEDS)
+def test_texels_do_not_see_each_other(seed):
+    """A lane computes alone: bit for bit the same in any order."""
+    order = np.random.default_rng(seed).permutation(angular.TEXELS)
+    data = angular.samples(seed, 1)
+    np.testing.assert_array_equal(entropy(tuple(x[order] for x in data)), entropy(data)[order])
+    S_L, S_B = spectral.spectra(seed, 3)
+    H, again = (
+        np.array(spectrum_posterior(*x, preset="paper").entropy())
+        for x in ((S_L, S_B), (S_L[order], S_B[order]))
+    )
+    np.testing.assert_array_equal(again, H[order])
+
+
+@few(12)
+@given(SEEDS, st.floats(-6, 6), st.sampled_from(["relative", "marginal"]))
+def test_exposure_does_not_matter(seed, power, noise):
+    """Any gain, not only one that rounds nothing."""
+    switches, gain = preset(ANGULAR, method="angular", noise=noise), 10.0**power
+    w, b, e, p, q = data = angular.samples(seed, 1)
+    after = entropy((w, gain * b, gain * e, gain * p, gain * q), switches,
+                    scale=gain * angular.SCALE)  # fmt: skip
+    assert (np.abs(after - entropy(data, switches)) <= 2 * bounds(data, switches)).all()
+
+
+@few(8)
+@given(SEEDS, st.permutations([0, 1, 2]))
+def test_the_order_of_channels_does_not_matter(seed, order):
+    joint = preset(ANGULAR, method="angular", channels="joint")
+    w, *fields = angular.samples(seed, 3)
+    b, e, p, q = (np.take(x, order, axis=-2) for x in fields)
+    np.testing.assert_allclose(entropy((w, b, e, p, q), joint), entropy((w, *fields), joint),
+                               atol=32 * U)  # fmt: skip
+    S_L, S_B = spectral.spectra(seed, 3)
+    for channels in ("sum", "joint", "minimum"):
+        switches = preset("default", channels=channels, sigma=0.02)
+        H, again = (
+            np.array(spectrum_posterior(*x, preset=switches).entropy())
+            for x in ((S_L, S_B), (S_L[..., order], S_B[..., order]))
+        )
+        np.testing.assert_allclose(again, H, atol=32 * U)
+
+
+# --- more views -----------------------------------------------------------------------------
+
+
+def pick(data, views):
+    """The samples of some views."""
+    return tuple(x[..., views] for x in data)
+
+
+@few(10)
+@given(SEEDS, st.integers(2, 40))
+def test_copies_of_all_views_are_no_new_evidence(seed, copies):
+    """The *mean* squared error does not change, so neither does the posterior."""
+    data = angular.samples(seed, 1, views=6)
+    again = entropy(pick(data, list(range(6)) * copies))
+    assert (np.abs(again - entropy(data)) <= 2 * bounds(data)).all()
+
+
+@few(10)
+@given(SEEDS, st.integers(2, 40))
+def test_copies_are_new_evidence_for_the_marginal_rule(seed, copies):
+    """It takes every photograph for a measurement of its own: nu grows with their number.
+
+    p becomes p^beta / Z with beta > 1, whose entropy is never larger; hence copies of
+    photographs must not be handed to it.
+    """
+    marginal = preset(ANGULAR, method="angular", noise="marginal")
+    data = angular.samples(seed, 1, views=6)
+    again, before = entropy(pick(data, list(range(6)) * copies), marginal), entropy(data, marginal)
+    assert (again <= before + 2 * bounds(data, marginal)).all()
+
+
+@few(8)
+@given(SEEDS, st.integers(2, 8))
+def test_copies_of_views_make_the_fit_less_regular(seed, copies):
+    """k copies at lambda are one at lambda / k: Y^T W^2 Y grows, lambda R does not."""
+    d, w, f = samples(seed, 12)
+    many = [np.concatenate([x] * copies, axis=1) for x in (d, w, f)]
+    before = powers(d, w, f, 1e-2 / copies)
+    np.testing.assert_allclose(powers(*many, 1e-2), before, atol=2 * SPECTRUM)
+
+
+@few(25)
+@given(SEEDS, st.integers(0, 7), st.integers(0, 7), st.integers(0, 7), st.integers(1, 12))
+def test_a_view_without_noise_dilutes_the_truth_by_no_more_than_its_share(seed, r, m, c, views):
+    """Adding view n + 1 turns d into (n d + e) / (n + 1), where e >= 0, and 0 at the truth.
+
+    So p(truth) = 1 / sum exp(-(d / 2 sigma^2)) does not fall below that of n views with sigma
+    larger by sqrt((n + 1) / n): the mean forgives a cell what the new view does not see of its
+    error, and no more. Entropy itself may rise (next test), under this rule or a sum of errors.
+    """
+    metallic, color = m / 7, c / 7
+    truth = (r, (1 - metallic) * color, 0.04 + (color - 0.04) * metallic)
+    data = angular.samples(seed, 1, views=views + 1, noise=0, truth=truth)
+    wider = ANGULAR.sigma * np.sqrt((views + 1) / views)
+
+    def of_truth(data, sigma):
+        switches = preset(ANGULAR, method="angular", sigma=float(sigma))
+        found = angular_posterior(angular.statistics_of(data), GRID, angular.SCALE, switches)
+        return np.array(found.probabilities)[:, r, m, c]
+
+    before = of_truth(pick(data, list(range(views))), wider)
+    assert (of_truth(data, ANGULAR.sigma) >= before - 5e-6).all()  # of single probabilities
+
+
+def test_a_view_that_tells_nothing_makes_the_posterior_wider():
+    """The counterexample: all cells explain a black view of an unlit texel alike."""
+    truth = (3, 0.2, 0.4)
+    data = angular.samples(40009, 1, views=6, noise=0, truth=truth)
+    w, b, e, p, q = (np.concatenate([x, 0 * x[..., :1]], axis=-1) for x in data)
+    w[..., -1] = 1
+    assert (entropy((w, b, e, p, q)) > entropy(data)).all()
+
+
+def test_a_view_that_excludes_cells_can_make_the_rest_look_wider():
+    """Not even a sum of errors has an entropy that only falls: a rival goes, a crowd stays."""
+    before = np.concatenate([[0.45, 0.45], np.full(1000, 1e-4)])
+    after = before * np.concatenate([[1, 0], np.ones(1000)])
+    H = [-(x[x > 0] * np.log(x[x > 0])).sum() for x in (before, after / after.sum())]
+    assert H[1] > H[0]
+
+
+@pytest.mark.parametrize("counts", [[0, 1, 2, 3], [3, 4, 60, 512]])
+def test_the_marginal_rule_pays_for_its_parameters(counts):
+    """With as many views as parameters or fewer, nu is 1; the more views, the surer."""
+    marginal = preset(ANGULAR, method="angular", noise="marginal")
+    data = tuple(np.repeat(x[:1], 4, axis=0) for x in angular.samples(40013, 1))
+    H = entropy(data, marginal, counts=np.array(counts))
+    expected = [1.0, *[H[1]] * 3] if counts[0] == 0 else sorted(H, reverse=True)
+    np.testing.assert_array_equal(H, expected)
