@@ -239,10 +239,10 @@ def _from_spectra(run: _Run, switches: Preset) -> Posterior:
 
 def _irradiance(run: _Run, switches: Preset) -> np.ndarray:
     """(T, C) irradiance; if the preset says so, less what the object itself hides."""
-    cells = light_cells(run.lighting.environment, 0, switches.rays)
+    cells = light_cells(run.lighting.environment, switches.rays)
     arriving = hemisphere(
         run.views.scene, run.surface, run.lighting, cells,
-        channels=run.plan.light_channels, occluded=switches.occluded, lobes=False,
+        channels=run.plan.light_channels, occluded=switches.occluded, lobes=None,
     )  # fmt: skip
     result = np.zeros((run.texels.count, run.plan.channels), np.float32)
     light = np.stack([moments[0].numpy() for moments in arriving.diffuse], axis=-1)

@@ -57,8 +57,8 @@ def scene_of(**shapes):
 
 
 def arriving(scene, light, surface, rays=128, channels=3, occluded=True, lobes=True, degree=4):
-    return hemisphere(scene, surface, band_limit(light, 16), light_cells(light, degree, rays),
-                      channels=channels, occluded=occluded, lobes=lobes)  # fmt: skip
+    return hemisphere(scene, surface, band_limit(light, 16), light_cells(light, rays),
+                      channels=channels, occluded=occluded, lobes=degree if lobes else None)  # fmt: skip
 
 
 def irradiance(result):
@@ -290,7 +290,7 @@ def test_cells_hold_all_the_light(count):
     sun = np.array([0.36, 0.48, 0.8])
     disk = (sun[None], np.array([1e-3]), np.full((1, 3), 500.0))
     light = environment(scenery, None, disk)
-    cells = light_cells(light, 2, count)
+    cells = light_cells(light, count)
     whole = light.coefficients(0)[0] * np.sqrt(4 * np.pi)
     flux = cells.flux.numpy().reshape(count, 3)
     np.testing.assert_allclose(flux.sum(axis=0), whole, rtol=1e-5)

@@ -84,20 +84,22 @@ def reflection(
     channels = channels or switches.colors
     alpha = alpha_from_roughness(roughness)
     profile = partial(zonal_profile, switches.lobe)
+    # Rays first: Dr.Jit traces them while NumPy filters the light.
+    arriving = hemisphere(
+        scene,
+        surface,
+        lighting,
+        light_cells(lighting.environment, switches.rays),
+        channels=channels,
+        occluded=switches.occluded_diffuse,
+        lobes=DEGREE if switches.occluded_specular else None,
+    )
     return Reflection(
         switches=switches,
         roughness=roughness,
         levels=filter_light(lighting, alpha, profile, grey=channels == 1),
         albedo=owned(mi.Float, split_sum(alpha).ravel()),
-        arriving=hemisphere(
-            scene,
-            surface,
-            lighting,
-            light_cells(lighting.environment, DEGREE, switches.rays),
-            channels=channels,
-            occluded=switches.occluded_diffuse,
-            lobes=switches.occluded_specular,
-        ),
+        arriving=arriving,
         channels=channels,
     )
 

@@ -28,25 +28,21 @@ class LightCells:
     Attributes:
         directions: (3 N,) Float, unit world directions, from the surface to the light.
         flux: (3 N,) Float RGB, radiance integrated over the cell's solid angle.
-        basis: (N (degree + 1)^2,) Float, harmonics in the world-space direction of each
-            cell's centre, as ``drjit.sh_eval`` has them.
-        degree: highest degree of ``basis``.
+        centers: (3 N,) Float, unit world directions of the cells' middles.
         count: N, an opaque UInt32.
     """
 
     directions: Any
     flux: Any
-    basis: Any
-    degree: int
+    centers: Any
     count: Any
 
 
-def light_cells(environment: Environment, degree: int, count: int) -> LightCells:
+def light_cells(environment: Environment, count: int) -> LightCells:
     """Gather an environment into cells.
 
     Args:
         environment: the light.
-        degree: highest degree of the harmonics kept per cell.
         count: number of cells N.
     """
     centers = fibonacci(count)
@@ -56,18 +52,16 @@ def light_cells(environment: Environment, degree: int, count: int) -> LightCells
     nodes = np.concatenate([local, environment.disk_directions])
     solid = np.concatenate([solid, environment.disk_weights])
     radiance = np.concatenate([environment.radiance.reshape(-1, 3), environment.disk_radiance])
-    nearest = cKDTree(centers).query(nodes)[1]
+    nearest = cKDTree(centers).query(nodes, workers=-1)[1]
     flux = _sum(nearest, radiance * solid[:, None], count)
     pull = _sum(nearest, nodes * (radiance.sum(axis=1) * solid)[:, None], count)
     length = np.linalg.norm(pull, axis=1, keepdims=True)
     # A black cell has no centroid, and needs none for its light; its centre serves the shape.
     toward = np.where(length > 1e-12 * length.max(), pull / np.maximum(length, 1e-300), centers)
-    basis = env.basis_at(centers @ environment.to_local, degree)
     return LightCells(
         directions=owned(mi.Float, (toward @ environment.to_local).ravel()),
         flux=owned(mi.Float, flux.ravel()),
-        basis=owned(mi.Float, basis.ravel()),
-        degree=degree,
+        centers=owned(mi.Float, (centers @ environment.to_local).ravel()),
         count=dr.opaque(mi.UInt32, count),
     )
 

@@ -44,7 +44,7 @@ class Hemisphere:
 
 def hemisphere(
     scene: Any, surface: Surface, lighting: Lighting, cells: LightCells, *,
-    channels: int, occluded: bool, lobes: bool,
+    channels: int, occluded: bool, lobes: int | None,
 ) -> Hemisphere:
     """Trace every texel's hemisphere, or assume that all of it is visible.
 
@@ -58,13 +58,13 @@ def hemisphere(
         cells: its cells.
         channels: 3, or 1 for the mean of the colour channels.
         occluded: trace for the diffuse moments.
-        lobes: trace for ``visible``.
+        lobes: trace for ``visible``, harmonics up to this degree; None for none.
 
     Returns:
         Evaluated arrays.
     """
-    harmonics = (cells.degree + 1) ** 2 if lobes else 0
-    traced = occluded or lobes
+    harmonics = 0 if lobes is None else (lobes + 1) ** 2
+    traced = occluded or harmonics > 0
 
     def body(cell: Any, *state: Any) -> tuple[Any, ...]:
         direction = mi.Vector3f(dr.gather(mi.Vector3f, cells.directions, cell))
@@ -85,11 +85,12 @@ def hemisphere(
             for part in (received, received * grazing):
                 added += [part, *(part * direction)]
             added.append(value * cosine)
-        total = sum(flux)
-        for seen in (free, above):
-            for k in range(harmonics):
-                basis = dr.gather(mi.Float, cells.basis, cell * harmonics + k)
-                added.append(dr.select(seen, total * basis, 0))
+        if lobes is not None:
+            # Evaluated anew: reading (degree + 1)^2 numbers per lane takes longer.
+            basis = dr.sh_eval(dr.gather(mi.Vector3f, cells.centers, cell), lobes)
+            for seen in (free, above):
+                visible = dr.select(seen, sum(flux), 0)
+                added += [visible * value for value in basis]
         return (cell + 1, *(old + new for old, new in zip(state, added, strict=True)))
 
     size = channels * (MOMENTS + 1) + 2 * harmonics

@@ -255,10 +255,10 @@ def _mirror(views: Views, surface: Surface, seen: Observation) -> tuple[Any, Any
 
 
 def _irradiance(setting: _Setting, switches: Preset) -> np.ndarray:
-    cells = light_cells(setting.lighting.environment, 0, switches.rays)
+    cells = light_cells(setting.lighting.environment, switches.rays)
     arriving = hemisphere(
         setting.views.scene, setting.surface, setting.lighting, cells,
-        channels=switches.colors, occluded=switches.occluded, lobes=False,
+        channels=switches.colors, occluded=switches.occluded, lobes=None,
     )  # fmt: skip
     return np.stack([moments[0].numpy() for moments in arriving.diffuse], axis=-1)
 
