@@ -57,8 +57,10 @@ def scene_of(**shapes):
 
 
 def arriving(scene, light, surface, rays=128, channels=3, occluded=True, lobes=True, degree=4):
-    return hemisphere(scene, surface, band_limit(light, 16), light_cells(light, rays),
-                      channels=channels, occluded=occluded, lobes=degree if lobes else None)  # fmt: skip
+    return hemisphere(
+        scene, surface, band_limit(light, 16), light_cells(light, rays),
+        channels=channels, occluded=occluded, lobes=degree if lobes else None,
+    )  # fmt: skip
 
 
 def irradiance(result):

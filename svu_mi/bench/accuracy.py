@@ -35,6 +35,7 @@ class Bench:
         progress: shows what is going on.
         trace: gives the reference posterior.
         fresh: compute anew what is finished.
+        quick: small sizes, also where ``settings`` do not say them.
     """
 
     folder: Path
@@ -42,6 +43,7 @@ class Bench:
     progress: Progress
     trace: Tracer = reference_posterior
     fresh: bool = False
+    quick: bool = False
 
     @property
     def store(self) -> Store:

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import datetime
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from svu_mi.bench.accuracy import Bench, run_cell
 from svu_mi.bench.cells import Cell
 from svu_mi.bench.checks import run_checks
+from svu_mi.bench.kernels import run_kernels
 from svu_mi.bench.plots import draw_plots
-from svu_mi.bench.speed import run_speed
+from svu_mi.bench.speed import run_speed, timed_setting
+from svu_mi.bench.stability import run_stability
+from svu_mi.bench.store import Store, code_and_machine, key_of
 from svu_mi.bench.summary import summarize
 from svu_mi.bench.tables import write_tables
 from svu_mi.bench.variants import Variant, available
@@ -19,7 +23,7 @@ from svu_mi.errors import OptionError, SvuError, SvuWarning
 from svu_mi.files import prepare_folder
 from svu_mi.output import environment_record, write_manifest
 
-WHAT = ("accuracy", "checks", "speed", "all")
+WHAT = ("accuracy", "checks", "speed", "kernels", "stability", "all")
 
 
 def run_bench(
@@ -37,13 +41,13 @@ def run_bench(
     Args:
         bench: where and how.
         cells: objects x lights; run times are measured on the first.
-        what: ``accuracy``, ``checks``, ``speed`` or ``all``.
+        what: one of ``WHAT``.
         variants: estimators; all that this version knows by default.
         command: as the user gave it, for the record.
 
     Returns:
-        What bench.json holds: ``cells``, ``summary``, ``checks``, ``speed``, ``failed``, and how
-        it was run.
+        What bench.json holds: ``cells``, ``summary``, ``checks``, ``speed``, ``kernels``,
+        ``stability``, ``failed``, and how it was run.
 
     Raises:
         OptionError: an unknown ``what``, or no cell.
@@ -65,6 +69,8 @@ def run_bench(
         "failed": [],
         "checks": [],
         "speed": None,
+        "kernels": None,
+        "stability": None,
     }
     if what in ("accuracy", "all"):
         record["cells"], record["failed"] = _all_cells(bench, cells, variants)
@@ -77,7 +83,25 @@ def run_bench(
     if what in ("speed", "all"):
         record["speed"] = run_speed(bench, cells[0], variants)
         _write(bench, record)
+    if what in ("kernels", "all"):
+        capture, _ = timed_setting(bench, cells[0])
+        record["kernels"] = _recall(
+            bench, "kernels", partial(run_kernels, capture=capture), cells[0].title
+        )
+        _write(bench, record)
+    if what in ("stability", "all"):
+        record["stability"] = _recall(bench, "stability", run_stability)
+        _write(bench, record)
     return record
+
+
+def _recall(bench: Bench, name: str, measure: Callable[..., Any], *parts: Any) -> dict[str, Any]:
+    """Run a benchmark of its own, or take its record from disk."""
+    folder = bench.folder / name
+    key = key_of(bench.quick, code_and_machine(), *parts)
+    return Store(folder).recall(
+        name, key, partial(measure, folder, bench.progress, bench.quick), fresh=bench.fresh
+    )
 
 
 def _write(bench: Bench, record: dict[str, Any]) -> None:

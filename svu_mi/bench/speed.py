@@ -76,7 +76,7 @@ def _result(measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
 def time_estimators(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str, Any]:
     """Return warm (median of several) and cold (one fresh process) seconds per stage."""
     settings = bench.settings
-    capture, grid = _timed_setting(bench, cell)
+    capture, grid = timed_setting(bench, cell)
     folder = bench.folder / "cells" / cell.name / _timed_name(bench)
     found = {}
     for variant in variants:
@@ -216,7 +216,7 @@ def brute_force(bench: Bench, cell: Cell) -> dict[str, Any]:
     enough for direct light. The rate is that of the reference's texels with the full number of
     samples, 8 psi, kernels compiled before: larger batches are not faster.
     """
-    capture, grid = _timed_setting(bench, cell)
+    capture, grid = timed_setting(bench, cell)
     few, spp = PrincipledGrid(2, 2, 2), bench.settings.reference_spp
     with bench.progress.stage("Tracing all psi"):
         for seed in range(2):  # the first compiles
@@ -238,7 +238,8 @@ def brute_force(bench: Bench, cell: Cell) -> dict[str, Any]:
     }
 
 
-def _timed_setting(bench: Bench, cell: Cell) -> tuple[Capture, Texels]:
+def timed_setting(bench: Bench, cell: Cell) -> tuple[Capture, Texels]:
+    """Return the capture and the texels that run times are measured on."""
     size = bench.settings.speed_film
     settings = replace(bench.settings, film=size)
     capture = bench.capture(cell, settings, _timed_name(bench))

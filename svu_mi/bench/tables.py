@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from svu_mi.bench.kernels import kernel_tables
 from svu_mi.bench.speed_tables import speed_tables
+from svu_mi.bench.stability import stability_table
 from svu_mi.bench.text import number, seconds, table
 from svu_mi.files import replacing
 
@@ -34,6 +36,10 @@ def write_tables(path: Path, record: Record) -> None:
         parts += _checks(record["checks"])
     if record["speed"]:
         parts += speed_tables(record["speed"])
+    if record["kernels"]:
+        parts += ["# Kernels", kernel_tables(record["kernels"])]
+    if record["stability"]:
+        parts += ["# Numerical stability", stability_table(record["stability"])]
     with replacing(path) as temporary:
         temporary.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
 

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
     from svu_mi.bench.cells import Cell
 
-What = Annotated[Literal["accuracy", "checks", "speed", "all"], tyro.conf.Positional]
+What = Annotated[
+    Literal["accuracy", "checks", "speed", "kernels", "stability", "all"], tyro.conf.Positional
+]
 Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
 
 
@@ -33,7 +35,8 @@ class Bench(Common):
 
     what: What = "all"
     """accuracy: every object under every light; checks: what these comparisons take for granted,
-    for some objects; speed: run times, of the first object and light."""
+    for some objects; speed: run times, of the first object and light; kernels: speed and error of
+    each kernel, what skipping saves, scaling; stability: errors at the ends of every axis."""
     output: Output = Path("out/bench")
     data: Path | None = None
     """Folder with objects/ and envmaps/; without it, the scenes of svu_mi."""
@@ -59,8 +62,9 @@ class Bench(Common):
         from svu_mi.bench.variants import available
 
         bench = accuracy.Bench(
-            self.output, QUICK if self.quick else FULL, Progress(console), fresh=self.fresh
-        )
+            self.output, QUICK if self.quick else FULL, Progress(console), fresh=self.fresh,
+            quick=self.quick,
+        )  # fmt: skip
         words = ["svu", *sys.argv[1:]]
         chosen = tuple(v for v in available() if v.main or not (self.main or self.quick))
         record = run_bench(
@@ -69,6 +73,10 @@ class Bench(Common):
         for row in record["summary"]:
             if row["kind"] != "switch" and row["pearson"] is not None:
                 line = f"{row['label']}: Pearson {row['pearson']['mean']:.2f}"
+                console.print(line, markup=False, highlight=False, soft_wrap=True)
+        for bar in (record["kernels"] or {}).get("bars", ()):
+            if not (bar["holds"] or self.quick):
+                line = f"Missed: {bar['what']}: {bar['value']:.3g} {bar['unit']}"
                 console.print(line, markup=False, highlight=False, soft_wrap=True)
         console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
         return 0

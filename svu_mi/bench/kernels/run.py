@@ -1,7 +1,7 @@
 """How fast and how exact the kernels are, and the whole way from files to a map.
 
-Each part has a file of its own: ``entropy_kernels``, ``fit_kernels``, ``gather_kernels``,
-``end_to_end`` and ``scaling``. This one says how large everything is, and calls them in turn.
+Each part has a file of its own: ``entropy``, ``fit``, ``gather``, ``end_to_end``,
+``skipping`` and ``scaling``. This one says how large everything is, and calls them in turn.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from svu_mi.bench.kernels.entropy import measure_entropy
 from svu_mi.bench.kernels.fit import CASES, Case, measure_fit
 from svu_mi.bench.kernels.gather import fine_capture, large_enough, measure_gather
 from svu_mi.bench.kernels.scaling import Range, measure_scaling
+from svu_mi.bench.kernels.skipping import measure_skipping
 from svu_mi.capture import Capture
 from svu_mi.progress import Progress
 
@@ -37,6 +38,7 @@ class Sizes:
         fits: what the SH fit is timed with.
         scaled: sizes of the scaling curves.
         scaled_views, scaled_film: photographs of these.
+        skipping_film: pixels per side of the photographs of a scene that needs little.
         methods: of ``estimate``.
     """
 
@@ -50,13 +52,14 @@ class Sizes:
     scaled: Range = field(default_factory=Range)
     scaled_views: int = 60
     scaled_film: int = 128
+    skipping_film: int = 256
     methods: tuple[str, ...] = METHODS
 
 
 FULL = Sizes()
 QUICK = Sizes(
     texels=128**2, resolution=256, views=24, film=128, repeats=3,
-    scaled=Range((64, 128, 256), (15, 60, 240), 96), scaled_views=24,
+    scaled=Range((64, 128, 256), (15, 60, 240), 96), scaled_views=24, skipping_film=96,
 )  # fmt: skip
 
 
@@ -76,8 +79,8 @@ def run_kernels(
             mesh is fine enough, for the gather.
 
     Returns:
-        ``entropy``, ``fit``, ``gather``, ``end_to_end`` and ``scaling``: what the files of
-        these names return; ``bars``, all of theirs; and ``quick``.
+        ``entropy``, ``fit``, ``gather``, ``end_to_end``, ``skipping`` and ``scaling``: what the
+        files of these names return; ``bars``, all of theirs; and ``quick``.
 
     Raises:
         SvuEnvironmentError: a new process failed.
@@ -97,6 +100,10 @@ def run_kernels(
     with progress.stage("Timing the way from files to entropy.exr"):
         record["end_to_end"] = measure_end_to_end(
             source, sizes.resolution, sizes.repeats, sizes.methods
+        )
+    with progress.stage("Timing what can be skipped"):
+        record["skipping"] = measure_skipping(
+            sizes.views, sizes.skipping_film, sizes.resolution, sizes.repeats, sizes.methods
         )
     small = _capture(folder, progress, sizes.scaled_views, sizes.scaled_film, sizes)
     with progress.stage("Timing more and more texels and views"):

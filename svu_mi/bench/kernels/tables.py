@@ -26,6 +26,7 @@ def kernel_tables(record: Record) -> str:
         *_fit(record["fit"]),
         *_gather(record["gather"]),
         *_end_to_end(record["end_to_end"]),
+        *_skipping(record["skipping"]),
         *_scaling(record["scaling"]),
         *_memory(record),
     ]
@@ -115,6 +116,27 @@ def _end_to_end(found: Record) -> list[str]:
         f"{found['resolution']}, {found['views']} photographs, "
         f"{found['pixels'] / MILLION:.1f} million pixels",
         table(("stage", *heads), cells),
+    ]
+
+
+def _skipping(found: Record) -> list[str]:
+    cells = []
+    for row in found["rows"]:
+        ways = row["by_way"]
+        least = ways["skipping"]
+        cells.append([
+            row["photographs"], row["method"], *(seconds(value) for value in ways.values()),
+            *(f"{ways[name] / least:.2f}" for name in list(ways)[1:]), f"{row['error']:.1e}",
+        ])  # fmt: skip
+    ways = list(found["rows"][0]["by_way"])
+    heads = ("photographs", "estimator", *ways, *(f"{name}, times" for name in ways[1:]),
+             "change of entropy")  # fmt: skip
+    return [
+        "## Skipping",
+        f"Charts cover {found['coverage']:.0%} of the map, the light is grey, metallic is 0 and "
+        "known; three colour channels. Without skipping a prior says that metallic is 0; with "
+        "every texel, those outside the charts cost as much as those inside.",
+        table(heads, cells),
     ]
 
 
