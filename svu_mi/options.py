@@ -187,6 +187,10 @@ class Skip:
     unseen: bool = True
     """Texels that no photograph shows: no occlusion rays, no statistics, no fit."""
 
+    pairs: bool = True
+    """Texels and views that do not face each other, or where no usable pixel is: no ray; and
+    wherever a view does not see a texel, no look-up, no reflection model."""
+
     blind: bool = True
     """Views that show no texel."""
 
@@ -197,7 +201,7 @@ class Skip:
     """Roughness that the prior excludes: no filtered light, no statistics, no energies."""
 
 
-NOTHING = Skip(unseen=False, blind=False, channels=False, levels=False)
+NOTHING = Skip(unseen=False, pairs=False, blind=False, channels=False, levels=False)
 
 
 def _require_types(options: Any) -> None:

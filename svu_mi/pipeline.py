@@ -1,12 +1,12 @@
 """The pipeline, capture to posterior: the file to read first.
 
-    capture -> texels -> observe in every view -> angular statistics       -> posterior
+    capture -> texels -> who sees whom -> plan -> angular statistics       -> posterior
                                                -> SH fit -> power spectra  -> posterior
 
-Memory at its peak, measured (BENCHMARKS.md): 26 bytes per pixel of all photographs (float32
-RGB as read, a packed copy, two flags), 560 bytes per texel (most of it double-precision
+Memory at its peak, measured (BENCHMARKS.md): 20 bytes per pixel of all photographs (float32
+RGB as read, their mean, two flags), 560 bytes per texel (most of it double-precision
 temporaries of the texel layout; 800 with angular statistics and what reaches each texel), and
-nothing that grows with texels times views.
+one bit per texel and view.
 """
 
 from __future__ import annotations
@@ -145,7 +145,8 @@ def estimate(
     with progress.stage("Finding silhouettes"):
         views = pack_views(capture, switches.colors)
     with progress.stage("Tracing visibility"):
-        found = survey(views, Surface.of(texels), skip_blind=skip.blind)
+        surface = Surface.of(texels)
+        found = survey(views, surface, skip_blind=skip.blind, skip_pairs=skip.pairs)
     _require_seen(found.per_view, capture)
     _require_range(found.scale)
     plan = make_plan(skip, switches, views, lighting, found, chosen, tables)

@@ -71,7 +71,7 @@ def entropy(result):
 
 
 @METHODS
-@pytest.mark.parametrize("name", ["unseen", "blind", "channels", "levels"])
+@pytest.mark.parametrize("name", ["unseen", "pairs", "blind", "channels", "levels"])
 def test_every_switch_leaves_the_result(grey, method, name):
     capture, texels = grey
     switches = preset("default", method=method, channels="joint")
@@ -219,3 +219,26 @@ def test_known_values_that_are_refused(grey, known, words):
     capture, texels = grey
     with pytest.raises(OptionError, match=words):
         estimate(capture, texels, known=known)
+
+
+def test_pictures_and_record_of_what_is_known(grey, tmp_path):
+    """Overview, figures and run.json with an axis of one node; its marginal says nothing new."""
+    import json
+
+    from matplotlib import pyplot as plt
+
+    from svu_mi.output import figures, write_outputs
+
+    capture, texels = grey
+    result = estimate(capture, texels, known={"metallic": 0.25})
+    write_outputs(capture, result, tmp_path)
+    assert json.loads((tmp_path / "run.json").read_text())["settings"]["grid"]["known"] == {
+        "metallic": 0.25
+    }
+    assert (np.array(result.posterior.marginal_entropy("metallic")) == 0).all()
+    assert (np.array(result.posterior.map()["metallic"]) == 0.25).all()
+    figure, (left, right) = plt.subplots(1, 2)
+    figures.draw_posterior(left, result.posterior, 700)
+    assert {left.get_xlabel(), left.get_ylabel()} == {"roughness", "base color"}
+    figures.draw_marginal(right, result.posterior, 700, "metallic")
+    plt.close(figure)

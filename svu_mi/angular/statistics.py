@@ -82,17 +82,18 @@ def gather(
     def consume(seen: Observation, *sums: Any) -> Any:
         free = mi.Bool(True)
         if model.arriving.visible:
-            free = mirror_free(views.scene, surface, seen)
+            free = mirror_free(views.scene, surface, seen, found.asked(seen.seen))
 
         def add(*state: Any) -> tuple[Any, ...]:
             # Inputs of the model reach a branch through the closure: they do not change.
             part = terms(model, normal, seen.direction, dr.maximum(seen.cosine, 1e-3), free)
             radiance = as_channels(seen.radiance, channels)
-            w = _weight(model, radiance, scale)
+            w = dr.select(seen.seen, _weight(model, radiance, scale), 0)
             products = _products(part, radiance)
             return tuple(dr.fma(w, new, old) for old, new in zip(state, products, strict=True))
 
-        return dr.if_stmt(args=sums, cond=seen.seen, true_fn=add, false_fn=lambda *s: s)
+        asked = found.asked(seen.seen)
+        return dr.if_stmt(args=sums, cond=asked, true_fn=add, false_fn=lambda *s: s)
 
     size = 3 * levels * (model.channels + channels)
     zeros = tuple(dr.zeros(mi.Float64, surface.count) for _ in range(size))

@@ -59,9 +59,10 @@ class Samples:
             place: UInt32, which view, by its place in ``found.order``.
         """
         seen = self.found.look(self.views, self.surface, place)
-        lit = seen.seen
+        asked = self.found.asked(seen.seen)
+        lit = asked
         if self.occluded:
-            lit = mirror_free(self.views.scene, self.surface, seen)
+            lit = mirror_free(self.views.scene, self.surface, seen, asked)
 
         def mirrored(direction: Any, normal: Any) -> Any:
             return self.lighting.radiance(2 * dr.dot(normal, direction) * normal - direction)

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from svu_mi.posterior import Posterior
 
 GUTTER = 3  # texels that charts grow by on the object, so that their borders show no seam
+KNOWN_WIDTH = 0.05  # at which the only node of a known parameter is drawn
 DENSITY, TRUTH = "magma", "#e8453c"  # colours of a posterior, and of the true values
 
 
@@ -131,7 +132,8 @@ def draw_posterior(
         axes: where to.
         posterior: of all texels.
         texel: index of the texel.
-        names: the parameters along x and y; by default the first two of ``posterior.axes``.
+        names: the parameters along x and y; by default the first two of ``posterior.axes``,
+            known ones last.
         truth: true parameters of all texels, to mark with a cross.
 
     Returns:
@@ -141,7 +143,7 @@ def draw_posterior(
         OptionError: an unknown parameter, twice the same, or a texel that does not exist.
     """
     order = list(posterior.axes)
-    x, y = names or (order[0], order[1])
+    x, y = names or _open_first(posterior)[:2]
     if x == y or not {x, y} <= set(order):
         raise OptionError(f"draw_posterior(): expected two of {', '.join(order)}, got {x}, {y}.")
     p = np.array(posterior.probabilities_of([texel]), np.float64)[0]
@@ -201,8 +203,15 @@ def _values(estimate: Estimate, values: Any | None) -> np.ndarray:
     return np.array(estimate.entropy if values is None else values).astype(np.float32)
 
 
+def _open_first(posterior: Posterior) -> list[str]:
+    """Names of the axes, those with one node last."""
+    return sorted(posterior.axes, key=lambda name: len(posterior.axes[name]) == 1)
+
+
 def _edges(nodes: np.ndarray) -> np.ndarray:
     """Borders of cells around the nodes: half-way, and mirrored at both ends."""
+    if len(nodes) == 1:  # of a parameter that is known
+        return nodes[0] + np.array([-KNOWN_WIDTH, KNOWN_WIDTH]) / 2
     middle = (nodes[1:] + nodes[:-1]) / 2
     return np.concatenate([[2 * nodes[0] - middle[0]], middle, [2 * nodes[-1] - middle[-1]]])
 

@@ -80,7 +80,7 @@ def write_overview(capture: Any, estimate: Any, path: str | Path) -> None:
     _heading(figure, capture, estimate, result)
     objects = figure.add_gridspec(1, 4, left=LEFT, right=RIGHT, top=0.86, bottom=0.455, wspace=0.03)
     maps = figure.add_gridspec(1, 2, left=LEFT, right=0.485, top=0.405, bottom=0.075, wspace=0.09)
-    parameters = list(estimate.posterior.axes)
+    parameters = [name for name, nodes in estimate.posterior.axes.items() if len(nodes) > 1]
     plots = figure.add_gridspec(
         2, len(parameters), left=0.535, right=RIGHT, top=0.405, bottom=0.04, hspace=0.6, wspace=0.2
     )
@@ -101,6 +101,7 @@ def _heading(figure: Figure, capture: Any, estimate: Any, result: Result) -> Non
     words = (
         f"method {estimate.method}",
         f"preset {estimate.preset.name}",
+        *(f"known {name} {value:g}" for name, value in known(estimate).items()),
         f"{sum(capture.used)} of {capture.count} views",
         f"{width} × {height} texels, {texels:_} in charts".replace("_", THIN_SPACE),
         f"{seen:_} seen ({100 * seen / max(texels, 1):.0f} %)".replace("_", THIN_SPACE),
@@ -112,6 +113,12 @@ def _heading(figure: Figure, capture: Any, estimate: Any, result: Result) -> Non
         size=19, weight="bold", color=INK, va="center",
     )  # fmt: skip
     figure.text(LEFT, 0.922, "   ·   ".join(words), size=11.5, color=FAINT, va="center")
+
+
+def known(estimate: Any) -> dict[str, float]:
+    """Return the parameters of an estimate that were not in question, by name."""
+    axes = estimate.posterior.axes.items()
+    return {name: float(nodes[0]) for name, nodes in axes if len(nodes) == 1}
 
 
 def _object_row(figure: Figure, cells: Any, capture: Any, estimate: Any, result: Result) -> None:

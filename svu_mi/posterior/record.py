@@ -136,11 +136,15 @@ class Posterior(ABC):
         return _tensor(summary[0][name].copy())
 
     def marginal_entropy(self, name: str) -> Any:
-        """Return the normalised entropy of a marginal: (T,), or (T, 3) per channel."""
+        """Return the normalised entropy of a marginal: (T,), or (T, 3) per channel.
+
+        That of a parameter that is known is 0, also where nobody looked.
+        """
         self._check_parameter(name)
         p = self._summary[0][name].astype(np.float64)
         bits = -np.where(p > 0, p * np.log(np.where(p > 0, p, 1)), 0).sum(axis=1)
-        return _tensor(np.clip(bits / np.log(p.shape[1]), 0, 1))
+        nodes = p.shape[1]
+        return _tensor(np.clip(bits / np.log(nodes), 0, 1) if nodes > 1 else 0 * bits)
 
     def map(self) -> dict[str, Any]:
         """Return the most probable cell by parameter: (T,), or (T, 3) per channel.

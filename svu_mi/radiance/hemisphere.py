@@ -112,13 +112,20 @@ def hemisphere(
     return result
 
 
-def mirror_free(scene: Any, surface: Surface, seen: Observation) -> Any:
-    """Trace the mirror direction of visible samples; below the horizon nothing is free."""
+def mirror_free(scene: Any, surface: Surface, seen: Observation, asked: Any) -> Any:
+    """Trace the mirror direction of visible samples; below the horizon nothing is free.
+
+    Args:
+        scene: what occludes.
+        surface: the texels.
+        seen: the samples.
+        asked: Bool, for which to trace at all (``Survey.asked``).
+    """
     mirror = 2 * seen.cosine * mi.Vector3f(surface.normal) - seen.direction
-    free = seen.seen & (dr.dot(surface.geometric_normal, mirror) > 0)
+    free = asked & (dr.dot(surface.geometric_normal, mirror) > 0)
     origin = surface.position + surface.offset * surface.geometric_normal
     ray = mi.Ray3f(origin, mirror, dr.largest(mi.Float), 0.0, [])
-    return free & ~scene.ray_test(ray, free)
+    return seen.seen & free & ~scene.ray_test(ray, free)
 
 
 def as_channels(color: Any, channels: int) -> list[Any]:

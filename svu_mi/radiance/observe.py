@@ -85,7 +85,7 @@ class Observation:
     seen: Any
 
 
-def observe(views: Views, surface: Surface, view: Any) -> Observation:
+def observe(views: Views, surface: Surface, view: Any, *, dense: bool = False) -> Observation:
     """Observe every texel of a launch in one view.
 
     A texel is seen when it faces the camera (both normals), its pixel neighbourhood lies on
@@ -96,6 +96,7 @@ def observe(views: Views, surface: Surface, view: Any) -> Observation:
         views: the packed capture.
         surface: the texels.
         view: UInt32, index of the view (uniform over lanes in a loop over views).
+        dense: trace for every lane all the same, to see what that costs.
     """
     camera = _read_camera(views, view)
     to_camera = camera.position - surface.position
@@ -111,14 +112,16 @@ def observe(views: Views, surface: Surface, view: Any) -> Observation:
     radiance, seen = dr.if_stmt(
         args=(surface.position, surface.geometric_normal, taps.pixels, taps.weights,
               direction, distance, seen),
-        cond=seen,
-        true_fn=partial(_reach, views, surface.offset),
+        cond=mi.Bool(True) if dense else seen,
+        true_fn=partial(_reach, views, surface.offset, dense),
         false_fn=lambda *args: (_black(views), args[-1]),
     )  # fmt: skip
     return Observation(direction, dr.select(seen, cosine, 0), radiance, seen)
 
 
-def look(views: Views, surface: Surface, view: Any, seen: Any) -> Observation:
+def look(
+    views: Views, surface: Surface, view: Any, seen: Any, *, dense: bool = False
+) -> Observation:
     """Observe texels that a view is known to see: no test, no ray, and no work for others.
 
     Args:
@@ -126,17 +129,19 @@ def look(views: Views, surface: Surface, view: Any, seen: Any) -> Observation:
         surface: the texels.
         view: UInt32, index of the view.
         seen: Bool, which of the texels it sees.
+        dense: work for every lane all the same, to see what that costs.
     """
 
     def read(position: Any, normal: Any) -> tuple[Any, Any, Any]:
         camera = _read_camera(views, view)
         direction = mi.Vector3f(dr.normalize(camera.position - position))
         taps = _taps(camera, position)
-        return direction, dr.dot(normal, direction), _radiance(views, taps.pixels, taps.weights)
+        cosine = dr.select(seen, dr.dot(normal, direction), 0)
+        return direction, cosine, _radiance(views, taps.pixels, taps.weights, seen)
 
     direction, cosine, radiance = dr.if_stmt(
         args=(surface.position, mi.Vector3f(surface.normal)),
-        cond=seen,
+        cond=mi.Bool(True) if dense else seen,
         true_fn=read,
         false_fn=lambda _, normal: (normal, mi.Float(0), _black(views)),
     )
@@ -209,6 +214,7 @@ def _taps(camera: _Camera, position: Any) -> _Taps:
 def _reach(
     views: Views,
     offset: Any,
+    dense: bool,
     position: Any,
     normal: Any,
     pixels: list[Any],
@@ -224,7 +230,7 @@ def _reach(
     origin = position + offset * normal
     reach = distance * (1 - RAY_END)
     ray = mi.Ray3f(origin, direction, reach, 0.0, [])
-    seen &= ~views.scene.ray_test(ray, seen)
+    seen &= ~views.scene.ray_test(ray, mi.Bool(True) if dense else seen)
     return dr.select(seen, _radiance(views, pixels, weights, seen), 0), seen
 
 
@@ -240,7 +246,14 @@ def _radiance(views: Views, pixels: list[Any], weights: list[Any], active: Any =
     return total
 
 
-def over_views(views: Views, surface: Surface, consume: Callable[..., Any], state: Any) -> Any:
+def over_views(
+    views: Views,
+    surface: Surface,
+    consume: Callable[..., Any],
+    state: Any,
+    *,
+    dense: bool = False,
+) -> Any:
     """Run a consumer over all views in one symbolic loop.
 
     Args:
@@ -248,13 +261,14 @@ def over_views(views: Views, surface: Surface, consume: Callable[..., Any], stat
         surface: the texels.
         consume: ``consume(observation, view, *state)`` returns the new state; traced once.
         state: tuple of Dr.Jit arrays, one value per texel.
+        dense: see ``observe``.
 
     Returns:
         The state after the last view.
     """
 
     def body(view: Any, *state: Any) -> tuple[Any, ...]:
-        return (view + 1, *consume(observe(views, surface, view), view, *state))
+        return (view + 1, *consume(observe(views, surface, view, dense=dense), view, *state))
 
     return dr.while_loop(
         state=(mi.UInt32(0), *state),

@@ -30,6 +30,7 @@ class Survey:
         order: (N,) UInt32, the views that a pass goes through.
         count: N, an opaque UInt32.
         stride: T, an opaque UInt32.
+        dense: whether passes work for every texel and view, seen or not.
     """
 
     coverage: Any
@@ -39,6 +40,7 @@ class Survey:
     order: Any
     count: Any
     stride: Any
+    dense: bool = False
 
     @property
     def scale(self) -> float:
@@ -50,7 +52,12 @@ class Survey:
         """Observe every texel of a launch in the view at ``place`` of ``order``."""
         view = dr.gather(mi.UInt32, self.order, place)
         word = dr.gather(mi.UInt32, self.bits, (view // WORD) * self.stride + surface.index)
-        return look(views, surface, view, ((word >> (view % WORD)) & 1) != 0)
+        seen = ((word >> (view % WORD)) & 1) != 0
+        return look(views, surface, view, seen, dense=self.dense)
+
+    def asked(self, seen: Any) -> Any:
+        """Return the condition under which a consumer has work to do."""
+        return mi.Bool(True) if self.dense else seen
 
     def over_views(
         self, views: Views, surface: Surface, consume: Callable[..., Any], state: tuple[Any, ...]
@@ -77,13 +84,16 @@ class Survey:
         )[1:]
 
 
-def survey(views: Views, surface: Surface, *, skip_blind: bool = True) -> Survey:
+def survey(
+    views: Views, surface: Surface, *, skip_blind: bool = True, skip_pairs: bool = True
+) -> Survey:
     """Find who sees whom, and how bright it is: one pass over all views, the only one with rays.
 
     Args:
         views: the packed capture.
         surface: all texels.
         skip_blind: leave views that see nothing out of later passes.
+        skip_pairs: no rays and no look-ups for pairs that cheaper tests rule out.
     """
     per_view = dr.zeros(mi.UInt32, max(views.number, 1))
     bits = dr.zeros(mi.UInt32, -(-max(views.number, 1) // WORD) * surface.count)
@@ -100,7 +110,7 @@ def survey(views: Views, surface: Surface, *, skip_blind: bool = True) -> Survey
         return found + one, total + as_channels(seen.radiance, 1)[0]
 
     zeros = dr.zeros(mi.UInt32, surface.count), dr.zeros(mi.Float, surface.count)
-    found, total = over_views(views, surface, count, zeros)
+    found, total = over_views(views, surface, count, zeros, dense=not skip_pairs)
     dr.eval(found, total, per_view, bits)
     counts = per_view.numpy()[: views.number].astype(np.int64)
     order = np.flatnonzero(counts) if skip_blind else np.arange(views.number)
@@ -112,4 +122,5 @@ def survey(views: Views, surface: Surface, *, skip_blind: bool = True) -> Survey
         order=owned(mi.UInt32, order.astype(np.uint32)),
         count=dr.opaque(mi.UInt32, len(order)),
         stride=stride,
+        dense=not skip_pairs,
     )

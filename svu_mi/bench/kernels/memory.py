@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 MIB = 2**20
-BASE_MIB, BYTES_PER_PIXEL = 200, 26
+BASE_MIB, BYTES_PER_PIXEL = 200, 20
 BYTES_PER_TEXEL = {"angular": 800, "spectrum": 560}
 
 

@@ -2,8 +2,9 @@
 
 The scene: an object whose charts cover 40 % of the map, under grey light, without metal. With
 all skipping it is known that metallic is 0; without, a prior on the whole grid says so, and the
-entropies are compared in nats. *Every texel* counts the rest of the map as well: without a list
-of the texels in charts, those outside them cost as much (here: as their nearest inside).
+entropies are compared in nats; all texels of the charts are worked on in all views, seen or not.
+*Every texel* counts the rest of the map as well: without a list of the texels in charts, those
+outside them cost as much (here: as their nearest inside).
 """
 
 from __future__ import annotations

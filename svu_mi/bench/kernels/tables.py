@@ -134,8 +134,9 @@ def _skipping(found: Record) -> list[str]:
     return [
         "## Skipping",
         f"Charts cover {found['coverage']:.0%} of the map, the light is grey, metallic is 0 and "
-        "known; three colour channels. Without skipping a prior says that metallic is 0; with "
-        "every texel, those outside the charts cost as much as those inside.",
+        "known; three colour channels. Without skipping a prior says that metallic is 0, and all "
+        "texels of the charts are worked on in all views, seen or not; with every texel, those "
+        "outside the charts cost as much as those inside.",
         table(heads, cells),
     ]
 
