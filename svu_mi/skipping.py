@@ -111,6 +111,8 @@ def with_known(
         if known != "scene":
             raise OptionError(f"known must be values by parameter, or 'scene', got {known!r}.")
         known = constants
+    elif known is not None and not isinstance(known, Mapping):
+        raise OptionError(f"known must be values by parameter, or 'scene', got {known!r}.")
     elif constants and not known:
         log.info(
             "The scene's material does not vary %s; if that is a fact and no placeholder, "

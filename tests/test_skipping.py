@@ -150,6 +150,16 @@ def test_of_coloured_photographs_only_grey_light_is_skipped(tmp_path, method, co
     np.testing.assert_allclose(entropy(result), entropy(without), atol=TOLERANCE)
 
 
+def test_a_bright_grey_sun_does_not_make_a_coloured_sky_grey(tmp_path):
+    sky = np.full((16, 32, 3), [0.03, 0.06, 0.1], np.float32)
+    sky[4, 7] = 2e5
+    capture = one_sided(tmp_path, {"type": "envmap", "bitmap": mi.Bitmap(sky)})
+    texels = svu.texels(capture.mesh, 24)
+    switches = preset("default", method="angular", channels="joint")
+    result = estimate(capture, texels, "angular", switches)
+    assert result.skipped["channels of the light equal to another"] == 0
+
+
 # --- known parameters -----------------------------------------------------------------------
 
 
@@ -212,7 +222,9 @@ def test_what_a_material_does_not_vary(grey, tmp_path):
         ({"metallic": 1.5}, r"in \[0, 1\]"),
         ({"metallic": float("nan")}, r"in \[0, 1\]"),
         ({"roughness": 0.1, "metallic": 0.0, "base_color": 0.5}, "nothing is left"),
+        ({"metallic": True}, r"in \[0, 1\]"),
         ("bsdf", "'scene'"),
+        (0.5, "values by parameter"),
     ],
 )
 def test_known_values_that_are_refused(grey, known, words):

@@ -12,9 +12,10 @@ from helpers import ball, ball_scene, memory_capture, write_scene
 
 from svu_mi import scenes
 from svu_mi.capture import load_capture, render_capture
-from svu_mi.capture.block import in_one_block, rooms
+from svu_mi.capture.block import allocate, in_one_block
 from svu_mi.capture.poses import describe, film_size, make_sensor, sphere_sensors
 from svu_mi.capture.scene import load_scene
+from svu_mi.errors import CaptureError
 from svu_mi.radiance import pack_views
 from svu_mi.radiance.silhouette import MIN_COSINE, SLOPE_MARGIN
 
@@ -182,7 +183,7 @@ def test_photographs_that_were_read_are_not_copied(tmp_path):
 
 
 def test_photographs_in_any_order_are_found_and_shared_ones_are_copied():
-    a, b, c = rooms([(4, 2), (3, 5), (2, 2)])
+    a, b, c = allocate([(4, 2), (3, 5), (2, 2)])
     for value, image in enumerate((a, b, c)):
         image[:] = value
     pixels, offset = in_one_block([c, a, b])
@@ -199,7 +200,7 @@ def test_photographs_in_any_order_are_found_and_shared_ones_are_copied():
 def test_one_photograph_for_two_cameras_is_judged_twice(tmp_path):
     scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
     sensors = sphere_sensors(scene.shapes()[0], 2, (32, 32))
-    (image,) = rooms([(32, 32)])
+    (image,) = allocate([(32, 32)])
     image[:] = 0.5
     left_out = np.zeros((32, 32), bool)
     capture = memory_capture(scene, [image, image], sensors, masks=(left_out, None))
@@ -225,7 +226,7 @@ def test_memory_of_the_allocator(tmp_path):
     """One byte per pixel, and a launch's rays, however many photographs there are."""
     scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
     sensors = sphere_sensors(scene.shapes()[0], 24, (512, 512))
-    made = rooms([(512, 512)] * 24)
+    made = allocate([(512, 512)] * 24)
     for image in made:
         image[:] = 0.5
     capture = memory_capture(scene, made, sensors)
@@ -238,3 +239,26 @@ def test_memory_of_the_allocator(tmp_path):
     views = pack_views(capture)
     assert dr.detail.malloc_watermark(dr.JitBackend.LLVM) - before < 2 * pixels + 2**25
     assert views.number == 24
+
+
+@pytest.mark.parametrize("wrong", ["larger", "turned", "alpha", "mask"])
+def test_photographs_of_another_size_than_their_film_are_refused(tmp_path, wrong):
+    scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
+    sensors = sphere_sensors(scene.shapes()[0], 2, (24, 16))
+    sizes = {"larger": (32, 48, 3), "turned": (24, 16, 3), "alpha": (16, 24, 4)}
+    images = [np.ones((16, 24, 3)), np.ones(sizes.get(wrong, (16, 24, 3)))]
+    masks = (None, np.ones((9, 9), bool) if wrong == "mask" else None)
+    capture = memory_capture(scene, images, sensors, masks=masks)
+    with pytest.raises(CaptureError, match=r"view_0001.exr: .*\(16, 24, 3\) and \(16, 24\)"):
+        pack_views(capture)
+
+
+@pytest.mark.parametrize("kind", [bool, np.int64, np.float32])
+def test_masks_of_any_type(tmp_path, kind):
+    scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
+    sensors = sphere_sensors(scene.shapes()[0], 2, (64, 48))
+    mask = np.zeros((48, 64), kind)
+    mask[:, 20:] = 1
+    capture = memory_capture(scene, [np.ones((48, 64, 3))] * 2, sensors, masks=(mask,) * 2)
+    expected = expected_usable(replace(capture, masks=(mask.astype(bool),) * 2))
+    np.testing.assert_array_equal(pack_views(capture).usable.numpy(), expected)

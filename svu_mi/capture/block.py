@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 
-def rooms(sizes: Sequence[tuple[int, int]]) -> list[np.ndarray]:
+def allocate(sizes: Sequence[tuple[int, int]]) -> list[np.ndarray]:
     """Make room for photographs, one after the other in one block.
 
     Args:
@@ -39,7 +39,7 @@ def in_one_block(images: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     found = _shared(images)
     if found is not None:
         return found
-    made = rooms([(image.shape[1], image.shape[0]) for image in images])
+    made = allocate([(image.shape[1], image.shape[0]) for image in images])
     for room, image in zip(made, images, strict=True):
         room[:] = image
     return _shared(made) or (np.empty(0, np.float32), np.empty(0, np.int64))

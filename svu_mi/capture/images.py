@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.block import rooms
+from svu_mi.capture.block import allocate
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr
 
@@ -94,7 +94,7 @@ def read_photographs(
         CaptureError: one is unreadable or of another size than its film; the first in order.
     """
     with ThreadPoolExecutor(max(1, dr.thread_count())) as threads:
-        return list(threads.map(_read_photograph, paths, rooms(sizes), exposures))
+        return list(threads.map(_read_photograph, paths, allocate(sizes), exposures))
 
 
 def _read_photograph(path: Path, room: np.ndarray, exposure: float) -> Photograph:
@@ -131,13 +131,13 @@ def _mark(color: np.ndarray, exposure: float) -> tuple[int, bool]:
     Returns:
         The number of those pixels, and whether all others are black.
     """
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
+        if exposure != 1:
+            color /= np.float32(exposure)
         # Two fast passes say that nearly every photograph is sound; NaN fails both tests.
         low, high = color.min(initial=0), color.max(initial=0)
         sound = bool(low >= 0 and high < np.inf)
         bad = None if sound else ~(np.isfinite(color) & (color >= 0)).all(axis=-1)
-    if exposure != 1:
-        color /= np.float32(exposure)
     if bad is None:
         return 0, not high > 0
     color[bad] = np.nan

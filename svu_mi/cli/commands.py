@@ -285,6 +285,8 @@ def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] |
                 f"--known takes NAME=NUMBER, such as metallic=0, or the single word scene; got "
                 f"{word!r}."
             ) from None
+    if len(known) < len(words):
+        raise OptionError(f"--known names a parameter twice: {', '.join(words)}.")
     return known or None
 
 

@@ -58,10 +58,9 @@ def fit_sh(
 
         (Y^T W^2 Y + lambda R) c = Y^T W^2 f,    R = diag(e^l),    W = diag(w)
 
-    Accuracy: single precision in and out. The power spectrum is within 1e-4 of the texel's largest
-    degree for 1 to 256 views, lmax 1 to 9 and lambda from 1e-8 to 1e2, views spread over a
-    hemisphere, all grazing, all equal, crowded or on one line alike: computed in double precision
-    (error 1e-6 for lambda >= 1e-3) unless single precision will do. Memory: inputs and output.
+    Accuracy: single precision in and out, double precision inside. The power spectrum is within
+    1e-6 of the texel's largest degree for 1 to 200 views and lmax 1 to 9, views spread over a
+    hemisphere, all grazing, all equal or on one line alike. Memory: inputs and output.
 
     Args:
         directions: (T, V, 3) unit directions, texels x views, in any one frame per texel.
@@ -109,7 +108,7 @@ def fit_sh(
         views=dr.opaque(mi.UInt32, views),
         channels=channels,
     )
-    visible, span = _inspect(samples, texels, views)
+    visible = _inspect(samples, texels, views)
     coefficients = dr.zeros(mi.Float, texels * shape[1] * channels)
     dr.eval(coefficients)
     for group in solver_groups(visible, lmax, method):
@@ -123,7 +122,6 @@ def fit_sh(
             penalize_constant=chosen.penalize_constant,
             method=group.method,
             capacity=group.capacity,
-            weights=span,
         )
         dr.eval(arrays.scatter_rows(coefficients, fitted, texel))
     return mi.TensorXf(coefficients, shape)
@@ -137,15 +135,10 @@ def _check_size(*counts: int) -> None:
         )
 
 
-def _inspect(samples: _Samples, texels: int, views: int) -> tuple[np.ndarray, tuple[float, float]]:
-    """Return the visible views of every texel and the smallest and largest weight of all.
-
-    Raises:
-        OptionError: a sample that cannot be fitted.
-    """
-    texel = dr.arange(mi.UInt32, texels)
-    visible, first_bad, lightest, heaviest = _look_at(samples.at, texel, samples.views)
-    dr.eval(visible, first_bad, lightest, heaviest)
+def _inspect(samples: _Samples, texels: int, views: int) -> np.ndarray:
+    """Count the visible views of every texel and refuse samples that cannot be fitted."""
+    visible, first_bad = _count_visible(samples.at, dr.arange(mi.UInt32, texels), samples.views)
+    dr.eval(visible, first_bad)
     bad = first_bad.numpy()
     if (bad < views).any():
         texel = int(np.flatnonzero(bad < views)[0])
@@ -157,16 +150,13 @@ def _inspect(samples: _Samples, texels: int, views: int) -> tuple[np.ndarray, tu
             f"({', '.join(f'{v[0]:g}' for v in values)}). Weights must be finite and >= 0 and, "
             "where they are > 0, directions of unit length and values finite."
         )
-    span = float(lightest.numpy().min()), float(heaviest.numpy().max())
-    return visible.numpy().astype(np.int64), span
+    return visible.numpy().astype(np.int64)
 
 
 @dr.syntax
-def _look_at(at: Any, texel: Any, views: Any) -> tuple[Any, Any, Any, Any]:
-    """Return, per texel, the number of visible views, the first unusable one (or views), and
-    the smallest and the largest weight > 0 (infinity and 0 where there is none)."""
+def _count_visible(at: Any, texel: Any, views: Any) -> tuple[Any, Any]:
+    """Return, per texel, the number of visible views and the first unusable one (or views)."""
     visible, first_bad = mi.UInt32(0), mi.UInt32(views)
-    lightest, heaviest = mi.Float(dr.inf), mi.Float(0)
     view = mi.UInt32(0)
     while view < views:
         direction, weight, values = at(texel, view)
@@ -178,8 +168,6 @@ def _look_at(at: Any, texel: Any, views: Any) -> tuple[Any, Any, Any, Any]:
             & dr.isfinite(sum(dr.abs(value) for value in values))
         )
         first_bad = dr.select(usable, first_bad, dr.minimum(first_bad, view))
-        lightest = dr.select(weight > 0, dr.minimum(lightest, weight), lightest)
-        heaviest = dr.maximum(heaviest, weight)
         visible += dr.select(weight > 0, mi.UInt32(1), mi.UInt32(0))
         view += 1
-    return visible, first_bad, lightest, heaviest
+    return visible, first_bad

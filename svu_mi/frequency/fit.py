@@ -11,8 +11,8 @@ The paper penalises l = 0 as well (R_00 = 1), which leaks a constant signal into
   With R_00 = 0 the constant is an extra unknown: with u = W Y_00,
   c_00 = u^T M^-1 W f / u^T M^-1 u and a = M^-1 (W f - u c_00).
 
-Lambda is a millionth of the trace of Y^T W^2 Y for a few hundred views, where single precision
-loses a degree altogether: see ``precision`` for when it will do.
+Both are computed in double precision inside the kernel: lambda is a millionth of the trace of
+Y^T W^2 Y for a few hundred views, and single precision then loses a degree altogether.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ import mitsuba as mi
 
 from svu_mi.frequency import harmonics
 from svu_mi.frequency.dual import fit_dual
-from svu_mi.frequency.precision import Precision, choose
 from svu_mi.frequency.primal import fit_primal
 from svu_mi.frequency.system import Sample, System
 
@@ -41,8 +40,6 @@ def fit_lanes(
     penalize_constant: bool,
     method: Method,
     capacity: int,
-    weights: tuple[float, float] = (1e-6, 1.0),
-    precision: Precision | None = None,
 ) -> list[list[Any]]:
     """Fit Eq. 12 in every lane, inside the kernel that produces the samples.
 
@@ -59,26 +56,17 @@ def fit_lanes(
         method: ``primal`` or ``dual``, the same to rounding. Dual is cheaper when a lane sees
             fewer views than there are coefficients.
         capacity: ``dual`` only: the most visible views a lane can hold; more are dropped.
-            Local memory is about 2 capacity^2 bytes per lane, 4 in double precision.
-        weights: the smallest and the largest w > 0 there may be; decides on the precision only.
-        precision: ``dual`` only: what to compute in. None: the fastest that keeps the power
-            spectrum within 1e-4 of the largest degree, by ``precision.choose``.
+            Local memory is about 4 capacity^2 bytes per lane.
 
     Returns:
         (degree + 1)^2 coefficients in the order l*l + l + m, each a list of ``channels``
         Floats; 0 in a lane that sees no view.
     """
-    degree = harmonics.check_degree(degree, "fit_lanes()")
-    if method == "primal":
-        precision = "double"
-    elif precision is None:
-        precision = choose(capacity, degree, regularizer, penalize_constant, weights)
     system = System(
-        degree=degree,
+        degree=harmonics.check_degree(degree, "fit_lanes()"),
         channels=channels,
         ridge=harmonics.ridge(degree, penalize_constant),
-        regularizer=dr.opaque(mi.Float if precision == "single" else mi.Float64, regularizer),
-        precision=precision,
+        regularizer=dr.opaque(mi.Float64, regularizer),
     )
     if method == "dual":
         return fit_dual(sample, views, system, capacity)

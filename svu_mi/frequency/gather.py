@@ -49,16 +49,16 @@ class Samples:
     channels: int
     light_channels: int
 
-    def at(self, place: Any) -> tuple[Any, Any, list[Any]]:
+    def at(self, slot: Any) -> tuple[Any, Any, list[Any]]:
         """One row: view direction, w = |cos theta|, and both right-hand sides.
 
         Outgoing radiance B is indexed by the direction to the camera; so is incoming radiance
         L, which is looked up where the mirror sends that direction.
 
         Args:
-            place: UInt32, which view, by its place in ``found.order``.
+            slot: UInt32, which view: ``found.order[slot]``.
         """
-        seen = self.found.look(self.views, self.surface, place)
+        seen = self.found.look(self.views, self.surface, slot)
         asked = self.found.asked(seen.seen)
         lit = asked
         if self.occluded:

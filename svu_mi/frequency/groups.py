@@ -17,12 +17,11 @@ CAPACITIES = (32, 64, 128, 256)
 only works on, and touches, what its own views need: one size for all texels of a call."""
 
 AUTO_CAPACITY = 128
-"""The most views ``auto`` gives to the dual: 64 kB per lane in double precision, 1 MB of stack for
-16 lanes."""
+"""The most views ``auto`` gives to the dual: 64 kB per lane, 1 MB of stack for 16 lanes."""
 
 VIEWS_PER_COEFFICIENT = 2.5
 """Up to so many visible views per coefficient the dual is the faster one (measured at degree 6,
-double precision, 80, 98 and 128 visible views: 0.44, 0.59 and 0.82 of the time of the primal)."""
+80, 98 and 128 visible views: 0.44, 0.59 and 0.82 of the time of the primal)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,7 +38,8 @@ class ParameterGrid:
         spacing: ``uniform``: Ks uniform on [0, 1]; ``dielectric``: Ks = 0.04 + 0.96 t^2 with t
             uniform on [0, 1], which resolves dielectrics and leaves out Ks = 0, where every
             roughness is the same. None takes the preset's.
-        known: values of parameters that are not in question, by name; each is one node.
+        known: values of parameters that are not in question, by name; each is one node. Another
+            roughness is another kernel of the angular method, other values are not.
 
     Raises:
         OptionError: fewer than 2 or more than 64 nodes, an unknown spacing, or known values
@@ -48,7 +49,7 @@ class ParameterGrid:
     roughness: int = 8
     specular: int = 8
     spacing: GridSpacing | None = None
-    known: Mapping[str, float] = field(default_factory=dict)
+    known: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         _require_valid(self, ("roughness", "specular"))
@@ -92,7 +93,8 @@ class PrincipledGrid:
         roughness: number of nodes R; 8 as in the paper.
         metallic: number of nodes M.
         base_color: number of nodes C of a grey base colour.
-        known: values of parameters that are not in question, by name; each is one node.
+        known: values of parameters that are not in question, by name; each is one node. Another
+            roughness is another kernel of the angular method, other values are not.
 
     Raises:
         OptionError: fewer than 2 or more than 64 nodes, or known values that are no
@@ -102,7 +104,7 @@ class PrincipledGrid:
     roughness: int = 8
     metallic: int = 8
     base_color: int = 8
-    known: Mapping[str, float] = field(default_factory=dict)
+    known: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         _require_valid(self, ("roughness", "metallic", "base_color"))
@@ -146,12 +148,14 @@ def _nodes(grid: ParameterGrid | PrincipledGrid, name: str) -> np.ndarray:
 
 def _require_valid(grid: ParameterGrid | PrincipledGrid, names: tuple[str, ...]) -> None:
     kind = type(grid).__name__
+    object.__setattr__(grid, "known", dict(grid.known))  # the caller's may change
     for name in names:
         _require_nodes(kind, name, getattr(grid, name))
     for name, value in grid.known.items():
         if name not in names:
             raise OptionError(f"{kind}: known {name!r} is no parameter; use {', '.join(names)}.")
-        if not (isinstance(value, Real) and 0 <= float(value) <= 1):
+        number = isinstance(value, Real) and not isinstance(value, bool)
+        if not (number and 0 <= float(value) <= 1):
             raise OptionError(f"{kind}: known {name} must be in [0, 1], got {value!r}.")
     if len(grid.known) == len(names):
         raise OptionError(f"{kind}: {', '.join(names)} are all known; nothing is left to ask for.")

@@ -7,7 +7,7 @@ For one roughness, the distance of Eq. 11 is a quadratic in K = Ks^2,
 and the products of spectra do not depend on the roughness: channels that share a Ks are summed
 once per texel, degrees once per row, cells cost two multiplications each. It cancels, so it is
 in double precision: what is left of d / (2 sigma^2) is exact to 1e-16 of sum S_B^2 / (2 sigma^2),
-where single precision *spectra* are a billion times worse. Exponentials are in single.
+below what the rounding of single precision *spectra* does to it. Exponentials are in single.
 
 A row is a roughness and its cells are values of Ks, as in the paper; or a row is a roughness
 and metallic, its cells are base colours, and degree 0 takes part with the diffuse term that

@@ -25,7 +25,7 @@ from svu_mi.interop import owned
 
 SKY_GRID = (512, 257)  # columns, rows at which a procedural sky is sampled
 FINEST = 130  # columns and rows that resolve degree 64; smaller maps are sampled finer
-GREY = 1e-6  # of the brightest radiance: channels that differ by less are equal
+GREY = 1e-6  # part of the brightest channel: others that differ by less are equal
 SUN_RINGS, SUN_SPOKES = 16, 64  # nodes on a sun's disk, finer than any sky grid
 
 
@@ -50,9 +50,9 @@ class Environment:
 
     @property
     def grey(self) -> bool:
-        """Whether all colour channels are equal."""
+        """Whether the colour channels are equal everywhere, in the dimmest direction too."""
         return all(
-            bool((np.ptp(values, axis=-1) <= GREY * values.max(initial=0)).all())
+            bool((np.ptp(values, axis=-1) <= GREY * values.max(axis=-1)).all())
             for values in (self.radiance, self.disk_radiance)
         )
 

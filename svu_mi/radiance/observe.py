@@ -242,7 +242,9 @@ def _radiance(views: Views, pixels: list[Any], weights: list[Any], active: Any =
     """Interpolate between four pixels."""
     total = _black(views)
     for pixel, weight in zip(pixels, weights, strict=True):
-        total += weight * dr.gather(type(total), views.pixels, pixel, active)
+        value = dr.gather(type(total), views.pixels, pixel, active)
+        # A kernel that rounds a position differently may touch a pixel that is not usable.
+        total += weight * dr.select(dr.isfinite(value), value, 0)
     return total
 
 

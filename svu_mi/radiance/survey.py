@@ -48,9 +48,9 @@ class Survey:
         samples = int(self.coverage.numpy().sum(dtype=np.int64))
         return float(self.total.numpy().sum(dtype=np.float64) / max(samples, 1))
 
-    def look(self, views: Views, surface: Surface, place: Any) -> Observation:
-        """Observe every texel of a launch in the view at ``place`` of ``order``."""
-        view = dr.gather(mi.UInt32, self.order, place)
+    def look(self, views: Views, surface: Surface, slot: Any) -> Observation:
+        """Observe every texel of a launch in the view ``order[slot]``."""
+        view = dr.gather(mi.UInt32, self.order, slot)
         word = dr.gather(mi.UInt32, self.bits, (view // WORD) * self.stride + surface.index)
         seen = ((word >> (view % WORD)) & 1) != 0
         return look(views, surface, view, seen, dense=self.dense)
@@ -74,12 +74,12 @@ class Survey:
             The state after the last view.
         """
 
-        def body(place: Any, *state: Any) -> tuple[Any, ...]:
-            return (place + 1, *consume(self.look(views, surface, place), *state))
+        def body(slot: Any, *state: Any) -> tuple[Any, ...]:
+            return (slot + 1, *consume(self.look(views, surface, slot), *state))
 
         return dr.while_loop(
             state=(mi.UInt32(0), *state),
-            cond=lambda place, *_: place < self.count,
+            cond=lambda slot, *_: slot < self.count,
             body=body,
         )[1:]
 

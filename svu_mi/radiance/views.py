@@ -68,16 +68,20 @@ def pack_views(capture: Capture, channels: int = 3) -> Views:
 
     Args:
         capture: the photographs and where they were taken.
-        channels: 3 to look up RGB, 1 to store and look up its mean.
+        channels: 3 to look up RGB, 1 to store and look up its mean. Of 3 channels, photographs
+            that lie in one block are used where they are: do not write to them meanwhile.
 
     Raises:
-        CaptureError: more pixels than 32-bit indices reach.
+        CaptureError: no photograph that may be used, one of another size than its film, or more
+            pixels than 32-bit indices reach.
     """
     kept = [index for index in range(capture.count) if capture.used[index]]
     if not kept:
         raise CaptureError(
             f"There is no photograph to look at: {capture.count} were given, and none can be used."
         )
+    for index in kept:
+        _require_size(capture, index)
     block, offset = in_one_block([capture.images[index] for index in kept])
     if block.size >= 2**32:
         raise CaptureError(
@@ -189,14 +193,26 @@ def _films(poses: Sequence[_Pose], offset: np.ndarray) -> Films:
 
 def _tiles(capture: Capture, kept: Sequence[int], poses: Sequence[_Pose]) -> np.ndarray:
     cameras = np.array([pose.camera for pose in poses]).reshape(-1, CAMERA_FLOATS)
-    bounds = capture.shape.bbox()
+    bounds, masks = capture.shape.bbox(), [capture.masks[index] for index in kept]
     return find_tiles(
         cameras[:, :12].reshape(-1, 3, 4),
         cameras[:, 15],
         np.array([pose.size for pose in poses]).reshape(-1, 2),
         np.array([bounds.min, bounds.max], np.float64),
-        [capture.masks[index] for index in kept],
+        [None if mask is None else mask.astype(bool) for mask in masks],
     )
+
+
+def _require_size(capture: Capture, index: int) -> None:
+    """Refuse a photograph or mask that its sensor did not take: kernels go by the film."""
+    width, height = film_size(capture.sensors[index])
+    image, mask = capture.images[index], capture.masks[index]
+    if image.shape != (height, width, 3) or (mask is not None and mask.shape != (height, width)):
+        shown = image.shape if mask is None else (image.shape, mask.shape)
+        raise CaptureError(
+            f"{capture.names[index]}: photograph and mask must be ({height}, {width}, 3) and "
+            f"({height}, {width}), the size of the sensor's film, got {shown}."
+        )
 
 
 def _allowed(capture: Capture, kept: Sequence[int], offset: np.ndarray, count: int) -> Any:

@@ -20,7 +20,7 @@ from svu_mi.progress import Progress
 from svu_mi.surface import texels
 
 METHODS = ("angular", "spectrum")
-WARM_BAR_S, COLD_BAR_S = 3.0, 25.0
+WARM_BAR_S, COLD_BAR_S, MEMORY_BAR = 3.0, 25.0, 1.1
 
 
 def measure_end_to_end(
@@ -108,4 +108,6 @@ def _bars(method: str, found: dict[str, Any]) -> list[Bar]:
             WARM_BAR_S, "s"),
         Bar(f"files to entropy.exr, {method}, cold, with imports",
             found["cold"]["process_seconds"], COLD_BAR_S, "s"),
+        Bar(f"files to entropy.exr, {method}: resident memory over the formula",
+            (found["cold"]["peak_mib"] or 0.0) / found["cold"]["formula_mib"], MEMORY_BAR, ""),
     ]  # fmt: skip

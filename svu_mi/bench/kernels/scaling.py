@@ -15,12 +15,14 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.bench.kernels.bars import Bar
 from svu_mi.bench.kernels.clock import run, spread
 from svu_mi.bench.kernels.memory import BYTES_PER_TEXEL, MIB, allocated
 from svu_mi.capture import Capture
 from svu_mi.pipeline import estimate
 from svu_mi.surface import Texels, texels
 
+STEEPEST, LEAST_R2 = 1.1, 0.95
 METHODS = ("angular", "spectrum")
 
 
@@ -55,7 +57,8 @@ def measure_scaling(
         (``n``; ``seconds``, a spread; ``allocated_mib``) and ``line`` (see ``line``), that of
         the least times;
         ``bytes_per_texel`` by method: measured as the slope of the allocator's peak, and the
-        ``formula`` of all resident memory.
+        ``formula`` of all resident memory; and ``bars``: no curve is steeper than linear, and a
+        line explains it.
     """
     layouts = [texels(capture.mesh, resolution) for resolution in sizes.resolutions]
     layout = texels(capture.mesh, sizes.resolution)
@@ -80,7 +83,16 @@ def measure_scaling(
             for curve in curves
             if curve["what"] == "texels"
         },
+        "bars": [bar.record() for curve in curves for bar in _bars(curve)],
     }
+
+
+def _bars(curve: dict[str, Any]) -> list[Bar]:
+    name, found = f"{curve['method']}, seconds by {curve['what']}", curve["line"]
+    return [
+        Bar(f"{name}: exponent of the upper half", found["slope"], STEEPEST, ""),
+        Bar(f"{name}: R^2 of a + b n", found["r2"], LEAST_R2, "", least=True),
+    ]
 
 
 def repeated(capture: Capture, count: int) -> Capture:

@@ -23,7 +23,7 @@ from svu_mi.options import AngularPreset, Preset
 from svu_mi.posterior import ParameterGrid, PrincipledGrid
 
 U = 2.0**-24  # unit roundoff of single precision
-SPECTRUM = 1e-4  # of a texel's largest degree: what ``fit_sh`` promises
+SPECTRUM = 1e-6  # of a texel's largest degree: what ``fit_sh`` promises
 ROOT = 5e-6  # of a texel's radiance: the square root of the pivot that statistics drop
 PAID = {"angular": 3, "spectrum": 2}  # parameters that the marginal noise rule pays for
 
