@@ -74,7 +74,8 @@ def hemisphere(
         if traced:
             origin = surface.position + surface.offset * surface.geometric_normal
             ray = mi.Ray3f(origin, direction, dr.largest(mi.Float), 0.0, [])
-            free &= ~scene.ray_test(ray, free)
+            # Neighbouring texels look in one direction: packets stay together.
+            free &= ~scene.ray_test(ray, coherent=True, active=free)
         flux = as_channels(dr.gather(mi.Color3f, cells.flux, cell), channels)
         cosine = dr.maximum(cosine, 0)
         lit = free if occluded else above

@@ -175,7 +175,8 @@ def _trace_in_loop(views: Views, rays: Rays, count: int) -> Any:
     def body(view: Any, free: Any) -> tuple[Any, Any]:
         index = dr.gather(mi.UInt32, rays.slot, view * stride + lane)
         active = index != NO_RAY
-        reached = active & ~views.scene.ray_test(rays.at(index, active), active)
+        ray = rays.at(index, active)
+        reached = active & ~views.scene.ray_test(ray, coherent=True, active=active)
         return view + 1, free + dr.select(reached, mi.UInt32(1), mi.UInt32(0))
 
     return dr.while_loop(
