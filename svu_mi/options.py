@@ -198,7 +198,8 @@ class Skip:
     """Under grey light and in grey photographs, one channel stands for three."""
 
     levels: bool = True
-    """Roughness that the prior excludes: no filtered light, no statistics, no energies."""
+    """Roughness that the prior excludes: no filtered light, no statistics. (Energies that the prior
+    excludes are never computed.)"""
 
 
 NOTHING = Skip(unseen=False, pairs=False, blind=False, channels=False, levels=False)

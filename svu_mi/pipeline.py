@@ -202,9 +202,7 @@ def _from_angles(run: _Run, switches: AngularPreset) -> Posterior:
         )
     with run.progress.stage("Gathering statistics"):
         scale = dr.opaque(mi.Float, run.unit)
-        statistics = gather(
-            run.views, run.surface, run.found, model, scale, plan.channels
-        )
+        statistics = gather(run.views, run.surface, run.found, model, scale, plan.channels)
     return angular_posterior(
         statistics, run.grid, run.unit, switches,
         prior=run.prior, copies=plan.copies, levels=plan.levels,

@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from oracle import posterior as oracle
 
+from svu_mi.bench.stability.spectra import L
+from svu_mi.bench.stability.spectra import metals as spectra
 from svu_mi.brdf.lobes import split_sum
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.options import preset
 from svu_mi.posterior import ParameterGrid, PrincipledGrid, spectrum_posterior
 
-L = 6
 GRID = ParameterGrid(roughness=5, specular=4)
 RULES = [
     preset("paper"),
@@ -30,16 +31,6 @@ RULES = [
     preset("default", channels="minimum", sigma=0.05),
     preset("default", noise="marginal"),
 ]
-
-
-def spectra(rng: np.random.Generator, texels: int, channels: int = 3) -> tuple:
-    """Incoming spectra, and what a random metal makes of them with 5% noise, float32."""
-    l = np.arange(L + 1)[:, None]
-    S_L = rng.exponential(size=(texels, L + 1, channels)) * 10 * np.exp(-0.5 * l)
-    alpha, Ks = rng.random((texels, 1, 1)) ** 2, rng.random((texels, 1, channels))
-    S_B = S_L * Ks**2 * np.exp(-2 * (alpha * l) ** 2)
-    S_B *= np.exp(0.05 * rng.normal(size=S_B.shape))
-    return S_L.astype(np.float32), S_B.astype(np.float32)
 
 
 def mean_power(S_B: np.ndarray) -> float:

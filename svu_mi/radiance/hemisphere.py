@@ -72,10 +72,8 @@ def hemisphere(
         above = cosine > 0
         free = above & (dr.dot(surface.geometric_normal, direction) > 0)
         if traced:
-            origin = surface.position + surface.offset * surface.geometric_normal
-            ray = mi.Ray3f(origin, direction, dr.largest(mi.Float), 0.0, [])
             # Neighbouring texels look in one direction: packets stay together.
-            free &= ~scene.ray_test(ray, coherent=True, active=free)
+            free = _open(scene, surface, direction, free, coherent=True)
         flux = as_channels(dr.gather(mi.Color3f, cells.flux, cell), channels)
         cosine = dr.maximum(cosine, 0)
         lit = free if occluded else above
@@ -124,9 +122,14 @@ def mirror_free(scene: Any, surface: Surface, seen: Observation, asked: Any) -> 
     """
     mirror = 2 * seen.cosine * mi.Vector3f(surface.normal) - seen.direction
     free = asked & (dr.dot(surface.geometric_normal, mirror) > 0)
+    return seen.seen & _open(scene, surface, mirror, free, coherent=False)
+
+
+def _open(scene: Any, surface: Surface, direction: Any, active: Any, *, coherent: bool) -> Any:
+    """Return which active texels see the sky in a direction."""
     origin = surface.position + surface.offset * surface.geometric_normal
-    ray = mi.Ray3f(origin, mirror, dr.largest(mi.Float), 0.0, [])
-    return seen.seen & free & ~scene.ray_test(ray, free)
+    ray = mi.Ray3f(origin, direction, dr.largest(mi.Float), 0.0, [])
+    return active & ~scene.ray_test(ray, coherent=coherent, active=active)
 
 
 def as_channels(color: Any, channels: int) -> list[Any]:

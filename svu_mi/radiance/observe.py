@@ -112,11 +112,16 @@ def observe(views: Views, surface: Surface, view: Any, *, dense: bool = False) -
     radiance, seen = dr.if_stmt(
         args=(surface.position, surface.geometric_normal, taps.pixels, taps.weights,
               direction, distance, seen),
-        cond=mi.Bool(True) if dense else seen,
+        cond=asked(seen, dense),
         true_fn=partial(_reach, views, surface.offset, dense),
         false_fn=lambda *args: (_black(views), args[-1]),
     )  # fmt: skip
     return Observation(direction, dr.select(seen, cosine, 0), radiance, seen)
+
+
+def asked(seen: Any, dense: bool) -> Any:
+    """Return the condition under which there is work to do: always, if dense."""
+    return mi.Bool(True) if dense else seen
 
 
 def look(
@@ -141,7 +146,7 @@ def look(
 
     direction, cosine, radiance = dr.if_stmt(
         args=(surface.position, mi.Vector3f(surface.normal)),
-        cond=mi.Bool(True) if dense else seen,
+        cond=asked(seen, dense),
         true_fn=read,
         false_fn=lambda _, normal: (normal, mi.Float(0), _black(views)),
     )
@@ -231,7 +236,7 @@ def _reach(
     reach = distance * (1 - RAY_END)
     ray = mi.Ray3f(origin, direction, reach, 0.0, [])
     # Neighbouring texels look at one camera: packets stay together, which is 10 % faster.
-    seen &= ~views.scene.ray_test(ray, coherent=True, active=mi.Bool(True) if dense else seen)
+    seen &= ~views.scene.ray_test(ray, coherent=True, active=asked(seen, dense))
     return dr.select(seen, _radiance(views, pixels, weights, seen), 0), seen
 
 

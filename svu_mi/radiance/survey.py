@@ -12,7 +12,7 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.radiance.hemisphere import as_channels
-from svu_mi.radiance.observe import Observation, Surface, look, over_views
+from svu_mi.radiance.observe import Observation, Surface, asked, look, over_views
 from svu_mi.radiance.views import Views
 
 WORD = 32
@@ -57,7 +57,7 @@ class Survey:
 
     def asked(self, seen: Any) -> Any:
         """Return the condition under which a consumer has work to do."""
-        return mi.Bool(True) if self.dense else seen
+        return asked(seen, self.dense)
 
     def over_views(
         self, views: Views, surface: Surface, consume: Callable[..., Any], state: tuple[Any, ...]
@@ -87,7 +87,8 @@ class Survey:
 def survey(
     views: Views, surface: Surface, *, skip_blind: bool = True, skip_pairs: bool = True
 ) -> Survey:
-    """Find who sees whom, and how bright it is: one pass over all views, the only one with rays.
+    """Find who sees whom, and how bright it is: one pass over all views, the only
+    one that traces rays to the cameras.
 
     Args:
         views: the packed capture.

@@ -199,7 +199,7 @@ def _tiles(capture: Capture, kept: Sequence[int], poses: Sequence[_Pose]) -> np.
         cameras[:, 15],
         np.array([pose.size for pose in poses]).reshape(-1, 2),
         np.array([bounds.min, bounds.max], np.float64),
-        [None if mask is None else mask.astype(bool) for mask in masks],
+        [None if mask is None else np.asarray(mask, bool) for mask in masks],
     )
 
 

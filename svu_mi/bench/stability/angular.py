@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.angular import Statistics
-from svu_mi.bench.stability.cases import Axis, Case, Found, entropies
+from svu_mi.bench.stability.cases import Axis, Case, Found, entropies, exposures
 from svu_mi.bench.stability.exact import Grid, U, angular_entropy
 from svu_mi.interop import owned
 from svu_mi.options import AngularPreset, preset
@@ -154,11 +154,7 @@ def one_bright_view(p: np.ndarray) -> np.ndarray:
 
 
 def _exposure(_: Path, quick: bool) -> Iterator[Case]:
-    for name, switches, grid in rules(quick):
-        if switches.noise == "fixed":
-            continue
-        for power in (-20, 20) if quick else (-20, -10, -1, 1, 10, 20):
-            yield f"{name}, radiance times 2^{power}", partial(_exposed, switches, grid, power)
+    return exposures(rules(quick), _exposed, quick)
 
 
 def _exposed(switches: AngularPreset, grid: Grid, power: int) -> Found:

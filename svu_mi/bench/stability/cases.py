@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -68,3 +69,22 @@ def refused(function: Callable[[], Any]) -> Found:
     except SvuError:
         return Found(np.zeros(1), 0.0, np.zeros(0))
     return Found(np.full(1, np.inf), 0.0, np.zeros(0))
+
+
+def exposures(
+    rules: Iterable[tuple[str, Any, Any]], exposed: Callable[[Any, Any, int], Found], quick: bool
+) -> Iterator[Case]:
+    """Yield cases of radiance times 2^power for all rules that should not see it.
+
+    Powers of two round nothing: entropy may differ by what its own sums round.
+
+    Args:
+        rules: name, preset and grid of each.
+        exposed: runs one of a preset, a grid and a power.
+        quick: only the ends.
+    """
+    for name, switches, grid in rules:
+        if switches.noise == "fixed":
+            continue
+        for power in (-20, 20) if quick else (-20, -10, -1, 1, 10, 20):
+            yield f"{name}, radiance times 2^{power}", partial(exposed, switches, grid, power)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.stability.cases import Axis, Case, Found, entropies
+from svu_mi.bench.stability.cases import Axis, Case, Found, entropies, exposures
 from svu_mi.bench.stability.exact import Grid, U, spectrum_entropy
 from svu_mi.options import Preset, preset
 from svu_mi.posterior import ParameterGrid, PrincipledGrid, spectrum_posterior
@@ -21,15 +21,21 @@ KS = ParameterGrid(8, 8)
 PRINCIPLED = PrincipledGrid(8, 8, 8)
 
 
-def spectra(seed: int, channels: int, texels: int = TEXELS) -> tuple[np.ndarray, np.ndarray]:
+def metals(
+    rng: np.random.Generator, texels: int, channels: int = 3
+) -> tuple[np.ndarray, np.ndarray]:
     """Light, and what random metals make of it with 5 % noise: (T, L + 1, C) float32."""
-    rng = np.random.default_rng(seed)
     l = np.arange(L + 1)[:, None]
     S_L = rng.exponential(size=(texels, L + 1, channels)) * 10 * np.exp(-0.5 * l)
     alpha, Ks = rng.random((texels, 1, 1)) ** 2, rng.random((texels, 1, channels))
     S_B = S_L * Ks**2 * np.exp(-2 * (alpha * l) ** 2)
     S_B *= np.exp(0.05 * rng.normal(size=S_B.shape))
     return S_L.astype(np.float32), S_B.astype(np.float32)
+
+
+def spectra(seed: int, channels: int, texels: int = TEXELS) -> tuple[np.ndarray, np.ndarray]:
+    """``metals`` by seed."""
+    return metals(np.random.default_rng(seed), texels, channels)
 
 
 def irradiance(seed: int, channels: int, texels: int = TEXELS) -> np.ndarray:
@@ -97,12 +103,7 @@ def _presets(_: Path, quick: bool) -> Iterator[Case]:
 
 
 def _exposure(_: Path, quick: bool) -> Iterator[Case]:
-    """Powers of two round nothing: entropy may differ by what its own sums round."""
-    for name, switches, grid in rules(quick):
-        if switches.noise == "fixed":
-            continue
-        for power in (-20, 20) if quick else (-20, -10, -1, 1, 10, 20):
-            yield f"{name}, radiance times 2^{power}", partial(_exposed, switches, grid, power)
+    return exposures(rules(quick), _exposed, quick)
 
 
 def _exposed(switches: Preset, grid: Grid, power: int) -> Found:
