@@ -12,7 +12,7 @@ import sys
 
 import mitsuba as mi
 
-MODULES = ("svu_entropy",)  # file name = XML type
+MODULES = ("svu_entropy", "svu_sh")  # file name = XML type
 _loaded_for: str | None = None
 
 

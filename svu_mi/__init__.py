@@ -25,7 +25,9 @@ if TYPE_CHECKING:
         angular_posterior,
         spectrum_posterior,
     )
+    from svu_mi.recovery.recover import Recovery, recover
     from svu_mi.reference import Reference, reference_posterior
+    from svu_mi.regularization import GlobalSharing, TotalVariation
     from svu_mi.surface import Texels, texels
 
 __version__ = "0.1.0"
@@ -40,14 +42,16 @@ _HOME = {
     "preset": "options",
     "Estimate": "pipeline", "estimate": "pipeline",
     "Reference": "reference", "reference_posterior": "reference",
+    "Recovery": "recovery.recover", "recover": "recovery.recover",
+    "GlobalSharing": "regularization", "TotalVariation": "regularization",
     "SvuError": "errors", "SvuWarning": "errors",
 }  # fmt: skip
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
-    "AngularPreset", "Capture", "Estimate", "ParameterGrid", "Posterior", "Preset",
-    "PrincipledGrid", "Reference", "Skip", "SvuError", "SvuWarning", "Texels", "angular_posterior",
-    "estimate", "fit_sh", "load_capture", "power_spectrum", "preset", "reference_posterior",
-    "render_capture", "spectrum_posterior", "texels",
+    "AngularPreset", "Capture", "Estimate", "GlobalSharing", "ParameterGrid", "Posterior", "Preset",
+    "PrincipledGrid", "Recovery", "Reference", "Skip", "SvuError", "SvuWarning", "Texels",
+    "TotalVariation", "angular_posterior", "estimate", "fit_sh", "load_capture", "power_spectrum",
+    "preset", "recover", "reference_posterior", "render_capture", "spectrum_posterior", "texels",
 ]  # fmt: skip
 
 _llvm.bootstrap()

@@ -37,7 +37,7 @@ def text_of(output) -> str:
 
 
 def test_there_is_a_notebook():
-    assert [path.name for path in NOTEBOOKS] == ["entropy.ipynb"]
+    assert [path.name for path in NOTEBOOKS] == ["entropy.ipynb", "recovery.ipynb"]
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ proportional to R0, and a part q that Fresnel adds whatever R0 is.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -19,8 +20,15 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.brdf.diffuse import diffuse_shading
-from svu_mi.brdf.lobes import ALBEDO_NODES, dominance, smith_g1, split_sum, zonal_profile
-from svu_mi.brdf.principled import alpha_from_roughness
+from svu_mi.brdf.lobes import (
+    ALBEDO_NODES,
+    dielectric_albedo,
+    dominance,
+    smith_g1,
+    split_sum,
+    zonal_profile,
+)
+from svu_mi.brdf.principled import F0, alpha_from_roughness
 from svu_mi.frequency import harmonics
 from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
@@ -41,6 +49,7 @@ class Reflection:
         roughness: (R,) of the levels.
         levels: light filtered for each.
         albedo: (R * ALBEDO_NODES * 2,) Float, the split-sum pair.
+        dielectric: (R * ALBEDO_NODES,) Float, the albedo with exact dielectric reflectance.
         arriving: light that reaches each texel.
         channels: 3, or 1 for grey.
     """
@@ -49,6 +58,7 @@ class Reflection:
     roughness: np.ndarray
     levels: Levels
     albedo: Any
+    dielectric: Any
     arriving: Hemisphere
     channels: int
 
@@ -99,6 +109,7 @@ def reflection(
         roughness=roughness,
         levels=filter_light(lighting, alpha, profile, grey=channels == 1),
         albedo=owned(mi.Float, split_sum(alpha).ravel()),
+        dielectric=owned(mi.Float, dielectric_albedo(alpha).ravel()),
         arriving=arriving,
         channels=channels,
     )
@@ -106,11 +117,15 @@ def reflection(
 
 @dataclass(frozen=True)
 class Terms:
-    """e, p and q of one sample, per level and channel: Floats."""
+    """e, p and q of one sample, per level and channel: Floats.
+
+    And what a dielectric reflects: F0 p + q where Fresnel's term is approximate, or better.
+    """
 
     diffuse: list[list[Any]]
     scaled: list[list[Any]]
     added: list[list[Any]]
+    dielectric: list[list[Any]]
 
 
 def terms(model: Reflection, normal: Any, direction: Any, cosine: Any, mirror_free: Any) -> Terms:
@@ -128,19 +143,20 @@ def terms(model: Reflection, normal: Any, direction: Any, cosine: Any, mirror_fr
         for moments in model.arriving.diffuse
     ]
     mirror = 2 * cosine * normal - direction
-    lost = _lost(model, mirror)
-    diffuse, scaled, added = [], [], []
+    lost = lost_light(model.arriving, mirror)
+    diffuse, scaled, added, dielectric = [], [], [], []
     for k, roughness in enumerate(model.roughness.tolist()):
         alpha = float(model.alpha[k])
         lobe = _lobe_light(model, k, alpha, normal, mirror)
         if lost is not None:
-            visible = _visible_part(lost, alpha, model.cell_blur, mirror_free)
+            visible = visible_part(lost, alpha, model.cell_blur, mirror_free)
             lobe = [visible * value for value in lobe]
-        A, B = _fresnel(model, k, alpha, cosine)
+        A, B, D = _fresnel(model, k, alpha, cosine)
         diffuse.append([a + roughness * b for a, b in shading])
         scaled.append([value * A for value in lobe])
         added.append([value * B for value in lobe])
-    return Terms(diffuse, scaled, added)
+        dielectric.append([value * D for value in lobe])
+    return Terms(diffuse, scaled, added, dielectric)
 
 
 def _lobe_light(
@@ -154,8 +170,8 @@ def _lobe_light(
     return model.levels.radiance(level, direction)
 
 
-def _fresnel(model: Reflection, level: int, alpha: float, cosine: Any) -> tuple[Any, Any]:
-    """(A, B): the lobe reflects R0 A + B."""
+def _fresnel(model: Reflection, level: int, alpha: float, cosine: Any) -> tuple[Any, Any, Any]:
+    """(A, B, D): the lobe reflects R0 A + B, and that of a dielectric D."""
     rule = model.switches.fresnel
     if rule == "split_sum":
         place = dr.clip(cosine * ALBEDO_NODES - 0.5, 0, ALBEDO_NODES - 1.001)
@@ -164,17 +180,16 @@ def _fresnel(model: Reflection, level: int, alpha: float, cosine: Any) -> tuple[
         index = first + level * ALBEDO_NODES
         here, after = (dr.gather(mi.Vector2f, model.albedo, index + step) for step in (0, 1))
         pair = dr.lerp(here, after, part)
-        return pair.x, pair.y
+        low, high = (dr.gather(mi.Float, model.dielectric, index + step) for step in (0, 1))
+        return pair.x, pair.y, dr.lerp(low, high, part)
     masking = smith_g1(cosine, alpha)
-    if rule == "none":
-        return masking, mi.Float(0)
-    schlick = (1 - cosine) ** 5
-    return masking * (1 - schlick), masking * schlick
+    schlick = (1 - cosine) ** 5 if rule == "schlick" else mi.Float(0)
+    A, B = masking * (1 - schlick), masking * schlick
+    return A, B, F0 * A + B
 
 
-def _lost(model: Reflection, mirror: Any) -> tuple[list[Any], list[Any]] | None:
-    """Visible and all light around the mirror direction, by degree."""
-    arriving = model.arriving
+def lost_light(arriving: Hemisphere, mirror: Any) -> tuple[list[Any], list[Any]] | None:
+    """Visible and all light around the mirror direction, by degree; None if not traced."""
     if not arriving.visible:
         return None
     basis = harmonics.basis(mirror, DEGREE)
@@ -187,20 +202,26 @@ def _lost(model: Reflection, mirror: Any) -> tuple[list[Any], list[Any]] | None:
     return sums
 
 
-def _visible_part(
-    lost: tuple[list[Any], list[Any]], alpha: float, cell: float, mirror_free: Any
+def visible_part(
+    lost: tuple[list[Any], list[Any]], alpha: Any, cell: float, mirror_free: Any
 ) -> Any:
     """Part of a lobe's light that is visible, in [0, 1].
 
     Wide lobes see what the cells saw; narrow ones what one ray in the mirror direction did.
+
+    Args:
+        lost: see ``lost_light``.
+        alpha: width of the lobe, a number or a Float.
+        cell: width of a cell of the light [rad].
+        mirror_free: Bool, nothing stands in the mirror direction.
     """
+    exp = dr.exp if dr.is_array_v(alpha) else math.exp
     # What the lobe leaves of a degree, and a cell: exp(-l (l + 1) w^2 / 2).
     factors = [
-        float(np.exp(-((alpha * l) ** 2) - l * (l + 1) * cell**2 / 2))
-        for l in range(DEGREE + 1)
+        exp(-((alpha * l) ** 2) - l * (l + 1) * cell**2 / 2) for l in range(DEGREE + 1)
     ]
     free, whole = (sum(f * v for f, v in zip(factors, values, strict=True)) for values in lost)
     # Where hardly any light comes from, it does not matter which part of it is seen.
     wide = dr.select(whole > 1e-3 * dr.abs(lost[1][0]), dr.clip(free / whole, 0, 1), 1)
-    sharp = float(np.exp(-((SHARP * alpha) ** 2)))
+    sharp = exp(-((SHARP * alpha) ** 2))
     return sharp * dr.select(mirror_free, mi.Float(1), 0) + (1 - sharp) * wide

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -49,8 +50,15 @@ def capture_of(cell: Cell, settings: Settings, folder: Path, progress: Progress)
 
 def some_views(capture: Capture, count: int) -> Capture:
     """Return the capture with ``count`` of its views, evenly spread over their order."""
-    chosen = np.unique(np.linspace(0, capture.count - 1, count).round().astype(int))
+    return chosen_views(
+        capture, np.unique(np.linspace(0, capture.count - 1, count).round().astype(int))
+    )
+
+
+def chosen_views(capture: Capture, indices: Iterable[int]) -> Capture:
+    """Return the capture with the views of these indices, in this order."""
     names = ("sensors", "images", "masks", "exposures", "names", "unusable", "used")
+    chosen = [int(index) for index in indices]
     views: dict[str, Any] = {
         name: tuple(getattr(capture, name)[i] for i in chosen) for name in names
     }

@@ -179,9 +179,7 @@ def principled_errors(
     d = np.zeros((len(e), len(metallic), len(base_color)))
     for r, j, k in itertools.product(*(range(n) for n in d.shape)):
         m, c = metallic[j], base_color[k]
-        d[r, j, k] = mean_squared_error(
-            w, e[r], p[r], q[r], b, (1 - m) * c, F0 + (c - F0) * m
-        )
+        d[r, j, k] = mean_squared_error(w, e[r], p[r], q[r], b, (1 - m) * c, F0 + (c - F0) * m)
     return d
 
 

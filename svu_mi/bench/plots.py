@@ -56,7 +56,8 @@ def draw_plots(folder: Path, record: Record) -> list[Path]:
     return paths
 
 
-def _page(width: float, height: float) -> Figure:
+def page(width: float, height: float) -> Figure:
+    """Return an empty figure of so many inches."""
     # pyplot, with its global state and its windows, is not used.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -66,7 +67,8 @@ def _page(width: float, height: float) -> Figure:
     return figure
 
 
-def _tidy(axes: Axes) -> None:
+def tidy(axes: Axes) -> None:
+    """Give axes the look of all plots: a grid, and no frame above and to the right."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(True, color="#e6e6ea", linewidth=0.8)
     axes.set_axisbelow(True)
@@ -80,7 +82,7 @@ def _from_zero(axes: Axes) -> None:
         axes.set(xlim=(0, 1.12 * right or 1), ylim=(0, 1.2 * top or 1))
 
 
-def _time_axis(axes: Axes, times: list[float]) -> None:
+def time_axis(axes: Axes, times: list[float]) -> None:
     """Show run times on a log axis, in the units people use."""
     low, high = min(times) / 3, max(times) * 3
     axes.set_xscale("log")
@@ -101,7 +103,7 @@ def _styles(rows: list[Record]) -> dict[str, tuple[str, str]]:
 
 def _time_error(record: Record) -> Figure:
     """The headline: time for all texels, and 1 - rho, mean over cells."""
-    rows, figure = record["summary"], _page(9, 5.4)
+    rows, figure = record["summary"], page(9, 5.4)
     axes = figure.add_subplot()
     styles, others = _styles(rows), False
     estimators = [row for row in rows if row["kind"] in ("main", "switch")]
@@ -118,7 +120,7 @@ def _time_error(record: Record) -> Figure:
             axes.plot(row["seconds"], error, "o", color=FAINT, markersize=4, label=label)
             others = True
     times = _reference_points(axes, record) + [row["seconds"] for row in estimators]
-    _time_axis(axes, times)
+    time_axis(axes, times)
     for row in rows:
         if row["kind"] == "sanity":
             error = 1 - row["pearson"]["mean"]
@@ -134,7 +136,7 @@ def _time_error(record: Record) -> Figure:
         of += "; bars: 95 % over objects"
     axes.set_title(of, fontsize=10, color=INK)
     axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    _tidy(axes)
+    tidy(axes)
     return figure
 
 
@@ -170,7 +172,7 @@ def _scaling(record: Record) -> Figure:
     scaling = record["speed"]["scaling"]
     titles = {"degree": "highest degree l*", "grid": "nodes per axis", "views": "views",
               "reference_spp": "samples of the reference"}  # fmt: skip
-    figure = _page(11, 7)
+    figure = page(11, 7)
     for place, (what, curves) in enumerate(scaling.items(), 1):
         axes = figure.add_subplot(2, 2, place)
         for index, (label, curve) in enumerate(curves.items()):
@@ -188,7 +190,7 @@ def _scaling(record: Record) -> Figure:
         _from_zero(axes)
         if axes.get_legend_handles_labels()[1]:
             axes.legend(frameon=False, fontsize=8, loc="best")
-        _tidy(axes)
+        tidy(axes)
     figure.suptitle(record["speed"]["cell"], fontsize=10, color=INK)
     return figure
 
@@ -199,7 +201,7 @@ def _scaling(record: Record) -> Figure:
 def _switches(record: Record) -> Figure:
     """How much each single switch changes the correlation, per cell and on average."""
     rows = [row for row in record["summary"] if row["kind"] == "switch"]
-    figure = _page(8, 1.2 + 0.32 * len(rows))
+    figure = page(8, 1.2 + 0.32 * len(rows))
     axes = figure.add_subplot()
     for place, row in enumerate(reversed(rows)):
         base = f"{row['label'].split()[0]} default"
@@ -216,14 +218,14 @@ def _switches(record: Record) -> Figure:
     axes.axvline(0, color=INK, linewidth=0.8)
     axes.set_xlabel("change of the Pearson correlation against the method's default")
     axes.set_title("Single switches: mean (bar) and each cell (stroke)", fontsize=10, color=INK)
-    _tidy(axes)
+    tidy(axes)
     return figure
 
 
 def _scatter(record: Record) -> Figure:
     """Entropy of each main estimator against that of the reference, cell by cell."""
     styles, cells = _styles(record["summary"]), record["cells"][:MAX_CELLS]
-    figure = _page(2.6 * max(len(styles), 1) + 0.6, 2.4 * len(cells) + 0.9)
+    figure = page(2.6 * max(len(styles), 1) + 0.6, 2.4 * len(cells) + 0.9)
     grid = figure.subplots(len(cells), max(len(styles), 1), squeeze=False, sharex=True,
                            sharey=True)  # fmt: skip
     for line, cell in zip(grid, cells, strict=True):
@@ -238,7 +240,7 @@ def _scatter(record: Record) -> Figure:
             if cell is cells[0]:
                 axes.set_title(label, fontsize=9, color=INK)
             axes.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
-            _tidy(axes)
+            tidy(axes)
         line[0].set_ylabel(f"{cell['object']}\n{cell['light']}", fontsize=9)
     figure.supxlabel("entropy of the reference", fontsize=9)
     return figure
@@ -250,7 +252,7 @@ def _curves(record: Record) -> Figure:
     names = list(dict.fromkeys(
         name for label in styles for name in record["cells"][0]["variants"][label]["parameters"]
     ))  # fmt: skip
-    figure = _page(3.9 * max(len(names), 1), 3.8)
+    figure = page(3.9 * max(len(names), 1), 3.8)
     grid = figure.subplots(1, max(len(names), 1), squeeze=False)[0]
     for axes, name in zip(grid, names, strict=False):
         axes.axhline(1, color=FAINT, linewidth=0.8, linestyle="--")
@@ -266,7 +268,7 @@ def _curves(record: Record) -> Figure:
                           label=label if line == "-" else None)  # fmt: skip
         axes.set(title=name, xlabel="removed, most uncertain first", xlim=(0, 1))
         axes.set_ylim(bottom=0)
-        _tidy(axes)
+        tidy(axes)
     grid[0].set_ylabel("remaining error / error of all")
     if grid[0].get_legend_handles_labels()[1]:
         grid[0].legend(frameon=False, fontsize=7, loc="lower left", title="(dotted: oracle)",

@@ -13,6 +13,8 @@ from svu_mi.bench.cells import Cell
 from svu_mi.bench.checks import run_checks
 from svu_mi.bench.kernels import run_kernels
 from svu_mi.bench.plots import draw_plots
+from svu_mi.bench.recovery import draw_recovery, run_recovery
+from svu_mi.bench.recovery.options import Options
 from svu_mi.bench.speed import run_speed, timed_setting
 from svu_mi.bench.stability import run_stability
 from svu_mi.bench.store import Store, code_and_machine, key_of
@@ -23,7 +25,7 @@ from svu_mi.errors import OptionError, SvuError, SvuWarning
 from svu_mi.files import prepare_folder
 from svu_mi.output import environment_record, write_manifest
 
-WHAT = ("accuracy", "checks", "speed", "kernels", "stability", "all")
+WHAT = ("accuracy", "checks", "speed", "kernels", "stability", "recovery", "all")
 
 
 def run_bench(
@@ -32,6 +34,7 @@ def run_bench(
     what: str = "all",
     *,
     variants: Sequence[Variant] | None = None,
+    recovery: Options | None = None,
     command: str = "",
 ) -> dict[str, Any]:
     """Run cells, then run times, and write bench.json, bench.md and the plots.
@@ -43,11 +46,12 @@ def run_bench(
         cells: objects x lights; run times are measured on the first.
         what: one of ``WHAT``.
         variants: estimators; all that this version knows by default.
+        recovery: what of the recovery benchmark is run.
         command: as the user gave it, for the record.
 
     Returns:
         What bench.json holds: ``cells``, ``summary``, ``checks``, ``speed``, ``kernels``,
-        ``stability``, ``failed``, and how it was run.
+        ``stability``, ``recovery``, ``failed``, and how it was run.
 
     Raises:
         OptionError: an unknown ``what``, or no cell.
@@ -71,6 +75,7 @@ def run_bench(
         "speed": None,
         "kernels": None,
         "stability": None,
+        "recovery": None,
     }
     if what in ("accuracy", "all"):
         record["cells"], record["failed"] = _all_cells(bench, cells, variants)
@@ -92,6 +97,13 @@ def run_bench(
     if what in ("stability", "all"):
         record["stability"] = _recall(bench, "stability", run_stability)
         _write(bench, record)
+    if what in ("recovery", "all"):
+
+        def finished(found: dict[str, Any]) -> None:
+            record["recovery"] = found
+            _write(bench, record)
+
+        run_recovery(bench, cells, recovery, finished=finished)
     return record
 
 
@@ -111,6 +123,8 @@ def _write(bench: Bench, record: dict[str, Any]) -> None:
         write_manifest(bench.folder / "bench.json", record)
         write_tables(bench.folder / "bench.md", record)
         draw_plots(bench.folder, record)
+        if record["recovery"]:
+            draw_recovery(bench.folder, record["recovery"])
 
 
 def _all_cells(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from svu_mi.bench.kernels import kernel_tables
+from svu_mi.bench.recovery import recovery_tables
 from svu_mi.bench.speed_tables import speed_tables
 from svu_mi.bench.stability import stability_table
 from svu_mi.bench.text import number, seconds, table
@@ -40,6 +41,8 @@ def write_tables(path: Path, record: Record) -> None:
         parts += ["# Kernels", kernel_tables(record["kernels"])]
     if record["stability"]:
         parts += ["# Numerical stability", stability_table(record["stability"])]
+    if record["recovery"]:
+        parts += ["# Recovery of textures", recovery_tables(record["recovery"])]
     with replacing(path) as temporary:
         temporary.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
 

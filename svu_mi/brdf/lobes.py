@@ -15,6 +15,7 @@ import numpy as np
 
 from svu_mi.options import Lobe
 
+INDEX = 1.5  # of refraction of dielectrics: specular = 0.5
 ALBEDO_NODES = 32  # of cos theta_o, at (i + 0.5) / 32
 _U, _V = 64, 16  # stratified samples of visible normals per table entry
 
@@ -44,18 +45,21 @@ def smith_g1(cosine: Any, alpha: Any) -> Any:
     return 2 / (1 + root(1 + alpha * alpha * tangent2))
 
 
-def dominance(alpha: np.ndarray) -> np.ndarray:
+def dominance(alpha: Any) -> Any:
     """How far a lobe points from the normal (0) to the mirror direction (1).
 
     Rough lobes lean towards the normal: (1 - alpha) (sqrt(1 - alpha) + alpha)
     [Lagarde and de Rousiers, Moving Frostbite to PBR, 2014, Sec. 4.9.3].
     """
-    return (1 - alpha) * (np.sqrt(np.maximum(1 - alpha, 0)) + alpha)
+    if not dr.is_array_v(alpha):
+        return (1 - alpha) * (np.sqrt(np.maximum(1 - alpha, 0)) + alpha)
+    # The root has no derivative at alpha = 1, the product has.
+    return (1 - alpha) * (dr.sqrt(dr.maximum(1 - alpha, 1e-12)) + alpha)
 
 
 @lru_cache(maxsize=256)
 def _albedo(alpha: float) -> np.ndarray:
-    """(2, ALBEDO_NODES): the pair (A, B) of a GGX lobe, by importance sampling."""
+    """(3, ALBEDO_NODES): the pair (A, B), and D, of a GGX lobe, by importance sampling."""
     mu = (np.arange(ALBEDO_NODES) + 0.5)[:, None] / ALBEDO_NODES
     view = np.stack([np.sqrt(1 - mu**2), np.zeros_like(mu), mu], axis=-1)
     half = _visible_normals(view, alpha)
@@ -63,8 +67,22 @@ def _albedo(alpha: float) -> np.ndarray:
     light = 2 * cosine[..., None] * half - view
     masking = smith_g1(np.maximum(light[..., 2], 1e-6), alpha)
     weight = np.where(light[..., 2] > 0, masking, 0.0)
-    fresnel = (1 - np.clip(cosine, 0, 1)) ** 5
-    return np.stack([(weight * (1 - fresnel)).mean(axis=1), (weight * fresnel).mean(axis=1)])
+    cosine = np.clip(cosine, 0, 1)
+    fresnel = (1 - cosine) ** 5
+    parts = (1 - fresnel, fresnel, dielectric_fresnel(cosine))
+    return np.stack([(weight * part).mean(axis=1) for part in parts])
+
+
+def dielectric_fresnel(cosine: np.ndarray) -> np.ndarray:
+    """Unpolarised reflectance of a dielectric of index 1.5 [Fresnel's equations].
+
+    Args:
+        cosine: of the angle between direction and (micro-)normal, in [0, 1].
+    """
+    inner = np.sqrt(1 - (1 - cosine**2) / INDEX**2)
+    s = (cosine - INDEX * inner) / (cosine + INDEX * inner)
+    p = (INDEX * cosine - inner) / (INDEX * cosine + inner)
+    return (s**2 + p**2) / 2
 
 
 def split_sum(alpha: np.ndarray) -> np.ndarray:
@@ -76,7 +94,22 @@ def split_sum(alpha: np.ndarray) -> np.ndarray:
     Returns:
         (R, ALBEDO_NODES, 2) float64 of A and B at cos theta_o = (i + 0.5) / ALBEDO_NODES.
     """
-    return np.stack([_albedo(float(a)).T for a in alpha])
+    return np.stack([_albedo(float(a))[:2].T for a in alpha])
+
+
+def dielectric_albedo(alpha: np.ndarray) -> np.ndarray:
+    """Directional albedo D of a dielectric's GGX lobe, with exact Fresnel reflectance.
+
+    Up to a quarter more than 0.04 A + B between 45 and 60 degrees; Mitsuba's ``principled``
+    uses Schlick's formula for metals only.
+
+    Args:
+        alpha: (R,) widths.
+
+    Returns:
+        (R, ALBEDO_NODES) float64, at the angles of ``split_sum``.
+    """
+    return np.stack([_albedo(float(a))[2] for a in alpha])
 
 
 def _visible_normals(view: np.ndarray, alpha: float) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from svu_mi.cli.commands import Common, Output
+from svu_mi.cli.inputs import Common, Output
 from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
 
@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from svu_mi.bench.cells import Cell
+    from svu_mi.bench.recovery.options import Options
 
 What = Annotated[
-    Literal["accuracy", "checks", "speed", "kernels", "stability", "all"], tyro.conf.Positional
+    Literal["accuracy", "checks", "speed", "kernels", "stability", "recovery", "all"],
+    tyro.conf.Positional,
 ]
 Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
 
@@ -36,7 +38,8 @@ class Bench(Common):
     what: What = "all"
     """accuracy: every object under every light; checks: what these comparisons take for granted,
     for some objects; speed: run times, of the first object and light; kernels: speed and error of
-    each kernel, what skipping saves, scaling; stability: errors at the ends of every axis."""
+    each kernel, what skipping saves, scaling; stability: errors at the ends of every axis;
+    recovery: textures recovered in every way, against the true ones."""
     output: Output = Path("out/bench")
     data: Path | None = None
     """Folder with objects/ and envmaps/; without it, the scenes of svu_mi."""
@@ -50,6 +53,15 @@ class Bench(Common):
     """Only the main estimators, without the single switches."""
     fresh: bool = False
     """Compute finished cells anew."""
+    rows: Names = ""
+    """recovery: ways of recovery to run; without it all."""
+    groups: Names = ""
+    """recovery: even (photographs from everywhere), repeated, varied (from one side mostly, of
+    materials that repeat or do not), costs (single steps); without it all."""
+    keep: bool = False
+    """recovery: take up results that another version of svu_mi found."""
+    stored: bool = False
+    """recovery: run nothing; make tables and plots of the results that are there."""
 
     def run(self, console: Console) -> int:
         """Run the benchmark."""
@@ -68,18 +80,29 @@ class Bench(Common):
         words = ["svu", *sys.argv[1:]]
         chosen = tuple(v for v in available() if v.main or not (self.main or self.quick))
         record = run_bench(
-            bench, self._cells(), self.what, variants=chosen, command=shlex.join(words)
-        )
+            bench, self._cells(), self.what, variants=chosen, recovery=self._recovery(),
+            command=shlex.join(words),
+        )  # fmt: skip
         for row in record["summary"]:
             if row["kind"] != "switch" and row["pearson"] is not None:
                 line = f"{row['label']}: Pearson {row['pearson']['mean']:.2f}"
                 console.print(line, markup=False, highlight=False, soft_wrap=True)
-        for bar in (record["kernels"] or {}).get("bars", ()):
+        parts = [record[name] or {} for name in ("kernels", "recovery")]
+        for bar in (bar for part in parts for bar in part.get("bars", ())):
             if not (bar["holds"] or self.quick):
                 line = f"Missed: {bar['what']}: {bar['value']:.3g} {bar['unit']}"
                 console.print(line, markup=False, highlight=False, soft_wrap=True)
         console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
         return 0
+
+    def _recovery(self) -> Options:
+        from svu_mi.bench.recovery.options import PARTS, Options
+
+        groups = names(self.groups, "--groups") or PARTS
+        return Options(
+            data=self.data, rows=names(self.rows, "--rows"), groups=groups, keep=self.keep,
+            stored=self.stored,
+        )  # fmt: skip
 
     def _cells(self) -> tuple[Cell, ...]:
         from svu_mi.bench.cells import data_cells, own_cells

@@ -13,10 +13,13 @@ from rich.console import Console
 
 from svu_mi.cli.bench import Bench
 from svu_mi.cli.commands import Demo, Doctor, Entropy, Render
+from svu_mi.cli.inputs import was_interrupted
+from svu_mi.cli.recover import Recover
 from svu_mi.errors import SvuError
 
 Command = (
     Annotated[Entropy, tyro.conf.subcommand("entropy")]
+    | Annotated[Recover, tyro.conf.subcommand("recover")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
@@ -37,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = tyro.cli(
         Command,  # type: ignore[arg-type]
         prog="svu",
-        description="How much photographs say about the reflectance of every point of an object.",
+        description="What photographs say about the reflectance of an object, and how much.",
         args=arguments,
         config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
     )
@@ -48,8 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     warnings.showwarning = _show_warning
     try:
         return command.run(console)
-    except KeyboardInterrupt:
-        return _fail("interrupted", 130)
+    except KeyboardInterrupt as stop:
+        return _fail(str(stop) or "interrupted", 130)
     except SvuError as error:
         if verbose:
             raise
@@ -57,6 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except MemoryError:
         return _fail("out of memory; use a smaller --resolution or fewer views", 2)
     except Exception as error:
+        if was_interrupted(error):
+            return _fail("interrupted", 130)
         if verbose:
             raise
         kind = type(error).__name__

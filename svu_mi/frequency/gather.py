@@ -1,7 +1,8 @@
-"""Power spectra of what every texel shows, and of the light that it mirrors."""
+"""SH fits and power spectra of what every texel shows, and of the light that it mirrors."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,9 +10,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.frequency.arrays import scatter_rows
+from svu_mi.frequency.arrays import scatter_rows, scatter_strided
 from svu_mi.frequency.fit import fit_lanes
-from svu_mi.frequency.groups import solver_groups
+from svu_mi.frequency.groups import SolverGroup, solver_groups
 from svu_mi.frequency.spectrum import power_lanes
 from svu_mi.options import Preset
 from svu_mi.radiance import Lighting, Surface, Survey, Views
@@ -103,28 +104,117 @@ def fit_spectra(
     """
     colors = channels or switches.colors
     light = light_channels or colors
-    seen = found.coverage.numpy()
     shape = (texels.count, switches.degree + 1, colors)
     outgoing, incoming = dr.zeros(mi.TensorXf, shape), dr.zeros(mi.TensorXf, shape)
     dr.eval(outgoing, incoming)
-    # Made now: a texture that is made while a loop is recorded does not outlive the recording.
-    dr.eval(lighting.filtered.tensor())
-    for group in solver_groups(seen if skip_unseen else np.maximum(seen, 1), switches.degree):
-        surface = Surface.of(texels, group.selection)
-        samples = Samples(views, lighting, surface, found, switches.occluded, colors, light)
-        coefficients = fit_lanes(
-            samples.at,
-            found.count,
-            degree=switches.degree,
-            channels=colors + light,
-            regularizer=switches.regularizer,
-            penalize_constant=switches.penalize_constant,
-            method=group.method,
-            capacity=group.capacity,
-        )
+    job = _Job(views, lighting, texels, found, switches, colors, light, skip_unseen)
+    for group, coefficients in job.solutions():
         power = power_lanes(coefficients)
         copies = colors // light
         scatter_rows(outgoing.array, [row[:colors] for row in power], group.selection)
         scatter_rows(incoming.array, [row[colors:] * copies for row in power], group.selection)
         dr.eval(outgoing, incoming)
     return Spectra(incoming=incoming, outgoing=outgoing)
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """SH coefficients of what T texels show, and of the light that they mirror.
+
+    Attributes:
+        values: (K (C + C') T,) Float: for coefficient l*l + l + m, then channel of the
+            photographs or of the light, one value per texel, in radiance; 0 where not seen.
+        degree: l*, so that K = (l* + 1)^2.
+        channels: C of the photographs.
+        light_channels: C' of the light, the same or 1.
+        count: T.
+    """
+
+    values: Any
+    degree: int
+    channels: int
+    light_channels: int
+    count: int
+
+    def outgoing(self, index: int, channel: int, texel: Any) -> Any:
+        """Read a coefficient of the photographs for texels."""
+        return self._read(index, channel, texel)
+
+    def incoming(self, index: int, channel: int, texel: Any) -> Any:
+        """Read a coefficient of the light, where channel may be any of the photographs'."""
+        return self._read(index, self.channels + channel % self.light_channels, texel)
+
+    def _read(self, index: int, row: int, texel: Any) -> Any:
+        first = (index * (self.channels + self.light_channels) + row) * self.count
+        return dr.gather(mi.Float, self.values, texel + dr.opaque(mi.UInt32, first))
+
+
+def fit_coefficients(
+    views: Views,
+    lighting: Lighting,
+    texels: Texels,
+    found: Survey,
+    switches: Preset,
+    *,
+    light_channels: int = 3,
+) -> Coefficients:
+    """Gather and fit as ``fit_spectra`` does, in three channels, and keep the coefficients.
+
+    Memory: 24 bytes per texel and coefficient, 1.2 kB per texel at degree 6.
+
+    Args:
+        views: the packed capture, in three channels.
+        lighting: its band-limited light.
+        texels: the T texels.
+        found: who sees whom.
+        switches: degree, regulariser, R_00 of Eq. 12 and occlusion.
+        light_channels: of the light, 3, or 1 if it is grey.
+    """
+    rows = (switches.degree + 1) ** 2 * (3 + light_channels)
+    values = dr.zeros(mi.Float, rows * texels.count)
+    dr.eval(values)
+    job = _Job(views, lighting, texels, found, switches, 3, light_channels, True)
+    for group, coefficients in job.solutions():
+        flat = [value for row in coefficients for value in row]
+        values = scatter_strided(values, flat, group.selection, dr.opaque(mi.UInt32, texels.count))
+        dr.eval(values)
+    return Coefficients(values, switches.degree, 3, light_channels, texels.count)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What ``fit_spectra`` was asked for."""
+
+    views: Views
+    lighting: Lighting
+    texels: Texels
+    found: Survey
+    switches: Preset
+    channels: int
+    light_channels: int
+    skip_unseen: bool
+
+    def solutions(self) -> Iterator[tuple[SolverGroup, list[list[Any]]]]:
+        """Yield the lanes of each solver and their coefficients, not evaluated yet."""
+        switches, seen = self.switches, self.found.coverage.numpy()
+        # Made now: a texture that is made while a loop is recorded does not outlive the recording.
+        dr.eval(self.lighting.filtered.tensor())
+        counts = seen if self.skip_unseen else np.maximum(seen, 1)
+        for group in solver_groups(counts, switches.degree):
+            samples = Samples(
+                self.views, self.lighting, Surface.of(self.texels, group.selection), self.found,
+                switches.occluded, self.channels, self.light_channels,
+            )  # fmt: skip
+            yield (
+                group,
+                fit_lanes(
+                    samples.at,
+                    self.found.count,
+                    degree=switches.degree,
+                    channels=self.channels + self.light_channels,
+                    regularizer=switches.regularizer,
+                    penalize_constant=switches.penalize_constant,
+                    method=group.method,
+                    capacity=group.capacity,
+                ),
+            )

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 
 from svu_mi.brdf.principled import specular_from_principled
-from svu_mi.errors import SceneError
+from svu_mi.surface.material import parameters_at
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
@@ -56,28 +54,4 @@ def ground_truth(capture: Capture, texels: Texels) -> GroundTruth:
     Raises:
         SceneError: another BSDF, or a mesh that was unwrapped anew.
     """
-    label = f"Shape '{capture.shape.id()}'"
-    if capture.mesh is not capture.shape:
-        raise SceneError(
-            f"{label} was unwrapped anew, so its texels have no place in its textures; give it "
-            "UVs of its own."
-        )
-    bsdf = capture.shape.bsdf()
-    if bsdf is None or not all(dr.all(bsdf.has_attribute(name)) for name in NAMES):
-        raise SceneError(f"{label} has no principled BSDF, so its true parameters are unknown.")
-    si = dr.zeros(mi.SurfaceInteraction3f, texels.count)
-    si.uv = texels.uv
-    return GroundTruth(
-        base_color=_columns(bsdf.eval_attribute("base_color", si), texels.count),
-        roughness=_column(bsdf.eval_attribute_1("roughness", si), texels.count),
-        metallic=_column(bsdf.eval_attribute_1("metallic", si), texels.count),
-    )
-
-
-def _column(value: Any, count: int) -> np.ndarray:
-    """Copy to (T,) float64; a uniform texture gives one value for all."""
-    return np.broadcast_to(np.array(value, np.float64).ravel(), (count,)).copy()
-
-
-def _columns(color: Any, count: int) -> np.ndarray:
-    return np.stack([_column(channel, count) for channel in color], axis=-1)
+    return GroundTruth(**parameters_at(capture, texels))

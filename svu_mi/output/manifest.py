@@ -57,13 +57,7 @@ def run_record(capture: Any, estimate: Any) -> dict[str, Any]:
     entropy, coverage = np.asarray(estimate.entropy), np.asarray(estimate.coverage)
     seen = coverage > 0
     return {
-        "inputs": {
-            "source": capture.source,
-            "views": capture.count,
-            "photographs": capture.names,
-            "exposures": capture.exposures,
-            "left_out": [n for n, u in zip(capture.names, capture.used, strict=True) if not u],
-        },
+        "inputs": _inputs(capture),
         "settings": {
             "method": estimate.method,
             "preset": estimate.preset,
@@ -78,6 +72,43 @@ def run_record(capture: Any, estimate: Any) -> dict[str, Any]:
         "skipped": estimate.skipped,
         "timings_s": estimate.timings,
         "warnings": capture.warnings,
+    }
+
+
+def recovery_record(capture: Any, recovery: Any) -> dict[str, Any]:
+    """Return what a capture and a recovery from it say about the run.
+
+    Args:
+        capture: the ``Capture``.
+        recovery: its ``Recovery``.
+    """
+    losses = np.asarray(recovery.losses, np.float64)
+    return {
+        "inputs": _inputs(capture),
+        "settings": {
+            "method": recovery.method,
+            "resolution": recovery.texels.resolution,
+            "used": recovery.settings,
+        },
+        "result": {
+            "texels": recovery.texels.count,
+            "texels_seen": int((np.asarray(recovery.coverage) > 0).sum()),
+            "steps": len(losses),
+            "first_loss": float(losses[0]) if len(losses) else None,
+            "last_loss": float(losses[-1]) if len(losses) else None,
+        },
+        "timings_s": recovery.timings,
+        "warnings": capture.warnings,
+    }
+
+
+def _inputs(capture: Any) -> dict[str, Any]:
+    return {
+        "source": capture.source,
+        "views": capture.count,
+        "photographs": capture.names,
+        "exposures": capture.exposures,
+        "left_out": [n for n, u in zip(capture.names, capture.used, strict=True) if not u],
     }
 
 

@@ -13,6 +13,7 @@ from svu_mi.capture import mesh as meshes
 from svu_mi.capture.poses import describe, film_size, make_sensor
 from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.scene import to_world
+from svu_mi.metrics import images
 
 SIDE = 512  # pixels of the longer side of a picture
 SAMPLES = 16
@@ -20,15 +21,18 @@ MARGIN = 0.06  # around the object, in parts of its size
 WHITE = 0.95  # part of the object's pixels that a tone-mapped photograph does not clip
 
 
-def far_apart(capture: Any, seen_per_view: Sequence[int] | None = None) -> list[int]:
-    """Choose the used sensor that sees most texels, and the one farthest from it in direction.
+def far_apart(
+    capture: Any, seen_per_view: Sequence[int] | None = None, count: int = 2
+) -> list[int]:
+    """Choose the used sensor that sees most texels, and those farthest from it in direction.
 
     Args:
         capture: the ``Capture``.
         seen_per_view: texels seen by each used view; by default the first view is taken.
+        count: how many sensors; each is the farthest from all before it.
 
     Returns:
-        Indices into ``capture.sensors``: two, or fewer if there are fewer.
+        Indices into ``capture.sensors``: ``count``, or fewer if there are fewer.
     """
     used = [index for index, used in enumerate(capture.used) if used]
     if len(used) < 2:
@@ -39,9 +43,12 @@ def far_apart(capture: Any, seen_per_view: Sequence[int] | None = None) -> list[
     directions = np.array([o - center for o in origins])
     directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
     first = 0 if seen_per_view is None else int(np.argmax(seen_per_view))
-    cosine = directions @ directions[first]
-    cosine[first] = np.inf
-    return [used[first], used[int(np.argmin(cosine))]]
+    chosen = [first]
+    while len(chosen) < min(count, len(used)):
+        nearest = (directions @ directions[chosen].T).max(axis=1)
+        nearest[chosen] = np.inf
+        chosen.append(int(np.argmin(nearest)))
+    return [used[index] for index in chosen]
 
 
 def picture(capture: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
@@ -69,7 +76,7 @@ def picture(capture: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
     }
     integrator = {"type": "svu_entropy", "colormap": "none", "shading": True, "map": bitmap}
     integrator = mi.load_dict({**integrator, "background": [1.0, 1.0, 1.0]})
-    small = _small(sensor)
+    small = small_sensor(sensor)
     image = np.array(mi.render(scene, sensor=small, integrator=integrator, spp=SAMPLES))
     covered = object_mask(scene, scene.shapes()[0], small)
     return np.clip(np.dstack([image[..., :3], covered]), 0, 1)
@@ -98,23 +105,40 @@ def crop(image: np.ndarray, window: tuple[float, float, float, float]) -> np.nda
     return image[top:bottom, left:right]
 
 
-def tone_mapped(photograph: np.ndarray, mask: np.ndarray | None = None) -> np.ndarray:
+def exposure(photograph: np.ndarray, mask: np.ndarray | None = None) -> float:
+    """Return the radiance that becomes white when a photograph is exposed for its object.
+
+    Args:
+        photograph: (H, W, 3) linear radiance; NaN = not usable.
+        mask: (H, W) bool, the pixels to expose for; all of them by default.
+    """
+    brightness = photograph.max(axis=2)
+    chosen = brightness[mask] if mask is not None and mask.any() else brightness
+    chosen = chosen[np.isfinite(chosen)]
+    white = float(np.quantile(chosen, WHITE)) if len(chosen) else 1.0
+    return white if white > 0 else 1.0
+
+
+def tone_mapped(
+    photograph: np.ndarray, mask: np.ndarray | None = None, white: float | None = None
+) -> np.ndarray:
     """Expose a photograph for its object and encode it as sRGB.
 
     Args:
         photograph: (H, W, 3) linear radiance; NaN = not usable, becomes middle grey.
         mask: (H, W) bool, the pixels to expose for; all of them by default.
+        white: radiance that becomes white; by default that of ``exposure``.
 
     Returns:
         (H, W, 3) float32 in [0, 1].
     """
-    brightness = photograph.max(axis=2)
-    chosen = brightness[mask] if mask is not None and mask.any() else brightness
-    chosen = chosen[np.isfinite(chosen)]
-    white = np.quantile(chosen, WHITE) if len(chosen) else 1.0
-    linear = np.clip(photograph / (white if white > 0 else 1.0), 0, 1)
-    # The sRGB transfer function (IEC 61966-2-1).
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    linear = photograph / (exposure(photograph, mask) if white is None else white)
+    return srgb(np.clip(linear, 0, 1))
+
+
+def srgb(linear: np.ndarray) -> np.ndarray:
+    """Encode linear values in [0, 1] as sRGB, float32; NaN becomes middle grey."""
+    encoded = images.srgb(linear)
     return np.where(np.isfinite(encoded), encoded, 0.5).astype(np.float32)
 
 
@@ -128,10 +152,10 @@ def _origin(sensor: Any) -> np.ndarray:
     return to_world(sensor)[:3, 3]
 
 
-def _small(sensor: Any) -> Any:
-    """Return the sensor with a film of at most ``SIDE`` pixels."""
+def small_sensor(sensor: Any, side: int = SIDE) -> Any:
+    """Return the sensor with a film of at most ``side`` pixels in width and height."""
     record = describe(sensor)
-    scale = min(1.0, SIDE / max(film_size(sensor)))
+    scale = min(1.0, side / max(film_size(sensor)))
     for key in ("film", "crop_offset", "crop_size"):
         low = 0 if key == "crop_offset" else 1
         record[key] = [max(low, int(value * scale)) for value in record[key]]

@@ -73,7 +73,7 @@ def hemisphere(
         free = above & (dr.dot(surface.geometric_normal, direction) > 0)
         if traced:
             # Neighbouring texels look in one direction: packets stay together.
-            free = _open(scene, surface, direction, free, coherent=True)
+            free = is_open(scene, surface, direction, free, coherent=True)
         flux = as_channels(dr.gather(mi.Color3f, cells.flux, cell), channels)
         cosine = dr.maximum(cosine, 0)
         lit = free if occluded else above
@@ -122,10 +122,12 @@ def mirror_free(scene: Any, surface: Surface, seen: Observation, asked: Any) -> 
     """
     mirror = 2 * seen.cosine * mi.Vector3f(surface.normal) - seen.direction
     free = asked & (dr.dot(surface.geometric_normal, mirror) > 0)
-    return seen.seen & _open(scene, surface, mirror, free, coherent=False)
+    return seen.seen & is_open(scene, surface, mirror, free, coherent=False)
 
 
-def _open(scene: Any, surface: Surface, direction: Any, active: Any, *, coherent: bool) -> Any:
+def is_open(
+    scene: Any, surface: Surface, direction: Any, active: Any, *, coherent: bool
+) -> Any:
     """Return which active texels see the sky in a direction."""
     origin = surface.position + surface.offset * surface.geometric_normal
     ray = mi.Ray3f(origin, direction, dr.largest(mi.Float), 0.0, [])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -59,9 +60,9 @@ def filter_light(
     """
     grid = resolved(lighting.environment)
     grid = grid.mean(axis=2, keepdims=True) if grey else grid
-    textures = tuple(
-        lat_long_texture(convolve(grid, width, partial(profile, width))) for width in widths
-    )
+    with ThreadPoolExecutor() as pool:  # NumPy lets go of the interpreter in what takes long
+        maps = list(pool.map(lambda width: convolve(grid, width, partial(profile, width)), widths))
+    textures = tuple(lat_long_texture(one) for one in maps)
     return Levels(textures=textures, to_local=lighting.to_local)
 
 

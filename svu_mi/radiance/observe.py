@@ -62,6 +62,11 @@ class Surface:
         return dr.arange(mi.UInt32, self.count) if self.texel is None else self.texel
 
     @property
+    def lane(self) -> Any:
+        """UInt32, the place of each in the launch."""
+        return dr.arange(mi.UInt32, self.count)
+
+    @property
     def count(self) -> int:
         """Number of texels in the launch."""
         return int(dr.width(self.position))

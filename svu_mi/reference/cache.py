@@ -16,12 +16,12 @@ import svu_mi
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.poses import describe
+from svu_mi.capture.repaint import is_same, is_two_sided
 from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.files import prepare_folder, replacing
 from svu_mi.posterior import TabulatedPosterior
 from svu_mi.reference.options import Options
 from svu_mi.reference.record import Reference
-from svu_mi.reference.uniform import is_same, is_two_sided
 from svu_mi.surface import Texels
 
 log = logging.getLogger(__name__)

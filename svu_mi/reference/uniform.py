@@ -7,10 +7,9 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.mesh import arrays, make
+from svu_mi.capture.repaint import repaint
 
 
 @dataclass(frozen=True)
@@ -40,17 +39,8 @@ class UniformScene:
                 "specular": 0.5,
             }
         )
-        shape = make(capture.shape.id(), arrays(capture.shape))
-        shape.set_bsdf(_as_sided_as(capture.shape.bsdf(), material))
-        parts: dict[str, Any] = {"type": "scene", "object": shape}
-        # An area light belongs to its shape and comes with it.
-        lights = [e for e in capture.scene.emitters() if e.is_environment()]
-        others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
-        parts |= {f"light_{index}": light for index, light in enumerate(lights)}
-        parts |= {f"other_{index}": other for index, other in enumerate(others)}
-        return UniformScene(
-            scene=mi.load_dict(parts, optimize=False), shape=shape, params=mi.traverse(material)
-        )
+        made = repaint(capture, material, capture.shape)
+        return UniformScene(scene=made.scene, shape=made.shape, params=mi.traverse(material))
 
     def paint(self, roughness: float, metallic: float, base_color: float) -> None:
         """Change the material; all values in [0, 1], ``base_color`` grey and linear."""
@@ -59,20 +49,3 @@ class UniformScene:
         self.params["metallic.value"] = dr.opaque(mi.Float, metallic)
         self.params["base_color.value"] = dr.opaque(mi.Color3f, base_color)
         self.params.update()
-
-
-def is_same(a: Any, b: Any) -> bool:
-    """Return whether two Python objects stand for one Mitsuba shape."""
-    return bool(np.array(mi.ShapePtr(a) == mi.ShapePtr(b)).all())
-
-
-def is_two_sided(bsdf: Any) -> bool:
-    """Return whether a BSDF reflects on the back of its surface, too."""
-    return bsdf is not None and "TwoSided" in bsdf.class_name()
-
-
-def _as_sided_as(bsdf: Any, material: Any) -> Any:
-    """Light that enters an open object meets its inside, at least in paths of several bounces."""
-    if not is_two_sided(bsdf):
-        return material
-    return mi.load_dict({"type": "twosided", "material": material})

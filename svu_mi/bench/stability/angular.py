@@ -116,8 +116,11 @@ def _rules(_: Path, quick: bool) -> Iterator[Case]:
         if not quick:
             prior = np.random.default_rng(20021).random(grid.shape)
             prior[2] = 0
-            yield f"{name}, prior", partial(
-                posterior_error, samples(20023, switches.colors), switches, grid, prior=prior
+            yield (
+                f"{name}, prior",
+                partial(
+                    posterior_error, samples(20023, switches.colors), switches, grid, prior=prior
+                ),
             )
 
 
@@ -141,8 +144,9 @@ def _radiance(_: Path, quick: bool) -> Iterator[Case]:
         for power in (-6, 6) if quick else (-6, -3, 3, 6):
             gain = 10.0**power
             data = (w, gain * b, gain * e, gain * p, gain * q)
-            yield f"{name}: radiance times 1e{power}", partial(
-                posterior_error, data, switches, grid, SCALE * gain
+            yield (
+                f"{name}: radiance times 1e{power}",
+                partial(posterior_error, data, switches, grid, SCALE * gain),
             )
 
 
@@ -175,8 +179,9 @@ def _sigma(_: Path, quick: bool) -> Iterator[Case]:
                     "default", method="angular", noise=noise, sigma=10.0**power, channels=channels
                 )
                 data = samples(20051, switches.colors)
-                yield f"{noise}, sigma 1e{power}, {channels}", partial(
-                    posterior_error, data, switches, PRINCIPLED
+                yield (
+                    f"{noise}, sigma 1e{power}, {channels}",
+                    partial(posterior_error, data, switches, PRINCIPLED),
                 )
 
 

@@ -157,9 +157,7 @@ class _Setting:
     lighting: Lighting
 
 
-def exact(
-    capture: Capture, texels: Texels, found: Estimate, chosen: np.ndarray
-) -> list[Exact]:
+def exact(capture: Capture, texels: Texels, found: Estimate, chosen: np.ndarray) -> list[Exact]:
     """What the entropy of chosen texels is, in double precision from single samples on.
 
     Args:
@@ -201,9 +199,7 @@ def _exact_angles(setting: _Setting, found: Estimate, chosen: np.ndarray) -> lis
         seen = on[t]
         e_t, p_t, q_t = (x[:, :, t, seen] for x in (e, p, q))
         result.append(
-            angular_entropy(
-                weights[t, seen], e_t, p_t, q_t, b[:, t, seen], switches, grid, scale
-            )
+            angular_entropy(weights[t, seen], e_t, p_t, q_t, b[:, t, seen], switches, grid, scale)
         )
     return result
 
@@ -275,6 +271,4 @@ def _last(column: tuple[np.ndarray, ...]) -> np.ndarray:
 
 def _table(rows: Any, count: int) -> np.ndarray:
     """(len(rows), len(rows[0]), count) float64 of nested lists of Floats."""
-    return np.array(
-        [[np.broadcast_to(x.numpy(), count) for x in row] for row in rows], np.float64
-    )
+    return np.array([[np.broadcast_to(x.numpy(), count) for x in row] for row in rows], np.float64)

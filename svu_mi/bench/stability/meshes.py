@@ -89,6 +89,7 @@ def spoiled(kind: str) -> MeshArrays:
 
 def _faces(folder: Path, _: bool) -> Iterator[Case]:
     start = photographed(folder)
+
     def of_mesh(mesh: MeshArrays) -> Capture:
         return ball(mesh=mesh).capture(folder, start().images)
 

@@ -97,8 +97,9 @@ def _presets(_: Path, quick: bool) -> Iterator[Case]:
         if not quick:
             prior = np.random.default_rng(10037).random(grid.shape)
             prior[2] = 0
-            yield f"{name}, prior", partial(
-                posterior_error, S_L, S_B, switches, grid, counts=counts, E=E, prior=prior
+            yield (
+                f"{name}, prior",
+                partial(posterior_error, S_L, S_B, switches, grid, counts=counts, E=E, prior=prior),
             )
 
 
@@ -155,8 +156,9 @@ def _sigma(_: Path, quick: bool) -> Iterator[Case]:
                 switches = preset("default", noise=noise, sigma=10.0**power, channels=channels)
                 S_L, S_B = spectra(10093, switches.colors)
                 E = irradiance(10099, switches.colors)
-                yield f"{noise}, sigma 1e{power}, {channels}", partial(
-                    posterior_error, S_L, S_B, switches, grid, E=E, counts=[1, 3, 60, 512]
+                yield (
+                    f"{noise}, sigma 1e{power}, {channels}",
+                    partial(posterior_error, S_L, S_B, switches, grid, E=E, counts=[1, 3, 60, 512]),
                 )
 
 
@@ -166,8 +168,9 @@ def _grids(_: Path, quick: bool) -> Iterator[Case]:
     for n in (2, 33) if quick else (2, 3, 5, 8, 16, 33, 64):
         for switches in (preset("paper"), preset("default", channels="joint", sigma=0.02)):
             shape = ParameterGrid(n, n if switches.name == "paper" else min(n, 8))
-            yield f"{switches.name}, {shape.shape}", partial(
-                posterior_error, S_L, S_B, switches, shape
+            yield (
+                f"{switches.name}, {shape.shape}",
+                partial(posterior_error, S_L, S_B, switches, shape),
             )
     shapes = [(2, 2, 2), (5, 3, 4)] if quick else [
         (2, 2, 2), (3, 3, 3), (5, 3, 4), (16, 16, 16), (64, 2, 2), (2, 64, 2), (2, 2, 64),

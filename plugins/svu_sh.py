@@ -1,0 +1,249 @@
+"""Render what the reflection model of svu_mi says a scene looks like, differentiably."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from svu_mi.angular.continuous import Continuous, continuous, shade
+from svu_mi.angular.shadow import Side, open_to_light
+from svu_mi.brdf.principled import alpha_from_roughness
+from svu_mi.capture.material import PRINCIPLED
+from svu_mi.capture.scene import find_environment
+from svu_mi.errors import OptionError, SceneError, SvuEnvironmentError, SvuWarning
+from svu_mi.options import ANGULAR_PRESETS, preset
+from svu_mi.radiance.environment import read_environment
+from svu_mi.radiance.lighting import band_limit
+from svu_mi.radiance.moments import MomentMap, moment_map
+
+REMEMBERED = 4  # lights that are kept filtered
+
+
+class ShIntegrator(mi.SamplingIntegrator):
+    r"""
+    .. _integrator-svu_sh:
+
+    Reflection by filtered light (:monosp:`svu_sh`)
+    -----------------------------------------------
+
+    .. pluginparameters::
+
+     * - preset
+       - |string|
+       - The reflection model: ``default``, or ``paper`` for Eq. 6 of the paper as printed, with
+         Gaussian lobes, Schlick's Fresnel term at the camera's angle and Lambert's diffuse one.
+         Also ``fast`` and ``calibrated``, as in ``svu_mi.preset``. (Default: ``default``)
+
+     * - levels
+       - |int|
+       - Number of roughness levels that the light is filtered for; between two of them, it is
+         interpolated. (Default: 16)
+
+     * - occlusion
+       - |bool|
+       - Trace what the scene itself hides of the light: for every camera ray, one ray for the
+         specular lobe and one for diffuse light. (Default: |true|; |false| with ``paper`` and
+         ``fast``)
+
+     * - hide_emitters
+       - |bool|
+       - Hide the environment from the camera; alpha is then that of the surfaces.
+         (Default: |false|)
+
+     * - max_depth, rr_depth
+       - |int|
+       - Accepted so that this plugin can stand in for :ref:`prb <integrator-prb>`, and not
+         used: light is reflected once.
+
+    This integrator renders surfaces with the :ref:`principled <bsdf-principled>` BSDF (also in a
+    :ref:`twosided <bsdf-twosided>` one) under one environment emitter, in closed form: light is
+    filtered once for every level of roughness, and then looked up where a lobe points. Without
+    occlusion there is no noise but that of antialiasing, so that few samples are enough.
+
+    Images are differentiable in the base colour, roughness and metallic textures of the BSDF.
+    In a script that optimises them with ``prb``, put it in place of that integrator:
+
+        image = mi.render(scene, params, integrator=mi.load_dict({'type': 'svu_sh'}))
+        dr.backward(loss(image))
+
+    Other parameters of the BSDF are taken to be at their defaults. Shapes with another BSDF are
+    black, and say so once; they occlude. The light is read when the first image is rendered,
+    and again after its parameters were changed. It is not differentiable, nor is visibility.
+
+    .. warning::
+        This integrator needs an RGB variant of the LLVM, CUDA or Metal backend. There are no
+        interreflections: compare with ``direct``, or ``path`` with a ``max_depth`` of 2.
+
+    .. tabs::
+        .. code-tab:: xml
+            :name: svu-sh-integrator
+
+            <integrator type="svu_sh">
+                <string name="preset" value="default"/>
+                <boolean name="occlusion" value="false"/>
+            </integrator>
+
+        .. code-tab:: python
+
+            'type': 'svu_sh',
+            'preset': 'default',
+            'occlusion': False
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        _require_variant()
+        name, self.levels = props.get("preset", "default"), props.get("levels", 16)
+        if name not in ANGULAR_PRESETS:
+            raise OptionError(
+                f"svu_sh: there is no preset {name!r}; use {', '.join(ANGULAR_PRESETS)}."
+            )
+        if not 2 <= self.levels <= 256:
+            raise OptionError(f"svu_sh: levels must be in [2, 256], got {self.levels}.")
+        self.switches = preset(name, method="angular")
+        self.occlusion = props.get("occlusion", self.switches.occluded_specular)
+        for ignored in ("max_depth", "rr_depth"):
+            props.get(ignored, 0)
+        self._lights: dict[Any, _Light] = {}
+        self._warned: list[Any] = []
+
+    def sample(
+        self,
+        scene: mi.Scene,
+        sampler: mi.Sampler,
+        ray: mi.RayDifferential3f,
+        medium: mi.Medium | None = None,
+        active: bool | mi.Bool = True,
+    ) -> tuple[mi.Color3f, mi.Bool, list[mi.Float]]:
+        """Return the radiance that reaches the camera along a ray."""
+        del medium
+        light = self._light(scene)
+        with dr.suspend_grad():
+            si = scene.ray_intersect(ray, active)
+            hit = active & si.is_valid()
+            side, faces = _facing(scene, si, ray)
+        bsdf, lit = si.bsdf(), hit & faces
+        for name in PRINCIPLED:
+            lit &= bsdf.has_attribute(name, hit)
+        base_color = bsdf.eval_attribute("base_color", si, lit)
+        roughness = dr.clip(bsdf.eval_attribute_1("roughness", si, lit), 0, 1)
+        metallic = bsdf.eval_attribute_1("metallic", si, lit)
+        moments, visible = light.moments.at(side.normal), None
+        if self.occlusion:
+            alpha = alpha_from_roughness(roughness)
+            diffuse, specular = open_to_light(scene, sampler, si, side, alpha, lit)
+            moments = [[diffuse * value for value in channel] for channel in moments]
+            visible = lambda *_: specular  # noqa: E731
+        shading = shade(
+            light.model, roughness, side.normal, side.direction, moments,
+            visible=visible, to_moments=light.moments.to_local,
+        )  # fmt: skip
+        color = dr.select(lit, mi.Color3f(*shading.radiance(base_color, metallic)), 0)
+        if self.hide_emitters:
+            return color, hit, []
+        sky = si.emitter(scene).eval(si, active & ~hit)
+        return color + dr.select(hit, 0, sky), mi.Bool(active), []
+
+    def _light(self, scene: mi.Scene) -> _Light:
+        """Return the scene's light, filtered once for as long as it stays the same."""
+        emitter = find_environment(scene, "svu_sh")
+        parameters = dict(mi.traverse(emitter).items())
+        key = _identity(emitter, parameters)
+        if key not in self._lights:
+            self._check_materials(scene)
+            if len(self._lights) == REMEMBERED:
+                self._lights.pop(next(iter(self._lights)))
+            with dr.suspend_grad():
+                lighting = band_limit(read_environment(emitter), 1)
+                channels = 1 if lighting.environment.grey else 3
+                model = continuous(lighting, self.switches, self.levels, channels)
+                moments = moment_map(lighting.environment, channels)
+                dr.eval(model, moments)
+            self._lights[key] = _Light(model, moments, (emitter, parameters))
+        return self._lights[key]
+
+    def _check_materials(self, scene: mi.Scene) -> None:
+        """Refuse scenes that would be all black, and say what else will be."""
+        shapes = scene.shapes()
+        black = [shape for shape in shapes if not _is_principled(shape)]
+        if len(black) == len(shapes):
+            raise SceneError(
+                "svu_sh: the scene has no shape with a 'principled' BSDF; it renders no other."
+            )
+        new = [shape for shape in black if not any(shape == known for known in self._warned)]
+        if new:
+            self._warned += new
+            names = ", ".join(repr(shape.id()) for shape in new)
+            warnings.warn(
+                f"svu_sh: shapes without a 'principled' BSDF are black: {names}.",
+                SvuWarning, stacklevel=2,
+            )  # fmt: skip
+
+    def aov_names(self) -> list[str]:
+        """Return no names: there is only the colour."""
+        return []
+
+    def traverse(self, cb: mi.TraversalCallback) -> None:
+        """Expose nothing: what is differentiable belongs to the scene."""
+
+    def to_string(self) -> str:
+        """Return the settings."""
+        return (
+            "ShIntegrator[\n"
+            f"  preset = {self.switches.name},\n"
+            f"  levels = {self.levels},\n"
+            f"  occlusion = {self.occlusion},\n"
+            f"  hide_emitters = {self.hide_emitters}\n"
+            "]"
+        )
+
+
+@dataclass(frozen=True)
+class _Light:
+    """Filtered light, and what it was read from: kept, so that its identity stays taken."""
+
+    model: Continuous
+    moments: MomentMap
+    source: tuple[Any, ...]
+
+
+def _facing(scene: Any, si: Any, ray: Any) -> tuple[Side, Any]:
+    """Return the side of the surface that a ray meets, and whether it reflects there."""
+    cosine = dr.dot(si.sh_frame.n, -ray.d)
+    turn = dr.select((cosine < 0) & _two_sided(scene, si), mi.Float(-1), mi.Float(1))
+    side = Side(normal=turn * si.sh_frame.n, geometric=turn * si.n, direction=-ray.d)
+    return side, (turn * cosine > 0) & (dr.dot(side.geometric, -ray.d) > 0)
+
+
+def _two_sided(scene: Any, si: Any) -> Any:
+    """Return whether the surface looks the same from behind; the BSDF's flags do not tell."""
+    bsdfs = {shape: shape.bsdf() for shape in scene.shapes()}
+    kinds = {s: b is not None and b.class_name() == "TwoSidedBRDF" for s, b in bsdfs.items()}
+    if len(set(kinds.values())) == 1:
+        return mi.Bool(all(kinds.values()))
+    return dr.any([si.shape == mi.ShapePtr(shape) for shape, both in kinds.items() if both])
+
+
+def _is_principled(shape: Any) -> bool:
+    bsdf = shape.bsdf()
+    return bsdf is not None and all(dr.all(bsdf.has_attribute(name)) for name in PRINCIPLED)
+
+
+def _identity(emitter: Any, parameters: dict[str, Any]) -> tuple[Any, ...]:
+    """Tell a light from every other, and from itself with other parameters."""
+    plain = tuple(value for value in parameters.values() if isinstance(value, int | float))
+    return hash(emitter), plain, tuple(dr.detail.collect_indices(parameters))
+
+
+def _require_variant() -> None:
+    if not mi.variant().endswith("_ad_rgb"):
+        raise SvuEnvironmentError(
+            f"svu_sh: needs a variant such as llvm_ad_rgb, but {mi.variant()} is active."
+        )
+
+
+mi.register_integrator("svu_sh", lambda props: ShIntegrator(props))

@@ -1,0 +1,203 @@
+"""The reflection model (Eq. 6) at any roughness, differentiable in it.
+
+``model.py`` evaluates a few levels of roughness for all lanes; here every lane has its own.
+What it needs of a level is interpolated linearly in roughness between two levels: the light
+under the lobe, and how much a lobe reflects. Seen obliquely, a lobe is narrower across the plane
+of incidence, where turning the half vector turns the reflected direction by 2 cos theta_h of
+that angle instead of 2; here its light is that of a round lobe of the same solid angle, of width
+alpha sqrt(cos theta_h). In (base colour c, metallic m) the model is
+
+    r = (1 - m) (c e + d) + m (c p + q)
+
+with the diffuse shading e, the lobe d of a dielectric, and the two parts of a metal's: p that is
+proportional to R0, and q that Fresnel adds whatever R0 is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.angular.model import Reflection
+from svu_mi.brdf.diffuse import diffuse_shading
+from svu_mi.brdf.lobes import (
+    ALBEDO_NODES,
+    dielectric_albedo,
+    dominance,
+    smith_g1,
+    split_sum,
+    zonal_profile,
+)
+from svu_mi.brdf.principled import F0, alpha_from_roughness
+from svu_mi.interop import owned
+from svu_mi.options import AngularPreset
+from svu_mi.radiance import Levels, Lighting, filter_light
+from svu_mi.radiance.stack import LightStack, stack
+
+NARROWEST = 1e-3  # cosine: more grazing views are treated like this one
+
+
+@dataclass(frozen=True)
+class Continuous:
+    """The light, and what lobes of any roughness make of it.
+
+    Attributes:
+        switches: which model.
+        light: R levels, uniform in roughness on [0, 1].
+        albedo: (R * ALBEDO_NODES * 4,) Float: A and B of the split sum, D of a dielectric, 0.
+        narrow: whether lobes seen obliquely are narrower; not so in Eq. 6.
+    """
+
+    switches: AngularPreset
+    light: LightStack
+    albedo: Any
+    narrow: bool
+
+    @staticmethod
+    def of(model: Reflection) -> Continuous:
+        """Take the levels of a model that has them; they must be uniform in roughness."""
+        return _continuous(model.switches, model.levels, model.roughness)
+
+    @property
+    def channels(self) -> int:
+        """Of the light, 3 or 1."""
+        return self.light.channels
+
+
+def continuous(
+    lighting: Lighting, switches: AngularPreset, levels: int = 16, channels: int = 3
+) -> Continuous:
+    """Filter the light.
+
+    Args:
+        lighting: the light.
+        switches: the model.
+        levels: R, at least 2, uniform in roughness on [0, 1].
+        channels: 3, or 1 for the mean of the colour channels.
+    """
+    roughness = np.linspace(0, 1, levels)
+    widths = alpha_from_roughness(roughness)
+    profile = partial(zonal_profile, switches.lobe)
+    filtered = filter_light(lighting, widths, profile, grey=channels == 1)
+    return _continuous(switches, filtered, roughness)
+
+
+def _continuous(switches: AngularPreset, levels: Levels, roughness: np.ndarray) -> Continuous:
+    alpha = alpha_from_roughness(roughness)
+    table = np.zeros((len(alpha), ALBEDO_NODES, 4))
+    if switches.fresnel == "split_sum":
+        table[..., :2], table[..., 2] = split_sum(alpha), dielectric_albedo(alpha)
+    narrow = switches.lobe == "ggx" and switches.off_specular
+    return Continuous(switches, stack(levels), owned(mi.Float, table.ravel()), narrow)
+
+
+@dataclass(frozen=True)
+class Shading:
+    """e, p, q and d of one sample per lane: a Float per channel of the light each."""
+
+    diffuse: list[Any]
+    scaled: list[Any]
+    added: list[Any]
+    dielectric: list[Any]
+
+    @property
+    def parts(self) -> tuple[list[Any], ...]:
+        """e, p, q and d."""
+        return self.diffuse, self.scaled, self.added, self.dielectric
+
+    def radiance(self, base_color: Any, metallic: Any) -> list[Any]:
+        """Outgoing radiance, a Float per channel of the base colour.
+
+        Args:
+            base_color: sequence of Floats in [0, 1].
+            metallic: Float in [0, 1].
+        """
+        result = []
+        for k, color in enumerate(base_color):
+            c = k % len(self.diffuse)  # grey light has one channel for all
+            dielectric = dr.fma(color, self.diffuse[c], self.dielectric[c])
+            metal = dr.fma(color, self.scaled[c], self.added[c])
+            result.append(dr.lerp(dielectric, metal, metallic))
+        return result
+
+
+def shade(
+    model: Continuous,
+    roughness: Any,
+    normal: Any,
+    direction: Any,
+    moments: list[list[Any]],
+    *,
+    visible: Callable[[Any, Any], Any] | None = None,
+    to_moments: Any | None = None,
+) -> Shading:
+    """Evaluate the model for one direction of view per lane.
+
+    Args:
+        model: the light and the lobes.
+        roughness: Float in [0, 1]; derivatives with respect to it are tracked.
+        normal: unit Normal3f, world space.
+        direction: unit Vector3f to the camera, world space.
+        moments: of the light that arrives, as in ``Hemisphere.diffuse``.
+        visible: called with the mirror direction and alpha, returns the part of the lobe's
+            light that is visible, in [0, 1]; all of it by default.
+        to_moments: Matrix3f from world space to the frame of the moments; none by default.
+    """
+    normal, rule = mi.Vector3f(normal), model.switches.diffuse
+    cosine = dr.maximum(dr.dot(normal, direction), NARROWEST)
+    outgoing = direction if to_moments is None else to_moments @ mi.Vector3f(direction)
+    shading = [diffuse_shading(rule, each, outgoing, cosine) for each in moments]
+    alpha = alpha_from_roughness(roughness)
+    mirror = 2 * cosine * normal - direction
+    center = mirror
+    if model.switches.off_specular:
+        center = dr.normalize(dr.lerp(normal, mirror, dominance(alpha)))
+    place = dr.clip(roughness, 0, 1) * (model.light.count - 1)
+    lobe = model.light.radiance(place * _narrower(model, center, direction), center)
+    if visible is not None:
+        seen = visible(mirror, alpha)
+        lobe = [seen * value for value in lobe]
+    A, B, D = _reflected(model, place, alpha, cosine)
+    return Shading(
+        diffuse=[dr.fma(roughness, b, a) for a, b in shading],
+        scaled=[A * value for value in lobe],
+        added=[B * value for value in lobe],
+        dielectric=[D * value for value in lobe],
+    )
+
+
+def _narrower(model: Continuous, center: Any, direction: Any) -> Any:
+    """Factor of the roughness of a lobe that is seen obliquely, the root of that of alpha."""
+    if not model.narrow:
+        return 1.0
+    # The half vector of the lobe's centre: cos^2 theta_h = (1 + center . direction) / 2.
+    square = (1 + dr.dot(center, mi.Vector3f(direction))) / 2
+    return dr.maximum(square, NARROWEST) ** 0.125
+
+
+def _reflected(model: Continuous, place: Any, alpha: Any, cosine: Any) -> tuple[Any, Any, Any]:
+    """(A, B, D): the lobe reflects R0 A + B, and that of a dielectric D."""
+    rule = model.switches.fresnel
+    if rule == "split_sum":
+        level = dr.clip(mi.Int32(dr.detach(place)), 0, model.light.count - 2)
+        column = dr.clip(cosine * ALBEDO_NODES - 0.5, 0, ALBEDO_NODES - 1.001)
+        first = mi.UInt32(dr.detach(column))
+        rows = [_row(model, mi.UInt32(level + k) * ALBEDO_NODES + first, column - first)
+                for k in (0, 1)]  # fmt: skip
+        found = dr.lerp(rows[0], rows[1], place - level)
+        return found.x, found.y, found.z
+    masking = smith_g1(cosine, alpha)
+    schlick = (1 - cosine) ** 5 if rule == "schlick" else mi.Float(0)
+    A, B = masking * (1 - schlick), masking * schlick
+    return A, B, F0 * A + B
+
+
+def _row(model: Continuous, index: Any, part: Any) -> Any:
+    low, high = (dr.gather(mi.Vector4f, model.albedo, index + step) for step in (0, 1))
+    return dr.lerp(low, high, part)

@@ -1,0 +1,114 @@
+"""What a surface point sees of its light, by two rays: for images, where points do not stay.
+
+The part of light that is visible is estimated as 1 or 0, in a direction drawn by its share of
+what is reflected. A few directions are drawn from the light, and a few from the specular lobe;
+of all of them, one is chosen for either kind of reflection by its share of the integral that
+it stands for (resampled importance sampling [Talbot et al. 2005], with balance heuristic).
+Multiplied by the integral without shadows, which is known, the estimate has little variance,
+none where nothing hides the light, and is never negative.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+FROM_LIGHT, FROM_LOBE = 4, 2  # directions drawn
+
+
+@dataclass(frozen=True)
+class Side:
+    """The side of a surface that a camera sees, in world space.
+
+    Attributes:
+        normal: shading normal on that side.
+        geometric: true normal on that side.
+        direction: to the camera.
+    """
+
+    normal: Any
+    geometric: Any
+    direction: Any
+
+
+@dataclass
+class _Choice:
+    """One direction of many, each with a probability in proportion to its weight."""
+
+    direction: Any
+    total: Any
+
+    def offer(self, direction: Any, weight: Any, sample: Any) -> None:
+        self.total = self.total + weight
+        self.direction = dr.select(sample * self.total < weight, direction, self.direction)
+
+
+def open_to_light(
+    scene: Any, sampler: Any, si: Any, side: Side, alpha: Any, active: Any
+) -> tuple[Any, Any]:
+    """Estimate which part of the diffuse, and of the specular, light nothing hides.
+
+    Args:
+        scene: what occludes, with one environment emitter.
+        sampler: of the rendering.
+        si: SurfaceInteraction3f, the points.
+        side: of the surface there.
+        alpha: Float, width of the GGX lobe; derivatives are not tracked.
+        active: Bool, which lanes matter.
+
+    Returns:
+        Two Floats, 0 or 1 per lane, whose means over samples are those parts.
+    """
+    with dr.suspend_grad():
+        frame, alpha = mi.Frame3f(side.normal), dr.detach(alpha)
+        lobe = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, alpha, True)
+        outgoing = frame.to_local(side.direction)
+        diffuse = _Choice(mi.Vector3f(side.normal), mi.Float(0))
+        specular = _Choice(mi.Vector3f(mi.reflect(side.direction, side.normal)), mi.Float(0))
+        for _ in range(FROM_LIGHT):
+            ds, flux = scene.sample_emitter_direction(si, sampler.next_2d(active), False, active)
+            flux, local = dr.mean(flux), frame.to_local(ds.d)
+            sample = sampler.next_1d(active)
+            diffuse.offer(ds.d, dr.maximum(local.z, 0) * flux, sample)
+            density = _density(lobe, outgoing, local)
+            mixed = FROM_LIGHT * ds.pdf + FROM_LOBE * density
+            weight = dr.select(mixed > 0, flux * density * ds.pdf / mixed, 0)
+            specular.offer(ds.d, weight, sampler.next_1d(active))
+        for _ in range(FROM_LOBE):
+            half, _ = lobe.sample(outgoing, sampler.next_2d(active))
+            local = mi.reflect(outgoing, half)
+            direction = frame.to_world(local)
+            light, pdf = _light_from(scene, si, direction, active)
+            density = _density(lobe, outgoing, local)
+            mixed = FROM_LIGHT * pdf + FROM_LOBE * density
+            weight = dr.select(mixed > 0, light * density / mixed, 0)
+            specular.offer(direction, weight, sampler.next_1d(active))
+        found = (_free(scene, si, side, each.direction, active) for each in (diffuse, specular))
+        first, second = (dr.select(free, mi.Float(1), mi.Float(0)) for free in found)
+        return dr.select(diffuse.total > 0, first, 1), second
+
+
+def _density(lobe: Any, outgoing: Any, incoming: Any) -> Any:
+    """Density of local directions that are reflected off visible normals [1/sr]."""
+    half = dr.normalize(outgoing + incoming)
+    density = lobe.pdf(outgoing, half) / (4 * dr.dot(outgoing, half))
+    return dr.select((incoming.z > 0) & (outgoing.z > 0), density, 0)
+
+
+def _light_from(scene: Any, si: Any, direction: Any, active: Any) -> tuple[Any, Any]:
+    """Radiance of the environment, mean over colour, and the density it would be drawn with."""
+    emitter = scene.environment()
+    away = dr.zeros(mi.SurfaceInteraction3f, dr.width(direction))
+    away.wi = -direction
+    ds = dr.zeros(mi.DirectionSample3f, dr.width(direction))
+    ds.d = direction
+    return dr.mean(emitter.eval(away, active)), emitter.pdf_direction(si, ds, active)
+
+
+def _free(scene: Any, si: Any, side: Side, direction: Any, active: Any) -> Any:
+    """Nothing stands in a direction; below the horizon is the surface itself."""
+    above = active & (dr.dot(side.geometric, direction) > 0)
+    return above & ~scene.ray_test(si.spawn_ray(direction), above)

@@ -1,0 +1,187 @@
+"""Run one row on one cell: what comes out, and how long it takes when kernels are compiled."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from svu_mi.bench.fresh import in_new_process
+from svu_mi.bench.recovery.rows import Row, find_row
+from svu_mi.bench.recovery.sizes import Sizes
+from svu_mi.capture import Capture, load_capture
+from svu_mi.progress import Progress, Stage
+from svu_mi.surface import Texels, texels
+
+STATUS = Path("/proc/self/status")
+BRIEF = 4  # steps after which all kernels are compiled
+
+
+@dataclass(frozen=True)
+class Timed:
+    """One row's result and its run time.
+
+    Attributes:
+        recovery: what ``recover`` returned.
+        seconds: by the clock, synchronised; median of the warm runs.
+        runs: number of these.
+        compiled: kernels compiled in the runs that count; 0 if they were warm.
+    """
+
+    recovery: Any
+    seconds: float
+    runs: int
+    compiled: int
+
+    def figures(self) -> dict[str, Any]:
+        """Return what is kept of the run itself."""
+        return {
+            "seconds": self.seconds,
+            "runs": self.runs,
+            "compiled": self.compiled,
+            "steps": len(self.recovery.losses),
+            "timings": dict(self.recovery.timings),
+        }
+
+
+def run_warm(row: Row, capture: Capture, grid: Texels, sizes: Sizes) -> Timed:
+    """Recover textures with compiled kernels.
+
+    Kernels are compiled by a brief run that does not count. A row that takes longer than
+    ``sizes.long_s`` is timed once.
+    """
+    if sizes.warm:
+        row.recover_in(BRIEF, capture, grid, Progress())
+    runs = [_run(row, capture, grid, sizes)]
+    if sizes.warm and runs[0].compiled and runs[0].seconds < sizes.long_s:
+        runs = [_run(row, capture, grid, sizes)]
+    while len(runs) < sizes.repeats and runs[0].seconds < sizes.long_s:
+        runs.append(_run(row, capture, grid, sizes))
+    return Timed(
+        recovery=runs[-1].recovery,
+        seconds=statistics.median(one.seconds for one in runs),
+        runs=len(runs),
+        compiled=sum(one.compiled for one in runs),
+    )
+
+
+def _run(row: Row, capture: Capture, grid: Texels, sizes: Sizes) -> Timed:
+    dr.sync_thread()
+    compiled, start = compiled_kernels(), time.perf_counter()
+    found = row.recover(capture, grid, sizes.scale)
+    dr.sync_thread()
+    return Timed(found, time.perf_counter() - start, 1, compiled_kernels() - compiled)
+
+
+def run_cold(folder: Path, resolution: int, label: str, scale: float) -> dict[str, Any]:
+    """Recover once in a new process with an empty kernel cache.
+
+    Args:
+        folder: of the capture.
+        resolution: texels per side.
+        label: of the row.
+        scale: see ``Sizes``.
+
+    Returns:
+        ``seconds`` of the recovery, ``compiled`` kernels, and ``process_seconds`` with start,
+        loading and everything else.
+
+    Raises:
+        SvuEnvironmentError: the process failed; the sentence is its last one.
+    """
+    found = in_new_process(
+        _once, folder=str(folder), resolution=resolution, label=label, scale=scale
+    )
+    return {**found["result"], "process_seconds": found["process_seconds"]}
+
+
+def _once(folder: str, resolution: int, label: str, scale: float) -> dict[str, Any]:
+    capture = load_capture(folder)
+    grid = texels(capture.mesh, resolution)
+    run = _run(find_row(label), capture, grid, Sizes(scale=scale))
+    return {"seconds": run.seconds, "compiled": run.compiled}
+
+
+# --- watching a run -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Mark:
+    """What was seen when a run reported its progress.
+
+    Attributes:
+        step: number of steps done.
+        seconds: on the clock.
+        compiled: kernels of this process so far.
+        resident: memory in MiB, None if it is not known.
+    """
+
+    step: int
+    seconds: float
+    compiled: int
+    resident: float | None
+
+
+class _Watching(Stage):
+    """A stage that notes when it is told of a step."""
+
+    def __init__(self, marks: list[Mark]) -> None:
+        super().__init__()
+        self._marks = marks
+
+    def update(self, done: int, total: int) -> None:
+        del total
+        dr.sync_thread()
+        self._marks.append(Mark(done, time.perf_counter(), compiled_kernels(), resident_mib()))
+
+
+class Watch(Progress):
+    """Progress that keeps a mark for every update of its longest stage."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._stages: list[list[Mark]] = []
+
+    @property
+    def marks(self) -> list[Mark]:
+        """Marks of the stage that had most."""
+        return max(self._stages, key=len, default=[])
+
+    @contextmanager
+    def stage(self, name: str, total: int | None = None) -> Iterator[Stage]:
+        """Run a stage, watched."""
+        with super().stage(name, total):
+            self._stages.append([])
+            yield _Watching(self._stages[-1])
+
+
+def step_seconds(marks: list[Mark]) -> float:
+    """Return the median seconds per step between marks, without the first interval.
+
+    NaN with fewer than three marks.
+    """
+    pairs = list(zip(marks[1:], marks[2:], strict=False))
+    if not pairs:
+        return float("nan")
+    return float(np.median([(b.seconds - a.seconds) / (b.step - a.step) for a, b in pairs]))
+
+
+def compiled_kernels() -> int:
+    """Return the number of kernels this process has compiled: launches found in no cache."""
+    _launches, _from_disk, compiled = dr.detail.launch_stats()
+    return int(compiled)
+
+
+def resident_mib() -> float | None:
+    """Return the memory that this process has resident, in MiB; None if not known."""
+    if not STATUS.exists():
+        return None
+    fields = dict(line.split(":", 1) for line in STATUS.read_text().splitlines() if ":" in line)
+    return int(fields["VmRSS"].split()[0]) / 1024

@@ -1,0 +1,136 @@
+"""The ways of recovery that are compared. The one file to edit when there is a new one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from svu_mi.capture import Capture
+from svu_mi.errors import OptionError
+from svu_mi.progress import Progress
+from svu_mi.recovery.options import PathOptions, ShOptions, path_preset, sh_preset
+from svu_mi.recovery.path.objective import path_objective
+from svu_mi.recovery.recover import Method, Recovery, recover
+from svu_mi.surface import Texels
+
+DEPTH = 2  # light straight from the environment, as in the photographs (bench.cells.DIRECT)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One way of recovery.
+
+    Attributes:
+        label: unique; the name in tables and plots.
+        method: of ``recover``.
+        sh: preset of the SH model.
+        path: preset of path tracing.
+        sharing: whether uncertain texels take after certain ones.
+    """
+
+    label: str
+    method: Method
+    sh: str = "default"
+    path: str = "default"
+    sharing: bool = False
+
+    @property
+    def traced(self) -> bool:
+        """Whether paths are traced, which takes long."""
+        return "path" in self.method
+
+    @property
+    def slug(self) -> str:
+        """The label as a file name."""
+        words = "".join(c if c.isalnum() else " " for c in self.label.replace("+", "with"))
+        return "_".join(words.lower().split())
+
+    def options(self, scale: float = 1.0) -> tuple[ShOptions, PathOptions]:
+        """Return the presets' options, for direct light.
+
+        Args:
+            scale: epochs of the path tracer and steps of SH descent, as a part of the presets'.
+        """
+        sh, path = sh_preset(self.sh), path_preset(self.path)
+        steps = max(1, round(scale * sh.descent.steps))
+        return (
+            replace(sh, descent=replace(sh.descent, steps=steps)),
+            replace(path, epochs=scale * path.epochs, max_depth=DEPTH),
+        )
+
+    def recover(self, capture: Capture, grid: Texels, scale: float = 1.0) -> Recovery:
+        """Recover the textures of a capture.
+
+        Args:
+            capture: the photographs.
+            grid: texels of its mesh.
+            scale: as for ``options``.
+        """
+        sh, path = self.options(scale)
+        return recover(capture, grid, self.method, sharing=self.sharing, sh=sh, path=path)
+
+    def recover_in(
+        self, steps: int, capture: Capture, grid: Texels, progress: Progress
+    ) -> Recovery:
+        """Recover textures in exactly so many steps.
+
+        Args:
+            steps: of the last descent.
+            capture: the photographs.
+            grid: texels of its mesh.
+            progress: is told of the steps.
+        """
+        sh, path = self.options()
+        sh = replace(sh, descent=replace(sh.descent, steps=steps, tolerance=0.0))
+        if self.traced:
+            epoch = path_objective(capture, grid, path).batches.epoch
+            path = replace(path, epochs=(steps - 0.5) / epoch)
+            path = replace(path, descent=replace(path.descent, tolerance=0.0))
+        return recover(
+            capture, grid, self.method, sharing=self.sharing, sh=sh, path=path, progress=progress
+        )
+
+
+PATH = Row("path", "path")
+PATH_SHARING = Row("path + sharing", "path", sharing=True)
+SH_PAPER = Row("SH (paper)", "sh", sh="paper")
+SH = Row("SH (ours)", "sh")
+SH_SHARING = Row("SH + sharing", "sh", sharing=True)
+SPECTRUM = Row("spectrum", "sh", sh="spectrum")
+SH_PATH = Row("SH + path", "sh+path", path="polish")  # one epoch
+SH_PAPER_SHARING = Row("SH (paper) + sharing", "sh", sh="paper", sharing=True)
+
+ROWS = (SH, SH_SHARING, SH_PAPER, SH_PAPER_SHARING, SPECTRUM, SH_PATH, PATH, PATH_SHARING)
+SHARING_ROWS = (SH, SH_SHARING, PATH, PATH_SHARING)  # of the groups that sharing is judged by
+COLD = (SH.label, SH_PAPER.label)  # also timed in a new process
+
+
+def find_row(label: str) -> Row:
+    """Return a row by its label.
+
+    Raises:
+        OptionError: there is none.
+    """
+    found = [row for row in ROWS if row.label == label]
+    if not found:
+        names = ", ".join(row.label for row in ROWS)
+        raise OptionError(f"There is no row {label!r}; there are {names}.")
+    return found[0]
+
+
+def choose_rows(labels: Sequence[str], group: str, *, traced: bool = True) -> tuple[Row, ...]:
+    """Return the rows that a cell is recovered with, cheap ones first.
+
+    Args:
+        labels: only these, if there are any.
+        group: of the cell.
+        traced: whether paths may be traced.
+
+    Raises:
+        OptionError: there is no such row.
+    """
+    chosen = [find_row(label) for label in labels] or list(ROWS)
+    kept = ROWS if group == "even" else SHARING_ROWS
+    return tuple(
+        row for row in ROWS if row in chosen and row in kept and (traced or not row.traced)
+    )

@@ -1,0 +1,211 @@
+"""What commands have in common: their options, and the way to the photographs."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from svu_mi import _llvm
+from svu_mi.errors import OptionError, SvuEnvironmentError
+from svu_mi.progress import Progress
+
+if TYPE_CHECKING:
+    from svu_mi.capture import Capture
+    from svu_mi.surface import Texels
+
+VARIANTS = ("cuda_ad_rgb", "metal_ad_rgb", "llvm_ad_rgb")  # the first that this machine can run
+
+MAX_THREADS = 1024
+RESERVED = ("parallel", "optimize")  # arguments of mi.load_file itself
+
+Defines = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(aliases=["-D"], metavar="KEY=VALUE", help="Scene parameter; can be repeated."),
+    tyro.conf.UseAppendAction,
+]
+Known = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(metavar="NAME=VALUE | scene", help_behavior_hint="(can be repeated)"),
+    tyro.conf.UseAppendAction,
+]
+Threads = Annotated[int, tyro.conf.arg(aliases=["-t"], help="CPU threads; 0 = all.")]
+Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"], help="Log more; errors with traceback.")]
+Variant = Annotated[str, tyro.conf.arg(aliases=["-m"], help="Mitsuba variant.")]
+Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder for the results.")]
+Scene = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE.xml")]
+Resolution = Annotated[tuple[int, ...], tyro.conf.arg(metavar="SIZE | WIDTH HEIGHT")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Common:
+    """Options of every command, with Mitsuba's letters."""
+
+    variant: Variant = "auto"
+    """Mitsuba variant; auto takes the first usable of cuda, metal and llvm _ad_rgb."""
+    threads: Threads = 0
+    verbose: Verbose = False
+
+    def start(self) -> None:
+        """Set the variant and the number of threads.
+
+        Raises:
+            SvuEnvironmentError: the variant does not exist or cannot run here.
+            OptionError: a negative number of threads.
+        """
+        if self.threads < 0:
+            raise OptionError(f"--threads must be 0 (all) or more, got {self.threads}.")
+        if self.threads > MAX_THREADS:
+            raise OptionError(f"--threads must be at most {MAX_THREADS}, got {self.threads}.")
+        import drjit as dr
+        import mitsuba as mi
+
+        try:
+            mi.set_variant(*(VARIANTS if self.variant == "auto" else (self.variant,)))
+        except (ImportError, AttributeError, ValueError, RuntimeError) as error:
+            _llvm.require()  # the likely cause, with its remedy
+            raise SvuEnvironmentError(
+                f"Variant '{self.variant}' is not available: {error}; this Mitsuba has "
+                f"{', '.join(mi.variants())}."
+            ) from error
+        import svu_mi.plugins  # noqa: F401 - registers them for the variant
+
+        if self.threads:
+            # One thread means one worker: without any, Mitsuba's scene loader waits for ever.
+            dr.set_thread_count(max(self.threads, 2))
+        mi.set_log_level(mi.LogLevel.Info if self.verbose else mi.LogLevel.Error)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photographed(Common):
+    """Options of every command that starts from photographs."""
+
+    scene: Scene
+    """Mitsuba scene with one sensor per photograph, or a capture folder."""
+    images: Path | None = None
+    """Folder with view_0000.exr, ...; without any photographs the scene itself is rendered."""
+    output: Output = Path("out")
+    define: Defines = ()
+    shape: str | None = None
+    """Id of the object, if the scene has several."""
+    resolution: Resolution = (512,)
+    """Texels per side, or width and height."""
+    unwrap: bool = False
+    """Lay out new UVs even if the mesh has some."""
+    spp: int = 64
+    """Samples per pixel, when the scene is rendered."""
+
+    def load(
+        self, progress: Progress, defines: dict[str, str], *, again: bool = False
+    ) -> tuple[Capture, Texels]:
+        """Load the photographs, or render them, and lay out texels.
+
+        Args:
+            progress: shows what is going on.
+            defines: the scene's parameters.
+            again: take photographs that an earlier run has rendered into the output folder.
+
+        Raises:
+            SceneError: the scene cannot be loaded or lacks something.
+            CaptureError: photographs are missing, unreadable or do not fit.
+            OptionError: the resolution is no size.
+        """
+        from svu_mi.surface import texels
+
+        size = pair(self.resolution, "--resolution")
+        capture = self._capture(progress, defines, again)
+        with progress.stage("Laying out texels"):
+            return capture, texels(capture.mesh, size)
+
+    def _capture(self, progress: Progress, defines: dict[str, str], again: bool) -> Capture:
+        from svu_mi.capture import has_photographs, load_capture, photographs_of, render_capture
+
+        images = self.images
+        live = images is None and self.scene.suffix.lower() == ".xml"
+        if live and not has_photographs(photographs_of(self.scene)):
+            images = self.output / "capture"
+            if not (again and has_photographs(images)):
+                with progress.stage("Rendering photographs") as stage:
+                    capture = render_capture(
+                        self.scene, self.spp, folder=images, shape=self.shape, defines=defines,
+                        unwrap=self.unwrap, progress=stage.update,
+                    )  # fmt: skip
+                warnings.warn(
+                    f"No photographs beside {self.scene} and no --images: the scene is rendered "
+                    f"into {images} instead.",
+                    stacklevel=1,
+                )
+                return capture
+        with progress.stage("Loading the capture"):
+            return load_capture(
+                self.scene, images, shape=self.shape, defines=defines, unwrap=self.unwrap
+            )
+
+
+def pair(size: tuple[int, ...], option: str) -> tuple[int, int]:
+    """Return (width, height) from one or two numbers.
+
+    Raises:
+        OptionError: another count of numbers, or one below 1.
+    """
+    if len(size) not in (1, 2) or min(size) < 1:
+        raise OptionError(f"{option} takes one or two positive numbers, got {size}.")
+    return size[0], size[-1]
+
+
+def parse_defines(words: tuple[str, ...]) -> dict[str, str]:
+    """Return ``-D`` words as a dictionary.
+
+    Raises:
+        OptionError: a word is not KEY=VALUE.
+    """
+    defines = {}
+    for word in words:
+        key, separator, value = word.partition("=")
+        if not (key and separator):
+            raise OptionError(f"-D takes KEY=VALUE, got {word!r}.")
+        if key in RESERVED:
+            raise OptionError(f"-D {word}: {key!r} cannot be the name of a scene parameter.")
+        defines[key] = value
+    return defines
+
+
+def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] | None:
+    """Return ``--known`` words as values by parameter, or as ``"scene"``.
+
+    Raises:
+        OptionError: a word is not NAME=NUMBER, or "scene" among others.
+    """
+    if words == ("scene",):
+        return "scene"
+    known = {}
+    for word in words:
+        name, _, value = word.partition("=")
+        try:
+            known[name] = float(value)
+        except ValueError:
+            raise OptionError(
+                f"--known takes NAME=NUMBER, such as metallic=0, or the single word scene; got "
+                f"{word!r}."
+            ) from None
+    if len(known) < len(words):
+        raise OptionError(f"--known names a parameter twice: {', '.join(words)}.")
+    return known or None
+
+
+def was_interrupted(error: BaseException | None) -> bool:
+    """Return whether Ctrl-C is behind an error: Dr.Jit wraps it, like all that a loop raises."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def given(options: Any) -> dict[str, Any]:
+    """Return the options of a command by name, for ``run.json``."""
+    return {f.name: getattr(options, f.name) for f in dataclasses.fields(options)}

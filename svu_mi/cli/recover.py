@@ -1,0 +1,166 @@
+"""``svu recover``: textures from photographs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from svu_mi.cli.inputs import Photographed, given, pair, parse_defines, was_interrupted
+from svu_mi.errors import OptionError
+from svu_mi.progress import Progress
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from svu_mi.recovery.textures import Textures
+    from svu_mi.surface import Texels
+
+CHECKPOINT = "checkpoint.npz"
+Parameter = Literal["base_color", "roughness", "metallic"]
+Parameters = Annotated[
+    tuple[Parameter, ...], tyro.conf.arg(metavar="{base_color,roughness,metallic} ...")
+]
+From = Annotated[Path | None, tyro.conf.arg(name="start", metavar="FOLDER")]
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C; its text says how to go on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recover(Photographed):
+    """Recover base colour, roughness and metallic textures from photographs.
+
+    Writes the textures as EXR, recovered.xml (a Mitsuba scene that uses them), coverage.exr,
+    entropy.exr (with --sharing), recovery.png, relit.png, losses.csv and run.json. An
+    interrupted run goes on where it stopped with --resume.
+    """
+
+    method: Literal["sh", "path", "sh+path"] = "sh"
+    """sh: a reflection model, in seconds; path: Mitsuba's path tracer in a loop; sh+path: the
+    path tracer, from what sh has found."""
+    preset: Literal["default", "paper", "coefficients", "spectrum"] = "default"
+    """Coefficients and spectrum are losses of sh."""
+    sharing: bool = False
+    """Share what is known of certain texels with uncertain ones that may be of their material."""
+    tv: float | None = None
+    """Weight of total variation; more is smoother."""
+    epochs: float | None = None
+    """Times that path looks at every pixel."""
+    steps: int | None = None
+    """Steps of descent of sh."""
+    parameters: Parameters = ("base_color", "roughness", "metallic")
+    """Textures to recover; others stay as they start."""
+    initial: From = None
+    """Folder with base_color.exr, roughness.exr and metallic.exr to start from."""
+    resume: bool = False
+    """Go on from the checkpoint in the output folder."""
+    checkpoint_seconds: float = 30.0
+    """Time between two checkpoints."""
+    seed: int = 0
+    """Of the batches and paths of path."""
+
+    def run(self, console: Console) -> int:
+        """Recover, and write the results."""
+        from svu_mi.files import prepare_folder
+
+        pair(self.resolution, "--resolution")  # refused before any work
+        defines, checkpoint = parse_defines(self.define), self.output / CHECKPOINT
+        self._check(checkpoint)
+        prepare_folder(self.output)
+        self.start()
+        progress = Progress(console)
+        try:
+            self._run(progress, defines, checkpoint)
+        except BaseException as error:
+            if was_interrupted(error):
+                raise Interrupted(self._advice(checkpoint)) from None
+            raise
+        console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
+        return 0
+
+    def _check(self, checkpoint: Path) -> None:
+        if not self.parameters:
+            raise OptionError("--parameters names no texture; give at least one.")
+        if self.seed < 0:
+            raise OptionError(f"--seed must not be negative, got {self.seed}.")
+        if not self.checkpoint_seconds >= 0:
+            raise OptionError(
+                f"--checkpoint-seconds must be at least 0, got {self.checkpoint_seconds}."
+            )
+        if self.resume and not checkpoint.exists():
+            raise OptionError(
+                f"{checkpoint}: there is no checkpoint to go on from; leave --resume away."
+            )
+        if not self.resume and checkpoint.exists():
+            raise OptionError(
+                f"{checkpoint}: an interrupted run has left it; go on with --resume, or remove it."
+            )
+
+    def _run(self, progress: Progress, defines: dict[str, str], checkpoint: Path) -> None:
+        from svu_mi.output.recovery import write_recovery
+        from svu_mi.pipeline import estimate
+        from svu_mi.recovery.recover import recover
+
+        options = self._options()  # refused before any work
+        capture, texels = self.load(progress, defines, again=self.resume)
+        initial = self._initial(texels)
+        recovery = recover(
+            capture, texels, self.method, self.preset, sharing=self.sharing, tv=self.tv,
+            parameters=self.parameters, start=initial, checkpoint=checkpoint, resume=self.resume,
+            checkpoint_seconds=self.checkpoint_seconds, progress=progress, **options,
+        )  # fmt: skip
+        known = estimate(capture, texels, progress=progress) if self.sharing else None
+        with progress.stage("Writing the results") as stage:
+            write_recovery(
+                capture, recovery, self.output, estimate=known, settings=given(self),
+                kernels=progress.kernels, progress=stage.update,
+            )  # fmt: skip
+        checkpoint.unlink(missing_ok=True)  # all that it was for is written
+
+    def _initial(self, texels: Texels) -> Textures | None:
+        """Read the textures of --start.
+
+        Raises:
+            CaptureError: they cannot be read.
+            OptionError: they are of another resolution.
+        """
+        if self.initial is None:
+            return None
+        from svu_mi.output.textures import read_textures
+
+        textures = read_textures(self.initial)
+        if textures.resolution != texels.resolution:
+            width, height = textures.resolution
+            raise OptionError(
+                f"{self.initial}: the textures have {width} x {height} texels; give --resolution "
+                f"{width} {height}, or resample them."
+            )
+        return textures
+
+    def _options(self) -> dict[str, Any]:
+        """Return the options of both methods that differ from their presets.
+
+        Raises:
+            OptionError: an unknown preset, or a number out of range.
+        """
+        from svu_mi.recovery.options import path_preset, sh_preset
+
+        found: dict[str, Any] = {}
+        if self.steps is not None and self.method != "path":
+            sh = sh_preset(self.preset)
+            found["sh"] = replace(sh, descent=replace(sh.descent, steps=self.steps))
+        if self.method != "sh":
+            # The last bit of another start is all that is asked of it in sh+path.
+            path = path_preset("polish" if self.method == "sh+path" else self.preset)
+            epochs = path.epochs if self.epochs is None else self.epochs
+            found["path"] = replace(path, epochs=epochs, seed=self.seed)
+        return found
+
+    def _advice(self, checkpoint: Path) -> str:
+        if checkpoint.exists():
+            return f"interrupted; {checkpoint} is kept: the same command with --resume goes on"
+        return "interrupted before the first step; the same command starts again"

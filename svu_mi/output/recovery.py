@@ -1,0 +1,95 @@
+"""Everything that a recovery writes: textures, a scene, maps, pictures, losses, the record."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import svu_mi
+from svu_mi.exr import write_exr
+from svu_mi.files import prepare_folder, replacing
+from svu_mi.output import views
+from svu_mi.output.manifest import environment_record, recovery_record, write_manifest
+from svu_mi.output.maps import COVERAGE, ENTROPY, padded, write_maps
+from svu_mi.output.recovery_page import write_recovery_overview
+from svu_mi.output.relit import compare, write_relit
+from svu_mi.output.scene_xml import write_scene
+
+RECORD = "run.json"
+LOSSES = "losses.csv"
+PAGE, RELIT = "recovery.png", "relit.png"
+VIEWS = 3  # that pictures are made of
+
+
+def write_recovery(
+    capture: Any,
+    recovery: Any,
+    folder: str | Path,
+    *,
+    estimate: Any | None = None,
+    settings: Mapping[str, Any] | None = None,
+    kernels: Mapping[str, int] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write textures, ``recovered.xml`` with its assets, maps, pictures, losses and ``run.json``.
+
+    Each file replaces an older one only when it is complete. ``run.json`` comes last, so a
+    folder that has it has everything.
+
+    Args:
+        capture: the ``Capture``.
+        recovery: its ``Recovery``.
+        folder: made if missing.
+        estimate: the ``Estimate`` that was shared by, if any: its entropy is written and drawn.
+        settings: what the caller was asked for (command-line options, seeds).
+        kernels: number of kernels compiled per stage, ``Progress.kernels``.
+        progress: called with (parts done, parts in all); rendering pictures takes longest.
+
+    Raises:
+        OutputError: the folder or a file cannot be written.
+    """
+    folder = prepare_folder(folder)
+    report = progress or _say_nothing
+    for name in (RECORD, ENTROPY):  # of an older run
+        (folder / name).unlink(missing_ok=True)
+    record = recovery_record(capture, recovery)
+    record["settings"]["given"] = settings
+    record["kernels_compiled"] = kernels
+    attributes = {"svu:version": svu_mi.__version__, "svu:method": recovery.method}
+    used = json.dumps(recovery.settings, default=str)
+    write_scene(capture, recovery.textures, folder, attributes={**attributes, "svu:settings": used})
+    if estimate is None:
+        coverage = padded(recovery, np.asarray(recovery.coverage).astype(np.float32), fill=0)
+        write_exr(folder / COVERAGE, {"Y": coverage}, attributes)
+    else:
+        write_maps(estimate, folder)
+    write_losses(recovery.losses, folder / LOSSES)
+    report(1, 4)
+    chosen = views.far_apart(capture, getattr(estimate, "seen_per_view", None), VIEWS)
+    comparisons = compare(capture, recovery.textures, chosen)
+    report(2, 4)
+    write_relit(comparisons, folder / RELIT)
+    report(3, 4)
+    write_recovery_overview(capture, recovery, comparisons, folder / PAGE, estimate)
+    report(4, 4)
+    write_manifest(folder / RECORD, {**record, "environment": environment_record()})
+
+
+def write_losses(losses: Any, path: str | Path) -> None:
+    """Write ``step,loss``, one line per step of the descent.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    values = np.asarray(losses, np.float64)
+    lines = ["step,loss", *(f"{step},{loss:.9g}" for step, loss in enumerate(values))]
+    with replacing(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _say_nothing(done: int, total: int) -> None:
+    del done, total

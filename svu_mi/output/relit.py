@@ -1,0 +1,183 @@
+"""``relit.png``: photographs, what the recovered textures make of them, and another light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture.poses import film_size
+from svu_mi.capture.rendering import object_mask
+from svu_mi.files import replacing
+from svu_mi.output import views
+from svu_mi.output.overview import FAINT, INK
+from svu_mi.recovery.relight import novel_light, relight
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from svu_mi.capture import Capture
+    from svu_mi.recovery.textures import Textures
+
+DPI = 100
+COLUMNS = ("Photograph", "Recovered", "Difference", "Under another light")
+CELL = 2.9  # inches
+SIDE = 320  # pixels of the longer side: renders are what takes time
+SAMPLES = 48
+WORST = 0.25  # difference of sRGB values at the end of the scale
+DIFFERENCE_COLORMAP = "magma"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """One view: what was photographed and what the textures say, at most 320 pixels wide.
+
+    Attributes:
+        view: index into ``capture.sensors``.
+        photograph: (h, w, 3) linear radiance; NaN where it is not usable.
+        render: (h, w, 3) linear radiance of the recovered object under the capture's light.
+        relit: (h, w, 3) the same under another light.
+        inside: (h, w) bool, the pixels that show nothing but the object.
+    """
+
+    view: int
+    photograph: np.ndarray
+    render: np.ndarray
+    relit: np.ndarray
+    inside: np.ndarray
+
+    @property
+    def white(self) -> float:
+        """Radiance that is shown as white in the photograph and in the render."""
+        return views.exposure(self.photograph, self.inside)
+
+    def difference(self) -> np.ndarray:
+        """Return (h, w): the largest difference of sRGB values among channels; NaN outside."""
+        both = (views.tone_mapped(i, white=self.white) for i in (self.photograph, self.render))
+        error = np.abs(np.subtract(*both)).max(axis=2)
+        usable = self.inside & np.isfinite(self.photograph).all(axis=2)
+        return np.where(usable, error, np.nan)
+
+    @property
+    def mean_difference(self) -> float | None:
+        """Mean of ``difference``; None without any usable pixel."""
+        error = self.difference()
+        return float(np.nanmean(error)) if np.isfinite(error).any() else None
+
+
+def compare(
+    capture: Capture,
+    textures: Textures,
+    chosen: Sequence[int],
+    environment: Any | None = None,
+    spp: int = SAMPLES,
+) -> list[Comparison]:
+    """Render the recovered object as some of the cameras saw it, and under another light.
+
+    Args:
+        capture: the ``Capture``.
+        textures: of the object.
+        chosen: indices of its sensors.
+        environment: the other light; by default ``novel_light``.
+        spp: samples per pixel.
+    """
+    sensors = [views.small_sensor(capture.sensors[view], SIDE) for view in chosen]
+    other = novel_light(capture) if environment is None else environment
+    renders = relight(capture, textures, None, sensors, spp)
+    relit = relight(capture, textures, other, sensors, spp)
+    return [
+        Comparison(
+            view=view,
+            photograph=_resized(capture.images[view], film_size(sensor)),
+            render=render,
+            relit=other_render,
+            inside=object_mask(capture.scene, capture.shape, sensor) >= 1,
+        )
+        for view, sensor, render, other_render in zip(chosen, sensors, renders, relit, strict=True)
+    ]
+
+
+def write_relit(comparisons: Sequence[Comparison], path: str | Path) -> None:
+    """Draw one row per view: photograph, render, their difference, and another light.
+
+    Args:
+        comparisons: at least one.
+        path: the PNG file.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    rows = len(comparisons)
+    size = (CELL * len(COLUMNS), CELL * rows + 0.4)
+    figure = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    cells = figure.subplots(rows, len(COLUMNS), squeeze=False)
+    for row, comparison in zip(cells, comparisons, strict=True):
+        draw_comparison(row[:3], comparison)
+        draw_relit(row[3], comparison)
+        error = comparison.mean_difference
+        notes = {0: f"view {comparison.view}", 2: "" if error is None else f"mean {error:.3f}"}
+        for column, note in notes.items():
+            row[column].text(
+                0.5, -0.02, note, size=9.5, color=FAINT, ha="center", va="top",
+                transform=row[column].transAxes,
+            )  # fmt: skip
+    for axes, title in zip(cells[0], COLUMNS, strict=True):
+        axes.set_title(title, size=12, color=INK)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def draw_comparison(axes: Sequence[Axes], comparison: Comparison) -> None:
+    """Draw a photograph, the render and their difference into three axes, cropped to the object.
+
+    The difference is of sRGB values, from 0 (black) to a quarter (yellow).
+
+    Args:
+        axes: three of them.
+        comparison: what to draw.
+    """
+    from matplotlib import colormaps
+
+    difference = comparison.difference()
+    colors = colormaps[DIFFERENCE_COLORMAP](np.clip(difference / WORST, 0, 1))[..., :3]
+    shown = (
+        views.tone_mapped(comparison.photograph, white=comparison.white),
+        _on_white(views.tone_mapped(comparison.render, white=comparison.white), comparison),
+        np.where(np.isnan(difference)[..., None], 1, colors),
+    )
+    for place, image in zip(axes, shown, strict=True):
+        _draw(place, image, comparison)
+
+
+def draw_relit(axes: Axes, comparison: Comparison) -> None:
+    """Draw the object under the other light, exposed for itself."""
+    image = views.tone_mapped(comparison.relit, comparison.inside)
+    _draw(axes, _on_white(image, comparison), comparison)
+
+
+def _draw(axes: Axes, image: np.ndarray, comparison: Comparison) -> None:
+    axes.imshow(views.crop(image, views.object_window(comparison.inside)))
+    axes.set_axis_off()
+
+
+def _on_white(image: np.ndarray, comparison: Comparison) -> np.ndarray:
+    return np.where(comparison.inside[..., None], image, np.float32(1))
+
+
+def _resized(photograph: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return the photograph in (width, height) pixels; unusable ones leave NaN around them."""
+    if photograph.shape[1::-1] == size:
+        return np.array(photograph)
+    unusable = ~np.isfinite(photograph).all(axis=2, keepdims=True)
+    planes = np.concatenate([np.where(unusable, 0, photograph), unusable], axis=2)
+    bitmap = mi.Bitmap(np.ascontiguousarray(planes, np.float32)).resample(mi.ScalarVector2u(size))
+    small = np.array(bitmap, np.float32)
+    return np.where(np.abs(small[..., 3:]) > 1e-3, np.nan, np.maximum(small[..., :3], 0))

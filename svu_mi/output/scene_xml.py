@@ -1,0 +1,127 @@
+"""``recovered.xml``: a scene of plain Mitsuba that shows the object as it was recovered."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Comment, Element
+
+import mitsuba as mi
+import numpy as np
+
+import svu_mi
+from svu_mi.capture import Capture
+from svu_mi.capture.mesh import arrays, make
+from svu_mi.capture.repaint import is_same, is_two_sided
+from svu_mi.errors import SvuWarning
+from svu_mi.files import prepare_folder, replacing
+from svu_mi.output import scene_nodes as nodes
+from svu_mi.output.textures import FILES, write_textures
+from svu_mi.recovery.textures import Textures
+
+SCENE = "recovered.xml"
+ASSETS = "assets"
+ANALYTIC = {"Sphere": "sphere", "Disk": "disk", "Cylinder": "cylinder"}
+SAMPLES = 64
+SPECULAR = 0.5  # of the principled BSDF: F0 = 0.04, as recovery takes it to be
+WRAP = "repeat"  # a chart that goes around closes without a seam
+
+
+def write_scene(
+    capture: Capture,
+    textures: Textures,
+    folder: str | Path,
+    *,
+    attributes: Mapping[str, str | int | float] | None = None,
+) -> Path:
+    """Write the capture's scene with the object in recovered textures.
+
+    The file loads with ``mitsuba.load_file`` alone and has the object with the UVs of its
+    texels, all other shapes, the light, and one sensor per photograph (``view_0000``, ...).
+    Beside it lie the textures, and in ``assets`` the meshes and the map of the light; all
+    file names are relative, so the folder can be moved. ``-D spp=N`` sets samples per pixel.
+
+    Args:
+        capture: the ``Capture``.
+        textures: over the UVs of ``capture.mesh``.
+        folder: made if missing.
+        attributes: header entries of the textures, such as the settings of the run.
+
+    Returns:
+        The path of the scene file.
+
+    Raises:
+        OutputError: the folder or a file cannot be written.
+    """
+    folder = prepare_folder(folder)
+    prepare_folder(folder / ASSETS)
+    write_textures(textures, folder, attributes)
+    root = Element("scene", version="3.0.0")
+    root.append(Comment(f" Written by svu_mi {svu_mi.__version__}; needs nothing but Mitsuba. "))
+    ElementTree.SubElement(root, "default", name="spp", value=str(SAMPLES))
+    root.append(nodes.integrator(capture.scene))
+    light = next(e for e in capture.scene.emitters() if e.is_environment())
+    root.append(nodes.light(light, folder, ASSETS))
+    root.append(_object(capture, folder))
+    others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
+    root.extend(_other(shape, folder, f"{ASSETS}/other_{k}") for k, shape in enumerate(others))
+    root.extend(nodes.sensor(s, f"view_{k:04d}") for k, s in enumerate(capture.sensors))
+    ElementTree.indent(root)
+    with replacing(folder / SCENE) as temporary:
+        temporary.write_text(ElementTree.tostring(root, "unicode") + "\n", encoding="utf-8")
+    return folder / SCENE
+
+
+def _object(capture: Capture, folder: Path) -> Any:
+    """Return the object on the mesh that texels are laid out on, and write that mesh."""
+    name = capture.shape.id()
+    node = _mesh(capture.mesh, folder, f"{ASSETS}/mesh.ply", name)
+    material = nodes.plugin("bsdf", "principled", id=f"{name}_material")
+    for texture, file in FILES.items():
+        material.append(nodes.bitmap(texture, file, wrap=WRAP, id=texture))
+    nodes.put(material, specular=SPECULAR)
+    if is_two_sided(capture.shape.bsdf()):
+        sides = nodes.plugin("bsdf", "twosided", id=f"{name}_sides")
+        sides.append(material)
+        material = sides
+    node.append(material)
+    return node
+
+
+def _other(shape: Any, folder: Path, stem: str) -> Any:
+    """Return any other shape, with its own material."""
+    kind = ANALYTIC.get(shape.class_name())
+    if shape.is_mesh():
+        node = _mesh(shape, folder, f"{stem}.ply", shape.id())
+    elif kind is not None:
+        node = nodes.plugin("shape", kind, id=shape.id())
+        nodes.put(node, to_world=_matrix(shape))
+        # A disk has none: its matrix is mirrored instead.
+        nodes.put(node, flip_normals=bool(shape.has_flipped_normals()))
+    else:
+        warnings.warn(
+            f"{SCENE}: shape '{shape.id()}' ({shape.class_name()}) cannot be written and is left "
+            "out; add it to the written scene, or make it a mesh.",
+            SvuWarning,
+            stacklevel=4,
+        )
+        return Comment(f" Left out: {shape.class_name()} ")
+    node.append(nodes.material(shape.bsdf(), folder, stem))
+    return node
+
+
+def _mesh(mesh: Any, folder: Path, file: str, name: str) -> Any:
+    buffers = arrays(mesh)
+    with replacing(folder / file) as temporary:
+        # A copy: in it, world space and flipped normals are baked.
+        make(name, buffers).write_ply(str(temporary))
+    node = nodes.put(nodes.plugin("shape", "ply", id=name), filename=file)
+    # Mitsuba would compute smooth normals where the file has none.
+    return node if buffers.normals is not None else nodes.put(node, face_normals=True)
+
+
+def _matrix(shape: Any) -> np.ndarray:
+    return np.array(mi.traverse(shape)["to_world"].matrix, np.float64).reshape(4, 4)

@@ -1,0 +1,83 @@
+"""Diffuse moments of light that nothing hides, by the normal of the surface.
+
+``hemisphere`` traces these moments for texels; here they are maps, for surfaces that are not
+known beforehand. All of them are convolutions of the light, times a component of its
+direction for the vectors, with a clamped cosine [Ramamoorthi and Hanrahan 2001].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.radiance import environment as env
+from svu_mi.radiance.environment import Environment
+from svu_mi.radiance.hemisphere import MOMENTS
+from svu_mi.radiance.lighting import (
+    COSINE_DEGREE,
+    COSINE_ROWS,
+    degrees,
+    lat_long_texture,
+    look_up,
+)
+
+
+@dataclass(frozen=True)
+class MomentMap:
+    """c0, m0 (3), c1, m1 (3) of ``Hemisphere.diffuse``, vectors in the light's local frame.
+
+    Attributes:
+        texture: Texture2f of 8 C channels, those of one colour together.
+        to_local: Matrix3f, world to local.
+        channels: C, 1 or 3.
+    """
+
+    texture: Any
+    to_local: Any
+    channels: int
+
+    def at(self, normal: Any) -> list[list[Any]]:
+        """Look the moments of a world normal up: 8 Floats per channel."""
+        flat = look_up(self.texture, self.to_local @ mi.Vector3f(normal))
+        return [flat[first : first + MOMENTS] for first in range(0, len(flat), MOMENTS)]
+
+
+def moment_map(environment: Environment, channels: int = 3) -> MomentMap:
+    """Convolve the light.
+
+    Args:
+        environment: the light.
+        channels: 3, or 1 for the mean of the colour channels.
+    """
+    rows, columns = environment.radiance.shape[:2]
+    along = env.directions(columns, rows), environment.disk_directions
+    lights = [environment]
+    for axis in range(3):
+        part = replace(
+            environment,
+            radiance=environment.radiance * along[0][..., axis, None],
+            disk_radiance=environment.disk_radiance * along[1][..., axis, None],
+        )
+        lights.append(part)
+    factors = zonal_cosine(COSINE_DEGREE, 0), zonal_cosine(COSINE_DEGREE, 5)
+    expanded = [light.coefficients(COSINE_DEGREE) for light in lights]
+    if channels == 1:
+        expanded = [c.mean(axis=1, keepdims=True) for c in expanded]
+    wide = [c * f[degrees(COSINE_DEGREE)][:, None] for f in factors for c in expanded]
+    by_channel = np.stack(wide, axis=-1).reshape(len(wide[0]), -1)  # (lm, channel * moment)
+    grid = env.synthesize(by_channel, 2 * (COSINE_ROWS - 1), COSINE_ROWS)
+    return MomentMap(lat_long_texture(grid), mi.Matrix3f(environment.to_local), channels)
+
+
+def zonal_cosine(degree: int, power: int) -> np.ndarray:
+    """Return (degree + 1,) zonal factors of max(x, 0) (1 - x)^power, x = cos theta.
+
+    A_l = 2 pi times the integral of P_l(x) x (1 - x)^power over [0, 1].
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(degree // 2 + power + 2)
+    x, w = (nodes + 1) / 2, weights / 2
+    legendre = np.polynomial.legendre.legvander(x, degree)
+    return 2 * np.pi * (w * x * (1 - x) ** power) @ legendre

@@ -1,0 +1,1 @@
+"""SVBRDF recovery: textures from photographs."""

@@ -1,0 +1,301 @@
+"""Gradient descent on textures: Adam, bounds, a falling rate, and an end.
+
+An *objective* is any function ``objective(textures, step)`` of a dictionary of tensors that
+returns one differentiable number, and depends on nothing else: then a run that was interrupted
+after a step goes on from there as if nothing had happened.
+
+    descent = descend(lambda t, step: dr.mean(dr.square(t["roughness"] - 0.3), axis=None),
+                      {"roughness": start}, DescentOptions(steps=100))
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from drjit.opt import Adam
+
+from svu_mi.errors import OptionError, ShapeError, SvuError
+from svu_mi.interop import owned
+from svu_mi.progress import Stage
+from svu_mi.recovery.checkpoint import Checkpoint, State
+from svu_mi.recovery.interrupts import between_steps
+
+if TYPE_CHECKING:
+    from svu_mi.recovery.options import DescentOptions
+
+Objective = Callable[[dict[str, Any], int], Any]
+READ = 10  # steps between two looks at the losses, each of which waits for the device
+
+
+@dataclass(frozen=True, kw_only=True)
+class Descent:
+    """Where a descent ended.
+
+    Attributes:
+        values: the parameters, by name; tensors of the shapes they started with.
+        losses: (N,) float32, before each step.
+        steps: N, the number of steps that were taken.
+        stopped: ``finished``: all steps; ``converged``: the loss fell no further.
+    """
+
+    values: dict[str, Any]
+    losses: np.ndarray
+    steps: int
+    stopped: str
+
+
+def descend(
+    objective: Objective,
+    start: Mapping[str, Any],
+    options: DescentOptions,
+    *,
+    checkpoint: Checkpoint | None = None,
+    progress: Stage | None = None,
+) -> Descent:
+    """Minimise an objective by Adam with projection onto bounds.
+
+    The rate falls geometrically from ``learning_rate`` to ``final_rate`` times that.
+
+    Args:
+        objective: ``objective(textures, step)``; its loss is read every few steps only.
+        start: TensorXf by name, the parameters that the objective is a function of; values
+            outside the bounds are clipped.
+        options: how to descend.
+        checkpoint: where to save states, and perhaps to go on from. A ``KeyboardInterrupt``
+            saves the last whole step before it is raised again.
+        progress: a stage that shows steps, loss, rate and time left.
+
+    Raises:
+        OptionError: no parameters, or a checkpoint of other ones.
+        ShapeError: the objective does not return one number.
+        SvuError: the loss or a gradient is NaN or infinite.
+        OutputError: the checkpoint cannot be read or written.
+    """
+    run = _Run(objective, start, options)
+    if checkpoint is not None and checkpoint.resume and (state := checkpoint.load()) is not None:
+        run.restore(state, str(checkpoint.path))
+    stopped = "finished"
+    clock = _Clock()
+    try:
+        with between_steps() as answer:
+            while run.step < options.steps and not run.has_converged():
+                run.advance()
+                if run.step % READ == 0 or run.step == options.steps or run.ends_window():
+                    run.read()
+                    if progress is not None:
+                        _show(progress, run, clock)
+                    if checkpoint is not None and checkpoint.due:
+                        checkpoint.save(run.state())
+                answer()
+        if run.step < options.steps:
+            stopped = "converged"
+    except KeyboardInterrupt:
+        if checkpoint is not None:
+            run.read()
+            checkpoint.save(run.state())
+        raise
+    if checkpoint is not None:
+        checkpoint.save(run.state())
+    return Descent(values=run.values(), losses=run.losses(), steps=run.step, stopped=stopped)
+
+
+def rate(options: DescentOptions, step: int) -> float:
+    """Return the learning rate of a step: geometric from the first to the last."""
+    part = step / max(options.steps - 1, 1)
+    return options.learning_rate * options.final_rate**part
+
+
+class _Run:
+    """A descent under way.
+
+    What belongs to a finished step is replaced as a whole (``_done``), so that an interrupt
+    in the middle of one finds the step before it.
+    """
+
+    def __init__(
+        self, objective: Objective, start: Mapping[str, Any], options: DescentOptions
+    ) -> None:
+        if not start:
+            raise OptionError("descend(): there are no parameters; name at least one texture.")
+        self._objective, self._options = objective, options
+        self._optimizer = Adam(
+            lr=options.learning_rate,
+            beta_1=options.beta_1,
+            beta_2=options.beta_2,
+            mask_updates=options.mask_updates,
+        )
+        for name, tensor in start.items():
+            self._optimizer[name] = self._project(mi.TensorXf(tensor))
+        self._losses: list[float] = []
+        self._done: _Done = _Done(0, dict(self._optimizer.state), ())
+
+    @property
+    def step(self) -> int:
+        """Number of steps that were taken."""
+        return self._done.step
+
+    @property
+    def rate(self) -> float:
+        """Learning rate of the last step."""
+        return rate(self._options, max(self.step - 1, 0))
+
+    def advance(self) -> None:
+        """Take one step; nothing waits for the device."""
+        step, optimizer = self._done.step, self._optimizer
+        loss = self._objective({name: optimizer[name] for name in optimizer}, step)
+        loss = _one_number(loss)
+        dr.backward(loss)
+        broken = dr.opaque(mi.UInt32, 0)
+        for value in optimizer.values():
+            gradient = value.grad.array
+            # Adam would carry one bad gradient along for good, and hide where it began.
+            dr.scatter(broken, mi.UInt32(1), mi.UInt32(0), ~dr.isfinite(gradient))
+        # A number, not an array: Adam multiplies an array in place, and makes it opaque itself.
+        now = rate(self._options, step)
+        optimizer.set_learning_rate({n: now * self._options.scales.get(n, 1.0) for n in optimizer})
+        optimizer.step(eval=False)
+        for name in optimizer:
+            optimizer[name] = self._project(optimizer[name])
+        seen = dr.detach(loss)
+        dr.eval(seen, broken, optimizer.state)
+        unread = (*self._done.unread, (seen, broken))
+        self._done = _Done(step + 1, dict(optimizer.state), unread)
+
+    def read(self) -> None:
+        """Wait for the device and look at the losses since the last time.
+
+        Raises:
+            SvuError: a loss or a gradient was NaN or infinite.
+        """
+        done = self._done
+        first = done.step - len(done.unread)
+        losses = []
+        for step, (loss, broken) in enumerate(done.unread, first):
+            losses.append(float(np.array(loss).ravel()[0]))
+            _require_finite(step, losses[-1], bool(np.array(broken)[0]))
+        self._losses[first:] = losses
+        self._done = _Done(done.step, done.state, ())
+
+    def losses(self) -> np.ndarray:
+        """Return the (step,) losses that were read."""
+        return np.array(self._losses, np.float32)
+
+    def ends_window(self) -> bool:
+        """Return whether it is time to ask whether the descent has converged."""
+        window = self._options.window
+        return self._options.tolerance > 0 and self.step % window == 0
+
+    def has_converged(self) -> bool:
+        """Return whether the mean loss of a window fell by less than ``tolerance`` of itself."""
+        window = self._options.window
+        if not self.ends_window() or self.step < 2 * window:
+            return False
+        before = float(np.mean(self._losses[self.step - 2 * window : self.step - window]))
+        now = float(np.mean(self._losses[self.step - window : self.step]))
+        return before - now < self._options.tolerance * abs(before)
+
+    def values(self) -> dict[str, Any]:
+        """Return the parameters, detached."""
+        return {name: mi.TensorXf(dr.detach(entry[0])) for name, entry in self._done.state.items()}
+
+    def state(self) -> State:
+        """Copy the last whole step; ``read`` comes first."""
+        entries = self._done.state.items()
+        return State(
+            step=self.step,
+            values={name: np.array(dr.detach(entry[0])) for name, entry in entries},
+            first={name: np.array(entry[3][1]) for name, entry in entries},
+            second={name: np.array(entry[3][2]) for name, entry in entries},
+            losses=self.losses()[: self.step],
+        )
+
+    def restore(self, state: State, label: str) -> None:
+        """Go on from a state.
+
+        Raises:
+            OptionError: it is one of other parameters.
+        """
+        optimizer = self._optimizer
+        shapes = {name: tuple(value.shape) for name, value in optimizer.items()}
+        stored = {name: value.shape for name, value in state.values.items()}
+        if shapes != stored:
+            raise OptionError(
+                f"{label}: the checkpoint has the parameters {stored}, this run has {shapes}; "
+                "choose another file."
+            )
+        for name, shape in shapes.items():
+            optimizer[name] = mi.TensorXf(owned(mi.Float, state.values[name].ravel()), shape=shape)
+            value, promoted, own_rate, (_, _, _, most) = optimizer.state[name]
+            moments = (owned(mi.Float, state.first[name]), owned(mi.Float, state.second[name]))
+            count = mi.UInt32(state.step)
+            optimizer.state[name] = value, promoted, own_rate, (count, *moments, most)
+        self._losses = state.losses.tolist()
+        self._done = _Done(state.step, dict(optimizer.state), ())
+
+    def _project(self, tensor: Any) -> Any:
+        return dr.clip(dr.detach(tensor), self._options.low, self._options.high)
+
+
+@dataclass(frozen=True)
+class _Done:
+    """The last whole step: how many there were, Adam's state, and what was not read yet."""
+
+    step: int
+    state: dict[str, Any]
+    unread: tuple[tuple[Any, Any], ...]
+
+
+class _Clock:
+    """Time left, from the steps after the first look: those before it compile kernels."""
+
+    def __init__(self) -> None:
+        self._first: tuple[int, float] | None = None
+
+    def left(self, step: int, total: int) -> float | None:
+        """Return seconds until ``total`` steps are done; None before anything is known."""
+        now = time.monotonic()
+        if self._first is None:
+            self._first = (step, now)
+        first, since = self._first
+        return (now - since) / (step - first) * (total - step) if step > first else None
+
+
+def _show(stage: Stage, run: _Run, clock: _Clock) -> None:
+    total = run._options.steps
+    left = clock.left(run.step, total)
+    stage.update(run.step, total)
+    text = f"loss {run._losses[-1]:.4g}, rate {run.rate:.2g}"
+    stage.state(text if left is None else f"{text}, {left:.0f} s left")
+
+
+def _one_number(loss: Any) -> Any:
+    """Return the loss as a Float; tensors of one number are welcome."""
+    if dr.is_tensor_v(loss):
+        loss = loss.array
+    if not dr.is_array_v(loss) or dr.depth_v(loss) != 1 or dr.width(loss) != 1:
+        raise ShapeError(
+            "descend(): the objective must return one number (a Dr.Jit Float), got "
+            f"{type(loss).__name__} of size {dr.width(loss)}; take its mean."
+        )
+    if not dr.grad_enabled(loss):
+        raise ShapeError(
+            "descend(): the loss does not depend on the textures it was given; compute it from "
+            "them, and detach nothing on the way."
+        )
+    return loss
+
+
+def _require_finite(step: int, loss: float, broken: bool) -> None:
+    if np.isfinite(loss) and not broken:
+        return
+    what = "a gradient" if np.isfinite(loss) else "the loss"
+    raise SvuError(
+        f"Descent: {what} of step {step} is NaN or infinite; look for NaN in the photographs and "
+        "for zeros that are divided by, or lower the learning rate."
+    )

@@ -1,0 +1,226 @@
+"""Settings of recovery: how to descend, and on what.
+
+Frozen; every run writes them down, and can be repeated from them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from math import inf
+from numbers import Integral, Real
+from typing import Any, Literal, get_args
+
+from svu_mi.errors import OptionError
+
+ShLoss = Literal["statistics", "angular", "coefficients", "spectrum"]
+PathLoss = Literal["l1", "l2", "relative"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DescentOptions:
+    """How gradient descent (Adam) runs.
+
+    Attributes:
+        steps: at most so many.
+        learning_rate: of the first step, in units of the parameters (all in [0, 1]).
+        final_rate: of the last, as a part of ``learning_rate``; it falls geometrically.
+        tolerance: stop when the mean loss over a window has fallen by less than this part of
+            itself since the window before; 0 never stops early.
+        window: steps of such a window.
+        low, high: bounds of every parameter; values are projected onto them after each step.
+        scales: factors of the rates of single parameters, by name; 1 for all others.
+        beta_1, beta_2: how long Adam remembers gradients and their squares.
+        mask_updates: leave parameters without a gradient as they are, instead of letting them
+            drift on by what they remember.
+    """
+
+    steps: int = 200
+    learning_rate: float = 0.01
+    final_rate: float = 0.1
+    tolerance: float = 0.0
+    window: int = 25
+    low: float = 0.0
+    high: float = 1.0
+    scales: Mapping[str, float] = field(default_factory=dict)
+    beta_1: float = 0.9
+    beta_2: float = 0.999
+    mask_updates: bool = False
+
+    def __post_init__(self) -> None:
+        require_types(self)
+        whole, positive = "a whole number, at least 1", "positive"
+        require(self, self.steps >= 1, "steps", whole)
+        require(self, 0 < self.learning_rate < inf, "learning_rate", positive)
+        require(self, 0 < self.final_rate <= 1, "final_rate", "in (0, 1]")
+        require(self, 0 <= self.tolerance < 1, "tolerance", "in [0, 1)")
+        require(self, self.window >= 1, "window", whole)
+        require(self, -inf < self.low < self.high < inf, "low", "a number below high")
+        require(self, all(0 <= scale < inf for scale in self.scales.values()), "scales",
+                "numbers that are not negative, by parameter")  # fmt: skip
+        require(self, 0 <= self.beta_1 < 1, "beta_1", "in [0, 1)")
+        require(self, 0 <= self.beta_2 < 1, "beta_2", "in [0, 1)")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShOptions:
+    """Recovery by the SH reflection model.
+
+    Attributes:
+        loss: ``statistics``: squared error from sufficient statistics, which costs the same
+            for any number of views; or, as in the paper, ``angular``: mean absolute error over
+            all samples; ``coefficients`` and ``spectrum``: those of SH expansions.
+        levels: roughness levels of the light, uniform on [0, 1].
+        closed_form: start from the mean of every texel's posterior instead of 0.5 everywhere
+            (``statistics``).
+        sigma: noise of a texel's root mean squared error, as a part of the photographs' mean
+            radiance (``statistics``).
+        knee: radiance, in the same unit, from which samples count less (``statistics``).
+        tv: weight of total variation.
+        sharing: weight of global sharing, if there is any.
+        descent: how to descend.
+    """
+
+    loss: ShLoss = "statistics"
+    levels: int = 12
+    closed_form: bool = True
+    sigma: float = 0.03
+    knee: float = 0.5
+    tv: float = 3.0
+    sharing: float = 5.0
+    descent: DescentOptions = field(
+        default_factory=lambda: DescentOptions(steps=150, learning_rate=0.02)
+    )
+
+    def __post_init__(self) -> None:
+        require_types(self)
+        require(self, self.loss in get_args(ShLoss), "loss",
+                f"one of {', '.join(get_args(ShLoss))}")  # fmt: skip
+        require(self, 4 <= self.levels <= 64, "levels", "in [4, 64]")
+        require(self, 1e-6 <= self.sigma <= 1e6, "sigma", "positive, in [1e-6, 1e6]")
+        require(self, 1e-6 <= self.knee <= 1e6, "knee", "positive, in [1e-6, 1e6]")
+        require(self, 0 <= self.tv < inf, "tv", "at least 0")
+        require(self, 0 <= self.sharing < inf, "sharing", "at least 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathOptions:
+    """Recovery by Mitsuba's own loop.
+
+    Attributes:
+        epochs: times every usable pixel is looked at; ``descent.steps`` is not used.
+        pixels_per_batch: of one step, drawn from all views.
+        spp: paths per pixel.
+        max_depth: longest path; 2 is direct light only.
+        loss: of a pixel: ``l1``, ``l2``, or ``relative``: l2 over the squared radiance.
+        halves: trace a batch in two passes instead of the three of ``mi.render``, where paths
+            serve each other in halves; an odd ``spp`` has none.
+        tv: weight of total variation.
+        sharing: weight of global sharing, if there is any.
+        seed: of batches and paths.
+        descent: how to descend.
+    """
+
+    epochs: float = 20.0
+    pixels_per_batch: int = 1 << 16
+    spp: int = 4
+    max_depth: int = 3
+    loss: PathLoss = "relative"
+    halves: bool = True
+    tv: float = 0.5
+    sharing: float = 2.0
+    seed: int = 0
+    descent: DescentOptions = field(
+        default_factory=lambda: DescentOptions(
+            learning_rate=0.02, final_rate=0.05, beta_2=0.99,
+            # Base colour first: what light there is in all must be right before its shape is.
+            scales={"roughness": 0.3, "metallic": 0.3},
+        )
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        require_types(self)
+        require(self, 0 < self.epochs < inf, "epochs", "positive")
+        require(self, 1 <= self.pixels_per_batch < 2**32, "pixels_per_batch", "at least 1")
+        require(self, 1 <= self.spp < 2**16, "spp", "in [1, 65535]")
+        require(self, self.max_depth >= 2 or self.max_depth == -1, "max_depth",
+                "at least 2, or -1 for paths of any length")  # fmt: skip
+        require(self, self.loss in get_args(PathLoss), "loss",
+                f"one of {', '.join(get_args(PathLoss))}")  # fmt: skip
+        require(self, 0 <= self.tv < inf, "tv", "at least 0")
+        require(self, 0 <= self.sharing < inf, "sharing", "at least 0")
+        require(self, 0 <= self.seed < 2**32, "seed", "in [0, 2^32)")
+
+
+def require(options: Any, condition: bool, name: str, expected: str) -> None:
+    """Refuse a setting; NaN meets no condition.
+
+    Raises:
+        OptionError: the condition is not met.
+    """
+    if not condition:
+        raise OptionError(
+            f"{type(options).__name__}: {name} must be {expected}, got {getattr(options, name)!r}."
+        )
+
+
+def require_types(options: Any) -> None:
+    """Refuse what is no whole number, number or truth value where one is needed.
+
+    Raises:
+        OptionError: a field of another type.
+    """
+    kinds = {"int": (Integral, "a whole number"), "float": (Real, "a number"),
+             "bool": (bool, "True or False")}  # fmt: skip
+    for each in fields(options):
+        if each.type not in kinds:
+            continue
+        kind, words = kinds[str(each.type)]
+        value = getattr(options, each.name)
+        fits = isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
+        require(options, fits, each.name, words)
+
+
+_SLOW = DescentOptions(steps=200, learning_rate=0.01, final_rate=1.0)
+
+SH_PRESETS: dict[str, ShOptions] = {
+    "default": ShOptions(),
+    "paper": ShOptions(loss="angular", tv=1e-2, sharing=1e-2, descent=_SLOW),
+    "coefficients": ShOptions(loss="coefficients", tv=1e-2, sharing=1e-2, descent=_SLOW),
+    "spectrum": ShOptions(loss="spectrum", tv=1e-2, sharing=1e-2, descent=_SLOW),
+}
+
+PATH_PRESETS: dict[str, PathOptions] = {
+    "default": PathOptions(),
+    "paper": PathOptions(spp=32, loss="l1", tv=1e-2, descent=DescentOptions(learning_rate=0.02)),
+    "polish": PathOptions(
+        epochs=1.0, pixels_per_batch=1 << 14,
+        descent=DescentOptions(learning_rate=0.005, beta_2=0.99),
+    ),
+}
+
+
+def sh_preset(name: str) -> ShOptions:
+    """Return the options of recovery by the SH model that a preset stands for.
+
+    Raises:
+        OptionError: an unknown preset.
+    """
+    return _preset(SH_PRESETS, name, "sh")
+
+
+def path_preset(name: str) -> PathOptions:
+    """Return the options of recovery by path tracing that a preset stands for.
+
+    Raises:
+        OptionError: an unknown preset.
+    """
+    return _preset(PATH_PRESETS, name, "path")
+
+
+def _preset(known: dict[str, Any], name: str, method: str) -> Any:
+    if name not in known:
+        raise OptionError(
+            f"Unknown preset {name!r} of method {method!r}; there are {', '.join(known)}."
+        )
+    return known[name]

@@ -1,0 +1,125 @@
+"""The object in given textures, under the capture's light or another.
+
+images = relight(capture, textures, novel_light(capture), capture.sensors[:3])
+truth = relight(capture, None, novel_light(capture), capture.sensors[:3])
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.capture.repaint import scene_of
+from svu_mi.capture.scene import find_environment, to_world
+from svu_mi.errors import OptionError
+from svu_mi.radiance.environment import directions, read_environment
+from svu_mi.recovery.path.scene import PathScene
+from svu_mi.recovery.textures import Textures
+
+MAX_DEPTH = 6  # where the scene's own integrator does not say
+COLUMNS, ROWS = 128, 65  # of the light of our own
+ROOM = 0.15  # radiance of its dark parts, relative to the lamps' fill
+# Direction (up = +Y), half of the opening angle in radians, and colour of each lamp.
+LAMPS = (
+    ((0.7, 0.6, -0.4), 0.32, (9.0, 8.0, 6.5)),
+    ((-0.8, 0.35, 0.5), 0.18, (9.0, 12.0, 16.0)),
+    ((-0.1, 0.2, -1.0), 0.45, (2.0, 2.4, 2.2)),
+    ((0.3, -0.3, 0.9), 0.25, (4.0, 3.0, 2.0)),
+)
+
+
+def relight(
+    capture: Capture,
+    textures: Textures | None,
+    environment: Any | None = None,
+    sensors: Sequence[Any] | None = None,
+    spp: int = 64,
+    *,
+    seed: int = 0,
+    max_depth: int | None = None,
+) -> list[np.ndarray]:
+    """Path-trace the object in recovered textures.
+
+    Args:
+        capture: its scene, but for the object's material and the light; it is not modified.
+        textures: of the object, over the UVs of ``capture.mesh``; None for the material that
+            the scene itself has, such as the truth of a synthetic capture.
+        environment: an emitter, or a dictionary for ``mi.load_dict``; the capture's by default.
+        sensors: where from; by default those of the capture. Films of one size share a kernel.
+        spp: samples per pixel.
+        seed: of the first picture; the others' follow.
+        max_depth: longest path; 2 is direct light only. By default that of the scene's own
+            integrator.
+
+    Returns:
+        One (H, W, 3) float32 picture per sensor, linear radiance, background included.
+
+    Raises:
+        OptionError: less than one sample per pixel.
+    """
+    if spp < 1:
+        raise OptionError(f"relight(): spp must be at least 1, got {spp}.")
+    scene = _scene(capture, textures, environment)
+    depth = path_length(capture.scene) if max_depth is None else max_depth
+    integrator = mi.load_dict({"type": "path", "max_depth": depth})
+    sensors = capture.sensors if sensors is None else sensors
+    images = (
+        mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=(seed + k) % 2**32)
+        for k, sensor in enumerate(sensors)
+    )
+    return [np.array(image, np.float32)[..., :3] for image in images]
+
+
+def path_length(scene: Any) -> int:
+    """Return the longest path of a scene's integrator: 2 for ``direct``, -1 for any length."""
+    integrator = scene.integrator()
+    if integrator is not None and integrator.class_name() == "DirectIntegrator":
+        return 2
+    found = re.search(r"max_depth = (\d+)", str(integrator))  # not among its parameters
+    if found is None:
+        return MAX_DEPTH
+    return int(found[1]) if int(found[1]) < 2**31 else -1
+
+
+def novel_light(capture: Capture) -> Any:
+    """Make an emitter that the capture was not taken under: four coloured lamps in a dark room.
+
+    It stands upright in the frame of the capture's light, and is as bright on average.
+
+    Args:
+        capture: says which way is up and how bright.
+    """
+    emitter = find_environment(capture.scene, "The capture")
+    brightness = read_environment(emitter).coefficients(0).mean() / np.sqrt(4 * np.pi)
+    radiance = _lamps()
+    solid = np.sin(np.linspace(0, np.pi, ROWS))[:, None, None]
+    radiance *= brightness / ((radiance * solid).sum() / (3 * COLUMNS * solid.sum()))
+    bitmap = mi.Bitmap(np.ascontiguousarray(radiance, np.float32))
+    pose = mi.ScalarTransform4f(to_world(emitter))
+    return mi.load_dict({"type": "envmap", "bitmap": bitmap, "to_world": pose})
+
+
+def _lamps() -> np.ndarray:
+    """(ROWS, COLUMNS, 3) radiance of any unit."""
+    d = directions(COLUMNS, ROWS)
+    radiance = np.repeat(ROOM * (1 + 0.5 * d[..., 1:2]), 3, axis=-1)
+    for center, angle, color in LAMPS:
+        away = np.arccos(np.clip(d @ (np.array(center) / np.linalg.norm(center)), -1, 1))
+        inside = np.clip(0.5 + (angle - away) / 0.08, 0, 1)  # edges wider than a texel
+        radiance += inside[..., None] * np.array(color)
+    return radiance
+
+
+def _scene(capture: Capture, textures: Textures | None, environment: Any | None) -> Any:
+    scene = capture.scene
+    if textures is not None:
+        scene = PathScene.of(capture, textures).scene
+    if environment is None:
+        return scene
+    light = mi.load_dict(environment) if isinstance(environment, dict) else environment
+    return scene_of([light, *scene.shapes()])

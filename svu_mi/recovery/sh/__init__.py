@@ -1,0 +1,1 @@
+"""Recovery by the reflection model of the angular estimator (Eq. 6)."""

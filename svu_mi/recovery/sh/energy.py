@@ -1,0 +1,111 @@
+"""Mean squared error of parameters, and its derivatives, from sufficient statistics.
+
+The factors of a texel are smooth functions of roughness; between levels they are interpolated
+by Catmull-Rom splines [Catmull and Rom 1974], so that the error has a derivative there, too.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from svu_mi.recovery.sh.gradient import Values
+from svu_mi.recovery.sh.statistics import COLUMNS, PAIRS, Reader, Statistics
+
+
+def energy(statistics: Statistics, values: Values) -> tuple[Any, list[Any]]:
+    """Return the squared error of S texels, the mean over their views and channels.
+
+    Args:
+        statistics: of S texels.
+        values: their parameters in [0, 1].
+
+    Returns:
+        Float (S,), squared radiance, and its derivatives by every parameter.
+    """
+    levels, weights, slopes = _spline(statistics, values.roughness)
+    m, colors = values.metallic, values[:3]
+    error, by_roughness, by_metallic = mi.Float(0), mi.Float(0), mi.Float(0)
+    by_color = []
+    for channel, c in enumerate(colors):
+        factor, turned = _interpolate(statistics, channel, levels, weights, slopes)
+        u, v = halves(factor, m)
+        u_r, v_r = halves(turned, m)
+        rest = [dr.fma(c, a, b) for a, b in zip(u, v, strict=True)]
+        error += _dot(rest, rest)
+        by_color.append(2 * _dot(rest, u))
+        by_roughness += 2 * _dot(rest, [dr.fma(c, a, b) for a, b in zip(u_r, v_r, strict=True)])
+        (e, p, d, q) = _columns(factor)
+        change = [c * (y - x) + (w - z) for x, y, z, w in zip(e, p, d, q, strict=True)]
+        by_metallic += 2 * _dot(rest, change)
+    scale = 1 / len(colors)
+    return scale * error, [scale * slope for slope in (*by_color, by_roughness, by_metallic)]
+
+
+def halves(factor: list[Any], metallic: Any) -> tuple[list[Any], list[Any]]:
+    """Return u and v of r - b = c u + v (statistics.py), as four components each.
+
+    Args:
+        factor: entries of U, in the order of ``PAIRS``.
+        metallic: m.
+    """
+    e, p, d, q = _columns(factor)
+    u = [dr.lerp(a, b, metallic) for a, b in zip(e, p, strict=True)]
+    v = [dr.lerp(a, b, metallic) for a, b in zip(d, q, strict=True)]
+    return u, v
+
+
+def _columns(factor: list[Any]) -> list[list[Any]]:
+    """Return the columns of U: those of e, p, d - b and q - b."""
+    U = dict(zip(PAIRS, factor, strict=True))
+    return [
+        [U.get((row, column), mi.Float(0)) for row in range(COLUMNS)] for column in range(COLUMNS)
+    ]
+
+
+def _dot(a: list[Any], b: list[Any]) -> Any:
+    total = mi.Float(0)
+    for x, y in zip(a, b, strict=True):
+        total = dr.fma(x, y, total)
+    return total
+
+
+def _spline(statistics: Statistics, roughness: Any) -> tuple[list[Any], list[Any], list[Any]]:
+    """Return four levels around a roughness, their weights, and the derivatives of these."""
+    last = dr.opaque(mi.Float, statistics.levels - 1)
+    place = dr.clip(roughness, 0, 1) * last
+    first = dr.minimum(dr.floor(place), last - 1)
+    t = place - first
+    weights = [
+        0.5 * t * (-1 + t * (2 - t)),
+        0.5 * (2 + t * t * (-5 + 3 * t)),
+        0.5 * t * (1 + t * (4 - 3 * t)),
+        0.5 * t * t * (t - 1),
+    ]
+    slopes = [
+        0.5 * last * (-1 + t * (4 - 3 * t)),
+        0.5 * last * t * (-10 + 9 * t),
+        0.5 * last * (1 + t * (8 - 9 * t)),
+        0.5 * last * t * (3 * t - 2),
+    ]
+    levels = [mi.UInt32(dr.clip(first + step, 0, last)) for step in (-1, 0, 1, 2)]
+    return levels, weights, slopes
+
+
+def _interpolate(
+    statistics: Statistics, channel: int, levels: list[Any], weights: list[Any], slopes: list[Any]
+) -> tuple[list[Any], list[Any]]:
+    """Return U at a roughness, and its derivative."""
+    reader = Reader(statistics)
+    values, turned = [], []
+    for entry in range(len(PAIRS)):
+        value, slope = mi.Float(0), mi.Float(0)
+        for level, weight, change in zip(levels, weights, slopes, strict=True):
+            row = (level * statistics.channels + channel) * len(PAIRS) + entry
+            factor = reader.read(row)
+            value, slope = dr.fma(weight, factor, value), dr.fma(change, factor, slope)
+        values.append(value)
+        turned.append(slope)
+    return values, turned

@@ -1,0 +1,47 @@
+"""What SH recovery descends on: how far every texel is from what its views say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from svu_mi.recovery.sh.energy import energy
+from svu_mi.recovery.sh.gradient import Values, carry, look_up
+from svu_mi.recovery.sh.statistics import Statistics
+
+
+@dataclass(frozen=True)
+class StatisticsLoss:
+    """Negative log-likelihood of textures, the mean over seen texels.
+
+    The cost does not depend on the number of views. Unseen texels have no gradient.
+
+    Attributes:
+        statistics: of S seen texels.
+        place: (S,) UInt32, where in a texture each of them is.
+        variance: (S,) Float, squared radiance, of each texel's error (``Start.variance``).
+    """
+
+    statistics: Statistics
+    place: Any
+    variance: Any
+
+    def __call__(self, textures: Mapping[str, Any], step: int = 0) -> Any:
+        """Return 1/S sum_p d_p / (2 variance_p), a Float of one value.
+
+        Args:
+            textures: (H, W, C) tensors by name.
+            step: not used: the loss is the same in every step.
+        """
+        del step
+        values = look_up(textures, self.place)
+        with dr.suspend_grad():
+            error, slopes = energy(self.statistics, Values(*(dr.detach(v) for v in values)))
+            weight = dr.rcp(2 * self.variance)
+            error, slopes = weight * error, [weight * slope for slope in slopes]
+            dr.eval(error, slopes)  # once: they are needed for the value and for the gradient
+        return carry(error, slopes, values, dr.opaque(mi.Float, 1 / self.statistics.count))

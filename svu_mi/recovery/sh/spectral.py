@@ -1,0 +1,207 @@
+"""Losses on spherical harmonics: what the fit of Eq. 12 found against Eq. 7 to 11.
+
+Photographs are looked at once, by the fit; after that a step costs the same for any number of
+views. With R the directional albedo of a lobe, 1 unless the preset says otherwise,
+
+    c_model(l, m) = Ks R exp(-(alpha l)^2) c_L(l, m)        for l > 0       (Eq. 7)
+    c_model(0, 0) = 2 Kd E / sqrt(pi) + Ks R c_L(0, 0)
+    S_model(l)    = the same, squared, with S_L(l) for c_L(l, m)^2          (Eq. 11)
+
+and the loss is the sum of absolute differences over (l, m) or l, its mean over S texels and C
+channels, in units of the capture's mean radiance or power.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.brdf.lobes import split_sum
+from svu_mi.brdf.principled import (
+    alpha_from_roughness,
+    diffuse_from_principled,
+    specular_from_principled,
+)
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.frequency.gather import Coefficients, fit_coefficients
+from svu_mi.interop import owned
+from svu_mi.options import Preset
+from svu_mi.radiance import Lighting, Surface, Survey, Views, hemisphere, light_cells
+from svu_mi.recovery.sh.gradient import Values, look_up
+from svu_mi.surface import Texels
+
+Domain = Literal["coefficients", "spectrum"]
+
+ALBEDO_LEVELS = 33  # of roughness, between which the albedo is interpolated
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpectralObjective:
+    """The mean absolute error of coefficients, or of power spectra.
+
+    Attributes:
+        domain: which.
+        coefficients: of photographs and light, for all T texels; without values if the domain
+            is the spectrum.
+        power: (2 (l* + 1) C S,) Float: S_B and S_L for degree and channel, one value per seen
+            texel.
+        irradiance: C Floats (S,), E of each.
+        texel: (S,) UInt32, which of all texels each is.
+        place: (S,) UInt32, where in a texture it is.
+        prefilter: opaque Float, alpha'^2 to be undone, or 0.
+        albedo: (ALBEDO_LEVELS,) Float, R by roughness.
+        factor: opaque Float, 1 / (S C unit).
+    """
+
+    domain: Domain
+    coefficients: Coefficients
+    power: Any
+    irradiance: list[Any]
+    texel: Any
+    place: Any
+    prefilter: Any
+    albedo: Any
+    factor: Any
+
+    def __call__(self, textures: Mapping[str, Any], step: int = 0) -> Any:
+        """Return the loss as a Float that derivatives reach the textures through.
+
+        Args:
+            textures: base_color (H, W, 3), roughness and metallic (H, W, 1), TensorXf.
+            step: not used: every step looks at everything.
+        """
+        del step
+        return dr.sum(self.errors(look_up(textures, self.place))) * self.factor
+
+    def errors(self, values: Values) -> Any:
+        """Return the sum of absolute differences of every texel, (S,) Float."""
+        alpha = alpha_from_roughness(values.roughness)
+        width = dr.maximum(dr.square(alpha) - self.prefilter, 0)
+        lobe, total = self._albedo(values.roughness), mi.Float(0)
+        for c, color in enumerate(values[:3]):
+            specular = lobe * specular_from_principled(color, values.metallic)
+            diffuse = diffuse_from_principled(color, values.metallic)
+            constant = diffuse * self.irradiance[c % len(self.irradiance)] * 2 / math.sqrt(math.pi)
+            for l in range(self.coefficients.degree + 1):
+                scale = specular * dr.exp(-width * (l * l)) if l else specular
+                offset = constant if l == 0 else mi.Float(0)
+                total += self._differences(l, c, scale, offset)
+        return total
+
+    def _differences(self, l: int, channel: int, scale: Any, offset: Any) -> Any:
+        """Absolute differences of one degree, of the model ``scale`` c_L + ``offset``."""
+        if self.domain == "spectrum":
+            S_B, S_L = self._power(l, channel)
+            # The square of a sum, as the diffuse term and the lobe's mean add up.
+            model = dr.square(offset + scale * dr.sqrt(S_L)) if l == 0 else scale * scale * S_L
+            return dr.abs(S_B - model)
+        read, total = self.coefficients, mi.Float(0)
+        for index in range(l * l, (l + 1) ** 2):
+            observed = read.outgoing(index, channel, self.texel)
+            light = read.incoming(index, channel, self.texel)
+            total += dr.abs(observed - dr.fma(scale, light, offset))
+        return total
+
+    def _power(self, l: int, channel: int) -> tuple[Any, Any]:
+        count = dr.width(self.texel)
+        lane, row = dr.arange(mi.UInt32, count), 2 * (3 * l + channel)
+        return tuple(
+            dr.gather(mi.Float, self.power, lane + dr.opaque(mi.UInt32, (row + k) * count))
+            for k in (0, 1)
+        )  # type: ignore[return-value]
+
+    def _albedo(self, roughness: Any) -> Any:
+        place = dr.clip(roughness, 0, 1) * (ALBEDO_LEVELS - 1)
+        first = dr.minimum(mi.UInt32(dr.detach(place)), ALBEDO_LEVELS - 2)
+        low, high = (dr.gather(mi.Float, self.albedo, first + k) for k in (0, 1))
+        return dr.lerp(low, high, place - first)
+
+
+def spectral_objective(
+    views: Views,
+    texels: Texels,
+    found: Survey,
+    lighting: Lighting,
+    switches: Preset,
+    domain: Domain,
+) -> SpectralObjective:
+    """Fit the photographs, and prepare the loss.
+
+    Args:
+        views: the packed capture, in three channels.
+        texels: all T texels.
+        found: who sees whom.
+        lighting: the capture's light, band-limited.
+        switches: of the fit and of the model; ``paper`` for the paper's.
+        domain: ``coefficients`` or ``spectrum``.
+
+    Raises:
+        OptionError: an unknown domain, or photographs packed in grey.
+        CaptureError: no texel is seen with any radiance.
+    """
+    if domain not in get_args(Domain):
+        raise OptionError(f"domain must be one of {', '.join(get_args(Domain))}, got {domain!r}.")
+    if views.channels != 3:
+        raise OptionError("Recovery needs photographs in colour; pack them in 3 channels.")
+    if not found.scale > 0:
+        raise CaptureError("No texel is seen with any radiance; check poses, masks and exposures.")
+    light = 1 if lighting.environment.grey else 3
+    texel = owned(mi.UInt32, np.flatnonzero(found.coverage.numpy()).astype(np.uint32))
+    fitted = fit_coefficients(views, lighting, texels, found, switches, light_channels=light)
+    power, mean_power = _powers(fitted, texel)
+    unit = found.scale if domain == "coefficients" else mean_power
+    if domain == "spectrum":
+        fitted = replace(fitted, values=mi.Float())
+    undone = lighting.prefilter**2 if switches.undo_prefilter else 0.0
+    return SpectralObjective(
+        domain=domain,
+        coefficients=fitted,
+        power=power,
+        irradiance=_irradiance(views, Surface.of(texels, texel), lighting, switches, light),
+        texel=texel,
+        place=dr.gather(mi.UInt32, texels.index, texel),
+        prefilter=dr.opaque(mi.Float, undone),
+        albedo=_albedo_table(switches),
+        factor=dr.opaque(mi.Float, 1 / (3.0 * dr.width(texel) * unit)),
+    )
+
+
+def _powers(fitted: Coefficients, texel: Any) -> tuple[Any, float]:
+    """Power spectra of seen texels (Eq. 8), and the photographs' mean power."""
+    count = dr.width(texel)
+    rows = []
+    for l in range(fitted.degree + 1):
+        orders = range(l * l, (l + 1) ** 2)
+        for c in range(3):
+            for read in (fitted.outgoing, fitted.incoming):
+                rows.append(sum(dr.square(read(index, c, texel)) for index in orders))
+    dr.eval(rows)
+    mean = sum(float(row.numpy().sum(dtype=np.float64)) for row in rows[::2]) / (3 * count)
+    return dr.concat(rows), mean
+
+
+def _irradiance(
+    views: Views, surface: Surface, lighting: Lighting, switches: Preset, channels: int
+) -> list[Any]:
+    """E of every texel and channel of the light; less what the object hides, by the preset."""
+    cells = light_cells(lighting.environment, switches.rays)
+    arriving = hemisphere(
+        views.scene, surface, lighting, cells,
+        channels=channels, occluded=switches.occluded, lobes=None,
+    )  # fmt: skip
+    return [moments[0] for moments in arriving.diffuse]
+
+
+def _albedo_table(switches: Preset) -> Any:
+    """R of every roughness level: mean over cos theta_o of a lobe with R0 = 1, or 1."""
+    values = np.ones(ALBEDO_LEVELS)
+    if switches.albedo:
+        alpha = alpha_from_roughness(np.linspace(0, 1, ALBEDO_LEVELS))
+        values = split_sum(alpha).sum(axis=2).mean(axis=1)
+    return owned(mi.Float, values)

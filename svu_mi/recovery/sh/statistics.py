@@ -1,0 +1,187 @@
+"""Sufficient statistics for recovery: what all views say, in ten sums per roughness level.
+
+At one roughness, Mitsuba's ``principled`` reflects (brdf/, angular/model.py)
+
+    r = (1 - m) (c e + d) + m (c p + q)
+
+with base colour c, metallic m, diffuse shading e, what a dielectric reflects d, and the two
+parts p, q of a metal's lobe. With the errors d - b and q - b that black materials of either
+kind leave of a photograph b,
+
+    r - b = c ((1 - m) e + m p) + (1 - m) (d - b) + m (q - b),
+
+so the mean squared error of every (c, m) follows from the products of four columns,
+(e, p, d - b, q - b), summed over the views. After this pass no photograph is needed any more.
+
+The sums are kept in *square-root form*, the triangular factor U that a QR factorisation of the
+columns would give: the error |U (c (1 - m), c m, 1 - m, m)|^2 is then never negative, neither by
+rounding nor where factors of two levels are interpolated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.interop import owned
+from svu_mi.radiance import Surface, Survey, Views
+from svu_mi.radiance.hemisphere import mirror_free
+from svu_mi.radiance.observe import Observation
+from svu_mi.recovery.sh.model import Model
+
+COLUMNS = 4
+PAIRS = tuple((i, j) for i in range(COLUMNS) for j in range(i, COLUMNS))
+BLOCK = 16
+TINY = 2e-11  # part of its diagonal below which a pivot is nothing but rounding
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What remains of the views of S seen texels.
+
+    Attributes:
+        factors: (ceil(S / 16) * R * C * 10 * 16,) Float, in radiance: for every block of 16
+            texels, level, channel and entry of U (``PAIRS``: row, column), one value per texel.
+            A packet of lanes finds all it reads in a few pages; by rows of S values it would
+            be in a hundred, which takes five times as long.
+        roughness: (R,) float64 of the levels, uniform on [0, 1].
+        texel: (S,) UInt32, which of all texels each is.
+        coverage: (S,) number of views that see each.
+        channels: C.
+    """
+
+    factors: Any
+    roughness: np.ndarray
+    texel: Any
+    coverage: np.ndarray
+    channels: int
+
+    @property
+    def count(self) -> int:
+        """Number of texels S."""
+        return int(dr.width(self.texel))
+
+    @property
+    def levels(self) -> int:
+        """Number of roughness levels R."""
+        return len(self.roughness)
+
+    @property
+    def rows(self) -> int:
+        """Number of values per texel, R * C * 10."""
+        return self.levels * self.channels * len(PAIRS)
+
+    def table(self) -> np.ndarray:
+        """Return ``factors`` as (R * C * 10, S) float32."""
+        blocks = self.factors.numpy().reshape(-1, self.rows, BLOCK)
+        return np.moveaxis(blocks, 1, 0).reshape(self.rows, -1)[:, : self.count]
+
+    def some(self, chosen: np.ndarray) -> Statistics:
+        """Return the statistics of some texels, by their numbers among S."""
+        return replace(
+            self,
+            factors=in_blocks(owned(mi.Float, self.table()[:, chosen].ravel()), len(chosen)),
+            texel=dr.gather(mi.UInt32, self.texel, owned(mi.UInt32, chosen)),
+            coverage=self.coverage[chosen],
+        )
+
+    def products(self) -> np.ndarray:
+        """Return the columns' products U^T U, which add up over texels: (R * C * 10, S) float32."""
+        factors = self.table().reshape(-1, len(PAIRS), self.count)
+        U = dict(zip(PAIRS, np.moveaxis(factors, 1, 0), strict=True))
+        found = [sum(U[k, i] * U[k, j] for k in range(i + 1)) for i, j in PAIRS]
+        return np.stack(found, axis=1).reshape(-1, self.count)
+
+
+def gather(
+    views: Views, surface: Surface, found: Survey, model: Model, knee: Any
+) -> Statistics:
+    """Collect the statistics of texels: one kernel, one pass over the views.
+
+    Args:
+        views: the packed capture, in three channels.
+        surface: the seen texels; ``model`` is of the same.
+        found: who sees whom.
+        model: the reflection model.
+        knee: Float, opaque: radiance around which samples begin to count less, as
+            1 / (1 + (b / knee)^2): the errors of model and photographs grow with radiance.
+    """
+    levels, channels = len(model.roughness), views.channels
+
+    def consume(seen: Observation, weight: Any, *sums: Any) -> Any:
+        free = mirror_free(views.scene, surface, seen, found.asked(seen.seen))
+
+        def add(weight: Any, *state: Any) -> tuple[Any, ...]:
+            lobes = model.columns(surface, seen.direction, dr.maximum(seen.cosine, 1e-3), free)
+            grey = sum(seen.radiance) / channels
+            w = mi.Float64(dr.select(seen.seen, dr.rcp(1 + dr.square(grey / knee)), 0))
+            added = []
+            for k in range(levels):
+                for b, (e, p, q, d) in zip(seen.radiance, lobes[k], strict=True):
+                    u = [mi.Float64(column) for column in (e, p, d - b, q - b)]
+                    added += [u[i] * u[j] for i, j in PAIRS]
+            return weight + w, *(
+                dr.fma(w, new, old) for old, new in zip(state, added, strict=True)
+            )
+
+        return dr.if_stmt(
+            args=(weight, *sums), cond=found.asked(seen.seen),
+            true_fn=add, false_fn=lambda *state: state,
+        )  # fmt: skip
+
+    size = 1 + levels * channels * len(PAIRS)
+    zeros = tuple(dr.zeros(mi.Float64, surface.count) for _ in range(size))
+    weight, *sums = found.over_views(views, surface, consume, zeros)
+    inverse = dr.rcp(dr.maximum(weight, 1e-30))
+    columns = []
+    for first in range(0, len(sums), len(PAIRS)):
+        columns += factor([value * inverse for value in sums[first : first + len(PAIRS)]])
+    dr.eval(columns)
+    coverage = dr.gather(mi.UInt32, found.coverage, surface.index)
+    return Statistics(
+        factors=in_blocks(dr.concat(columns), surface.count), roughness=model.roughness,
+        texel=surface.index, coverage=np.array(coverage), channels=channels,
+    )  # fmt: skip
+
+
+def in_blocks(rows: Any, count: int) -> Any:
+    """Lay rows of ``count`` values each out in blocks, as ``Statistics.factors`` are."""
+    number = dr.width(rows) // count
+    size, stride = (dr.opaque(mi.UInt32, x) for x in (number * BLOCK, count))
+    index = dr.arange(mi.UInt32, -(-count // BLOCK) * BLOCK * number)
+    row, lane = (index % size) // BLOCK, (index // size) * BLOCK + index % BLOCK
+    result = dr.gather(mi.Float, rows, row * stride + lane, lane < stride)
+    dr.eval(result)
+    return result
+
+
+class Reader:
+    """Reads values of texels of a launch out of ``Statistics.factors``."""
+
+    def __init__(self, statistics: Statistics) -> None:
+        lane = dr.arange(mi.UInt32, statistics.count)
+        size = dr.opaque(mi.UInt32, statistics.rows * BLOCK)
+        self._factors = statistics.factors
+        self._start = (lane // BLOCK) * size + lane % BLOCK
+
+    def read(self, row: Any) -> Any:
+        """Return a row's value of every texel: Float (S,)."""
+        return dr.gather(mi.Float, self._factors, self._start + row * BLOCK)
+
+
+def factor(sums: list[Any]) -> list[Any]:
+    """Return the entries of U, row by row, from those of U^T U; dependent columns give zeros."""
+    products = dict(zip(PAIRS, sums, strict=True))
+    U: dict[tuple[int, int], Any] = {}
+    for i in range(COLUMNS):
+        pivot = products[i, i] - sum(dr.square(U[k, i]) for k in range(i))
+        good = pivot > TINY * products[i, i]
+        root = dr.select(good, dr.rsqrt(dr.select(good, pivot, 1)), 0)
+        for j in range(i, COLUMNS):
+            rest = products[i, j] - sum(U[k, i] * U[k, j] for k in range(i))
+            U[i, j] = rest * root
+    return [mi.Float(U[pair]) for pair in PAIRS]

@@ -1,0 +1,127 @@
+"""SVBRDF textures: what recovery starts from, and what it returns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.errors import OptionError, ShapeError
+from svu_mi.interop import owned
+from svu_mi.surface import Texels
+from svu_mi.surface.gutter import dilate
+from svu_mi.surface.material import parameters_at
+
+NAMES = ("base_color", "roughness", "metallic")
+CHANNELS = {"base_color": 3, "roughness": 1, "metallic": 1}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Textures:
+    """Parameters of Mitsuba's ``principled`` BSDF over a UV map, all in [0, 1].
+
+    Attributes:
+        base_color: (H, W, 3) TensorXf, linear; row 0 is v = 0.
+        roughness: (H, W, 1) TensorXf.
+        metallic: (H, W, 1) TensorXf.
+    """
+
+    base_color: Any
+    roughness: Any
+    metallic: Any
+
+    def __post_init__(self) -> None:
+        height, width = tuple(self.base_color.shape)[:2]
+        for name, tensor in self.items():
+            wanted = (height, width, CHANNELS[name])
+            if tuple(tensor.shape) != wanted:
+                raise ShapeError(
+                    f"Textures: {name} must have shape {wanted}, got {tuple(tensor.shape)}."
+                )
+
+    @property
+    def resolution(self) -> tuple[int, int]:
+        """(W, H) in texels."""
+        height, width = tuple(self.base_color.shape)[:2]
+        return width, height
+
+    def items(self) -> Iterator[tuple[str, Any]]:
+        """Return pairs of name and tensor, in the order of ``NAMES``."""
+        return ((name, getattr(self, name)) for name in NAMES)
+
+    def require_resolution(self, texels: Texels) -> None:
+        """Refuse textures of another resolution than the texels have.
+
+        Raises:
+            ShapeError: they have.
+        """
+        if self.resolution != texels.resolution:
+            raise ShapeError(
+                f"The textures have {self.resolution} texels, but {texels.resolution} are asked "
+                "for; lay texels out at the textures' resolution, or resample these."
+            )
+
+    def at(self, texels: Texels, name: str) -> np.ndarray:
+        """Return a parameter of every texel: (T, 3), or (T,) for a single channel."""
+        values = np.array(getattr(self, name)).reshape(-1, CHANNELS[name])[texels.index.numpy()]
+        return values if CHANNELS[name] > 1 else values[:, 0]
+
+
+def lay_out(texels: Texels, values: Mapping[str, Any]) -> Textures:
+    """Lay parameters of texels out as textures whose gutters reach everywhere.
+
+    Args:
+        texels: T texels.
+        values: base_color (T, 3), roughness (T,) and metallic (T,), finite; values outside
+            [0, 1] are clipped.
+
+    Raises:
+        OptionError: a parameter is missing, or is NaN or infinite.
+        ShapeError: not one value per texel.
+    """
+    return Textures(**{name: _texture(texels, values, name) for name in NAMES})
+
+
+def uniform(texels: Texels, value: float = 0.5) -> Textures:
+    """Return textures of one value, on the grid of the texels."""
+    width, height = texels.resolution
+    return Textures(**{
+        name: mi.TensorXf(
+            owned(mi.Float, np.full(width * height * count, value, np.float32)),
+            shape=(height, width, count),
+        )
+        for name, count in CHANNELS.items()
+    })  # fmt: skip
+
+
+def scene_textures(capture: Capture, texels: Texels) -> Textures:
+    """Evaluate the parameters of the scene's own material at every texel.
+
+    Args:
+        capture: its ``shape`` must have a ``principled`` BSDF; if that has bitmap textures, it
+            must have UVs of its own, too.
+        texels: of ``capture.mesh``.
+
+    Raises:
+        SceneError: another BSDF, or a mesh that was unwrapped anew.
+    """
+    return lay_out(texels, parameters_at(capture, texels))
+
+
+def _texture(texels: Texels, values: Mapping[str, Any], name: str) -> Any:
+    if name not in values:
+        raise OptionError(f"lay_out(): {name} is missing; textures need {', '.join(NAMES)}.")
+    flat = np.array(values[name], np.float32).reshape(texels.count, -1)
+    if flat.shape[1] != CHANNELS[name]:
+        raise ShapeError(
+            f"lay_out(): {name} needs {CHANNELS[name]} values per texel, got {flat.shape[1]}."
+        )
+    if not np.isfinite(flat).all():
+        raise OptionError(f"lay_out(): {name} is NaN or infinite in some texels.")
+    image = texels.to_image(np.clip(flat, 0, 1))
+    image = dilate(image, texels.inside(), float(np.hypot(*image.shape[:2])))
+    return mi.TensorXf(owned(mi.Float, image.ravel()), shape=image.shape)

@@ -1,0 +1,122 @@
+"""Seeds: certain texels, of as many kinds as there are, that others may learn from."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from svu_mi.pipeline import Estimate
+from svu_mi.posterior import Posterior
+from svu_mi.surface.neighbors import Neighbors
+
+RINGS = 3  # no texel within so many steps is more certain than a seed
+RESOLUTION = 1e-3  # entropies closer than this are the same
+
+
+def find_seeds(estimate: Estimate, around: Neighbors, count: int = 20) -> np.ndarray:
+    """Return the numbers of at most ``count`` seeds, (S,) int64.
+
+    Candidates are local minima of the entropy on the surface, averaged with their neighbours,
+    that belong to the more certain half of what was seen. The first seed is the most certain
+    candidate; each further one is that whose mean parameters are furthest from those of all
+    seeds so far, a distance that counts 1 - H times. The most certain ones
+    alone may all be of one material, and leave the others without a seed.
+
+    Args:
+        estimate: entropy and posterior of T texels; those never seen are no seeds.
+        around: the neighbours of each texel.
+        count: most seeds.
+    """
+    observed = np.array(estimate.coverage) > 0
+    entropy = np.where(observed, np.array(estimate.entropy, np.float64), 1)
+    found, worth = candidates(entropy, observed, around)
+    if len(found) == 0:
+        return found
+    return found[spread(mean_parameters(estimate.posterior, found), worth, count)]
+
+
+def candidates(
+    entropy: np.ndarray, observed: np.ndarray, around: Neighbors
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return local minima of the more certain half, most certain first, and 1 - H of each.
+
+    Args:
+        entropy: (T,) in [0, 1], 1 where nobody looked.
+        observed: (T,) bool.
+        around: the neighbours of each texel.
+    """
+    if not observed.any():
+        return np.empty(0, np.int64), np.empty(0)
+    smooth = smoothed(entropy, around)
+    found = minima(smooth, observed, around)
+    half = np.median(smooth[observed])
+    certain = found[smooth[found] <= half]
+    found = certain if len(certain) else found
+    found = found[np.argsort(smooth[found], kind="stable")]
+    return found, 1 - smooth[found]
+
+
+def smoothed(values: np.ndarray, around: Neighbors) -> np.ndarray:
+    """Return the mean of every texel and its neighbours, (T,)."""
+    table = around.table()
+    linked = table != np.arange(around.count)
+    total = values + np.where(linked, values[table], 0).sum(axis=0)
+    return total / (1 + linked.sum(axis=0))
+
+
+def minima(values: np.ndarray, allowed: np.ndarray, around: Neighbors) -> np.ndarray:
+    """Return one texel of every local minimum, in order of their numbers.
+
+    A minimum is the lowest within ``RINGS`` texels; a plateau of equal values is one minimum.
+
+    Args:
+        values: (T,), compared in steps of ``RESOLUTION``.
+        allowed: (T,) bool; others are no minima, and do not keep others from being one.
+        around: the neighbours of each texel.
+    """
+    level = np.where(allowed, np.round(values / RESOLUTION), np.inf)
+    table = around.table()
+    lowest = level
+    for _ in range(RINGS):
+        lowest = np.minimum(lowest, lowest[table].min(axis=0))
+    plateau = _plateaus(level, table)
+    beaten = np.zeros(plateau.max(initial=-1) + 1, bool)
+    beaten[plateau[(lowest < level) | ~allowed]] = True
+    inside = np.flatnonzero(~beaten[plateau])
+    inside = inside[np.argsort(values[inside], kind="stable")]
+    return np.sort(inside[np.unique(plateau[inside], return_index=True)[1]])
+
+
+def mean_parameters(posterior: Posterior, chosen: np.ndarray) -> np.ndarray:
+    """Return the posterior mean of every parameter, (t, D); per channel where it has its own."""
+    columns = []
+    for name, nodes in posterior.axes.items():
+        marginal = np.array(posterior.marginal(name, chosen), np.float64)
+        columns.append(np.einsum("tn...,n->t...", marginal, nodes).reshape(len(chosen), -1))
+    return np.concatenate(columns, axis=1)
+
+
+def _plateaus(level: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """Number the connected parts of equal level, (T,)."""
+    count = len(level)
+    here = np.broadcast_to(np.arange(count), table.shape)
+    same = level[table] == level[here]
+    links = csr_array((np.ones(same.sum(), bool), (here[same], table[same])), shape=(count, count))
+    return connected_components(links, directed=False)[1]
+
+
+def spread(points: np.ndarray, worth: np.ndarray, count: int) -> np.ndarray:
+    """Return the first point and, one by one, those whose distance to all before is worth most.
+
+    Args:
+        points: (N, D).
+        worth: (N,), what a distance is multiplied by.
+        count: at most so many.
+    """
+    chosen = [0]
+    nearest = np.linalg.norm(points - points[0], axis=1)
+    while len(chosen) < count and (nearest * worth).max() > 0:
+        chosen.append(int((nearest * worth).argmax()))
+        nearest = np.minimum(nearest, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return np.array(chosen)

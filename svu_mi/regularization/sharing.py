@@ -1,0 +1,214 @@
+"""Global sharing: uncertain texels take after certain ones that look like them (Sec. 5.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any, Literal
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.errors import OptionError, ShapeError
+from svu_mi.interop import owned
+from svu_mi.pipeline import Estimate
+from svu_mi.posterior import Posterior
+from svu_mi.regularization.gradients import check_texture, known
+from svu_mi.regularization.seeds import find_seeds
+from svu_mi.surface.neighbors import Neighbors, neighbors
+
+Divergence = Literal["forward", "reverse"]
+
+CHUNK = 1 << 22  # probabilities in memory at a time
+LEAST = 1e-30  # probability that stands for 0 in a logarithm
+
+
+@dataclass(frozen=True, eq=False)
+class GlobalSharing:
+    """Squared distance to seeds: the most certain texels of the surface.
+
+        L_S(psi) = 1/T sum over texels p, sum over seeds q of w_pq |psi_p - psi_q|^2   (Eq. 14)
+        w_pq = exp(-KL_pq^2 / (2 tau'^2)),  tau' = tau times the mean of all KL_pq     (Eq. 15)
+
+    A plain function of a texture, to be added to any loss. The weights come from posteriors
+    and do not change; the seeds' values are those of the texture itself. Weights are not
+    normalised: a texel that is like no seed is left alone. A texel that nobody saw has a
+    uniform posterior, and belongs to all seeds alike.
+
+    Attributes:
+        estimate: what the photographs say about T texels.
+        mesh: the mesh they lie on; or their ``Neighbors``, if these are at hand; or None, to
+            look for seeds without crossing seams.
+        seeds: how many at most; or the numbers of texels to use, in [0, T). Afterwards those
+            numbers, (S,) int64; none if no texel was ever seen.
+        tau: width of the weights, as a part of the mean KL divergence; 0.4 in the paper.
+        divergence: ``reverse`` is KL(P_q || P_p), which asks whether what p saw allows for the
+            seed; ``forward`` is the paper's KL(P_p || P_q), which asks whether the seed allows
+            for all that p does, and is far for every uncertain p.
+        anchored: seeds pull and are not pulled: the gradient reaches p only.
+        weights: (S T,) Float, that of seed s and texel p at s T + p.
+    """
+
+    estimate: Estimate
+    mesh: Any | None = None
+    _: KW_ONLY
+    seeds: Any = 20
+    tau: float = 0.4
+    divergence: Divergence = "reverse"
+    anchored: bool = True
+    weights: Any = field(init=False, repr=False)
+    _seeds: Any = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.divergence not in ("forward", "reverse"):
+            raise OptionError(
+                f"GlobalSharing: divergence must be forward or reverse, got {self.divergence!r}."
+            )
+        if not (np.isfinite(self.tau) and self.tau > 0):
+            raise OptionError(f"GlobalSharing: tau must be positive, got {self.tau!r}.")
+        posterior = self.estimate.posterior
+        chosen = self._choose()
+        weights = _weights(divergences(posterior, chosen, self.divergence), self.tau)
+        object.__setattr__(self, "seeds", chosen)
+        object.__setattr__(self, "weights", owned(mi.Float, weights.ravel()))
+        object.__setattr__(self, "_seeds", owned(mi.UInt32, chosen.astype(np.uint32)))
+
+    def __call__(self, texture: Any) -> Any:
+        """Return the loss L_S of a texture.
+
+        Args:
+            texture: (H, W) or (H, W, C) TensorXf, at the resolution of the texels.
+
+        Returns:
+            A Float of one value, differentiable in the texture.
+
+        Raises:
+            OptionError: not a tensor.
+            ShapeError: another resolution.
+        """
+        channels = check_texture("GlobalSharing", texture, self.estimate.texels.resolution)
+        values = dr.detach(texture.array)
+        if len(self.seeds) == 0:
+            return known(texture, mi.Float(0), dr.zeros(mi.Float, dr.width(values)))
+        value, gradient = self._of(values, channels)
+        return known(texture, value, gradient)
+
+    def pull(self) -> np.ndarray:
+        """Return W_p = sum over seeds of w_pq, (T,) float32: how much each texel is pulled."""
+        count = self.estimate.texels.count
+        weights = np.array(self.weights, np.float64).reshape(len(self.seeds), count)
+        return weights.sum(axis=0).astype(np.float32)
+
+    def image(self) -> np.ndarray:
+        """Lay ``pull`` out as an (H, W) float32 texture, 0 outside the charts."""
+        return self.estimate.texels.to_image(self.pull())
+
+    def _choose(self) -> np.ndarray:
+        """Return the numbers of the seeds, (S,) int64."""
+        if not isinstance(self.seeds, (int, np.integer)):
+            chosen = np.array(self.seeds, np.int64).reshape(-1)
+            return chosen[np.sort(np.unique(chosen, return_index=True)[1])]
+        if self.seeds < 1:
+            raise OptionError(f"GlobalSharing: it takes at least one seed, got {self.seeds}.")
+        around = self.mesh
+        if not isinstance(around, Neighbors):
+            around = neighbors(self.estimate.texels, self.mesh)
+        if around.count != self.estimate.texels.count:
+            raise ShapeError(
+                f"GlobalSharing: expected the neighbours of {self.estimate.texels.count} texels, "
+                f"got those of {around.count}."
+            )
+        return find_seeds(self.estimate, around, int(self.seeds))
+
+    def _of(self, values: Any, channels: int) -> tuple[Any, Any]:
+        """Value and gradient: every lane is a texel that reads from all seeds."""
+        index = self.estimate.texels.index
+        psi = [dr.gather(mi.Float, values, index * channels + c) for c in range(channels)]
+        seeds = [dr.gather(mi.Float, column, self._seeds) for column in psi]
+        dr.eval(psi, seeds)
+        total, pull = self._pull(psi, seeds)
+        dr.eval(total, pull)
+        scale = 1 / dr.opaque(mi.Float, self.estimate.texels.count)
+        gradient = dr.zeros(mi.Float, dr.width(values))
+        for c in range(channels):
+            dr.scatter(gradient, 2 * scale * pull[c], index * channels + c)
+        if not self.anchored:
+            self._let_go(gradient, psi, seeds, 2 * scale)
+        return dr.sum(total) * scale, gradient
+
+    def _pull(self, psi: list[Any], seeds: list[Any]) -> tuple[Any, list[Any]]:
+        """Return sum_q w_pq |psi_p - psi_q|^2 and, by channel, sum_q w_pq (psi_p - psi_q)."""
+        lane = dr.arange(mi.UInt32, self.estimate.texels.count)
+        stride = dr.opaque(mi.UInt32, self.estimate.texels.count)
+        count = dr.opaque(mi.UInt32, len(self.seeds))
+
+        def body(seed: Any, total: Any, *pull: Any) -> tuple[Any, ...]:
+            weight = dr.gather(mi.Float, self.weights, seed * stride + lane)
+            moved = []
+            for here, there, force in zip(psi, seeds, pull, strict=True):
+                apart = here - dr.gather(mi.Float, there, seed)
+                total = dr.fma(weight, dr.square(apart), total)
+                moved.append(dr.fma(weight, apart, force))
+            return seed + 1, total, *moved
+
+        start = (dr.zeros(mi.Float, self.estimate.texels.count) for _ in range(len(psi) + 1))
+        _, total, *pull = dr.while_loop(
+            state=(mi.UInt32(0), *start), cond=lambda seed, *_: seed < count, body=body
+        )
+        return total, pull
+
+    def _let_go(self, gradient: Any, psi: list[Any], seeds: list[Any], scale: Any) -> None:
+        """Add what pulls at the seeds: - sum_p w_pq (psi_p - psi_q)."""
+        count, texels = len(self.seeds), self.estimate.texels
+        weights = mi.TensorXf(self.weights, shape=(count, texels.count))
+        at = dr.gather(mi.UInt32, texels.index, self._seeds) * len(psi)
+        weight = dr.block_sum(self.weights, texels.count)
+        for c, (here, there) in enumerate(zip(psi, seeds, strict=True)):
+            mean = (weights @ mi.TensorXf(here, shape=(texels.count, 1))).array
+            force = scale * (mean - weight * there)
+            dr.scatter_add(gradient, -force, at + c, mode=dr.ReduceMode.NoConflicts)
+
+
+def divergences(posterior: Posterior, chosen: np.ndarray, kind: Divergence) -> np.ndarray:
+    """Return KL(P_p || P_q), or KL(P_q || P_p) if reverse, of all texels p to some texels q.
+
+    Where each channel has a distribution of its own, the mean over channels.
+
+    Args:
+        posterior: of T texels.
+        chosen: (S,) numbers q of texels.
+        kind: which of them is asked for.
+
+    Returns:
+        (S, T) float64, not negative.
+    """
+    q = _rows(posterior, chosen)
+    log_q = np.log(np.maximum(q, LEAST))
+    result = np.empty((len(chosen), posterior.count))
+    for span in _spans(posterior.count, max(CHUNK // max(q.shape[1], 1), 1)):
+        p = _rows(posterior, np.arange(span.start, span.stop))
+        log_p = np.log(np.maximum(p, LEAST))
+        if kind == "forward":
+            result[:, span] = np.einsum("tk,tk->t", p, log_p) - log_q @ p.T
+        else:
+            result[:, span] = np.einsum("sk,sk->s", q, log_q)[:, None] - q @ log_p.T
+    return np.maximum(result, 0) / posterior.groups
+
+
+def _rows(posterior: Posterior, chosen: np.ndarray) -> np.ndarray:
+    """Return (t, cells) float32 probabilities of some texels, all channels in a row."""
+    p = np.array(posterior.probabilities_of(chosen), np.float32)
+    return p.reshape(len(chosen), int(np.prod(posterior.grid.shape)) * posterior.groups)
+
+
+def _spans(count: int, size: int) -> Iterator[slice]:
+    return (slice(first, min(first + size, count)) for first in range(0, count, size))
+
+
+def _weights(divergence: np.ndarray, tau: float) -> np.ndarray:
+    """Return w = exp(-KL^2 / (2 tau'^2)), (S, T) float32 (Eq. 15)."""
+    width = tau * divergence.mean() if divergence.size else 0.0
+    if width == 0:  # all posteriors are the same
+        return np.ones(divergence.shape, np.float32)
+    return np.exp(-0.5 * (divergence / width) ** 2).astype(np.float32)

@@ -1,0 +1,229 @@
+"""Which texels are next to each other on the surface, also across the seams of its UV charts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from scipy.sparse import csr_array, eye_array
+from scipy.spatial import cKDTree
+
+from svu_mi.capture.mesh import arrays
+from svu_mi.interop import owned
+from svu_mi.surface.layout import Texels
+
+REACH = 2.0  # longest link, in steps from a texel to the next
+OPPOSITE = -0.5  # cosine of normals below which two texels are two sides of a sheet
+HOPS = 3  # texels so near inside a chart are no neighbours across a seam
+CANDIDATES = 8  # texels looked at for every texel next to a seam
+MOST = 8  # neighbours of one texel; a coarse chart may border on a finer one
+
+
+@dataclass(frozen=True, kw_only=True)
+class Neighbors:
+    """The neighbourhood of T texels on the surface, of P undirected pairs.
+
+    Attributes:
+        pairs: two (P,) UInt32 of texel numbers in [0, T), the lower one first, each pair once.
+        around: K arrays (T,) UInt32: the neighbours of each texel, and its own number where it
+            has fewer than K. Symmetric: i is around j if, and only if, j is around i.
+        seams: number of pairs that lie across a seam.
+    """
+
+    pairs: tuple[Any, Any]
+    around: tuple[Any, ...]
+    seams: int
+
+    @property
+    def count(self) -> int:
+        """Number of texels T."""
+        return int(dr.width(self.around[0]))
+
+    def table(self) -> np.ndarray:
+        """Return ``around`` as a (K, T) int64 array."""
+        return np.stack([np.array(column, np.int64) for column in self.around])
+
+
+def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
+    """Find the neighbours of every texel on the surface.
+
+    Two texels side by side in the UV map are neighbours unless they lie apart in space, as
+    those of two charts that touch in the map do. Where there is no neighbour in the map, the
+    position one texel further on is extrapolated, and the texel nearest to it across the seam
+    takes its place. Texels whose normals are opposite (the two sides of a sheet) never are
+    neighbours, nor are any two further apart than two texels.
+
+    Args:
+        texels: T texels.
+        mesh: the mesh they lie on (``capture.mesh``); without it, pairs across seams are left
+            out and whatever is side by side in the map is taken to be so in space.
+    """
+    right, down = _in_the_map(texels)
+    if mesh is None:
+        return _gather(np.concatenate([right, down]), texels.count, 0)
+    surface = _Surface.of(texels, mesh)
+    right = right[surface.near(right, surface.steps[0])]
+    down = down[surface.near(down, surface.steps[1])]
+    inside = np.concatenate([right, down])
+    across = _across_seams(surface, right, down)
+    return _gather(np.concatenate([inside, across]), texels.count, len(across))
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """Positions, normals and steps of texels, in double precision.
+
+    Attributes:
+        position: (T, 3).
+        normal: (T, 3) unit face normals.
+        steps: two (T, 3): the way to the next texel along u and along v on the texel's face.
+    """
+
+    position: np.ndarray
+    normal: np.ndarray
+    steps: tuple[np.ndarray, np.ndarray]
+
+    @classmethod
+    def of(cls, texels: Texels, mesh: Any) -> _Surface:
+        source = arrays(mesh)
+        assert source.uvs is not None
+        corner, uv = source.positions[source.faces], source.uvs[source.faces]
+        (a, b), (p, q) = (
+            (edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]) for edges in (uv, corner)
+        )
+        area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        area = np.where(area == 0, np.inf, area)[:, None]  # such a face has no texels
+        along_u = (p * b[:, 1:] - q * a[:, 1:]) / (area * texels.resolution[0])
+        along_v = (q * a[:, :1] - p * b[:, :1]) / (area * texels.resolution[1])
+        face = texels.face.numpy()
+        return cls(
+            np.array(texels.position, np.float64).T,
+            np.array(texels.geometric_normal, np.float64).T,
+            (along_u[face], along_v[face]),
+        )
+
+    def near(self, pairs: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Return (P,) bool: pairs that are close, measured in steps, on the same side."""
+        first, second = pairs.T
+        apart = _length(self.position[first] - self.position[second])
+        longest = np.maximum(_length(step)[first], _length(step)[second])
+        return (apart <= REACH * longest) & self.alike(first, second)
+
+    def alike(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        """Whether normals are not those of two sides of a sheet."""
+        return (self.normal[first] * self.normal[second]).sum(axis=-1) > OPPOSITE
+
+
+def _length(vectors: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+
+
+def _in_the_map(texels: Texels) -> tuple[np.ndarray, np.ndarray]:
+    """Return pairs (P, 2) of texels side by side, and of texels one above the other."""
+    width, height = texels.resolution
+    index = texels.index.numpy().astype(np.int64)
+    number = np.full(width * height + width, -1)
+    number[index] = np.arange(len(index))
+    result = []
+    for offset, last in ((1, index % width == width - 1), (width, index // width == height - 1)):
+        other = np.where(last, -1, number[index + offset])
+        found = np.flatnonzero(other >= 0)
+        result.append(np.stack([found, other[found]], axis=-1))
+    return result[0], result[1]
+
+
+def _across_seams(surface: _Surface, right: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """Return pairs (P, 2) of texels that meet at a seam."""
+    count = len(surface.position)
+    start, way = _loose_ends(surface, right, down)
+    border = np.unique(start)
+    if len(border) < 2:
+        return np.empty((0, 2), np.int64)
+    target = surface.position[start] + way
+    tree = cKDTree(surface.position[border])
+    distance, found = tree.query(target, min(CANDIDATES, len(border)))
+    other = border[found]
+    here = np.broadcast_to(start[:, None], other.shape)
+    gap = surface.position[other] - surface.position[here]
+    # The texel over there may be wider than the one here.
+    scale = np.maximum(_length(way)[:, None], _largest_step(surface)[other])
+    usable = surface.alike(here, other) & ((gap * way[:, None]).sum(axis=-1) > 0)
+    usable &= (_length(gap) <= REACH * scale) & (distance <= scale)
+    usable &= ~_reached(count, np.concatenate([right, down]), border, here, other)
+    distance = np.where(usable, distance, np.inf)
+    best = distance.argmin(axis=1)[:, None]
+    nearest = np.take_along_axis(distance, best, axis=1)[:, 0]
+    pairs = np.stack([start, np.take_along_axis(other, best, axis=1)[:, 0]], axis=-1)
+    kept = np.isfinite(nearest)
+    inside = np.bincount(np.concatenate([right, down]).ravel(), minlength=count)
+    return _thinned(np.sort(pairs[kept], axis=1), nearest[kept], MOST - inside)
+
+
+def _largest_step(surface: _Surface) -> np.ndarray:
+    return np.maximum(_length(surface.steps[0]), _length(surface.steps[1]))
+
+
+def _loose_ends(
+    surface: _Surface, right: np.ndarray, down: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return texels (E,) without a neighbour on one side, and the way (E, 3) to that side."""
+    starts, ways = [], []
+    for pairs, step in zip((right, down), surface.steps, strict=True):
+        for side, sign in ((0, 1), (1, -1)):
+            served = np.zeros(len(surface.position), bool)
+            served[pairs[:, side]] = True
+            loose = np.flatnonzero(~served)
+            starts.append(loose)
+            ways.append(sign * step[loose])
+    return np.concatenate(starts), np.concatenate(ways)
+
+
+def _reached(
+    count: int, pairs: np.ndarray, border: np.ndarray, start: np.ndarray, other: np.ndarray
+) -> np.ndarray:
+    """Whether ``other`` is ``start`` or within a few steps of it without crossing a seam."""
+    first, second = pairs.T
+    links = csr_array(
+        (np.ones(2 * len(pairs), np.float32), (np.r_[first, second], np.r_[second, first])),
+        shape=(count, count),
+    )
+    links = csr_array(links + eye_array(count, dtype=np.float32, format="csr"))
+    near = links[border]
+    for _ in range(HOPS - 1):
+        near = csr_array(near @ links)
+    rows = np.searchsorted(border, start.ravel())
+    return np.asarray(near[rows, other.ravel()]).reshape(other.shape) > 0
+
+
+def _thinned(pairs: np.ndarray, distance: np.ndarray, room: np.ndarray) -> np.ndarray:
+    """Return unique pairs, nearest first, no more for any texel than it has room for."""
+    pairs = pairs[np.argsort(distance, kind="stable")]
+    pairs = pairs[np.sort(np.unique(pairs, axis=0, return_index=True)[1])]
+    place = _place(pairs.T.ravel(), np.tile(np.arange(len(pairs)), 2)).reshape(2, -1)
+    return pairs[(place[0] < room[pairs[:, 0]]) & (place[1] < room[pairs[:, 1]])]
+
+
+def _place(owner: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """Return the place of every entry among those of the same owner, in some order."""
+    by_owner = np.lexsort((order, owner))
+    ranked = owner[by_owner]
+    first = np.searchsorted(ranked, ranked)
+    place = np.empty(len(owner), np.int64)
+    place[by_owner] = np.arange(len(owner)) - first
+    return place
+
+
+def _gather(pairs: np.ndarray, count: int, seams: int) -> Neighbors:
+    """Turn unique pairs (P, 2) into a neighbourhood."""
+    pairs = np.sort(pairs, axis=1)
+    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    owner, other = np.r_[pairs[:, 0], pairs[:, 1]], np.r_[pairs[:, 1], pairs[:, 0]]
+    place = _place(owner, other)
+    table = np.tile(np.arange(count), (int(place.max(initial=0)) + 1, 1))
+    table[place, owner] = other
+    first, second = (owned(mi.UInt32, column.astype(np.uint32)) for column in pairs.T)
+    around = tuple(owned(mi.UInt32, column.astype(np.uint32)) for column in table)
+    return Neighbors(pairs=(first, second), around=around, seams=seams)

@@ -1,0 +1,294 @@
+"""``svu recover``: files and status 0, one line and 2 on bad input, 130 and a way on for Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from helpers import sensor_xml, write_scene
+
+from svu_mi import scenes
+from svu_mi.cli.inputs import was_interrupted
+from svu_mi.cli.main import main
+from svu_mi.exr import read_exr, write_exr
+from svu_mi.output.textures import read_textures, write_textures
+from svu_mi.recovery import descent
+from svu_mi.recovery.interrupts import between_steps
+from svu_mi.recovery.textures import NAMES, Textures
+
+FILES = [
+    "assets", "base_color.exr", "coverage.exr", "losses.csv", "metallic.exr", "recovered.xml",
+    "recovery.png", "relit.png", "roughness.exr", "run.json",
+]  # fmt: skip
+SIZE = 32
+STEPS = 400  # enough to be interrupted in
+
+
+@pytest.fixture(autouse=True)
+def _restore(variant):
+    yield
+    mi.set_variant(variant)
+    mi.set_log_level(mi.LogLevel.Warn)
+
+
+@pytest.fixture(scope="module")
+def shot(tmp_path_factory):
+    """A rendered capture folder of the vase, 8 views placed on a sphere."""
+    folder = tmp_path_factory.mktemp("shot")
+    words = ("render", scenes.path("vase"), "-D", "light=window", "--views", 8)
+    assert run(*words, "--resolution", 40, 32, "--spp", 4, "-o", folder) == 0
+    return folder
+
+
+def run(*words):
+    """Run the program in this process."""
+    return main([str(word) for word in words])
+
+
+def recover(shot, out, *words):
+    """Run ``svu recover`` on the capture, briefly."""
+    return run("recover", shot, "-o", out, "--resolution", SIZE, "--steps", 20, *words)
+
+
+def last_line(capsys):
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("svu: ")]
+    lines = [line for line in lines if not line.startswith("svu: warning")]
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+def fails(capsys, *words):
+    """Run the program, expect status 2, and return its one line."""
+    assert run(*words) == 2
+    return last_line(capsys)
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def maps(folder):
+    return {name: np.array(tensor) for name, tensor in read_textures(folder).items()}
+
+
+def test_recover_writes_textures_a_scene_and_pictures(shot, tmp_path):
+    assert recover(shot, tmp_path, "--seed", 5) == 0
+    assert names(tmp_path) == FILES
+    for name, values in maps(tmp_path).items():
+        assert values.shape == (SIZE, SIZE, 3 if name == "base_color" else 1)
+        assert np.ptp(values) > 0.1
+    record = json.loads((tmp_path / "run.json").read_text())
+    assert record["settings"]["method"] == "sh"
+    assert record["settings"]["given"]["seed"] == 5
+    assert record["inputs"]["views"] == 8
+    assert record["timings_s"] and record["environment"]["versions"]["mitsuba"]
+    lines = (tmp_path / "losses.csv").read_text().splitlines()
+    assert len(lines) == record["result"]["steps"] + 1 == 21
+    scene = mi.load_file(str(tmp_path / "recovered.xml"))
+    assert len(scene.sensors()) == 8
+
+
+def test_sharing_leaves_the_entropy_that_it_went_by(shot, tmp_path):
+    assert recover(shot, tmp_path, "--sharing", "--tv", 0.02) == 0
+    assert names(tmp_path) == sorted([*FILES, "entropy.exr"])
+    entropy, coverage = (read_exr(tmp_path / f"{n}.exr")["Y"] for n in ("entropy", "coverage"))
+    assert (entropy[coverage == 0] == 1).all()
+    assert coverage.max() <= 8
+
+
+@pytest.mark.parametrize("method", ["path", "sh+path"])
+def test_the_path_tracer_recovers_too(shot, tmp_path, method):
+    assert recover(shot, tmp_path, "--method", method, "--epochs", 0.5) == 0
+    assert names(tmp_path) == FILES
+    record = json.loads((tmp_path / "run.json").read_text())
+    assert record["settings"]["method"] == method
+
+
+def test_textures_that_are_not_asked_for_stay(shot, tmp_path):
+    rng = np.random.default_rng(1462719035)
+    given = {name: np.full((SIZE, SIZE, 3 if name == "base_color" else 1), rng.random(), "f4")
+             for name in NAMES}  # fmt: skip
+    (tmp_path / "given").mkdir()
+    write_textures(Textures(**{k: mi.TensorXf(v) for k, v in given.items()}), tmp_path / "given")
+    words = ("--start", tmp_path / "given", "--parameters", "roughness", "base_color")
+    assert recover(shot, tmp_path / "out", *words) == 0
+    found = maps(tmp_path / "out")
+    np.testing.assert_array_equal(found["metallic"], given["metallic"])
+    assert np.ptp(found["roughness"]) > 0 and np.ptp(found["base_color"]) > 0
+    assert run("recover", shot, "-o", tmp_path / "b", "--resolution", 48, *words) == 2
+
+
+def test_without_photographs_the_scene_is_rendered_once(tmp_path, capsys, monkeypatch):
+    path = write_scene(tmp_path, sensors=sensor_xml(4, 32, 32))
+    words = ("recover", path, "-o", tmp_path / "out", "--resolution", 24, "--spp", 2, "--steps", 20)
+    interrupt_after(monkeypatch, 12)
+    assert run(*words) == 130
+    assert "the scene is rendered" in capsys.readouterr().err
+    photograph = tmp_path / "out" / "capture" / "view_0003.exr"
+    before = photograph.stat().st_mtime_ns
+    monkeypatch.undo()
+    assert run(*words, "--resume") == 0
+    assert photograph.stat().st_mtime_ns == before
+
+
+def interrupt_after(monkeypatch, steps):
+    """Press Ctrl-C in the middle of a step."""
+    advance = descent._Run.advance
+
+    def interrupted(self):
+        advance(self)
+        if self.step >= steps:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(descent._Run, "advance", interrupted)
+
+
+def test_an_interrupted_run_goes_on_to_the_same_textures(shot, tmp_path, capsys, monkeypatch):
+    assert recover(shot, tmp_path / "whole") == 0
+    capsys.readouterr()
+    interrupt_after(monkeypatch, 11)
+    assert recover(shot, tmp_path / "out") == 130
+    line = last_line(capsys)
+    assert "checkpoint.npz" in line and "--resume" in line
+    assert names(tmp_path / "out") == ["checkpoint.npz"]
+    monkeypatch.undo()
+    assert recover(shot, tmp_path / "out", "--resume") == 0
+    assert names(tmp_path / "out") == FILES
+    whole, resumed = maps(tmp_path / "whole"), maps(tmp_path / "out")
+    for name in NAMES:
+        np.testing.assert_array_equal(resumed[name], whole[name])
+    losses = [(tmp_path / f / "losses.csv").read_text() for f in ("whole", "out")]
+    assert losses[0] == losses[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGKILL])
+def test_a_process_that_is_stopped_can_be_resumed(shot, tmp_path, kind):
+    """Ctrl-C is answered with one line; kill -9 with nothing; both lose only what was not saved."""
+    words = ["recover", shot, "-o", tmp_path / "out", "--resolution", SIZE, "--steps", STEPS]
+    words = [str(word) for word in (*words, "--checkpoint-seconds", 0)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "svu_mi", *words], stderr=subprocess.PIPE, text=True,
+        # Elsewhere than at a terminal, Ctrl-C may be off.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509
+    )  # fmt: skip
+    wait_for(tmp_path / "out" / "checkpoint.npz", process)
+    process.send_signal(kind)
+    _, said = process.communicate(timeout=120)
+    if kind == signal.SIGINT:
+        assert process.returncode == 130, said
+        assert said.count("\n") == 1 and "--resume" in said
+    else:
+        assert process.returncode == -signal.SIGKILL
+    assert run(*words, "--resume") == 0
+    assert run(*words[:3], tmp_path / "whole", *words[4:]) == 0
+    for name, values in maps(tmp_path / "whole").items():
+        np.testing.assert_array_equal(maps(tmp_path / "out")[name], values)
+
+
+def test_an_interrupt_that_was_wrapped_is_one():
+    try:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as stop:
+            raise RuntimeError("drjit.while_loop(): an error in the body") from stop
+    except RuntimeError as error:
+        assert was_interrupted(error)
+    assert not was_interrupted(RuntimeError("another"))
+
+
+def test_ctrl_c_waits_for_the_end_of_a_step():
+    done = []
+    with pytest.raises(KeyboardInterrupt), between_steps() as answer:
+        for step in range(5):
+            if step == 2:
+                signal.raise_signal(signal.SIGINT)
+            done.append(step)
+            answer()
+    assert done == [0, 1, 2]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with pytest.raises(KeyboardInterrupt), between_steps():
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        raise AssertionError("the second one was held back, too")
+
+
+def wait_for(path, process):
+    for _ in range(1200):
+        if path.exists():
+            return
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.1)
+    raise AssertionError(f"{path} never came")
+
+
+def brighter(shot, folder):
+    """The same capture with one photograph that is twice as bright."""
+    for path in shot.iterdir():
+        (folder / path.name).write_bytes(path.read_bytes())
+    image = read_exr(folder / "view_0002.exr")
+    write_exr(folder / "view_0002.exr", {c: (1 if c == "A" else 2) * image[c] for c in "RGBA"})
+    return folder
+
+
+def test_a_checkpoint_is_of_one_run(shot, tmp_path, tmp_path_factory, capsys, monkeypatch):
+    line = fails(capsys, "recover", shot, "-o", tmp_path, "--resume")
+    assert "no checkpoint" in line
+    interrupt_after(monkeypatch, 11)
+    assert recover(shot, tmp_path) == 130
+    monkeypatch.undo()
+    capsys.readouterr()
+    assert recover(shot, tmp_path, "--resume", "--tv", 0.5) == 2
+    assert "another run" in last_line(capsys)
+    other = brighter(shot, tmp_path_factory.mktemp("other"))
+    assert recover(other, tmp_path, "--resume") == 2
+    assert "photographs was" in last_line(capsys)
+    assert recover(shot, tmp_path) == 2
+    assert "--resume" in last_line(capsys)
+    assert names(tmp_path) == ["checkpoint.npz"]
+
+
+BAD = {
+    "no scene": (["{tmp}/no.xml"], "no such file"),
+    "no images": (["{shot}", "--images", "{tmp}/none"], "no such folder"),
+    "no start": (["{shot}", "--start", "{tmp}/none"], "no such folder"),
+    "size": (["{shot}", "--resolution", "0"], "--resolution"),
+    "seed": (["{shot}", "--seed", "-1"], "seed"),
+    "preset": (["{shot}", "--method", "path", "--preset", "spectrum"], "Unknown preset"),
+    "tv": (["{shot}", "--tv", "-1"], "tv"),
+    "steps": (["{shot}", "--steps", "-3"], "steps"),
+    "epochs": (["{shot}", "--method", "path", "--epochs", "0"], "epochs"),
+    "seconds": (["{shot}", "--checkpoint-seconds", "-1"], "seconds"),
+    "shape": (["{shot}", "--shape", "jug"], "no shape 'jug'"),
+    "define": (["{shot}", "-D", "light"], "KEY=VALUE"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_status_2(shot, tmp_path, capsys, case):
+    words, sentence = BAD[case]
+    words = [word.format(tmp=tmp_path, shot=shot) for word in words]
+    if "--resolution" not in words:
+        words += ["--resolution", "16"]
+    assert sentence in fails(capsys, "recover", *words, "-o", tmp_path / "out")
+    out = tmp_path / "out"
+    assert not out.exists() or names(out) == []
+
+
+def test_textures_of_another_size_name_the_option(shot, tmp_path, capsys):
+    for name in NAMES:
+        channels = {"RGB": np.ones((8, 9, 3))} if name == "base_color" else {"Y": np.ones((8, 9))}
+        write_exr(tmp_path / f"{name}.exr", channels)
+    words = ("recover", shot, "-o", tmp_path / "out", "--start", tmp_path, "--resolution", 16)
+    assert "--resolution 9 8" in fails(capsys, *words)
+
+
+def test_a_folder_that_cannot_be_written_is_named(shot, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert "is a file" in fails(capsys, "recover", shot, "-o", tmp_path / "file")

@@ -1,0 +1,268 @@
+"""Descent: the right minimum, within bounds, without new kernels or growing memory."""
+
+from __future__ import annotations
+
+import gc
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from svu_mi.errors import OptionError, ShapeError, SvuError
+from svu_mi.interop import owned
+from svu_mi.recovery.checkpoint import Checkpoint
+from svu_mi.recovery.descent import READ, descend, rate
+from svu_mi.recovery.options import DescentOptions
+
+SHAPE = (8, 12, 3)
+
+
+def tensor(values):
+    values = np.asarray(values, np.float32)
+    return mi.TensorXf(owned(mi.Float, values.ravel()), shape=values.shape)
+
+
+def half(shape=SHAPE):
+    return {"base_color": dr.full(mi.TensorXf, 0.5, shape=shape)}
+
+
+def truth(seed=0, shape=SHAPE):
+    return np.random.default_rng(seed).random(shape, np.float32)
+
+
+def towards(wanted):
+    """A parabola around some values."""
+    target = tensor(wanted)
+
+    def objective(textures, step):
+        return dr.mean(dr.square(textures["base_color"] - target), axis=None)
+
+    return objective
+
+
+def adam(wanted, options):
+    """Adam with projection, in NumPy and float64, straight from Kingman and Ba (2015)."""
+    value = np.full(wanted.shape, 0.5)
+    m, v = np.zeros_like(value), np.zeros_like(value)
+    losses = []
+    for t in range(1, options.steps + 1):
+        losses.append(np.mean((value - wanted) ** 2))
+        g = 2 * (value - wanted) / value.size
+        m = options.beta_1 * m + (1 - options.beta_1) * g
+        v = options.beta_2 * v + (1 - options.beta_2) * g * g
+        unbiased = m / (1 - options.beta_1**t), (v + 1e-16) / (1 - options.beta_2**t)
+        part = (t - 1) / (options.steps - 1)
+        step = options.learning_rate * options.final_rate**part * unbiased[0]
+        value = np.clip(value - step / np.sqrt(unbiased[1]), options.low, options.high)
+    return value, np.array(losses)
+
+
+def test_it_is_adam_with_a_falling_rate_and_projection():
+    options = DescentOptions(steps=60, learning_rate=0.03, final_rate=0.2, low=0.1, high=0.8)
+    wanted = truth()
+    found = descend(towards(wanted), half(), options)
+    value, losses = adam(wanted.astype(np.float64), options)
+    # float32 moments, and gradients that vanish near the minimum: the direction is what is left
+    assert np.abs(np.array(found.values["base_color"]) - value).max() < 1e-4
+    assert np.allclose(found.losses, losses, rtol=1e-3)
+    assert found.steps == 60
+    assert found.stopped == "finished"
+    assert found.losses.dtype == np.float32
+
+
+def test_rate_falls_geometrically():
+    options = DescentOptions(steps=5, learning_rate=0.4, final_rate=1 / 16)
+    assert np.allclose([rate(options, i) for i in range(5)], [0.4, 0.2, 0.1, 0.05, 0.025])
+    assert rate(DescentOptions(steps=1, learning_rate=0.4), 0) == 0.4
+
+
+def test_values_stay_within_bounds_from_the_start():
+    seen = []
+
+    def objective(textures, step):
+        seen.append(np.array(dr.detach(textures["base_color"])))
+        return dr.sum(textures["base_color"].array)  # downhill for ever
+
+    start = {"base_color": tensor(np.linspace(-1, 2, 12).reshape(2, 2, 3))}
+    found = descend(objective, start, DescentOptions(steps=25, learning_rate=0.2))
+    values = np.array([*seen, np.array(found.values["base_color"])])
+    assert values.min() >= 0
+    assert values.max() <= 1
+    assert np.all(values[-1] == 0)
+
+
+def test_start_is_left_alone():
+    start = half()
+    descend(towards(truth()), start, DescentOptions(steps=3))
+    assert np.all(np.array(start["base_color"]) == 0.5)
+    assert not dr.grad_enabled(start["base_color"])
+
+
+def test_it_stops_when_the_loss_falls_no_further():
+    options = DescentOptions(steps=2000, learning_rate=0.05, final_rate=1.0, tolerance=0.01,
+                             window=20)  # fmt: skip
+
+    def objective(textures, step):
+        return 1 + towards(truth())(textures, step)
+
+    found = descend(objective, half(), options)
+    assert found.stopped == "converged"
+    assert 40 <= found.steps < 200
+    assert found.steps % 20 == 0
+    assert len(found.losses) == found.steps
+    mean = found.losses.reshape(-1, 20).mean(axis=1)
+    fallen = 1 - mean[1:] / mean[:-1]
+    assert fallen[-1] < 0.01
+    assert np.all(fallen[:-1] >= 0.01)
+
+
+def test_masked_updates_leave_unseen_texels_alone():
+    def objective(textures, step):
+        value = textures["base_color"].array
+        # The first half of the texels is looked at in the first step only.
+        known = dr.arange(mi.UInt32, dr.width(value)) >= dr.opaque(mi.UInt32, 144 * (step > 0))
+        return dr.sum(dr.select(known, dr.square(value - 0.2), 0))
+
+    for mask in (True, False):
+        options = DescentOptions(steps=20, learning_rate=0.01, final_rate=1, mask_updates=mask)
+        value = np.array(descend(objective, half(), options).values["base_color"]).ravel()
+        moved = np.abs(value[:144] - 0.5)
+        assert np.all(moved < 0.011) if mask else np.all(moved > 0.02)
+        assert np.all(np.abs(value[144:] - 0.5) > 0.1)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_bad_loss_is_named_with_its_step_and_leaves_the_checkpoint(tmp_path, bad):
+    path = tmp_path / "c.npz"
+
+    def objective(textures, step):
+        factor = dr.opaque(mi.Float, bad if step == 17 else 1.0)
+        return factor * towards(truth())(textures, step)
+
+    with pytest.raises(SvuError, match="loss of step 17 is NaN or infinite"):
+        descend(objective, half(), DescentOptions(steps=40),
+                checkpoint=Checkpoint(path, {}, every=0.0))  # fmt: skip
+    kept = Checkpoint(path, {}).load()
+    assert kept.step == READ
+    assert np.isfinite(kept.values["base_color"]).all()
+    assert np.isfinite(kept.losses).all()
+
+
+def test_a_bad_gradient_behind_a_good_loss_is_named():
+    """The square root of 0 has a finite value and an infinite slope."""
+
+    def objective(textures, step):
+        zero = dr.opaque(mi.Float, 0.0 if step == 12 else 1.0)
+        return dr.mean(dr.sqrt(textures["base_color"].array * zero))
+
+    with pytest.raises(SvuError, match="a gradient of step 12 is NaN or infinite"):
+        descend(objective, half(), DescentOptions(steps=40))
+
+
+@pytest.mark.parametrize(
+    ("loss", "words"),
+    [
+        (lambda texture: texture.array, "one number"),
+        (lambda _: 1.0, "one number"),
+        (lambda texture: dr.sum(dr.detach(texture.array)), "does not depend"),
+    ],
+)
+def test_an_objective_must_return_one_number_that_depends_on_the_textures(loss, words):
+    with pytest.raises(ShapeError, match=words):
+        descend(lambda textures, _: loss(textures["base_color"]), half(), DescentOptions(steps=2))
+
+
+def test_there_must_be_parameters():
+    with pytest.raises(OptionError, match="no parameters"):
+        descend(towards(truth()), {}, DescentOptions(steps=2))
+
+
+def test_single_parameters_may_have_rates_of_their_own():
+    start = {"base_color": tensor(np.full(SHAPE, 0.5)), "roughness": tensor(np.full(SHAPE, 0.5))}
+
+    def objective(textures, step):
+        return dr.sum(textures["base_color"].array) + dr.sum(textures["roughness"].array)
+
+    options = DescentOptions(steps=4, learning_rate=0.02, final_rate=1.0, scales={"roughness": 0.5})
+    moved = {n: 0.5 - np.array(v) for n, v in descend(objective, start, options).values.items()}
+    # Down a constant slope, Adam's steps are the rate itself.
+    assert np.allclose(moved["base_color"], 0.08, atol=1e-5)
+    assert np.allclose(moved["roughness"], 0.04, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"steps": 0}, {"steps": 1.5}, {"learning_rate": 0.0}, {"learning_rate": np.nan},
+     {"final_rate": 0.0}, {"final_rate": 2.0}, {"tolerance": -1.0}, {"window": 0},
+     {"low": 1.0, "high": 0.0}, {"scales": {"roughness": -1}}, {"beta_1": 1.0},
+     {"beta_2": -0.1}, {"mask_updates": 1}],
+)  # fmt: skip
+def test_options_out_of_range_are_refused(wrong):
+    with pytest.raises(OptionError, match=next(iter(wrong))):
+        DescentOptions(**wrong)
+
+
+class Watcher:
+    def __init__(self):
+        self.done, self.texts = [], []
+
+    def update(self, done, total):
+        self.done.append((done, total))
+
+    def state(self, text):
+        self.texts.append(text)
+
+
+def test_progress_says_loss_rate_and_time_left():
+    watcher = Watcher()
+    descend(towards(truth()), half(), DescentOptions(steps=25), progress=watcher)
+    assert watcher.done == [(10, 25), (20, 25), (25, 25)]
+    assert watcher.texts[0].startswith("loss 0.")
+    assert "rate 0.0" in watcher.texts[0]
+    assert watcher.texts[1].endswith("s left")
+
+
+def test_interrupt_saves_the_last_whole_step_and_is_raised_again(tmp_path):
+    path = tmp_path / "c.npz"
+
+    def stopping(textures, step):
+        if step == 13:
+            raise KeyboardInterrupt
+        return towards(truth())(textures, step)
+
+    with pytest.raises(KeyboardInterrupt):
+        descend(stopping, half(), DescentOptions(steps=30), checkpoint=Checkpoint(path, {}))
+    assert Checkpoint(path, {}).load().step == 13
+    resumed = descend(towards(truth()), half(), DescentOptions(steps=30),
+                      checkpoint=Checkpoint(path, {}, resume=True))  # fmt: skip
+    whole = descend(towards(truth()), half(), DescentOptions(steps=30))
+    assert np.array_equal(resumed.losses, whole.losses)
+    assert np.array_equal(
+        np.array(resumed.values["base_color"]), np.array(whole.values["base_color"])
+    )
+
+
+def resident():
+    """Resident memory of this process, in bytes."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * 4096
+
+
+def test_no_kernel_after_the_second_step_and_flat_memory():
+    compiled, memory = {}, {}
+    wanted = tensor(truth(1, (64, 64, 3)))
+
+    def objective(textures, step):
+        if step in (2, 50, 300):
+            gc.collect()
+            dr.sync_thread()
+            compiled[step] = dr.detail.launch_stats()[1:]
+            memory[step] = resident()
+        scale = dr.opaque(mi.Float, 1 + step)
+        return dr.mean(dr.square(textures["base_color"] - wanted), axis=None) / scale
+
+    descend(objective, half((64, 64, 3)), DescentOptions(steps=301))
+    assert compiled[2] == compiled[300]  # neither compiled nor loaded from disk
+    assert memory[300] - memory[50] < 2 << 20  # 2 MiB: one of 250 steps' textures is 48 KiB

@@ -1,0 +1,444 @@
+"""Mitsuba's own loop: the right pixels, the right rays, the right gradients."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from helpers import ball_scene, memory_capture, render_ball
+
+from svu_mi.capture.mesh import arrays
+from svu_mi.capture.poses import describe, film_size, make_sensor, sphere_sensors
+from svu_mi.capture.repaint import is_same, repaint
+from svu_mi.errors import CaptureError, OptionError, ShapeError
+from svu_mi.interop import owned
+from svu_mi.radiance import pack_views
+from svu_mi.recovery.checkpoint import Checkpoint
+from svu_mi.recovery.descent import descend
+from svu_mi.recovery.options import DescentOptions, PathOptions
+from svu_mi.recovery.path.gradient import PathGradient
+from svu_mi.recovery.path.losses import FLOOR, LOSSES
+from svu_mi.recovery.path.objective import path_objective
+from svu_mi.recovery.path.rays import PixelBatches, proxy_sensor
+from svu_mi.recovery.path.scene import PathScene
+from svu_mi.recovery.textures import NAMES, Textures, uniform
+from svu_mi.surface import texels as lay_texels
+
+
+def light():
+    """A smooth sky, warm from one side: neither constant nor full of noise."""
+    v, u = np.mgrid[0:16, 0:32]
+    sky = np.stack([1 + np.cos(u / 32 * 2 * np.pi), 1 + 0 * u, 1.5 - v / 16], axis=-1)
+    return {"type": "envmap", "bitmap": mi.Bitmap(sky.astype(np.float32))}
+
+
+def paint(base_color=(0.6, 0.4, 0.2), roughness=0.4, metallic=0.3):
+    return {"type": "principled", "base_color": {"type": "rgb", "value": list(base_color)},
+            "roughness": roughness, "metallic": metallic, "specular": 0.5}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    return render_ball(
+        tmp_path_factory.mktemp("ball"), light(), paint(), views=6, resolution=(32, 32), spp=256
+    )
+
+
+@pytest.fixture(scope="module")
+def grid(capture):
+    return lay_texels(capture.mesh, (8, 6))
+
+
+def options(**changes):
+    defaults = {"pixels_per_batch": 256, "spp": 4, "max_depth": 2, "loss": "l2", "tv": 0.0}
+    return PathOptions(**{**defaults, **changes})
+
+
+def tensor(values):
+    values = np.asarray(values, np.float32)
+    return mi.TensorXf(owned(mi.Float, values.ravel()), shape=values.shape)
+
+
+def textures_of(grid, base_color=(0.6, 0.4, 0.2), roughness=0.4, metallic=0.3):
+    width, height = grid.resolution
+    one = np.ones((height, width, 1))
+    return {"base_color": tensor(one * base_color), "roughness": tensor(one * roughness),
+            "metallic": tensor(one * metallic)}  # fmt: skip
+
+
+def random_textures(grid, seed=0):
+    rng = np.random.default_rng(seed)
+    width, height = grid.resolution
+    return {
+        name: tensor(rng.uniform(0.3, 0.7, (height, width, 3 if name == "base_color" else 1)))
+        for name in NAMES
+    }
+
+
+# ---- losses ----
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_losses_are_their_equations(name):
+    rng = np.random.default_rng(3)
+    r, y = rng.random((1, 40, 3)), rng.random((1, 40, 3))
+    s = 0.3
+    wanted = {
+        "l1": np.mean(np.abs(r - y)) / s,
+        "l2": np.mean((r - y) ** 2) / s**2,
+        "relative": np.mean((r - y) ** 2 / (y**2 + (s * FLOOR) ** 2)),
+    }[name]
+    found = LOSSES[name](tensor(r), tensor(y), dr.opaque(mi.Float, s))
+    assert np.allclose(np.array(found), wanted, rtol=1e-5)
+    # The same at any exposure.
+    brighter = LOSSES[name](tensor(7 * r), tensor(7 * y), dr.opaque(mi.Float, 7 * s))
+    assert np.allclose(np.array(brighter), wanted, rtol=1e-5)
+
+
+# ---- the scene ----
+
+
+def test_repainting_leaves_the_capture_alone_and_shares_the_rest(capture):
+    before = arrays(capture.mesh)
+    material = mi.load_dict({"type": "twosided", "bsdf": {"type": "diffuse"}})
+    bsdf = str(capture.shape.bsdf())
+    made = repaint(capture, material)
+    assert str(capture.shape.bsdf()) == bsdf
+    assert not is_same(made.shape, capture.shape)
+    assert len(made.scene.shapes()) == len(capture.scene.shapes())
+    assert np.array_equal(arrays(made.shape).uvs, before.uvs)
+    assert np.array_equal(arrays(capture.mesh).positions, before.positions)
+
+
+def test_an_unwrapped_mesh_brings_its_own_uvs(capture):
+    from svu_mi.capture.mesh import MeshArrays, make
+
+    old = arrays(capture.mesh)
+    mesh = make("new", MeshArrays(old.positions, old.faces, old.normals, old.uvs * 0.5))
+    made = repaint(replace(capture, mesh=mesh), mi.load_dict({"type": "diffuse"}))
+    assert np.allclose(arrays(made.shape).uvs, old.uvs * 0.5)
+
+
+def test_both_sides_reflect_if_they_did(tmp_path):
+    scene = ball_scene(tmp_path, light(), {"type": "twosided", "bsdf": paint()})
+    sensors = sphere_sensors(scene.shapes()[0], 1, (8, 8))
+    capture = memory_capture(scene, [np.zeros((8, 8, 3))], sensors)
+    assert "TwoSided" in repaint(capture, mi.load_dict(paint())).shape.bsdf().class_name()
+
+
+def test_uniform_textures_render_as_the_uniform_material(capture, grid):
+    """Same paths, same radiance: the textures stand for what they are called."""
+    target = PathScene.of(capture, uniform(grid))
+    for values in ({}, {"metallic": 0.0, "roughness": 0.8}, {"metallic": 1.0, "roughness": 0.2}):
+        target.paint(textures_of(grid, **values))
+        # Made of 0.5 and painted afterwards, as the textures are: all lobes are there.
+        plain = mi.load_dict(paint((0.5, 0.5, 0.5), 0.5, 0.5))
+        params = mi.traverse(plain)
+        wanted = {"base_color": (0.6, 0.4, 0.2), "roughness": 0.4, "metallic": 0.3, **values}
+        params["base_color.value"] = mi.Color3f(*wanted["base_color"])
+        params["roughness.value"] = wanted["roughness"]
+        params["metallic.value"] = wanted["metallic"]
+        params.update()
+        images = [
+            np.array(mi.render(scene, sensor=capture.sensors[0], spp=4, seed=1,
+                               integrator=mi.load_dict({"type": "prb", "max_depth": 2})))
+            for scene in (target.scene, repaint(capture, plain).scene)
+        ]  # fmt: skip
+        assert np.allclose(*images, rtol=1e-3, atol=1e-4)
+
+
+def test_wrong_textures_are_refused(capture, grid):
+    target = PathScene.of(capture, uniform(grid))
+    with pytest.raises(OptionError, match="no parameter 'specular'"):
+        target.paint({"specular": dr.full(mi.TensorXf, 0.5, shape=(6, 8, 1))})
+    with pytest.raises(ShapeError, match="roughness must have shape"):
+        target.paint({"roughness": dr.full(mi.TensorXf, 0.5, shape=(6, 8, 3))})
+    other = uniform(lay_texels(capture.mesh, (4, 4)))
+    with pytest.raises(ShapeError, match="resolution"):
+        path_objective(capture, grid, options(), fixed=other)
+
+
+# ---- sensors and batches ----
+
+
+def odd_sensor(sensor, **changes):
+    record = describe(sensor) | {
+        "film": [40, 28], "crop_offset": [7, 3], "crop_size": [25, 19],
+        "principal_point_offset": [0.06, -0.11],
+    } | changes  # fmt: skip
+    return make_sensor(record, "odd")
+
+
+@pytest.mark.parametrize("size", [(25, 19), (32, 40)])
+def test_a_proxy_sees_through_the_pixels_of_the_original(capture, size):
+    sensor = odd_sensor(capture.sensors[1])
+    proxy = proxy_sensor(sensor, size)
+    assert film_size(proxy) == size
+    x, y = np.random.default_rng(2).uniform(0, 1, (2, 50)) * np.array([[25], [19]])
+
+    def rays(sensor):
+        width, height = film_size(sensor)
+        at = mi.Point2f(mi.Float(x / width), mi.Float(y / height))
+        ray, _ = sensor.sample_ray(0, 0.5, at, mi.Point2f(0.5))
+        return np.array(ray.o), np.array(ray.d)
+
+    for found, wanted in zip(rays(proxy), rays(sensor), strict=True):
+        assert np.abs(found - wanted).max() < 2e-6
+
+
+def mixed(capture):
+    """Views of several sizes, a crop, a mask, a hole, and one that is left out."""
+    sensors = [odd_sensor(capture.sensors[0]), *capture.sensors[1:]]
+    images = [
+        np.array(mi.render(capture.scene, sensor=s, spp=256, seed=i))[..., :3]
+        for i, s in enumerate(sensors)
+    ]
+    images[2][10:14] = np.nan
+    masks = [None] * len(sensors)
+    masks[3] = np.zeros((32, 32), bool)
+    masks[3][8:24, 10:30] = True
+    used = (True, True, True, True, False, True)
+    return memory_capture(capture.scene, images, sensors, masks=tuple(masks), used=used)
+
+
+def usable_pixels(capture, batches):
+    """Flat indices, on films of the batches' size, of all pixels that may be drawn."""
+    views = pack_views(capture)
+    flat, offset = views.usable.numpy(), views.offset.numpy()
+    width, height = film_size(batches.sensors[0])
+    found = []
+    for number, index in enumerate(np.flatnonzero(capture.used)):
+        h, w, _ = capture.images[index].shape
+        good = flat[offset[number] : offset[number] + h * w].reshape(h, w)
+        y, x = np.nonzero(good)
+        found.append((number * height + y) * width + x)
+    return np.concatenate(found)
+
+
+def test_an_epoch_shows_every_usable_pixel_once_and_no_other(capture):
+    scene = mixed(capture)
+    batches = PixelBatches(scene, 100, seed=7)
+    wanted = usable_pixels(scene, batches)
+    assert batches.pixels == len(wanted)
+    assert batches.epoch == -(-len(wanted) // 100)
+    orders = []
+    for first in (0, batches.epoch):
+        drawn = []
+        for step in range(first, first + batches.epoch):
+            target, sensor = batches.at(step)
+            assert target.shape == (1, 100, 3)
+            assert np.isfinite(np.array(target)).all()
+            drawn.append(np.array(sensor.pixel_idx))
+        flat = np.concatenate(drawn)
+        assert np.array_equal(np.sort(flat[: len(wanted)]), np.sort(wanted))
+        assert np.array_equal(flat[len(wanted) :], flat[: len(flat) - len(wanted)])
+        orders.append(flat)
+    assert not np.array_equal(*orders)
+
+
+def test_a_batch_depends_on_seed_and_step_alone(capture):
+    one, other = PixelBatches(capture, 128, seed=3), PixelBatches(capture, 128, seed=3)
+    last = 2 * one.epoch + 1
+    forward = {step: np.array(one.at(step)[0]) for step in range(last + 1)}
+    for step in (last, 0, one.epoch, 1):
+        assert np.array_equal(np.array(other.at(step)[0]), forward[step])
+    assert not np.array_equal(
+        np.array(PixelBatches(capture, 128, seed=4).at(0)[0]), forward[0]
+    )
+
+
+def test_renders_and_photographs_are_of_the_same_pixels(capture, grid):
+    """In every view, crop or not; with the true material, all that is left is noise."""
+    scene = mixed(capture)
+    objective = path_objective(scene, grid, options(pixels_per_batch=10**6, spp=512))
+    assert objective.batches.size == objective.batches.pixels
+    render, photograph = objective.render(textures_of(grid), 0)
+    error = (np.array(render) - np.array(photograph))[0] / objective.batches.mean
+    # Renders of 256 and 512 paths: errors of about 4 % of the mean, which cancel in a view. A
+    # pixel beside the right one is wrong by 20 %.
+    assert np.sqrt(np.mean(error**2)) < 0.08
+    pixel = np.array(objective.batches.at(0)[1].pixel_idx)
+    view = pixel // np.prod(film_size(objective.batches.sensors[0]))
+    assert np.array_equal(np.unique(view), np.arange(5))
+    for index in range(5):
+        assert abs(error[view == index].mean()) < 0.01
+    assert np.isclose(objective.batches.mean, np.array(photograph).mean(), rtol=1e-5)
+
+
+def test_no_usable_pixel_and_no_batch_are_refused(capture):
+    dark = replace(capture, masks=tuple(np.zeros((32, 32), bool) for _ in capture.images))
+    with pytest.raises(CaptureError, match="No photograph shows the object"):
+        PixelBatches(dark, 64)
+    with pytest.raises(OptionError, match="at least 1 pixel"):
+        PixelBatches(capture, 0)
+
+
+# ---- gradients ----
+
+
+@pytest.mark.parametrize("halves", [True, False])
+@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize("name", NAMES)
+def test_gradients_are_those_of_finite_differences(capture, grid, loss, name, halves):
+    """Of the mean over many paths: gradients have paths of their own, so equality is statistical.
+
+    The direction is random, so that every texel takes part with a weight of its own.
+    """
+    objective = path_objective(
+        capture, grid, options(loss=loss, spp=256, pixels_per_batch=4096, halves=halves)
+    )
+    at = random_textures(grid)
+    rng = np.random.default_rng(1)
+    direction = rng.uniform(0.5, 1.0, at[name].shape)
+
+    def value(step):
+        moved = dict(at)
+        moved[name] = tensor(np.array(at[name]) + step * direction)
+        return float(np.array(objective(moved, 0)).ravel()[0])
+
+    h = 0.01  # the error of a central difference falls as h^2, its rounding rises as 1e-7 / h
+    wanted = (value(h) - value(-h)) / (2 * h)
+    live = {n: mi.TensorXf(v) for n, v in at.items()}
+    dr.enable_grad(live[name])
+    dr.backward(objective(live, 0))
+    found = float((np.array(live[name].grad) * direction).sum())
+    size = float(np.abs(np.array(live[name].grad) * direction).sum())
+    assert abs(found - wanted) < 0.03 * size
+    assert abs(wanted) > 0.1 * size  # it is not the noise that agrees
+
+
+def test_no_path_is_weighted_by_its_own_error(capture, grid):
+    """With the truth, gradients of a squared loss vanish in the mean even for two noisy paths."""
+    objective = path_objective(capture, grid, options(spp=2, pixels_per_batch=4096))
+
+    def total(textures, steps):
+        sums = []
+        for step in range(steps):
+            live = {name: mi.TensorXf(value) for name, value in textures.items()}
+            for value in live.values():
+                dr.enable_grad(value)
+            dr.backward(objective(live, step))
+            sums.append([np.array(value.grad).sum() for value in live.values()])
+        return np.array(sums)
+
+    found = total(textures_of(grid), 40)
+    error = found.std(axis=0, ddof=1) / np.sqrt(len(found))
+    assert np.all(np.abs(found.mean(axis=0)) < 4 * error)
+
+
+def test_paths_without_halves_are_left_to_mitsuba(capture, grid):
+    assert path_objective(capture, grid, options(spp=3)).gradient is None
+    assert path_objective(capture, grid, options(halves=False)).gradient is None
+    target = PathScene.of(capture, uniform(grid))
+    with pytest.raises(OptionError, match="even spp"):
+        PathGradient(target, mi.load_dict({"type": "prb"}), LOSSES["l2"], 3)
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_true_textures_are_a_stationary_point(capture, grid, loss):
+    """Within noise: of paths, and of photographs; away from the truth gradients are far larger."""
+    objective = path_objective(capture, grid, options(loss=loss, spp=128, pixels_per_batch=4096))
+
+    def gradients(textures):
+        live = {name: mi.TensorXf(value) for name, value in textures.items()}
+        for value in live.values():
+            dr.enable_grad(value)
+        dr.backward(objective(live, 0))
+        return {name: np.array(value.grad) for name, value in live.items()}
+
+    truth = gradients(textures_of(grid))
+    wrong = gradients(textures_of(grid, (0.5, 0.5, 0.5), 0.5, 0.5))
+    for name in NAMES:
+        # The mean over texels: an absolute error has a gradient of size 1 at every pixel, whose
+        # sign is what cancels.
+        assert abs(truth[name].mean()) < 0.2 * np.abs(wrong[name]).mean()
+
+
+def test_parameters_that_are_not_given_stay_as_they_were_fixed(capture, grid):
+    fixed = Textures(**textures_of(grid))
+    objective = path_objective(capture, grid, options(spp=64), fixed=fixed)
+    whole = path_objective(capture, grid, options(spp=64))
+    some = {"roughness": textures_of(grid, roughness=0.6)["roughness"]}
+    found = np.array(objective(some, 2))
+    wanted = np.array(whole({**dict(fixed.items()), **some}, 2))
+    assert np.allclose(found, wanted, rtol=1e-5)
+
+
+# ---- the loop ----
+
+
+def test_descent_finds_the_colour_of_a_surface(capture, grid):
+    """With the rest known; all of it can hardly be told from so few paths."""
+    fixed = Textures(**textures_of(grid))
+    objective = path_objective(capture, grid, options(epochs=3, spp=8), fixed=fixed)
+    start = {"base_color": uniform(grid).base_color}
+    found = descend(objective, start, DescentOptions(steps=objective.steps, learning_rate=0.04))
+    color = np.array(found.values["base_color"])[1:5].mean(axis=(0, 1))  # off the poles
+    assert np.abs(color - (0.6, 0.4, 0.2)).max() < 0.02
+    assert found.losses[-5:].mean() < 0.5 * found.losses[:3].mean()
+
+
+def test_resumed_in_the_middle_of_an_epoch_it_ends_as_if_uninterrupted(capture, grid, tmp_path):
+    """Up to the order in which threads add gradients up, which Adam's division can enlarge."""
+    settings = DescentOptions(steps=15, learning_rate=0.01)
+    start = dict(uniform(grid).items())
+    whole = descend(path_objective(capture, grid, options()), start, settings)
+    objective = path_objective(capture, grid, options())
+
+    def stopping(textures, step):
+        if step == 8:
+            raise KeyboardInterrupt
+        return objective(textures, step)
+
+    with pytest.raises(KeyboardInterrupt):
+        descend(stopping, start, settings, checkpoint=Checkpoint(tmp_path / "c.npz", {}))
+    assert 8 % objective.batches.epoch != 0
+    resumed = descend(path_objective(capture, grid, options()), start, settings,
+                      checkpoint=Checkpoint(tmp_path / "c.npz", {}, resume=True))  # fmt: skip
+    assert np.allclose(resumed.losses, whole.losses, rtol=1e-3)
+    for name in NAMES:
+        a, b = np.array(resumed.values[name]), np.array(whole.values[name])
+        assert np.abs(a - b).max() < 2e-3
+
+
+def test_with_one_thread_it_is_the_same_to_the_last_bit(capture, grid):
+    threads = dr.thread_count()
+    dr.set_thread_count(1)
+    try:
+        runs = [
+            descend(path_objective(capture, grid, options()), dict(uniform(grid).items()),
+                    DescentOptions(steps=6))
+            for _ in range(2)
+        ]  # fmt: skip
+    finally:
+        dr.set_thread_count(threads)
+    assert np.array_equal(runs[0].losses, runs[1].losses)
+    for name in NAMES:
+        assert np.array_equal(*(np.array(run.values[name]) for run in runs))
+
+
+def test_no_kernel_after_the_second_step_not_even_in_a_new_epoch(capture, grid):
+    objective = path_objective(capture, grid, options(pixels_per_batch=512))
+    compiled = {}
+
+    def watched(textures, step):
+        dr.sync_thread()
+        compiled[step] = dr.detail.launch_stats()[1:]
+        return objective(textures, step)
+
+    steps = objective.batches.epoch + 2
+    descend(watched, dict(uniform(grid).items()), DescentOptions(steps=steps))
+    assert compiled[2] == compiled[steps - 1]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"epochs": 0.0}, {"pixels_per_batch": 0}, {"spp": 0}, {"max_depth": 1}, {"loss": "l3"},
+     {"tv": -1.0}, {"tv": np.nan}, {"seed": -1}],
+)  # fmt: skip
+def test_options_out_of_range_are_refused(wrong):
+    with pytest.raises(OptionError, match=next(iter(wrong))):
+        PathOptions(**wrong)
