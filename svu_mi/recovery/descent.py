@@ -80,8 +80,7 @@ def descend(
     run = _Run(objective, start, options)
     if checkpoint is not None and checkpoint.resume and (state := checkpoint.load()) is not None:
         run.restore(state, str(checkpoint.path))
-    stopped = "finished"
-    clock = _Clock()
+    stopped, clock = "finished", _Clock()
     try:
         with between_steps() as answer:
             while run.step < options.steps and not run.has_converged():
@@ -133,7 +132,7 @@ class _Run:
         for name, tensor in start.items():
             self._optimizer[name] = self._project(mi.TensorXf(tensor))
         self._losses: list[float] = []
-        self._done: _Done = _Done(0, dict(self._optimizer.state), ())
+        self._done = _Done(0, dict(self._optimizer.state), ())
 
     @property
     def step(self) -> int:
@@ -148,8 +147,7 @@ class _Run:
     def advance(self) -> None:
         """Take one step; nothing waits for the device."""
         step, optimizer = self._done.step, self._optimizer
-        loss = self._objective({name: optimizer[name] for name in optimizer}, step)
-        loss = _one_number(loss)
+        loss = _one_number(self._objective({name: optimizer[name] for name in optimizer}, step))
         dr.backward(loss)
         broken = dr.opaque(mi.UInt32, 0)
         for value in optimizer.values():

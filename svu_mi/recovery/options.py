@@ -121,20 +121,20 @@ class PathOptions:
         descent: how to descend.
     """
 
-    epochs: float = 20.0
+    epochs: float = 60.0
     pixels_per_batch: int = 1 << 16
-    spp: int = 4
+    spp: int = 2
     max_depth: int = 3
     loss: PathLoss = "relative"
     halves: bool = True
-    tv: float = 0.5
+    tv: float = 2.0
     sharing: float = 2.0
     seed: int = 0
     descent: DescentOptions = field(
         default_factory=lambda: DescentOptions(
-            learning_rate=0.02, final_rate=0.05, beta_2=0.99,
+            learning_rate=0.05, final_rate=0.02, beta_2=0.99,
             # Base colour first: what light there is in all must be right before its shape is.
-            scales={"roughness": 0.3, "metallic": 0.3},
+            scales={"roughness": 0.2, "metallic": 0.2},
         )
     )  # fmt: skip
 
@@ -194,7 +194,7 @@ PATH_PRESETS: dict[str, PathOptions] = {
     "default": PathOptions(),
     "paper": PathOptions(spp=32, loss="l1", tv=1e-2, descent=DescentOptions(learning_rate=0.02)),
     "polish": PathOptions(
-        epochs=1.0, pixels_per_batch=1 << 14,
+        epochs=1.0, pixels_per_batch=1 << 14, spp=4, tv=0.5,
         descent=DescentOptions(learning_rate=0.005, beta_2=0.99),
     ),
 }
