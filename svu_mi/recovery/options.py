@@ -76,6 +76,8 @@ class ShOptions:
         sigma: noise of a texel's root mean squared error, as a part of the photographs' mean
             radiance (``statistics``).
         knee: radiance, in the same unit, from which samples count less (``statistics``).
+        robust: number of re-weighted passes, after each of which the squared error is nearer to
+            an absolute one (``statistics``).
         tv: weight of total variation.
         sharing: weight of global sharing, if there is any.
         descent: how to descend.
@@ -86,6 +88,7 @@ class ShOptions:
     closed_form: bool = True
     sigma: float = 0.03
     knee: float = 0.5
+    robust: int = 0
     tv: float = 3.0
     sharing: float = 5.0
     descent: DescentOptions = field(
@@ -99,6 +102,7 @@ class ShOptions:
         require(self, 4 <= self.levels <= 64, "levels", "in [4, 64]")
         require(self, 1e-6 <= self.sigma <= 1e6, "sigma", "positive, in [1e-6, 1e6]")
         require(self, 1e-6 <= self.knee <= 1e6, "knee", "positive, in [1e-6, 1e6]")
+        require(self, 0 <= self.robust <= 20, "robust", "in [0, 20]")
         require(self, 0 <= self.tv < inf, "tv", "at least 0")
         require(self, 0 <= self.sharing < inf, "sharing", "at least 0")
 

@@ -79,7 +79,7 @@ class Prepared:
 
     def fit(self, options: ShOptions) -> Fit:
         """Gather the statistics, and start from them; done once."""
-        key = (options.levels, options.knee, options.sigma)
+        key = (options.levels, options.knee, options.sigma, options.robust)
         if key not in self._fits:
             self._fits[key] = self._fit(options)
         return self._fits[key]
@@ -88,8 +88,12 @@ class Prepared:
         surface = Surface.of(self.texels, owned(mi.UInt32, self.seen.astype(np.uint32)))
         model = Model.of(self.views.scene, surface, self.lighting, options.levels)
         knee = dr.opaque(mi.Float, options.knee * self.found.scale)
+        sigma = dr.opaque(mi.Float, options.sigma * self.found.scale)
         statistics = gather(self.views, surface, self.found, model, knee)
-        start = closed_form(statistics, dr.opaque(mi.Float, options.sigma * self.found.scale))
+        start = closed_form(statistics, sigma)
+        for _ in range(options.robust):
+            statistics = gather(self.views, surface, self.found, model, knee, start.values())
+            start = closed_form(statistics, sigma)
         place = dr.gather(mi.UInt32, self.texels.index, surface.index)
         return Fit(statistics, start, StatisticsLoss(statistics, place, start.variance))
 

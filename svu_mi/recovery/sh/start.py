@@ -16,6 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.recovery.sh.energy import halves
+from svu_mi.recovery.sh.gradient import Values
 from svu_mi.recovery.sh.statistics import PAIRS, Reader, Statistics
 
 METALLIC = 17  # nodes, uniform on [0, 1]
@@ -42,9 +43,13 @@ class Start:
     least: Any
     entropy: Any
 
+    def values(self) -> Values:
+        """Return the parameters."""
+        return Values(*self.base_color, self.roughness, self.metallic)
+
     def table(self) -> np.ndarray:
         """Return red, green, blue, roughness and metallic as (5, S) float32."""
-        return np.stack([np.array(x) for x in (*self.base_color, self.roughness, self.metallic)])
+        return np.stack([np.array(x) for x in self.values()])
 
 
 def closed_form(statistics: Statistics, sigma: Any, samples: float = 1.0) -> Start:

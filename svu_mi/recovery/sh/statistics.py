@@ -31,11 +31,13 @@ from svu_mi.interop import owned
 from svu_mi.radiance import Surface, Survey, Views
 from svu_mi.radiance.hemisphere import mirror_free
 from svu_mi.radiance.observe import Observation
+from svu_mi.recovery.sh.gradient import Values
 from svu_mi.recovery.sh.model import Model
 
 COLUMNS = 4
 PAIRS = tuple((i, j) for i in range(COLUMNS) for j in range(i, COLUMNS))
 BLOCK = 16
+SMALLEST = 0.05  # error, in units of the knee, from which a sample counts no more than others
 TINY = 2e-11  # part of its diagonal below which a pivot is nothing but rounding
 
 
@@ -98,8 +100,9 @@ class Statistics:
 
 
 def gather(
-    views: Views, surface: Surface, found: Survey, model: Model, knee: Any
-) -> Statistics:
+    views: Views, surface: Surface, found: Survey, model: Model, knee: Any,
+    current: Values | None = None,
+) -> Statistics:  # fmt: skip
     """Collect the statistics of texels: one kernel, one pass over the views.
 
     Args:
@@ -109,6 +112,8 @@ def gather(
         model: the reflection model.
         knee: Float, opaque: radiance around which samples begin to count less, as
             1 / (1 + (b / knee)^2): the errors of model and photographs grow with radiance.
+        current: parameters of the texels. Samples then also count less the more these are off,
+            by 1 / |r - b|: squares become absolute errors [Holland and Welsch 1977].
     """
     levels, channels = len(model.roughness), views.channels
 
@@ -118,7 +123,11 @@ def gather(
         def add(weight: Any, *state: Any) -> tuple[Any, ...]:
             lobes = model.columns(surface, seen.direction, dr.maximum(seen.cosine, 1e-3), free)
             grey = sum(seen.radiance) / channels
-            w = mi.Float64(dr.select(seen.seen, dr.rcp(1 + dr.square(grey / knee)), 0))
+            w = dr.select(seen.seen, dr.rcp(1 + dr.square(grey / knee)), 0)
+            if current is not None:
+                off = sum(_errors(lobes, seen.radiance, current)) / channels
+                w *= knee / dr.maximum(off, SMALLEST * knee)
+            w = mi.Float64(w)
             added = []
             for k in range(levels):
                 for b, (e, p, q, d) in zip(seen.radiance, lobes[k], strict=True):
@@ -146,6 +155,20 @@ def gather(
         factors=in_blocks(dr.concat(columns), surface.count), roughness=model.roughness,
         texel=surface.index, coverage=np.array(coverage), channels=channels,
     )  # fmt: skip
+
+
+def _errors(lobes: list[list[Any]], radiance: Any, current: Values) -> list[Any]:
+    """|r - b| of every channel; r between two levels is interpolated."""
+    place, m = current.roughness * (len(lobes) - 1), current.metallic
+    result = []
+    for channel, (b, c) in enumerate(zip(radiance, current[:3], strict=True)):
+        r = mi.Float(0)
+        for k, level in enumerate(lobes):
+            e, p, q, d = level[channel]
+            share = dr.maximum(1 - dr.abs(place - k), 0)
+            r = dr.fma(share, dr.lerp(dr.fma(c, e, d), dr.fma(c, p, q), m), r)
+        result.append(dr.abs(r - b))
+    return result
 
 
 def in_blocks(rows: Any, count: int) -> Any:

@@ -1,0 +1,235 @@
+"""Recovery from end to end, on small captures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from helpers import render_ball
+
+import svu_mi as svu
+from svu_mi.capture import Capture
+from svu_mi.errors import OptionError, ShapeError
+from svu_mi.recovery.options import DescentOptions, ShOptions, sh_preset
+from svu_mi.recovery.sh.materials import MaterialSharing, find_materials
+from svu_mi.recovery.sh.prepare import prepare
+from svu_mi.recovery.textures import Textures, lay_out, uniform
+from svu_mi.surface import Texels
+
+SIZE = 24
+TRUE: dict[str, Any] = {"base_color": (0.7, 0.4, 0.15), "roughness": 0.5, "metallic": 1.0}
+OTHER: dict[str, Any] = {"base_color": (0.1, 0.25, 0.6), "roughness": 0.3, "metallic": 0.0}
+
+
+def sky() -> dict[str, Any]:
+    """A dim sky with a warm lamp and a cool one."""
+    image = np.full((32, 64, 3), 0.25, np.float32)
+    image[8:11, 10:14] = (14, 10, 6)
+    image[14:18, 40:46] = (3, 5, 8)
+    return {"type": "envmap", "bitmap": mi.Bitmap(image)}
+
+
+def striped() -> dict[str, np.ndarray]:
+    """Two materials in stripes: (H, W, C) each."""
+    stripe = (np.arange(SIZE) // 3 % 2 == 0)[None, :, None]
+    return {
+        name: np.broadcast_to(
+            np.where(stripe, np.atleast_1d(TRUE[name]), np.atleast_1d(OTHER[name])),
+            (SIZE, SIZE, len(np.atleast_1d(TRUE[name]))),
+        ).astype(np.float32)
+        for name in TRUE
+    }
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    bsdf: dict[str, Any] = {"type": "principled"}
+    for name, image in striped().items():
+        bsdf[name] = {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(image)),
+                      "raw": True, "filter_type": "nearest"}  # fmt: skip
+    folder = tmp_path_factory.mktemp("ball")
+    return render_ball(folder, sky(), bsdf, views=16, resolution=(64, 64), spp=128)
+
+
+@pytest.fixture(scope="module")
+def grid(capture: Capture) -> Texels:
+    return svu.texels(capture.mesh, SIZE)
+
+
+@pytest.fixture(scope="module")
+def truth(grid: Texels) -> Textures:
+    index = grid.index.numpy()
+    return lay_out(grid, {
+        name: np.squeeze(image.reshape(-1, image.shape[2])[index])
+        for name, image in striped().items()
+    })  # fmt: skip
+
+
+def psnr(found: Textures, truth: Textures, grid: Texels) -> float:
+    """Mean over the parameters, of all texels."""
+    errors = [
+        ((found.at(grid, name) - truth.at(grid, name)) ** 2).mean() for name, _ in truth.items()
+    ]
+    return float(np.mean(-10 * np.log10(errors)))
+
+
+@pytest.fixture(scope="module")
+def alone(capture: Capture, grid: Texels) -> svu.Recovery:
+    return svu.recover(capture, grid)
+
+
+def test_textures_come_back(alone: svu.Recovery, truth: Textures, grid: Texels) -> None:
+    assert psnr(alone.textures, truth, grid) > psnr(uniform(grid), truth, grid) + 6
+    assert alone.losses[-1] < alone.losses[0]
+    assert (alone.coverage > 0).mean() > 0.9
+    for _, tensor in alone.textures.items():
+        values = np.array(tensor)
+        assert np.isfinite(values).all()
+        assert values.min() >= 0
+        assert values.max() <= 1
+
+
+def test_it_is_better_than_the_paper_s(
+    capture: Capture, alone: svu.Recovery, truth: Textures, grid: Texels
+) -> None:
+    paper = svu.recover(capture, grid, preset="paper")
+    assert psnr(alone.textures, truth, grid) > psnr(paper.textures, truth, grid) + 1
+
+
+def test_sharing_helps_where_materials_repeat(
+    capture: Capture, alone: svu.Recovery, truth: Textures, grid: Texels
+) -> None:
+    shared = svu.recover(capture, grid, sharing=True)
+    assert psnr(shared.textures, truth, grid) > psnr(alone.textures, truth, grid) + 1
+
+
+def test_materials_are_found(capture: Capture, grid: Texels, truth: Textures) -> None:
+    """From seeds of both kinds, whose own parameters are bad; and every texel finds its own."""
+    run = prepare(capture, grid)
+    fit = run.fit(ShOptions())
+    metal = truth.at(grid, "metallic")[run.seen] > 0.5
+    well = run.coverage[run.seen] >= np.median(run.coverage)
+    seeds = np.array([np.flatnonzero(kind & well)[5] for kind in (metal, ~metal)])
+    found = find_materials(fit.statistics, fit.start, fit.start.table(), seeds)
+    for values, wanted in zip(found.values, (TRUE, OTHER), strict=True):
+        error = values - np.array([*wanted["base_color"], wanted["roughness"], wanted["metallic"]])
+        assert np.abs(error).max() < 0.15
+    sure = found.weights.max(axis=0) > 0.5 * found.trust.max()
+    assert ((found.weights.argmax(axis=0) == 0) == metal)[sure & well].mean() > 0.8
+    assert found.weights.sum(axis=0).max() <= 1 + 1e-5
+
+
+def test_no_seed_shares_nothing(capture: Capture, grid: Texels) -> None:
+    run = prepare(capture, grid)
+    fit = run.fit(ShOptions())
+    own = fit.start.table()
+    found = find_materials(fit.statistics, fit.start, own, np.empty(0, np.int64))
+    np.testing.assert_array_equal(found.blend(own), own)
+    rule = MaterialSharing.of(found, fit.loss.place)
+    assert float(rule(dict(uniform(grid).items()))[0]) == 0
+
+
+def test_the_truth_is_nearly_stationary(capture: Capture, grid: Texels, truth: Textures) -> None:
+    loss = prepare(capture, grid).fit(ShOptions()).loss
+
+    def slope(textures: Textures) -> float:
+        tensors = dict(textures.items())
+        dr.enable_grad(tensors)
+        dr.backward(loss(tensors))
+        return float(np.abs([np.array(dr.grad(t)).sum() for t in tensors.values()]).max())
+
+    assert slope(truth) < 0.2 * slope(uniform(grid))
+    values = [float(loss(dict(t.items()))[0]) for t in (truth, uniform(grid))]
+    assert values[0] < 0.2 * values[1]
+
+
+def test_known_parameters_stay_as_the_scene_has_them(
+    capture: Capture, grid: Texels, truth: Textures
+) -> None:
+    found = svu.recover(capture, grid, parameters=["base_color"])
+    for name in ("roughness", "metallic"):
+        np.testing.assert_allclose(
+            found.textures.at(grid, name), truth.at(grid, name), atol=1e-5
+        )
+    color = [((t.at(grid, "base_color") - truth.at(grid, "base_color")) ** 2).mean()
+             for t in (found.textures, uniform(grid))]  # fmt: skip
+    assert color[0] < 0.2 * color[1]
+
+
+def test_equal_runs_give_equal_textures(
+    capture: Capture, grid: Texels, alone: svu.Recovery
+) -> None:
+    again = svu.recover(capture, grid)
+    for name, tensor in alone.textures.items():
+        np.testing.assert_array_equal(np.array(tensor), np.array(getattr(again.textures, name)))
+
+
+def test_a_brighter_exposure_changes_nothing(capture: Capture, grid: Texels) -> None:
+    """Radiance times four under light times four: the same object."""
+    options = replace(ShOptions(), descent=DescentOptions(steps=20))
+    bright = dict(sky(), scale=4.0)
+    emitter = mi.load_dict(bright)
+    scene = mi.load_dict(
+        {"type": "scene", "light": emitter, "ball": capture.shape}, optimize=False
+    )
+    scaled = replace(
+        capture, scene=scene, images=tuple(4 * image for image in capture.images)
+    )
+    first = svu.recover(capture, grid, sh=options)
+    second = svu.recover(scaled, grid, sh=options)
+    for name, tensor in first.textures.items():
+        other = np.array(getattr(second.textures, name))
+        assert np.quantile(np.abs(np.array(tensor) - other), 0.99) < 5e-3
+
+
+def test_robust_passes_resist_a_spoilt_photograph(
+    capture: Capture, grid: Texels, truth: Textures
+) -> None:
+    images = list(capture.images)
+    images[3] = np.where(np.isfinite(images[3]), images[3] * 3 + 0.5, images[3])
+    spoilt = replace(capture, images=tuple(images))
+    plain = svu.recover(spoilt, grid)
+    robust = svu.recover(spoilt, grid, sh=ShOptions(robust=2))
+    assert psnr(robust.textures, truth, grid) > psnr(plain.textures, truth, grid)
+
+
+def test_no_kernel_is_compiled_after_the_second_run(capture: Capture, grid: Texels) -> None:
+    options = replace(ShOptions(), descent=DescentOptions(steps=6))
+    for _ in range(2):
+        svu.recover(capture, grid, sh=options, sharing=True)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        svu.recover(capture, grid, sh=options, sharing=True)
+        history = dr.kernel_history()
+    missed = [k for k in history if k["type"] == dr.KernelType.JIT and not k["cache_hit"]]
+    assert not missed
+
+
+def test_bad_input_is_refused(capture: Capture, grid: Texels) -> None:
+    with pytest.raises(OptionError, match="Unknown preset"):
+        svu.recover(capture, grid, preset="best")
+    with pytest.raises(OptionError, match="Unknown method"):
+        svu.recover(capture, grid, "nerf")  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="parameters are one or more"):
+        svu.recover(capture, grid, parameters=["albedo"])
+    with pytest.raises(OptionError, match="parameters are one or more"):
+        svu.recover(capture, grid, parameters=[])
+    other = svu.texels(capture.mesh, SIZE // 2)
+    with pytest.raises(ShapeError, match="texels"):
+        svu.recover(capture, grid, start=uniform(other))
+    with pytest.raises(OptionError, match="no map"):
+        svu.Recovery.image(svu.recover(capture, other, sh=brief()), "albedo")
+
+
+def brief() -> ShOptions:
+    return replace(sh_preset("default"), descent=DescentOptions(steps=2))
+
+
+@pytest.mark.parametrize("preset", ["coefficients", "spectrum"])
+def test_losses_of_the_paper_fall(capture: Capture, grid: Texels, preset: str) -> None:
+    found = svu.recover(capture, grid, preset=preset)
+    assert found.losses[-10:].mean() < 0.9 * found.losses[0]
