@@ -192,6 +192,22 @@ def test_a_process_that_is_stopped_can_be_resumed(shot, tmp_path, kind):
         np.testing.assert_array_equal(maps(tmp_path / "out")[name], values)
 
 
+@pytest.mark.slow
+def test_path_tracing_that_was_killed_ends_where_it_would_have(shot, tmp_path):
+    """Gradients of paths are added up in any order, so it is the same up to rounding."""
+    words = ["recover", shot, "-o", tmp_path / "out", "--method", "path", "--resolution", SIZE]
+    words = [str(word) for word in (*words, "--epochs", 60, "--checkpoint-seconds", 0)]
+    process = subprocess.Popen([sys.executable, "-m", "svu_mi", *words])
+    wait_for(tmp_path / "out" / "checkpoint.npz", process)
+    time.sleep(np.random.default_rng().uniform(0, 0.5))
+    process.send_signal(signal.SIGKILL)
+    assert process.wait(timeout=120) == -signal.SIGKILL
+    assert run(*words, "--resume") == 0
+    assert run(*words[:3], tmp_path / "whole", *words[4:]) == 0
+    for name, values in maps(tmp_path / "whole").items():
+        np.testing.assert_allclose(maps(tmp_path / "out")[name], values, atol=2e-3)
+
+
 def test_an_interrupt_that_was_wrapped_is_one():
     try:
         try:

@@ -39,10 +39,34 @@ def zonal_profile(lobe: Lobe, alpha: float, cosine: np.ndarray) -> np.ndarray:
 
 
 def smith_g1(cosine: Any, alpha: Any) -> Any:
-    """G1 = 1 / (1 + Lambda), Lambda = (sqrt(1 + alpha^2 tan^2 theta) - 1) / 2 (Eq. 6)."""
-    root = dr.sqrt if dr.is_array_v(cosine) else np.sqrt
-    tangent2 = (1 - cosine * cosine) / (cosine * cosine)
-    return 2 / (1 + root(1 + alpha * alpha * tangent2))
+    """G1 = 1 / (1 + Lambda), Lambda = (sqrt(1 + alpha^2 tan^2 theta) - 1) / 2 (Eq. 6).
+
+    Written without the tangent, which is infinite where the direction grazes.
+    """
+    root = _root(cosine)(cosine * cosine * (1 - alpha * alpha) + alpha * alpha)
+    return 2 * cosine / (cosine + root)
+
+
+def ggx(cosine: Any, alpha: Any) -> Any:
+    """Distribution of normals D, by their cosine [Walter et al. 2007, Eq. 33]."""
+    return (alpha / (cosine * cosine * (alpha * alpha - 1) + 1)) ** 2 / np.pi
+
+
+def dielectric_fresnel(cosine: Any) -> Any:
+    """Unpolarised reflectance of a dielectric of index 1.5 [Fresnel's equations].
+
+    Args:
+        cosine: of the angle between direction and (micro-)normal, in [0, 1].
+    """
+    inner = _root(cosine)(1 - (1 - cosine * cosine) / INDEX**2)
+    s = (cosine - INDEX * inner) / (cosine + INDEX * inner)
+    p = (INDEX * cosine - inner) / (INDEX * cosine + inner)
+    return (s * s + p * p) / 2
+
+
+def _root(like: Any) -> Any:
+    """Return the square root for an array of this kind."""
+    return dr.sqrt if dr.is_array_v(like) else np.sqrt
 
 
 def dominance(alpha: Any) -> Any:
@@ -71,18 +95,6 @@ def _albedo(alpha: float) -> np.ndarray:
     fresnel = (1 - cosine) ** 5
     parts = (1 - fresnel, fresnel, dielectric_fresnel(cosine))
     return np.stack([(weight * part).mean(axis=1) for part in parts])
-
-
-def dielectric_fresnel(cosine: np.ndarray) -> np.ndarray:
-    """Unpolarised reflectance of a dielectric of index 1.5 [Fresnel's equations].
-
-    Args:
-        cosine: of the angle between direction and (micro-)normal, in [0, 1].
-    """
-    inner = np.sqrt(1 - (1 - cosine**2) / INDEX**2)
-    s = (cosine - INDEX * inner) / (cosine + INDEX * inner)
-    p = (INDEX * cosine - inner) / (INDEX * cosine + inner)
-    return (s**2 + p**2) / 2
 
 
 def split_sum(alpha: np.ndarray) -> np.ndarray:

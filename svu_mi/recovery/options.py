@@ -6,7 +6,7 @@ Frozen; every run writes them down, and can be repeated from them.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from math import inf
 from numbers import Integral, Real
 from typing import Any, Literal, get_args
@@ -15,6 +15,7 @@ from svu_mi.errors import OptionError
 
 ShLoss = Literal["statistics", "angular", "coefficients", "spectrum"]
 PathLoss = Literal["l1", "l2", "relative"]
+Method = Literal["sh", "path", "sh+path"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,3 +229,37 @@ def _preset(known: dict[str, Any], name: str, method: str) -> Any:
             f"Unknown preset {name!r} of method {method!r}; there are {', '.join(known)}."
         )
     return known[name]
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of both methods.
+
+    Attributes:
+        sh, path: of each.
+    """
+
+    sh: ShOptions
+    path: PathOptions
+
+    @staticmethod
+    def of(
+        method: Method, preset: str, sh: ShOptions | None, path: PathOptions | None,
+        tv: float | None,
+    ) -> Options:
+        """Take the preset's options where none are given."""
+        chosen = Options(
+            sh or sh_preset("default" if method == "path" else preset),
+            path or path_preset("default" if method == "sh" else preset),
+        )
+        if method == "sh+path" and path is None:
+            # The start is as good as many epochs: what is left is detail, and no cause for noise.
+            chosen = replace(chosen, path=path_preset("polish"))
+        if tv is not None:
+            chosen = Options(replace(chosen.sh, tv=tv), replace(chosen.path, tv=tv))
+        return chosen
+
+    def settings(self, method: Method) -> dict[str, Any]:
+        """Return what of the options matters for a method."""
+        used = {"sh": ("sh",), "path": ("path",), "sh+path": ("sh", "path")}[method]
+        return {"method": method} | {name: asdict(getattr(self, name)) for name in used}

@@ -45,7 +45,8 @@ class Start:
 
     def values(self) -> Values:
         """Return the parameters."""
-        return Values(*self.base_color, self.roughness, self.metallic)
+        red, green, blue = self.base_color
+        return Values(red, green, blue, self.roughness, self.metallic)
 
     def table(self) -> np.ndarray:
         """Return red, green, blue, roughness and metallic as (5, S) float32."""

@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.brdf.lobes import INDEX
+from svu_mi.brdf.lobes import dielectric_fresnel, ggx, smith_g1
 from svu_mi.radiance.cells import LightCells
 from svu_mi.radiance.hemisphere import is_open
 from svu_mi.radiance.observe import Surface
@@ -51,8 +51,9 @@ class WideLobes:
             alpha: (K,) lobe widths.
         """
         words = (int(np.array(cells.count)[0]) + WORD - 1) // WORD
-        visible, stride = dr.zeros(mi.UInt32, words * surface.count), _opaque(surface.count)
-        lane = dr.arange(mi.UInt32, surface.count)
+        visible = dr.zeros(mi.UInt32, words * surface.count)
+        stride = dr.opaque(mi.UInt32, surface.count)
+        lane = surface.lane
 
         def look(cell: Any, word: Any) -> tuple[Any, Any]:
             direction = mi.Vector3f(dr.gather(mi.Vector3f, cells.directions, cell))
@@ -90,7 +91,7 @@ class WideLobes:
             For each width and colour channel (p, q, d): a metal of base colour c reflects
             c p + q (Schlick), and a dielectric of index 1.5 d.
         """
-        leaving = [_g1(cosine, float(alpha)) for alpha in self.alpha]
+        leaving = [smith_g1(cosine, float(alpha)) for alpha in self.alpha]
 
         def add(cell: Any, *sums: Any) -> tuple[Any, ...]:
             toward = mi.Vector3f(dr.gather(mi.Vector3f, self.cells.directions, cell))
@@ -101,7 +102,7 @@ class WideLobes:
             def reflected(*state: Any) -> tuple[Any, ...]:
                 half = dr.normalize(toward + direction)
                 up, across = dr.dot(normal, half), dr.dot(toward, half)
-                schlick, dielectric = (1 - across) ** 5, _fresnel(across)
+                schlick, dielectric = (1 - across) ** 5, dielectric_fresnel(across)
                 flux = mi.Color3f(dr.gather(mi.Color3f, self.cells.flux, cell))
                 parts = [
                     [value * factor for factor in (1 - schlick, schlick, dielectric)]
@@ -109,7 +110,7 @@ class WideLobes:
                 ]
                 result, place = [], 0
                 for alpha in self.alpha:
-                    lobe = _ggx(up, float(alpha)) * _g1(incident, float(alpha))
+                    lobe = ggx(up, float(alpha)) * smith_g1(incident, float(alpha))
                     for values in parts:
                         for value in values:
                             result.append(dr.fma(value, lobe, state[place]))
@@ -134,26 +135,3 @@ class WideLobes:
             own = [scale * value for value in sums[9 * k : 9 * (k + 1)]]
             result.append([tuple(own[3 * c : 3 * c + 3]) for c in range(3)])
         return result
-
-
-def _ggx(cosine: Any, alpha: float) -> Any:
-    """Distribution of normals D [Trowbridge and Reitz 1975; Walter et al. 2007]."""
-    return (alpha / dr.sqrt(dr.pi) * dr.rcp(dr.fma(dr.square(cosine), alpha**2 - 1, 1))) ** 2
-
-
-def _g1(cosine: Any, alpha: float) -> Any:
-    """Smith's masking, 2 / (1 + sqrt(1 + alpha^2 tan^2)), without a tangent."""
-    root = dr.sqrt(dr.fma(dr.square(cosine), 1 - alpha**2, alpha**2))
-    return 2 * cosine * dr.rcp(cosine + root)
-
-
-def _fresnel(cosine: Any) -> Any:
-    """``brdf.lobes.dielectric_fresnel`` of Dr.Jit arrays."""
-    inner = dr.sqrt(1 - (1 - dr.square(cosine)) / INDEX**2)
-    s = (cosine - INDEX * inner) / (cosine + INDEX * inner)
-    p = (INDEX * cosine - inner) / (INDEX * cosine + inner)
-    return (dr.square(s) + dr.square(p)) / 2
-
-
-def _opaque(number: int) -> Any:
-    return dr.opaque(mi.UInt32, number)

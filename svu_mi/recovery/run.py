@@ -1,0 +1,114 @@
+"""One recovery under way: what is prepared, what starts, and what is descended on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from svu_mi.capture import Capture
+from svu_mi.pipeline import estimate
+from svu_mi.progress import Progress
+from svu_mi.recovery.checkpoint import Checkpoint
+from svu_mi.recovery.descent import Descent, Objective, descend
+from svu_mi.recovery.options import Method, Options, PathOptions, ShOptions
+from svu_mi.recovery.path.objective import path_objective
+from svu_mi.recovery.regularized import Rule, each, regularized
+from svu_mi.recovery.sh.materials import Materials, MaterialSharing
+from svu_mi.recovery.sh.prepare import Prepared, prepare
+from svu_mi.recovery.textures import NAMES, Textures, scene_textures, uniform
+from svu_mi.regularization import GlobalSharing, TotalVariation
+from svu_mi.surface import Texels
+from svu_mi.surface.neighbors import neighbors
+
+
+class Run:
+    """One recovery: its parts are made when they are first needed."""
+
+    def __init__(
+        self, capture: Capture, texels: Texels, names: tuple[str, ...], options: Options,
+        start: Textures | None, sharing: GlobalSharing | bool, progress: Progress,
+    ) -> None:
+        self.capture, self.texels, self.names = capture, texels, names
+        self.options, self.start, self.progress = options, start, progress
+        self._require_resolution()
+        with progress.stage("Tracing visibility"):
+            self.prepared: Prepared = prepare(capture, texels)
+        with progress.stage("Finding neighbours"):
+            self.around = neighbors(texels, capture.mesh)
+            self.variation = each(TotalVariation(texels, self.around))
+        self.sharing = sharing
+        self.materials: Materials | None = None
+
+    def run(self, method: Method, checkpoint: Checkpoint | None) -> tuple[Textures, Descent]:
+        """Recover by a method; the last descent is the one that is saved."""
+        textures = self.start or self._known()
+        if method != "path":
+            textures, descent = self._sh(textures, checkpoint if method == "sh" else None)
+        if method != "sh":
+            textures, descent = self._path(textures, checkpoint)
+        return textures, descent
+
+    def _sh(self, start: Textures, checkpoint: Checkpoint | None) -> tuple[Textures, Descent]:
+        options = self.options.sh
+        with self.progress.stage("Gathering statistics"):
+            data = self.prepared.objective(options)
+        rule = self._sharing(ours=options.loss == "statistics")
+        if options.loss == "statistics" and options.closed_form and self.start is None:
+            values = self.prepared.fit(options).start.table()
+            if self.materials is not None:
+                values = self.materials.blend(values)
+            found = self.prepared.textures(values)
+            start = replace(found, **{n: t for n, t in start.items() if n not in self.names})
+        return self._descend("Descending (SH)", start, data, options, rule, checkpoint)
+
+    def _path(self, start: Textures, checkpoint: Checkpoint | None) -> tuple[Textures, Descent]:
+        options = self.options.path
+        with self.progress.stage("Preparing rays"):
+            data = path_objective(
+                self.capture, self.texels, options, fixed=start, views=self.prepared.views
+            )
+        options = replace(options, descent=replace(options.descent, steps=data.steps))
+        rule = self._sharing(ours=True)
+        return self._descend("Descending (path tracing)", start, data, options, rule, checkpoint)
+
+    def _descend(
+        self, title: str, start: Textures, data: Objective, options: ShOptions | PathOptions,
+        sharing: Rule | None, checkpoint: Checkpoint | None,
+    ) -> tuple[Textures, Descent]:  # fmt: skip
+        tensors = dict(start.items())
+        fixed = {name: tensor for name, tensor in tensors.items() if name not in self.names}
+        free = {name: tensors[name] for name in self.names}
+        rules = [(options.tv, self.variation), (options.sharing, sharing)]
+        objective = regularized(data, [(w, rule) for w, rule in rules if w and rule], fixed)
+        with self.progress.stage(title, options.descent.steps) as stage:
+            descent = descend(
+                objective, free, options.descent, checkpoint=checkpoint, progress=stage
+            )
+        return Textures(**(fixed | descent.values)), descent
+
+    def _sharing(self, *, ours: bool) -> Rule | None:
+        """Return what pulls uncertain texels: materials, or the paper's Eq. 14 and 15."""
+        if isinstance(self.sharing, GlobalSharing):
+            return each(self.sharing)
+        if not self.sharing:
+            return None
+        if not ours:
+            certain = estimate(self.capture, self.texels, progress=self.progress)
+            with self.progress.stage("Finding seeds"):
+                return each(GlobalSharing(certain, self.around))
+        with self.progress.stage("Finding materials"):
+            options = self.options.sh
+            if self.materials is None:
+                self.materials = self.prepared.materials(options, self.around)
+            place = self.prepared.fit(options).loss.place
+            return MaterialSharing.of(self.materials, place)
+
+    def _known(self) -> Textures:
+        """Return textures to start from: 0.5, and what the scene says of other parameters."""
+        if len(self.names) == len(NAMES):
+            return uniform(self.texels)
+        own = scene_textures(self.capture, self.texels)
+        return replace(own, **{n: t for n, t in uniform(self.texels).items() if n in self.names})
+
+    def _require_resolution(self) -> None:
+        if self.start is not None:
+            self.start.require_resolution(self.texels)
