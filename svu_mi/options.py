@@ -10,10 +10,10 @@ Each difference between them is a single switch, so an ablation is
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from numbers import Integral, Real
 from typing import Any, Literal, get_args, overload
 
 from svu_mi.errors import OptionError
+from svu_mi.settings import require, require_one_of, require_types
 
 GridSpacing = Literal["uniform", "dielectric"]
 ChannelRule = Literal["grey", "sum", "joint", "minimum"]
@@ -99,19 +99,18 @@ class Preset(_Channels):
     to the square root of the capture's mean power."""
 
     def __post_init__(self) -> None:
-        _require_types(self)
-        _require(1 <= self.degree <= 9, "degree", "in [1, 9]", self.degree)  # dr.sh_eval
+        require_types(self)
+        require(self, 1 <= self.degree <= 9, "degree", "in [1, 9]")  # dr.sh_eval
         # Beyond these, double precision ends: a singular fit, an infinite 1 / sigma^2.
-        _require(1e-12 <= self.regularizer <= 1e12, "regularizer", "in [1e-12, 1e12]",
-                 self.regularizer)  # fmt: skip
-        _require(1e-30 <= self.sigma <= 1e30, "sigma", "positive, in [1e-30, 1e30]", self.sigma)
-        _require(1e-30 <= self.constant_sigma <= 1e30, "constant_sigma",
-                 "positive, in [1e-30, 1e30]", self.constant_sigma)  # fmt: skip
-        _require(16 <= self.rays <= 65536, "rays", "in [16, 65536]", self.rays)
-        _require_one_of(self, "parameters", Parameters)
-        _require_one_of(self, "spacing", GridSpacing)
-        _require_one_of(self, "channels", ChannelRule)
-        _require_one_of(self, "noise", NoiseRule)
+        require(self, 1e-12 <= self.regularizer <= 1e12, "regularizer", "in [1e-12, 1e12]")
+        require(self, 1e-30 <= self.sigma <= 1e30, "sigma", "positive, in [1e-30, 1e30]")
+        require(self, 1e-30 <= self.constant_sigma <= 1e30, "constant_sigma",
+                "positive, in [1e-30, 1e30]")  # fmt: skip
+        require(self, 16 <= self.rays <= 65536, "rays", "in [16, 65536]")
+        require_one_of(self, "parameters", Parameters)
+        require_one_of(self, "spacing", GridSpacing)
+        require_one_of(self, "channels", ChannelRule)
+        require_one_of(self, "noise", NoiseRule)
 
     @property
     def principled(self) -> bool:
@@ -165,15 +164,15 @@ class AngularPreset(_Channels):
     says. The error is the model's more than the camera's: it does not average out over views."""
 
     def __post_init__(self) -> None:
-        _require_types(self)
-        _require_one_of(self, "fresnel", Fresnel)
-        _require_one_of(self, "lobe", Lobe)
-        _require_one_of(self, "diffuse", Diffuse)
-        _require_one_of(self, "parameters", Parameters)
-        _require_one_of(self, "channels", AngularChannels)
-        _require_one_of(self, "noise", AngularNoise)
-        _require(1e-12 <= self.sigma <= 1e12, "sigma", "positive, in [1e-12, 1e12]", self.sigma)
-        _require(16 <= self.rays <= 65536, "rays", "in [16, 65536]", self.rays)
+        require_types(self)
+        require_one_of(self, "fresnel", Fresnel)
+        require_one_of(self, "lobe", Lobe)
+        require_one_of(self, "diffuse", Diffuse)
+        require_one_of(self, "parameters", Parameters)
+        require_one_of(self, "channels", AngularChannels)
+        require_one_of(self, "noise", AngularNoise)
+        require(self, 1e-12 <= self.sigma <= 1e12, "sigma", "positive, in [1e-12, 1e12]")
+        require(self, 16 <= self.rays <= 65536, "rays", "in [16, 65536]")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,29 +202,6 @@ class Skip:
 
 
 NOTHING = Skip(unseen=False, pairs=False, blind=False, channels=False, levels=False)
-
-
-def _require_types(options: Any) -> None:
-    """Refuse what is no whole number, number or truth value where one is needed."""
-    kinds = {"int": (Integral, "a whole number"), "float": (Real, "a number"),
-             "bool": (bool, "True or False")}  # fmt: skip
-    for field in fields(options):
-        if field.type not in kinds:
-            continue
-        kind, words = kinds[str(field.type)]
-        value = getattr(options, field.name)
-        fits = isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
-        _require(fits, field.name, words, value)
-
-
-def _require_one_of(options: object, name: str, choices: Any) -> None:
-    allowed, value = get_args(choices), getattr(options, name)
-    _require(value in allowed, name, f"one of {', '.join(allowed)}", value)
-
-
-def _require(condition: bool, name: str, expected: str, got: object) -> None:
-    if not condition:
-        raise OptionError(f"Preset: {name} must be {expected}, got {got!r}.")
 
 
 PRESETS: dict[str, Preset] = {

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 LAYERS = (
-    "errors", "_llvm", "interop", "files", "exr", "progress", "options", "capture", "surface",
-    "radiance", "brdf", "frequency", "angular", "posterior", "skipping", "pipeline",
+    "errors", "_llvm", "interop", "files", "exr", "progress", "settings", "options", "capture",
+    "surface", "radiance", "brdf", "frequency", "angular", "posterior", "skipping", "pipeline",
     "regularization", "recovery", "reference", "metrics", "output", "bench", "cli",
 )  # fmt: skip
 # Built on the stages; only what stands at the very top may use them.

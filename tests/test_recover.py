@@ -15,7 +15,7 @@ import svu_mi as svu
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.recovery.options import DescentOptions, ShOptions, sh_preset
-from svu_mi.recovery.sh.materials import MaterialSharing, find_materials
+from svu_mi.recovery.sh.materials import Materials, MaterialSharing, find_materials
 from svu_mi.recovery.sh.prepare import prepare
 from svu_mi.recovery.textures import Textures, lay_out, uniform
 from svu_mi.surface import Texels
@@ -131,6 +131,39 @@ def test_no_seed_shares_nothing(capture: Capture, grid: Texels) -> None:
     np.testing.assert_array_equal(found.blend(own), own)
     rule = MaterialSharing.of(found, fit.loss.place)
     assert float(rule(dict(uniform(grid).items()))[0]) == 0
+
+
+def test_sharing_is_a_squared_distance_and_its_gradient() -> None:
+    rng, size, seen = np.random.default_rng(3319), 12, np.array([7, 2, 11, 5])
+    values, weights = rng.uniform(size=(3, 5)), rng.uniform(0, 0.3, (3, len(seen)))
+    found = Materials(values, weights.astype(np.float32), np.ones(3))
+    rule = MaterialSharing.of(found, mi.UInt32(seen.astype(np.uint32)))
+    images = {name: rng.uniform(size=(size, n)) for name, n in
+              (("base_color", 3), ("roughness", 1), ("metallic", 1))}  # fmt: skip
+
+    def exact(images: dict[str, np.ndarray]) -> float:
+        psi = np.concatenate([image[seen] for image in images.values()], axis=1)
+        pull = weights.sum(axis=0)
+        target = (weights.T @ values) / pull[:, None]
+        return float((pull * ((psi - target) ** 2).sum(axis=1)).mean())
+
+    textures = {
+        name: mi.TensorXf(mi.Float(image.ravel().astype(np.float32)), shape=(3, 4, image.shape[1]))
+        for name, image in images.items()
+    }
+    dr.enable_grad(textures)
+    loss = rule(textures)
+    assert float(loss[0]) == pytest.approx(exact(images), rel=1e-5)
+    dr.backward(loss)
+    for name, image in images.items():
+        slope = np.array(dr.grad(textures[name])).reshape(image.shape)
+        for place in np.ndindex(image.shape):
+            ends = []
+            for sign in (1, -1):
+                moved = {key: value.copy() for key, value in images.items()}
+                moved[name][place] += sign * 1e-5
+                ends.append(exact(moved))
+            assert slope[place] == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=1e-5)
 
 
 def test_the_truth_is_nearly_stationary(capture: Capture, grid: Texels, truth: Textures) -> None:

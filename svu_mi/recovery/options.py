@@ -6,12 +6,12 @@ Frozen; every run writes them down, and can be repeated from them.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from math import inf
-from numbers import Integral, Real
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from svu_mi.errors import OptionError
+from svu_mi.settings import require, require_one_of, require_types
 
 ShLoss = Literal["statistics", "angular", "coefficients", "spectrum"]
 PathLoss = Literal["l1", "l2", "relative"]
@@ -98,8 +98,7 @@ class ShOptions:
 
     def __post_init__(self) -> None:
         require_types(self)
-        require(self, self.loss in get_args(ShLoss), "loss",
-                f"one of {', '.join(get_args(ShLoss))}")  # fmt: skip
+        require_one_of(self, "loss", ShLoss)
         require(self, 4 <= self.levels <= 64, "levels", "in [4, 64]")
         require(self, 1e-6 <= self.sigma <= 1e6, "sigma", "positive, in [1e-6, 1e6]")
         require(self, 1e-6 <= self.knee <= 1e6, "knee", "positive, in [1e-6, 1e6]")
@@ -150,40 +149,10 @@ class PathOptions:
         require(self, 1 <= self.spp < 2**16, "spp", "in [1, 65535]")
         require(self, self.max_depth >= 2 or self.max_depth == -1, "max_depth",
                 "at least 2, or -1 for paths of any length")  # fmt: skip
-        require(self, self.loss in get_args(PathLoss), "loss",
-                f"one of {', '.join(get_args(PathLoss))}")  # fmt: skip
+        require_one_of(self, "loss", PathLoss)
         require(self, 0 <= self.tv < inf, "tv", "at least 0")
         require(self, 0 <= self.sharing < inf, "sharing", "at least 0")
         require(self, 0 <= self.seed < 2**32, "seed", "in [0, 2^32)")
-
-
-def require(options: Any, condition: bool, name: str, expected: str) -> None:
-    """Refuse a setting; NaN meets no condition.
-
-    Raises:
-        OptionError: the condition is not met.
-    """
-    if not condition:
-        raise OptionError(
-            f"{type(options).__name__}: {name} must be {expected}, got {getattr(options, name)!r}."
-        )
-
-
-def require_types(options: Any) -> None:
-    """Refuse what is no whole number, number or truth value where one is needed.
-
-    Raises:
-        OptionError: a field of another type.
-    """
-    kinds = {"int": (Integral, "a whole number"), "float": (Real, "a number"),
-             "bool": (bool, "True or False")}  # fmt: skip
-    for each in fields(options):
-        if each.type not in kinds:
-            continue
-        kind, words = kinds[str(each.type)]
-        value = getattr(options, each.name)
-        fits = isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
-        require(options, fits, each.name, words)
 
 
 _SLOW = DescentOptions(steps=200, learning_rate=0.01, final_rate=1.0)
