@@ -160,6 +160,8 @@ def start_run(tmp_path, out, pause, resume):
     return subprocess.Popen(
         [sys.executable, str(script), str(tmp_path / "c.npz"), str(tmp_path / out), str(pause),
          "resume" if resume else "fresh"], stdout=subprocess.PIPE, text=True,
+        # Elsewhere than at a terminal, Ctrl-C may be off.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509
     )  # fmt: skip
 
 
