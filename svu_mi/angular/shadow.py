@@ -5,7 +5,9 @@ what is reflected. A few directions are drawn from the light, and a few from the
 of all of them, one is chosen for either kind of reflection by its share of the integral that
 it stands for (resampled importance sampling [Talbot et al. 2005], with balance heuristic).
 Multiplied by the integral without shadows, which is known, the estimate has little variance,
-none where nothing hides the light, and is never negative.
+none where nothing hides the light, and is never negative. Dividing by the sum of so few weights
+biases it towards one: more samples do not help, and a surface whose brightest light is hidden
+comes out up to 10 % too bright.
 """
 
 from __future__ import annotations

@@ -149,16 +149,23 @@ class Recover(Photographed):
         """
         from svu_mi.recovery.options import path_preset, sh_preset
 
+        self._require_used("steps", "path")
+        self._require_used("epochs", "sh")
         found: dict[str, Any] = {}
-        if self.steps is not None and self.method != "path":
+        if self.method != "path":
             sh = sh_preset(self.preset)
-            found["sh"] = replace(sh, descent=replace(sh.descent, steps=self.steps))
+            steps = sh.descent.steps if self.steps is None else self.steps
+            found["sh"] = replace(sh, descent=replace(sh.descent, steps=steps))
         if self.method != "sh":
             # The last bit of another start is all that is asked of it in sh+path.
             path = path_preset("polish" if self.method == "sh+path" else self.preset)
             epochs = path.epochs if self.epochs is None else self.epochs
             found["path"] = replace(path, epochs=epochs, seed=self.seed)
         return found
+
+    def _require_used(self, option: str, unused: str) -> None:
+        if self.method == unused and getattr(self, option) is not None:
+            raise OptionError(f"--{option} is of no use to --method {unused}; leave it away.")
 
     def _advice(self, checkpoint: Path) -> str:
         if checkpoint.exists():

@@ -151,13 +151,34 @@ def _material(bsdf: Any, prefix: str, folder: Path, stem: str) -> Element:
         )
         return put(plugin("bsdf", "diffuse"), reflectance=[GREY] * 3)
     node = plugin("bsdf", kind)
+    written = set()
     for key, value in inner.items():
         name, _, part = key.partition(".")
         if part == "data":
             node.append(_bitmap(name, np.array(value, np.float32), folder, f"{stem}_{name}.exr"))
+            written.add(name)
         elif part in ("", "value") and not name.endswith("_sampling_rate"):
             put(node, **{name: _plain(value)})
+            written.add(name)
+    _warn_of_changes(inner, written, stem)
     return node
+
+
+def _warn_of_changes(inner: dict[str, Any], written: set[str], stem: str) -> None:
+    """Say which parameters of a material a written scene does not have as they were."""
+    lost = {key.partition(".")[0] for key in inner if not key.endswith("_sampling_rate")} - written
+    turned = {
+        key.partition(".")[0] for key, value in inner.items()
+        if key.endswith(".to_uv") and not np.allclose(np.array(value.matrix).squeeze(), np.eye(3))
+    }  # fmt: skip
+    for names, what in ((lost, "is left at its default"), (turned - lost, "loses its to_uv")):
+        if names:
+            warnings.warn(
+                f"{stem}: {', '.join(sorted(names))} of another shape's material {what}; edit the "
+                "written scene if it matters.",
+                SvuWarning,
+                stacklevel=2,
+            )
 
 
 def _kind(inner: dict[str, Any], bsdf: Any, prefix: str) -> str | None:

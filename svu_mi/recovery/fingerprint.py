@@ -1,33 +1,58 @@
-"""What a recovery starts from, as a few numbers: a checkpoint knows its run by them."""
+"""What a recovery depends on, as a few numbers: a checkpoint knows its run by them."""
 
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.capture.scene import find_environment, to_world
+from svu_mi.radiance.environment import read_environment
 from svu_mi.recovery.textures import Textures
+from svu_mi.regularization import GlobalSharing
+from svu_mi.surface import Texels
 
 
-def fingerprint(capture: Capture, start: Textures | None) -> dict[str, Any]:
-    """Return checksums of the photographs and of the textures to start from.
+def fingerprint(
+    capture: Capture, texels: Texels, start: Textures | None, sharing: GlobalSharing | bool
+) -> dict[str, Any]:
+    """Return checksums of everything but the settings.
 
     Args:
-        capture: whose photographs are meant; the light and the shape are taken to be theirs.
+        capture: photographs, masks, poses and light.
+        texels: where the textures belong.
         start: the caller's textures, None where the method finds its own.
+        sharing: the caller's regulariser, or whether there is one.
 
     Returns:
-        ``photographs`` and ``start``, CRC-32 each; ``start`` is None without textures.
+        CRC-32 each: ``photographs``, ``poses``, ``light``, ``texels``, ``start``, ``seeds``; the
+        last two None where nothing was given.
     """
-    photographs = 0
-    for image, used in zip(capture.images, capture.used, strict=True):
-        if used:
-            photographs = zlib.crc32(image.tobytes(), photographs)
-    textures = None
-    if start is not None:
-        textures = 0
-        for _, tensor in start.items():
-            textures = zlib.crc32(np.array(tensor).tobytes(), textures)
-    return {"photographs": photographs, "start": textures}
+    emitter = find_environment(capture.scene, str(capture.source or "scene"))
+    light = read_environment(emitter)
+    views = [view for view, used in zip(_views(capture), capture.used, strict=True) if used]
+    return {
+        "photographs": _checksum(array for image, mask, _ in views for array in (image, mask)),
+        "poses": _checksum(pose for *_, pose in views),
+        "light": _checksum((light.radiance, light.to_local, light.disk_radiance)),
+        "texels": _checksum((texels.index, texels.position, texels.normal)),
+        "start": None if start is None else _checksum(tensor for _, tensor in start.items()),
+        "seeds": _checksum((sharing.weights, sharing.seeds))
+        if isinstance(sharing, GlobalSharing) else None,
+    }  # fmt: skip
+
+
+def _views(capture: Capture) -> Iterable[tuple[Any, Any, Any]]:
+    none = np.empty(0)
+    for image, mask, sensor in zip(capture.images, capture.masks, capture.sensors, strict=True):
+        yield image, none if mask is None else mask, to_world(sensor)
+
+
+def _checksum(arrays: Iterable[Any]) -> int:
+    result = 0
+    for array in arrays:
+        result = zlib.crc32(np.ascontiguousarray(np.array(array)).tobytes(), result)
+    return result

@@ -49,6 +49,7 @@ class DescentOptions:
     mask_updates: bool = False
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "scales", dict(self.scales))  # the caller's may change
         require_types(self)
         whole, positive = "a whole number, at least 1", "positive"
         require(self, self.steps >= 1, "steps", whole)
@@ -80,7 +81,8 @@ class ShOptions:
         robust: number of re-weighted passes, after each of which the squared error is nearer to
             an absolute one (``statistics``).
         tv: weight of total variation.
-        sharing: weight of global sharing, if there is any.
+        sharing: weight of global sharing, if there is any; 0 for none.
+        materials: share by materials (``sh.materials``); else as the paper's Eq. 14 and 15 have it.
         descent: how to descend.
     """
 
@@ -91,7 +93,8 @@ class ShOptions:
     knee: float = 0.5
     robust: int = 0
     tv: float = 3.0
-    sharing: float = 5.0
+    sharing: float = 3.0
+    materials: bool = True
     descent: DescentOptions = field(
         default_factory=lambda: DescentOptions(steps=150, learning_rate=0.02)
     )
@@ -115,12 +118,13 @@ class PathOptions:
         epochs: times every usable pixel is looked at; ``descent.steps`` is not used.
         pixels_per_batch: of one step, drawn from all views.
         spp: paths per pixel.
-        max_depth: longest path; 2 is direct light only.
+        max_depth: longest path; 2 is direct light only; None takes that of the scene's integrator.
         loss: of a pixel: ``l1``, ``l2``, or ``relative``: l2 over the squared radiance.
         halves: trace a batch in two passes instead of the three of ``mi.render``, where paths
             serve each other in halves; an odd ``spp`` has none.
         tv: weight of total variation.
-        sharing: weight of global sharing, if there is any.
+        sharing: weight of global sharing, if there is any; 0 for none.
+        materials: share by materials; else as the paper's Eq. 14 and 15 have it.
         seed: of batches and paths.
         descent: how to descend.
     """
@@ -128,11 +132,12 @@ class PathOptions:
     epochs: float = 60.0
     pixels_per_batch: int = 1 << 16
     spp: int = 2
-    max_depth: int = 3
+    max_depth: int | None = None
     loss: PathLoss = "relative"
     halves: bool = True
     tv: float = 2.0
     sharing: float = 2.0
+    materials: bool = True
     seed: int = 0
     descent: DescentOptions = field(
         default_factory=lambda: DescentOptions(
@@ -147,26 +152,33 @@ class PathOptions:
         require(self, 0 < self.epochs < inf, "epochs", "positive")
         require(self, 1 <= self.pixels_per_batch < 2**32, "pixels_per_batch", "at least 1")
         require(self, 1 <= self.spp < 2**16, "spp", "in [1, 65535]")
-        require(self, self.max_depth >= 2 or self.max_depth == -1, "max_depth",
-                "at least 2, or -1 for paths of any length")  # fmt: skip
+        depth = self.max_depth
+        require(self, depth is None or (isinstance(depth, int) and (depth >= 2 or depth == -1)),
+                "max_depth", "at least 2, -1 for paths of any length, or None")  # fmt: skip
         require_one_of(self, "loss", PathLoss)
         require(self, 0 <= self.tv < inf, "tv", "at least 0")
         require(self, 0 <= self.sharing < inf, "sharing", "at least 0")
         require(self, 0 <= self.seed < 2**32, "seed", "in [0, 2^32)")
 
 
-_SLOW = DescentOptions(steps=200, learning_rate=0.01, final_rate=1.0)
+_PAPER = ShOptions(
+    loss="angular", tv=1e-2, sharing=1e-2, materials=False,
+    descent=DescentOptions(steps=200, learning_rate=0.01, final_rate=1.0),
+)  # fmt: skip
 
 SH_PRESETS: dict[str, ShOptions] = {
     "default": ShOptions(),
-    "paper": ShOptions(loss="angular", tv=1e-2, sharing=1e-2, descent=_SLOW),
-    "coefficients": ShOptions(loss="coefficients", tv=1e-2, sharing=1e-2, descent=_SLOW),
-    "spectrum": ShOptions(loss="spectrum", tv=1e-2, sharing=1e-2, descent=_SLOW),
+    "paper": _PAPER,
+    "coefficients": replace(_PAPER, loss="coefficients"),
+    "spectrum": replace(_PAPER, loss="spectrum"),
 }
 
 PATH_PRESETS: dict[str, PathOptions] = {
     "default": PathOptions(),
-    "paper": PathOptions(spp=32, loss="l1", tv=1e-2, descent=DescentOptions(learning_rate=0.02)),
+    "paper": PathOptions(
+        spp=32, loss="l1", tv=1e-2, sharing=1e-2, materials=False,
+        descent=DescentOptions(learning_rate=0.02),
+    ),
     "polish": PathOptions(
         epochs=1.0, pixels_per_batch=1 << 14, spp=4, tv=0.5,
         descent=DescentOptions(learning_rate=0.005, beta_2=0.99),
@@ -217,13 +229,12 @@ class Options:
         tv: float | None,
     ) -> Options:
         """Take the preset's options where none are given."""
+        # After sh, the start is as good as many epochs: what is left is detail, no cause for noise.
+        own = {"sh": "default", "path": preset, "sh+path": "polish"}[method]
         chosen = Options(
-            sh or sh_preset("default" if method == "path" else preset),
-            path or path_preset("default" if method == "sh" else preset),
+            sh_preset("default" if method == "path" else preset), path_preset(own)
         )
-        if method == "sh+path" and path is None:
-            # The start is as good as many epochs: what is left is detail, and no cause for noise.
-            chosen = replace(chosen, path=path_preset("polish"))
+        chosen = Options(sh or chosen.sh, path or chosen.path)
         if tv is not None:
             chosen = Options(replace(chosen.sh, tv=tv), replace(chosen.path, tv=tv))
         return chosen

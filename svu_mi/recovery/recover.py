@@ -94,8 +94,8 @@ def recover(
             of the second.
         preset: ``default``, ``paper``, or, for ``sh``, ``coefficients`` or ``spectrum``.
         sharing: let uncertain texels take after certain ones that look like them. True finds the
-            object's materials (``sh.materials``; with the paper's losses, seeds as Eq. 14 and
-            15 have them); or a regulariser of one's own making.
+            object's materials (``sh.materials``), or, with presets of the paper's losses, seeds
+            as Eq. 14 and 15 have them; or a regulariser of one's own making.
         tv: weight of total variation, instead of the options'.
         parameters: names of the textures to recover; others stay as ``start``, or the scene's
             own material, has them.
@@ -116,6 +116,8 @@ def recover(
     """
     if method not in ("sh", "path", "sh+path"):
         raise OptionError(f"Unknown method {method!r}; there are sh, path and sh+path.")
+    if resume and checkpoint is None:
+        raise OptionError("recover(): resume=True needs the checkpoint to go on from.")
     names = _names(parameters)
     chosen = Options.of(method, preset, sh, path, tv)
     progress = progress or Progress()
@@ -123,7 +125,7 @@ def recover(
     settings = chosen.settings(method) | {"parameters": list(names), "sharing": bool(sharing)}
     saved = None
     if checkpoint is not None:
-        owner = settings | fingerprint(capture, start)
+        owner = settings | fingerprint(capture, texels, start, sharing)
         saved = Checkpoint(checkpoint, owner, resume=resume, every=checkpoint_seconds)
     textures, descent = run.run(method, saved)
     return Recovery(

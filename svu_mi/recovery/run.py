@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from svu_mi.capture import Capture
+from svu_mi.errors import OptionError
 from svu_mi.pipeline import estimate
 from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
@@ -12,9 +13,10 @@ from svu_mi.recovery.descent import Descent, Objective, descend
 from svu_mi.recovery.options import Method, Options, PathOptions, ShOptions
 from svu_mi.recovery.path.objective import path_objective
 from svu_mi.recovery.regularized import Rule, each, regularized
+from svu_mi.recovery.relight import path_length
 from svu_mi.recovery.sh.materials import Materials, MaterialSharing
 from svu_mi.recovery.sh.prepare import Prepared, prepare
-from svu_mi.recovery.textures import NAMES, Textures, scene_textures, uniform
+from svu_mi.recovery.textures import NAMES, Textures, lay_out, scene_textures, uniform
 from svu_mi.regularization import GlobalSharing, TotalVariation
 from svu_mi.surface import Texels
 from svu_mi.surface.neighbors import neighbors
@@ -32,6 +34,7 @@ class Run:
         self._require_resolution()
         with progress.stage("Tracing visibility"):
             self.prepared: Prepared = prepare(capture, texels)
+            _ = self.prepared.lighting  # refused before any work: a black light shows nothing
         with progress.stage("Finding neighbours"):
             self.around = neighbors(texels, capture.mesh)
             self.variation = each(TotalVariation(texels, self.around))
@@ -51,7 +54,7 @@ class Run:
         options = self.options.sh
         with self.progress.stage("Gathering statistics"):
             data = self.prepared.objective(options)
-        rule = self._sharing(ours=options.loss == "statistics")
+        rule = self._sharing(options)
         if options.loss == "statistics" and options.closed_form and self.start is None:
             values = self.prepared.fit(options).start.table()
             if self.materials is not None:
@@ -62,12 +65,14 @@ class Run:
 
     def _path(self, start: Textures, checkpoint: Checkpoint | None) -> tuple[Textures, Descent]:
         options = self.options.path
+        if options.max_depth is None:
+            options = replace(options, max_depth=path_length(self.capture.scene))
         with self.progress.stage("Preparing rays"):
             data = path_objective(
                 self.capture, self.texels, options, fixed=start, views=self.prepared.views
             )
         options = replace(options, descent=replace(options.descent, steps=data.steps))
-        rule = self._sharing(ours=True)
+        rule = self._sharing(options)
         return self._descend("Descending (path tracing)", start, data, options, rule, checkpoint)
 
     def _descend(
@@ -83,24 +88,27 @@ class Run:
             descent = descend(
                 objective, free, options.descent, checkpoint=checkpoint, progress=stage
             )
-        return Textures(**(fixed | descent.values)), descent
+        found = Textures(**(fixed | descent.values))
+        # Nothing pulls gutters along where texels alone are compared.
+        return lay_out(self.texels, {name: found.at(self.texels, name) for name in NAMES}), descent
 
-    def _sharing(self, *, ours: bool) -> Rule | None:
+    def _sharing(self, options: ShOptions | PathOptions) -> Rule | None:
         """Return what pulls uncertain texels: materials, or the paper's Eq. 14 and 15."""
+        if not self.sharing or not options.sharing:
+            return None
         if isinstance(self.sharing, GlobalSharing):
             return each(self.sharing)
-        if not self.sharing:
-            return None
-        if not ours:
+        if not options.materials:
             certain = estimate(self.capture, self.texels, progress=self.progress)
             with self.progress.stage("Finding seeds"):
-                return each(GlobalSharing(certain, self.around))
+                return each(GlobalSharing(
+                    certain, self.around, divergence="forward", anchored=False
+                ))  # fmt: skip
         with self.progress.stage("Finding materials"):
-            options = self.options.sh
+            sh = self.options.sh
             if self.materials is None:
-                self.materials = self.prepared.materials(options, self.around)
-            place = self.prepared.fit(options).loss.place
-            return MaterialSharing.of(self.materials, place)
+                self.materials = self.prepared.materials(sh, self.around)
+            return MaterialSharing.of(self.materials, self.prepared.fit(sh).loss.place)
 
     def _known(self) -> Textures:
         """Return textures to start from: 0.5, and what the scene says of other parameters."""
@@ -110,5 +118,10 @@ class Run:
         return replace(own, **{n: t for n, t in uniform(self.texels).items() if n in self.names})
 
     def _require_resolution(self) -> None:
+        if min(self.texels.resolution) < 2:
+            width, height = self.texels.resolution
+            raise OptionError(
+                f"Textures need at least 2 texels per side, got {width} x {height}; lay out more."
+            )
         if self.start is not None:
             self.start.require_resolution(self.texels)

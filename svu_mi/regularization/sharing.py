@@ -34,7 +34,7 @@ class GlobalSharing:
     A plain function of a texture, to be added to any loss. The weights come from posteriors
     and do not change; the seeds' values are those of the texture itself. Weights are not
     normalised: a texel that is like no seed is left alone. A texel that nobody saw has a
-    uniform posterior, and belongs to all seeds alike.
+    uniform posterior, which is no further from any seed than that seed is certain.
 
     Attributes:
         estimate: what the photographs say about T texels.

@@ -111,7 +111,8 @@ def _start(cells: list[Record]) -> list[Bar]:
 def _costs(costs: Record) -> list[Bar]:
     few, many = costs["views"]
     bars = [
-        Bar("what sharing adds to a path step", costs["sharing"]["part"], 0.05, ""),
+        *(Bar(f"what sharing ({name}) adds to a path step", found["part"], 0.05, "")
+          for name, found in costs["sharing"].items()),
         Bar(f"SH descent step, {many['views']} views over {few['views']}",
             many["seconds"] / few["seconds"], 1.1, "times"),
     ]  # fmt: skip

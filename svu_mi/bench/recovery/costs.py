@@ -19,15 +19,19 @@ from svu_mi.bench.recovery.rows import COLD, PATH, SH, Row
 from svu_mi.bench.recovery.sizes import Sizes
 from svu_mi.capture import Capture
 from svu_mi.pipeline import estimate
+from svu_mi.recovery.options import ShOptions
 from svu_mi.recovery.path.objective import path_objective
+from svu_mi.recovery.regularized import Rule, each
+from svu_mi.recovery.sh.materials import MaterialSharing
+from svu_mi.recovery.sh.prepare import prepare
 from svu_mi.recovery.textures import uniform
 from svu_mi.regularization import GlobalSharing, TotalVariation
 from svu_mi.surface import Texels, texels
+from svu_mi.surface.neighbors import neighbors
 
 Record = dict[str, Any]
 WATCHED = (SH, PATH)  # in the long run
 SETTLED = 0.1  # part of its steps after which memory should not grow any more
-SECOND = 2  # step after which no kernel may be compiled
 
 
 def measure_costs(bench: Bench, cell: Cell, sizes: Sizes) -> Record:
@@ -39,8 +43,8 @@ def measure_costs(bench: Bench, cell: Cell, sizes: Sizes) -> Record:
         sizes: number of views and steps.
 
     Returns:
-        ``cell``; ``sharing``: see ``sharing_cost``; ``views``: see ``cost_of_views``; ``long``:
-        by label, see ``long_run``; ``cold``: by label, see ``run_cold``.
+        ``cell``; ``sharing``: by rule, see ``sharing_cost``; ``views``: see ``cost_of_views``;
+        ``long``: by label, see ``long_run``; ``cold``: by label, see ``run_cold``.
     """
     capture = bench.capture(cell)
     grid = texels(capture.mesh, bench.settings.texels)
@@ -52,27 +56,40 @@ def measure_costs(bench: Bench, cell: Cell, sizes: Sizes) -> Record:
         }
     return {
         "cell": cell.title,
-        "sharing": sharing_cost(capture, grid, sizes.turns),
+        "sharing": {
+            name: sharing_cost(capture, grid, rule, sizes.turns)
+            for name, rule in _rules(capture, grid).items()
+        },
         "views": cost_of_views(bench, cell, sizes),
         "long": {row.label: long_run(bench, cell, sizes, row) for row in WATCHED},
         "cold": cold,
     }
 
 
-def sharing_cost(capture: Capture, grid: Texels, turns: int) -> Record:
+def _rules(capture: Capture, grid: Texels) -> dict[str, Rule]:
+    """Return both ways of sharing: that of the rows, and that for anybody's loop."""
+    run, options = prepare(capture, grid), ShOptions()
+    materials = run.materials(options, neighbors(grid, capture.mesh))
+    return {
+        "materials": MaterialSharing.of(materials, run.fit(options).loss.place),
+        "Eq. 14, 15": each(GlobalSharing(estimate(capture, grid), capture.mesh)),
+    }
+
+
+def sharing_cost(capture: Capture, grid: Texels, rule: Rule, turns: int) -> Record:
     """Time steps of the path tracer, loss to gradients, with sharing and without, in turns.
 
     Args:
         capture: the photographs.
         grid: texels of its mesh.
+        rule: of sharing, a function of all textures.
         turns: pairs of steps that count.
 
     Returns:
         ``seconds`` of a step without, ``seconds_shared``, medians; ``part``: the median over
         pairs of what sharing adds, as a part of a step; ``alone``: seconds of sharing by itself.
     """
-    sharing = GlobalSharing(estimate(capture, grid), capture.mesh)
-    smooth = TotalVariation(grid, capture.mesh)
+    smooth = each(TotalVariation(grid, capture.mesh))
     _, options = PATH.options()
     objective = path_objective(capture, grid, options)
     start = dict(uniform(grid).items())
@@ -82,9 +99,10 @@ def sharing_cost(capture: Capture, grid: Texels, turns: int) -> Record:
         textures = {name: mi.TensorXf(tensor) for name, tensor in start.items()}
         dr.enable_grad(*textures.values())
         loss = objective(textures, next(counter)) if traced else mi.Float(0)
-        for tensor in textures.values():
-            loss = loss + options.tv * smooth(tensor) if traced else loss
-            loss = loss + options.sharing * sharing(tensor) if shared else loss
+        if traced:
+            loss = loss + options.tv * smooth(textures)
+        if shared:
+            loss = loss + options.sharing * rule(textures)
         dr.backward(loss)
         return [dr.grad(tensor).array for tensor in textures.values()]
 

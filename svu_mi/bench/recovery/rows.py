@@ -102,7 +102,7 @@ SH_PAPER_SHARING = Row("SH (paper) + sharing", "sh", sh="paper", sharing=True)
 
 ROWS = (SH, SH_SHARING, SH_PAPER, SH_PAPER_SHARING, SPECTRUM, SH_PATH, PATH, PATH_SHARING)
 SHARING_ROWS = (SH, SH_SHARING, PATH, PATH_SHARING)  # of the groups that sharing is judged by
-COLD = (SH.label, SH_PAPER.label)  # also timed in a new process
+COLD = (SH.label, SH_PAPER.label, PATH.label)  # also timed in a new process
 
 
 def find_row(label: str) -> Row:

@@ -138,12 +138,14 @@ def _by_cell(cells: list[Record], rows: list[Row]) -> str:
 
 
 def _costs(costs: Record) -> list[str]:
-    sharing = costs["sharing"]
+    shared = costs["sharing"]
     steps = [
-        ["path", f"{sharing['pixels']:,} pixels, {sharing['spp']} paths each",
-         seconds(sharing["seconds"])],
-        ["path + sharing", "the same", seconds(sharing["seconds_shared"])],
-        ["sharing alone", "", seconds(sharing["alone"])],
+        *([f"path, and with sharing ({name})",
+           f"{one['pixels']:,} pixels, {one['spp']} paths each; {one['part']:+.1%}",
+           f"{seconds(one['seconds'])}, {seconds(one['seconds_shared'])}"]
+          for name, one in shared.items()),
+        *([f"sharing ({name}) alone", f"{one['part_alone']:.1%} of a path step",
+           seconds(one["alone"])] for name, one in shared.items()),
         *(["SH (ours)", f"{one['views']} views, {one['texels']:,} texels seen",
            seconds(one["seconds"])] for one in costs["views"]),
     ]  # fmt: skip
@@ -153,9 +155,8 @@ def _costs(costs: Record) -> list[str]:
         for method, one in costs["long"].items()
     ]  # fmt: skip
     parts = [
-        f"{costs['cell']}. One step, loss to gradients, median; sharing adds "
-        f"{sharing['part']:+.1%} (median of pairs), and takes {sharing['part_alone']:.1%} of a "
-        "path step by itself.",
+        f"{costs['cell']}. One step, loss to gradients, median; what sharing adds is a median of "
+        "pairs.",
         table(("step", "of", "time"), steps),
         table(("long run", "steps", "kernels compiled after the start", "resident MiB", "growth",
                "time per step"), runs),

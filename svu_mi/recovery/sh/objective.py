@@ -16,14 +16,17 @@ from svu_mi.recovery.sh.statistics import Statistics
 
 @dataclass(frozen=True)
 class StatisticsLoss:
-    """Negative log-likelihood of textures, the mean over seen texels.
+    """How unlikely textures are, in nats, the mean over seen texels.
 
-    The cost does not depend on the number of views. Unseen texels have no gradient.
+    Errors of a texel's views are neither all the same nor all different; its nats count in
+    proportion to the number of views, one for as many as the mean texel has. The cost does not
+    depend on that number. Unseen texels have no gradient.
 
     Attributes:
         statistics: of S seen texels.
         place: (S,) UInt32, where in a texture each of them is.
-        variance: (S,) Float, squared radiance, of each texel's error (``Start.variance``).
+        variance: (S,) Float, squared radiance, of each texel's error: that of ``Start``,
+            times the mean number of views, over the texel's own.
     """
 
     statistics: Statistics

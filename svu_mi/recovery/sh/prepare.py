@@ -95,7 +95,11 @@ class Prepared:
             statistics = gather(self.views, surface, self.found, model, knee, start.values())
             start = closed_form(statistics, sigma)
         place = dr.gather(mi.UInt32, self.texels.index, surface.index)
-        return Fit(statistics, start, StatisticsLoss(statistics, place, start.variance))
+        views = mi.Float(dr.gather(mi.UInt32, self.found.coverage, surface.index))
+        mean = dr.opaque(mi.Float, float(statistics.coverage.mean()))
+        variance = start.variance * mean / views
+        dr.eval(variance)
+        return Fit(statistics, start, StatisticsLoss(statistics, place, variance))
 
     def materials(self, options: ShOptions, around: Neighbors) -> Materials:
         """Find what texels share; seeds are minima of the entropy on the surface."""

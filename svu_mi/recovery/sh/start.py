@@ -20,7 +20,8 @@ from svu_mi.recovery.sh.gradient import Values
 from svu_mi.recovery.sh.statistics import PAIRS, Reader, Statistics
 
 METALLIC = 17  # nodes, uniform on [0, 1]
-SMALL = 1e-20  # squared radiance: a column that nothing lights
+SMALL = 1e-12  # squared radiance, in that of the photographs: a column that nothing lights
+TINIEST = 1e-37  # neither is there a photograph that is not black
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,8 @@ def _profile(factors: list[list[Any]], metallic: float) -> tuple[Any, list[Any]]
     for factor in factors:
         u, v = halves(factor, metallic)
         uu, uv = (sum(a * b for a, b in zip(u, w, strict=True)) for w in (u, v))
-        c = dr.clip(-uv / dr.maximum(uu, SMALL), 0, 1)
+        vv = sum(dr.square(b) for b in v)
+        c = dr.clip(-uv / dr.maximum(uu, dr.maximum(SMALL * vv, TINIEST)), 0, 1)
         error += sum(dr.square(dr.fma(c, a, b)) for a, b in zip(u, v, strict=True))
         color.append(c)
     return error / len(factors), color

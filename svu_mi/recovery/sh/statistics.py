@@ -27,6 +27,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.frequency.arrays import scatter_strided
 from svu_mi.interop import owned
 from svu_mi.radiance import Surface, Survey, Views
 from svu_mi.radiance.hemisphere import mirror_free
@@ -149,10 +150,9 @@ def gather(
     columns = []
     for first in range(0, len(sums), len(PAIRS)):
         columns += factor([value * inverse for value in sums[first : first + len(PAIRS)]])
-    dr.eval(columns)
     coverage = dr.gather(mi.UInt32, found.coverage, surface.index)
     return Statistics(
-        factors=in_blocks(dr.concat(columns), surface.count), roughness=model.roughness,
+        factors=_scattered(columns, surface), roughness=model.roughness,
         texel=surface.index, coverage=np.array(coverage), channels=channels,
     )  # fmt: skip
 
@@ -169,6 +169,17 @@ def _errors(lobes: list[list[Any]], radiance: Any, current: Values) -> list[Any]
             r = dr.fma(share, dr.lerp(dr.fma(c, e, d), dr.fma(c, p, q), m), r)
         result.append(dr.abs(r - b))
     return result
+
+
+def _scattered(columns: list[Any], surface: Surface) -> Any:
+    """Write the values of all lanes into blocks, in the kernel that computes them."""
+    size, lane = len(columns) * BLOCK, surface.lane
+    factors = dr.zeros(mi.Float, -(-surface.count // BLOCK) * size)
+    dr.eval(factors)
+    start = (lane // BLOCK) * size + lane % BLOCK
+    factors = scatter_strided(factors, columns, start, mi.UInt32(BLOCK))
+    dr.eval(factors)
+    return factors
 
 
 def in_blocks(rows: Any, count: int) -> Any:
