@@ -298,6 +298,21 @@ def test_a_material_that_cannot_be_written_is_said(tmp_path):
         write_recovered(capture, any_textures(), tmp_path / "out")
 
 
+@pytest.mark.parametrize(("texture", "sentence"), [
+    ({"type": "checkerboard"}, "left at its default"),
+    ({"type": "bitmap", "bitmap": None, "to_uv": 8.0}, "loses its to_uv"),
+])  # fmt: skip
+def test_a_texture_that_is_written_otherwise_is_said(tmp_path, texture, sentence):
+    texture = dict(texture)
+    if "bitmap" in texture:
+        texture["bitmap"] = mi.Bitmap(np.ones((4, 4, 3), np.float32))
+        texture["to_uv"] = mi.ScalarTransform3f().scale(texture["to_uv"])
+    with pytest.warns(SvuWarning, match=f"reflectance .* {sentence}"):
+        scene_nodes.material(
+            mi.load_dict({"type": "diffuse", "reflectance": texture}), tmp_path, "floor"
+        )
+
+
 def test_a_mesh_without_uvs_is_written_with_those_of_its_texels(tmp_path):
     flat = ball()
     path = write_scene(
