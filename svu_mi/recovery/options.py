@@ -119,7 +119,8 @@ class PathOptions:
         pixels_per_batch: of one step, drawn from all views.
         spp: paths per pixel.
         max_depth: longest path; 2 is direct light only; None takes that of the scene's integrator.
-        loss: of a pixel: ``l1``, ``l2``, or ``relative``: l2 over the squared radiance.
+        loss: of a pixel: ``l2``; ``l1``, as in the paper; or ``relative``: l2 over the squared
+            radiance, which noise in dark photographs biases.
         halves: trace a batch in two passes instead of the three of ``mi.render``, where paths
             serve each other in halves; an odd ``spp`` has none.
         tv: weight of total variation.
@@ -133,7 +134,7 @@ class PathOptions:
     pixels_per_batch: int = 1 << 16
     spp: int = 2
     max_depth: int | None = None
-    loss: PathLoss = "relative"
+    loss: PathLoss = "l2"
     halves: bool = True
     tv: float = 2.0
     sharing: float = 2.0

@@ -12,7 +12,9 @@ render r = R + e of an unbiased estimate R and a photograph y:
 * ``l1``: E |r - y| has its minimum where y is the *median* of r; rendered light is skewed, so
   radiance comes out too bright the fewer paths there are. Outliers weigh less, though.
 * ``relative``: (r - y)^2 / (y^2 + floor): as ``l2``, with weights that depend on the photograph
-  alone. Dividing by the render instead would bring the bias back.
+  alone. Dividing by the render instead would bring the bias back; noise of the photograph
+  brings one of its own, since pixels that came out too dark weigh more (5 % too dark at 16
+  samples per pixel).
 """
 
 from __future__ import annotations
