@@ -16,7 +16,7 @@ demo: .venv/installed
 	.venv/bin/svu demo -o out/demo
 
 test: lint
-	$(PY) -m pytest
+	$(PY) -m pytest -n 2
 
 lint: .venv/installed-test
 	$(PY) -m ruff check .

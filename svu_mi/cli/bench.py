@@ -39,7 +39,7 @@ class Bench(Common):
     """accuracy: every object under every light; checks: what these comparisons take for granted,
     for some objects; speed: run times, of the first object and light; kernels: speed and error of
     each kernel, what skipping saves, scaling; stability: errors at the ends of every axis;
-    recovery: textures recovered in every way, against the true ones."""
+    all: these; recovery: textures recovered in every way, against the true ones."""
     output: Output = Path("out/bench")
     data: Path | None = None
     """Folder with objects/ and envmaps/; without it, the scenes of svu_mi."""
