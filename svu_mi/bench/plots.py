@@ -19,8 +19,8 @@ Record = dict[str, Any]
 
 DPI = 120
 INK, FAINT = "#26262b", "#8a8a93"
-COLORS = ("#2f6fb5", "#d1702a", "#3f9a5a", "#9a4fb0", "#b3404a", "#7a6a2f")
-MARKS = "osD^vP"
+COLORS = ("#2f6fb5", "#d1702a", "#3f9a5a", "#9a4fb0", "#b3404a", "#7a6a2f", "#30343a", "#2a9d9b")
+MARKS = "osD^vPX*"
 MAX_CELLS = 6  # rows of the scatter plot
 TICKS = ((1e-3, "1 ms"), (1e-2, "10 ms"), (0.1, "0.1 s"), (1, "1 s"), (10, "10 s"), (60, "1 min"),
          (600, "10 min"), (3600, "1 h"), (36000, "10 h"), (864000, "10 d"))  # fmt: skip
