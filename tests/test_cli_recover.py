@@ -220,7 +220,15 @@ def test_an_interrupt_that_was_wrapped_is_one():
     assert not was_interrupted(RuntimeError("another"))
 
 
-def test_ctrl_c_waits_for_the_end_of_a_step():
+@pytest.fixture
+def ctrl_c():
+    """Elsewhere than at a terminal, Ctrl-C may be off."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_ctrl_c_waits_for_the_end_of_a_step(ctrl_c):
     done = []
     with pytest.raises(KeyboardInterrupt), between_steps() as answer:
         for step in range(5):
