@@ -30,6 +30,7 @@ ROUNDS = 8
 SAMPLE = 12_000  # texels that materials are found with; weights are those of all
 SHARPNESS = 8.0  # errors of a texel's views do not all point the same way
 DOUBT = 8.0  # how fast trust falls off with what a material leaves unexplained
+NO_MATERIAL = 0.3  # trust below which a material is given up
 POOL = 100.0  # independent errors among those of a material's texels
 WELL_SEEN = 0.5  # quantile of coverage from which a texel can tell that a material is wrong
 
@@ -119,9 +120,14 @@ def find_materials(
         share = _shares(_excess(sample, values, least, variance))
         values = _pooled(sample, products, share / variance, values)
     excess = _excess(statistics, values, start.least.numpy(), start.variance.numpy())
-    share = _shares(excess)
+    # What does not explain its own texels is no material; they may be of another that is.
+    kept = _trust(excess, statistics.coverage) >= NO_MATERIAL
+    values, excess = values[kept], excess[kept]
+    if not kept.any():
+        return Materials(values, excess.astype(np.float32), np.zeros(0))
     trust = _trust(excess, statistics.coverage)
-    return Materials(values, (share * trust[:, None]).astype(np.float32), trust)
+    weights = _shares(excess) * trust[:, None]
+    return Materials(values, weights.astype(np.float32), trust)
 
 
 def _excess(
