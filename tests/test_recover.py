@@ -16,6 +16,7 @@ import svu_mi as svu
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError, ShapeError, SvuError
 from svu_mi.recovery.options import DescentOptions, ShOptions, sh_preset
+from svu_mi.recovery.sh import materials
 from svu_mi.recovery.sh.materials import Materials, MaterialSharing, find_materials
 from svu_mi.recovery.sh.prepare import prepare
 from svu_mi.recovery.textures import Textures, lay_out, uniform
@@ -53,7 +54,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
         bsdf[name] = {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(image)),
                       "raw": True, "filter_type": "nearest"}  # fmt: skip
     folder = tmp_path_factory.mktemp("ball")
-    return render_ball(folder, sky(), bsdf, views=16, resolution=(64, 64), spp=128)
+    return render_ball(folder, sky(), bsdf, views=24, resolution=(112, 112), spp=128)
 
 
 @pytest.fixture(scope="module")
@@ -108,8 +109,11 @@ def test_sharing_helps_where_materials_repeat(
     assert psnr(shared.textures, truth, grid) > psnr(alone.textures, truth, grid) + 0.5
 
 
-def test_materials_are_found(capture: Capture, grid: Texels, truth: Textures) -> None:
+def test_materials_are_found(
+    capture: Capture, grid: Texels, truth: Textures, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """From seeds of both kinds, whose own parameters are bad; and every texel finds its own."""
+    monkeypatch.setattr(materials, "NO_MATERIAL", 0.0)
     run = prepare(capture, grid)
     fit = run.fit(ShOptions())
     metal = truth.at(grid, "metallic")[run.seen] > 0.5
@@ -122,6 +126,18 @@ def test_materials_are_found(capture: Capture, grid: Texels, truth: Textures) ->
     sure = found.weights.max(axis=0) > 0.5 * found.trust.max()
     assert ((found.weights.argmax(axis=0) == 0) == metal)[sure & well].mean() > 0.8
     assert found.weights.sum(axis=0).max() <= 1 + 1e-5
+
+
+def test_what_explains_nothing_is_no_material(
+    capture: Capture, grid: Texels, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(materials, "NO_MATERIAL", 1.1)
+    run = prepare(capture, grid)
+    fit = run.fit(ShOptions())
+    own = fit.start.table()
+    found = find_materials(fit.statistics, fit.start, own, np.array([3, 80]))
+    assert len(found.values) == 0
+    np.testing.assert_array_equal(found.blend(own), own)
 
 
 def test_no_seed_shares_nothing(capture: Capture, grid: Texels) -> None:
