@@ -15,4 +15,5 @@ from svu_mi.radiance.observe import over_views as over_views
 from svu_mi.radiance.survey import Survey as Survey
 from svu_mi.radiance.survey import survey as survey
 from svu_mi.radiance.views import Views as Views
+from svu_mi.radiance.views import pack_sensors as pack_sensors
 from svu_mi.radiance.views import pack_views as pack_views

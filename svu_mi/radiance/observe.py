@@ -234,7 +234,7 @@ def _reach(
     seen: Any,
 ) -> tuple[Any, Any]:
     """Look the pixels up and trace visibility, for lanes that face the camera."""
-    for pixel in pixels:
+    for pixel in pixels if views.usable is not None else ():
         seen &= dr.gather(mi.Bool, views.usable, pixel, seen)
     # Mitsuba's own spawn_ray offset has an absolute part, which drowns small meshes.
     origin = position + offset * normal
@@ -250,8 +250,10 @@ def _black(views: Views) -> Any:
 
 
 def _radiance(views: Views, pixels: list[Any], weights: list[Any], active: Any = True) -> Any:
-    """Interpolate between four pixels."""
+    """Interpolate between four pixels; without any photograph there is no light."""
     total = _black(views)
+    if views.pixels is None:
+        return total
     for pixel, weight in zip(pixels, weights, strict=True):
         value = dr.gather(type(total), views.pixels, pixel, active)
         # A kernel that rounds a position differently may touch a pixel that is not usable.

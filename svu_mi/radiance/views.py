@@ -40,8 +40,8 @@ class Views:
         offset: (V,) UInt32, index of each photograph's first pixel.
         pixels: Float, radiance of all photographs. 3 channels: (3 P,), interleaved RGB, the
             capture's own memory where its photographs lie in one block. 1 channel: (P,), the
-            mean of R, G and B, NaN where not usable.
-        usable: (P,) Bool, the pixel shows nothing but the object and holds a radiance.
+            mean of R, G and B, NaN where not usable. None where nothing was photographed.
+        usable: (P,) Bool, the pixel shows nothing but the object and holds a radiance; or None.
         count: V, an opaque UInt32, so that its value is not part of a kernel.
         number: V as a Python int.
         scene: the ``mi.Scene`` that visibility is traced in.
@@ -107,6 +107,30 @@ def pack_views(capture: Capture, channels: int = 3) -> Views:
         scene=capture.scene,
         channels=channels,
         grey=not pixels.coloured[0],
+    )
+
+
+def pack_sensors(scene: Any, sensors: Sequence[Any]) -> Views:
+    """Lay sensors out that have not taken any photograph: they see texels, not radiance.
+
+    Args:
+        scene: the ``mi.Scene`` that visibility is traced in.
+        sensors: V perspective sensors.
+    """
+    poses = [_Pose.of(sensor) for sensor in sensors]
+    films = _films(poses, np.zeros(len(poses)))
+    return Views(
+        cameras=owned(mi.Float, np.array([pose.camera for pose in poses], np.float32).ravel()),
+        width=films.width,
+        height=films.height,
+        offset=films.offset,
+        pixels=None,
+        usable=None,
+        count=dr.opaque(mi.UInt32, len(poses)),
+        number=len(poses),
+        scene=scene,
+        channels=1,
+        grey=True,
     )
 
 
