@@ -50,6 +50,31 @@ BRIGHTEST = 1e12  # mean radiance; what is in range loses nothing to exposure
 DARK = 1e-2  # part of the light that counts as the unit of radiance when all is black
 
 
+@dataclass(frozen=True)
+class Observed:
+    """What the photographs of a capture show, and of what.
+
+    Attributes:
+        capture: scene, photographs and light.
+        views: the photographs that are used, packed.
+        lighting: the light.
+        texels: the T texels.
+        found: who sees whom.
+    """
+
+    capture: Capture
+    views: Views
+    lighting: Lighting
+    texels: Texels
+    found: Survey
+
+    @cached_property
+    def unit(self) -> float:
+        """Radiance that sigma is a part of: the photographs' mean, or if that is 0, some of the
+        light's, since black under a known light is an observation too."""
+        return self.found.scale or DARK * float(self.lighting.environment.coefficients(0).mean())
+
+
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
     """What the photographs say about each of T texels.
@@ -63,6 +88,8 @@ class Estimate:
         seen_per_view: (V,) int64, number of texels each used view sees.
         skipped: what was not computed, by reason, as counts.
         timings: seconds per stage, synchronised.
+        observed: what it was made from, for those who go on from here; it keeps the photographs
+            in memory.
     """
 
     method: str
@@ -73,6 +100,7 @@ class Estimate:
     seen_per_view: np.ndarray
     skipped: dict[str, int]
     timings: dict[str, float] = field(default_factory=dict)
+    observed: Observed | None = field(default=None, repr=False)
 
     @cached_property
     def entropy(self) -> Any:
@@ -150,7 +178,8 @@ def estimate(
     _require_seen(found.per_view, capture)
     _require_range(found.scale)
     plan = make_plan(skip, switches, views, lighting, found, chosen, tables)
-    run = _Run(capture, views, lighting, texels, found, chosen, prior, plan, progress)
+    observed = Observed(capture, views, lighting, texels, found)
+    run = _Run(observed, chosen, prior, plan, progress)
     posterior = (_from_angles if angular else _from_spectra)(run, switches)
     with progress.stage("Computing entropy"):
         result = Estimate(
@@ -162,6 +191,7 @@ def estimate(
             seen_per_view=found.per_view,
             skipped=_skipped(capture, texels, found) | plan.skipped,
             timings=progress.timings,
+            observed=observed,
         )
         dr.eval(result.entropy)
     return result
@@ -171,11 +201,7 @@ def estimate(
 class _Run:
     """What both methods start from."""
 
-    capture: Capture
-    views: Views
-    lighting: Lighting
-    texels: Texels
-    found: Survey
+    observed: Observed
     grid: Any
     prior: Any | None
     plan: Plan
@@ -184,36 +210,30 @@ class _Run:
     @cached_property
     def surface(self) -> Surface:
         """The texels that are worth any work."""
-        return Surface.of(self.texels, self.plan.texels)
-
-    @cached_property
-    def unit(self) -> float:
-        """Radiance that sigma is a part of: the photographs' mean, or if that is 0, some of the
-        light's, since black under a known light is an observation too."""
-        return self.found.scale or DARK * float(self.lighting.environment.coefficients(0).mean())
+        return Surface.of(self.observed.texels, self.plan.texels)
 
 
 def _from_angles(run: _Run, switches: AngularPreset) -> Posterior:
-    plan = run.plan
+    plan, seen = run.plan, run.observed
     with run.progress.stage("Tracing occlusion"):
         levels = run.grid.roughness_nodes[plan.levels]
         model = reflection(
-            run.views.scene, run.surface, run.lighting, levels, switches, plan.light_channels
+            seen.views.scene, run.surface, seen.lighting, levels, switches, plan.light_channels
         )
     with run.progress.stage("Gathering statistics"):
-        scale = dr.opaque(mi.Float, run.unit)
-        statistics = gather(run.views, run.surface, run.found, model, scale, plan.channels)
+        scale = dr.opaque(mi.Float, seen.unit)
+        statistics = gather(seen.views, run.surface, seen.found, model, scale, plan.channels)
     return angular_posterior(
-        statistics, run.grid, run.unit, switches,
+        statistics, run.grid, seen.unit, switches,
         prior=run.prior, copies=plan.copies, levels=plan.levels,
     )  # fmt: skip
 
 
 def _from_spectra(run: _Run, switches: Preset) -> Posterior:
-    plan, found = run.plan, run.found
+    plan, seen = run.plan, run.observed
     with run.progress.stage("Fitting spectra"):
         spectra = fit_spectra(
-            run.views, run.lighting, run.texels, found, switches,
+            seen.views, seen.lighting, seen.texels, seen.found, switches,
             channels=plan.channels, light_channels=plan.light_channels,
             skip_unseen=plan.texels is not None,
         )  # fmt: skip
@@ -227,10 +247,10 @@ def _from_spectra(run: _Run, switches: Preset) -> Posterior:
             spectra.outgoing,
             run.grid,
             preset=switches,
-            prefilter=run.lighting.prefilter,
+            prefilter=seen.lighting.prefilter,
             prior=run.prior,
-            observed=found.coverage > 0,
-            samples=mi.Float(found.coverage),
+            observed=seen.found.coverage > 0,
+            samples=mi.Float(seen.found.coverage),
             irradiance=irradiance,
             copies=plan.copies,
         )
@@ -238,12 +258,13 @@ def _from_spectra(run: _Run, switches: Preset) -> Posterior:
 
 def _irradiance(run: _Run, switches: Preset) -> np.ndarray:
     """(T, C) irradiance; if the preset says so, less what the object itself hides."""
-    cells = light_cells(run.lighting.environment, switches.rays)
+    seen = run.observed
+    cells = light_cells(seen.lighting.environment, switches.rays)
     arriving = hemisphere(
-        run.views.scene, run.surface, run.lighting, cells,
+        seen.views.scene, run.surface, seen.lighting, cells,
         channels=run.plan.light_channels, occluded=switches.occluded, lobes=None,
     )  # fmt: skip
-    result = np.zeros((run.texels.count, run.plan.channels), np.float32)
+    result = np.zeros((seen.texels.count, run.plan.channels), np.float32)
     light = np.stack([moments[0].numpy() for moments in arriving.diffuse], axis=-1)
     result[run.surface.index.numpy()] = light  # one channel of grey light is all of them
     return result

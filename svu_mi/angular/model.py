@@ -95,15 +95,7 @@ def reflection(
     alpha = alpha_from_roughness(roughness)
     profile = partial(zonal_profile, switches.lobe)
     # Rays first: Dr.Jit traces them while NumPy filters the light.
-    arriving = hemisphere(
-        scene,
-        surface,
-        lighting,
-        light_cells(lighting.environment, switches.rays),
-        channels=channels,
-        occluded=switches.occluded_diffuse,
-        lobes=DEGREE if switches.occluded_specular else None,
-    )
+    arriving = reaching(scene, surface, lighting, switches, channels)
     return Reflection(
         switches=switches,
         roughness=roughness,
@@ -112,6 +104,21 @@ def reflection(
         dielectric=owned(mi.Float, dielectric_albedo(alpha).ravel()),
         arriving=arriving,
         channels=channels,
+    )
+
+
+def reaching(
+    scene: Any, surface: Surface, lighting: Lighting, switches: AngularPreset, channels: int
+) -> Hemisphere:
+    """Trace which light reaches texels: what a ``Reflection`` knows of them, and all it does."""
+    return hemisphere(
+        scene,
+        surface,
+        lighting,
+        light_cells(lighting.environment, switches.rays),
+        channels=channels,
+        occluded=switches.occluded_diffuse,
+        lobes=DEGREE if switches.occluded_specular else None,
     )
 
 
