@@ -206,3 +206,32 @@ def backward(lower: list[Any], solution: list[Any], blocks: Any, size: int, held
             store(solution, row, _substitute(block, diagonal, size, True))
         past -= 1
     return solution
+
+
+@dr.syntax
+def forward(lower: list[Any], solution: list[Any], blocks: Any, size: int) -> list[Any]:
+    """Solve L z = b in place.
+
+    Args:
+        lower: the factor, as ``factor_and_forward`` leaves it.
+        solution: b on entry.
+        blocks: number of tile rows.
+        size: edge of a tile.
+
+    Returns:
+        ``solution``, holding z.
+    """
+    bi = mi.UInt32(0)
+    while bi < blocks:
+        row = packed_count(bi)
+        block = load(solution, bi)
+        bk = mi.UInt32(0)
+        while bk < bi:
+            block = _subtract_applied(
+                block, load(lower, row + bk), load(solution, bk), size, False
+            )
+            bk += 1
+        diagonal = load(lower, row + bi)
+        store(solution, bi, _substitute(block, diagonal, size, False))
+        bi += 1
+    return solution

@@ -21,9 +21,9 @@ def fit_primal(sample: Sample, views: Any, system: System) -> list[list[Any]]:
     gram = cholesky.allocate(mi.Float64, size * size, memory)
     right = cholesky.allocate(mi.Float64, size * system.channels, count // size)
     rows = cholesky.allocate(mi.Float64, size, count // size)
-    gram, right = _clear(gram, right, dr.opaque(mi.UInt32, memory), blocks)
-    _add_ridge(gram, system, size)
-    gram, right, seen = _accumulate(sample, views, gram, right, rows, blocks, system.basis)
+    gram, right = clear(gram, right, dr.opaque(mi.UInt32, memory), blocks)
+    write_ridge(gram, system, size)
+    gram, right, seen = accumulate(sample, views, gram, right, rows, blocks, system.basis)
     gram, right = cholesky.factor_and_forward(gram, right, blocks, size)
     right = cholesky.backward(gram, right, blocks, size, count // size)
     return [
@@ -36,7 +36,7 @@ def fit_primal(sample: Sample, views: Any, system: System) -> list[list[Any]]:
 
 
 @dr.syntax
-def _clear(gram: list, right: list, tiles: Any, blocks: Any) -> tuple[list, list]:
+def clear(gram: list, right: list, tiles: Any, blocks: Any) -> tuple[list, list]:
     """Fill both with zeros."""
     i = mi.UInt32(0)
     while i < tiles:
@@ -49,7 +49,7 @@ def _clear(gram: list, right: list, tiles: Any, blocks: Any) -> tuple[list, list
     return gram, right
 
 
-def _add_ridge(gram: list, system: System, size: int) -> None:
+def write_ridge(gram: list, system: System, size: int) -> None:
     """Write lambda R on the diagonal."""
     for i, l in enumerate(system.degrees):
         tile = cholesky.packed_count(i // size) + i // size
@@ -57,7 +57,7 @@ def _add_ridge(gram: list, system: System, size: int) -> None:
 
 
 @dr.syntax
-def _accumulate(
+def accumulate(
     sample: Sample,
     views: Any,
     gram: list,
@@ -72,7 +72,7 @@ def _accumulate(
     while view < views:
         direction, weight, values = sample(view)
         if weight > 0:
-            _write_row(rows, basis(unit(direction)), mi.Float64(weight))
+            write_row(rows, basis(unit(direction)), mi.Float64(weight))
             scaled = [mi.Float64(weight) * mi.Float64(value) for value in values]
             bi = mi.UInt32(0)
             while bi < blocks:
@@ -90,7 +90,7 @@ def _accumulate(
     return gram, right, seen
 
 
-def _write_row(rows: list, y: list, weight: Any) -> None:
+def write_row(rows: list, y: list, weight: Any) -> None:
     """Write w Y_lm(d) of one sample as blocks of len(rows)."""
     for i, value in enumerate(y):
         rows[i % len(rows)][i // len(rows)] = weight * value

@@ -1,0 +1,128 @@
+"""Fits with one more sample, for every sample that might be added: rank-1 changes of Eq. 12.
+
+With A = Y^T W^2 Y + lambda R factored once, a sample of direction y, weight w and value f
+changes the coefficients c by [Sherman and Morrison 1950]
+
+    c' = c + A^-1 w y  w (f - y . c) / (1 + w y . A^-1 w y),
+
+two substitutions instead of a factorisation. In double precision, like the fit itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from svu_mi.frequency import cholesky, harmonics
+from svu_mi.frequency.primal import accumulate, clear, write_ridge, write_row
+from svu_mi.frequency.system import Sample, System, unit
+
+FREE = 1e-12
+"""Stands for R_00 = 0: a lane without samples has a matrix, too. Changes c by 1e-12 of itself."""
+
+Take = Callable[[Any, list[list[Any]]], None]
+"""``(j, power)``: is given the spectrum with sample j added, Float64 by degree and channel."""
+
+
+def extend_lanes(
+    known: Sample,
+    views: Any,
+    added: Sample,
+    candidates: Any,
+    take: Take,
+    *,
+    degree: int,
+    channels: int,
+    regularizer: float,
+    penalize_constant: bool,
+) -> list[list[Any]]:
+    """Fit the samples that are known, then each candidate in addition to them.
+
+    Args:
+        known: samples of Eq. 12, as ``fit_lanes`` takes them.
+        views: how many, an opaque UInt32.
+        added: the candidates, in the same form.
+        candidates: how many, an opaque UInt32.
+        take: called where a candidate's weight is positive, within the kernel.
+        degree, channels, regularizer, penalize_constant: as ``fit_lanes`` has them.
+
+    Returns:
+        Power spectrum of the known samples alone: Float64 by degree and channel.
+    """
+    ridge = [max(value, FREE) for value in harmonics.ridge(degree, penalize_constant)]
+    system = System(degree, channels, ridge, dr.opaque(mi.Float64, regularizer))
+    size = degree + 1  # tiles of this edge fill the matrix without padding
+    blocks = dr.opaque(mi.UInt32, size)
+    memory = cholesky.packed_count(size)
+    gram = cholesky.allocate(mi.Float64, size * size, memory)
+    fitted = cholesky.allocate(mi.Float64, size * channels, size)
+    rows = cholesky.allocate(mi.Float64, size, size)
+    gram, fitted = clear(gram, fitted, dr.opaque(mi.UInt32, memory), blocks)
+    write_ridge(gram, system, size)
+    gram, fitted, _ = accumulate(known, views, gram, fitted, rows, blocks, system.basis)
+    gram, fitted = cholesky.factor_and_forward(gram, fitted, blocks, size)
+    fitted = cholesky.backward(gram, fitted, blocks, size, size)
+    _add_each(added, candidates, take, gram, fitted, rows, blocks, system)
+    return _power(system, _coefficients(fitted, system))
+
+
+@dr.syntax
+def _add_each(
+    added: Sample, candidates: Any, take: Take, gram: list, fitted: list, step: list,
+    blocks: Any, system: System,
+) -> Any:  # fmt: skip
+    size = system.degree + 1
+    j = mi.UInt32(0)
+    while j < candidates:
+        direction, weight, values = added(j)
+        if weight > 0:
+            w = mi.Float64(weight)
+            y = system.basis(unit(direction))
+            write_row(step, y, w)
+            step = cholesky.forward(gram, step, blocks, size)
+            norm = _norm(step, size)
+            step = cholesky.backward(gram, step, blocks, size, size)
+            take(j, _power(system, _changed(fitted, step, y, w, values, norm, system)))
+        j += 1
+    return step
+
+
+def _coefficients(memory: list, system: System) -> list[list[Any]]:
+    """Read (degree + 1)^2 rows of channels."""
+    size, channels = system.degree + 1, system.channels
+    return [
+        [memory[i % size * channels + c][i // size] for c in range(channels)]
+        for i in range(size * size)
+    ]
+
+
+def _norm(step: list, size: int) -> Any:
+    """1 + w y . A^-1 w y, from z = L^-1 w y."""
+    z = [step[i % size][i // size] for i in range(size * size)]
+    return 1 + sum(value * value for value in z)
+
+
+def _changed(
+    fitted: list, step: list, y: list, w: Any, values: list, norm: Any, system: System
+) -> list[list[Any]]:
+    size, old = system.degree + 1, _coefficients(fitted, system)
+    errors = [
+        w * (mi.Float64(f) - sum(b * c[channel] for b, c in zip(y, old, strict=True))) / norm
+        for channel, f in enumerate(values)
+    ]
+    return [
+        [dr.fma(step[i % size][i // size], e, c) for e, c in zip(errors, row, strict=True)]
+        for i, row in enumerate(old)
+    ]
+
+
+def _power(system: System, coefficients: list[list[Any]]) -> list[list[Any]]:
+    """S(l) = sum_m c_lm^2 by degree and channel (Eq. 8)."""
+    return [
+        [sum(row[c] * row[c] for row in coefficients[l * l : (l + 1) ** 2])
+         for c in range(system.channels)]
+        for l in range(system.degree + 1)
+    ]  # fmt: skip
