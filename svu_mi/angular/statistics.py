@@ -105,7 +105,7 @@ def gather(
     all_texels = int(dr.width(found.coverage))
     values = dr.zeros(mi.Float, len(columns) * all_texels)
     dr.eval(values)
-    values = scatter_strided(values, columns, texel, found.stride)
+    values = scatter_strided(values, columns, texel, dr.opaque(mi.UInt32, all_texels))
     dr.eval(values)
     return Statistics(values, found.coverage, levels, channels, all_texels)
 

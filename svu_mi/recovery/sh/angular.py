@@ -23,9 +23,9 @@ from svu_mi.errors import CaptureError, OptionError
 from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
 from svu_mi.radiance import Lighting, Surface, Survey, Views
+from svu_mi.radiance.bits import Bits
 from svu_mi.radiance.hemisphere import as_channels, mirror_free
 from svu_mi.radiance.observe import Observation
-from svu_mi.radiance.survey import WORD
 from svu_mi.recovery.sh.gradient import Values, carry, look_up
 from svu_mi.surface import Texels
 
@@ -43,8 +43,8 @@ class AngularObjective:
         model: the light and the lobes.
         arriving: ``Reflection`` of the same texels, for what reaches each of them.
         place: (S,) UInt32, where in a texture each of them is.
-        free: (ceil(N / 32) S,) UInt32: bit i % 32 of word (i // 32) S + s is 1 where nothing
-            stands in the mirror direction of the view ``found.order[i]``; empty if not traced.
+        free: of N views and S texels: whether nothing stands in the mirror direction of the
+            view ``found.order[i]``; None if not traced.
         factor: opaque Float, 1 / (n C unit).
     """
 
@@ -54,7 +54,7 @@ class AngularObjective:
     model: Continuous
     arriving: Reflection
     place: Any
-    free: Any
+    free: Bits | None
     factor: Any
 
     def __call__(self, textures: Mapping[str, Any], step: int = 0) -> Any:
@@ -122,8 +122,8 @@ class AngularObjective:
 
     def _shade(self, slot: Any, seen: Observation, normal: Any, roughness: Any) -> Shading:
         visible = None
-        if self.arriving.arriving.visible:
-            visible = partial(self._visible, self._is_free(slot))
+        if self.free is not None:
+            visible = partial(self._visible, self.free.test(slot, self.surface.lane))
         moments = self.arriving.arriving.diffuse
         return shade(self.model, roughness, normal, seen.direction, moments, visible=visible)
 
@@ -131,12 +131,6 @@ class AngularObjective:
         lost = lost_light(self.arriving.arriving, mirror)
         assert lost is not None
         return visible_part(lost, alpha, self.arriving.cell_blur, free)
-
-    def _is_free(self, slot: Any) -> Any:
-        lane = dr.arange(mi.UInt32, self.surface.count)
-        stride = dr.opaque(mi.UInt32, self.surface.count)
-        word = dr.gather(mi.UInt32, self.free, (slot // WORD) * stride + lane)
-        return ((word >> (slot % WORD)) & 1) != 0
 
 
 def angular_objective(
@@ -182,23 +176,19 @@ def angular_objective(
         model=Continuous.of(arriving),
         arriving=arriving,
         place=dr.gather(mi.UInt32, texels.index, selection),
-        free=_mirrors(views, surface, found) if switches.occluded_specular else mi.UInt32(),
+        free=_mirrors(views, surface, found) if switches.occluded_specular else None,
         factor=dr.opaque(mi.Float, 1 / (samples * found.scale)),
     )
 
 
-def _mirrors(views: Views, surface: Surface, found: Survey) -> Any:
+def _mirrors(views: Views, surface: Surface, found: Survey) -> Bits:
     """Trace the mirror direction of every sample once; returns the bits of ``free``."""
-    count = int(found.count[0])
-    bits = dr.zeros(mi.UInt32, max(-(-count // WORD), 1) * surface.count)
-    stride, lane = dr.opaque(mi.UInt32, surface.count), dr.arange(mi.UInt32, surface.count)
+    bits, lane = Bits.clear(int(found.count[0]), surface.count), surface.lane
 
     def body(slot: Any) -> tuple[Any]:
         seen = found.look(views, surface, slot)
         free = mirror_free(views.scene, surface, seen, found.asked(seen.seen))
-        bit = mi.UInt32(1) << (slot % WORD)
-        place = (slot // WORD) * stride + lane
-        dr.scatter_add(bits, bit, place, free, dr.ReduceMode.NoConflicts)
+        bits.set(slot, lane, free)
         return (slot + 1,)
 
     # One more value per lane, or the loop would have a single lane.
