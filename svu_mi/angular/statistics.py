@@ -79,7 +79,7 @@ def gather(
     levels, channels = len(model.roughness), channels or model.channels
     normal = mi.Vector3f(surface.normal)
 
-    def consume(seen: Observation, *sums: Any) -> Any:
+    def consume(seen: Observation, _: Any, *sums: Any) -> Any:
         free = mi.Bool(True)
         if model.arriving.visible:
             free = mirror_free(views.scene, surface, seen, found.asked(seen.seen))

@@ -63,7 +63,8 @@ class Survey:
         Args:
             views: the packed capture.
             surface: the texels of the launch.
-            consume: ``consume(observation, *state)`` returns the new state; traced once.
+            consume: ``consume(observation, slot, *state)`` returns the new state; traced once.
+                The view is ``order[slot]``.
             state: Dr.Jit arrays, one value per texel of the launch.
 
         Returns:
@@ -71,7 +72,7 @@ class Survey:
         """
 
         def body(slot: Any, *state: Any) -> tuple[Any, ...]:
-            return (slot + 1, *consume(self.look(views, surface, slot), *state))
+            return (slot + 1, *consume(self.look(views, surface, slot), slot, *state))
 
         return dr.while_loop(
             state=(mi.UInt32(0), *state),

@@ -75,9 +75,9 @@ class AngularObjective:
         """Loss and its derivatives for R, G, B, roughness and metallic, summed per texel."""
         normal = mi.Vector3f(self.surface.normal)
 
-        def consume(slot: Any, seen: Observation, *sums: Any) -> tuple[Any, ...]:
+        def consume(seen: Observation, slot: Any, *sums: Any) -> tuple[Any, ...]:
             def add(values: Values, *sums: Any) -> tuple[Any, ...]:
-                return self._add(slot, seen, normal, values, sums)
+                return self._add(seen, slot, normal, values, sums)
 
             asked = self.found.asked(seen.seen)
             found = dr.if_stmt(
@@ -85,24 +85,18 @@ class AngularObjective:
             )
             return tuple(found)
 
-        def body(slot: Any, *sums: Any) -> tuple[Any, ...]:
-            seen = self.found.look(self.views, self.surface, slot)
-            return (slot + 1, *consume(slot, seen, *sums))
-
         zeros = tuple(dr.zeros(mi.Float, self.surface.count) for _ in range(6))
-        return dr.while_loop(
-            state=(mi.UInt32(0), *zeros), cond=lambda slot, *_: slot < self.found.count, body=body
-        )[1:]
+        return self.found.over_views(self.views, self.surface, consume, zeros)
 
     def _add(
-        self, slot: Any, seen: Observation, normal: Any, values: Values, sums: tuple[Any, ...]
+        self, seen: Observation, slot: Any, normal: Any, values: Values, sums: tuple[Any, ...]
     ) -> tuple[Any, ...]:
         """Add one sample of every texel to the sums."""
         base_color, metallic = [values.red, values.green, values.blue], values.metallic
         with dr.resume_grad():
             roughness = mi.Float(values.roughness)
             dr.enable_grad(roughness)
-            shading = self._shade(slot, seen, normal, roughness)
+            shading = self._shade(seen, slot, normal, roughness)
             modelled = shading.radiance(base_color, metallic)
             dr.forward_from(roughness)
             rise = [dr.grad(value) for value in modelled]
@@ -120,7 +114,7 @@ class AngularObjective:
         added += [to_roughness, to_metallic]
         return tuple(old + new for old, new in zip(sums, added, strict=True))
 
-    def _shade(self, slot: Any, seen: Observation, normal: Any, roughness: Any) -> Shading:
+    def _shade(self, seen: Observation, slot: Any, normal: Any, roughness: Any) -> Shading:
         visible = None
         if self.free is not None:
             visible = partial(self._visible, self.free.test(slot, self.surface.lane))
@@ -185,17 +179,12 @@ def _mirrors(views: Views, surface: Surface, found: Survey) -> Bits:
     """Trace the mirror direction of every sample once; returns the bits of ``free``."""
     bits, lane = Bits.clear(int(found.count[0]), surface.count), surface.lane
 
-    def body(slot: Any) -> tuple[Any]:
-        seen = found.look(views, surface, slot)
+    def trace(seen: Observation, slot: Any, none: Any) -> tuple[Any]:
         free = mirror_free(views.scene, surface, seen, found.asked(seen.seen))
         bits.set(slot, lane, free)
-        return (slot + 1,)
+        return (none,)
 
-    # One more value per lane, or the loop would have a single lane.
-    dr.while_loop(
-        state=(dr.zeros(mi.UInt32, surface.count),),
-        cond=lambda slot: slot < found.count,
-        body=body,
-    )
+    # A value per lane, or the loop would have a single lane.
+    found.over_views(views, surface, trace, (dr.zeros(mi.UInt32, surface.count),))
     dr.eval(bits)
     return bits
