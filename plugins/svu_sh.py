@@ -12,7 +12,8 @@ import mitsuba as mi
 from svu_mi.angular.continuous import Continuous, continuous, shade
 from svu_mi.angular.shadow import Side, open_to_light
 from svu_mi.brdf.principled import alpha_from_roughness
-from svu_mi.capture.material import PRINCIPLED
+from svu_mi.capture.material import PRINCIPLED, is_principled
+from svu_mi.capture.repaint import is_two_sided
 from svu_mi.capture.scene import find_environment
 from svu_mi.errors import OptionError, SceneError, SvuEnvironmentError, SvuWarning
 from svu_mi.options import ANGULAR_PRESETS, preset
@@ -169,7 +170,7 @@ class ShIntegrator(mi.SamplingIntegrator):
     def _check_materials(self, scene: mi.Scene) -> None:
         """Refuse scenes that would be all black, and say what else will be."""
         shapes = scene.shapes()
-        black = [shape for shape in shapes if not _is_principled(shape)]
+        black = [shape for shape in shapes if not is_principled(shape.bsdf())]
         if len(black) == len(shapes):
             raise SceneError(
                 "svu_sh: the scene has no shape with a 'principled' BSDF; it renders no other."
@@ -221,16 +222,10 @@ def _facing(scene: Any, si: Any, ray: Any) -> tuple[Side, Any]:
 
 def _two_sided(scene: Any, si: Any) -> Any:
     """Return whether the surface looks the same from behind; the BSDF's flags do not tell."""
-    bsdfs = {shape: shape.bsdf() for shape in scene.shapes()}
-    kinds = {s: b is not None and b.class_name() == "TwoSidedBRDF" for s, b in bsdfs.items()}
+    kinds = {shape: is_two_sided(shape.bsdf()) for shape in scene.shapes()}
     if len(set(kinds.values())) == 1:
         return mi.Bool(all(kinds.values()))
     return dr.any([si.shape == mi.ShapePtr(shape) for shape, both in kinds.items() if both])
-
-
-def _is_principled(shape: Any) -> bool:
-    bsdf = shape.bsdf()
-    return bsdf is not None and all(dr.all(bsdf.has_attribute(name)) for name in PRINCIPLED)
 
 
 def _identity(emitter: Any, parameters: dict[str, Any]) -> tuple[Any, ...]:
