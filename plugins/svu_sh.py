@@ -15,8 +15,9 @@ from svu_mi.brdf.principled import alpha_from_roughness
 from svu_mi.capture.material import PRINCIPLED, is_principled
 from svu_mi.capture.repaint import is_two_sided
 from svu_mi.capture.scene import find_environment
-from svu_mi.errors import OptionError, SceneError, SvuEnvironmentError, SvuWarning
+from svu_mi.errors import OptionError, SceneError, SvuWarning
 from svu_mi.options import ANGULAR_PRESETS, preset
+from svu_mi.plugins.registry import require_variant
 from svu_mi.radiance.environment import read_environment
 from svu_mi.radiance.lighting import band_limit
 from svu_mi.radiance.moments import MomentMap, moment_map
@@ -97,7 +98,7 @@ class ShIntegrator(mi.SamplingIntegrator):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        _require_variant()
+        require_variant("svu_sh")
         name, self.levels = props.get("preset", "default"), props.get("levels", 16)
         if name not in ANGULAR_PRESETS:
             raise OptionError(
@@ -232,13 +233,6 @@ def _identity(emitter: Any, parameters: dict[str, Any]) -> tuple[Any, ...]:
     """Tell a light from every other, and from itself with other parameters."""
     plain = tuple(value for value in parameters.values() if isinstance(value, int | float))
     return hash(emitter), plain, tuple(dr.detail.collect_indices(parameters))
-
-
-def _require_variant() -> None:
-    if not mi.variant().endswith("_ad_rgb"):
-        raise SvuEnvironmentError(
-            f"svu_sh: needs a variant such as llvm_ad_rgb, but {mi.variant()} is active."
-        )
 
 
 mi.register_integrator("svu_sh", lambda props: ShIntegrator(props))
