@@ -12,6 +12,8 @@ import sys
 
 import mitsuba as mi
 
+from svu_mi.errors import SvuEnvironmentError
+
 MODULES = ("svu_entropy", "svu_sh")  # file name = XML type
 _loaded_for: str | None = None
 
@@ -35,6 +37,21 @@ def load(old_variant: str | None = None, new_variant: str | None = None) -> None
         else:
             importlib.import_module(full_name)
     _loaded_for = variant
+
+
+def require_variant(plugin: str) -> None:
+    """Refuse variants that a plugin does not run in.
+
+    Args:
+        plugin: its name, for the message.
+
+    Raises:
+        SvuEnvironmentError: the variant is not differentiable, or not RGB.
+    """
+    if not mi.variant().endswith("_ad_rgb"):
+        raise SvuEnvironmentError(
+            f"{plugin}: needs a variant such as llvm_ad_rgb, but {mi.variant()} is active."
+        )
 
 
 mi.detail.add_variant_callback(load)

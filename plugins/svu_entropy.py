@@ -6,8 +6,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.errors import OptionError, SceneError, SvuEnvironmentError
+from svu_mi.errors import OptionError, SceneError
 from svu_mi.exr import read_exr
+from svu_mi.plugins.registry import require_variant
 
 # Control points at equal steps over [0, 1], sRGB-encoded; between them is interpolated. The
 # first two are matplotlib's maps of these names (CC0), to within 0.007.
@@ -106,7 +107,7 @@ class EntropyIntegrator(mi.SamplingIntegrator):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        _require_variant()
+        require_variant("svu_entropy")
         self.colormap = props.get("colormap", "viridis")
         if self.colormap not in (*COLORMAPS, "none"):
             raise OptionError(
@@ -211,13 +212,6 @@ class EntropyIntegrator(mi.SamplingIntegrator):
             f"  shape = {self.shape_id or 'every shape with UVs'},\n"
             f"  shading = {self.shading}\n"
             "]"
-        )
-
-
-def _require_variant() -> None:
-    if not mi.variant().endswith("_ad_rgb"):
-        raise SvuEnvironmentError(
-            f"svu_entropy: needs a variant such as llvm_ad_rgb, but {mi.variant()} is active."
         )
 
 

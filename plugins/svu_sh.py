@@ -12,10 +12,12 @@ import mitsuba as mi
 from svu_mi.angular.continuous import Continuous, continuous, shade
 from svu_mi.angular.shadow import Side, open_to_light
 from svu_mi.brdf.principled import alpha_from_roughness
-from svu_mi.capture.material import PRINCIPLED
+from svu_mi.capture.material import PRINCIPLED, is_principled
+from svu_mi.capture.repaint import is_two_sided
 from svu_mi.capture.scene import find_environment
-from svu_mi.errors import OptionError, SceneError, SvuEnvironmentError, SvuWarning
+from svu_mi.errors import OptionError, SceneError, SvuWarning
 from svu_mi.options import ANGULAR_PRESETS, preset
+from svu_mi.plugins.registry import require_variant
 from svu_mi.radiance.environment import read_environment
 from svu_mi.radiance.lighting import band_limit
 from svu_mi.radiance.moments import MomentMap, moment_map
@@ -96,7 +98,7 @@ class ShIntegrator(mi.SamplingIntegrator):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        _require_variant()
+        require_variant("svu_sh")
         name, self.levels = props.get("preset", "default"), props.get("levels", 16)
         if name not in ANGULAR_PRESETS:
             raise OptionError(
@@ -169,7 +171,7 @@ class ShIntegrator(mi.SamplingIntegrator):
     def _check_materials(self, scene: mi.Scene) -> None:
         """Refuse scenes that would be all black, and say what else will be."""
         shapes = scene.shapes()
-        black = [shape for shape in shapes if not _is_principled(shape)]
+        black = [shape for shape in shapes if not is_principled(shape.bsdf())]
         if len(black) == len(shapes):
             raise SceneError(
                 "svu_sh: the scene has no shape with a 'principled' BSDF; it renders no other."
@@ -221,29 +223,16 @@ def _facing(scene: Any, si: Any, ray: Any) -> tuple[Side, Any]:
 
 def _two_sided(scene: Any, si: Any) -> Any:
     """Return whether the surface looks the same from behind; the BSDF's flags do not tell."""
-    bsdfs = {shape: shape.bsdf() for shape in scene.shapes()}
-    kinds = {s: b is not None and b.class_name() == "TwoSidedBRDF" for s, b in bsdfs.items()}
+    kinds = {shape: is_two_sided(shape.bsdf()) for shape in scene.shapes()}
     if len(set(kinds.values())) == 1:
         return mi.Bool(all(kinds.values()))
     return dr.any([si.shape == mi.ShapePtr(shape) for shape, both in kinds.items() if both])
-
-
-def _is_principled(shape: Any) -> bool:
-    bsdf = shape.bsdf()
-    return bsdf is not None and all(dr.all(bsdf.has_attribute(name)) for name in PRINCIPLED)
 
 
 def _identity(emitter: Any, parameters: dict[str, Any]) -> tuple[Any, ...]:
     """Tell a light from every other, and from itself with other parameters."""
     plain = tuple(value for value in parameters.values() if isinstance(value, int | float))
     return hash(emitter), plain, tuple(dr.detail.collect_indices(parameters))
-
-
-def _require_variant() -> None:
-    if not mi.variant().endswith("_ad_rgb"):
-        raise SvuEnvironmentError(
-            f"svu_sh: needs a variant such as llvm_ad_rgb, but {mi.variant()} is active."
-        )
 
 
 mi.register_integrator("svu_sh", lambda props: ShIntegrator(props))

@@ -234,7 +234,9 @@ def stored(objective):
     for slot in range(int(objective.found.count[0])):
         index = dr.opaque(mi.UInt32, slot)
         seen = objective.found.look(objective.views, objective.surface, index)
-        free = objective._is_free(index) if dr.width(objective.free) else mi.Bool(True)
+        free = mi.Bool(True)
+        if objective.free is not None:
+            free = objective.free.test(index, objective.surface.lane)
         arrays = seen.seen, seen.direction, seen.radiance, free
         dr.eval(arrays)
         count = objective.surface.count

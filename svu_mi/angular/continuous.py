@@ -30,11 +30,11 @@ from svu_mi.brdf.lobes import (
     ALBEDO_NODES,
     dielectric_albedo,
     dominance,
-    smith_g1,
+    reflected_at_view,
     split_sum,
     zonal_profile,
 )
-from svu_mi.brdf.principled import F0, alpha_from_roughness
+from svu_mi.brdf.principled import alpha_from_roughness
 from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
 from svu_mi.radiance import Levels, Lighting, filter_light
@@ -192,10 +192,7 @@ def _reflected(model: Continuous, place: Any, alpha: Any, cosine: Any) -> tuple[
                 for k in (0, 1)]  # fmt: skip
         found = dr.lerp(rows[0], rows[1], place - level)
         return found.x, found.y, found.z
-    masking = smith_g1(cosine, alpha)
-    schlick = (1 - cosine) ** 5 if rule == "schlick" else mi.Float(0)
-    A, B = masking * (1 - schlick), masking * schlick
-    return A, B, F0 * A + B
+    return reflected_at_view(rule, cosine, alpha)
 
 
 def _row(model: Continuous, index: Any, part: Any) -> Any:

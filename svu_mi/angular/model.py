@@ -24,11 +24,11 @@ from svu_mi.brdf.lobes import (
     ALBEDO_NODES,
     dielectric_albedo,
     dominance,
-    smith_g1,
+    reflected_at_view,
     split_sum,
     zonal_profile,
 )
-from svu_mi.brdf.principled import F0, alpha_from_roughness
+from svu_mi.brdf.principled import alpha_from_roughness
 from svu_mi.frequency import harmonics
 from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
@@ -189,10 +189,7 @@ def _fresnel(model: Reflection, level: int, alpha: float, cosine: Any) -> tuple[
         pair = dr.lerp(here, after, part)
         low, high = (dr.gather(mi.Float, model.dielectric, index + step) for step in (0, 1))
         return pair.x, pair.y, dr.lerp(low, high, part)
-    masking = smith_g1(cosine, alpha)
-    schlick = (1 - cosine) ** 5 if rule == "schlick" else mi.Float(0)
-    A, B = masking * (1 - schlick), masking * schlick
-    return A, B, F0 * A + B
+    return reflected_at_view(rule, cosine, alpha)
 
 
 def lost_light(arriving: Hemisphere, mirror: Any) -> tuple[list[Any], list[Any]] | None:

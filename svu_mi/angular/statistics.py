@@ -79,7 +79,7 @@ def gather(
     levels, channels = len(model.roughness), channels or model.channels
     normal = mi.Vector3f(surface.normal)
 
-    def consume(seen: Observation, *sums: Any) -> Any:
+    def consume(seen: Observation, _: Any, *sums: Any) -> Any:
         free = mi.Bool(True)
         if model.arriving.visible:
             free = mirror_free(views.scene, surface, seen, found.asked(seen.seen))
@@ -105,7 +105,7 @@ def gather(
     all_texels = int(dr.width(found.coverage))
     values = dr.zeros(mi.Float, len(columns) * all_texels)
     dr.eval(values)
-    values = scatter_strided(values, columns, texel, found.stride)
+    values = scatter_strided(values, columns, texel, dr.opaque(mi.UInt32, all_texels))
     dr.eval(values)
     return Statistics(values, found.coverage, levels, channels, all_texels)
 

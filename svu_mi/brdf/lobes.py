@@ -13,7 +13,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from svu_mi.options import Lobe
+from svu_mi.brdf.principled import F0
+from svu_mi.options import Fresnel, Lobe
 
 INDEX = 1.5  # of refraction of dielectrics: specular = 0.5
 ALBEDO_NODES = 32  # of cos theta_o, at (i + 0.5) / 32
@@ -62,6 +63,22 @@ def dielectric_fresnel(cosine: Any) -> Any:
     s = (cosine - INDEX * inner) / (cosine + INDEX * inner)
     p = (INDEX * cosine - inner) / (INDEX * cosine + inner)
     return (s * s + p * p) / 2
+
+
+def reflected_at_view(rule: Fresnel, cosine: Any, alpha: Any) -> tuple[Any, Any, Any]:
+    """(A, B, D): a lobe reflects R0 A + B, and that of a dielectric D, by Eq. 6.
+
+    Fresnel's term is that of the camera's angle, for the whole lobe.
+
+    Args:
+        rule: ``schlick`` or ``none``.
+        cosine: of the angle between camera and normal, in [0, 1].
+        alpha: width of the lobe.
+    """
+    masking = smith_g1(cosine, alpha)
+    schlick = (1 - cosine) ** 5 if rule == "schlick" else 0.0
+    A, B = masking * (1 - schlick), masking * schlick
+    return A, B, F0 * A + B
 
 
 def _root(like: Any) -> Any:

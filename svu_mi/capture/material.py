@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 PRINCIPLED = ("base_color", "roughness", "metallic")
+
+
+def is_principled(bsdf: Any) -> bool:
+    """Return whether a BSDF, or None, has the parameters of ``principled``."""
+    return bsdf is not None and all(dr.all(bsdf.has_attribute(name)) for name in PRINCIPLED)
 
 
 def constant_parameters(shape: Any) -> dict[str, float]:
@@ -21,7 +27,7 @@ def constant_parameters(shape: Any) -> dict[str, float]:
     """
     bsdf = shape.bsdf()
     found: dict[str, float] = {}
-    if bsdf is None or not all(bsdf.has_attribute(name) for name in PRINCIPLED):
+    if not is_principled(bsdf):
         return found
     for key, value in mi.traverse(bsdf):
         name, _, kind = key.removeprefix("brdf_0.").partition(".")

@@ -18,6 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.poses import describe
+from svu_mi.capture.repaint import is_two_sided
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import SvuWarning
 from svu_mi.exr import write_exr
@@ -129,7 +130,7 @@ def material(bsdf: Any, folder: Path, stem: str) -> Element:
         folder: where the scene file lies.
         stem: beginning of the textures' file names, relative to it.
     """
-    if "TwoSided" in bsdf.class_name():
+    if is_two_sided(bsdf):
         node = plugin("bsdf", "twosided")
         prefixes = {key.partition(".")[0] for key, _ in mi.traverse(bsdf) if "brdf_" in key}
         for prefix in sorted(prefixes):  # two, if the back has a BSDF of its own

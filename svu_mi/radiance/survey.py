@@ -11,11 +11,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
+from svu_mi.radiance.bits import Bits
 from svu_mi.radiance.hemisphere import as_channels
 from svu_mi.radiance.observe import Observation, Surface, asked, look, over_views
 from svu_mi.radiance.views import Views
-
-WORD = 32
 
 
 @dataclass(frozen=True)
@@ -26,20 +25,18 @@ class Survey:
         coverage: (T,) UInt32, number of views that see each texel.
         total: (T,) Float, grey (channel mean) radiance summed over those views.
         per_view: (V,) int64, number of texels that each view sees.
-        bits: (ceil(V / 32) T,) UInt32, bit v % 32 of word (v // 32) T + t: view v sees texel t.
+        bits: of V views and T texels: that of view v and texel t says whether v sees t.
         order: (N,) UInt32, the views that a pass goes through.
         count: N, an opaque UInt32.
-        stride: T, an opaque UInt32.
         dense: whether passes work for every texel and view, seen or not.
     """
 
     coverage: Any
     total: Any
     per_view: np.ndarray
-    bits: Any
+    bits: Bits
     order: Any
     count: Any
-    stride: Any
     dense: bool = False
 
     @property
@@ -51,8 +48,7 @@ class Survey:
     def look(self, views: Views, surface: Surface, slot: Any) -> Observation:
         """Observe every texel of a launch in the view ``order[slot]``."""
         view = dr.gather(mi.UInt32, self.order, slot)
-        word = dr.gather(mi.UInt32, self.bits, (view // WORD) * self.stride + surface.index)
-        seen = ((word >> (view % WORD)) & 1) != 0
+        seen = self.bits.test(view, surface.index)
         return look(views, surface, view, seen, dense=self.dense)
 
     def asked(self, seen: Any) -> Any:
@@ -67,7 +63,8 @@ class Survey:
         Args:
             views: the packed capture.
             surface: the texels of the launch.
-            consume: ``consume(observation, *state)`` returns the new state; traced once.
+            consume: ``consume(observation, slot, *state)`` returns the new state; traced once.
+                The view is ``order[slot]``.
             state: Dr.Jit arrays, one value per texel of the launch.
 
         Returns:
@@ -75,7 +72,7 @@ class Survey:
         """
 
         def body(slot: Any, *state: Any) -> tuple[Any, ...]:
-            return (slot + 1, *consume(self.look(views, surface, slot), *state))
+            return (slot + 1, *consume(self.look(views, surface, slot), slot, *state))
 
         return dr.while_loop(
             state=(mi.UInt32(0), *state),
@@ -97,17 +94,14 @@ def survey(
         skip_pairs: no rays and no look-ups for pairs that cheaper tests rule out.
     """
     per_view = dr.zeros(mi.UInt32, max(views.number, 1))
-    bits = dr.zeros(mi.UInt32, -(-max(views.number, 1) // WORD) * surface.count)
-    stride, lane = dr.opaque(mi.UInt32, surface.count), surface.index
+    bits, texel = Bits.clear(views.number, surface.count), surface.index
 
     def count(seen: Observation, view: Any, found: Any, total: Any) -> tuple[Any, Any]:
         one = dr.select(seen.seen, mi.UInt32(1), mi.UInt32(0))
         # The default mode bakes the number of views into the kernel; all lanes of a packet
         # add to one view, which this mode sums up first.
         dr.scatter_add(per_view, one, view, seen.seen, dr.ReduceMode.Local)
-        place = (view // WORD) * stride + lane
-        bit = mi.UInt32(1) << (view % WORD)
-        dr.scatter_add(bits, bit, place, seen.seen, dr.ReduceMode.NoConflicts)
+        bits.set(view, texel, seen.seen)
         return found + one, total + as_channels(seen.radiance, 1)[0]
 
     zeros = dr.zeros(mi.UInt32, surface.count), dr.zeros(mi.Float, surface.count)
@@ -122,6 +116,5 @@ def survey(
         bits=bits,
         order=owned(mi.UInt32, order.astype(np.uint32)),
         count=dr.opaque(mi.UInt32, len(order)),
-        stride=stride,
         dense=not skip_pairs,
     )

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.material import PRINCIPLED
+from svu_mi.capture.material import is_principled
 from svu_mi.errors import SceneError
 from svu_mi.surface.layout import Texels
 
@@ -34,7 +34,7 @@ def parameters_at(capture: Capture, texels: Texels) -> dict[str, np.ndarray]:
             "UVs of its own."
         )
     bsdf = capture.shape.bsdf()
-    if bsdf is None or not all(dr.all(bsdf.has_attribute(name)) for name in PRINCIPLED):
+    if not is_principled(bsdf):
         raise SceneError(f"{label} has no principled BSDF, so its parameters are unknown.")
     si = dr.zeros(mi.SurfaceInteraction3f, texels.count)
     si.uv = texels.uv

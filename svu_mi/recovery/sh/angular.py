@@ -23,9 +23,9 @@ from svu_mi.errors import CaptureError, OptionError
 from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
 from svu_mi.radiance import Lighting, Surface, Survey, Views
+from svu_mi.radiance.bits import Bits
 from svu_mi.radiance.hemisphere import as_channels, mirror_free
 from svu_mi.radiance.observe import Observation
-from svu_mi.radiance.survey import WORD
 from svu_mi.recovery.sh.gradient import Values, carry, look_up
 from svu_mi.surface import Texels
 
@@ -43,8 +43,8 @@ class AngularObjective:
         model: the light and the lobes.
         arriving: ``Reflection`` of the same texels, for what reaches each of them.
         place: (S,) UInt32, where in a texture each of them is.
-        free: (ceil(N / 32) S,) UInt32: bit i % 32 of word (i // 32) S + s is 1 where nothing
-            stands in the mirror direction of the view ``found.order[i]``; empty if not traced.
+        free: of N views and S texels: whether nothing stands in the mirror direction of the
+            view ``found.order[i]``; None if not traced.
         factor: opaque Float, 1 / (n C unit).
     """
 
@@ -54,7 +54,7 @@ class AngularObjective:
     model: Continuous
     arriving: Reflection
     place: Any
-    free: Any
+    free: Bits | None
     factor: Any
 
     def __call__(self, textures: Mapping[str, Any], step: int = 0) -> Any:
@@ -75,9 +75,9 @@ class AngularObjective:
         """Loss and its derivatives for R, G, B, roughness and metallic, summed per texel."""
         normal = mi.Vector3f(self.surface.normal)
 
-        def consume(slot: Any, seen: Observation, *sums: Any) -> tuple[Any, ...]:
+        def consume(seen: Observation, slot: Any, *sums: Any) -> tuple[Any, ...]:
             def add(values: Values, *sums: Any) -> tuple[Any, ...]:
-                return self._add(slot, seen, normal, values, sums)
+                return self._add(seen, slot, normal, values, sums)
 
             asked = self.found.asked(seen.seen)
             found = dr.if_stmt(
@@ -85,24 +85,18 @@ class AngularObjective:
             )
             return tuple(found)
 
-        def body(slot: Any, *sums: Any) -> tuple[Any, ...]:
-            seen = self.found.look(self.views, self.surface, slot)
-            return (slot + 1, *consume(slot, seen, *sums))
-
         zeros = tuple(dr.zeros(mi.Float, self.surface.count) for _ in range(6))
-        return dr.while_loop(
-            state=(mi.UInt32(0), *zeros), cond=lambda slot, *_: slot < self.found.count, body=body
-        )[1:]
+        return self.found.over_views(self.views, self.surface, consume, zeros)
 
     def _add(
-        self, slot: Any, seen: Observation, normal: Any, values: Values, sums: tuple[Any, ...]
+        self, seen: Observation, slot: Any, normal: Any, values: Values, sums: tuple[Any, ...]
     ) -> tuple[Any, ...]:
         """Add one sample of every texel to the sums."""
         base_color, metallic = [values.red, values.green, values.blue], values.metallic
         with dr.resume_grad():
             roughness = mi.Float(values.roughness)
             dr.enable_grad(roughness)
-            shading = self._shade(slot, seen, normal, roughness)
+            shading = self._shade(seen, slot, normal, roughness)
             modelled = shading.radiance(base_color, metallic)
             dr.forward_from(roughness)
             rise = [dr.grad(value) for value in modelled]
@@ -120,10 +114,10 @@ class AngularObjective:
         added += [to_roughness, to_metallic]
         return tuple(old + new for old, new in zip(sums, added, strict=True))
 
-    def _shade(self, slot: Any, seen: Observation, normal: Any, roughness: Any) -> Shading:
+    def _shade(self, seen: Observation, slot: Any, normal: Any, roughness: Any) -> Shading:
         visible = None
-        if self.arriving.arriving.visible:
-            visible = partial(self._visible, self._is_free(slot))
+        if self.free is not None:
+            visible = partial(self._visible, self.free.test(slot, self.surface.lane))
         moments = self.arriving.arriving.diffuse
         return shade(self.model, roughness, normal, seen.direction, moments, visible=visible)
 
@@ -131,12 +125,6 @@ class AngularObjective:
         lost = lost_light(self.arriving.arriving, mirror)
         assert lost is not None
         return visible_part(lost, alpha, self.arriving.cell_blur, free)
-
-    def _is_free(self, slot: Any) -> Any:
-        lane = dr.arange(mi.UInt32, self.surface.count)
-        stride = dr.opaque(mi.UInt32, self.surface.count)
-        word = dr.gather(mi.UInt32, self.free, (slot // WORD) * stride + lane)
-        return ((word >> (slot % WORD)) & 1) != 0
 
 
 def angular_objective(
@@ -182,30 +170,21 @@ def angular_objective(
         model=Continuous.of(arriving),
         arriving=arriving,
         place=dr.gather(mi.UInt32, texels.index, selection),
-        free=_mirrors(views, surface, found) if switches.occluded_specular else mi.UInt32(),
+        free=_mirrors(views, surface, found) if switches.occluded_specular else None,
         factor=dr.opaque(mi.Float, 1 / (samples * found.scale)),
     )
 
 
-def _mirrors(views: Views, surface: Surface, found: Survey) -> Any:
+def _mirrors(views: Views, surface: Surface, found: Survey) -> Bits:
     """Trace the mirror direction of every sample once; returns the bits of ``free``."""
-    count = int(found.count[0])
-    bits = dr.zeros(mi.UInt32, max(-(-count // WORD), 1) * surface.count)
-    stride, lane = dr.opaque(mi.UInt32, surface.count), dr.arange(mi.UInt32, surface.count)
+    bits, lane = Bits.clear(int(found.count[0]), surface.count), surface.lane
 
-    def body(slot: Any) -> tuple[Any]:
-        seen = found.look(views, surface, slot)
+    def trace(seen: Observation, slot: Any, none: Any) -> tuple[Any]:
         free = mirror_free(views.scene, surface, seen, found.asked(seen.seen))
-        bit = mi.UInt32(1) << (slot % WORD)
-        place = (slot // WORD) * stride + lane
-        dr.scatter_add(bits, bit, place, free, dr.ReduceMode.NoConflicts)
-        return (slot + 1,)
+        bits.set(slot, lane, free)
+        return (none,)
 
-    # One more value per lane, or the loop would have a single lane.
-    dr.while_loop(
-        state=(dr.zeros(mi.UInt32, surface.count),),
-        cond=lambda slot: slot < found.count,
-        body=body,
-    )
+    # A value per lane, or the loop would have a single lane.
+    found.over_views(views, surface, trace, (dr.zeros(mi.UInt32, surface.count),))
     dr.eval(bits)
     return bits

@@ -118,7 +118,7 @@ def gather(
     """
     levels, channels = len(model.roughness), views.channels
 
-    def consume(seen: Observation, weight: Any, *sums: Any) -> Any:
+    def consume(seen: Observation, _: Any, *sums: Any) -> Any:
         free = mirror_free(views.scene, surface, seen, found.asked(seen.seen))
 
         def add(weight: Any, *state: Any) -> tuple[Any, ...]:
@@ -139,7 +139,7 @@ def gather(
             )
 
         return dr.if_stmt(
-            args=(weight, *sums), cond=found.asked(seen.seen),
+            args=sums, cond=found.asked(seen.seen),
             true_fn=add, false_fn=lambda *state: state,
         )  # fmt: skip
 

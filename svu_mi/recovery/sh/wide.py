@@ -16,11 +16,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.brdf.lobes import dielectric_fresnel, ggx, smith_g1
+from svu_mi.radiance.bits import Bits
 from svu_mi.radiance.cells import LightCells
 from svu_mi.radiance.hemisphere import is_open
 from svu_mi.radiance.observe import Surface
-
-WORD = 32
 
 
 @dataclass(frozen=True)
@@ -29,16 +28,13 @@ class WideLobes:
 
     Attributes:
         cells: N cells of the light.
-        visible: (ceil(N / 32) S,) UInt32, bit n % 32 of word (n // 32) S + s: nothing hides
-            cell n from texel s.
+        visible: of N cells and S texels: whether nothing hides the one from the other.
         alpha: (K,) float64 lobe widths.
-        stride: S, opaque.
     """
 
     cells: LightCells
-    visible: Any
+    visible: Bits
     alpha: np.ndarray
-    stride: Any
 
     @staticmethod
     def trace(scene: Any, surface: Surface, cells: LightCells, alpha: np.ndarray) -> WideLobes:
@@ -50,31 +46,26 @@ class WideLobes:
             cells: N cells.
             alpha: (K,) lobe widths.
         """
-        words = (int(np.array(cells.count)[0]) + WORD - 1) // WORD
-        visible = dr.zeros(mi.UInt32, words * surface.count)
-        stride = dr.opaque(mi.UInt32, surface.count)
-        lane = surface.lane
+        visible, lane = Bits.clear(int(cells.count[0]), surface.count), surface.lane
 
-        def look(cell: Any, word: Any) -> tuple[Any, Any]:
+        def look(cell: Any) -> tuple[Any]:
             direction = mi.Vector3f(dr.gather(mi.Vector3f, cells.directions, cell))
             above = (dr.dot(surface.normal, direction) > 0) & (
                 dr.dot(surface.geometric_normal, direction) > 0
             )
             # Neighbouring texels look in one direction: packets stay together.
             free = is_open(scene, surface, direction, above, coherent=True)
-            bit = dr.select(free, mi.UInt32(1) << (cell % WORD), 0)
-            word = dr.select(cell % WORD == 0, 0, word) | bit
-            last = (cell % WORD == WORD - 1) | (cell + 1 == cells.count)
-            dr.scatter(visible, word, (cell // WORD) * stride + lane, last)
-            return cell + 1, word
+            visible.set(cell, lane, free)
+            return (cell + 1,)
 
+        # One cell per lane, or the loop would have a single lane.
         dr.while_loop(
-            state=(mi.UInt32(0), dr.zeros(mi.UInt32, surface.count)),
-            cond=lambda cell, _: cell < cells.count,
+            state=(dr.zeros(mi.UInt32, surface.count),),
+            cond=lambda cell: cell < cells.count,
             body=look,
         )
         dr.eval(visible)
-        return WideLobes(cells, visible, alpha, stride)
+        return WideLobes(cells, visible, alpha)
 
     def reflect(
         self, lane: Any, normal: Any, direction: Any, cosine: Any
@@ -96,8 +87,7 @@ class WideLobes:
         def add(cell: Any, *sums: Any) -> tuple[Any, ...]:
             toward = mi.Vector3f(dr.gather(mi.Vector3f, self.cells.directions, cell))
             incident = dr.dot(normal, toward)
-            word = dr.gather(mi.UInt32, self.visible, (cell // WORD) * self.stride + lane)
-            lit = (((word >> (cell % WORD)) & 1) != 0) & (incident > 0)
+            lit = self.visible.test(cell, lane) & (incident > 0)
 
             def reflected(*state: Any) -> tuple[Any, ...]:
                 half = dr.normalize(toward + direction)
