@@ -18,6 +18,7 @@ import mitsuba as mi
 
 from svu_mi.frequency import cholesky, harmonics
 from svu_mi.frequency.primal import accumulate, clear, write_ridge, write_row
+from svu_mi.frequency.spectrum import power_lanes
 from svu_mi.frequency.system import Sample, System, unit
 
 FREE = 1e-12
@@ -65,27 +66,55 @@ def extend_lanes(
     gram, fitted, _ = accumulate(known, views, gram, fitted, rows, blocks, system.basis)
     gram, fitted = cholesky.factor_and_forward(gram, fitted, blocks, size)
     fitted = cholesky.backward(gram, fitted, blocks, size, size)
-    _add_each(added, candidates, take, gram, fitted, rows, blocks, system)
-    return _power(system, _coefficients(fitted, system))
+    _add_each(_Change(system, added, take), candidates, gram, fitted, rows, blocks, size)
+    return power_lanes(_coefficients(fitted, system))
+
+
+class _Change:
+    """What a sample changes; not a dataclass, which a loop would take for part of its state."""
+
+    def __init__(self, system: System, added: Sample, take: Take) -> None:
+        self._system, self.added, self._take = system, added, take
+
+    def basis(self, direction: Any) -> list[Any]:
+        """y of a direction."""
+        return self._system.basis(unit(direction))
+
+    def norm(self, step: list) -> Any:
+        """1 + w y . A^-1 w y, from z = L^-1 w y."""
+        size = self._system.degree + 1
+        z = [step[i % size][i // size] for i in range(size * size)]
+        return 1 + sum(value * value for value in z)
+
+    def take(self, j: Any, fitted: list, step: list, y: list, weight: Any, values: list,
+             norm: Any) -> None:  # fmt: skip
+        """Hand the changed spectrum over; ``step`` holds A^-1 w y."""
+        size, old = self._system.degree + 1, _coefficients(fitted, self._system)
+        errors = [
+            weight * (mi.Float64(f) - sum(b * c[k] for b, c in zip(y, old, strict=True))) / norm
+            for k, f in enumerate(values)
+        ]
+        new = [
+            [dr.fma(step[i % size][i // size], e, c) for e, c in zip(errors, row, strict=True)]
+            for i, row in enumerate(old)
+        ]
+        self._take(j, power_lanes(new))
 
 
 @dr.syntax
 def _add_each(
-    added: Sample, candidates: Any, take: Take, gram: list, fitted: list, step: list,
-    blocks: Any, system: System,
-) -> Any:  # fmt: skip
-    size = system.degree + 1
+    change: _Change, candidates: Any, gram: list, fitted: list, step: list, blocks: Any, size: int
+) -> Any:
     j = mi.UInt32(0)
     while j < candidates:
-        direction, weight, values = added(j)
+        direction, weight, values = change.added(j)
         if weight > 0:
-            w = mi.Float64(weight)
-            y = system.basis(unit(direction))
+            y, w = change.basis(direction), mi.Float64(weight)
             write_row(step, y, w)
             step = cholesky.forward(gram, step, blocks, size)
-            norm = _norm(step, size)
+            norm = change.norm(step)
             step = cholesky.backward(gram, step, blocks, size, size)
-            take(j, _power(system, _changed(fitted, step, y, w, values, norm, system)))
+            change.take(j, fitted, step, y, w, values, norm)
         j += 1
     return step
 
@@ -98,31 +127,3 @@ def _coefficients(memory: list, system: System) -> list[list[Any]]:
         for i in range(size * size)
     ]
 
-
-def _norm(step: list, size: int) -> Any:
-    """1 + w y . A^-1 w y, from z = L^-1 w y."""
-    z = [step[i % size][i // size] for i in range(size * size)]
-    return 1 + sum(value * value for value in z)
-
-
-def _changed(
-    fitted: list, step: list, y: list, w: Any, values: list, norm: Any, system: System
-) -> list[list[Any]]:
-    size, old = system.degree + 1, _coefficients(fitted, system)
-    errors = [
-        w * (mi.Float64(f) - sum(b * c[channel] for b, c in zip(y, old, strict=True))) / norm
-        for channel, f in enumerate(values)
-    ]
-    return [
-        [dr.fma(step[i % size][i // size], e, c) for e, c in zip(errors, row, strict=True)]
-        for i, row in enumerate(old)
-    ]
-
-
-def _power(system: System, coefficients: list[list[Any]]) -> list[list[Any]]:
-    """S(l) = sum_m c_lm^2 by degree and channel (Eq. 8)."""
-    return [
-        [sum(row[c] * row[c] for row in coefficients[l * l : (l + 1) ** 2])
-         for c in range(system.channels)]
-        for l in range(system.degree + 1)
-    ]  # fmt: skip

@@ -123,7 +123,7 @@ def spectrum_posterior(
         groups=_groups(switches, channels, copies),
         rows=streaming.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
         total=int(np.prod(grid.shape)),
-        decay=owned(mi.Float64, _decay(switches, grid, prefilter)),
+        decay=owned(mi.Float64, decay(switches, grid, prefilter)),
         albedo=owned(mi.Float64, np.square(_albedo(switches, grid))),
         cells=cells,
         prior=None if tables is None else tuple(owned(mi.Float64, t) for t in tables),
@@ -205,7 +205,7 @@ def _albedo(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarra
     return split_sum(alpha_from_roughness(grid.roughness_nodes)).sum(axis=2).mean(axis=1)
 
 
-def _decay(
+def decay(
     switches: Preset, grid: ParameterGrid | PrincipledGrid, prefilter: float
 ) -> np.ndarray:
     """(R,) q = exp(-2 alpha^2) of each roughness; degree l falls off as q^(l^2) (Eq. 11)."""

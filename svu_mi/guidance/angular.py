@@ -1,0 +1,231 @@
+"""Expected entropy (Eq. 13) by the angular method.
+
+If psi_0 were the truth, photographs of a set S of views would show r_i(psi_0), and another psi
+would be off by
+
+    d_S(psi_0, psi) = 1/|S| sum_{i in S} (r_i(psi_0) - r_i(psi))^2.
+
+A candidate v adds one square to the sum, however many views there are:
+
+    d_{S+v} = (|S| d_S + (r_v(psi_0) - r_v(psi))^2) / (|S| + 1).
+
+No photograph takes part: r = Kd e + R0 p + q, and e, p, q of every roughness level are what
+``Responses`` hold, in units of sqrt(2) sigma.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.angular.model import Reflection, terms
+from svu_mi.brdf.principled import diffuse_from_principled, specular_from_principled
+from svu_mi.guidance.forecast import Forecast, numbers
+from svu_mi.guidance.responses import Respond
+from svu_mi.posterior import PrincipledGrid, streaming
+from svu_mi.radiance import Surface
+from svu_mi.radiance.hemisphere import mirror_free
+from svu_mi.radiance.observe import Observation
+
+FAR = 80.0  # exp(-FAR) adds nothing to the sum over cells, of which one is exp(0)
+
+
+def columns(levels: int) -> int:
+    """Numbers per view and texel: 1, then e, p, q of every level."""
+    return 1 + 3 * levels
+
+
+def respond(scene: Any, surface: Surface, model: Reflection, sigma: Any) -> Respond:
+    """Return what evaluates a view of texels.
+
+    Args:
+        scene: what occludes.
+        surface: the texels.
+        model: the light and the same texels, in grey.
+        sigma: Float, opaque: standard deviation of radiance.
+    """
+    normal, scale = mi.Vector3f(surface.normal), dr.rsqrt(mi.Float(2)) / sigma
+
+    def evaluate(seen: Observation) -> list[Any]:
+        free = mi.Bool(True)
+        if model.arriving.visible:
+            free = mirror_free(scene, surface, seen, seen.seen)
+        part = terms(model, normal, seen.direction, dr.maximum(seen.cosine, 1e-3), free)
+        levels = zip(part.diffuse, part.scaled, part.added, strict=True)
+        return [mi.Float(1), *(scale * value for level in levels for (value,) in level)]
+
+    return evaluate
+
+
+@dataclass(frozen=True)
+class AngularForecast(Forecast):
+    """``Forecast`` on a grid of (roughness, metallic, base colour)."""
+
+    grid: PrincipledGrid
+
+    def _evaluate(
+        self, views: Sequence[int], candidates: Sequence[int] | None, texels: np.ndarray
+    ) -> np.ndarray:
+        launch = _Launch(self, numbers(texels))
+        asked = numbers([0] if candidates is None else candidates)
+        count, size = dr.width(asked), len(texels)
+        out = dr.zeros(mi.Float, count * size)
+        dr.eval(out)
+        add = dr.opaque(mi.Float, 0 if candidates is None else 1)
+        _entropies(launch, _Order(numbers(views)), _Order(asked), add, out)
+        dr.eval(out)
+        return out.numpy().reshape(count, size)
+
+
+class _Order:
+    """Views to go through, one after the other."""
+
+    def __init__(self, views: Any) -> None:
+        self._views, self.count = views, dr.opaque(mi.UInt32, dr.width(views))
+
+    def at(self, place: Any) -> Any:
+        return dr.gather(mi.UInt32, self._views, place)
+
+
+class _Launch:
+    """The texels of one launch, and the cells of their grid."""
+
+    def __init__(self, forecast: AngularForecast, lane: Any) -> None:
+        self._responses, self._lane = forecast.responses.at(lane), lane
+        self._hypotheses, self._prior = forecast.hypotheses, forecast.prior
+        levels, columns, _ = forecast.grid.shape
+        axes = forecast.grid.axes
+        self.rows, self.total = levels * columns, int(np.prod(forecast.grid.shape))
+        self._metallic = axes["metallic"]
+        self.nodes = [mi.Float(node) for node in streaming.cells(axes["base_color"])]
+        self._columns = dr.opaque(mi.UInt32, columns)
+        self.size = dr.opaque(mi.UInt32, dr.width(lane))
+        self.place = dr.arange(mi.UInt32, dr.width(lane))
+        self.hypotheses = dr.gather(mi.UInt32, self._hypotheses.counts, lane)
+
+    def sees(self, view: Any) -> Any:
+        """1 where a view sees the texel, else 0."""
+        return self._responses.read(view, 0)
+
+    def truth(self, number: Any) -> tuple[Any, Any, Any, Any]:
+        """Level, Kd and R0 of a hypothesis, and its probability."""
+        cell, weight = self._hypotheses.at(number, self._lane)
+        row = cell // len(self.nodes)
+        level, m = self._row(row)
+        c = self.nodes[0]
+        for index, node in enumerate(self.nodes[1:], 1):
+            c = dr.select(cell - row * len(self.nodes) == index, node, c)
+        return level, diffuse_from_principled(c, m), specular_from_principled(c, m), weight
+
+    def predicted(self, view: Any, truth: tuple[Any, Any, Any, Any]) -> Any:
+        """r(psi_0) in a view."""
+        level, Kd, R0, _ = truth
+        e, p, q = self._lobe(view, level)
+        return dr.fma(Kd, e, dr.fma(R0, p, q))
+
+    def squares(self, view: Any, row: Any, predicted: Any) -> list[Any]:
+        """(r(psi_0) - r(psi))^2 in a view, for all cells psi of a row."""
+        level, m = self._row(row)
+        e, p, q = self._lobe(view, level)
+        # Kd = (1 - m) c and R0 = F0 (1 - m) + m c: radiance is linear in c.
+        rest = predicted - dr.fma(specular_from_principled(0.0, m), p, q)
+        slope = dr.fma(1 - m, e, m * p)
+        return [dr.square(dr.fma(-c, slope, rest)) for c in self.nodes]
+
+    def priors(self, row: Any) -> list[Any]:
+        """-log prior of the cells of a row."""
+        if self._prior is None:
+            return [mi.Float(0)] * len(self.nodes)
+        first = row * len(self.nodes)
+        return [dr.gather(mi.Float, self._prior, first + j) for j in range(len(self.nodes))]
+
+    def _row(self, row: Any) -> tuple[Any, Any]:
+        level = row // self._columns
+        return level, streaming.node(mi.Float, self._metallic, row - level * self._columns)
+
+    def _lobe(self, view: Any, level: Any) -> list[Any]:
+        return [self._responses.read(view, 1 + 3 * level + k) for k in range(3)]
+
+
+@dr.syntax
+def _entropies(launch: _Launch, known: _Order, asked: _Order, add: Any, out: Any) -> Any:
+    """Add p(psi_0) H of every hypothesis psi_0 to ``out`` (views asked for, texels).
+
+    The squares of the views so far, per cell, are summed up once per hypothesis and kept in
+    local memory, where all candidates find them.
+
+    Args:
+        launch: texels and cells.
+        known: the views so far.
+        asked: the candidates.
+        add: 1 to add the candidate; 0 for the views so far alone, whatever is asked.
+        out: Float, zeros.
+    """
+    so_far = [dr.alloc_local(mi.Float, launch.rows) for _ in launch.nodes]
+    rows = dr.opaque(mi.UInt32, launch.rows)
+    unit = dr.opaque(mi.Float, float(1 / np.log(launch.total)))
+    h = mi.UInt32(0)
+    while h < launch.hypotheses:
+        truth = launch.truth(h)
+        row = mi.UInt32(0)
+        while row < rows:
+            _set(so_far, row, [mi.Float(0) for _ in so_far])
+            row += 1
+        n = mi.Float(0)
+        i = mi.UInt32(0)
+        while i < known.count:
+            view = known.at(i)
+            if launch.sees(view) > 0:
+                r = launch.predicted(view, truth)
+                row = mi.UInt32(0)
+                while row < rows:
+                    _set(so_far, row, _sums(so_far, row, launch.squares(view, row, r)))
+                    row += 1
+                n += 1
+            i += 1
+        j = mi.UInt32(0)
+        while j < asked.count:
+            view = asked.at(j)
+            if dr.select(add > 0, launch.sees(view), n) > 0:
+                r = launch.predicted(view, truth)
+                share = dr.rcp(n + add)
+                z, zx = mi.Float(0), mi.Float(0)
+                row = mi.UInt32(0)
+                while row < rows:
+                    squares = [add * x for x in launch.squares(view, row, r)]
+                    z, zx = _cells(_sums(so_far, row, squares), share, launch.priors(row), z, zx)
+                    row += 1
+                H = (dr.log(z) + zx / z) * unit
+                _add(out, j * launch.size + launch.place, truth[3] * H)
+            j += 1
+        h += 1
+    return out
+
+
+def _set(memory: list[Any], row: Any, values: list[Any]) -> None:
+    for slot, value in zip(memory, values, strict=True):
+        slot[row] = value
+
+
+def _sums(memory: list[Any], row: Any, squares: list[Any]) -> list[Any]:
+    return [slot[row] + square for slot, square in zip(memory, squares, strict=True)]
+
+
+def _cells(
+    sums: list[Any], share: Any, priors: list[Any], z: Any, zx: Any
+) -> tuple[Any, Any]:
+    """Add the cells of a row to sum exp(-x) and sum x exp(-x)."""
+    for total, prior in zip(sums, priors, strict=True):
+        x = dr.minimum(dr.fma(share, total, prior), FAR)
+        term = dr.exp(-x)
+        z, zx = z + term, dr.fma(x, term, zx)
+    return z, zx
+
+
+def _add(out: Any, place: Any, value: Any) -> None:
+    dr.scatter_add(out, value, place, True, dr.ReduceMode.NoConflicts)

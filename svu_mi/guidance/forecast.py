@@ -1,0 +1,82 @@
+"""What photographs that nobody has taken would say: the interface of both methods."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.guidance.hypotheses import Hypotheses
+from svu_mi.guidance.responses import Responses
+from svu_mi.interop import owned
+from svu_mi.posterior.grid import Grid
+
+
+@dataclass(frozen=True)
+class Forecast(ABC):
+    """Expected entropies of T texels.
+
+    Views are numbered: first those with photographs, then the candidates.
+
+    Attributes:
+        responses: of all views.
+        hypotheses: psi of Eq. 13, and p(psi | B, L).
+        grid: of parameters.
+        prior: (N,) Float -log prior of every cell, or None.
+    """
+
+    responses: Responses
+    hypotheses: Hypotheses
+    grid: Grid
+    prior: Any | None
+
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """(V, T) bool, which view sees which texel."""
+        return self.responses.seen
+
+    @property
+    def count(self) -> int:
+        """T."""
+        return self.responses.count
+
+    def now(self, views: Sequence[int]) -> np.ndarray:
+        """Return E[H] (T,) of photographs from some views; 1 for a texel none of them sees."""
+        seen, result = self.seen[list(views)].any(axis=0), np.ones(self.count, np.float32)
+        if seen.any():
+            result[seen] = self._evaluate(views, None, np.flatnonzero(seen))[0]
+        return result
+
+    def expected(
+        self, views: Sequence[int], candidates: Sequence[int], texels: np.ndarray
+    ) -> np.ndarray:
+        """Return E[H] of photographs from some views and one candidate (Eq. 13).
+
+        Args:
+            views: v' numbers.
+            candidates: A numbers, none of them among ``views``.
+            texels: (L,) of the T.
+
+        Returns:
+            (A, L) float32; NaN where the candidate does not see the texel.
+        """
+        if not len(candidates) or not len(texels):
+            return np.empty((len(candidates), len(texels)), np.float32)
+        found = self._evaluate(views, candidates, texels)
+        return np.where(self.seen[np.ix_(candidates, texels)], found, np.nan)
+
+    @abstractmethod
+    def _evaluate(
+        self, views: Sequence[int], candidates: Sequence[int] | None, texels: np.ndarray
+    ) -> np.ndarray:
+        """As ``expected``; anything where not seen. Without candidates, (1, L) of the views."""
+
+
+def numbers(values: Sequence[int] | np.ndarray) -> Any:
+    """Return indices as UInt32."""
+    return owned(mi.UInt32, np.asarray(values, np.uint32))

@@ -1,0 +1,162 @@
+"""From an estimate to forecasts of some of its texels."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.angular import reflection
+from svu_mi.angular.model import reaching
+from svu_mi.errors import OptionError
+from svu_mi.guidance import angular, spectral
+from svu_mi.guidance.angular import AngularForecast
+from svu_mi.guidance.forecast import Forecast, numbers
+from svu_mi.guidance.hypotheses import Hypotheses
+from svu_mi.guidance.responses import Respond, collect
+from svu_mi.guidance.spectral import SpectrumForecast
+from svu_mi.interop import owned
+from svu_mi.options import AngularPreset, Preset
+from svu_mi.pipeline import Estimate, Observed
+from svu_mi.posterior import ParameterGrid, PrincipledGrid
+from svu_mi.posterior.angular import AngularPosterior
+from svu_mi.posterior.spectrum import SpectrumPosterior
+from svu_mi.radiance import Surface, Views, pack_sensors
+
+
+class Forecaster(ABC):
+    """Makes forecasts; what all texels have in common is made once."""
+
+    columns: int
+
+    def __init__(self, estimate: Estimate, observed: Observed) -> None:
+        self.estimate, self.observed = estimate, observed
+
+    def forecast(
+        self, texels: np.ndarray, sensors: Sequence[Any], hypotheses: int, seed: int
+    ) -> Forecast:
+        """Look at texels from sensors that have not taken a photograph.
+
+        Args:
+            texels: (t,) int64 indices of texels of the estimate.
+            sensors: the candidates.
+            hypotheses: most psi per texel.
+            seed: of their draw.
+        """
+        seen = self.observed
+        surface = Surface.of(seen.texels, numbers(texels))
+        candidates: Views = pack_sensors(seen.views.scene, sensors)
+        responses = collect(
+            surface, (seen.views, seen.found), candidates, self._respond(surface), self.columns
+        )
+        return self._forecast(
+            responses=responses,
+            hypotheses=Hypotheses.draw(self._probabilities(texels), hypotheses, seed),
+            prior=_energies(self.estimate.posterior.problem.prior),  # type: ignore[attr-defined]
+        )
+
+    @abstractmethod
+    def _respond(self, surface: Surface) -> Respond:
+        """What evaluates a view of texels."""
+
+    @abstractmethod
+    def _forecast(self, **parts: Any) -> Forecast:
+        """Put a forecast together."""
+
+    def _probabilities(self, texels: np.ndarray) -> np.ndarray:
+        """p(psi | B, L), (t, N); the mean over channels where each has its own."""
+        p = np.array(self.estimate.posterior.probabilities_of(texels))
+        p = p.mean(axis=-1) if self.estimate.posterior.groups > 1 else p
+        return p.reshape(len(texels), -1)
+
+
+class AngularForecaster(Forecaster):
+    """``Forecaster`` by angular statistics, in grey."""
+
+    def __init__(self, estimate: Estimate, observed: Observed) -> None:
+        super().__init__(estimate, observed)
+        grid = estimate.posterior.grid
+        if not isinstance(grid, PrincipledGrid):
+            raise OptionError(
+                "next_best_view(): an angular estimate of (roughness, Ks) says nothing of what "
+                "photographs would show; use parameters='principled', as the default preset does."
+            )
+        self.grid = grid
+        self.columns = angular.columns(grid.shape[0])
+        self._model: Any = None
+
+    def _respond(self, surface: Surface) -> Respond:
+        seen, switches = self.observed, self.estimate.preset
+        assert isinstance(switches, AngularPreset)
+        scene = seen.views.scene
+        if self._model is None:
+            nodes = self.grid.roughness_nodes
+            self._model = reflection(scene, surface, seen.lighting, nodes, switches, 1)
+        else:
+            arriving = reaching(scene, surface, seen.lighting, switches, 1)
+            self._model = replace(self._model, arriving=arriving)
+        sigma = switches.sigma * (1.0 if switches.noise == "fixed" else seen.unit)
+        return angular.respond(scene, surface, self._model, dr.opaque(mi.Float, sigma))
+
+    def _forecast(self, **parts: Any) -> Forecast:
+        return AngularForecast(grid=self.grid, **parts)
+
+
+class SpectrumForecaster(Forecaster):
+    """``Forecaster`` by power spectra."""
+
+    def __init__(self, estimate: Estimate, observed: Observed) -> None:
+        super().__init__(estimate, observed)
+        grid = estimate.posterior.grid
+        if not isinstance(grid, ParameterGrid):
+            raise OptionError(
+                "next_best_view(): spectra of photographs to come are known over (roughness, Ks) "
+                "only; use preset='paper' or parameters='specular', or method='angular'."
+            )
+        self.grid = grid
+        assert isinstance(estimate.preset, Preset)
+        self.switches = estimate.preset
+        self.columns = spectral.columns(self.switches)
+
+    def _respond(self, surface: Surface) -> Respond:
+        seen = self.observed
+        return spectral.respond(seen.views.scene, surface, seen.lighting, self.switches)
+
+    def _forecast(self, **parts: Any) -> Forecast:
+        problem = self.estimate.posterior.problem  # type: ignore[attr-defined]
+        return SpectrumForecast(
+            grid=self.grid, switches=self.switches, sigma=float(problem.sigma[0]),
+            prefilter=self.observed.lighting.prefilter, **parts,
+        )  # fmt: skip
+
+
+def forecaster(estimate: Estimate) -> Forecaster:
+    """Return what makes forecasts by the method of an estimate.
+
+    Raises:
+        OptionError: an estimate that was not made from a capture, or is over parameters that
+            do not say what photographs would show.
+    """
+    if estimate.observed is None:
+        raise OptionError(
+            "next_best_view(): the estimate does not know its capture; use what svu.estimate() "
+            "returns."
+        )
+    if isinstance(estimate.posterior, AngularPosterior):
+        return AngularForecaster(estimate, estimate.observed)
+    assert isinstance(estimate.posterior, SpectrumPosterior)
+    return SpectrumForecaster(estimate, estimate.observed)
+
+
+def _energies(prior: tuple[Any, Any] | None) -> Any | None:
+    """-log prior of every cell, (N,) Float, from those of rows, and of cells given their row."""
+    if prior is None:
+        return None
+    row, cell = (np.array(part, np.float64) for part in prior)
+    total = row[:, None] + cell.reshape(len(row), -1)
+    return owned(mi.Float, np.minimum(total - total.min(), 1e4).astype(np.float32).ravel())

@@ -1,0 +1,82 @@
+"""Truths that Eq. 13 averages over: cells of the grid, drawn from the posterior of each texel.
+
+All cells of a small grid are taken, each with its probability. Of a large one, K are drawn by
+systematic sampling: their number per cell differs from K p by less than one, so a certain
+texel has few different ones, and costs less. Every candidate is judged by the same draw.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.interop import owned
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """Cells psi_0 and their probabilities, for T texels.
+
+    Attributes:
+        cells: (K T,) UInt32, cell k of texel t at k T + t.
+        weights: (K T,) Float, of sum 1 per texel.
+        counts: (T,) UInt32, how many of the K a texel has.
+    """
+
+    cells: Any
+    weights: Any
+    counts: Any
+
+    def at(self, number: Any, texel: Any) -> tuple[Any, Any]:
+        """Read cell and probability of a hypothesis of texels, by its number."""
+        place = number * self._stride + texel
+        return dr.gather(mi.UInt32, self.cells, place), dr.gather(mi.Float, self.weights, place)
+
+    @cached_property
+    def _stride(self) -> Any:
+        return dr.opaque(mi.UInt32, dr.width(self.counts))
+
+    @staticmethod
+    def draw(probabilities: np.ndarray, most: int, seed: int) -> Hypotheses:
+        """Draw cells.
+
+        Args:
+            probabilities: (T, N) of the posterior.
+            most: K; if it is N or more, every cell of positive probability is taken.
+            seed: of the draw.
+        """
+        total = probabilities.sum(axis=1, keepdims=True, dtype=np.float64)
+        if most >= probabilities.shape[1]:
+            weights = probabilities / total
+        else:
+            weights = _drawn(np.cumsum(probabilities / total, axis=1), most, seed)
+        return Hypotheses.of(weights)
+
+    @staticmethod
+    def of(weights: np.ndarray) -> Hypotheses:
+        """Take the cells of positive weight (T, N), the heaviest first."""
+        counts = (weights > 0).sum(axis=1)
+        most = max(int(counts.max(initial=0)), 1)
+        cells = np.argpartition(-weights, min(most, weights.shape[1] - 1), axis=1)[:, :most]
+        part = np.take_along_axis(weights, cells, axis=1)
+        order = np.argsort(-part, axis=1, kind="stable")
+        cells, part = (np.take_along_axis(x, order, axis=1) for x in (cells, part))
+        return Hypotheses(
+            cells=owned(mi.UInt32, cells.T.astype(np.uint32).ravel()),
+            weights=owned(mi.Float, part.T.astype(np.float32).ravel()),
+            counts=owned(mi.UInt32, counts.astype(np.uint32)),
+        )
+
+
+def _drawn(cumulative: np.ndarray, most: int, seed: int) -> np.ndarray:
+    """Return (T, N) shares k / K of cells drawn at equal steps of probability."""
+    start = np.random.default_rng(seed).random((len(cumulative), 1))
+    # How many of the points (i + start) / K lie below the end of every cell.
+    below = np.clip(np.ceil(cumulative * most - start), 0, most)
+    below[:, -1] = most
+    return np.diff(below, axis=1, prepend=0) / most

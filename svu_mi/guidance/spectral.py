@@ -1,0 +1,217 @@
+"""Expected entropy (Eq. 13) by power spectra.
+
+If psi_0 were the truth, the photographs' spectrum would be that of the light that the surface
+mirrors, S_L', times Ks_0^2 e_l, so that Eq. 11 becomes
+
+    d(psi_0, psi) = sum_{l=1}^{l*} (Ks_0^2 e_l(alpha_0) - Ks^2 e_l(alpha))^2 S_L'(l)^2.
+
+Only S_L' depends on the views, and a candidate's is a rank-1 change of the fit of the light
+(``frequency/extend.py``): no candidate needs a factorisation, a photograph, or a fit of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.frequency.extend import extend_lanes
+from svu_mi.guidance.angular import FAR
+from svu_mi.guidance.forecast import Forecast, numbers
+from svu_mi.guidance.responses import Respond, Responses
+from svu_mi.interop import owned
+from svu_mi.options import Preset
+from svu_mi.posterior import ParameterGrid
+from svu_mi.posterior.spectrum import decay
+from svu_mi.radiance import Lighting, Surface
+from svu_mi.radiance.hemisphere import as_channels, mirror_free
+from svu_mi.radiance.observe import Observation
+
+
+def columns(switches: Preset) -> int:
+    """Numbers per view and texel: w, the direction to the camera, mirrored light."""
+    return 4 + switches.colors
+
+
+def respond(scene: Any, surface: Surface, lighting: Lighting, switches: Preset) -> Respond:
+    """Return what evaluates a view of texels: a row of Eq. 12 for the light.
+
+    Args:
+        scene: what occludes.
+        surface: the texels.
+        lighting: the band-limited light.
+        switches: of the estimator.
+    """
+    dr.eval(lighting.filtered.tensor())  # no texture may be made while a loop is recorded
+    normal = mi.Vector3f(surface.normal)
+
+    def evaluate(seen: Observation) -> list[Any]:
+        free = seen.seen
+        if switches.occluded:
+            free = mirror_free(scene, surface, seen, seen.seen)
+        mirrored = lighting.radiance(2 * seen.cosine * normal - seen.direction)
+        light = [dr.select(free, x, 0) for x in as_channels(mirrored, switches.colors)]
+        return [seen.cosine, *seen.direction, *light]
+
+    return evaluate
+
+
+@dataclass(frozen=True)
+class SpectrumForecast(Forecast):
+    """``Forecast`` on a grid of (roughness, Ks).
+
+    Attributes:
+        switches: of the fit and the likelihood.
+        sigma: standard deviation of a degree's power.
+        prefilter: alpha' of the light.
+    """
+
+    grid: ParameterGrid
+    switches: Preset
+    sigma: float
+    prefilter: float
+
+    def _evaluate(
+        self, views: Sequence[int], candidates: Sequence[int] | None, texels: np.ndarray
+    ) -> np.ndarray:
+        asked = [] if candidates is None else list(candidates)
+        powers = self._powers(list(views), asked, numbers(texels))
+        sees = self.seen[np.ix_(asked, texels)]
+        if candidates is None:
+            sees = np.ones((1, len(texels)), bool)
+        pairs = np.flatnonzero(sees)
+        result = np.zeros(sees.size, np.float32)
+        result[pairs] = self._entropies(powers, numbers(texels), numbers(pairs))
+        return result.reshape(sees.shape)
+
+    def _powers(self, views: list[int], asked: list[int], lane: Any) -> Any:
+        """sum over channels of S_L'(l)^2 / (2 sigma^2), (max(A, 1), l*, L) Float64.
+
+        Without candidates, those of the views alone.
+        """
+        rows, degree = self.responses.at(lane), self.switches.degree
+        size = dr.width(lane)
+        stride, place = dr.opaque(mi.UInt32, size), dr.arange(mi.UInt32, size)
+        scale = dr.opaque(mi.Float64, 0.5 / self.sigma**2)
+        result = dr.zeros(mi.Float64, max(len(asked), 1) * degree * size)
+        dr.eval(result)
+
+        def write(j: Any, power: list[list[Any]]) -> None:
+            for l in range(degree):
+                value = scale * sum(S * S for S in power[l + 1])
+                index = (j * degree + l) * stride + place
+                dr.scatter(result, value, index, True, dr.ReduceMode.NoConflicts)
+
+        known = extend_lanes(
+            _samples(rows, numbers(views)), dr.opaque(mi.UInt32, len(views)),
+            _samples(rows, numbers(asked or [0])), dr.opaque(mi.UInt32, len(asked)), write,
+            degree=degree, channels=self.switches.colors, regularizer=self.switches.regularizer,
+            penalize_constant=self.switches.penalize_constant,
+        )  # fmt: skip
+        if asked:
+            dr.eval(result)
+            return result
+        values = [scale * sum(S * S for S in row) for row in known[1:]]
+        dr.eval(values)
+        return owned(mi.Float64, np.concatenate([value.numpy() for value in values]))
+
+    def _entropies(self, powers: Any, lane: Any, pairs: Any) -> np.ndarray:
+        """E[H] of pairs, numbered candidate * L + texel."""
+        size = dr.opaque(mi.UInt32, dr.width(lane))
+        candidate = pairs // size
+        place = pairs - candidate * size
+        texel = dr.gather(mi.UInt32, lane, place)
+        degree = self.switches.degree
+        light = [
+            dr.gather(mi.Float64, powers, (candidate * degree + l) * size + place)
+            for l in range(degree)
+        ]
+        H = _average(_Cells(self, texel, light), dr.opaque(mi.UInt32, self.grid.shape[0]))
+        H *= float(1 / np.log(np.prod(self.grid.shape)))
+        dr.eval(H)
+        return H.numpy()
+
+
+def _samples(rows: Responses, views: Any) -> Any:
+    """Samples of Eq. 12, as ``fit_lanes`` takes them, out of the responses."""
+
+    def sample(index: Any) -> tuple[Any, Any, list[Any]]:
+        view = dr.gather(mi.UInt32, views, index)
+        weight, x, y, z, *light = (rows.read(view, k) for k in range(rows.columns))
+        return mi.Vector3f(x, y, z), weight, light
+
+    return sample
+
+
+class _Cells:
+    """Distances of Eq. 11 between cells, for the light of each lane."""
+
+    def __init__(self, forecast: SpectrumForecast, texel: Any, light: list[Any]) -> None:
+        grid, switches = forecast.grid, forecast.switches
+        self._hypotheses, self._texel = forecast.hypotheses, texel
+        self.hypotheses = dr.gather(mi.UInt32, forecast.hypotheses.counts, texel)
+        self._light, self._prior = light, forecast.prior
+        self._decay = owned(mi.Float64, decay(switches, grid, forecast.prefilter))
+        self._nodes = owned(mi.Float64, grid.specular_nodes**2)
+        self._squares = [mi.Float64(float(Ks) ** 2) for Ks in grid.specular_nodes]
+
+    def truth(self, number: Any) -> tuple[Any, list[Any]]:
+        """Probability of a hypothesis, and its Ks_0^2 e_l."""
+        cell, weight = self._hypotheses.at(number, self._texel)
+        count = len(self._squares)
+        square = dr.gather(mi.Float64, self._nodes, cell % count)
+        return weight, [square * e for e in self._falloff(cell // count)]
+
+    def energies(self, level: Any, truth: list[Any]) -> list[Any]:
+        """d / (2 sigma^2) - log prior of the cells of a roughness: Float."""
+        first = both = second = mi.Float64(0)
+        for e, t, S in zip(self._falloff(level), truth, self._light, strict=True):
+            first = dr.fma(t * t, S, first)
+            both = dr.fma(t * e, S, both)
+            second = dr.fma(e * e, S, second)
+        found = []
+        for j, K in enumerate(self._squares):
+            x = dr.maximum(dr.fma(K, dr.fma(K, second, -2 * both), first), 0)
+            if self._prior is not None:
+                place = level * len(self._squares) + j
+                x += mi.Float64(dr.gather(mi.Float, self._prior, place))
+            found.append(mi.Float(dr.minimum(x, FAR)))
+        return found
+
+    def _falloff(self, level: Any) -> list[Any]:
+        """e_l = q^(l^2), l = 1 ... l*, of a roughness."""
+        q = dr.gather(mi.Float64, self._decay, level)
+        power, step, result = q, q, [q]
+        for _ in range(len(self._light) - 1):
+            step = step * q * q  # (l + 1)^2 = l^2 + 2 l + 1
+            power = power * step
+            result.append(power)
+        return result
+
+
+@dr.syntax
+def _average(cells: _Cells, levels: Any) -> Any:
+    """sum over psi_0 of p(psi_0) H, not normalised."""
+    total = mi.Float(0)
+    h = mi.UInt32(0)
+    while h < cells.hypotheses:
+        weight, truth = cells.truth(h)
+        z, zx = mi.Float(0), mi.Float(0)
+        level = mi.UInt32(0)
+        while level < levels:
+            z, zx = _sums(cells.energies(level, truth), z, zx)
+            level += 1
+        total += weight * (dr.log(z) + zx / z)
+        h += 1
+    return total
+
+
+def _sums(energies: list[Any], z: Any, zx: Any) -> tuple[Any, Any]:
+    for x in energies:
+        term = dr.exp(-x)
+        z, zx = z + term, dr.fma(x, term, zx)
+    return z, zx
