@@ -27,6 +27,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.angular.statistics import TINY, inverse_root
 from svu_mi.frequency.arrays import scatter_strided
 from svu_mi.interop import owned
 from svu_mi.radiance import Surface, Survey, Views
@@ -39,7 +40,6 @@ COLUMNS = 4
 PAIRS = tuple((i, j) for i in range(COLUMNS) for j in range(i, COLUMNS))
 BLOCK = 16
 SMALLEST = 0.05  # error, in units of the knee, from which a sample counts no more than others
-TINY = 2e-11  # part of its diagonal below which a pivot is nothing but rounding
 
 
 @dataclass(frozen=True)
@@ -213,8 +213,7 @@ def factor(sums: list[Any]) -> list[Any]:
     U: dict[tuple[int, int], Any] = {}
     for i in range(COLUMNS):
         pivot = products[i, i] - sum(dr.square(U[k, i]) for k in range(i))
-        good = pivot > TINY * products[i, i]
-        root = dr.select(good, dr.rsqrt(dr.select(good, pivot, 1)), 0)
+        root = inverse_root(pivot, TINY * products[i, i])
         for j in range(i, COLUMNS):
             rest = products[i, j] - sum(U[k, i] * U[k, j] for k in range(i))
             U[i, j] = rest * root
