@@ -40,7 +40,7 @@ def upper(found: np.ndarray) -> np.ndarray:
 
 def statistics_of(entries: np.ndarray) -> Statistics:
     return Statistics(
-        factors=in_blocks(owned(mi.Float, entries.ravel()), TEXELS),
+        factors=in_blocks(entries.reshape(-1, TEXELS)),
         roughness=np.linspace(0, 1, LEVELS),
         texel=dr.arange(mi.UInt32, TEXELS),
         coverage=np.full(TEXELS, VIEWS),
@@ -103,7 +103,7 @@ def test_dependent_columns_leave_nofactor() -> None:
 def test_blocks_hold_every_value_once(count: int) -> None:
     rows = np.random.default_rng(count).normal(size=(2 * 3 * len(PAIRS), count)).astype(np.float32)
     stats = Statistics(
-        factors=in_blocks(owned(mi.Float, rows.ravel()), count), roughness=np.linspace(0, 1, 2),
+        factors=in_blocks(rows), roughness=np.linspace(0, 1, 2),
         texel=dr.arange(mi.UInt32, count), coverage=np.ones(count), channels=3,
     )  # fmt: skip
     np.testing.assert_array_equal(stats.table(), rows)

@@ -167,9 +167,9 @@ def _pooled(
         pooled.reshape(-1, len(PAIRS), used.sum()).astype(np.float64), 1, 0)]  # fmt: skip
     entries = np.stack([entry.numpy() for entry in factor(rows)])
     shape = (len(PAIRS), sample.levels * sample.channels, used.sum())
-    factors = np.moveaxis(entries.reshape(shape), 0, 1)
+    factors = np.moveaxis(entries.reshape(shape), 0, 1).reshape(sample.rows, -1)
     merged = Statistics(
-        factors=in_blocks(owned(mi.Float, factors.ravel()), int(used.sum())),
+        factors=in_blocks(factors),
         roughness=sample.roughness,
         texel=dr.arange(mi.UInt32, int(used.sum())), coverage=np.ones(used.sum()),
         channels=sample.channels,

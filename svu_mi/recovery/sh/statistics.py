@@ -87,7 +87,7 @@ class Statistics:
         """Return the statistics of some texels, by their numbers among S."""
         return replace(
             self,
-            factors=in_blocks(owned(mi.Float, self.table()[:, chosen].ravel()), len(chosen)),
+            factors=in_blocks(self.table()[:, chosen]),
             texel=dr.gather(mi.UInt32, self.texel, owned(mi.UInt32, chosen)),
             coverage=self.coverage[chosen],
         )
@@ -173,34 +173,32 @@ def _errors(lobes: list[list[Any]], radiance: Any, current: Values) -> list[Any]
 
 def _scattered(columns: list[Any], surface: Surface) -> Any:
     """Write the values of all lanes into blocks, in the kernel that computes them."""
-    size, lane = len(columns) * BLOCK, surface.lane
-    factors = dr.zeros(mi.Float, -(-surface.count // BLOCK) * size)
+    factors = dr.zeros(mi.Float, -(-surface.count // BLOCK) * len(columns) * BLOCK)
     dr.eval(factors)
-    start = (lane // BLOCK) * size + lane % BLOCK
+    start = _start(surface.lane, len(columns))
     factors = scatter_strided(factors, columns, start, mi.UInt32(BLOCK))
     dr.eval(factors)
     return factors
 
 
-def in_blocks(rows: Any, count: int) -> Any:
-    """Lay rows of ``count`` values each out in blocks, as ``Statistics.factors`` are."""
-    number = dr.width(rows) // count
-    size, stride = (dr.opaque(mi.UInt32, x) for x in (number * BLOCK, count))
-    index = dr.arange(mi.UInt32, -(-count // BLOCK) * BLOCK * number)
-    row, lane = (index % size) // BLOCK, (index // size) * BLOCK + index % BLOCK
-    result = dr.gather(mi.Float, rows, row * stride + lane, lane < stride)
-    dr.eval(result)
-    return result
+def _start(lane: Any, rows: Any) -> Any:
+    """Return where the first of a texel's values is; the next is ``BLOCK`` further on."""
+    return (lane // BLOCK) * (rows * BLOCK) + lane % BLOCK
+
+
+def in_blocks(table: np.ndarray) -> Any:
+    """Lay values (R * C * 10, S) out as ``Statistics.factors`` are: the inverse of ``table``."""
+    padded = np.pad(table, ((0, 0), (0, -table.shape[1] % BLOCK)))
+    return owned(mi.Float, np.moveaxis(padded.reshape(len(table), -1, BLOCK), 1, 0).ravel())
 
 
 class Reader:
     """Reads values of texels of a launch out of ``Statistics.factors``."""
 
     def __init__(self, statistics: Statistics) -> None:
-        lane = dr.arange(mi.UInt32, statistics.count)
-        size = dr.opaque(mi.UInt32, statistics.rows * BLOCK)
         self._factors = statistics.factors
-        self._start = (lane // BLOCK) * size + lane % BLOCK
+        lane, rows = dr.arange(mi.UInt32, statistics.count), dr.opaque(mi.UInt32, statistics.rows)
+        self._start = _start(lane, rows)
 
     def read(self, row: Any) -> Any:
         """Return a row's value of every texel: Float (S,)."""
