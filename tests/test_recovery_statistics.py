@@ -15,7 +15,7 @@ from svu_mi.recovery.sh.energy import energy
 from svu_mi.recovery.sh.gradient import Values
 from svu_mi.recovery.sh.objective import StatisticsLoss
 from svu_mi.recovery.sh.start import METALLIC, closed_form
-from svu_mi.recovery.sh.statistics import PAIRS, Reader, Statistics, factor, in_blocks
+from svu_mi.recovery.sh.statistics import PAIRS, ErrorFactors, Reader, factor, in_blocks
 
 LEVELS, TEXELS, VIEWS = 6, 7, 9
 
@@ -38,9 +38,9 @@ def upper(found: np.ndarray) -> np.ndarray:
     return entries
 
 
-def statistics_of(entries: np.ndarray) -> Statistics:
-    return Statistics(
-        factors=in_blocks(owned(mi.Float, entries.ravel()), TEXELS),
+def statistics_of(entries: np.ndarray) -> ErrorFactors:
+    return ErrorFactors(
+        values=in_blocks(entries.reshape(-1, TEXELS)),
         roughness=np.linspace(0, 1, LEVELS),
         texel=dr.arange(mi.UInt32, TEXELS),
         coverage=np.full(TEXELS, VIEWS),
@@ -102,8 +102,8 @@ def test_dependent_columns_leave_nofactor() -> None:
 @pytest.mark.parametrize("count", [1, 16, 17, 40])
 def test_blocks_hold_every_value_once(count: int) -> None:
     rows = np.random.default_rng(count).normal(size=(2 * 3 * len(PAIRS), count)).astype(np.float32)
-    stats = Statistics(
-        factors=in_blocks(owned(mi.Float, rows.ravel()), count), roughness=np.linspace(0, 1, 2),
+    stats = ErrorFactors(
+        values=in_blocks(rows), roughness=np.linspace(0, 1, 2),
         texel=dr.arange(mi.UInt32, count), coverage=np.ones(count), channels=3,
     )  # fmt: skip
     np.testing.assert_array_equal(stats.table(), rows)

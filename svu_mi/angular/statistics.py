@@ -170,16 +170,16 @@ def _factor(sums: list[Any], views: Any) -> list[Any]:
     """Cholesky factor of six sums divided by n: U_ee, U_ep, U_pp, z_e, z_p, floor."""
     inverse = dr.rcp(mi.Float64(dr.maximum(views, 1)))
     ee, ep, pp, et, pt, tt = (value * inverse for value in sums)
-    scale_e = _inverse_root(ee, 0 * ee)
+    scale_e = inverse_root(ee, 0 * ee)
     u_ee, u_ep, z_e = ee * scale_e, ep * scale_e, et * scale_e
     rest = pp - u_ep * u_ep
-    scale_p = _inverse_root(rest, TINY * pp)
+    scale_p = inverse_root(rest, TINY * pp)
     u_pp, z_p = rest * scale_p, (pt - u_ep * z_e) * scale_p
     floor = dr.maximum(tt - z_e * z_e - z_p * z_p, 0)
     return [u_ee, u_ep, u_pp, z_e, z_p, floor]
 
 
-def _inverse_root(pivot: Any, threshold: Any) -> Any:
-    """1 / sqrt(pivot), or 0 where the pivot is not above its threshold: a dependent column."""
+def inverse_root(pivot: Any, threshold: Any) -> Any:
+    """Return 1 / sqrt(pivot), or 0 where it is not above its threshold: a dependent column."""
     good = pivot > threshold
     return dr.select(good, dr.rsqrt(dr.select(good, pivot, 1)), 0)

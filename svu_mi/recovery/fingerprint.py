@@ -9,20 +9,22 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.scene import find_environment, to_world
-from svu_mi.radiance.environment import read_environment
+from svu_mi.capture.scene import to_world
+from svu_mi.radiance.environment import Environment
 from svu_mi.recovery.textures import Textures
 from svu_mi.regularization import GlobalSharing
 from svu_mi.surface import Texels
 
 
 def fingerprint(
-    capture: Capture, texels: Texels, start: Textures | None, sharing: GlobalSharing | bool
-) -> dict[str, Any]:
+    capture: Capture, light: Environment, texels: Texels, start: Textures | None,
+    sharing: GlobalSharing | bool,
+) -> dict[str, Any]:  # fmt: skip
     """Return checksums of everything but the settings.
 
     Args:
-        capture: photographs, masks, poses and light.
+        capture: photographs, masks and poses.
+        light: of the capture.
         texels: where the textures belong.
         start: the caller's textures, None where the method finds its own.
         sharing: the caller's regulariser, or whether there is one.
@@ -31,8 +33,6 @@ def fingerprint(
         CRC-32 each: ``photographs``, ``poses``, ``light``, ``texels``, ``start``, ``seeds``; the
         last two None where nothing was given.
     """
-    emitter = find_environment(capture.scene, str(capture.source or "scene"))
-    light = read_environment(emitter)
     views = [view for view, used in zip(_views(capture), capture.used, strict=True) if used]
     return {
         "photographs": _checksum(array for image, mask, _ in views for array in (image, mask)),

@@ -125,7 +125,8 @@ def recover(
     settings = chosen.settings(method) | {"parameters": list(names), "sharing": bool(sharing)}
     saved = None
     if checkpoint is not None:
-        owner = settings | fingerprint(capture, texels, start, sharing)
+        light = run.prepared.lighting.environment
+        owner = settings | fingerprint(capture, light, texels, start, sharing)
         saved = Checkpoint(checkpoint, owner, resume=resume, every=checkpoint_seconds)
     textures, descent = run.run(method, saved)
     return Recovery(

@@ -12,10 +12,10 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.recovery.sh.gradient import Values
-from svu_mi.recovery.sh.statistics import COLUMNS, PAIRS, Reader, Statistics
+from svu_mi.recovery.sh.statistics import COLUMNS, PAIRS, ErrorFactors, Reader
 
 
-def energy(statistics: Statistics, values: Values) -> tuple[Any, list[Any]]:
+def energy(statistics: ErrorFactors, values: Values) -> tuple[Any, list[Any]]:
     """Return the squared error of S texels, the mean over their views and channels.
 
     Args:
@@ -72,7 +72,7 @@ def _dot(a: list[Any], b: list[Any]) -> Any:
     return total
 
 
-def _spline(statistics: Statistics, roughness: Any) -> tuple[list[Any], list[Any], list[Any]]:
+def _spline(statistics: ErrorFactors, roughness: Any) -> tuple[list[Any], list[Any], list[Any]]:
     """Return four levels around a roughness, their weights, and the derivatives of these."""
     last = dr.opaque(mi.Float, statistics.levels - 1)
     place = dr.clip(roughness, 0, 1) * last
@@ -95,7 +95,7 @@ def _spline(statistics: Statistics, roughness: Any) -> tuple[list[Any], list[Any
 
 
 def _interpolate(
-    statistics: Statistics, channel: int, levels: list[Any], weights: list[Any], slopes: list[Any]
+    statistics: ErrorFactors, channel: int, levels: list[Any], weights: list[Any], slopes: list[Any]
 ) -> tuple[list[Any], list[Any]]:
     """Return U at a roughness, and its derivative."""
     reader = Reader(statistics)

@@ -24,7 +24,7 @@ from svu_mi.interop import owned
 from svu_mi.recovery.sh.energy import energy
 from svu_mi.recovery.sh.gradient import Values, carry, look_up
 from svu_mi.recovery.sh.start import Start, closed_form
-from svu_mi.recovery.sh.statistics import PAIRS, Statistics, factor, in_blocks
+from svu_mi.recovery.sh.statistics import PAIRS, ErrorFactors, factor, in_blocks
 
 ROUNDS = 8
 SAMPLE = 12_000  # texels that materials are found with; weights are those of all
@@ -94,7 +94,7 @@ def values_of(table: np.ndarray) -> Values:
 
 
 def find_materials(
-    statistics: Statistics, start: Start, own: np.ndarray, seeds: np.ndarray, seed: int = 0
+    statistics: ErrorFactors, start: Start, own: np.ndarray, seeds: np.ndarray, seed: int = 0
 ) -> Materials:
     """Find the materials of an object.
 
@@ -131,7 +131,7 @@ def find_materials(
 
 
 def _excess(
-    statistics: Statistics, values: np.ndarray, least: np.ndarray, variance: np.ndarray
+    statistics: ErrorFactors, values: np.ndarray, least: np.ndarray, variance: np.ndarray
 ) -> np.ndarray:
     """(K, S): how much less likely a material is than a texel's best parameters, in nats."""
     rows = owned(mi.Float, values.ravel())
@@ -157,7 +157,7 @@ def _shares(excess: np.ndarray) -> np.ndarray:
 
 
 def _pooled(
-    sample: Statistics, products: np.ndarray, weights: np.ndarray, values: np.ndarray
+    sample: ErrorFactors, products: np.ndarray, weights: np.ndarray, values: np.ndarray
 ) -> np.ndarray:
     """Return the parameters (K, 5) that explain the texels of each material best."""
     total = weights.sum(axis=1)
@@ -167,9 +167,9 @@ def _pooled(
         pooled.reshape(-1, len(PAIRS), used.sum()).astype(np.float64), 1, 0)]  # fmt: skip
     entries = np.stack([entry.numpy() for entry in factor(rows)])
     shape = (len(PAIRS), sample.levels * sample.channels, used.sum())
-    factors = np.moveaxis(entries.reshape(shape), 0, 1)
-    merged = Statistics(
-        factors=in_blocks(owned(mi.Float, factors.ravel()), int(used.sum())),
+    factors = np.moveaxis(entries.reshape(shape), 0, 1).reshape(sample.rows, -1)
+    merged = ErrorFactors(
+        values=in_blocks(factors),
         roughness=sample.roughness,
         texel=dr.arange(mi.UInt32, int(used.sum())), coverage=np.ones(used.sum()),
         channels=sample.channels,

@@ -11,7 +11,7 @@ import mitsuba as mi
 
 from svu_mi.recovery.sh.energy import energy
 from svu_mi.recovery.sh.gradient import Values, carry, look_up
-from svu_mi.recovery.sh.statistics import Statistics
+from svu_mi.recovery.sh.statistics import ErrorFactors
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class StatisticsLoss:
             times the mean number of views, over the texel's own.
     """
 
-    statistics: Statistics
+    statistics: ErrorFactors
     place: Any
     variance: Any
 

@@ -23,7 +23,7 @@ from svu_mi.recovery.sh.model import Model
 from svu_mi.recovery.sh.objective import StatisticsLoss
 from svu_mi.recovery.sh.spectral import spectral_objective
 from svu_mi.recovery.sh.start import Start, closed_form
-from svu_mi.recovery.sh.statistics import Statistics, gather
+from svu_mi.recovery.sh.statistics import ErrorFactors, gather
 from svu_mi.recovery.textures import Textures, lay_out
 from svu_mi.regularization.seeds import candidates, spread
 from svu_mi.surface import Texels
@@ -133,7 +133,7 @@ class Fit:
         loss: how far textures are from the statistics.
     """
 
-    statistics: Statistics
+    statistics: ErrorFactors
     start: Start
     loss: StatisticsLoss
 

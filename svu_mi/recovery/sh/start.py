@@ -17,7 +17,7 @@ import numpy as np
 
 from svu_mi.recovery.sh.energy import halves
 from svu_mi.recovery.sh.gradient import Values
-from svu_mi.recovery.sh.statistics import PAIRS, Reader, Statistics
+from svu_mi.recovery.sh.statistics import PAIRS, ErrorFactors, Reader
 
 METALLIC = 17  # nodes, uniform on [0, 1]
 SMALL = 1e-12  # squared radiance, in that of the photographs: a column that nothing lights
@@ -54,7 +54,7 @@ class Start:
         return np.stack([np.array(x) for x in self.values()])
 
 
-def closed_form(statistics: Statistics, sigma: Any, samples: float = 1.0) -> Start:
+def closed_form(statistics: ErrorFactors, sigma: Any, samples: float = 1.0) -> Start:
     """Return the posterior mean of every texel.
 
     Args:
@@ -88,7 +88,7 @@ def _least(error: Any, color: list[Any], r: Any, m: Any, least: Any) -> tuple[An
     return (dr.minimum(least, error),)
 
 
-def _over_levels(statistics: Statistics, consume: Any, state: tuple[Any, ...]) -> tuple[Any, ...]:
+def _over_levels(statistics: ErrorFactors, consume: Any, state: tuple[Any, ...]) -> tuple[Any, ...]:
     """Fold ``consume(error, base colour, roughness, metallic, *state)`` over all nodes."""
     reader = Reader(statistics)
     last = dr.opaque(mi.UInt32, statistics.levels - 1)

@@ -27,6 +27,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.angular.statistics import TINY, inverse_root
 from svu_mi.frequency.arrays import scatter_strided
 from svu_mi.interop import owned
 from svu_mi.radiance import Surface, Survey, Views
@@ -39,15 +40,14 @@ COLUMNS = 4
 PAIRS = tuple((i, j) for i in range(COLUMNS) for j in range(i, COLUMNS))
 BLOCK = 16
 SMALLEST = 0.05  # error, in units of the knee, from which a sample counts no more than others
-TINY = 2e-11  # part of its diagonal below which a pivot is nothing but rounding
 
 
 @dataclass(frozen=True)
-class Statistics:
-    """What remains of the views of S seen texels.
+class ErrorFactors:
+    """The factors U of S seen texels, at every roughness level: what remains of their views.
 
     Attributes:
-        factors: (ceil(S / 16) * R * C * 10 * 16,) Float, in radiance: for every block of 16
+        values: (ceil(S / 16) * R * C * 10 * 16,) Float, in radiance: for every block of 16
             texels, level, channel and entry of U (``PAIRS``: row, column), one value per texel.
             A packet of lanes finds all it reads in a few pages; by rows of S values it would
             be in a hundred, which takes five times as long.
@@ -57,7 +57,7 @@ class Statistics:
         channels: C.
     """
 
-    factors: Any
+    values: Any
     roughness: np.ndarray
     texel: Any
     coverage: np.ndarray
@@ -79,15 +79,15 @@ class Statistics:
         return self.levels * self.channels * len(PAIRS)
 
     def table(self) -> np.ndarray:
-        """Return ``factors`` as (R * C * 10, S) float32."""
-        blocks = self.factors.numpy().reshape(-1, self.rows, BLOCK)
+        """Return ``values`` as (R * C * 10, S) float32."""
+        blocks = self.values.numpy().reshape(-1, self.rows, BLOCK)
         return np.moveaxis(blocks, 1, 0).reshape(self.rows, -1)[:, : self.count]
 
-    def some(self, chosen: np.ndarray) -> Statistics:
-        """Return the statistics of some texels, by their numbers among S."""
+    def some(self, chosen: np.ndarray) -> ErrorFactors:
+        """Return the factors of some texels, by their numbers among S."""
         return replace(
             self,
-            factors=in_blocks(owned(mi.Float, self.table()[:, chosen].ravel()), len(chosen)),
+            values=in_blocks(self.table()[:, chosen]),
             texel=dr.gather(mi.UInt32, self.texel, owned(mi.UInt32, chosen)),
             coverage=self.coverage[chosen],
         )
@@ -103,7 +103,7 @@ class Statistics:
 def gather(
     views: Views, surface: Surface, found: Survey, model: Model, knee: Any,
     current: Values | None = None,
-) -> Statistics:  # fmt: skip
+) -> ErrorFactors:  # fmt: skip
     """Collect the statistics of texels: one kernel, one pass over the views.
 
     Args:
@@ -151,8 +151,8 @@ def gather(
     for first in range(0, len(sums), len(PAIRS)):
         columns += factor([value * inverse for value in sums[first : first + len(PAIRS)]])
     coverage = dr.gather(mi.UInt32, found.coverage, surface.index)
-    return Statistics(
-        factors=_scattered(columns, surface), roughness=model.roughness,
+    return ErrorFactors(
+        values=_scattered(columns, surface), roughness=model.roughness,
         texel=surface.index, coverage=np.array(coverage), channels=channels,
     )  # fmt: skip
 
@@ -173,38 +173,36 @@ def _errors(lobes: list[list[Any]], radiance: Any, current: Values) -> list[Any]
 
 def _scattered(columns: list[Any], surface: Surface) -> Any:
     """Write the values of all lanes into blocks, in the kernel that computes them."""
-    size, lane = len(columns) * BLOCK, surface.lane
-    factors = dr.zeros(mi.Float, -(-surface.count // BLOCK) * size)
+    factors = dr.zeros(mi.Float, -(-surface.count // BLOCK) * len(columns) * BLOCK)
     dr.eval(factors)
-    start = (lane // BLOCK) * size + lane % BLOCK
+    start = _start(surface.lane, len(columns))
     factors = scatter_strided(factors, columns, start, mi.UInt32(BLOCK))
     dr.eval(factors)
     return factors
 
 
-def in_blocks(rows: Any, count: int) -> Any:
-    """Lay rows of ``count`` values each out in blocks, as ``Statistics.factors`` are."""
-    number = dr.width(rows) // count
-    size, stride = (dr.opaque(mi.UInt32, x) for x in (number * BLOCK, count))
-    index = dr.arange(mi.UInt32, -(-count // BLOCK) * BLOCK * number)
-    row, lane = (index % size) // BLOCK, (index // size) * BLOCK + index % BLOCK
-    result = dr.gather(mi.Float, rows, row * stride + lane, lane < stride)
-    dr.eval(result)
-    return result
+def _start(lane: Any, rows: Any) -> Any:
+    """Return where the first of a texel's values is; the next is ``BLOCK`` further on."""
+    return (lane // BLOCK) * (rows * BLOCK) + lane % BLOCK
+
+
+def in_blocks(table: np.ndarray) -> Any:
+    """Lay values (R * C * 10, S) out as ``ErrorFactors.values`` are: the inverse of ``table``."""
+    padded = np.pad(table, ((0, 0), (0, -table.shape[1] % BLOCK)))
+    return owned(mi.Float, np.moveaxis(padded.reshape(len(table), -1, BLOCK), 1, 0).ravel())
 
 
 class Reader:
-    """Reads values of texels of a launch out of ``Statistics.factors``."""
+    """Reads values of texels of a launch out of ``ErrorFactors.values``."""
 
-    def __init__(self, statistics: Statistics) -> None:
-        lane = dr.arange(mi.UInt32, statistics.count)
-        size = dr.opaque(mi.UInt32, statistics.rows * BLOCK)
-        self._factors = statistics.factors
-        self._start = (lane // BLOCK) * size + lane % BLOCK
+    def __init__(self, statistics: ErrorFactors) -> None:
+        self._values = statistics.values
+        lane, rows = dr.arange(mi.UInt32, statistics.count), dr.opaque(mi.UInt32, statistics.rows)
+        self._start = _start(lane, rows)
 
     def read(self, row: Any) -> Any:
         """Return a row's value of every texel: Float (S,)."""
-        return dr.gather(mi.Float, self._factors, self._start + row * BLOCK)
+        return dr.gather(mi.Float, self._values, self._start + row * BLOCK)
 
 
 def factor(sums: list[Any]) -> list[Any]:
@@ -213,8 +211,7 @@ def factor(sums: list[Any]) -> list[Any]:
     U: dict[tuple[int, int], Any] = {}
     for i in range(COLUMNS):
         pivot = products[i, i] - sum(dr.square(U[k, i]) for k in range(i))
-        good = pivot > TINY * products[i, i]
-        root = dr.select(good, dr.rsqrt(dr.select(good, pivot, 1)), 0)
+        root = inverse_root(pivot, TINY * products[i, i])
         for j in range(i, COLUMNS):
             rest = products[i, j] - sum(U[k, i] * U[k, j] for k in range(i))
             U[i, j] = rest * root
