@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from svu_mi.capture import Capture, load_capture, render_capture
     from svu_mi.errors import SvuError, SvuWarning
     from svu_mi.frequency import fit_sh, power_spectrum
+    from svu_mi.guidance import Candidates, Guidance, GuidanceOptions, next_best_view
     from svu_mi.options import AngularPreset, Preset, Skip, preset
     from svu_mi.pipeline import Estimate, estimate
     from svu_mi.posterior import (
@@ -40,6 +41,8 @@ _HOME = {
     "angular_posterior": "posterior", "spectrum_posterior": "posterior",
     "AngularPreset": "options", "Preset": "options", "Skip": "options",
     "preset": "options",
+    "Candidates": "guidance", "Guidance": "guidance", "GuidanceOptions": "guidance",
+    "next_best_view": "guidance",
     "Estimate": "pipeline", "estimate": "pipeline",
     "Reference": "reference", "reference_posterior": "reference",
     "Recovery": "recovery.recover", "recover": "recovery.recover",
@@ -48,10 +51,10 @@ _HOME = {
 }  # fmt: skip
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
-    "AngularPreset", "Capture", "Estimate", "GlobalSharing", "ParameterGrid", "Posterior", "Preset",
-    "PrincipledGrid", "Recovery", "Reference", "Skip", "SvuError", "SvuWarning", "Texels",
-    "TotalVariation", "angular_posterior", "estimate", "fit_sh", "load_capture", "power_spectrum",
-    "preset", "recover", "reference_posterior", "render_capture", "spectrum_posterior", "texels",
+    "AngularPreset", "Candidates", "Capture", "Estimate", "GlobalSharing", "Guidance",
+    "GuidanceOptions", "ParameterGrid", "Posterior", "Preset", "PrincipledGrid", "Recovery",
+    "Reference", "Skip", "SvuError", "SvuWarning", "Texels", "TotalVariation", "angular_posterior",
+    "estimate", "fit_sh", "load_capture", "next_best_view", "power_spectrum", "preset", "recover", "reference_posterior", "render_capture", "spectrum_posterior", "texels",
 ]  # fmt: skip
 
 _llvm.bootstrap()

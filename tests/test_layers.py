@@ -9,7 +9,7 @@ from pathlib import Path
 LAYERS = (
     "errors", "_llvm", "interop", "files", "exr", "progress", "settings", "options", "capture",
     "surface", "radiance", "brdf", "frequency", "angular", "posterior", "skipping", "pipeline",
-    "regularization", "recovery", "reference", "metrics", "output", "bench", "cli",
+    "guidance", "regularization", "recovery", "reference", "metrics", "output", "bench", "cli",
 )  # fmt: skip
 # Built on the stages; only what stands at the very top may use them.
 ABOVE = {"plugins": ("output", "cli"), "scenes": ("output", "bench", "cli")}

@@ -105,33 +105,38 @@ def _check_finite(record: Mapping[str, Any], label: str) -> None:
 
 
 def sphere_sensors(
-    shape: Any, count: int, resolution: tuple[int, int], fov: float = 35.0
-) -> tuple[Any, ...]:
-    """Place sensors around an object, evenly over the sphere (Fibonacci spiral).
+    shape: Any, count: int, resolution: tuple[int, int], fov: float = 35.0, *,
+    distance: float | None = None, up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    lowest: float = -1.0,
+) -> tuple[Any, ...]:  # fmt: skip
+    """Place sensors around an object, evenly over the sphere or its upper part (Fibonacci spiral).
 
     Args:
         shape: the object; sensors look at the centre of its bounding box.
         count: number of sensors.
         resolution: (width, height) of each film, in pixels.
         fov: opening angle over the film's shorter side, in degrees.
+        distance: from that centre, in scene units; by default the object just fits.
+        up: where the top of the sphere is; need not have unit length.
+        lowest: sine of the lowest elevation: -1 for the sphere, 0 for the upper hemisphere.
 
     Raises:
-        OptionError: fewer than one sensor, or an empty film.
+        OptionError: fewer than one sensor, an empty film, no direction, or nothing of the sphere.
     """
     if count < 1 or min(resolution) < 1:
         raise OptionError(
             f"Cannot place {count} sensors of {resolution[0]} x {resolution[1]} pixels; "
             "there must be at least one of each."
         )
-    center, radius = _bounding_sphere(shape)
-    distance = 1.05 * radius / np.sin(np.radians(fov) / 2)
+    if not -1 <= lowest < 1:
+        raise OptionError(f"The lowest elevation's sine must be in [-1, 1), got {lowest}.")
+    center, radius = bounding_sphere(shape)
+    if distance is None:
+        distance = 1.05 * radius / np.sin(np.radians(fov) / 2)
+    if not (np.isfinite(distance) and distance > 0):
+        raise OptionError(f"Sensors need a positive distance from the object, got {distance}.")
     wide = max(1.0, resolution[0] / resolution[1])
     x_fov = 2 * np.degrees(np.arctan(np.tan(np.radians(fov) / 2) * wide))
-    index = np.arange(count) + 0.5
-    height = 1 - 2 * index / count
-    angle = GOLDEN_ANGLE * index
-    ring = np.sqrt(1 - height**2)
-    directions = np.stack([ring * np.sin(angle), height, ring * np.cos(angle)], axis=-1)
     return tuple(
         make_sensor(
             {
@@ -145,11 +150,33 @@ def sphere_sensors(
             },
             f"view_{number:04d}",
         )
-        for number, direction in enumerate(directions)
+        for number, direction in enumerate(_fibonacci(count, np.array(up, np.float64), lowest))
     )
 
 
-def _bounding_sphere(shape: Any) -> tuple[np.ndarray, float]:
+def _fibonacci(count: int, up: np.ndarray, lowest: float) -> np.ndarray:
+    """Unit directions (N, 3) whose sine of elevation over ``up`` is in [lowest, 1]."""
+    length = np.linalg.norm(up)
+    if not (np.isfinite(length) and length > 0):
+        raise OptionError(f"up must be a direction, got {up.tolist()}.")
+    index = np.arange(count) + 0.5
+    height = 1 - (1 - lowest) * index / count
+    angle = GOLDEN_ANGLE * index
+    ring = np.sqrt(1 - height**2)
+    directions = np.stack([ring * np.sin(angle), height, ring * np.cos(angle)], axis=-1)
+    return directions @ _turned(up / length).T
+
+
+def _turned(up: np.ndarray) -> np.ndarray:
+    """Return the rotation (3, 3) that takes +Y to a unit direction the shortest way."""
+    if up[1] < -1 + 1e-9:
+        return np.diag([1.0, -1.0, -1.0])
+    v = np.cross([0.0, 1.0, 0.0], up)
+    K = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return np.eye(3) + K + K @ K / (1 + up[1])
+
+
+def bounding_sphere(shape: Any) -> tuple[np.ndarray, float]:
     """Return the centre of a shape's bounding box and the distance of its farthest point."""
     bounds = shape.bbox()
     low, high = np.array(bounds.min, np.float64), np.array(bounds.max, np.float64)

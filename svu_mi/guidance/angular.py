@@ -3,11 +3,13 @@
 If psi_0 were the truth, photographs of a set S of views would show r_i(psi_0), and another psi
 would be off by
 
-    d_S(psi_0, psi) = 1/|S| sum_{i in S} (r_i(psi_0) - r_i(psi))^2.
+    d_S(psi_0, psi) = 1/|S| sum_{i in S} w_i (r_i(psi_0) - r_i(psi))^2.
 
 A candidate v adds one square to the sum, however many views there are:
 
-    d_{S+v} = (|S| d_S + (r_v(psi_0) - r_v(psi))^2) / (|S| + 1).
+    d_{S+v} = (|S| d_S + w_v (r_v(psi_0) - r_v(psi))^2) / (|S| + 1).
+
+The weights are 1, or fall with r_i(psi_0) if the noise grows with radiance.
 
 No photograph takes part: r = Kd e + R0 p + q, and e, p, q of every roughness level are what
 ``Responses`` hold, in units of sqrt(2) sigma.
@@ -15,7 +17,6 @@ No photograph takes part: r = Kd e + R0 p + q, and e, p, q of every roughness le
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,12 +65,18 @@ def respond(scene: Any, surface: Surface, model: Reflection, sigma: Any) -> Resp
 
 @dataclass(frozen=True)
 class AngularForecast(Forecast):
-    """``Forecast`` on a grid of (roughness, metallic, base colour)."""
+    """``Forecast`` on a grid of (roughness, metallic, base colour).
+
+    Attributes:
+        growth: a sample of r weighs 1 / (1 + (growth r)^2), with r in units of sqrt(2) sigma: noise
+            that grows with radiance; 0 if it does not.
+    """
 
     grid: PrincipledGrid
+    growth: float
 
     def _evaluate(
-        self, views: Sequence[int], candidates: Sequence[int] | None, texels: np.ndarray
+        self, views: np.ndarray, candidates: np.ndarray | None, texels: np.ndarray
     ) -> np.ndarray:
         launch = _Launch(self, numbers(texels))
         asked = numbers([0] if candidates is None else candidates)
@@ -104,6 +111,7 @@ class _Launch:
         self._metallic = axes["metallic"]
         self.nodes = [mi.Float(node) for node in streaming.cells(axes["base_color"])]
         self._columns = dr.opaque(mi.UInt32, columns)
+        self._growth = dr.opaque(mi.Float, forecast.growth)
         self.size = dr.opaque(mi.UInt32, dr.width(lane))
         self.place = dr.arange(mi.UInt32, dr.width(lane))
         self.hypotheses = dr.gather(mi.UInt32, self._hypotheses.counts, lane)
@@ -129,13 +137,14 @@ class _Launch:
         return dr.fma(Kd, e, dr.fma(R0, p, q))
 
     def squares(self, view: Any, row: Any, predicted: Any) -> list[Any]:
-        """(r(psi_0) - r(psi))^2 in a view, for all cells psi of a row."""
+        """w (r(psi_0) - r(psi))^2 in a view, for all cells psi of a row."""
+        weight = dr.rcp(1 + dr.square(self._growth * predicted))
         level, m = self._row(row)
         e, p, q = self._lobe(view, level)
         # Kd = (1 - m) c and R0 = F0 (1 - m) + m c: radiance is linear in c.
         rest = predicted - dr.fma(specular_from_principled(0.0, m), p, q)
         slope = dr.fma(1 - m, e, m * p)
-        return [dr.square(dr.fma(-c, slope, rest)) for c in self.nodes]
+        return [weight * dr.square(dr.fma(-c, slope, rest)) for c in self.nodes]
 
     def priors(self, row: Any) -> list[Any]:
         """-log prior of the cells of a row."""

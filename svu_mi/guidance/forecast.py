@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -45,15 +44,15 @@ class Forecast(ABC):
         """T."""
         return self.responses.count
 
-    def now(self, views: Sequence[int]) -> np.ndarray:
+    def now(self, views: np.ndarray) -> np.ndarray:
         """Return E[H] (T,) of photographs from some views; 1 for a texel none of them sees."""
-        seen, result = self.seen[list(views)].any(axis=0), np.ones(self.count, np.float32)
+        seen, result = self.seen[views].any(axis=0), np.ones(self.count, np.float32)
         if seen.any():
             result[seen] = self._evaluate(views, None, np.flatnonzero(seen))[0]
         return result
 
     def expected(
-        self, views: Sequence[int], candidates: Sequence[int], texels: np.ndarray
+        self, views: np.ndarray, candidates: np.ndarray, texels: np.ndarray
     ) -> np.ndarray:
         """Return E[H] of photographs from some views and one candidate (Eq. 13).
 
@@ -72,11 +71,11 @@ class Forecast(ABC):
 
     @abstractmethod
     def _evaluate(
-        self, views: Sequence[int], candidates: Sequence[int] | None, texels: np.ndarray
+        self, views: np.ndarray, candidates: np.ndarray | None, texels: np.ndarray
     ) -> np.ndarray:
         """As ``expected``; anything where not seen. Without candidates, (1, L) of the views."""
 
 
-def numbers(values: Sequence[int] | np.ndarray) -> Any:
+def numbers(values: np.ndarray | list[int]) -> Any:
     """Return indices as UInt32."""
     return owned(mi.UInt32, np.asarray(values, np.uint32))

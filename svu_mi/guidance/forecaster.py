@@ -104,7 +104,9 @@ class AngularForecaster(Forecaster):
         return angular.respond(scene, surface, self._model, dr.opaque(mi.Float, sigma))
 
     def _forecast(self, **parts: Any) -> Forecast:
-        return AngularForecast(grid=self.grid, **parts)
+        switches = self.estimate.preset
+        growth = 2**0.5 * switches.sigma if switches.noise == "heteroscedastic" else 0.0
+        return AngularForecast(grid=self.grid, growth=growth, **parts)
 
 
 class SpectrumForecaster(Forecaster):

@@ -11,7 +11,6 @@ Only S_L' depends on the views, and a candidate's is a rank-1 change of the fit 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,23 +75,23 @@ class SpectrumForecast(Forecast):
     prefilter: float
 
     def _evaluate(
-        self, views: Sequence[int], candidates: Sequence[int] | None, texels: np.ndarray
+        self, views: np.ndarray, candidates: np.ndarray | None, texels: np.ndarray
     ) -> np.ndarray:
-        asked = [] if candidates is None else list(candidates)
-        powers = self._powers(list(views), asked, numbers(texels))
-        sees = self.seen[np.ix_(asked, texels)]
-        if candidates is None:
-            sees = np.ones((1, len(texels)), bool)
+        powers = self._powers(views, candidates, numbers(texels))
+        sees = np.ones((1, len(texels)), bool)
+        if candidates is not None:
+            sees = self.seen[np.ix_(candidates, texels)]
         pairs = np.flatnonzero(sees)
         result = np.zeros(sees.size, np.float32)
         result[pairs] = self._entropies(powers, numbers(texels), numbers(pairs))
         return result.reshape(sees.shape)
 
-    def _powers(self, views: list[int], asked: list[int], lane: Any) -> Any:
-        """sum over channels of S_L'(l)^2 / (2 sigma^2), (max(A, 1), l*, L) Float64.
+    def _powers(self, views: np.ndarray, candidates: np.ndarray | None, lane: Any) -> Any:
+        """sum over channels of S_L'(l)^2 / (2 sigma^2), (A, l*, L) Float64.
 
-        Without candidates, those of the views alone.
+        Without candidates, (1, l*, L) of the views alone.
         """
+        asked = np.empty(0, np.int64) if candidates is None else candidates
         rows, degree = self.responses.at(lane), self.switches.degree
         size = dr.width(lane)
         stride, place = dr.opaque(mi.UInt32, size), dr.arange(mi.UInt32, size)
@@ -108,11 +107,11 @@ class SpectrumForecast(Forecast):
 
         known = extend_lanes(
             _samples(rows, numbers(views)), dr.opaque(mi.UInt32, len(views)),
-            _samples(rows, numbers(asked or [0])), dr.opaque(mi.UInt32, len(asked)), write,
+            _samples(rows, numbers(asked if len(asked) else [0])), dr.opaque(mi.UInt32, len(asked)), write,
             degree=degree, channels=self.switches.colors, regularizer=self.switches.regularizer,
             penalize_constant=self.switches.penalize_constant,
         )  # fmt: skip
-        if asked:
+        if len(asked):
             dr.eval(result)
             return result
         values = [scale * sum(S * S for S in row) for row in known[1:]]

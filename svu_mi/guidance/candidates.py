@@ -1,0 +1,162 @@
+"""Where the next photograph may be taken from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.capture import folder as capture_folder
+from svu_mi.capture.poses import bounding_sphere, describe, film_size, sphere_sensors
+from svu_mi.capture.scene import check_sensor, find_sensors, load_scene, to_world
+from svu_mi.capture.transforms import read_transforms
+from svu_mi.errors import CaptureError, OptionError, ShapeError
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Views that nobody has photographed.
+
+    Attributes:
+        sensors: C perspective sensors.
+        names: C labels.
+        reachable: (C,) bool; False where no camera can be put.
+
+    Raises:
+        OptionError: there is no candidate, or none that can be reached.
+        ShapeError: names or flags for another number of sensors.
+        SceneError: a sensor is no pinhole, or its pose is mirrored.
+    """
+
+    sensors: tuple[Any, ...]
+    names: tuple[str, ...]
+    reachable: np.ndarray
+
+    def __post_init__(self) -> None:
+        reachable = np.asarray(self.reachable, bool)
+        object.__setattr__(self, "reachable", reachable)
+        if len(self.names) != self.count or reachable.shape != (self.count,):
+            raise ShapeError(
+                f"Candidates: {self.count} sensors, but {len(self.names)} names and flags of "
+                f"shape {reachable.shape}."
+            )
+        if not reachable.any():
+            raise OptionError("Candidates: there is no view that can be reached; add some.")
+        for sensor, name in zip(self.sensors, self.names, strict=True):
+            check_sensor(sensor, f"Candidate '{name}'")
+
+    @property
+    def count(self) -> int:
+        """Number of candidates C."""
+        return len(self.sensors)
+
+    @staticmethod
+    def of(sensors: Sequence[Any]) -> Candidates:
+        """Take live Mitsuba sensors, all of them reachable."""
+        names = tuple(sensor.id() or f"view_{i:04d}" for i, sensor in enumerate(sensors))
+        return Candidates(tuple(sensors), names, np.ones(len(sensors), bool))
+
+    @staticmethod
+    def without_photograph(capture: Capture) -> Candidates:
+        """Take the sensors of a capture whose photographs are not used or do not exist yet.
+
+        Raises:
+            OptionError: every sensor has a photograph.
+        """
+        left = [i for i, used in enumerate(capture.used) if not used]
+        if not left:
+            raise OptionError(
+                "Every sensor of the capture has its photograph; place candidates with "
+                "Candidates.around(capture)."
+            )
+        sensors = tuple(capture.sensors[i] for i in left)
+        return Candidates(sensors, tuple(capture.names[i] for i in left), np.ones(len(left), bool))
+
+    @staticmethod
+    def around(
+        capture: Capture, count: int = 100, *, up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+        lowest: float = -1.0, distance: float | None = None,
+    ) -> Candidates:  # fmt: skip
+        """Place candidates on a sphere around the object, with the camera of the photographs.
+
+        Args:
+            capture: film and lens are those of its first photograph.
+            count: number of candidates.
+            up: the top of the sphere.
+            lowest: sine of the lowest elevation: -1 for the sphere, 0 for the upper hemisphere.
+            distance: from the object's centre; by default the photographs' median.
+
+        Raises:
+            OptionError: a number out of range.
+        """
+        used = [s for s, u in zip(capture.sensors, capture.used, strict=True) if u]
+        used = used or list(capture.sensors)
+        center, _ = bounding_sphere(capture.shape)
+        if distance is None:
+            offsets = [to_world(sensor)[:3, 3] - center for sensor in used]
+            distance = float(np.median(np.linalg.norm(offsets, axis=1)))
+        size, x_fov = film_size(used[0]), describe(used[0])["x_fov"]
+        wide = max(1.0, size[0] / size[1])
+        fov = 2 * np.degrees(np.arctan(np.tan(np.radians(x_fov) / 2) / wide))
+        sensors = sphere_sensors(
+            capture.shape, count, size, float(fov), distance=distance, up=up, lowest=lowest
+        )
+        return Candidates.of(sensors)
+
+    @staticmethod
+    def read(path: str | Path) -> Candidates:
+        """Read candidates from a file.
+
+        Args:
+            path: ``transforms.json``, the ``capture.json`` of a capture folder (or the folder),
+                or a Mitsuba XML file whose sensors are meant.
+
+        Raises:
+            CaptureError: the file is missing, or is none of these.
+            SceneError: Mitsuba refuses the file, or it has no sensor.
+        """
+        path = Path(path)
+        if path.is_dir():
+            path = path / capture_folder.FILE
+        if not path.is_file():
+            raise CaptureError(f"{path}: no such file; give poses as JSON or Mitsuba XML.")
+        if path.suffix.lower() == ".xml":
+            return Candidates.of(find_sensors(load_scene(path), str(path)))
+        if _is_capture(path):
+            description = capture_folder.read(path.parent)
+            assert description is not None
+            return Candidates.of(description.make_sensors(path))
+        return Candidates.of(read_transforms(path))
+
+    def restricted(self, reachable: Any) -> Candidates:
+        """Return the candidates with some out of reach.
+
+        Args:
+            reachable: (C,) bool.
+
+        Raises:
+            ShapeError: another number of flags.
+            OptionError: none is left.
+        """
+        flags = np.asarray(reachable, bool).ravel()
+        if flags.shape != (self.count,):
+            raise ShapeError(f"Candidates: {flags.size} flags for {self.count} candidates.")
+        return replace(self, reachable=self.reachable & flags)
+
+
+def _is_capture(path: Path) -> bool:
+    """Return whether a JSON file is one of ours, by what it says of itself."""
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise CaptureError(f"{path}: not a readable JSON file ({error}).") from error
+    return (
+        path.name == capture_folder.FILE
+        and isinstance(record, dict)
+        and record.get("format") == capture_folder.FORMAT
+    )
