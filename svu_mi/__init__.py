@@ -53,8 +53,10 @@ _HOME = {
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "AngularPreset", "Candidates", "Capture", "Estimate", "GlobalSharing", "Guidance",
     "GuidanceOptions", "ParameterGrid", "Posterior", "Preset", "PrincipledGrid", "Recovery",
-    "Reference", "Skip", "SvuError", "SvuWarning", "Texels", "TotalVariation", "angular_posterior",
-    "estimate", "fit_sh", "load_capture", "next_best_view", "power_spectrum", "preset", "recover", "reference_posterior", "render_capture", "spectrum_posterior", "texels",
+    "Reference", "Skip", "SvuError", "SvuWarning", "Texels", "TotalVariation",
+    "angular_posterior", "estimate", "fit_sh", "load_capture", "next_best_view",
+    "power_spectrum", "preset", "recover", "reference_posterior", "render_capture",
+    "spectrum_posterior", "texels",
 ]  # fmt: skip
 
 _llvm.bootstrap()

@@ -48,7 +48,10 @@ def extend_lanes(
         added: the candidates, in the same form.
         candidates: how many, an opaque UInt32.
         take: called where a candidate's weight is positive, within the kernel.
-        degree, channels, regularizer, penalize_constant: as ``fit_lanes`` has them.
+        degree: l*, in [0, 9].
+        channels: number of right-hand sides.
+        regularizer: lambda > 0.
+        penalize_constant: R_00 = 1 as printed (True) or 0 (False).
 
     Returns:
         Power spectrum of the known samples alone: Float64 by degree and channel.

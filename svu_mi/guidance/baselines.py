@@ -68,8 +68,8 @@ class DOptimal:
     """Largest determinant of the information matrix (D-optimality [Fedorov 1972]).
 
     For each texel, radiance is linearised in (roughness, metallic, base colour) at its most
-    probable parameters: F = sum J J^T / (2 sigma^2) * 2 + P, with the precision P of a uniform prior
-    on [0, 1], 12 for each. A candidate of Jacobian J adds log(1 + J . F^-1 J).
+    probable parameters: F = sum J J^T / sigma^2 + P, with the precision P of a uniform prior on
+    [0, 1], 12 for each. A candidate of Jacobian J adds log(1 + J . F^-1 J / sigma^2).
     """
 
     PRECISION = 12.0

@@ -106,8 +106,8 @@ class SpectrumForecast(Forecast):
                 dr.scatter(result, value, index, True, dr.ReduceMode.NoConflicts)
 
         known = extend_lanes(
-            _samples(rows, numbers(views)), dr.opaque(mi.UInt32, len(views)),
-            _samples(rows, numbers(asked if len(asked) else [0])), dr.opaque(mi.UInt32, len(asked)), write,
+            _samples(rows, views), dr.opaque(mi.UInt32, len(views)),
+            _samples(rows, asked), dr.opaque(mi.UInt32, len(asked)), write,
             degree=degree, channels=self.switches.colors, regularizer=self.switches.regularizer,
             penalize_constant=self.switches.penalize_constant,
         )  # fmt: skip
@@ -135,11 +135,12 @@ class SpectrumForecast(Forecast):
         return H.numpy()
 
 
-def _samples(rows: Responses, views: Any) -> Any:
+def _samples(rows: Responses, views: np.ndarray) -> Any:
     """Samples of Eq. 12, as ``fit_lanes`` takes them, out of the responses."""
+    order = numbers(views if len(views) else [0])
 
     def sample(index: Any) -> tuple[Any, Any, list[Any]]:
-        view = dr.gather(mi.UInt32, views, index)
+        view = dr.gather(mi.UInt32, order, index)
         weight, x, y, z, *light = (rows.read(view, k) for k in range(rows.columns))
         return mi.Vector3f(x, y, z), weight, light
 
