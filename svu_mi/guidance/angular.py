@@ -79,12 +79,12 @@ class AngularForecast(Forecast):
         self, views: np.ndarray, candidates: np.ndarray | None, texels: np.ndarray
     ) -> np.ndarray:
         launch = _Launch(self, numbers(texels))
-        asked = numbers([0] if candidates is None else candidates)
-        count, size = dr.width(asked), len(texels)
+        asked = np.zeros(1, np.int64) if candidates is None else candidates
+        count, size = len(asked), len(texels)
         out = dr.zeros(mi.Float, count * size)
         dr.eval(out)
         add = dr.opaque(mi.Float, 0 if candidates is None else 1)
-        _entropies(launch, _Order(numbers(views)), _Order(asked), add, out)
+        _entropies(launch, _Order(views), _Order(asked), add, out)
         dr.eval(out)
         return out.numpy().reshape(count, size)
 
@@ -92,8 +92,9 @@ class AngularForecast(Forecast):
 class _Order:
     """Views to go through, one after the other."""
 
-    def __init__(self, views: Any) -> None:
-        self._views, self.count = views, dr.opaque(mi.UInt32, dr.width(views))
+    def __init__(self, views: np.ndarray) -> None:
+        self.count = dr.opaque(mi.UInt32, len(views))
+        self._views = numbers(views if len(views) else [0])  # nothing can be read from nothing
 
     def at(self, place: Any) -> Any:
         return dr.gather(mi.UInt32, self._views, place)

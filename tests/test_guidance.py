@@ -1,0 +1,572 @@
+"""Capture guidance: Eq. 13 against brute force, greedy choice, and what it is good for."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from helpers import ball_scene, memory_capture, render_ball
+from oracle import guidance as oracle
+
+import svu_mi as svu
+from svu_mi.capture.poses import sphere_sensors
+from svu_mi.capture.scene import to_world
+from svu_mi.frequency.extend import extend_lanes
+from svu_mi.guidance import baselines
+from svu_mi.guidance.angular import AngularForecast
+from svu_mi.guidance.forecast import numbers
+from svu_mi.guidance.greedy import Greedy
+from svu_mi.guidance.hypotheses import Hypotheses
+from svu_mi.guidance.responses import BLOCK, Responses
+from svu_mi.guidance.spectral import SpectrumForecast
+from svu_mi.interop import owned
+from svu_mi.options import preset
+from svu_mi.posterior import ParameterGrid, PrincipledGrid
+
+SUN = {"type": "sunsky", "turbidity": 3.0, "sun_direction": [0.4, 0.8, 0.45]}
+PAINT = {"type": "principled", "base_color": {"type": "rgb", "value": [0.5, 0.3, 0.2]},
+         "roughness": 0.4, "metallic": 0.0}  # fmt: skip
+
+
+def responses_of(table: np.ndarray) -> Responses:
+    """Responses that hold a table (V, T, K)."""
+    views, count, columns = table.shape
+    padded = np.zeros((views, -(-count // BLOCK) * BLOCK, columns), np.float32)
+    padded[:, :count] = table
+    blocks = padded.reshape(views, -1, BLOCK, columns).transpose(1, 0, 3, 2)
+    return Responses(
+        values=owned(mi.Float, blocks.ravel()), views=dr.opaque(mi.UInt32, views),
+        columns=columns, count=count, lane=dr.arange(mi.UInt32, count),
+    )  # fmt: skip
+
+
+def posteriors(rng: np.random.Generator, count: int, cells: int) -> np.ndarray:
+    """Peaked and flat distributions (T, N)."""
+    p = rng.dirichlet(np.full(cells, 0.2), count)
+    p[0] = 1 / cells
+    return p
+
+
+def angular_forecast(
+    rng: np.random.Generator, views: int, count: int, grid: PrincipledGrid, *,
+    growth: float = 0.0, prior: np.ndarray | None = None, hypotheses: int = 4096,
+) -> tuple[AngularForecast, np.ndarray, np.ndarray]:  # fmt: skip
+    """A forecast of random lobes; its table and posteriors."""
+    table = rng.gamma(1.0, 1.5, (views, count, 1 + 3 * grid.shape[0])).astype(np.float32)
+    table[..., 0] = rng.random((views, count)) < 0.6
+    table *= table[..., :1]
+    p = posteriors(rng, count, int(np.prod(grid.shape)))
+    energies = None if prior is None else owned(mi.Float, -np.log(prior).ravel())
+    forecast = AngularForecast(
+        responses=responses_of(table), hypotheses=Hypotheses.draw(p, hypotheses, 0), prior=energies,
+        grid=grid, growth=growth,
+    )  # fmt: skip
+    return forecast, table.astype(np.float64), p
+
+
+def angular_oracle(table, p, grid, views, texel, **options):
+    seen = [v for v in views if table[v, texel, 0] > 0]
+    lobes = table[seen, texel, 1:].reshape(len(seen), -1, 3)
+    r = oracle.radiances(lobes, grid.axes["metallic"], grid.axes["base_color"])
+    prior = options.pop("prior", None)
+    d = oracle.angular_distances(r, **options)
+    return oracle.expected(p[texel], d, prior)
+
+
+GRIDS = {
+    "cube": PrincipledGrid(4, 3, 5),
+    "8 x 8": PrincipledGrid(8, 8, 8, known={"metallic": 0.0}),
+    "known colour": PrincipledGrid(3, 6, 8, known={"base_color": 0.4}),
+}
+
+
+class TestAngular:
+    @pytest.mark.parametrize("name", GRIDS)
+    def test_equals_brute_force(self, name):
+        rng, grid = np.random.default_rng(1), GRIDS[name]
+        forecast, table, p = angular_forecast(rng, 7, 19, grid)
+        views, candidates = np.arange(4), np.array([6, 4, 5])
+        now = forecast.now(views)
+        texels = np.array([0, 3, 7, 12, 18])
+        found = forecast.expected(views, candidates, texels)
+        for t in texels:
+            seen = table[:4, t, 0].any()
+            before = angular_oracle(table, p, grid, range(4), t) if seen else 1.0
+            assert now[t] == pytest.approx(before, abs=1e-5)
+        for (a, v), (i, t) in [(x, y) for x in enumerate(candidates) for y in enumerate(texels)]:
+            if table[v, t, 0] == 0:
+                assert np.isnan(found[a, i])
+            else:
+                exact = angular_oracle(table, p, grid, [*range(4), v], t)
+                assert found[a, i] == pytest.approx(exact, abs=1e-5)
+
+    def test_prior_and_noise_that_grows(self):
+        rng, grid = np.random.default_rng(2), GRIDS["cube"]
+        prior = rng.dirichlet(np.ones(60)) + 1e-3
+        forecast, table, p = angular_forecast(rng, 5, 6, grid, growth=0.7, prior=prior)
+        found = forecast.expected(np.arange(3), np.array([3, 4]), np.arange(6))
+        for a, v in enumerate((3, 4)):
+            for t in np.flatnonzero(table[v, :, 0]):
+                exact = angular_oracle(table, p, grid, [0, 1, 2, v], t, growth=0.7, prior=prior)
+                assert found[a, t] == pytest.approx(exact, abs=1e-5)
+
+    def test_bright_light_leaves_no_nan_and_the_truth_its_place(self):
+        rng, grid = np.random.default_rng(3), GRIDS["cube"]
+        forecast, table, p = angular_forecast(rng, 4, 5, grid)
+        blinding = dataclasses.replace(forecast, responses=responses_of(
+            np.where(np.arange(13) > 0, 1e6, 1) * table.astype(np.float32)))  # fmt: skip
+        found = blinding.expected(np.arange(3), np.array([3]), np.arange(5))
+        seen = table[3, :, 0] > 0
+        # Everything is told apart, but for cells that are the same whatever the light.
+        assert np.isfinite(found[0, seen]).all() and (found[0, seen] < 0.2).all()
+
+
+class TestRankOne:
+    """Must show 1: a fit with one more sample is the fit from scratch."""
+
+    @pytest.mark.parametrize("penalize", [True, False])
+    @pytest.mark.parametrize("known", [0, 1, 3, 20, 60])
+    def test_equals_refitting(self, known, penalize):
+        rng, lmax, added = np.random.default_rng(known), 6, 5
+        count = known + added
+        directions = rng.normal(size=(count, 3))
+        directions[:, 2] = np.abs(directions[:, 2])
+        directions = (directions / np.linalg.norm(directions, axis=1)[:, None]).astype(np.float32)
+        weights = np.abs(directions[:, 2]).astype(np.float32)
+        values = rng.gamma(1.0, 1.0, (count, 2)).astype(np.float32)
+        table = np.concatenate([weights[:, None], directions, values], axis=1)
+        flat, columns = owned(mi.Float, table.ravel()), table.shape[1]
+
+        def sample(first):
+            def read(index):
+                w, x, y, z, *f = (
+                    dr.gather(mi.Float, flat, (index + first) * columns + k)
+                    for k in range(columns)
+                )
+                return mi.Vector3f(x, y, z), w, f
+
+            return read
+
+        out = dr.zeros(mi.Float64, added * 14)
+        dr.eval(out)
+
+        def take(j, power):
+            for l in range(7):
+                for c in range(2):
+                    dr.scatter(out, power[l][c], j * 14 + (l * 2 + c))
+
+        alone = extend_lanes(
+            sample(0), dr.opaque(mi.UInt32, known), sample(known), dr.opaque(mi.UInt32, added),
+            take, degree=lmax, channels=2, regularizer=1e-3, penalize_constant=penalize,
+        )  # fmt: skip
+        dr.eval(out, alone)
+        for j in range(added):
+            rows = [*range(known), known + j]
+            exact = oracle.refitted_power(
+                directions[rows], weights[rows], values[rows], lmax, 1e-3, penalize
+            )
+            found = out.numpy()[j * 14 : (j + 1) * 14].reshape(7, 2)
+            np.testing.assert_allclose(found, exact, atol=1e-6 * exact.max(), rtol=1e-6)
+        if known:
+            exact = oracle.refitted_power(
+                directions[:known], weights[:known], values[:known], lmax, 1e-3, penalize
+            )
+            found = np.array([[c.numpy()[0] for c in row] for row in alone])
+            np.testing.assert_allclose(found, exact, atol=1e-6 * exact.max(), rtol=1e-6)
+
+    @pytest.mark.parametrize("switches", [preset("paper", sigma=0.02, regularizer=1e-2),
+                                          preset("default", parameters="specular", sigma=0.05)])
+    def test_expected_entropy_equals_brute_force(self, switches):
+        rng, count, views = np.random.default_rng(5), 9, 8
+        grid = ParameterGrid(3, 4).resolved(switches)
+        directions = rng.normal(size=(views, count, 3))
+        directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+        light = rng.gamma(1.0, 0.3, (views, count, switches.colors))
+        table = np.concatenate([np.abs(directions[..., 2:]), directions, light], axis=2)
+        table *= (rng.random((views, count, 1)) < 0.7)
+        table = table.astype(np.float32)
+        p = posteriors(rng, count, 12)
+        forecast = SpectrumForecast(
+            responses=responses_of(table), hypotheses=Hypotheses.draw(p, 12, 0), prior=None,
+            grid=grid, switches=switches, sigma=switches.sigma, prefilter=0.0,
+        )  # fmt: skip
+        alphas = grid.roughness_nodes**2
+        alphas = np.maximum(alphas, 1e-3) if switches.bounded_alpha else alphas
+
+        def exact(chosen, t):
+            rows = [v for v in chosen if table[v, t, 0] > 0]
+            samples = table[rows, t].astype(np.float64)
+            S_L = oracle.refitted_power(
+                samples[:, 1:4], samples[:, 0], samples[:, 4:], switches.degree,
+                switches.regularizer, switches.penalize_constant,
+            )  # fmt: skip
+            return oracle.expected(
+                p[t], oracle.spectrum_distances(S_L, alphas, grid.specular_nodes, switches.sigma)
+            )
+
+        known, candidates = np.arange(4), np.array([4, 5, 6, 7])
+        now = forecast.now(known)
+        found = forecast.expected(known, candidates, np.arange(count))
+        for t in range(count):
+            if table[:4, t, 0].any():
+                assert now[t] == pytest.approx(exact(range(4), t), abs=2e-5)
+            for a, v in enumerate(candidates):
+                if table[v, t, 0] > 0:
+                    assert found[a, t] == pytest.approx(exact([*range(4), v], t), abs=2e-5)
+
+
+class TestHypotheses:
+    def test_all_cells_of_a_small_grid(self):
+        p = posteriors(np.random.default_rng(0), 5, 12)
+        drawn = Hypotheses.draw(p, 12, 0)
+        assert (np.diff(drawn.weights.numpy().reshape(-1, 5), axis=0) <= 0).all()
+        rebuilt = np.zeros_like(p)
+        for k in range(12):
+            cell, weight = drawn.at(mi.UInt32(k), dr.arange(mi.UInt32, 5))
+            active = k < drawn.counts.numpy()
+            rebuilt[np.arange(5)[active], cell.numpy()[active]] = weight.numpy()[active]
+        np.testing.assert_allclose(rebuilt, p, rtol=1e-6)
+
+    def test_draws_are_within_one_of_their_share_and_unbiased(self):
+        p = posteriors(np.random.default_rng(1), 4, 100)
+        total = np.zeros_like(p)
+        for seed in range(400):
+            drawn = Hypotheses.draw(p, 10, seed)
+            counts = drawn.counts.numpy()
+            cells = drawn.cells.numpy().reshape(-1, 4)
+            weights = drawn.weights.numpy().reshape(-1, 4)
+            for t in range(4):
+                shares = weights[: counts[t], t]
+                assert shares.sum() == pytest.approx(1, abs=1e-6)
+                exact = 10 * p[t, cells[: counts[t], t]]
+                assert (np.abs(10 * shares - exact) < 1 + 1e-5).all()
+                total[t, cells[: counts[t], t]] += shares / 400
+        assert np.abs(total - p).max() < 0.02
+
+    def test_a_certain_texel_costs_one(self):
+        p = np.zeros((2, 50))
+        p[:, 7] = 1
+        assert Hypotheses.draw(p, 16, 0).counts.numpy().tolist() == [1, 1]
+
+
+class TestGreedy:
+    def forecast(self, seed=4, views=14, count=60):
+        rng = np.random.default_rng(seed)
+        return angular_forecast(rng, views, count, GRIDS["cube"], hypotheses=6)[0]
+
+    def test_only_what_changes_is_evaluated_again_and_nothing_is_lost(self):
+        forecast, taken = self.forecast(), [0, 1, 2]
+        greedy = Greedy(forecast, 3)
+        for _ in range(5):
+            gains = greedy.gains()
+            before, exact = forecast.now(np.array(taken)), np.full(11, -np.inf)
+            free = [c for c in range(11) if 3 + c not in taken]
+            found = forecast.expected(np.array(taken), 3 + np.array(free), np.arange(60))
+            change = np.where(np.isfinite(found), before - found, 0).mean(axis=1)
+            exact[free] = change
+            np.testing.assert_allclose(gains, exact, atol=1e-6)
+            best = int(np.argmax(gains))
+            greedy.choose(best)
+            taken.append(3 + best)
+            np.testing.assert_allclose(greedy.entropy, forecast.now(np.array(taken)), atol=1e-6)
+        pairs = int(forecast.seen[3:].sum())
+        assert greedy.evaluated < 5 * pairs
+
+    def test_lazy_chooses_the_same_and_evaluates_less(self):
+        chosen, evaluated = [], []
+        for lazy in (False, True):
+            greedy = Greedy(self.forecast(views=40, count=200), 3, lazy=lazy)
+            greedy.BATCH = 2
+            order = []
+            for _ in range(6):
+                order.append(int(np.argmax(greedy.gains())))
+                greedy.choose(order[-1])
+            chosen.append(order)
+            evaluated.append(greedy.evaluated)
+        assert chosen[0] == chosen[1]
+        assert evaluated[1] < evaluated[0]
+
+    def test_a_candidate_that_sees_nothing_gains_nothing(self):
+        forecast = self.forecast()
+        table = forecast.responses.table().copy()
+        table[5] = 0
+        greedy = Greedy(dataclasses.replace(forecast, responses=responses_of(table)), 3)
+        assert greedy.gains()[2] == 0
+
+    def test_nothing_seen_so_far(self):
+        greedy = Greedy(self.forecast(), 0)
+        assert (greedy.entropy == 1).all()
+        assert (greedy.gains() > 0).all()
+
+
+class TestBaselines:
+    def test_farthest(self):
+        rng = np.random.default_rng(0)
+        d = baselines.unit_directions(list(rng.normal(size=(30, 3))), np.zeros(3))
+        strategy, taken = baselines.Farthest(d, 4), list(range(4))
+        for _ in range(6):
+            best = int(np.argmax(strategy.gains()))
+            angles = np.arccos(np.clip(d @ d[taken].T, -1, 1)).min(axis=1)
+            assert 4 + best == int(np.argmax(angles))
+            assert strategy.gains()[best] == pytest.approx(angles.max())
+            strategy.choose(best)
+            taken.append(4 + best)
+
+    def test_coverage_prefers_what_few_views_see(self):
+        seen = np.zeros((4, 10), bool)
+        seen[0, :6] = True  # photographed
+        seen[1, :5], seen[2, 6:], seen[3, 4:8] = True, True, True
+        strategy = baselines.Coverage(seen, 1)
+        np.testing.assert_allclose(strategy.gains(), [0.25, 0.4, 0.3])
+        strategy.choose(1)
+        np.testing.assert_allclose(strategy.gains()[[0, 2]], [0.25, 0.2])
+
+    def test_random_is_a_permutation_that_a_seed_fixes(self):
+        a, b = baselines.Random(20, 3).gains(), baselines.Random(20, 4).gains()
+        assert sorted(a) == list(range(20)) and (a == baselines.Random(20, 3).gains()).all()
+        assert (a != b).any()
+
+    def test_d_optimality_is_the_growth_of_the_determinant(self):
+        rng = np.random.default_rng(1)
+        J, seen = rng.normal(size=(6, 5, 3)), rng.random((6, 5)) < 0.7
+        strategy, taken = baselines.DOptimal(J, seen, 2), [0, 1]
+
+        def log_det(views):
+            rows = J[views] * seen[views][..., None]
+            F = np.einsum("vti,vtj->tij", rows, rows) + 12 * np.eye(3)
+            return np.linalg.slogdet(F)[1].mean()
+
+        for _ in range(3):
+            exact = [log_det([*taken, 2 + c]) - log_det(taken) for c in range(4)]
+            free = [c for c in range(4) if 2 + c not in taken]
+            np.testing.assert_allclose(strategy.gains()[free], np.array(exact)[free], rtol=1e-9)
+            strategy.choose(free[0])
+            taken.append(2 + free[0])
+
+    def test_jacobians_are_slopes_of_radiance(self):
+        rng, grid = np.random.default_rng(2), PrincipledGrid(9, 5, 6)
+        table = np.empty((3, 4, 28), np.float32)
+        # Lobes that are linear in roughness: neighbouring levels tell the slope exactly.
+        start, slope = rng.random((3, 4, 3)), rng.random((3, 4, 3))
+        for k, roughness in enumerate(grid.roughness_nodes):
+            table[..., 1 + 3 * k : 4 + 3 * k] = start + roughness * slope
+        cells = np.array([0, 77, 140, 269])
+        found = baselines.jacobians(table, grid, cells)
+
+        def radiance(t, roughness, m, c):
+            e, p, q = np.moveaxis(start[:, t] + roughness * slope[:, t], -1, 0)
+            return (1 - m) * c * e + (0.04 * (1 - m) + m * c) * p + q
+
+        for t, cell in enumerate(cells):
+            x = np.array([n[i] for n, i in zip(grid.axes.values(),
+                          np.unravel_index(cell, grid.shape), strict=True)])  # fmt: skip
+            for k in range(3):
+                step = 1e-4 * np.eye(3)[k]
+                exact = (radiance(t, *(x + step)) - radiance(t, *(x - step))) / 2e-4
+                np.testing.assert_allclose(found[:, t, k], np.sqrt(2) * exact, rtol=2e-3, atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def sunny(tmp_path_factory):
+    """A ball under a clear sky: 20 photographs from all sides, and its texels."""
+    capture = render_ball(tmp_path_factory.mktemp("sunny"), SUN, PAINT, views=20, spp=16)
+    return capture, svu.texels(capture.mesh, (48, 24))
+
+
+def some(capture, used):
+    """The capture, of which only some views are photographed."""
+    flags = tuple(i in used for i in range(capture.count))
+    return dataclasses.replace(capture, used=flags)
+
+
+def in_memory(capture, indices):
+    """The capture with these views alone."""
+    return memory_capture(
+        capture.scene, [capture.images[i] for i in indices], [capture.sensors[i] for i in indices]
+    )
+
+
+class TestNextBestView:
+    @pytest.mark.parametrize("switches", [{}, {"method": "spectrum", "preset": "paper"}])
+    def test_photographs_of_candidates_are_never_looked_at(self, sunny, switches):
+        capture, texels = sunny
+        used = (0, 1, 2, 3)
+        clean = some(capture, used)
+        garbage = np.full_like(capture.images[0], np.nan)
+        garbage[::2] = 1e9
+        images = tuple(x if i in used else garbage for i, x in enumerate(capture.images))
+        dirty = dataclasses.replace(clean, images=images, masks=tuple(
+            None if i in used else np.zeros((64, 64), bool) for i in range(20)))  # fmt: skip
+        found = [
+            svu.next_best_view(svu.estimate(c, texels, **switches), count=3)
+            for c in (clean, dirty)
+        ]
+        assert found[0].candidates.count == 16
+        np.testing.assert_array_equal(found[0].gains, found[1].gains)
+        assert [p.name for p in found[0].proposals] == [p.name for p in found[1].proposals]
+
+    def test_hidden_side_is_looked_at_first(self, sunny):
+        """Must show 4."""
+        capture, texels = sunny
+        towards = np.array([to_world(s)[:3, 3] for s in capture.sensors])
+        right = np.argsort(-towards[:, 0])[:4]
+        for method, named in (("angular", "default"), ("spectrum", "paper")):
+            estimate = svu.estimate(some(capture, right), texels, method, named)
+            unseen = float((np.array(estimate.coverage) == 0).mean())
+            assert 0.3 < unseen < 0.7
+            guidance = svu.next_best_view(estimate, svu.Candidates.around(capture, 40), 3)
+            first, second, third = guidance.proposals
+            assert to_world(first.sensor)[0, 3] < 0
+            assert first.new > 0.6 * first.sees
+            assert first.new + second.new + third.new > 0.75 * unseen
+
+    def test_expected_gain_of_a_sample_is_that_of_all_within_its_error(self, sunny):
+        capture, texels = sunny
+        estimate = svu.estimate(some(capture, (0, 5, 9)), texels)
+        every = svu.next_best_view(estimate, texels=10**6)
+        assert every.proposals[0].error == 0
+        assert every.skipped["texels not looked at"] == 0
+        few = [svu.next_best_view(estimate, texels=300, seed=seed) for seed in range(8)]
+        z = [
+            (g.gains[p.candidate] - every.gains[p.candidate]) / p.error
+            for g in few for p in g.proposals
+        ]
+        assert np.abs(z).max() < 4 and np.sqrt(np.mean(np.square(z))) < 2
+        assert all(0 < g.proposals[0].error < 0.02 for g in few)
+
+    def test_gain_maps_add_up(self, sunny):
+        capture, texels = sunny
+        estimate = svu.estimate(some(capture, (0, 5, 9)), texels)
+        guidance = svu.next_best_view(estimate, count=3, texels=10**6)
+        maps = guidance.gain_maps()
+        assert maps.shape == (3, texels.count)
+        gains = [p.gain for p in guidance.proposals]
+        np.testing.assert_allclose(maps.mean(axis=1), gains, rtol=1e-4)
+        assert guidance.image(1).shape == (24, 48)
+        after = [p.entropy for p in guidance.proposals]
+        np.testing.assert_allclose(guidance.entropy - np.cumsum(gains), after, rtol=1e-5)
+
+    def test_unreachable_candidates_are_never_proposed(self, sunny):
+        capture, texels = sunny
+        estimate = svu.estimate(some(capture, (0, 1)), texels)
+        candidates = svu.Candidates.without_photograph(some(capture, (0, 1)))
+        best = svu.next_best_view(estimate, candidates).proposals[0].candidate
+        flags = np.ones(18, bool)
+        flags[best] = False
+        guidance = svu.next_best_view(estimate, candidates.restricted(flags), 100)
+        assert len(guidance.proposals) == 17
+        assert best not in [p.candidate for p in guidance.proposals]
+        assert np.isnan(guidance.gains[best]) and best not in guidance.ranking
+        assert sorted(guidance.ranking) == [c for c in range(18) if c != best]
+
+    def test_every_strategy_and_what_it_reports(self, sunny):
+        capture, texels = sunny
+        estimate = svu.estimate(some(capture, (0, 1, 2)), texels)
+        final = {}
+        for strategy in ("entropy", "d-optimal", "coverage", "farthest", "random"):
+            guidance = svu.next_best_view(estimate, count=4, strategy=strategy)
+            names = [p.candidate for p in guidance.proposals]
+            assert len(set(names)) == 4
+            assert all(np.isfinite([p.gain, p.error, p.entropy]).all() for p in guidance.proposals)
+            final[strategy] = guidance.proposals[-1].entropy
+        assert final["entropy"] <= min(final.values()) + 2e-3
+        assert final["entropy"] < final["random"]
+
+    def test_other_views_or_texels_are_no_other_kernels(self, sunny):
+        capture, texels = sunny
+        estimate = svu.estimate(some(capture, (0, 1, 2)), texels)
+        svu.next_best_view(estimate, svu.Candidates.around(capture, 11), 3, texels=200)
+        other = svu.estimate(some(capture, (4, 5, 6, 7, 8)), texels)
+        dr.kernel_history_clear()
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            svu.next_best_view(other, svu.Candidates.around(capture, 23), 4, texels=333)
+        compiled = [
+            k for k in dr.kernel_history()
+            if k["type"] == dr.KernelType.JIT and not k["cache_hit"] and not k["cache_disk"]
+        ]
+        assert not compiled
+
+    def test_joint_channels_and_grey_light(self, sunny):
+        capture, texels = sunny
+        joint = preset("default", method="angular", channels="joint")
+        estimate = svu.estimate(some(capture, (0, 1, 2)), texels, preset=joint)
+        assert svu.next_best_view(estimate).proposals[0].gain > 0
+
+    def test_calibrated_preset_and_prior(self, sunny):
+        capture, texels = sunny
+        prior = np.ones((8, 8, 8))
+        prior[:2] = 0  # nothing is a mirror
+        estimate = svu.estimate(some(capture, (0, 1, 2)), texels, preset="calibrated", prior=prior)
+        guidance = svu.next_best_view(estimate, count=2)
+        assert 0 < guidance.entropy < 1
+        assert all(np.isfinite(p.gain) for p in guidance.proposals)
+
+    def test_bad_input(self, sunny):
+        capture, texels = sunny
+        estimate = svu.estimate(some(capture, (0, 1)), texels)
+        with pytest.raises(svu.SvuError, match="count must be at least 1"):
+            svu.next_best_view(estimate, count=0)
+        with pytest.raises(svu.SvuError, match="unknown option 'texel'"):
+            svu.next_best_view(estimate, texel=3)
+        with pytest.raises(svu.SvuError, match="strategy must be one of"):
+            svu.next_best_view(estimate, strategy="best")
+        with pytest.raises(svu.SvuError, match="texels must be at least 1"):
+            svu.next_best_view(estimate, texels=0)
+        with pytest.raises(svu.SvuError, match="no such proposal|there are 1 proposals"):
+            svu.next_best_view(estimate).image(1)
+        spectra = svu.estimate(some(capture, (0, 1)), texels, "spectrum")
+        with pytest.raises(svu.SvuError, match="parameters='specular'"):
+            svu.next_best_view(spectra)
+        specular = preset("default", method="angular", parameters="specular")
+        with pytest.raises(svu.SvuError, match="parameters='principled'"):
+            svu.next_best_view(svu.estimate(some(capture, (0, 1)), texels, preset=specular))
+        with pytest.raises(svu.SvuError, match="does not know its capture"):
+            svu.next_best_view(dataclasses.replace(estimate, observed=None))
+        paper = svu.estimate(some(capture, (0, 1)), texels, "spectrum", "paper")
+        with pytest.raises(svu.SvuError, match="d-optimal needs"):
+            svu.next_best_view(paper, strategy="d-optimal")
+
+
+class TestCandidates:
+    def test_around_takes_the_camera_of_the_photographs(self, sunny):
+        capture, _ = sunny
+        candidates = svu.Candidates.around(capture, 30, lowest=0.2, up=(0, 0, -1))
+        places = np.array([to_world(s)[:3, 3] for s in candidates.sensors])
+        radius = np.linalg.norm(to_world(capture.sensors[0])[:3, 3])
+        np.testing.assert_allclose(np.linalg.norm(places, axis=1), radius, rtol=1e-5)
+        sine = -places[:, 2] / radius
+        assert sine.min() >= 0.2 - 1e-6 and sine.max() > 0.95
+        looks = np.array([to_world(s)[:3, 2] for s in candidates.sensors])
+        np.testing.assert_allclose(looks, -places / radius, atol=1e-5)
+
+    def test_a_sphere_is_even(self):
+        ball = mi.load_dict({"type": "sphere"})
+        d = baselines.unit_directions(
+            [to_world(s)[:3, 3] for s in sphere_sensors(ball, 200, (8, 8), up=(1, 2, -1))],
+            np.zeros(3),
+        )
+        assert np.abs(d.mean(axis=0)).max() < 0.01
+        nearest = np.sort(np.arccos(np.clip(d @ d.T, -1, 1)), axis=1)[:, 1]
+        assert nearest.min() > 0.5 * nearest.max()
+
+    def test_refused(self, sunny):
+        capture, _ = sunny
+        with pytest.raises(svu.SvuError, match="Every sensor"):
+            svu.Candidates.without_photograph(capture)
+        with pytest.raises(svu.SvuError, match="no view that can be reached"):
+            svu.Candidates.around(capture, 5).restricted(np.zeros(5))
+        with pytest.raises(svu.SvuError, match="4 flags for 5"):
+            svu.Candidates.around(capture, 5).restricted(np.ones(4))
+        with pytest.raises(svu.SvuError, match="Cannot place 0"):
+            svu.Candidates.around(capture, 0)
+        with pytest.raises(svu.SvuError, match="lowest elevation"):
+            svu.Candidates.around(capture, 5, lowest=1.0)
+        with pytest.raises(svu.SvuError, match="up must be a direction"):
+            svu.Candidates.around(capture, 5, up=(0, 0, 0))
+        with pytest.raises(svu.SvuError, match="positive distance"):
+            svu.Candidates.around(capture, 5, distance=-1)
+        with pytest.raises(svu.SvuError, match="no such file"):
+            svu.Candidates.read("nowhere.json")
