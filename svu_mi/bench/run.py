@@ -11,6 +11,7 @@ from typing import Any
 from svu_mi.bench.accuracy import Bench, run_cell
 from svu_mi.bench.cells import Cell
 from svu_mi.bench.checks import run_checks
+from svu_mi.bench.guidance import draw_guidance, run_guidance
 from svu_mi.bench.kernels import run_kernels
 from svu_mi.bench.plots import draw_plots
 from svu_mi.bench.recovery import draw_recovery, run_recovery
@@ -25,7 +26,7 @@ from svu_mi.errors import OptionError, SvuError, SvuWarning
 from svu_mi.files import prepare_folder
 from svu_mi.output import environment_record, write_manifest
 
-WHAT = ("accuracy", "checks", "speed", "kernels", "stability", "recovery", "all")
+WHAT = ("accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance", "all")
 
 
 def run_bench(
@@ -44,14 +45,14 @@ def run_bench(
     Args:
         bench: where and how.
         cells: objects x lights; run times are measured on the first.
-        what: one of ``WHAT``; ``all`` is all but ``recovery``.
+        what: one of ``WHAT``; ``all`` is all but ``recovery`` and ``guidance``.
         variants: estimators; all that this version knows by default.
         recovery: what of the recovery benchmark is run.
         command: as the user gave it, for the record.
 
     Returns:
         What bench.json holds: ``cells``, ``summary``, ``checks``, ``speed``, ``kernels``,
-        ``stability``, ``recovery``, ``failed``, and how it was run.
+        ``stability``, ``recovery``, ``guidance``, ``failed``, and how it was run.
 
     Raises:
         OptionError: an unknown ``what``, or no cell.
@@ -76,6 +77,7 @@ def run_bench(
         "kernels": None,
         "stability": None,
         "recovery": None,
+        "guidance": None,
     }
     if what in ("accuracy", "all"):
         record["cells"], record["failed"] = _all_cells(bench, cells, variants)
@@ -97,14 +99,18 @@ def run_bench(
     if what in ("stability", "all"):
         record["stability"] = _recall(bench, "stability", run_stability)
         _write(bench, record)
-    if what == "recovery":  # takes as long as all the others: never part of them
-
-        def finished(found: dict[str, Any]) -> None:
-            record["recovery"] = found
-            _write(bench, record)
-
-        run_recovery(bench, cells, recovery, finished=finished)
+    # Each takes as long as all the others: never part of them.
+    finished = partial(_finished, bench, record)
+    if what == "recovery":
+        run_recovery(bench, cells, recovery, finished=partial(finished, what))
+    if what == "guidance":
+        run_guidance(bench, cells, finished=partial(finished, what))
     return record
+
+
+def _finished(bench: Bench, record: dict[str, Any], name: str, found: dict[str, Any]) -> None:
+    record[name] = found
+    _write(bench, record)
 
 
 def _recall(bench: Bench, name: str, measure: Callable[..., Any], *parts: Any) -> dict[str, Any]:
@@ -125,6 +131,8 @@ def _write(bench: Bench, record: dict[str, Any]) -> None:
         draw_plots(bench.folder, record)
         if record["recovery"]:
             draw_recovery(bench.folder, record["recovery"])
+        if record["guidance"]:
+            draw_guidance(bench.folder, record["guidance"])
 
 
 def _all_cells(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from svu_mi.bench.guidance import guidance_tables
 from svu_mi.bench.kernels import kernel_tables
 from svu_mi.bench.recovery import recovery_tables
 from svu_mi.bench.speed_tables import speed_tables
@@ -43,6 +44,8 @@ def write_tables(path: Path, record: Record) -> None:
         parts += ["# Numerical stability", stability_table(record["stability"])]
     if record["recovery"]:
         parts += ["# Recovery of textures", recovery_tables(record["recovery"])]
+    if record["guidance"]:
+        parts += ["# Capture guidance", guidance_tables(record["guidance"])]
     with replacing(path) as temporary:
         temporary.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
 

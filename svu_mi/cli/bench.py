@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from svu_mi.bench.recovery.options import Options
 
 What = Annotated[
-    Literal["accuracy", "checks", "speed", "kernels", "stability", "recovery", "all"],
+    Literal["accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance", "all"],
     tyro.conf.Positional,
 ]
 Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
@@ -39,7 +39,8 @@ class Bench(Common):
     """accuracy: every object under every light; checks: what these comparisons take for granted,
     for some objects; speed: run times, of the first object and light; kernels: speed and error of
     each kernel, what skipping saves, scaling; stability: errors at the ends of every axis;
-    all: these; recovery: textures recovered in every way, against the true ones."""
+    all: these; recovery: textures recovered in every way, against the true ones; guidance: textures
+    recovered from views chosen in every way, and the time that choosing takes."""
     output: Output = Path("out/bench")
     data: Path | None = None
     """Folder with objects/ and envmaps/; without it, the scenes of svu_mi."""
@@ -87,7 +88,7 @@ class Bench(Common):
             if row["kind"] != "switch" and row["pearson"] is not None:
                 line = f"{row['label']}: Pearson {row['pearson']['mean']:.2f}"
                 console.print(line, markup=False, highlight=False, soft_wrap=True)
-        parts = [record[name] or {} for name in ("kernels", "recovery")]
+        parts = [record[name] or {} for name in ("kernels", "recovery", "guidance")]
         for bar in (bar for part in parts for bar in part.get("bars", ())):
             if not (bar["holds"] or self.quick):
                 line = f"Missed: {bar['what']}: {bar['value']:.3g} {bar['unit']}"

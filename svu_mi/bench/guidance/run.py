@@ -1,0 +1,101 @@
+"""Run the guidance benchmark, start by start; what is finished is kept."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from svu_mi.bench.accuracy import Bench
+from svu_mi.bench.captures import some_views
+from svu_mi.bench.cells import Cell
+from svu_mi.bench.guidance.curves import Shoot
+from svu_mi.bench.guidance.sizes import FULL, QUICK, Sizes
+from svu_mi.bench.guidance.speed import measure_speed
+from svu_mi.bench.guidance.verdict import find_bars
+from svu_mi.bench.store import Store, code_and_machine, key_of
+from svu_mi.errors import SvuError, SvuWarning
+from svu_mi.surface import texels
+
+Record = dict[str, Any]
+PLACE = "guidance"  # folder of finished runs
+PHOTOGRAPHS = 10  # that steps are timed with
+
+
+def run_guidance(
+    bench: Bench, cells: Sequence[Cell], *, finished: Callable[[Record], None] | None = None
+) -> Record:
+    """Choose views by every strategy, recover textures from them, and time the choice.
+
+    Args:
+        bench: where, and how large.
+        cells: objects x lights; steps are timed on the first.
+        finished: called with the record so far after each run.
+
+    Returns:
+        ``runs``: a record per cell and start, with ``cell``, ``seed``, ``start`` and ``curves`` by
+        strategy; ``speed``; ``bars``; ``sizes``; ``quick``; ``failed`` cells.
+
+    Raises:
+        SvuError: that of the first cell, if every cell failed.
+        OutputError: the folder cannot be written.
+    """
+    sizes = QUICK if bench.quick else FULL
+    record: Record = {"runs": [], "speed": None, "bars": [], "failed": [], "sizes": sizes,
+                      "quick": bench.quick}  # fmt: skip
+    first = None
+    chosen = few_lights(cells, sizes.lights)
+    for cell in chosen:
+        for seed in range(sizes.starts):
+            try:
+                record["runs"].append(_run(bench, cell, sizes, seed))
+            except SvuError as error:
+                first = first or error
+                record["failed"].append({"cell": cell.title, "reason": str(error)})
+                warnings.warn(f"{cell.title} is left out: {error}", SvuWarning, stacklevel=2)
+                break
+            _tell(record, sizes, finished)
+    if not record["runs"] and first is not None:
+        raise first
+    with bench.progress.stage("Timing steps of guidance"):
+        capture = some_views(bench.capture(chosen[0]), PHOTOGRAPHS)
+        record["speed"] = measure_speed(capture, sizes)
+    _tell(record, sizes, finished)
+    return record
+
+
+def few_lights(cells: Sequence[Cell], count: int) -> list[Cell]:
+    """Return the first ``count`` cells of every object."""
+    kept: list[Cell] = []
+    for cell in cells:
+        if sum(one.object == cell.object for one in kept) < count:
+            kept.append(cell)
+    return kept
+
+
+def _run(bench: Bench, cell: Cell, sizes: Sizes, seed: int) -> Record:
+    settings = bench.settings
+    photographs = (settings.views, settings.film, settings.spp, settings.seed)
+    key = key_of(
+        str(cell.scene), cell.defines, photographs, asdict(sizes), seed, code_and_machine()
+    )
+
+    def measure() -> Record:
+        capture = bench.capture(cell)
+        shoot = Shoot(capture, texels(capture.mesh, sizes.texels), sizes, seed)
+        with bench.progress.stage(f"{cell.title}, start {seed}", len(sizes.strategies)) as stage:
+            curves: Record = {}
+            for strategy, curve in shoot.curves():
+                curves[strategy] = curve
+                stage.update(len(curves), len(sizes.strategies))
+        return {"cell": cell.title, "seed": seed, "start": shoot.start, "curves": curves}
+
+    store = Store(bench.folder / PLACE / cell.name)
+    return store.recall(f"start_{seed}", key, measure, fresh=bench.fresh)
+
+
+def _tell(record: Record, sizes: Sizes, finished: Callable[[Record], None] | None) -> None:
+    record["bars"] = find_bars(record, sizes)
+    if finished is not None:
+        finished(record)

@@ -1,0 +1,213 @@
+"""What a step of guidance costs, how that grows, and what it costs by refitting."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from svu_mi.bench.guidance.sizes import Sizes
+from svu_mi.capture import Capture
+from svu_mi.frequency import fit_sh, power_spectrum
+from svu_mi.guidance.candidates import Candidates
+from svu_mi.guidance.forecaster import Forecaster, forecaster
+from svu_mi.guidance.greedy import Greedy
+from svu_mi.guidance.spectral import SpectrumForecast
+from svu_mi.options import AnyPreset, Method, preset
+from svu_mi.pipeline import Estimate, estimate
+from svu_mi.posterior import ParameterGrid, PrincipledGrid, spectrum_posterior
+from svu_mi.posterior.spectrum import decay
+from svu_mi.surface import texels
+
+Record = dict[str, Any]
+WARM_UP = 2
+
+
+@dataclass(frozen=True)
+class Timed:
+    """A method that is timed: its grid, and how many truths Eq. 13 averages over."""
+
+    label: str
+    method: Method
+    preset: AnyPreset
+    grid: PrincipledGrid | ParameterGrid
+    hypotheses: int
+
+    def estimate(self, capture: Capture, side: int) -> Estimate:
+        """Estimate what the photographs say, on ``side`` x ``side`` texels."""
+        return estimate(
+            capture, texels(capture.mesh, side), self.method, self.preset, grid=self.grid
+        )
+
+
+ANGULAR = preset("default", method="angular")
+SPECTRUM = Timed(
+    "spectrum, 8 x 8 cells, all of them as truths", "spectrum",
+    preset("default", parameters="specular"), ParameterGrid(8, 8), 64,
+)  # fmt: skip
+METHODS = (
+    SPECTRUM,
+    Timed("angular, 8 x 8 cells, all of them as truths", "angular", ANGULAR,
+          PrincipledGrid(8, 8, 8, known={"metallic": 0.0}), 64),
+    Timed("angular, 8 x 8 x 8 cells, 16 truths", "angular", ANGULAR, PrincipledGrid(8, 8, 8), 16),
+)  # fmt: skip
+
+
+def measure_speed(capture: Capture, sizes: Sizes) -> Record:
+    """Time steps of guidance.
+
+    Args:
+        capture: some photographs; texels that they do not show take part, too.
+        sizes: of the benchmark.
+
+    Returns:
+        ``methods``: a record each (see ``_method``); ``refitting``: see ``_refitting``;
+        ``photographs``.
+    """
+    methods = [_method(capture, timed, sizes) for timed in METHODS]
+    fastest = methods[0]["points"][-1]["first"]
+    return {
+        "photographs": capture.count,
+        "methods": methods,
+        "refitting": _refitting(capture, sizes, fastest),
+    }
+
+
+def _method(capture: Capture, timed: Timed, sizes: Sizes) -> Record:
+    """Time a method at every size.
+
+    Returns:
+        ``label``; ``points``: per size ``candidates``, ``texels``, ``prepare`` (what all steps
+        start from), ``first`` (all candidates) and ``later`` (only what changes) seconds per
+        view, medians; ``per_view``, at the largest size; ``exponents``, of the growth of
+        ``first`` with ``candidates`` and with ``texels``.
+    """
+    most, side = sizes.candidates[-1], sizes.speed_texels
+    by_side = {s: timed.estimate(capture, s) for s in (*sizes.fewer, side)}
+    shapes = [(c, side) for c in sizes.candidates] + [(most, s) for s in sizes.fewer]
+    points = {shape: _point(by_side[shape[1]], shape[0], timed, sizes) for shape in shapes}
+    full = points[most, side]
+    by_candidates = [points[c, side] for c in sizes.candidates]
+    by_texels = [points[most, s] for s in (*sizes.fewer, side)]
+    return {
+        "label": timed.label,
+        "points": [*(points[most, s] for s in sizes.fewer), *by_candidates],
+        "per_view": (full["first"] + (sizes.added - 1) * full["later"]) / sizes.added,
+        "exponents": {
+            "candidates": _exponent([p["candidates"] for p in by_candidates], by_candidates),
+            "texels": _exponent([p["texels"] for p in by_texels], by_texels),
+        },
+    }
+
+
+def _point(found: Estimate, candidates: int, timed: Timed, sizes: Sizes) -> Record:
+    source = forecaster(found)
+    sensors = Candidates.around(source.observed.capture, candidates).sensors
+    chosen = np.arange(found.texels.count)
+
+    def prepare() -> Any:
+        return source.forecast(chosen, sensors, timed.hypotheses, 0)
+
+    forecast = prepare()
+    steps = [_steps(source, forecast, sizes.added) for _ in range(WARM_UP + sizes.repeats)]
+    steps = steps[WARM_UP:]
+    return {
+        "candidates": candidates,
+        "texels": len(chosen),
+        "prepare": statistics.median(seconds(prepare) for _ in range(sizes.repeats)),
+        "first": statistics.median(one[0] for one in steps),
+        "later": statistics.median(t for one in steps for t in one[1:]),
+        "hypotheses": float(forecast.hypotheses.counts.numpy().mean()),
+    }
+
+
+def _steps(source: Forecaster, forecast: Any, added: int) -> list[float]:
+    """Choose views; return the seconds of each."""
+    times: list[float] = []
+    state: list[Greedy] = []
+
+    def step() -> None:
+        if not state:
+            state.append(Greedy(forecast, source.observed.views.number))
+        greedy = state[0]
+        greedy.choose(int(np.argmax(greedy.gains())))
+
+    for _ in range(added):
+        times.append(seconds(step))
+    return times
+
+
+def _refitting(capture: Capture, sizes: Sizes, step: float) -> Record:
+    """Evaluate Eq. 13 as it is written, for a sample of candidates and truths.
+
+    For each candidate and each truth, photographs are made up, fitted with the light, and
+    compared with every cell: by this package's own public functions, kernels compiled.
+
+    Returns:
+        ``seconds`` of one candidate and truth, ``evaluations`` that all would take,
+        ``times``: all of them over one step of guidance; ``largest_difference`` of E[H] from it.
+    """
+    timed, most = SPECTRUM, sizes.candidates[-1]
+    found = timed.estimate(capture, sizes.speed_texels)
+    source = forecaster(found)
+    sensors = Candidates.around(capture, most).sensors
+    chosen = np.arange(found.texels.count)
+    forecast = source.forecast(chosen, sensors, timed.hypotheses, 0)
+    assert isinstance(forecast, SpectrumForecast)
+    views = source.observed.views.number
+    table = forecast.responses.table()
+    runs = [
+        _refit(forecast, table[[*range(views), views + candidate]], cell)
+        for candidate in range(sizes.refits[0]) for cell in range(WARM_UP + sizes.refits[1])
+    ]
+    each = statistics.median(
+        t for place, t in enumerate(runs) if place % (WARM_UP + sizes.refits[1]) >= WARM_UP
+    )
+    evaluations = most * timed.hypotheses
+    return {"seconds": each, "evaluations": evaluations, "step": step,
+            "times": each * evaluations / step}  # fmt: skip
+
+
+def _refit(forecast: SpectrumForecast, table: np.ndarray, cell: int) -> float:
+    """Return the seconds that one truth of one candidate takes."""
+    directions = np.moveaxis(table[..., 1:4], 0, 1)
+    weights, light = table[..., 0].T, np.moveaxis(table[..., 4:], 0, 1)
+    switches = forecast.switches
+    level, Ks = divmod(cell, forecast.grid.shape[1])
+    falloff = decay(switches, forecast.grid, forecast.prefilter)[level]
+    shape = forecast.grid.specular_nodes[Ks] ** 2 * falloff ** (np.arange(7) ** 2)
+
+    def evaluate() -> Any:
+        fitted = fit_sh(
+            directions, weights, np.concatenate([light, light], axis=2), switches.degree,
+            switches.regularizer, switches,
+        )  # fmt: skip
+        power = np.array(power_spectrum(fitted))
+        incoming = power[..., : light.shape[2]]
+        outgoing = incoming * shape[None, :, None]
+        return spectrum_posterior(
+            incoming, outgoing, forecast.grid, preset=switches, scale=1.0
+        ).entropy()
+
+    return seconds(evaluate)
+
+
+def seconds(function: Callable[[], Any]) -> float:
+    """Return how long a function takes, the device synchronised at both ends."""
+    dr.sync_thread()
+    start = time.perf_counter()
+    dr.eval(function())
+    dr.sync_thread()
+    return time.perf_counter() - start
+
+
+def _exponent(sizes: list[int], points: list[Record]) -> float:
+    """Slope of log time against log size."""
+    if len(set(sizes)) < 2:
+        return float("nan")
+    return float(np.polyfit(np.log(sizes), np.log([p["first"] for p in points]), 1)[0])
