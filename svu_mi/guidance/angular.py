@@ -9,7 +9,9 @@ A candidate v adds one square to the sum, however many views there are:
 
     d_{S+v} = (|S| d_S + w_v (r_v(psi_0) - r_v(psi))^2) / (|S| + 1).
 
-The weights are 1, or fall with r_i(psi_0) if the noise grows with radiance.
+The weights are those of Eq. 12, cos^2 theta: what a camera sees at a grazing angle is stretched
+over few pixels, and models are worst there. They also fall with r_i(psi_0) if the noise grows
+with radiance. As the weights are not normalised, a grazing view alone says little.
 
 No photograph takes part: r = Kd e + R0 p + q, and e, p, q of every roughness level are what
 ``Responses`` hold, in units of sqrt(2) sigma.
@@ -37,7 +39,7 @@ FAR = 80.0  # exp(-FAR) adds nothing to the sum over cells, of which one is exp(
 
 
 def columns(levels: int) -> int:
-    """Numbers per view and texel: 1, then e, p, q of every level."""
+    """Numbers per view and texel: cos theta, then e, p, q of every level."""
     return 1 + 3 * levels
 
 
@@ -58,7 +60,7 @@ def respond(scene: Any, surface: Surface, model: Reflection, sigma: Any) -> Resp
             free = mirror_free(scene, surface, seen, seen.seen)
         part = terms(model, normal, seen.direction, dr.maximum(seen.cosine, 1e-3), free)
         levels = zip(part.diffuse, part.scaled, part.added, strict=True)
-        return [mi.Float(1), *(scale * value for level in levels for (value,) in level)]
+        return [seen.cosine, *(scale * value for level in levels for (value,) in level)]
 
     return evaluate
 
@@ -68,8 +70,8 @@ class AngularForecast(Forecast):
     """``Forecast`` on a grid of (roughness, metallic, base colour).
 
     Attributes:
-        growth: a sample of r weighs 1 / (1 + (growth r)^2), with r in units of sqrt(2) sigma: noise
-            that grows with radiance; 0 if it does not.
+        growth: a sample of r weighs cos^2 / (1 + (growth r)^2), with r in units of sqrt(2) sigma:
+            noise that grows with radiance; 0 if it does not.
     """
 
     grid: PrincipledGrid
@@ -118,7 +120,7 @@ class _Launch:
         self.hypotheses = dr.gather(mi.UInt32, self._hypotheses.counts, lane)
 
     def sees(self, view: Any) -> Any:
-        """1 where a view sees the texel, else 0."""
+        """cos theta of a view, 0 where it does not see the texel."""
         return self._responses.read(view, 0)
 
     def truth(self, number: Any) -> tuple[Any, Any, Any, Any]:
@@ -139,7 +141,7 @@ class _Launch:
 
     def squares(self, view: Any, row: Any, predicted: Any) -> list[Any]:
         """w (r(psi_0) - r(psi))^2 in a view, for all cells psi of a row."""
-        weight = dr.rcp(1 + dr.square(self._growth * predicted))
+        weight = dr.square(self.sees(view)) * dr.rcp(1 + dr.square(self._growth * predicted))
         level, m = self._row(row)
         e, p, q = self._lobe(view, level)
         # Kd = (1 - m) c and R0 = F0 (1 - m) + m c: radiance is linear in c.

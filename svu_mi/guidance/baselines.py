@@ -100,13 +100,14 @@ def jacobians(table: np.ndarray, grid: PrincipledGrid, cells: np.ndarray) -> np.
     """Differentiate radiance by roughness, metallic and base colour.
 
     Args:
-        table: (V, T, 1 + 3 R): 1, then e, p, q of every roughness level, in radiance over
-            sqrt(2) sigma (guidance/angular.py).
+        table: (V, T, 1 + 3 R): cos theta, then e, p, q of every roughness level, in radiance
+            over sqrt(2) sigma (guidance/angular.py).
         grid: of the cells.
         cells: (T,) where to differentiate.
 
     Returns:
-        (V, T, 3), in radiance over sigma; by roughness from the neighbouring levels.
+        (V, T, 3), in radiance over sigma, times cos theta, the root of a sample's weight; by
+        roughness from the neighbouring levels.
     """
     levels, columns, count = grid.shape
     nodes = list(grid.axes.values())
@@ -124,7 +125,8 @@ def jacobians(table: np.ndarray, grid: PrincipledGrid, cells: np.ndarray) -> np.
     by_roughness = (radiance(high) - radiance(low)) / width
     by_metallic = (p - e) * c - F0 * p
     by_color = (1 - m) * e + m * p
-    return np.sqrt(2) * np.stack([by_roughness, by_metallic, by_color], axis=-1)
+    slopes = np.stack([by_roughness, by_metallic, by_color], axis=-1)
+    return np.sqrt(2) * table[..., :1] * slopes
 
 
 def unit_directions(positions: Sequence[np.ndarray], center: np.ndarray) -> np.ndarray:
