@@ -15,10 +15,11 @@ import svu_mi as svu
 from svu_mi.capture.poses import sphere_sensors
 from svu_mi.capture.scene import to_world
 from svu_mi.frequency.extend import extend_lanes
-from svu_mi.guidance import baselines
+from svu_mi.guidance import STRATEGIES, baselines
 from svu_mi.guidance.angular import AngularForecast
 from svu_mi.guidance.greedy import Greedy
 from svu_mi.guidance.hypotheses import Hypotheses
+from svu_mi.guidance.measures import Entropy, SquaredError
 from svu_mi.guidance.responses import BLOCK, Responses
 from svu_mi.guidance.spectral import SpectrumForecast
 from svu_mi.interop import owned
@@ -61,7 +62,7 @@ def angular_forecast(
     energies = None if prior is None else owned(mi.Float, -np.log(prior).ravel())
     forecast = AngularForecast(
         responses=responses_of(table), hypotheses=Hypotheses.draw(p, hypotheses, 0), prior=energies,
-        grid=grid, growth=growth,
+        grid=grid, growth=growth, measure=Entropy(int(np.prod(grid.shape))),
     )  # fmt: skip
     return forecast, table.astype(np.float64), p
 
@@ -111,6 +112,27 @@ class TestAngular:
             for t in np.flatnonzero(table[v, :, 0]):
                 exact = angular_oracle(table, p, grid, [0, 1, 2, v], t, growth=0.7, prior=prior)
                 assert found[a, t] == pytest.approx(exact, abs=1e-5)
+
+    def test_expected_error(self):
+        rng, grid = np.random.default_rng(6), GRIDS["cube"]
+        forecast, table, p = angular_forecast(rng, 5, 8, grid)
+        present, prior = (0.1, 0.05, 0.02), (0.14, 0.17, 0.125)
+        judged = dataclasses.replace(forecast, measure=SquaredError(present, prior))
+        values = np.stack([x.ravel() for x in np.meshgrid(*grid.axes.values(), indexing="ij")], 1)
+        found = judged.expected(np.arange(3), np.array([3, 4]), np.arange(8))
+        now = judged.now(np.arange(3))
+        for t in range(8):
+            for views, got in (([0, 1, 2], now[t]), ([0, 1, 2, 3], found[0, t])):
+                seen = [v for v in views if table[v, t, 0] > 0]
+                if np.isnan(got) or not seen:
+                    continue
+                lobes = table[seen, t, 1:].reshape(len(seen), -1, 3)
+                r = oracle.radiances(lobes, grid.axes["metallic"], grid.axes["base_color"])
+                d = oracle.angular_distances(r, table[seen, t, 0])
+                exact = oracle.expected_error(p[t], d, values, np.array(present))
+                assert got == pytest.approx(exact, rel=1e-4, abs=1e-5)
+        unseen = ~(table[:3, :, 0] > 0).any(axis=0)
+        assert (now[unseen] == np.float32(1.4 + 3.4 + 6.25)).all()
 
     def test_bright_light_leaves_no_nan_and_the_truth_its_place(self):
         rng, grid = np.random.default_rng(3), GRIDS["cube"]
@@ -468,7 +490,7 @@ class TestNextBestView:
         capture, texels = sunny
         estimate = svu.estimate(some(capture, (0, 1, 2)), texels)
         final = {}
-        for strategy in ("entropy", "d-optimal", "coverage", "farthest", "random"):
+        for strategy in STRATEGIES:
             guidance = svu.next_best_view(estimate, count=4, strategy=strategy)
             names = [p.candidate for p in guidance.proposals]
             assert len(set(names)) == 4
@@ -528,8 +550,9 @@ class TestNextBestView:
         with pytest.raises(svu.SvuError, match="does not know its capture"):
             svu.next_best_view(dataclasses.replace(estimate, observed=None))
         paper = svu.estimate(some(capture, (0, 1)), texels, "spectrum", "paper")
-        with pytest.raises(svu.SvuError, match="d-optimal needs"):
-            svu.next_best_view(paper, strategy="d-optimal")
+        for strategy in ("d-optimal", "error"):
+            with pytest.raises(svu.SvuError, match=f"{strategy} needs"):
+                svu.next_best_view(paper, strategy=strategy)
 
 
 class TestCandidates:

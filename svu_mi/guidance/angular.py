@@ -1,4 +1,4 @@
-"""Expected entropy (Eq. 13) by the angular method.
+"""Expected entropy (Eq. 13), or error, by the angular method.
 
 If psi_0 were the truth, photographs of a set S of views would show r_i(psi_0), and another psi
 would be off by
@@ -29,6 +29,7 @@ import numpy as np
 from svu_mi.angular.model import Reflection, terms
 from svu_mi.brdf.principled import diffuse_from_principled, specular_from_principled
 from svu_mi.guidance.forecast import Forecast, numbers
+from svu_mi.guidance.measures import Cell, Measure
 from svu_mi.guidance.responses import Respond
 from svu_mi.posterior import PrincipledGrid, streaming
 from svu_mi.radiance import Surface
@@ -72,10 +73,17 @@ class AngularForecast(Forecast):
     Attributes:
         growth: a sample of r weighs cos^2 / (1 + (growth r)^2), with r in units of sqrt(2) sigma:
             noise that grows with radiance; 0 if it does not.
+        measure: what is expected, by default the entropy.
     """
 
     grid: PrincipledGrid
     growth: float
+    measure: Measure
+
+    @property
+    def unseen(self) -> float:
+        """What is expected of a texel that no view sees."""
+        return self.measure.unseen
 
     def _evaluate(
         self, views: np.ndarray, candidates: np.ndarray | None, texels: np.ndarray
@@ -110,8 +118,8 @@ class _Launch:
         self._hypotheses, self._prior = forecast.hypotheses, forecast.prior
         levels, columns, _ = forecast.grid.shape
         axes = forecast.grid.axes
-        self.rows, self.total = levels * columns, int(np.prod(forecast.grid.shape))
-        self._metallic = axes["metallic"]
+        self.rows, self.measure = levels * columns, forecast.measure
+        self._roughness, self._metallic = axes["roughness"], axes["metallic"]
         self.nodes = [mi.Float(node) for node in streaming.cells(axes["base_color"])]
         self._columns = dr.opaque(mi.UInt32, columns)
         self._growth = dr.opaque(mi.Float, forecast.growth)
@@ -123,20 +131,21 @@ class _Launch:
         """cos theta of a view, 0 where it does not see the texel."""
         return self._responses.read(view, 0)
 
-    def truth(self, number: Any) -> tuple[Any, Any, Any, Any]:
-        """Level, Kd and R0 of a hypothesis, and its probability."""
-        cell, weight = self._hypotheses.at(number, self._lane)
-        row = cell // len(self.nodes)
+    def truth(self, number: Any) -> tuple[Any, Cell, Any]:
+        """Roughness level and cell of a hypothesis, and its probability."""
+        place, weight = self._hypotheses.at(number, self._lane)
+        row = place // len(self.nodes)
         level, m = self._row(row)
         c = self.nodes[0]
         for index, node in enumerate(self.nodes[1:], 1):
-            c = dr.select(cell - row * len(self.nodes) == index, node, c)
-        return level, diffuse_from_principled(c, m), specular_from_principled(c, m), weight
+            c = dr.select(place - row * len(self.nodes) == index, node, c)
+        return level, (self._level(level), m, c), weight
 
-    def predicted(self, view: Any, truth: tuple[Any, Any, Any, Any]) -> Any:
+    def predicted(self, view: Any, truth: tuple[Any, Cell, Any]) -> Any:
         """r(psi_0) in a view."""
-        level, Kd, R0, _ = truth
+        level, (_, m, c), _ = truth
         e, p, q = self._lobe(view, level)
+        Kd, R0 = diffuse_from_principled(c, m), specular_from_principled(c, m)
         return dr.fma(Kd, e, dr.fma(R0, p, q))
 
     def squares(self, view: Any, row: Any, predicted: Any) -> list[Any]:
@@ -149,12 +158,19 @@ class _Launch:
         slope = dr.fma(1 - m, e, m * p)
         return [weight * dr.square(dr.fma(-c, slope, rest)) for c in self.nodes]
 
-    def priors(self, row: Any) -> list[Any]:
-        """-log prior of the cells of a row."""
-        if self._prior is None:
-            return [mi.Float(0)] * len(self.nodes)
-        first = row * len(self.nodes)
-        return [dr.gather(mi.Float, self._prior, first + j) for j in range(len(self.nodes))]
+    def add(self, sums: list[Any], row: Any, distances: list[Any], share: Any) -> list[Any]:
+        """Add the cells of a row to the measure's sums."""
+        level, m = self._row(row)
+        energies = []
+        for j, distance in enumerate(distances):
+            x = share * distance
+            if self._prior is not None:
+                x += dr.gather(mi.Float, self._prior, row * len(self.nodes) + j)
+            energies.append(dr.minimum(x, FAR))
+        return self.measure.add(sums, (self._level(level), m), energies, self.nodes)
+
+    def _level(self, level: Any) -> Any:
+        return streaming.node(mi.Float, self._roughness, level)
 
     def _row(self, row: Any) -> tuple[Any, Any]:
         level = row // self._columns
@@ -166,7 +182,7 @@ class _Launch:
 
 @dr.syntax
 def _entropies(launch: _Launch, known: _Order, asked: _Order, add: Any, out: Any) -> Any:
-    """Add p(psi_0) H of every hypothesis psi_0 to ``out`` (views asked for, texels).
+    """Add p(psi_0) times the measure, for every psi_0, to ``out`` (views asked for, texels).
 
     The squares of the views so far, per cell, are summed up once per hypothesis and kept in
     local memory, where all candidates find them.
@@ -180,7 +196,6 @@ def _entropies(launch: _Launch, known: _Order, asked: _Order, add: Any, out: Any
     """
     so_far = [dr.alloc_local(mi.Float, launch.rows) for _ in launch.nodes]
     rows = dr.opaque(mi.UInt32, launch.rows)
-    unit = dr.opaque(mi.Float, float(1 / np.log(launch.total)))
     h = mi.UInt32(0)
     while h < launch.hypotheses:
         truth = launch.truth(h)
@@ -206,14 +221,14 @@ def _entropies(launch: _Launch, known: _Order, asked: _Order, add: Any, out: Any
             if dr.select(add > 0, launch.sees(view), n) > 0:
                 r = launch.predicted(view, truth)
                 share = dr.rcp(n + add)
-                z, zx = mi.Float(0), mi.Float(0)
+                sums = launch.measure.start()
                 row = mi.UInt32(0)
                 while row < rows:
                     squares = [add * x for x in launch.squares(view, row, r)]
-                    z, zx = _cells(_sums(so_far, row, squares), share, launch.priors(row), z, zx)
+                    sums = launch.add(sums, row, _sums(so_far, row, squares), share)
                     row += 1
-                H = (dr.log(z) + zx / z) * unit
-                _add(out, j * launch.size + launch.place, truth[3] * H)
+                value = launch.measure.value(sums, truth[1])
+                _add(out, j * launch.size + launch.place, truth[2] * value)
             j += 1
         h += 1
     return out
@@ -226,17 +241,6 @@ def _set(memory: list[Any], row: Any, values: list[Any]) -> None:
 
 def _sums(memory: list[Any], row: Any, squares: list[Any]) -> list[Any]:
     return [slot[row] + square for slot, square in zip(memory, squares, strict=True)]
-
-
-def _cells(
-    sums: list[Any], share: Any, priors: list[Any], z: Any, zx: Any
-) -> tuple[Any, Any]:
-    """Add the cells of a row to sum exp(-x) and sum x exp(-x)."""
-    for total, prior in zip(sums, priors, strict=True):
-        x = dr.minimum(dr.fma(share, total, prior), FAR)
-        term = dr.exp(-x)
-        z, zx = z + term, dr.fma(x, term, zx)
-    return z, zx
 
 
 def _add(out: Any, place: Any, value: Any) -> None:

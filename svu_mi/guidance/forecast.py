@@ -44,9 +44,15 @@ class Forecast(ABC):
         """T."""
         return self.responses.count
 
+    @property
+    def unseen(self) -> float:
+        """What is expected of a texel that no view sees."""
+        return 1.0
+
     def now(self, views: np.ndarray) -> np.ndarray:
         """Return E[H] (T,) of photographs from some views; 1 for a texel none of them sees."""
-        seen, result = self.seen[views].any(axis=0), np.ones(self.count, np.float32)
+        seen = self.seen[views].any(axis=0)
+        result = np.full(self.count, self.unseen, np.float32)
         if seen.any():
             result[seen] = self._evaluate(views, None, np.flatnonzero(seen))[0]
         return result

@@ -18,6 +18,7 @@ from svu_mi.guidance import angular, spectral
 from svu_mi.guidance.angular import AngularForecast
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.hypotheses import Hypotheses
+from svu_mi.guidance.measures import Entropy
 from svu_mi.guidance.responses import Respond, collect
 from svu_mi.guidance.spectral import SpectrumForecast
 from svu_mi.interop import owned
@@ -106,7 +107,8 @@ class AngularForecaster(Forecaster):
     def _forecast(self, **parts: Any) -> Forecast:
         switches = self.estimate.preset
         growth = 2**0.5 * switches.sigma if switches.noise == "heteroscedastic" else 0.0
-        return AngularForecast(grid=self.grid, growth=growth, **parts)
+        measure = Entropy(int(np.prod(self.grid.shape)))
+        return AngularForecast(grid=self.grid, growth=growth, measure=measure, **parts)
 
 
 class SpectrumForecaster(Forecaster):

@@ -16,6 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
+from svu_mi.posterior.grid import Grid
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,15 @@ class Hypotheses:
     @cached_property
     def _stride(self) -> Any:
         return dr.opaque(mi.UInt32, dr.width(self.counts))
+
+    def variances(self, grid: Grid) -> np.ndarray:
+        """Return the variance of every parameter over the hypotheses, (axes, T) float64."""
+        cells = self.cells.numpy().reshape(-1, dr.width(self.counts)).astype(np.int64)
+        weights = self.weights.numpy().reshape(cells.shape).astype(np.float64)
+        axes = zip(grid.axes.values(), np.unravel_index(cells, grid.shape), strict=True)
+        values = np.stack([nodes[index] for nodes, index in axes])
+        mean = (weights * values).sum(axis=1)
+        return np.maximum((weights * values**2).sum(axis=1) - mean**2, 0)
 
     @staticmethod
     def draw(probabilities: np.ndarray, most: int, seed: int) -> Hypotheses:

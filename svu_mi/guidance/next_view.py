@@ -22,6 +22,8 @@ from svu_mi.guidance.angular import AngularForecast
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.forecaster import Forecaster, forecaster
 from svu_mi.guidance.greedy import Greedy, Strategy
+from svu_mi.guidance.hypotheses import Hypotheses
+from svu_mi.guidance.measures import SquaredError
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.pipeline import Estimate
 from svu_mi.progress import Progress
@@ -29,6 +31,7 @@ from svu_mi.surface import Texels
 
 AROUND = 100  # candidates that are placed when none are given
 CHUNK = 8192  # texels whose maps are computed at a time
+LEAST = 1e-4  # of a parameter's variance that others are compared with
 
 
 @dataclass(frozen=True)
@@ -224,6 +227,11 @@ def _strategy(
 ) -> Strategy:
     """Return what judges candidates."""
     forecast: Any = greedy.forecast
+    angular = isinstance(forecast, AngularForecast)
+    if options.strategy in ("error", "d-optimal") and not angular:
+        raise OptionError(
+            f"next_best_view(): {options.strategy} needs an estimate by method='angular'."
+        )
     if options.strategy == "entropy":
         return greedy
     if options.strategy == "random":
@@ -235,13 +243,27 @@ def _strategy(
         places = [to_world(sensor)[:3, 3] for sensor in (*used, *candidates.sensors)]
         center, _ = bounding_sphere(capture.shape)
         return baselines.Farthest(baselines.unit_directions(places, center), len(used))
-    if not isinstance(forecast, AngularForecast):
-        raise OptionError("next_best_view(): d-optimal needs an estimate by method='angular'.")
+    if options.strategy == "error":
+        judged = replace(forecast, measure=_error(forecast, greedy))
+        return Greedy(judged, greedy.photographs, lazy=options.lazy)
     most_probable, _ = forecast.hypotheses.at(0, np.arange(forecast.count))
     table = forecast.responses.table()
     cells = np.array(most_probable).astype(np.int64)
     slopes = baselines.jacobians(table, forecast.grid, cells)
     return baselines.DOptimal(slopes, forecast.seen, greedy.photographs)
+
+
+def _error(forecast: AngularForecast, greedy: Greedy) -> SquaredError:
+    """Return the measure of squared errors, relative to those of texels seen so far."""
+    shape = forecast.grid.shape
+    energies = np.zeros(shape) if forecast.prior is None else np.array(forecast.prior)
+    weights = np.exp(-energies.reshape(1, -1).astype(np.float64))
+    prior = Hypotheses.of(weights / weights.sum()).variances(forecast.grid)[:, 0]
+    known = forecast.hypotheses.variances(forecast.grid)[:, ~greedy.unseen()]
+    present = known.mean(axis=1) if known.size else prior
+    # A parameter that is known has no error to lower.
+    present = np.maximum(present, LEAST)
+    return SquaredError(present=tuple(present.tolist()), prior=tuple(prior.tolist()))
 
 
 def _choices(

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 from svu_mi.settings import require, require_one_of, require_types
 
-Strategy = Literal["entropy", "d-optimal", "coverage", "farthest", "random"]
+Strategy = Literal["entropy", "error", "d-optimal", "coverage", "farthest", "random"]
 STRATEGIES: tuple[Strategy, ...] = get_args(Strategy)
 
 
@@ -16,9 +16,10 @@ class GuidanceOptions:
     """How candidates are judged."""
 
     strategy: Strategy = "entropy"
-    """``entropy``: lowest expected entropy (Eq. 13). Baselines: ``d-optimal``: most information on
-    the most probable parameters, linearised; ``coverage``: most texels that few views see;
-    ``farthest``: the direction farthest from all so far; ``random``."""
+    """``entropy``: lowest expected entropy (Eq. 13); ``error``: lowest expected squared error of the
+    parameters, relative to the present one, which decibels of textures go by. Baselines:
+    ``d-optimal``: most information on the most probable parameters, linearised; ``coverage``: most
+    texels that few views see; ``farthest``: the direction farthest from all so far; ``random``."""
 
     texels: int = 4096
     """Most texels that candidates are judged by, evenly spread over the surface; gains then have a

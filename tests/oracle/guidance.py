@@ -81,3 +81,22 @@ def refitted_power(
         directions[None], weights[None], values[None], lmax, regularizer, penalize_constant
     )
     return frequency.power(fitted)[0]
+
+
+def expected_error(
+    posterior: np.ndarray, distances: np.ndarray, values: np.ndarray, present: np.ndarray
+) -> float:
+    """Mean over truths of the squared error of the posterior's mean, over ``present``.
+
+    Args:
+        posterior: (N,) p(psi | B, L).
+        distances: (N, N), as for ``expected``.
+        values: (N, A) parameters of the cells.
+        present: (A,) what each squared error is relative to.
+    """
+    total = 0.0
+    for p, d, truth in zip(posterior, distances, values, strict=True):
+        likely = np.exp(-(d - d.min()))
+        mean = likely @ values / likely.sum()
+        total += p * float((((mean - truth) ** 2) / present).sum())
+    return total

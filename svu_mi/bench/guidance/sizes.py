@@ -31,8 +31,10 @@ class Sizes:
     texels: int = 128
     starts: int = 2
     start: int = 4
-    marks: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 11, 14)
-    strategies: tuple[Strategy, ...] = ("entropy", "farthest", "coverage", "random", "d-optimal")
+    marks: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 11)
+    strategies: tuple[Strategy, ...] = (
+        "entropy", "error", "farthest", "coverage", "random", "d-optimal",
+    )  # fmt: skip
     step: float = 1.0
     speed_texels: int = 64
     candidates: tuple[int, ...] = (25, 50, 100)
