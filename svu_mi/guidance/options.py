@@ -16,10 +16,11 @@ class GuidanceOptions:
     """How candidates are judged."""
 
     strategy: Strategy = "entropy"
-    """``entropy``: lowest expected entropy (Eq. 13); ``error``: lowest expected squared error of the
-    parameters, relative to the present one, which decibels of textures go by. Baselines:
-    ``d-optimal``: most information on the most probable parameters, linearised; ``coverage``: most
-    texels that few views see; ``farthest``: the direction farthest from all so far; ``random``."""
+    """``entropy``: lowest expected entropy (Eq. 13); ``error``: lowest expected squared error of
+    the parameters, relative to the present one, which decibels of textures go by. Baselines:
+    ``d-optimal``: most information on the most probable parameters, linearised; ``coverage``:
+    most texels that few views see; ``farthest``: the direction farthest from all so far;
+    ``random``."""
 
     texels: int = 4096
     """Most texels that candidates are judged by, evenly spread over the surface; gains then have a

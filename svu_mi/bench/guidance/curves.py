@@ -25,7 +25,7 @@ from svu_mi.recovery.textures import NAMES
 from svu_mi.surface import Texels
 
 Record = dict[str, Any]
-LOOKS = ("entropy", "error", "d-optimal")  # at the photographs it has; others know their order at once
+LOOKS = ("entropy", "error", "d-optimal")  # at photographs; others know their order at once
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -44,18 +45,21 @@ def run_guidance(
     sizes = QUICK if bench.quick else FULL
     record: Record = {"runs": [], "speed": None, "bars": [], "failed": [], "sizes": sizes,
                       "quick": bench.quick}  # fmt: skip
-    first = None
+    first: SvuError | None = None
+    failed: set[str] = set()
     chosen = few_lights(cells, sizes.lights)
-    for cell in chosen:
-        for seed in range(sizes.starts):
-            try:
-                record["runs"].append(_run(bench, cell, sizes, seed))
-            except SvuError as error:
-                first = first or error
-                record["failed"].append({"cell": cell.title, "reason": str(error)})
-                warnings.warn(f"{cell.title} is left out: {error}", SvuWarning, stacklevel=2)
-                break
-            _tell(record, sizes, finished)
+    # Every cell once before any twice: an interrupted run has seen them all.
+    for seed, cell in itertools.product(range(sizes.starts), chosen):
+        if cell.name in failed:
+            continue
+        try:
+            record["runs"].append(_run(bench, cell, sizes, seed))
+        except SvuError as error:
+            first = first or error
+            failed.add(cell.name)
+            record["failed"].append({"cell": cell.title, "reason": str(error)})
+            warnings.warn(f"{cell.title} is left out: {error}", SvuWarning, stacklevel=2)
+        _tell(record, sizes, finished)
     if not record["runs"] and first is not None:
         raise first
     with bench.progress.stage("Timing steps of guidance"):
