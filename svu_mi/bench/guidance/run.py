@@ -25,13 +25,15 @@ PHOTOGRAPHS = 10  # that steps are timed with
 
 
 def run_guidance(
-    bench: Bench, cells: Sequence[Cell], *, finished: Callable[[Record], None] | None = None
-) -> Record:
+    bench: Bench, cells: Sequence[Cell], sizes: Sizes | None = None, *,
+    finished: Callable[[Record], None] | None = None,
+) -> Record:  # fmt: skip
     """Choose views by every strategy, recover textures from them, and time the choice.
 
     Args:
         bench: where, and how large.
         cells: objects x lights; steps are timed on the first.
+        sizes: by default those that ``bench`` says.
         finished: called with the record so far after each run.
 
     Returns:
@@ -42,7 +44,7 @@ def run_guidance(
         SvuError: that of the first cell, if every cell failed.
         OutputError: the folder cannot be written.
     """
-    sizes = QUICK if bench.quick else FULL
+    sizes = sizes or (QUICK if bench.quick else FULL)
     record: Record = {"runs": [], "speed": None, "bars": [], "failed": [], "sizes": sizes,
                       "quick": bench.quick}  # fmt: skip
     first: SvuError | None = None

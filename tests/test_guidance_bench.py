@@ -1,0 +1,134 @@
+"""The guidance benchmark on tiny sizes, and how it judges curves."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from svu_mi.bench.accuracy import Bench
+from svu_mi.bench.cells import Settings, own_cells
+from svu_mi.bench.guidance import draw_guidance, guidance_tables, run_guidance
+from svu_mi.bench.guidance import run as module
+from svu_mi.bench.guidance.curves import Shoot
+from svu_mi.bench.guidance.run import few_lights
+from svu_mi.bench.guidance.sizes import Sizes
+from svu_mi.bench.guidance.verdict import compare, find_bars, mean_gain, views_needed
+from svu_mi.progress import Progress
+from svu_mi.surface import texels
+
+PICTURES = Settings(views=8, film=32, spp=4, texels=32)
+TINY = Sizes(
+    lights=1, texels=24, starts=1, start=2, marks=(1, 2),
+    strategies=("entropy", "error", "farthest", "random"), speed_texels=12, candidates=(3, 6), fewer=(8,), added=2, refits=(1, 1), repeats=1,
+)  # fmt: skip
+CELLS = own_cells(["vase"], ["window", "overcast"])
+MARKS = (1, 2, 4)
+
+
+def test_views_needed_is_where_a_curve_crosses_for_good():
+    assert views_needed(MARKS, [10, 10.5, 11.5, 12], 1.0) == pytest.approx(1.5)
+    assert views_needed(MARKS, [10, 11.5, 10.5, 12], 1.0) == pytest.approx(2 + 2 / 3)
+    assert views_needed(MARKS, [10, 12, 12, 12], 1.0) == pytest.approx(0.5)
+    assert np.isnan(views_needed(MARKS, [10, 11.5, 11.5, 10.9], 1.0))
+
+
+def test_mean_gain_is_the_area_under_a_curve():
+    assert mean_gain(MARKS, [5, 6, 7, 9]) == pytest.approx((0.5 + 1.5 + 2 * 3) / 4)
+
+
+def runs_of(first, second, starts=1):
+    """Runs of two strategies in as many cells as there are rows; a start per column."""
+    return [
+        {"cell": f"cell {c}", "curves": {
+            name: {"psnr": [0, *rows[c][s]], "entropy": [0, *(-x for x in rows[c][s])]}
+            for name, rows in (("entropy", first), ("random", second))}}
+        for c in range(len(first)) for s in range(starts)
+    ]  # fmt: skip
+
+
+def test_starts_of_a_cell_are_no_independent_samples():
+    rng = np.random.default_rng(0)
+    first, second = (rng.normal(1, 0.2, (6, 2, 2)).tolist() for _ in range(2))
+    sizes = Sizes(strategies=("entropy", "random"), marks=(1, 2))
+    (found,) = compare(runs_of(first, second, 2), sizes)
+    gains = [[mean_gain((1, 2), [0, *s]) for s in cell] for cell in first]
+    others = [[mean_gain((1, 2), [0, *s]) for s in cell] for cell in second]
+    exact = stats.ttest_rel(np.mean(gains, axis=1), np.mean(others, axis=1))
+    assert found["p"] == pytest.approx(exact.pvalue) and found["cells"] == 6
+    (entropy,) = compare(runs_of(first, second, 2), sizes, "entropy")
+    assert entropy["difference"] == pytest.approx(found["difference"])  # lower is better there
+
+
+def test_few_lights_of_every_object():
+    cells = own_cells(["vase", "knot"])
+    kept = few_lights(cells, 2)
+    assert [cell.object for cell in kept] == ["vase", "vase", "knot", "knot"]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("guidance")
+    bench = Bench(folder, PICTURES, Progress(), quick=True)
+    return bench, run_guidance(bench, CELLS, TINY)
+
+
+def test_every_strategy_adds_views_that_are_judged(finished):
+    _, record = finished
+    (run,) = record["runs"]
+    assert run["cell"] == "vase / window" and len(run["start"]) == 2
+    for strategy in TINY.strategies:
+        curve = run["curves"][strategy]
+        assert len(set(curve["order"])) == 2
+        assert not set(curve["order"]) & set(run["start"])
+        assert len(curve["psnr"]) == len(curve["entropy"]) == 3
+        assert curve["psnr"][0] == run["curves"]["entropy"]["psnr"][0]
+        assert curve["entropy"][-1] < curve["entropy"][0]
+        assert curve["psnr"][1] == pytest.approx(
+            np.mean([values[1] for values in curve["parameters"].values()])
+        )
+
+
+def test_steps_are_timed_at_every_size(finished):
+    speed = finished[1]["speed"]
+    assert len(speed["methods"]) == 3
+    for row in speed["methods"]:
+        assert {(p["candidates"], p["texels"] > 0) for p in row["points"]} == {
+            (3, True), (6, True)}  # fmt: skip
+        assert row["per_view"] > 0
+    assert speed["refitting"]["evaluations"] == 6 * 64
+    assert speed["refitting"]["times"] > 1
+
+
+def test_tables_bars_and_plot(finished, tmp_path):
+    _, record = finished
+    text = guidance_tables(record)
+    for word in (*TINY.strategies, "vase / window", "Time per added view", "paired t-test"):
+        assert word in text
+    bars = {bar["what"]: bar for bar in find_bars(record, TINY)}
+    assert any("over refitting" in what or "refitting" in what for what in bars)
+    json.dumps(record["runs"])
+    (path,) = draw_guidance(tmp_path, record)
+    assert path.stat().st_size > 10_000
+
+
+def test_a_second_run_chooses_nothing_again(finished, monkeypatch):
+    bench, record = finished
+
+    def refuse(*_, **__):
+        raise AssertionError("a finished run was computed again")
+
+    monkeypatch.setattr(module.Shoot, "curves", refuse)
+    monkeypatch.setattr(module, "measure_speed", lambda *_: None)
+    again = run_guidance(bench, CELLS, TINY)
+    assert again["runs"][0]["curves"] == record["runs"][0]["curves"]
+
+
+def test_farthest_is_the_library_s_own(finished):
+    bench, record = finished
+    capture = bench.capture(CELLS[0])
+    shoot = Shoot(capture, texels(capture.mesh, 24), TINY, 0)
+    assert shoot.start == record["runs"][0]["start"]
+    assert shoot.order("farthest") == record["runs"][0]["curves"]["farthest"]["order"]
