@@ -22,7 +22,8 @@ from svu_mi.surface import texels
 PICTURES = Settings(views=8, film=32, spp=4, texels=32)
 TINY = Sizes(
     lights=1, texels=24, starts=1, start=2, marks=(1, 2),
-    strategies=("entropy", "error", "farthest", "random"), speed_texels=12, candidates=(3, 6), fewer=(8,), added=2, refits=(1, 1), repeats=1,
+    strategies=("entropy", "error", "farthest", "random"), speed_texels=12, candidates=(3, 6),
+    fewer=(8,), added=2, refits=(1, 1), repeats=1,
 )  # fmt: skip
 CELLS = own_cells(["vase"], ["window", "overcast"])
 MARKS = (1, 2, 4)
