@@ -220,7 +220,8 @@ def test_the_map_of_directions_keeps_areas():
 
 @pytest.mark.parametrize("strategy", ["coverage", "farthest", "random", "d-optimal"])
 def test_the_page_is_drawn_for_every_strategy(vase, tmp_path, strategy):
-    guidance = svu.next_best_view(vase.estimate, vase.guidance.candidates, 1, strategy=strategy)
+    options = {"strategy": strategy, "texels": 200}
+    guidance = svu.next_best_view(vase.estimate, vase.guidance.candidates, 1, **options)
     figure = Figure()
     axes = figure.subplots(1, 3)
     guidance_page.draw_directions(axes[0], vase.capture, guidance, up=(0, 0, 1))

@@ -20,7 +20,6 @@ from svu_mi.output import scene_nodes as nodes
 from svu_mi.output.guidance_page import (
     UNITS,
     UP,
-    gain_limit,
     gain_picture,
     write_guidance_overview,
 )
@@ -74,9 +73,10 @@ def write_guidance(
     maps = guidance.gain_maps()
     _write_maps(guidance, maps, folder)
     report(2, 4)
-    _write_thumbnails(capture, guidance, maps, folder / THUMBNAILS)
+    pictures = [gain_picture(capture, guidance, k, maps) for k in range(len(maps))]
+    _write_thumbnails(pictures, folder / THUMBNAILS)
     report(3, 4)
-    write_guidance_overview(capture, estimate, guidance, maps, folder / PAGE, up=up)
+    write_guidance_overview(capture, estimate, guidance, maps, pictures, folder / PAGE, up=up)
     report(4, 4)
     record = guidance_record(capture, estimate, guidance)
     record["settings"]["given"] = settings
@@ -186,13 +186,11 @@ def _write_maps(guidance: Any, maps: np.ndarray, folder: Path) -> None:
         write_exr(folder / f"gain_{k}.exr", {"Y": padded(guidance, gains, fill=0)}, attributes)
 
 
-def _write_thumbnails(capture: Any, guidance: Any, maps: np.ndarray, folder: Path) -> None:
-    """Write what the camera will show, all of its film, coloured by gain; one scale for all."""
-    limit = gain_limit(maps)
-    for k, (proposal, gains) in enumerate(zip(guidance.proposals, maps, strict=True)):
-        image = gain_picture(capture, guidance, proposal.sensor, gains, limit)[..., :3]
+def _write_thumbnails(pictures: Sequence[np.ndarray], folder: Path) -> None:
+    """Write what the cameras will show, all of their film, coloured by gain."""
+    for k, picture in enumerate(pictures):
         with replacing(folder / f"proposal_{k}.png") as temporary:
-            Image.fromarray(np.round(255 * image).astype(np.uint8)).save(temporary)
+            Image.fromarray(np.round(255 * picture[..., :3]).astype(np.uint8)).save(temporary)
 
 
 def _remove_stale(folder: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,6 +54,7 @@ def write_guidance_overview(
     estimate: Any,
     guidance: Any,
     maps: np.ndarray,
+    pictures: Sequence[np.ndarray],
     path: str | Path,
     *,
     up: tuple[float, float, float] = UP,
@@ -65,6 +66,7 @@ def write_guidance_overview(
         estimate: what its photographs say.
         guidance: the ``Guidance`` from there.
         maps: (proposals, T) of ``Guidance.gain_maps``.
+        pictures: what the proposals see of them, of ``gain_picture``.
         path: the PNG file.
         up: top of the map of directions.
 
@@ -90,7 +92,7 @@ def write_guidance_overview(
     rows = figure.add_gridspec(
         2, SHOWN + 1, left=LEFT + 0.012, right=RIGHT, top=0.42, bottom=0.01, hspace=0.2, wspace=0.1
     )
-    _objects(figure, rows, capture, estimate, guidance, maps)
+    _objects(figure, rows, capture, estimate, guidance, pictures)
     _maps(figure, rows, estimate, guidance, maps)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png")
@@ -209,23 +211,23 @@ def gain_limit(maps: np.ndarray) -> float:
     return max(float(np.quantile(positive, WHITE)), 1e-6) if len(positive) else 1.0
 
 
-def gain_picture(capture: Any, guidance: Any, sensor: Any, gains: Any, limit: float) -> np.ndarray:
-    """Render the object as a camera will see it, grey where no entropy is expected to go.
+def gain_picture(capture: Any, guidance: Any, proposal: int, maps: np.ndarray) -> np.ndarray:
+    """Render the object as a proposed camera will see it, grey where no entropy will go.
 
     Args:
         capture: the ``Capture``.
-        guidance: says which texels there are.
-        sensor: the camera.
-        gains: (T,) by texel.
-        limit: gain of the last colour.
+        guidance: the proposals.
+        proposal: number of the proposal.
+        maps: (proposals, T) of ``Guidance.gain_maps``; all have one scale of colours.
 
     Returns:
         (h, w, 4) float32 as of ``views.picture``.
     """
-    image = guidance.texels.to_image(np.clip(np.array(gains, np.float32) / limit, 0, 1))
+    texels, sensor = guidance.texels, guidance.proposals[proposal].sensor
+    image = texels.to_image(np.clip(maps[proposal] / gain_limit(maps), 0, 1))
     colors = np.asarray(gain_colors()(image)[..., :3], np.float32)
-    colors[~guidance.texels.inside()] = OUTSIDE
-    return views.picture(capture, dilate(colors, guidance.texels.inside(), GUTTER), _large(sensor))
+    colors[~texels.inside()] = OUTSIDE
+    return views.picture(capture, dilate(colors, texels.inside(), GUTTER), _large(sensor))
 
 
 def gain_colors() -> Colormap:
@@ -257,13 +259,14 @@ def _heading(figure: Figure, capture: Any, estimate: Any, guidance: Any) -> None
 
 
 def _objects(
-    figure: Figure, rows: Any, capture: Any, estimate: Any, guidance: Any, maps: np.ndarray
-) -> None:
+    figure: Figure, rows: Any, capture: Any, estimate: Any, guidance: Any,
+    pictures: Sequence[np.ndarray],
+) -> None:  # fmt: skip
     """What the proposed cameras will see: entropy so far, and what each is expected to change."""
-    entropy, limit = _entropy_texture(estimate), gain_limit(maps)
-    for column, proposal in enumerate(guidance.proposals[:SHOWN]):
+    entropy = _entropy_texture(estimate)
+    shown = zip(guidance.proposals[:SHOWN], pictures, strict=False)
+    for column, (proposal, gain) in enumerate(shown):
         before = views.picture(capture, entropy, _large(proposal.sensor))
-        gain = gain_picture(capture, guidance, proposal.sensor, maps[column], limit)
         window = views.object_window(before[..., 3] > 0)
         for row, image in enumerate((before, gain)):
             axes = figure.add_subplot(rows[row, column])
