@@ -39,6 +39,7 @@ WHITE = 0.99  # part of the positive gains of texels that colours do not clip
 CROWDED = 0.04  # part of the candidates within which two numbers would overlap
 WORST = 0.02  # part of the candidates' gains that colours clip below
 GAIN_COLORS = ("#c6c6cc", "#f6c06b", "#e8743b", "#b3243f", "#5b0f3a")  # grey: nothing gained
+LUMINANCE, DARK = (0.2126, 0.7152, 0.0722), 0.45  # numbers on darker discs are white
 UP = (0.0, 1.0, 0.0)
 UNITS = {
     "entropy": "expected change of the mean entropy",
@@ -417,12 +418,13 @@ def _key(axes: Axes, unreachable: bool) -> None:
 def _numbered(axes: Axes, x: float, y: float, rank: int, color: Any, size: float,
               **options: Any) -> None:  # fmt: skip
     """Draw a disk with a number in it."""
-    from matplotlib.patheffects import withStroke
+    from matplotlib.colors import to_rgb
 
+    ink = INK if np.dot(LUMINANCE, to_rgb(color)) > DARK else "white"
     axes.scatter([x], [y], size, c=[color], edgecolors=INK, lw=1.6, zorder=4, **options)
     axes.text(
-        x, y, str(rank), size=9.5, weight="bold", color=INK, ha="center", va="center_baseline",
-        zorder=5, path_effects=[withStroke(linewidth=2.5, foreground="white")], **options,
+        x, y, str(rank), size=9.5, weight="bold", color=ink, ha="center", va="center_baseline",
+        zorder=5, **options,
     )  # fmt: skip
 
 
