@@ -198,6 +198,27 @@ def test_a_missing_image_is_named(scene):
         load_capture(scene)
 
 
+def test_sensors_without_a_photograph_can_be_left_out(scene):
+    """They are views that are not used; with no photograph at all there is nothing to load."""
+    images = scene.parent / "images"
+    capture = load_capture(scene)
+    for name in ("view_0001.exr", "view_0002.exr"):
+        (images / name).unlink()
+    partly = load_capture(scene, missing="leave out")
+    assert partly.used == (True, False, False)
+    assert partly.names == ("view_0000.exr", "view_0001.exr", "view_0002.exr")
+    np.testing.assert_array_equal(partly.images[0], capture.images[0])
+    assert partly.masks[1] is None and partly.unusable == (0, 0, 0)
+    for image in partly.images[1:]:
+        assert image.shape == (24, 24, 3) and image.dtype == np.float32 and np.isnan(image).all()
+        assert image.strides == (0, 0, 0)  # one number, whatever the film
+    (images / "view_0000.exr").unlink()
+    with pytest.raises(CaptureError, match="3 of 3 photographs are missing"):
+        load_capture(scene, missing="leave out")
+    with pytest.raises(OptionError, match="'refuse', 'leave out'; got 'ignore'"):
+        load_capture(scene, missing="ignore")
+
+
 def test_an_extra_image_is_named(scene):
     folder = scene.parent / "images"
     shutil.copy(folder / "view_0000.exr", folder / "view_0003.exr")

@@ -37,7 +37,8 @@ def text_of(output) -> str:
 
 
 def test_there_is_a_notebook():
-    assert [path.name for path in NOTEBOOKS] == ["entropy.ipynb", "recovery.ipynb"]
+    names = ["entropy.ipynb", "guidance.ipynb", "recovery.ipynb"]
+    assert [path.name for path in NOTEBOOKS] == names
 
 
 @pytest.mark.parametrize(

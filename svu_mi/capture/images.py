@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import drjit as dr
 import mitsuba as mi
@@ -14,6 +15,8 @@ import numpy as np
 from svu_mi.capture.block import allocate
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr
+
+Missing = Literal["refuse", "leave out"]
 
 SUFFIXES = (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg")
 SATURATED = 0.98  # of an 8-bit photograph's encoded range; a clipped highlight is no measurement
@@ -42,11 +45,27 @@ class Photograph:
     black: bool
 
 
-def find_images(folder: Path, count: int) -> list[Path]:
+def not_taken(size: tuple[int, int]) -> Photograph:
+    """Return what stands for a photograph that nobody has taken: NaN, in no memory.
+
+    Args:
+        size: (width, height) that it would have.
+    """
+    pixels = np.broadcast_to(np.float32(np.nan), (size[1], size[0], 3))
+    return Photograph(pixels, None, 0, 0, False, True)
+
+
+def find_images(folder: Path, count: int, missing: Missing = "refuse") -> list[Path | None]:
     """Return the files ``view_0000.*`` ... in the order of the sensors.
 
+    Args:
+        folder: where they are.
+        count: number of sensors.
+        missing: ``refuse``, or ``leave out``: None for each that is not there.
+
     Raises:
-        CaptureError: the folder is missing, an image is missing, or there are more.
+        CaptureError: the folder is missing, an image is missing (all are, if those may be left
+            out), or there are more.
     """
     if not folder.is_dir():
         raise CaptureError(
@@ -62,11 +81,11 @@ def find_images(folder: Path, count: int) -> list[Path]:
                 )
             found[path.stem] = path
     expected = [f"view_{index:04d}" for index in range(count)]
-    missing = [name for name in expected if name not in found]
-    if missing:
+    absent = [name for name in expected if name not in found]
+    if absent and (missing == "refuse" or len(absent) == count):
         raise CaptureError(
-            f"{folder}: {len(missing)} of {count} photographs are missing, first "
-            f"{missing[0]}.exr; there must be one view_NNNN image per sensor, in their order."
+            f"{folder}: {len(absent)} of {count} photographs are missing, first "
+            f"{absent[0]}.exr; there must be one view_NNNN image per sensor, in their order."
         )
     extra = [name for name in found if name not in expected]
     if extra:
@@ -74,7 +93,7 @@ def find_images(folder: Path, count: int) -> list[Path]:
             f"{found[extra[0]]}: there are {len(found)} photographs but only {count} sensors; "
             "remove the extra images or add their sensors to the scene."
         )
-    return [found[name] for name in expected]
+    return [found.get(name) for name in expected]
 
 
 def read_photographs(

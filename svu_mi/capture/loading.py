@@ -7,11 +7,11 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.folder import Description
-from svu_mi.capture.images import Photograph, find_images, read_photographs
+from svu_mi.capture.images import Missing, Photograph, find_images, not_taken, read_photographs
 from svu_mi.capture.mesh import has_uvs
 from svu_mi.capture.poses import film_size
 from svu_mi.capture.record import Capture
@@ -23,7 +23,7 @@ from svu_mi.capture.scene import (
     require_variant,
 )
 from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
-from svu_mi.errors import CaptureError, SvuWarning
+from svu_mi.errors import CaptureError, OptionError, SvuWarning
 
 
 def load_capture(
@@ -33,6 +33,7 @@ def load_capture(
     shape: str | None = None,
     defines: Mapping[str, str] | None = None,
     unwrap: bool = False,
+    missing: Missing = "refuse",
 ) -> Capture:
     """Read a scene and its photographs.
 
@@ -45,13 +46,22 @@ def load_capture(
         defines: values for the scene's ``<default>`` parameters.
         unwrap: lay out new UVs even if the mesh has some. A mesh without UVs is unwrapped
             anyway, with a warning; the result is kept as ``unwrapped.ply`` with the images.
+        missing: what to do with sensors that have no photograph: ``refuse``, or ``leave out``
+            (they become views that are not used, of NaN that takes no memory, so that
+            ``Candidates.without_photograph`` finds them).
 
     Raises:
+        OptionError: another word for ``missing``.
         SvuEnvironmentError: no suitable Mitsuba variant is active.
         SceneError: the scene cannot be loaded or lacks something.
         CaptureError: photographs are missing, unreadable or do not fit.
     """
     require_variant()
+    if missing not in get_args(Missing):
+        raise OptionError(
+            f"load_capture(): missing is one of {', '.join(map(repr, get_args(Missing)))}; got "
+            f"{missing!r}."
+        )
     path = Path(path)
     folder = Path(images) if images is not None else photographs_of(path)
     description = capture_folder.read(folder) or Description()
@@ -72,7 +82,7 @@ def load_capture(
     )
     scene = load_scene(xml, description.defines)
     sensors = description.make_sensors(folder) or find_sensors(scene, str(xml))
-    return read_capture(scene, sensors, folder, description, unwrap=unwrap)
+    return read_capture(scene, sensors, folder, description, unwrap=unwrap, missing=missing)
 
 
 def read_capture(
@@ -82,15 +92,16 @@ def read_capture(
     description: Description,
     *,
     unwrap: bool = False,
+    missing: Missing = "refuse",
 ) -> Capture:
     """Read the photographs of a folder for a live scene (see ``load_capture``)."""
     label = str(description.scene or folder)
     find_environment(scene, label)
     target = find_shape(scene, description.shape, label)
-    names = find_images(folder, len(sensors))
+    paths = find_images(folder, len(sensors), missing)
     exposures = _exposures(description.exposures, len(sensors), folder)
-    photographs = read_photographs(names, [film_size(sensor) for sensor in sensors], exposures)
-    notes, used = _judge(photographs, names)
+    photographs = _photographs(paths, [film_size(sensor) for sensor in sensors], exposures)
+    notes, used = _judge(photographs, paths)
     mesh, note = _texel_mesh(target, unwrap, folder)
     for sentence in notes + note:
         warnings.warn(sentence, SvuWarning, stacklevel=3)
@@ -102,7 +113,7 @@ def read_capture(
         images=tuple(photograph.pixels for photograph in photographs),
         masks=tuple(photograph.mask for photograph in photographs),
         exposures=tuple(exposures),
-        names=tuple(name.name for name in names),
+        names=tuple(_name(path, view) for view, path in enumerate(paths)),
         unusable=tuple(photograph.invalid + photograph.saturated for photograph in photographs),
         used=used,
         source=folder,
@@ -144,12 +155,34 @@ def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:
     return list(given)
 
 
+def _photographs(
+    paths: Sequence[Path | None], sizes: Sequence[tuple[int, int]], exposures: Sequence[float]
+) -> list[Photograph]:
+    """Read the photographs that there are; the others stay what nobody has taken."""
+    photographs = [not_taken(size) for size in sizes]
+    found = [(view, path) for view, path in enumerate(paths) if path is not None]
+    read = read_photographs(
+        [path for _, path in found],
+        [sizes[view] for view, _ in found],
+        [exposures[view] for view, _ in found],
+    )
+    for (view, _), photograph in zip(found, read, strict=True):
+        photographs[view] = photograph
+    return photographs
+
+
+def _name(path: Path | None, view: int) -> str:
+    return f"view_{view:04d}.exr" if path is None else path.name
+
+
 def _judge(
-    photographs: Sequence[Photograph], names: Sequence[Path]
+    photographs: Sequence[Photograph], names: Sequence[Path | None]
 ) -> tuple[list[str], tuple[bool, ...]]:
     """Say what was found in the photographs; leave out those without any light."""
     notes = []
     for photograph, name in zip(photographs, names, strict=True):
+        if name is None:
+            continue
         if photograph.low_range:
             notes.append(
                 f"{name}: an 8-bit image, not HDR; decoded as sRGB, {photograph.saturated} "
@@ -166,8 +199,9 @@ def _judge(
             )
     used = tuple(not photograph.black for photograph in photographs)
     if photographs and not any(used):
+        taken = [name for name in names if name is not None]
         raise CaptureError(
-            f"{names[0].parent}: all {len(names)} photographs are entirely black; "
+            f"{taken[0].parent}: all {len(taken)} photographs are entirely black; "
             "check the exposure and the channel names of the files."
         )
     return notes, used

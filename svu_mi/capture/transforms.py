@@ -84,6 +84,7 @@ def _sensor(record: Mapping[str, Any], frame: Any, label: str) -> Any:
         matrix = np.vstack([matrix[:3], [0, 0, 0, 1]])
         size = [int(known["w"]), int(known["h"])]
         focal = _focal(known, size)
+        upright = float(known.get("fl_y", focal))
         center = [float(known.get("cx", size[0] / 2)), float(known.get("cy", size[1] / 2))]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise CaptureError(
@@ -91,7 +92,7 @@ def _sensor(record: Mapping[str, Any], frame: Any, label: str) -> Any:
         ) from error
     if not (np.isfinite(focal) and focal > 0 and min(size) > 0):
         raise CaptureError(f"{label}: focal length and size must be positive.")
-    if abs(float(known.get("fl_y", focal)) / focal - 1) > SQUARE:
+    if not abs(upright / focal - 1) <= SQUARE:  # NaN fails, too
         raise CaptureError(f"{label}: fl_x and fl_y differ; resample to square pixels.")
     if any(known.get(key) for key in ("k1", "k2", "k3", "k4", "p1", "p2")):
         raise CaptureError(f"{label}: the lens is distorted; undistort the photographs first.")

@@ -16,6 +16,7 @@ from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
+    from svu_mi.capture.images import Missing
     from svu_mi.surface import Texels
 
 VARIANTS = ("cuda_ad_rgb", "metal_ad_rgb", "llvm_ad_rgb")  # the first that this machine can run
@@ -100,14 +101,16 @@ class Photographed(Common):
     """Samples per pixel, when the scene is rendered."""
 
     def load(
-        self, progress: Progress, defines: dict[str, str], *, again: bool = False
-    ) -> tuple[Capture, Texels]:
+        self, progress: Progress, defines: dict[str, str], *, again: bool = False,
+        missing: Missing = "refuse",
+    ) -> tuple[Capture, Texels]:  # fmt: skip
         """Load the photographs, or render them, and lay out texels.
 
         Args:
             progress: shows what is going on.
             defines: the scene's parameters.
             again: take photographs that an earlier run has rendered into the output folder.
+            missing: what to do with sensors that have no photograph (see ``load_capture``).
 
         Raises:
             SceneError: the scene cannot be loaded or lacks something.
@@ -117,15 +120,17 @@ class Photographed(Common):
         from svu_mi.surface import texels
 
         size = pair(self.resolution, "--resolution")
-        capture = self._capture(progress, defines, again)
+        capture = self._capture(progress, defines, again, missing)
         with progress.stage("Laying out texels"):
             return capture, texels(capture.mesh, size)
 
-    def _capture(self, progress: Progress, defines: dict[str, str], again: bool) -> Capture:
+    def _capture(
+        self, progress: Progress, defines: dict[str, str], again: bool, missing: Missing
+    ) -> Capture:
         from svu_mi.capture import has_photographs, load_capture, photographs_of, render_capture
 
         images = self.images
-        live = images is None and self.scene.suffix.lower() == ".xml"
+        live = images is None and self.scene.suffix.lower() == ".xml" and missing == "refuse"
         if live and not has_photographs(photographs_of(self.scene)):
             images = self.output / "capture"
             if not (again and has_photographs(images)):
@@ -142,8 +147,9 @@ class Photographed(Common):
                 return capture
         with progress.stage("Loading the capture"):
             return load_capture(
-                self.scene, images, shape=self.shape, defines=defines, unwrap=self.unwrap
-            )
+                self.scene, images, shape=self.shape, defines=defines, unwrap=self.unwrap,
+                missing=missing,
+            )  # fmt: skip
 
 
 def pair(size: tuple[int, ...], option: str) -> tuple[int, int]:

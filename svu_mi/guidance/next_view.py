@@ -109,7 +109,6 @@ class Guidance:
             chosen = np.arange(first, min(first + CHUNK, self.texels.count))
             greedy = _greedy(self._source, chosen, sensors, self.options)
             for k in range(len(sensors)):
-                greedy.gains()
                 maps[k, chosen] = greedy.texel_gains(k)
                 greedy.choose(k)
         return maps

@@ -102,6 +102,38 @@ def recovery_record(capture: Any, recovery: Any) -> dict[str, Any]:
     }
 
 
+def guidance_record(capture: Any, estimate: Any, guidance: Any) -> dict[str, Any]:
+    """Return what a capture, its estimate and the guidance from there say about the run.
+
+    Args:
+        capture: the ``Capture``.
+        estimate: what its photographs say.
+        guidance: the ``Guidance``.
+    """
+    entropy = np.asarray(estimate.entropy)
+    return {
+        "inputs": _inputs(capture),
+        "settings": {
+            "method": guidance.method,
+            "preset": estimate.preset,
+            "grid": getattr(estimate.posterior, "grid", None),
+            "resolution": guidance.texels.resolution,
+            "used": guidance.options,
+        },
+        "result": {
+            "texels": guidance.texels.count,
+            "texels_seen": int((np.asarray(estimate.coverage) > 0).sum()),
+            "mean_entropy": float(entropy.mean()),
+            "mean_expected_entropy": guidance.entropy,
+            "candidates": guidance.candidates.count,
+            "proposals": [proposal.name for proposal in guidance.proposals],
+        },
+        "skipped": {**estimate.skipped, **guidance.skipped},
+        "timings_s": {**estimate.timings, **guidance.timings},
+        "warnings": capture.warnings,
+    }
+
+
 def _inputs(capture: Any) -> dict[str, Any]:
     return {
         "source": capture.source,

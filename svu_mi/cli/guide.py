@@ -1,0 +1,274 @@
+"""``svu guide``: where to take the next photographs from."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import tyro
+
+from svu_mi.cli.inputs import Known, Photographed, given, pair, parse_defines, parse_known
+from svu_mi.errors import OptionError
+from svu_mi.options import Preset
+from svu_mi.options import preset as find_preset
+from svu_mi.progress import Progress
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from svu_mi.capture import Capture
+    from svu_mi.guidance import Candidates, Guidance, GuidanceOptions
+
+SCENE = "scene"
+From = Annotated[str, tyro.conf.arg(metavar="NUMBER | FILE | scene")]
+Numbers = Annotated[tuple[int, ...], tyro.conf.arg(metavar="NUMBER ...")]
+Up = Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Guide(Photographed):
+    """Propose where to take the next photographs from.
+
+    Writes guidance.json and guidance.png, the poses as transforms.json and sensors.xml, gain_0.exr,
+    ... (what each proposal is expected to change in every texel), thumbnails/ and run.json.
+    """
+
+    candidates: From = "100"
+    """Where photographs can be taken from: so many views on a sphere around the object; the poses
+    of a transforms.json, capture.json or Mitsuba XML file; or "scene", its sensors that have no
+    photograph yet."""
+    add: int = 5
+    """How many to propose; each takes those before it as photographed."""
+    lowest: float | None = None
+    """Lowest elevation on the sphere in degrees: -90 is all of it (default), 0 its upper half."""
+    up: Up = (0.0, 1.0, 0.0)
+    """Top of the sphere, and of the map of directions."""
+    distance: float | None = None
+    """From the object's centre to the sphere; by default the photographs' median."""
+    reachable: Path | None = None
+    """File with the numbers of the candidates that can be reached, apart by white space or as a
+    JSON list; or with a JSON list of true and false, one for each candidate."""
+    unreachable: Numbers = ()
+    """Numbers of candidates that cannot be reached."""
+    method: Literal["angular", "spectrum"] = "angular"
+    """angular compares radiance by statistics of all views; spectrum, power spectra (the paper)."""
+    preset: Literal["default", "calibrated", "fast", "paper"] = "default"
+    """Spectrum needs paper."""
+    known: Known = ()
+    """Parameters that are not in question, such as metallic=0: they leave the grid. "scene" stands
+    for those that the scene's own material does not vary."""
+    strategy: Literal["entropy", "d-optimal", "coverage", "farthest", "random"] = "entropy"
+    """entropy: lowest expected entropy; the others are what it is compared with."""
+    texels: int = 4096
+    """Most texels that candidates are judged by."""
+    hypotheses: int = 16
+    """Most materials that are taken for the truth, per texel."""
+    lazy: bool = False
+    """Evaluate a candidate again only while its last gain is above the best."""
+    seed: int = 0
+    """Of texels, hypotheses and random views."""
+
+    def run(self, console: Console) -> int:
+        """Judge the candidates, and write the results."""
+        from svu_mi.files import prepare_folder
+        from svu_mi.output.guidance import write_guidance
+
+        pair(self.resolution, "--resolution")  # refused before any work
+        defines, options = parse_defines(self.define), self._check()
+        prepare_folder(self.output)
+        self.start()
+        progress = Progress(console)
+        capture, estimate, guidance = self._guide(progress, defines, options)
+        with progress.stage("Writing the results") as stage:
+            write_guidance(
+                capture, estimate, guidance, self.output, up=self.up, settings=given(self),
+                kernels=progress.kernels, progress=stage.update,
+            )  # fmt: skip
+        _print(console, guidance)
+        console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
+        return 0
+
+    def _guide(
+        self, progress: Progress, defines: dict[str, str], options: GuidanceOptions
+    ) -> tuple[Any, Any, Guidance]:
+        from svu_mi.guidance import Candidates, next_best_view
+        from svu_mi.pipeline import estimate
+
+        # What a file says is refused before photographs are read.
+        fixed = None if self._placed else self._restricted(Candidates.read(self.candidates))
+        missing: Any = "leave out" if self.candidates == SCENE else "refuse"
+        capture, texels = self.load(progress, defines, missing=missing)
+        candidates = fixed or self._restricted(self._place(capture))
+        known = estimate(
+            capture, texels, self.method, self.preset, known=parse_known(self.known),
+            progress=progress,
+        )  # fmt: skip
+        guidance = next_best_view(known, candidates, self.add, options=options, progress=progress)
+        return capture, known, guidance
+
+    @property
+    def _placed(self) -> bool:
+        """Whether candidates depend on the capture."""
+        return self.candidates == SCENE or _number(self.candidates) is not None
+
+    def _place(self, capture: Capture) -> Candidates:
+        from svu_mi.guidance import Candidates
+
+        count = _number(self.candidates)
+        if count is None:
+            return Candidates.without_photograph(capture)
+        lowest = -1.0 if self.lowest is None else float(np.sin(np.radians(self.lowest)))
+        return Candidates.around(
+            capture, count, up=self.up, lowest=lowest, distance=self.distance
+        )
+
+    def _restricted(self, candidates: Candidates) -> Candidates:
+        """Leave out what cannot be reached."""
+        return candidates.restricted(self._within_reach(candidates.count))
+
+    def _within_reach(self, count: int) -> np.ndarray:
+        """Return (count,) bool, which candidates can be reached.
+
+        Raises:
+            OptionError: a number that no candidate has, or none is left.
+        """
+        flags = np.ones(count, bool)
+        if self.reachable is not None:
+            flags = _flags(_read_numbers(self.reachable), count, str(self.reachable))
+        flags &= ~_flags(list(self.unreachable), count, "--unreachable")
+        if not flags.any():
+            raise OptionError(
+                f"None of the {count} candidates can be reached; change --reachable or "
+                "--unreachable, or give more --candidates."
+            )
+        return flags
+
+    def _check(self) -> GuidanceOptions:
+        """Refuse options that make no sense, before any work.
+
+        Returns:
+            How candidates are judged.
+
+        Raises:
+            OptionError: a number out of range, or an option of no use.
+            CaptureError: a file that does not exist, or is not to be read.
+        """
+        from svu_mi.guidance import GuidanceOptions
+
+        if self.add < 1:
+            raise OptionError(f"--add must be at least 1, got {self.add}.")
+        self._check_sphere()
+        self._check_method()
+        parse_known(self.known)
+        if self.reachable is not None:
+            _read_numbers(self.reachable)
+        if not self._placed and not Path(self.candidates).exists():
+            raise OptionError(
+                f"--candidates {self.candidates}: neither a number, nor a file, nor the word "
+                f"{SCENE}."
+            )
+        if (count := _number(self.candidates)) is not None:
+            self._within_reach(count)
+        return GuidanceOptions(
+            strategy=self.strategy, texels=self.texels, hypotheses=self.hypotheses,
+            lazy=self.lazy, seed=self.seed,
+        )  # fmt: skip
+
+    def _check_sphere(self) -> None:
+        count = _number(self.candidates)
+        if count is not None and count < 1:
+            raise OptionError(f"--candidates must be at least 1, got {count}.")
+        for option in ("lowest", "distance"):
+            if count is None and getattr(self, option) is not None:
+                raise OptionError(
+                    f"--{option} is of no use to --candidates {self.candidates}, which has poses "
+                    "of its own; leave it away."
+                )
+        if self.lowest is not None and not -90 <= self.lowest < 90:
+            raise OptionError(
+                f"--lowest must be an elevation in [-90, 90) degrees, got {self.lowest:g}."
+            )
+        if self.distance is not None and not 0 < self.distance < np.inf:
+            raise OptionError(f"--distance must be positive, got {self.distance:g}.")
+        if not 0 < np.linalg.norm(self.up) < np.inf:
+            raise OptionError(f"--up must be a direction, got {' '.join(map(str, self.up))}.")
+
+    def _check_method(self) -> None:
+        switches = find_preset(self.preset, method=self.method)
+        if isinstance(switches, Preset) and switches.principled:
+            raise OptionError(
+                f"--method spectrum --preset {self.preset} does not say what photographs to come "
+                "would show; add --preset paper, or leave --method away."
+            )
+        if self.strategy == "d-optimal" and self.method != "angular":
+            raise OptionError("--strategy d-optimal needs --method angular.")
+
+
+def _number(word: str) -> int | None:
+    try:
+        return int(word)
+    except ValueError:
+        return None
+
+
+def _flags(numbers: list[Any], count: int, label: str) -> np.ndarray:
+    """Return (count,) bool, True at some numbers, or as flags say that are given instead.
+
+    Raises:
+        OptionError: a number that no candidate has, or another count of flags.
+    """
+    if any(isinstance(number, bool) for number in numbers):
+        if len(numbers) != count:
+            raise OptionError(
+                f"{label}: {len(numbers)} flags for {count} candidates; give one each."
+            )
+        return np.array(numbers, bool)
+    outside = [number for number in numbers if not 0 <= number < count]
+    if outside:
+        raise OptionError(
+            f"{label}: there is no candidate {outside[0]}; they are numbered from 0 to {count - 1}."
+        )
+    flags = np.zeros(count, bool)
+    flags[numbers] = True
+    return flags
+
+
+def _read_numbers(path: Path) -> list[Any]:
+    """Read numbers, or a JSON list of them or of flags.
+
+    Raises:
+        OptionError: the file cannot be read, or holds anything else.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        values = json.loads(text) if text.lstrip().startswith("[") else list(map(int, text.split()))
+    except (OSError, ValueError, RecursionError) as error:
+        raise OptionError(
+            f"{path}: not a readable list of candidates ({error}); give numbers, or a JSON list of "
+            "numbers or of true and false."
+        ) from error
+    kinds = {type(value) for value in values}
+    if not values or kinds not in ({int}, {bool}):
+        raise OptionError(f"{path}: expected a list of numbers, or one of true and false.")
+    return values
+
+
+def _print(console: Console, guidance: Guidance) -> None:
+    """Print the proposals as a table."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for head in ("rank", "candidate", "gain", "+-", "entropy", "sees", "new"):
+        table.add_column(head, justify="right")
+    table.add_column("name")
+    for rank, proposal in enumerate(guidance.proposals, 1):
+        table.add_row(
+            str(rank), str(proposal.candidate), f"{proposal.gain:.4f}", f"{proposal.error:.4f}",
+            f"{proposal.entropy:.3f}", f"{proposal.sees:.0%}", f"{proposal.new:.0%}",
+            proposal.name,
+        )  # fmt: skip
+    console.print(f"Entropy to be expected so far: {guidance.entropy:.3f}", highlight=False)
+    console.print(table, markup=False, highlight=False)

@@ -1,0 +1,204 @@
+"""Everything that capture guidance writes: poses to go to, what they are worth, pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Comment, Element
+
+import numpy as np
+from PIL import Image
+
+import svu_mi
+from svu_mi.capture.poses import describe
+from svu_mi.capture.transforms import write_transforms
+from svu_mi.exr import write_exr
+from svu_mi.files import prepare_folder, replacing
+from svu_mi.output import scene_nodes as nodes
+from svu_mi.output.guidance_page import (
+    UNITS,
+    UP,
+    gain_picture,
+    write_guidance_overview,
+)
+from svu_mi.output.manifest import environment_record, guidance_record, write_manifest
+from svu_mi.output.maps import GUTTER, padded
+
+RECORD, PLAN, PAGE = "run.json", "guidance.json", "guidance.png"
+POSES, SENSORS, THUMBNAILS = "transforms.json", "sensors.xml", "thumbnails"
+SAMPLES = 64  # per pixel, of the sensors that are written
+
+
+def write_guidance(
+    capture: Any,
+    estimate: Any,
+    guidance: Any,
+    folder: str | Path,
+    *,
+    up: tuple[float, float, float] = UP,
+    settings: Mapping[str, Any] | None = None,
+    kernels: Mapping[str, int] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write proposals as poses, maps and pictures, with ``guidance.json`` and ``run.json``.
+
+    Each file replaces an older one only when it is complete, and what an older run has left for
+    proposals that there are no longer is removed. ``run.json`` comes last, so a folder that has it
+    has everything.
+
+    Args:
+        capture: the ``Capture``.
+        estimate: what its photographs say.
+        guidance: the ``Guidance`` from there.
+        folder: made if missing.
+        up: top of the map of directions.
+        settings: what the caller was asked for (command-line options, seeds).
+        kernels: number of kernels compiled per stage, ``Progress.kernels``.
+        progress: called with (parts done, parts in all).
+
+    Raises:
+        OutputError: the folder or a file cannot be written.
+    """
+    folder = prepare_folder(folder)
+    prepare_folder(folder / THUMBNAILS)
+    report = progress or _say_nothing
+    _remove_stale(folder)
+    names, sensors = file_names(capture, guidance), [p.sensor for p in guidance.proposals]
+    write_transforms(folder / POSES, sensors, names)
+    write_sensors(folder / SENSORS, sensors, [Path(name).stem for name in names])
+    write_manifest(folder / PLAN, plan(capture, estimate, guidance))
+    report(1, 4)
+    maps = guidance.gain_maps()
+    _write_maps(guidance, maps, folder)
+    report(2, 4)
+    pictures = [gain_picture(capture, guidance, k, maps) for k in range(len(maps))]
+    _write_thumbnails(pictures, folder / THUMBNAILS)
+    report(3, 4)
+    write_guidance_overview(capture, estimate, guidance, maps, pictures, folder / PAGE, up=up)
+    report(4, 4)
+    record = guidance_record(capture, estimate, guidance)
+    record["settings"]["given"] = settings
+    record["kernels_compiled"] = kernels
+    write_manifest(folder / RECORD, {**record, "environment": environment_record()})
+
+
+def plan(capture: Any, estimate: Any, guidance: Any) -> dict[str, Any]:
+    """Return what ``guidance.json`` says: proposals with their poses, and all candidates, ranked.
+
+    Args:
+        capture: the ``Capture``.
+        estimate: what its photographs say.
+        guidance: the ``Guidance`` from there.
+    """
+    files = file_names(capture, guidance)
+    return {
+        "settings": {
+            "method": guidance.method,
+            "preset": estimate.preset.name,
+            "options": guidance.options,
+            "unit of candidates' gains": UNITS[guidance.options.strategy],
+        },
+        "photographs": sum(capture.used),
+        "entropy": guidance.entropy,
+        "proposals": [
+            {
+                "rank": rank,
+                "candidate": proposal.candidate,
+                "name": proposal.name,
+                "file": file,
+                **{key: getattr(proposal, key)
+                   for key in ("gain", "error", "entropy", "sees", "new")},
+                "pose": describe(proposal.sensor),
+            }
+            for rank, (proposal, file) in enumerate(
+                zip(guidance.proposals, files, strict=True), 1
+            )
+        ],
+        "candidates": _ranked(guidance),
+    }  # fmt: skip
+
+
+def file_names(capture: Any, guidance: Any) -> list[str]:
+    """Return the file names that photographs of the proposals should have.
+
+    A sensor of the capture has its own; all others come after it, in their order.
+    """
+    names, free = [], capture.count
+    for proposal in guidance.proposals:
+        own = [k for k, sensor in enumerate(capture.sensors) if sensor is proposal.sensor]
+        if own:
+            names.append(capture.names[own[0]])
+        else:
+            names.append(f"view_{free:04d}.exr")
+            free += 1
+    return names
+
+
+def write_sensors(path: str | Path, sensors: Sequence[Any], names: Sequence[str]) -> None:
+    """Write sensors as a Mitsuba scene of their own, to be loaded or included.
+
+    ``-D spp=N`` sets samples per pixel.
+
+    Args:
+        path: the XML file.
+        sensors: V perspective sensors.
+        names: V ids.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    root = Element("scene", version="3.0.0")
+    root.append(Comment(f" Written by svu_mi {svu_mi.__version__}; needs nothing but Mitsuba. "))
+    ElementTree.SubElement(root, "default", name="spp", value=str(SAMPLES))
+    root.extend(nodes.sensor(s, name) for s, name in zip(sensors, names, strict=True))
+    ElementTree.indent(root)
+    with replacing(path) as temporary:
+        temporary.write_text(ElementTree.tostring(root, "unicode") + "\n", encoding="utf-8")
+
+
+def _ranked(guidance: Any) -> list[dict[str, Any]]:
+    """All candidates, the best first, those that cannot be reached last."""
+    candidates = guidance.candidates
+    last = np.flatnonzero(~candidates.reachable)
+    return [
+        {
+            "number": int(number),
+            "name": candidates.names[number],
+            "reachable": bool(candidates.reachable[number]),
+            "gain": float(guidance.gains[number]),
+        }
+        for number in (*guidance.ranking, *last)
+    ]
+
+
+def _write_maps(guidance: Any, maps: np.ndarray, folder: Path) -> None:
+    """Write one EXR per proposal, channel Y: the gain of every texel, 0 outside the charts."""
+    for k, (proposal, gains) in enumerate(zip(guidance.proposals, maps, strict=True)):
+        attributes = {
+            "svu:version": svu_mi.__version__,
+            "svu:method": guidance.method,
+            "svu:candidate": proposal.candidate,
+            "svu:name": proposal.name,
+            "svu:gutter": GUTTER,
+        }
+        write_exr(folder / f"gain_{k}.exr", {"Y": padded(guidance, gains, fill=0)}, attributes)
+
+
+def _write_thumbnails(pictures: Sequence[np.ndarray], folder: Path) -> None:
+    """Write what the cameras will show, all of their film, coloured by gain."""
+    for k, picture in enumerate(pictures):
+        with replacing(folder / f"proposal_{k}.png") as temporary:
+            Image.fromarray(np.round(255 * picture[..., :3]).astype(np.uint8)).save(temporary)
+
+
+def _remove_stale(folder: Path) -> None:
+    (folder / RECORD).unlink(missing_ok=True)
+    for old in (*folder.glob("gain_*.exr"), *(folder / THUMBNAILS).glob("proposal_*.png")):
+        if old.stem.rpartition("_")[2].isdigit():
+            old.unlink()
+
+
+def _say_nothing(done: int, total: int) -> None:
+    del done, total

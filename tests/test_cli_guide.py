@@ -1,0 +1,278 @@
+"""``svu guide``: files, a table and status 0, or one line and 2 on bad input."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from helpers import sensor_xml, write_scene
+
+import svu_mi as svu
+from svu_mi import scenes
+from svu_mi.capture.scene import to_world
+from svu_mi.cli.guide import Guide
+from svu_mi.cli.main import main
+from svu_mi.exr import read_exr
+
+MISSING = (2, 5, 6)  # photographs that the scene has sensors for, but nobody has taken
+
+
+@pytest.fixture(autouse=True)
+def _restore(variant):
+    yield
+    mi.set_variant(variant)
+    mi.set_log_level(mi.LogLevel.Warn)
+
+
+@pytest.fixture(scope="module")
+def shot(tmp_path_factory):
+    """A rendered capture folder of the vase, 8 views placed on a sphere."""
+    folder = tmp_path_factory.mktemp("shot")
+    words = ("render", scenes.path("vase"), "-D", "light=window", "--views", 8)
+    assert run(*words, "--resolution", 40, 32, "--spp", 4, "-o", folder) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def partial(shot, tmp_path_factory):
+    """The same with only some of its photographs."""
+    folder = tmp_path_factory.mktemp("partial")  # beside the other: the scene's path is relative
+    shutil.copytree(shot, folder, dirs_exist_ok=True)
+    for view in MISSING:
+        (folder / f"view_{view:04d}.exr").unlink()
+    return folder
+
+
+@pytest.fixture
+def no_page(monkeypatch):
+    """Leave out what takes longest and others look at."""
+
+    def nothing(*arguments, **options):
+        del arguments, options
+
+    monkeypatch.setattr("svu_mi.output.guidance.write_guidance_overview", nothing)
+
+
+def run(*words):
+    """Run the program in this process."""
+    return main([str(word) for word in words])
+
+
+def guide(shot, out, *words):
+    """Run ``svu guide`` on a capture, briefly."""
+    return run("guide", shot, "-o", out, "--resolution", 32, "--texels", 400, *words)
+
+
+def fails(capsys, *words):
+    """Run the program, expect status 2, and return its one line."""
+    assert run(*words) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("svu: ")]
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def plan(folder):
+    return json.loads((folder / "guidance.json").read_text())
+
+
+def test_guide_writes_poses_maps_and_pictures_and_prints_a_table(shot, tmp_path, capsys):
+    assert guide(shot, tmp_path, "--candidates", 20, "--add", 3, "--seed", 5) == 0
+    assert names(tmp_path) == [
+        "gain_0.exr", "gain_1.exr", "gain_2.exr", "guidance.json", "guidance.png", "run.json",
+        "sensors.xml", "thumbnails", "transforms.json",
+    ]  # fmt: skip
+    record, found = json.loads((tmp_path / "run.json").read_text()), plan(tmp_path)
+    assert record["settings"]["given"]["candidates"] == "20"
+    assert record["settings"]["used"]["seed"] == 5 and record["settings"]["used"]["texels"] == 400
+    assert "Writing the results" not in record["timings_s"] and record["kernels_compiled"]
+    assert len(found["candidates"]) == 20
+    gains = [p["gain"] for p in found["proposals"]]
+    assert all(a > b > 0 for a, b in zip(gains, gains[1:], strict=False))
+    said = capsys.readouterr().out.splitlines()
+    head = next(k for k, line in enumerate(said) if line.split()[:2] == ["rank", "candidate"])
+    for line, proposal in zip(said[head + 1 : head + 4], found["proposals"], strict=True):
+        rank, candidate, gain = line.split()[:3]
+        assert (int(rank), int(candidate)) == (proposal["rank"], proposal["candidate"])
+        assert float(gain) == pytest.approx(proposal["gain"], abs=6e-5)
+        assert proposal["name"] in line
+    assert said[-1] == f"Wrote {tmp_path}"
+
+
+def test_sensors_of_the_scene_that_have_no_photograph_are_candidates(partial, tmp_path):
+    assert guide(partial, tmp_path, "--candidates", "scene", "--add", 9) == 0
+    found = plan(tmp_path)
+    missing = sorted(f"view_{view:04d}.exr" for view in MISSING)
+    assert sorted(p["file"] for p in found["proposals"]) == missing
+    assert found["photographs"] == 5
+    record = json.loads((tmp_path / "run.json").read_text())
+    assert record["inputs"]["left_out"] == missing
+    capture = svu.load_capture(partial, missing="leave out")
+    for proposal in found["proposals"]:
+        sensor = capture.sensors[MISSING[proposal["candidate"]]]
+        np.testing.assert_allclose(proposal["pose"]["to_world"], to_world(sensor), atol=1e-6)
+
+
+@pytest.mark.parametrize("garbage", [np.nan, 1e30])
+def test_what_is_not_photographed_has_no_say(shot, partial, garbage):
+    """Guidance does not look at the images of its candidates: any other would be cheating."""
+    whole, partly = svu.load_capture(shot), svu.load_capture(partial, missing="leave out")
+    images = [np.full_like(image, garbage) if view in MISSING else image
+              for view, image in enumerate(whole.images)]  # fmt: skip
+    guessed = dataclasses.replace(whole, images=tuple(images), used=partly.used)
+    texels = svu.texels(whole.mesh, 24)
+    found = [svu.next_best_view(svu.estimate(c, texels), count=2) for c in (partly, guessed)]
+    np.testing.assert_array_equal(found[0].gains, found[1].gains)
+    assert found[0].entropy == found[1].entropy
+    assert [p.candidate for p in found[0].proposals] == [p.candidate for p in found[1].proposals]
+
+
+def test_the_poses_of_a_run_are_candidates_of_the_next(shot, tmp_path, no_page):
+    assert guide(shot, tmp_path / "a", "--candidates", 9, "--add", 4) == 0
+    words = ("--candidates", tmp_path / "a" / "transforms.json", "--add", 1)
+    assert guide(shot, tmp_path / "b", *words) == 0
+    (first,) = plan(tmp_path / "b")["proposals"]
+    assert first["candidate"] == 0  # what was best is best
+    gain = plan(tmp_path / "a")["proposals"][0]["gain"]
+    assert first["gain"] == pytest.approx(gain, abs=1e-4)  # another border pixel or two
+
+
+def test_what_cannot_be_reached_is_not_proposed(shot, tmp_path, no_page):
+    (tmp_path / "some.json").write_text("[0, 3, 6, 9]")
+    words = ("--candidates", 12, "--add", 9, "--reachable", tmp_path / "some.json")
+    assert guide(shot, tmp_path / "out", *words, "--unreachable", 3, 4) == 0
+    found = plan(tmp_path / "out")
+    assert sorted(p["candidate"] for p in found["proposals"]) == [0, 6, 9]
+    assert sum(c["reachable"] for c in found["candidates"]) == 3
+    assert all(c["gain"] is None for c in found["candidates"] if not c["reachable"])
+
+
+@pytest.mark.parametrize("text", ["0 3\n6\t9\n", "[0, 3, 6, 9]", "[9, 0, 3, 6, 6]",
+                                  json.dumps([k % 3 == 0 for k in range(12)])])  # fmt: skip
+def test_what_can_be_reached_is_said_in_any_of_three_ways(tmp_path, text):
+    path = tmp_path / "file"
+    path.write_text(text)
+    flags = Guide(scene=tmp_path, reachable=path, unreachable=(3, 4))._within_reach(12)
+    assert np.flatnonzero(flags).tolist() == [0, 6, 9]
+
+
+def test_the_sphere_of_candidates_is_where_it_is_asked_to_be(shot, tmp_path, no_page):
+    words = ("--candidates", 9, "--add", 9, "--lowest", 30, "--up", 0, 0, -2, "--distance", 5)
+    assert guide(shot, tmp_path, *words, "--strategy", "random") == 0
+    poses = np.array([p["pose"]["to_world"] for p in plan(tmp_path)["proposals"]])
+    box = svu.load_capture(shot).shape.bbox()
+    offsets = poses[:, :3, 3] - np.array(box.center())
+    np.testing.assert_allclose(np.linalg.norm(offsets, axis=1), 5, rtol=1e-5)
+    assert (-offsets[:, 2] / 5).min() == pytest.approx(0.5 + 0.5 / 18)  # the ninth and last ring
+    assert len(list((tmp_path / "thumbnails").iterdir())) == 9
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--method", "spectrum", "--preset", "paper"), ("--strategy", "d-optimal"),
+        ("--preset", "calibrated", "--known", "metallic=0", "--lazy", "--hypotheses", "4"),
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_other_ways_to_judge(shot, tmp_path, no_page, words):
+    assert guide(shot, tmp_path, "--candidates", 8, "--add", 2, *words) == 0
+    assert len(plan(tmp_path)["proposals"]) == 2
+    assert read_exr(tmp_path / "gain_1.exr")["Y"].shape == (32, 32)
+
+
+def test_without_photographs_the_scene_is_rendered(tmp_path, capsys):
+    path = write_scene(tmp_path, sensors=sensor_xml(3, 32, 32))
+    assert guide(path, tmp_path / "out", "--spp", 2, "--candidates", 5, "--add", 1) == 0
+    assert "the scene is rendered" in capsys.readouterr().err
+    assert plan(tmp_path / "out")["proposals"][0]["file"] == "view_0003.exr"
+
+
+def test_defaults_are_those_of_the_library():
+    """They are repeated, so that the program starts without Mitsuba."""
+    options, own = svu.GuidanceOptions(), {f.name: f.default for f in dataclasses.fields(Guide)}
+    for option in dataclasses.fields(options):
+        assert own[option.name] == getattr(options, option.name)
+
+
+EARLY = {  # refused before anything is loaded
+    "add": (["--add", "0"], "--add must be at least 1"),
+    "no candidate": (["--candidates", "0"], "--candidates must be at least 1"),
+    "no file": (["--candidates", "{tmp}/none.json"], "neither a number, nor a file"),
+    "lowest": (["--lowest", "95"], "--lowest must be an elevation in [-90, 90)"),
+    "lowest nan": (["--lowest", "nan"], "--lowest"),
+    "distance": (["--distance", "0"], "--distance must be positive"),
+    "up": (["--up", "0", "0", "0"], "--up must be a direction"),
+    "a sphere for a file": (["--candidates", "{tmp}", "--lowest", "0"], "--lowest is of no use"),
+    "a sphere for scene": (["--candidates", "scene", "--distance", "2"], "--distance is of no"),
+    "all unreachable": (["--candidates", "3", "--unreachable", "0", "1", "2"], "None of the 3"),
+    "no such number": (["--candidates", "3", "--unreachable", "3"], "numbered from 0 to 2"),
+    "a negative number": (["--candidates", "3", "--unreachable", "-1"], "no candidate -1"),
+    "no list": (["--reachable", "{tmp}/none.txt"], "none.txt: not a readable list"),
+    "words": (["--reachable", "{words}"], "words.txt: not a readable list"),
+    "mixed": (["--reachable", "{mixed}"], "mixed.json: expected a list of numbers"),
+    "flags": (["--reachable", "{flags}"], "flags.json: 2 flags for 100 candidates"),
+    "spectrum": (["--method", "spectrum"], "--preset paper"),
+    "calibrated": (["--method", "spectrum", "--preset", "calibrated"], "Unknown preset"),
+    "d-optimal": (
+        ["--method", "spectrum", "--preset", "paper", "--strategy", "d-optimal"], "--strategy",
+    ),
+    "texels": (["--texels", "0"], "texels"),
+    "hypotheses": (["--hypotheses", "0"], "hypotheses"),
+    "seed": (["--seed", "-1"], "seed"),
+    "known": (["--known", "metallic"], "--known takes"),
+    "size": (["--resolution", "0"], "--resolution"),
+    "define": (["-D", "light"], "KEY=VALUE"),
+}  # fmt: skip
+LATE = {
+    "no photograph": (["--images", "{tmp}"], "are missing"),
+    "incomplete": ([], "3 of 8 photographs are missing"),
+    "no pose": (["--candidates", "{words}"], "words.txt: not a readable JSON"),
+    "no transforms": (["--candidates", "{flags}"], "no poses"),
+    "no sensor": (["--candidates", "{empty}"], "no sensor"),
+    "known": (["--candidates", "scene", "--known", "gloss=1"], "gloss"),
+    "scene": (["--candidates", "scene", "--unreachable", "0", "1", "2"], "None of the 3"),
+    "scene number": (["--candidates", "scene", "--unreachable", "3"], "numbered from 0 to 2"),
+}
+
+
+@pytest.fixture(scope="module")
+def bad(tmp_path_factory):
+    """Files that are no good."""
+    folder = tmp_path_factory.mktemp("bad")
+    texts = {"words.txt": "0 one 2", "mixed.json": "[0, true]", "flags.json": "[true, false]",
+             "empty.xml": '<scene version="3.0.0"><emitter type="constant"/></scene>'}  # fmt: skip
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    return {name.partition(".")[0]: folder / name for name in texts}
+
+
+@pytest.mark.parametrize("case", EARLY)
+def test_bad_options_are_one_line_before_any_work(tmp_path, capsys, bad, case):
+    words, sentence = EARLY[case]
+    words = [word.format(tmp=tmp_path, **bad) for word in words]
+    # The scene does not exist: whoever looks for it is too late.
+    line = fails(capsys, "guide", tmp_path / "no.xml", *words, "-o", tmp_path / "out")
+    assert sentence in line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("case", LATE)
+def test_bad_input_is_one_line_and_nothing_is_half_written(partial, tmp_path, capsys, bad, case):
+    words, sentence = LATE[case]
+    words = [word.format(tmp=tmp_path, **bad) for word in words]
+    line = fails(capsys, "guide", partial, *words, "-o", tmp_path / "out", "--resolution", 16)
+    assert sentence in line
+    assert names(tmp_path / "out") == []
+
+
+def test_every_sensor_has_its_photograph(shot, tmp_path, capsys):
+    words = ("guide", shot, "-o", tmp_path / "out", "--candidates", "scene", "--resolution", 16)
+    assert "Every sensor of the capture has its photograph" in fails(capsys, *words)

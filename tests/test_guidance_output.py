@@ -1,0 +1,309 @@
+"""What guidance writes, read back: poses, maps, pictures, and the record."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import matplotlib
+import mitsuba as mi
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import svu_mi as svu
+from svu_mi import scenes
+from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
+from svu_mi.capture.scene import to_world
+from svu_mi.capture.transforms import read_transforms, write_transforms
+from svu_mi.errors import CaptureError, OutputError
+from svu_mi.exr import read_attributes, read_exr
+from svu_mi.output import guidance_page
+from svu_mi.output.guidance import file_names, write_guidance, write_sensors
+
+RNG_SEED = 1630517742
+FILES = [
+    "gain_0.exr", "gain_1.exr", "gain_2.exr", "guidance.json", "guidance.png", "run.json",
+    "sensors.xml", "thumbnails", "transforms.json",
+]  # fmt: skip
+POSE = 1e-5  # a matrix goes through single precision once
+RAY = 2e-6  # directions in single precision, over a focal length that was divided and multiplied
+
+
+@pytest.fixture(scope="module")
+def vase():
+    """A small capture of the vase, and guidance that looks at all of its texels."""
+    capture = svu.render_capture(
+        scenes.path("vase"), spp=4, views=4, resolution=(48, 36), defines={"light": "window"}
+    )
+    texels = svu.texels(capture.mesh, resolution=64)
+    estimate = svu.estimate(capture, texels)
+    reachable = np.arange(14) % 5 != 2
+    candidates = svu.Candidates.around(capture, 14).restricted(reachable)
+    guidance = svu.next_best_view(estimate, candidates, 3, texels=texels.count)
+    return SimpleNamespace(capture=capture, estimate=estimate, guidance=guidance)
+
+
+@pytest.fixture(scope="module")
+def written(vase, tmp_path_factory):
+    """The folder of that guidance, in which an older run has left its files."""
+    folder = tmp_path_factory.mktemp("written")
+    (folder / "thumbnails").mkdir()
+    for name in ("gain_7.exr", "thumbnails/proposal_7.png", "gain_of_mine.exr"):
+        (folder / name).write_text("older")
+    steps = []
+    write_guidance(
+        vase.capture, vase.estimate, vase.guidance, folder, settings={"add": 3}, kernels={"a": 1},
+        progress=lambda done, total: steps.append((done, total)),
+    )  # fmt: skip
+    assert steps == [(k, 4) for k in (1, 2, 3, 4)]
+    return folder
+
+
+def rays(sensor):
+    """Origins and directions (N, 6) through points all over a film."""
+    points = np.random.default_rng(RNG_SEED).random((16, 2)).astype(np.float32)
+    place = mi.Point2f(points[:, 0], points[:, 1])
+    ray, _ = sensor.sample_ray(0, 0.5, place, mi.Point2f(0.5))
+    directions = np.array(ray.d).T
+    return np.hstack([np.broadcast_to(to_world(sensor)[:3, 3], directions.shape), directions])
+
+
+def test_all_files_are_there_and_those_of_an_older_run_are_not(written):
+    names = sorted(path.name for path in written.iterdir())
+    assert names == sorted([*FILES, "gain_of_mine.exr"])
+    assert sorted(p.name for p in (written / "thumbnails").iterdir()) == [
+        "proposal_0.png", "proposal_1.png", "proposal_2.png",
+    ]  # fmt: skip
+
+
+def test_the_plan_says_where_to_go(vase, written):
+    plan, guidance = json.loads((written / "guidance.json").read_text()), vase.guidance
+    assert plan["settings"]["options"]["strategy"] == "entropy"
+    assert plan["settings"]["preset"] == "default" and plan["photographs"] == 4
+    assert plan["entropy"] == guidance.entropy
+    assert [p["rank"] for p in plan["proposals"]] == [1, 2, 3]
+    assert [p["file"] for p in plan["proposals"]] == [f"view_{k:04d}.exr" for k in (4, 5, 6)]
+    for found, proposal in zip(plan["proposals"], guidance.proposals, strict=True):
+        for key in ("candidate", "name", "gain", "error", "entropy", "sees", "new"):
+            assert found[key] == getattr(proposal, key)
+        made = make_sensor(found["pose"], "proposal")
+        np.testing.assert_allclose(to_world(made), to_world(proposal.sensor), atol=POSE)
+        np.testing.assert_allclose(rays(made), rays(proposal.sensor), atol=RAY)
+
+
+def test_the_plan_ranks_all_candidates(vase, written):
+    ranked = json.loads((written / "guidance.json").read_text())["candidates"]
+    assert sorted(c["number"] for c in ranked) == list(range(14))
+    assert [c["number"] for c in ranked if not c["reachable"]] == [2, 7, 12]
+    assert all((c["gain"] is None) != c["reachable"] for c in ranked)
+    gains = [c["gain"] for c in ranked if c["reachable"]]
+    assert gains == sorted(gains, reverse=True) and not any(c["reachable"] for c in ranked[11:])
+    assert ranked[0]["number"] == vase.guidance.proposals[0].candidate
+
+
+def test_the_record_comes_last_and_says_what_was_run(vase, written):
+    record = json.loads((written / "run.json").read_text())
+    assert record["settings"]["given"] == {"add": 3} and record["kernels_compiled"] == {"a": 1}
+    assert record["settings"]["used"]["hypotheses"] == 16
+    assert record["result"]["candidates"] == 14 and len(record["result"]["proposals"]) == 3
+    assert record["skipped"]["candidates that cannot be reached"] == 3
+    assert record["skipped"]["texels never seen"] == vase.estimate.skipped["texels never seen"]
+    assert {"Tracing visibility", "Choosing views"} <= set(record["timings_s"])
+    assert record["environment"]["versions"]["mitsuba"] == mi.__version__
+
+
+def test_a_failed_write_leaves_no_record(vase, written, tmp_path):
+    (tmp_path / "run.json").write_text("{}")
+    (tmp_path / "guidance.png").mkdir()
+    with pytest.raises(OutputError, match="guidance.png"):
+        write_guidance(vase.capture, vase.estimate, vase.guidance, tmp_path)
+    assert not (tmp_path / "run.json").exists()
+    assert not [p for p in tmp_path.rglob("*") if ".tmp" in p.name]
+
+
+def test_maps_sum_to_the_gain(vase, written):
+    """All texels were looked at, so the mean of the map is the gain, up to single precision."""
+    inside = vase.guidance.texels.inside()
+    for k, proposal in enumerate(vase.guidance.proposals):
+        image = read_exr(written / f"gain_{k}.exr")["Y"]
+        assert image.shape == (64, 64) and proposal.error == 0
+        assert float(image[inside].mean(dtype=np.float64)) == pytest.approx(proposal.gain, abs=1e-6)
+        assert read_attributes(written / f"gain_{k}.exr")["svu:candidate"] == proposal.candidate
+
+
+def test_poses_are_read_again_as_candidates(vase, written):
+    for name in ("transforms.json", "sensors.xml"):
+        found = svu.Candidates.read(written / name)
+        assert found.count == 3
+        for sensor, proposal in zip(found.sensors, vase.guidance.proposals, strict=True):
+            np.testing.assert_allclose(to_world(sensor), to_world(proposal.sensor), atol=POSE)
+            np.testing.assert_allclose(rays(sensor), rays(proposal.sensor), atol=RAY)
+
+
+FILMS = {
+    "upright": {"film": [30, 52], "crop_size": [30, 52]},
+    "shifted": {"principal_point_offset": [0.1, -0.07]},
+    "cropped": {"crop_offset": [11, 5], "crop_size": [30, 20]},
+    "all": {"film": [52, 60], "crop_offset": [3, 9], "crop_size": [41, 20],
+            "principal_point_offset": [-0.2, 0.15]},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("film", FILMS)
+@pytest.mark.parametrize("kind", ["transforms.json", "sensors.xml"])
+def test_any_film_comes_back(vase, tmp_path, film, kind):
+    sensor = make_sensor({**describe(vase.capture.sensors[1]), **FILMS[film]}, "any")
+    if kind == "sensors.xml":
+        write_sensors(tmp_path / kind, [sensor], ["view_0007"])
+    else:
+        write_transforms(tmp_path / kind, [sensor], ["view_0007.exr"])
+    (found,) = svu.Candidates.read(tmp_path / kind).sensors
+    np.testing.assert_allclose(to_world(found), to_world(sensor), atol=POSE)
+    np.testing.assert_allclose(rays(found), rays(sensor), atol=RAY)
+    assert describe(found)["crop_size"] == describe(sensor)["crop_size"]
+
+
+def test_sensors_can_be_included_in_a_scene(vase, written, tmp_path):
+    (tmp_path / "scene.xml").write_text(
+        f'<scene version="3.0.0"><include filename="{written / "sensors.xml"}"/>'
+        '<shape type="sphere"/><emitter type="constant"/></scene>'
+    )
+    scene = mi.load_file(str(tmp_path / "scene.xml"), spp=3)
+    assert [sensor.id() for sensor in scene.sensors()] == ["view_0004", "view_0005", "view_0006"]
+    assert scene.sensors()[0].sampler().sample_count() == 3
+
+
+def test_pictures_show_what_the_camera_will(vase, written):
+    assert list(mi.Bitmap(str(written / "guidance.png")).size()) == [1800, 1120]
+    picture = np.array(mi.Bitmap(str(written / "thumbnails" / "proposal_0.png"))) / 255
+    assert picture.shape == (384, 512, 3)  # all of the film, enlarged
+    colour = np.ptp(picture, axis=2)
+    assert (colour > 0.3).any() and (colour[picture.min(axis=2) < 0.9] < 0.05).mean() > 0.2
+
+
+def test_a_sensor_of_the_capture_keeps_its_file_name(vase):
+    used = (True, False, True, False)
+    capture = replace(vase.capture, used=used)
+    candidates = svu.Candidates.without_photograph(capture)
+    other = vase.guidance.proposals[0]
+    proposals = [other, *(replace(other, sensor=sensor) for sensor in candidates.sensors), other]
+    names = file_names(capture, SimpleNamespace(proposals=proposals))
+    assert names == ["view_0004.exr", "view_0001.exr", "view_0003.exr", "view_0005.exr"]
+
+
+@pytest.mark.parametrize("up", [(0, 1, 0), (0, 0, 2), (0.3, -1, 0.2)])
+def test_directions_are_on_the_map_where_they_should_be(up):
+    """Up is above, the first photograph in the middle, and right is where it is from outside."""
+    up = np.array(up, float)
+    first = np.array([0.4, 0.3, 0.8])
+    frame = guidance_page._frame(up, first)
+    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(frame @ up / np.linalg.norm(up), [0, 1, 0], atol=1e-12)
+    assert frame[2] @ first > 0 and abs(frame[0] @ first) < 1e-12
+    assert np.linalg.det(frame) == pytest.approx(1)  # seen from outside, not mirrored
+    x, y = guidance_page._hammer(np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0], [-1e-9, 0, -1.0]]))
+    np.testing.assert_allclose(x, [0, 0, 2 * np.sin(np.pi / 4) * np.sqrt(2 / (1 + 2**-0.5)),
+                                   -2 * np.sqrt(2)], atol=1e-6)  # fmt: skip
+    np.testing.assert_allclose(y, [np.sqrt(2), 0, 0, 0], atol=1e-6)
+
+
+def test_the_map_of_directions_keeps_areas():
+    """Of equally many directions per area, equally many lie in both halves of the ellipse."""
+    directions = np.random.default_rng(RNG_SEED).normal(size=(20_000, 3))
+    x, y = guidance_page._hammer(directions / np.linalg.norm(directions, axis=1, keepdims=True))
+    radius = (x / 8**0.5) ** 2 + (y / 2**0.5) ** 2
+    assert radius.max() <= 1 + 1e-9
+    assert (radius < 0.5).mean() == pytest.approx(0.5, abs=0.015)  # four standard errors
+
+
+@pytest.mark.parametrize("strategy", ["coverage", "farthest", "random", "d-optimal"])
+def test_the_page_is_drawn_for_every_strategy(vase, tmp_path, strategy):
+    options = {"strategy": strategy, "texels": 200}
+    guidance = svu.next_best_view(vase.estimate, vase.guidance.candidates, 1, **options)
+    figure = Figure()
+    axes = figure.subplots(1, 3)
+    guidance_page.draw_directions(axes[0], vase.capture, guidance, up=(0, 0, 1))
+    guidance_page.draw_expected(axes[1], vase.capture, guidance, vase.estimate)
+    guidance_page.draw_ranking(axes[2], guidance)
+    figure.savefig(tmp_path / "page.png")
+    assert matplotlib.image.imread(tmp_path / "page.png").ndim == 3
+    assert guidance_page.UNITS[strategy]
+
+
+def test_a_single_candidate_that_gains_nothing_is_drawn(vase, tmp_path):
+    """Under the vase's centre, looking away: no texel is seen, and no gain has a colour."""
+    away = describe(vase.capture.sensors[0])
+    away["to_world"] = np.array(away["to_world"]) @ np.diag([-1.0, 1, -1, 1])
+    candidates = svu.Candidates.of([make_sensor(away, "away")])
+    guidance = svu.next_best_view(vase.estimate, candidates)
+    assert guidance.proposals[0].gain == 0
+    write_guidance(vase.capture, vase.estimate, guidance, tmp_path)
+    assert read_exr(tmp_path / "gain_0.exr")["Y"].max() == 0
+
+
+# --- transforms.json ----------------------------------------------------------------------
+
+
+GOOD = {"transform_matrix": np.eye(4).tolist(), "w": 8, "h": 6, "fl_x": 9.0}
+BROKEN = {
+    "no matrix": ({"transform_matrix": None}, "transform_matrix must be 4 x 4"),
+    "a small matrix": ({"transform_matrix": [[1, 0], [0, 1]]}, "must be 4 x 4, got \\(2, 2\\)"),
+    "words in the matrix": ({"transform_matrix": [["a"] * 4] * 4}, "a frame needs"),
+    "no focal length": ({"fl_x": "drop"}, "camera_angle_x"),
+    "no width": ({"w": "drop"}, "'w'.*a frame needs"),
+    "a width of none": ({"w": 0}, "must be positive"),
+    "a focal length of 0": ({"fl_x": 0}, "must be positive"),
+    "a focal length of nan": ({"fl_x": float("nan")}, "must be positive"),
+    "long pixels": ({"fl_y": 9.1}, "fl_x and fl_y differ"),
+    "a height of nan": ({"fl_y": float("nan")}, "fl_x and fl_y differ"),
+    "a height in words": ({"fl_y": "long"}, "a frame needs"),
+    "a bent lens": ({"k1": 0.02}, "undistort"),
+    "nan in the matrix": ({"transform_matrix": np.full((4, 4), np.nan).tolist()}, "NaN"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_broken_frame_is_named(tmp_path, case):
+    changes, sentence = BROKEN[case]
+    frame = {k: v for k, v in {**GOOD, **changes}.items() if v != "drop"}
+    path = tmp_path / "transforms.json"
+    path.write_text(json.dumps({"frames": [GOOD, frame]}))
+    with pytest.raises(CaptureError, match=sentence) as error:
+        read_transforms(path)
+    assert f"{path}: frame 1" in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"frames": []}', '{"frames": {}}', "[" * 100_000])
+def test_no_poses_at_all(tmp_path, text):
+    (tmp_path / "poses.json").write_text(text)
+    with pytest.raises(CaptureError, match="poses.json: no"):
+        read_transforms(tmp_path / "poses.json")
+    with pytest.raises(CaptureError, match="none.json"):
+        read_transforms(tmp_path / "none.json")
+
+
+@pytest.mark.parametrize("frame", [None, 3, "view", [1, 2]])
+def test_a_frame_that_is_none(tmp_path, frame):
+    (tmp_path / "poses.json").write_text(json.dumps({"frames": [frame]}))
+    with pytest.raises(CaptureError, match="frame 0"):
+        read_transforms(tmp_path / "poses.json")
+
+
+def test_intrinsics_of_the_file_are_those_of_its_frames(tmp_path):
+    shared = {"w": 8, "h": 6, "camera_angle_x": np.radians(40), "fl_y": 4 / np.tan(np.radians(20))}
+    frames = [{"transform_matrix": np.eye(4)[:3].tolist()}, {**GOOD, "fl_y": 9.0}]
+    (tmp_path / "t.json").write_text(json.dumps({**shared, "frames": frames}))
+    first, second = (describe(sensor) for sensor in read_transforms(tmp_path / "t.json"))
+    assert first["x_fov"] == pytest.approx(40) and first["film"] == [8, 6]
+    assert second["x_fov"] == pytest.approx(2 * np.degrees(np.arctan(4 / 9)))
+    # OpenGL's camera looks along -Z, with +X to the right; ours along +Z, with +X to the left.
+    np.testing.assert_allclose(first["to_world"], np.diag([-1, 1, -1, 1]))
+
+
+def test_poses_of_a_sphere_come_back(vase, tmp_path):
+    sensors = sphere_sensors(vase.capture.shape, 7, (20, 10), up=(0, 0, 1), lowest=0.2)
+    write_transforms(tmp_path / "t.json", sensors, [f"{k}" for k in range(7)])
+    for a, b in zip(read_transforms(tmp_path / "t.json"), sensors, strict=True):
+        np.testing.assert_allclose(to_world(a), to_world(b), atol=POSE)
