@@ -61,7 +61,7 @@ def angular_forecast(
     p = posteriors(rng, count, int(np.prod(grid.shape)))
     energies = None if prior is None else owned(mi.Float, -np.log(prior).ravel())
     forecast = AngularForecast(
-        responses=responses_of(table), hypotheses=Hypotheses.draw(p, hypotheses, 0), prior=energies,
+        responses=responses_of(table), hypotheses=Hypotheses.draw(p, hypotheses, np.zeros(count)), prior=energies,
         grid=grid, growth=growth, measure=Entropy(int(np.prod(grid.shape))),
     )  # fmt: skip
     return forecast, table.astype(np.float64), p
@@ -211,8 +211,8 @@ class TestRankOne:
         table = table.astype(np.float32)
         p = posteriors(rng, count, 12)
         forecast = SpectrumForecast(
-            responses=responses_of(table), hypotheses=Hypotheses.draw(p, 12, 0), prior=None,
-            grid=grid, switches=switches, sigma=switches.sigma, prefilter=0.0,
+            responses=responses_of(table), prior=None,
+            hypotheses=Hypotheses.draw(p, 12, np.zeros(count)), grid=grid, switches=switches, sigma=switches.sigma, prefilter=0.0,
         )  # fmt: skip
         alphas = grid.roughness_nodes**2
         alphas = np.maximum(alphas, 1e-3) if switches.bounded_alpha else alphas
@@ -242,7 +242,7 @@ class TestRankOne:
 class TestHypotheses:
     def test_all_cells_of_a_small_grid(self):
         p = posteriors(np.random.default_rng(0), 5, 12)
-        drawn = Hypotheses.draw(p, 12, 0)
+        drawn = Hypotheses.draw(p, 12, np.zeros(5))
         assert (np.diff(drawn.weights.numpy().reshape(-1, 5), axis=0) <= 0).all()
         rebuilt = np.zeros_like(p)
         for k in range(12):
@@ -255,7 +255,7 @@ class TestHypotheses:
         p = posteriors(np.random.default_rng(1), 4, 100)
         total = np.zeros_like(p)
         for seed in range(400):
-            drawn = Hypotheses.draw(p, 10, seed)
+            drawn = Hypotheses.draw(p, 10, np.full(4, seed / 400))
             counts = drawn.counts.numpy()
             cells = drawn.cells.numpy().reshape(-1, 4)
             weights = drawn.weights.numpy().reshape(-1, 4)
@@ -270,7 +270,7 @@ class TestHypotheses:
     def test_a_certain_texel_costs_one(self):
         p = np.zeros((2, 50))
         p[:, 7] = 1
-        assert Hypotheses.draw(p, 16, 0).counts.numpy().tolist() == [1, 1]
+        assert Hypotheses.draw(p, 16, np.array([0.1, 0.9])).counts.numpy().tolist() == [1, 1]
 
 
 class TestGreedy:
@@ -431,6 +431,18 @@ class TestNextBestView:
         np.testing.assert_array_equal(found[0].gains, found[1].gains)
         assert [p.name for p in found[0].proposals] == [p.name for p in found[1].proposals]
 
+    def test_candidates_see_what_their_photographs_show(self, sunny):
+        capture, texels = sunny
+        whole = svu.estimate(capture, texels)
+        source = forecaster(svu.estimate(some(capture, (0,)), texels))
+        every = source.forecast(np.arange(texels.count), capture.sensors[1:], 1, 0)
+        exact = np.stack([
+            np.array(whole.observed.found.bits.test(mi.UInt32(v), dr.arange(mi.UInt32, texels.count)))
+            for v in range(20)
+        ])  # fmt: skip
+        assert (every.seen == exact).mean() > 0.999
+        assert exact.sum() > 1000
+
     def test_hidden_side_is_looked_at_first(self, sunny):
         """Must show 4."""
         capture, texels = sunny
@@ -533,6 +545,8 @@ class TestNextBestView:
         estimate = svu.estimate(some(capture, (0, 1)), texels)
         with pytest.raises(svu.SvuError, match="count must be at least 1"):
             svu.next_best_view(estimate, count=0)
+        with pytest.raises(svu.SvuError, match="whole number"):
+            svu.next_best_view(estimate, count=2.5)
         with pytest.raises(svu.SvuError, match="unknown option 'texel'"):
             svu.next_best_view(estimate, texel=3)
         with pytest.raises(svu.SvuError, match="strategy must be one of"):
@@ -564,6 +578,8 @@ class TestCandidates:
         np.testing.assert_allclose(np.linalg.norm(places, axis=1), radius, rtol=1e-5)
         sine = -places[:, 2] / radius
         assert sine.min() >= 0.2 - 1e-6 and sine.max() > 0.95
+        ups = np.array([to_world(s)[:3, 1] for s in candidates.sensors])
+        assert (-ups[sine < 0.9, 2] > 0.4).all()  # upright
         looks = np.array([to_world(s)[:3, 2] for s in candidates.sensors])
         np.testing.assert_allclose(looks, -places / radius, atol=1e-5)
 
@@ -582,9 +598,11 @@ class TestCandidates:
         with pytest.raises(svu.SvuError, match="Every sensor"):
             svu.Candidates.without_photograph(capture)
         with pytest.raises(svu.SvuError, match="no view that can be reached"):
-            svu.Candidates.around(capture, 5).restricted(np.zeros(5))
+            svu.Candidates.around(capture, 5).restricted(np.zeros(5, bool))
         with pytest.raises(svu.SvuError, match="4 flags for 5"):
-            svu.Candidates.around(capture, 5).restricted(np.ones(4))
+            svu.Candidates.around(capture, 5).restricted(np.ones(4, bool))
+        with pytest.raises(svu.SvuError, match="True or False"):
+            svu.Candidates.around(capture, 5).restricted([0, 1, 2, 3, 4])
         with pytest.raises(svu.SvuError, match="Cannot place 0"):
             svu.Candidates.around(capture, 0)
         with pytest.raises(svu.SvuError, match="lowest elevation"):

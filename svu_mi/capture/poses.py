@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mitsuba as mi
@@ -94,6 +94,28 @@ def make_sensor(record: Mapping[str, Any], label: str) -> Any:
         raise CaptureError(f"{label}: Mitsuba refuses the sensor: {reason}") from error
 
 
+def scaled_sensor(sensor: Any, side: int) -> Any:
+    """Return a sensor with a film of at most ``side`` pixels in width and height.
+
+    The sensor itself, if its film is not larger.
+    """
+    scale = side / max(film_size(sensor))
+    if scale >= 1:
+        return sensor
+    record = describe(sensor)
+    for key in ("film", "crop_offset", "crop_size"):
+        low = 0 if key == "crop_offset" else 1
+        record[key] = [max(low, int(value * scale)) for value in record[key]]
+    return make_sensor(record, sensor.id())
+
+
+def cropped_fov(sensor: Any) -> float:
+    """Return the opening angle of a sensor's crop window over its width, in degrees."""
+    record = describe(sensor)
+    focal = record["film"][0] / 2 / np.tan(np.radians(record["x_fov"]) / 2)
+    return float(2 * np.degrees(np.arctan(record["crop_size"][0] / 2 / focal)))
+
+
 def _check_finite(record: Mapping[str, Any], label: str) -> None:
     """Refuse numbers that Mitsuba would take and then see nothing with."""
     pose = np.array(record["to_world"], np.float64)
@@ -140,7 +162,7 @@ def sphere_sensors(
     return tuple(
         make_sensor(
             {
-                "to_world": _look_at(center + distance * direction, center),
+                "to_world": _look_at(center + distance * direction, center, up),
                 "x_fov": x_fov,
                 "principal_point_offset": [0.0, 0.0],
                 "clip": [distance * 1e-2, distance * 1e2],
@@ -185,11 +207,13 @@ def bounding_sphere(shape: Any) -> tuple[np.ndarray, float]:
     return center, float(np.linalg.norm(points - center, axis=1).max())
 
 
-def _look_at(origin: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Return a camera-to-world matrix with +Y up, turned aside where that is degenerate."""
+def _look_at(origin: np.ndarray, target: np.ndarray, up: Sequence[float]) -> np.ndarray:
+    """Return a camera-to-world matrix with a direction upwards, turned aside along it."""
     forward = (target - origin) / np.linalg.norm(target - origin)
-    up = np.array([0.0, 1.0, 0.0]) if abs(forward[1]) < 0.999 else np.array([0.0, 0.0, 1.0])
-    left = np.cross(up, forward)
+    above = np.array(up, np.float64) / np.linalg.norm(up)
+    if abs(forward @ above) >= 0.999:  # any direction that is not the camera's own
+        above = np.roll(above, 1) if abs(forward @ np.roll(above, 1)) < 0.999 else above[[0, 2, 1]]
+    left = np.cross(above, forward)
     left /= np.linalg.norm(left)
     matrix = np.eye(4)
     matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = left, np.cross(forward, left), forward

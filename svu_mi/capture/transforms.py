@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.poses import describe, film_size, make_sensor
+from svu_mi.capture.scene import check_sensor
 from svu_mi.errors import CaptureError
 from svu_mi.files import replacing
 
@@ -50,6 +51,7 @@ def read_transforms(path: str | Path) -> tuple[Any, ...]:
     Raises:
         CaptureError: the file is no such JSON, a frame lacks something, or its pixels are not
             square or its lens not straight.
+        SceneError: a pose is mirrored, or no rotation.
     """
     path = Path(path)
     try:
@@ -59,7 +61,12 @@ def read_transforms(path: str | Path) -> tuple[Any, ...]:
     frames = record.get("frames") if isinstance(record, dict) else None
     if not isinstance(frames, list) or not frames:
         raise CaptureError(f'{path}: no poses; expected a list "frames" with transform_matrix.')
-    return tuple(_sensor(record, frame, f"{path}: frame {i}") for i, frame in enumerate(frames))
+    made = []
+    for index, frame in enumerate(frames):
+        label = f"{path}: frame {index}"
+        made.append(_sensor(record, frame, label))
+        check_sensor(made[-1], label)
+    return tuple(made)
 
 
 def _intrinsics(sensor: Any) -> dict[str, Any]:

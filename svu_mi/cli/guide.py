@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 SCENE = "scene"
 From = Annotated[str, tyro.conf.arg(metavar="NUMBER | FILE | scene")]
 Numbers = Annotated[tuple[int, ...], tyro.conf.arg(metavar="NUMBER ...")]
+Strategy = Literal["entropy", "error", "d-optimal", "coverage", "farthest", "random"]
 Up = Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
 
 
@@ -60,8 +61,9 @@ class Guide(Photographed):
     known: Known = ()
     """Parameters that are not in question, such as metallic=0: they leave the grid. "scene" stands
     for those that the scene's own material does not vary."""
-    strategy: Literal["entropy", "d-optimal", "coverage", "farthest", "random"] = "entropy"
-    """entropy: lowest expected entropy; the others are what it is compared with."""
+    strategy: Strategy = "entropy"
+    """entropy: lowest expected entropy; error: lowest expected squared error of the parameters; the
+    others are what these are compared with."""
     texels: int = 4096
     """Most texels that candidates are judged by."""
     hypotheses: int = 16
@@ -203,8 +205,8 @@ class Guide(Photographed):
                 f"--method spectrum --preset {self.preset} does not say what photographs to come "
                 "would show; add --preset paper, or leave --method away."
             )
-        if self.strategy == "d-optimal" and self.method != "angular":
-            raise OptionError("--strategy d-optimal needs --method angular.")
+        if self.strategy in ("d-optimal", "error") and self.method != "angular":
+            raise OptionError(f"--strategy {self.strategy} needs --method angular.")
 
 
 def _number(word: str) -> int | None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.capture import folder as capture_folder
-from svu_mi.capture.poses import bounding_sphere, describe, film_size, sphere_sensors
+from svu_mi.capture.poses import bounding_sphere, cropped_fov, film_size, sphere_sensors
 from svu_mi.capture.scene import check_sensor, find_sensors, load_scene, to_world
 from svu_mi.capture.transforms import read_transforms
 from svu_mi.errors import CaptureError, OptionError, ShapeError
@@ -100,7 +100,7 @@ class Candidates:
         if distance is None:
             offsets = [to_world(sensor)[:3, 3] - center for sensor in used]
             distance = float(np.median(np.linalg.norm(offsets, axis=1)))
-        size, x_fov = film_size(used[0]), describe(used[0])["x_fov"]
+        size, x_fov = film_size(used[0]), cropped_fov(used[0])
         wide = max(1.0, size[0] / size[1])
         fov = 2 * np.degrees(np.arctan(np.tan(np.radians(x_fov) / 2) / wide))
         sensors = sphere_sensors(
@@ -141,9 +141,13 @@ class Candidates:
 
         Raises:
             ShapeError: another number of flags.
-            OptionError: none is left.
+            OptionError: they are no flags, or none is left.
         """
-        flags = np.asarray(reachable, bool).ravel()
+        flags = np.asarray(reachable).ravel()
+        if flags.dtype != bool:
+            raise OptionError(
+                "Candidates.restricted() takes True or False for each candidate, not numbers."
+            )
         if flags.shape != (self.count,):
             raise ShapeError(f"Candidates: {flags.size} flags for {self.count} candidates.")
         return replace(self, reachable=self.reachable & flags)

@@ -27,7 +27,7 @@ from svu_mi.pipeline import Estimate, Observed
 from svu_mi.posterior import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.angular import AngularPosterior
 from svu_mi.posterior.spectrum import SpectrumPosterior
-from svu_mi.radiance import Surface, Views, pack_sensors
+from svu_mi.radiance import Surface, pack_sensors
 
 
 class Forecaster(ABC):
@@ -51,13 +51,18 @@ class Forecaster(ABC):
         """
         seen = self.observed
         surface = Surface.of(seen.texels, numbers(texels))
-        candidates: Views = pack_sensors(seen.views.scene, sensors)
+        capture = seen.capture
+        candidates = pack_sensors(capture.scene, capture.shape, sensors)
         responses = collect(
             surface, (seen.views, seen.found), candidates, self._respond(surface), self.columns
         )
         return self._forecast(
             responses=responses,
-            hypotheses=Hypotheses.draw(self._probabilities(texels), hypotheses, seed),
+            # A texel draws the same, whichever others are looked at.
+            hypotheses=Hypotheses.draw(
+                self._probabilities(texels), hypotheses,
+                np.random.default_rng(seed).random(seen.texels.count)[texels],
+            ),
             prior=_energies(self.estimate.posterior.problem.prior),  # type: ignore[attr-defined]
         )
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
 from svu_mi.guidance.forecast import Forecast
+from svu_mi.guidance.forecaster import Forecaster
+from svu_mi.guidance.options import GuidanceOptions
 
 
 class Strategy(Protocol):
@@ -24,7 +27,7 @@ class Greedy:
 
     A candidate's E[H] of a texel changes only when a view is added that sees the texel, too: only
     these are computed again. With ``lazy``, only while the candidate's last gain, which is taken
-    for a bound, is above the best.
+    for a bound, is above the best. Candidates out of reach are never computed.
 
     Attributes:
         forecast: of the texels.
@@ -35,7 +38,10 @@ class Greedy:
 
     BATCH = 8  # candidates of one launch, when lazy
 
-    def __init__(self, forecast: Forecast, photographs: int, *, lazy: bool = False) -> None:
+    def __init__(
+        self, forecast: Forecast, photographs: int, reachable: np.ndarray | None = None, *,
+        lazy: bool = False,
+    ) -> None:  # fmt: skip
         self.forecast, self.photographs, self.evaluated = forecast, photographs, 0
         self._views, self._lazy = np.arange(photographs), lazy
         self.entropy = forecast.now(self._views).astype(np.float64)
@@ -43,10 +49,11 @@ class Greedy:
         self._expected = np.zeros(self._sees.shape)
         self._stale = self._sees.copy()
         self._gains = np.where(self._sees.any(axis=1), np.inf, 0.0)
-        self._free = np.ones(len(self._sees), bool)
+        self._free = np.ones(len(self._sees), bool) if reachable is None else reachable.copy()
 
     def gains(self) -> np.ndarray:
-        """Mean over texels of E[H] without and with each candidate; a bound if lazy."""
+        """Mean over texels of E[H] without and with each candidate; a bound if lazy, and
+        -infinity for those taken or out of reach."""
         pending = np.flatnonzero(self._stale.any(axis=1) & self._free)
         if not self._lazy:
             self._evaluate(pending)
@@ -92,3 +99,20 @@ class Greedy:
         self._stale[candidates] = False
         change = np.where(self._sees[candidates], self.entropy - self._expected[candidates], 0)
         self._gains[candidates] = change.mean(axis=1)
+
+
+def look(
+    source: Forecaster, texels: np.ndarray, sensors: Sequence[Any], options: GuidanceOptions,
+    reachable: np.ndarray | None = None,
+) -> Greedy:  # fmt: skip
+    """Look at texels from candidates.
+
+    Args:
+        source: makes the forecast.
+        texels: (t,) indices of texels of its estimate.
+        sensors: the C candidates.
+        options: how they are judged.
+        reachable: (C,) bool, all by default.
+    """
+    forecast = source.forecast(texels, sensors, options.hypotheses, options.seed)
+    return Greedy(forecast, source.observed.views.number, reachable, lazy=options.lazy)

@@ -52,19 +52,19 @@ class Hypotheses:
         return np.maximum((weights * values**2).sum(axis=1) - mean**2, 0)
 
     @staticmethod
-    def draw(probabilities: np.ndarray, most: int, seed: int) -> Hypotheses:
+    def draw(probabilities: np.ndarray, most: int, starts: np.ndarray) -> Hypotheses:
         """Draw cells.
 
         Args:
             probabilities: (T, N) of the posterior.
             most: K; if it is N or more, every cell of positive probability is taken.
-            seed: of the draw.
+            starts: (T,) random numbers in [0, 1).
         """
         total = probabilities.sum(axis=1, keepdims=True, dtype=np.float64)
         if most >= probabilities.shape[1]:
             weights = probabilities / total
         else:
-            weights = _drawn(np.cumsum(probabilities / total, axis=1), most, seed)
+            weights = _drawn(np.cumsum(probabilities / total, axis=1), most, starts)
         return Hypotheses.of(weights)
 
     @staticmethod
@@ -83,10 +83,9 @@ class Hypotheses:
         )
 
 
-def _drawn(cumulative: np.ndarray, most: int, seed: int) -> np.ndarray:
+def _drawn(cumulative: np.ndarray, most: int, starts: np.ndarray) -> np.ndarray:
     """Return (T, N) shares k / K of cells drawn at equal steps of probability."""
-    start = np.random.default_rng(seed).random((len(cumulative), 1))
     # How many of the points (i + start) / K lie below the end of every cell.
-    below = np.clip(np.ceil(cumulative * most - start), 0, most)
+    below = np.clip(np.ceil(cumulative * most - starts[:, None]), 0, most)
     below[:, -1] = most
     return np.diff(below, axis=1, prepend=0) / most

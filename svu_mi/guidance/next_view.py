@@ -8,123 +8,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.poses import bounding_sphere
-from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
-from svu_mi.guidance import baselines
-from svu_mi.guidance.angular import AngularForecast
 from svu_mi.guidance.candidates import Candidates
-from svu_mi.guidance.forecaster import Forecaster, forecaster
-from svu_mi.guidance.greedy import Greedy, Strategy
-from svu_mi.guidance.hypotheses import Hypotheses
-from svu_mi.guidance.measures import SquaredError
+from svu_mi.guidance.forecaster import forecaster
+from svu_mi.guidance.greedy import Greedy, Strategy, look
 from svu_mi.guidance.options import GuidanceOptions
+from svu_mi.guidance.result import Guidance, Proposal
+from svu_mi.guidance.strategies import find_strategy
 from svu_mi.pipeline import Estimate
 from svu_mi.progress import Progress
-from svu_mi.surface import Texels
 
 AROUND = 100  # candidates that are placed when none are given
-CHUNK = 8192  # texels whose maps are computed at a time
-LEAST = 1e-4  # of a parameter's variance that others are compared with
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """A view to photograph.
-
-    Attributes:
-        candidate: its number among the candidates.
-        name: its label.
-        sensor: where to take it from.
-        gain: what is expected to become known: mean over texels of E[H] before and after, the
-            proposals before it taken as photographed.
-        error: standard error of that mean, as not all texels were looked at; 0 if they were.
-        entropy: mean over texels of E[H] with this view.
-        sees: part of the texels that it sees.
-        new: part of the texels that it would be the first to see.
-    """
-
-    candidate: int
-    name: str
-    sensor: Any
-    gain: float
-    error: float
-    entropy: float
-    sees: float
-    new: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Guidance:
-    """Which photographs to take next.
-
-    Attributes:
-        candidates: what there was to choose from.
-        proposals: the best view, then the best one once that is taken, ...
-        gains: (C,) float64, gain of every candidate as the next photograph, in the unit of the
-            strategy (mean change of E[H], if by entropy); NaN where not reachable. With
-            ``lazy``, an upper bound for candidates that were not looked at.
-        entropy: mean over texels of the expected entropy so far: of photographs from the views
-            there are, whatever the truth. Unseen texels count as 1.
-        texels: the T texels.
-        options: how candidates were judged.
-        method: of the estimate.
-        skipped: what was not computed, by reason, as counts.
-        timings: seconds per stage, synchronised.
-    """
-
-    candidates: Candidates
-    proposals: tuple[Proposal, ...]
-    gains: np.ndarray
-    entropy: float
-    texels: Texels
-    options: GuidanceOptions
-    method: str
-    skipped: dict[str, int]
-    timings: dict[str, float] = field(default_factory=dict)
-    _source: Forecaster | None = field(default=None, repr=False, compare=False)
-
-    @property
-    def ranking(self) -> np.ndarray:
-        """Numbers of the reachable candidates as the next photograph, the best first."""
-        order = np.argsort(-self.gains, kind="stable")
-        return order[np.isfinite(self.gains[order])]
-
-    def gain_maps(self) -> np.ndarray:
-        """Return the gain of every texel by each proposal: (proposals, T) float32.
-
-        That of all texels, not only of those that the candidates were judged by; 0 where the
-        proposal does not see the texel.
-        """
-        assert self._source is not None
-        maps = np.zeros((len(self.proposals), self.texels.count), np.float32)
-        sensors = [proposal.sensor for proposal in self.proposals]
-        for first in range(0, self.texels.count, CHUNK):
-            chosen = np.arange(first, min(first + CHUNK, self.texels.count))
-            greedy = _greedy(self._source, chosen, sensors, self.options)
-            for k in range(len(sensors)):
-                maps[k, chosen] = greedy.texel_gains(k)
-                greedy.choose(k)
-        return maps
-
-    def image(self, proposal: int = 0) -> np.ndarray:
-        """Return the gain of a proposal as an (H, W) float32 texture, 0 outside the charts.
-
-        Raises:
-            OptionError: there is no such proposal.
-        """
-        if not 0 <= proposal < len(self.proposals):
-            raise OptionError(
-                f"Guidance.image(): there are {len(self.proposals)} proposals, numbered from 0; "
-                f"got {proposal}."
-            )
-        return self.texels.to_image(self.gain_maps()[proposal], 0.0)
 
 
 def next_best_view(
@@ -158,19 +59,21 @@ def next_best_view(
             over parameters that do not say what photographs would show.
         SceneError: a candidate is no pinhole camera.
     """
-    if count < 1:
-        raise OptionError(f"next_best_view(): count must be at least 1, got {count}.")
+    if not isinstance(count, Integral) or count < 1:
+        raise OptionError(
+            f"next_best_view(): count must be at least 1, a whole number, got {count!r}."
+        )
     options = _options(options, switches)
     source, progress = forecaster(estimate), progress or Progress()
     candidates = candidates or _default(source.observed.capture)
     texels = source.observed.texels
     with progress.stage("Looking from the candidates"):
         chosen = _sample(texels.count, options)
-        greedy = _greedy(source, chosen, candidates.sensors, options)
+        greedy = look(source, chosen, candidates.sensors, options, candidates.reachable)
     before = float(greedy.entropy.mean())
     left_out = 1 - len(chosen) / texels.count
     with progress.stage("Choosing views", count) as stage:
-        strategy = _strategy(options, greedy, source.observed.capture, candidates)
+        strategy = find_strategy(options, greedy, source.observed.capture, candidates)
         steps = []
         for step in _choices(strategy, greedy, candidates, count, left_out):
             steps.append(step)
@@ -212,57 +115,6 @@ def _sample(count: int, options: GuidanceOptions) -> np.ndarray:
         return np.arange(count)
     start = np.random.default_rng(options.seed).random()
     return np.floor((np.arange(options.texels) + start) * (count / options.texels)).astype(np.int64)
-
-
-def _greedy(
-    source: Forecaster, texels: np.ndarray, sensors: Any, options: GuidanceOptions
-) -> Greedy:
-    forecast = source.forecast(texels, sensors, options.hypotheses, options.seed)
-    return Greedy(forecast, source.observed.views.number, lazy=options.lazy)
-
-
-def _strategy(
-    options: GuidanceOptions, greedy: Greedy, capture: Capture, candidates: Candidates
-) -> Strategy:
-    """Return what judges candidates."""
-    forecast: Any = greedy.forecast
-    angular = isinstance(forecast, AngularForecast)
-    if options.strategy in ("error", "d-optimal") and not angular:
-        raise OptionError(
-            f"next_best_view(): {options.strategy} needs an estimate by method='angular'."
-        )
-    if options.strategy == "entropy":
-        return greedy
-    if options.strategy == "random":
-        return baselines.Random(candidates.count, options.seed)
-    if options.strategy == "coverage":
-        return baselines.Coverage(forecast.seen, greedy.photographs)
-    if options.strategy == "farthest":
-        used = [s for s, u in zip(capture.sensors, capture.used, strict=True) if u]
-        places = [to_world(sensor)[:3, 3] for sensor in (*used, *candidates.sensors)]
-        center, _ = bounding_sphere(capture.shape)
-        return baselines.Farthest(baselines.unit_directions(places, center), len(used))
-    if options.strategy == "error":
-        judged = replace(forecast, measure=_error(forecast, greedy))
-        return Greedy(judged, greedy.photographs, lazy=options.lazy)
-    most_probable, _ = forecast.hypotheses.at(0, np.arange(forecast.count))
-    table = forecast.responses.table()
-    cells = np.array(most_probable).astype(np.int64)
-    slopes = baselines.jacobians(table, forecast.grid, cells)
-    return baselines.DOptimal(slopes, forecast.seen, greedy.photographs)
-
-
-def _error(forecast: AngularForecast, greedy: Greedy) -> SquaredError:
-    """Return the measure of squared errors, relative to those of texels seen so far."""
-    shape = forecast.grid.shape
-    energies = np.zeros(shape) if forecast.prior is None else np.array(forecast.prior)
-    weights = np.exp(-energies.reshape(1, -1).astype(np.float64))
-    prior = Hypotheses.of(weights / weights.sum()).variances(forecast.grid)[:, 0]
-    known = forecast.hypotheses.variances(forecast.grid)[:, ~greedy.unseen()]
-    present = known.mean(axis=1) if known.size else prior
-    # A parameter that is known has no error to lower.
-    present = np.maximum(present, LEAST)
-    return SquaredError(present=tuple(present.tolist()), prior=tuple(prior.tolist()))
 
 
 def _choices(
@@ -309,7 +161,7 @@ def _proposal(
 
 
 def _skipped(greedy: Greedy, candidates: Candidates, texels: int) -> dict[str, int]:
-    sees = greedy.forecast.seen[greedy.photographs :]
+    sees = greedy.forecast.seen[greedy.photographs :][candidates.reachable]
     return {
         "texels not looked at": texels - greedy.forecast.count,
         "candidates that cannot be reached": int((~candidates.reachable).sum()),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.poses import film_size
+from svu_mi.capture.poses import film_size, scaled_sensor
 from svu_mi.capture.rendering import object_mask
 from svu_mi.files import replacing
 from svu_mi.output import views
@@ -85,7 +85,7 @@ def compare(
         environment: the other light; by default ``novel_light``.
         spp: samples per pixel.
     """
-    sensors = [views.small_sensor(capture.sensors[view], SIDE) for view in chosen]
+    sensors = [scaled_sensor(capture.sensors[view], SIDE) for view in chosen]
     other = novel_light(capture) if environment is None else environment
     renders = relight(capture, textures, None, sensors, spp)
     relit = relight(capture, textures, other, sensors, spp)

@@ -10,7 +10,7 @@ import numpy as np
 
 import svu_mi.plugins  # noqa: F401 - registers svu_entropy
 from svu_mi.capture import mesh as meshes
-from svu_mi.capture.poses import describe, film_size, make_sensor
+from svu_mi.capture.poses import scaled_sensor
 from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.scene import to_world
 from svu_mi.metrics import images
@@ -76,7 +76,7 @@ def picture(capture: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
     }
     integrator = {"type": "svu_entropy", "colormap": "none", "shading": True, "map": bitmap}
     integrator = mi.load_dict({**integrator, "background": [1.0, 1.0, 1.0]})
-    small = small_sensor(sensor)
+    small = scaled_sensor(sensor, SIDE)
     image = np.array(mi.render(scene, sensor=small, integrator=integrator, spp=SAMPLES))
     covered = object_mask(scene, scene.shapes()[0], small)
     return np.clip(np.dstack([image[..., :3], covered]), 0, 1)
@@ -150,13 +150,3 @@ def _span(center: float, side: float, size: int) -> tuple[float, float]:
 
 def _origin(sensor: Any) -> np.ndarray:
     return to_world(sensor)[:3, 3]
-
-
-def small_sensor(sensor: Any, side: int = SIDE) -> Any:
-    """Return the sensor with a film of at most ``side`` pixels in width and height."""
-    record = describe(sensor)
-    scale = min(1.0, side / max(film_size(sensor)))
-    for key in ("film", "crop_offset", "crop_size"):
-        low = 0 if key == "crop_offset" else 1
-        record[key] = [max(low, int(value * scale)) for value in record[key]]
-    return make_sensor(record, "overview")

@@ -234,7 +234,7 @@ def _reach(
     seen: Any,
 ) -> tuple[Any, Any]:
     """Look the pixels up and trace visibility, for lanes that face the camera."""
-    for pixel in pixels if views.usable is not None else ():
+    for pixel in pixels:
         seen &= dr.gather(mi.Bool, views.usable, pixel, seen)
     # Mitsuba's own spawn_ray offset has an absolute part, which drowns small meshes.
     origin = position + offset * normal

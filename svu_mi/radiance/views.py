@@ -18,7 +18,7 @@ import numpy as np
 
 from svu_mi.capture import Capture, scene
 from svu_mi.capture.block import in_one_block
-from svu_mi.capture.poses import describe, film_size
+from svu_mi.capture.poses import describe, film_size, scaled_sensor
 from svu_mi.errors import CaptureError
 from svu_mi.interop import owned
 from svu_mi.radiance.rays import ray_floats
@@ -26,6 +26,7 @@ from svu_mi.radiance.silhouette import Films, interior
 from svu_mi.radiance.tiles import find_tiles
 
 CAMERA_FLOATS = 16  # rows x, y, w of the projection (4 each), position (3), near clip
+LARGEST_FILM = 512  # pixels per side, of sensors without a photograph
 GREY = 1e-6  # part of its largest channel that the channels of a grey pixel differ by
 
 
@@ -41,7 +42,7 @@ class Views:
         pixels: Float, radiance of all photographs. 3 channels: (3 P,), interleaved RGB, the
             capture's own memory where its photographs lie in one block. 1 channel: (P,), the
             mean of R, G and B, NaN where not usable. None where nothing was photographed.
-        usable: (P,) Bool, the pixel shows nothing but the object and holds a radiance; or None.
+        usable: (P,) Bool, the pixel shows nothing but the object and holds a radiance.
         count: V, an opaque UInt32, so that its value is not part of a kernel.
         number: V as a Python int.
         scene: the ``mi.Scene`` that visibility is traced in.
@@ -92,7 +93,8 @@ def pack_views(capture: Capture, channels: int = 3) -> Views:
     films = _films(poses, offset)
     # The photographs stay where they are; they are only looked up, never streamed.
     pixels = _Pixels(mi.Float(block), _allowed(capture, kept, offset, block.size // 3), channels)
-    tiles = _tiles(capture, kept, poses)
+    masks = [capture.masks[index] for index in kept]
+    tiles = _tiles(capture.shape, poses, masks)
     for index, inside in interior(capture.scene, capture.shape, films, tiles):
         pixels.judge(index, inside)
     return Views(
@@ -110,22 +112,34 @@ def pack_views(capture: Capture, channels: int = 3) -> Views:
     )
 
 
-def pack_sensors(scene: Any, sensors: Sequence[Any]) -> Views:
+def pack_sensors(scene: Any, target: Any, sensors: Sequence[Any]) -> Views:
     """Lay sensors out that have not taken any photograph: they see texels, not radiance.
+
+    What a photograph would not show, they do not see: pixels on a silhouette. Films of more than
+    512 pixels are looked at in 512, with silhouettes that much wider: rays through all pixels
+    of a hundred cameras would take longer than everything else.
 
     Args:
         scene: the ``mi.Scene`` that visibility is traced in.
+        target: the object.
         sensors: V perspective sensors.
     """
-    poses = [_Pose.of(sensor) for sensor in sensors]
-    films = _films(poses, np.zeros(len(poses)))
+    poses = [_Pose.of(scaled_sensor(sensor, LARGEST_FILM)) for sensor in sensors]
+    sizes = np.array([pose.size for pose in poses], np.int64).reshape(-1, 2)
+    ends = np.cumsum(sizes.prod(axis=1))
+    films = _films(poses, ends - sizes.prod(axis=1))
+    usable = dr.zeros(mi.Bool, int(ends[-1]) if len(ends) else 0)
+    dr.eval(usable)
+    for index, inside in interior(scene, target, films, _tiles(target, poses, [None] * len(poses))):
+        dr.scatter(usable, mi.Bool(True), index, inside)
+        dr.eval(usable)
     return Views(
         cameras=owned(mi.Float, np.array([pose.camera for pose in poses], np.float32).ravel()),
         width=films.width,
         height=films.height,
         offset=films.offset,
         pixels=None,
-        usable=None,
+        usable=usable,
         count=dr.opaque(mi.UInt32, len(poses)),
         number=len(poses),
         scene=scene,
@@ -215,9 +229,11 @@ def _films(poses: Sequence[_Pose], offset: np.ndarray) -> Films:
     )
 
 
-def _tiles(capture: Capture, kept: Sequence[int], poses: Sequence[_Pose]) -> np.ndarray:
+def _tiles(
+    target: Any, poses: Sequence[_Pose], masks: Sequence[np.ndarray | None]
+) -> np.ndarray:
     cameras = np.array([pose.camera for pose in poses]).reshape(-1, CAMERA_FLOATS)
-    bounds, masks = capture.shape.bbox(), [capture.masks[index] for index in kept]
+    bounds = target.bbox()
     return find_tiles(
         cameras[:, :12].reshape(-1, 3, 4),
         cameras[:, 15],

@@ -1,0 +1,115 @@
+"""What capture guidance finds: proposals, gains of all candidates, maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from svu_mi.errors import OptionError
+from svu_mi.guidance.candidates import Candidates
+from svu_mi.guidance.forecaster import Forecaster
+from svu_mi.guidance.greedy import look
+from svu_mi.guidance.options import GuidanceOptions
+from svu_mi.surface import Texels
+
+CHUNK = 8192  # texels whose maps are computed at a time
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A view to photograph.
+
+    Attributes:
+        candidate: its number among the candidates.
+        name: its label.
+        sensor: where to take it from.
+        gain: what is expected to become known: mean over texels of E[H] before and after, the
+            proposals before it taken as photographed.
+        error: standard error of that mean, as not all texels were looked at; 0 if they were.
+        entropy: mean over texels of E[H] with this view.
+        sees: part of the texels that it sees.
+        new: part of the texels that it would be the first to see.
+    """
+
+    candidate: int
+    name: str
+    sensor: Any
+    gain: float
+    error: float
+    entropy: float
+    sees: float
+    new: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Guidance:
+    """Which photographs to take next.
+
+    Attributes:
+        candidates: what there was to choose from.
+        proposals: the best view, then the best one once that is taken, ...
+        gains: (C,) float64, gain of every candidate as the next photograph, in the unit of the
+            strategy (mean change of E[H], if by entropy); NaN where not reachable. With
+            ``lazy``, an upper bound for candidates that were not looked at.
+        entropy: mean over texels of the expected entropy so far: of photographs from the views
+            there are, whatever the truth. Unseen texels count as 1.
+        texels: the T texels.
+        options: how candidates were judged.
+        method: of the estimate.
+        skipped: what was not computed, by reason, as counts.
+        timings: seconds per stage, synchronised.
+    """
+
+    candidates: Candidates
+    proposals: tuple[Proposal, ...]
+    gains: np.ndarray
+    entropy: float
+    texels: Texels
+    options: GuidanceOptions
+    method: str
+    skipped: dict[str, int]
+    timings: dict[str, float] = field(default_factory=dict)
+    _source: Forecaster | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def ranking(self) -> np.ndarray:
+        """Numbers of the reachable candidates as the next photograph, the best first."""
+        order = np.argsort(-self.gains, kind="stable")
+        return order[np.isfinite(self.gains[order])]
+
+    def gain_maps(self) -> np.ndarray:
+        """Return the gain of every texel by each proposal: (proposals, T) float32.
+
+        That of all texels, not only of those that the candidates were judged by; 0 where the
+        proposal does not see the texel. Computed once.
+        """
+        return self._maps.copy()
+
+    @cached_property
+    def _maps(self) -> np.ndarray:
+        assert self._source is not None
+        maps = np.zeros((len(self.proposals), self.texels.count), np.float32)
+        sensors = [proposal.sensor for proposal in self.proposals]
+        for first in range(0, self.texels.count, CHUNK):
+            chosen = np.arange(first, min(first + CHUNK, self.texels.count))
+            greedy = look(self._source, chosen, sensors, self.options)
+            for k in range(len(sensors)):
+                maps[k, chosen] = greedy.texel_gains(k)
+                greedy.choose(k)
+        return maps
+
+    def image(self, proposal: int = 0) -> np.ndarray:
+        """Return the gain of a proposal as an (H, W) float32 texture, 0 outside the charts.
+
+        Raises:
+            OptionError: there is no such proposal.
+        """
+        if not 0 <= proposal < len(self.proposals):
+            raise OptionError(
+                f"Guidance.image(): there are {len(self.proposals)} proposals, numbered from 0; "
+                f"got {proposal}."
+            )
+        return self.texels.to_image(self._maps[proposal], 0.0)
