@@ -17,6 +17,7 @@ from svu_mi.capture.scene import to_world
 from svu_mi.frequency.extend import extend_lanes
 from svu_mi.guidance import STRATEGIES, baselines
 from svu_mi.guidance.angular import AngularForecast
+from svu_mi.guidance.forecaster import forecaster
 from svu_mi.guidance.greedy import Greedy
 from svu_mi.guidance.hypotheses import Hypotheses
 from svu_mi.guidance.measures import Entropy, SquaredError
@@ -61,8 +62,9 @@ def angular_forecast(
     p = posteriors(rng, count, int(np.prod(grid.shape)))
     energies = None if prior is None else owned(mi.Float, -np.log(prior).ravel())
     forecast = AngularForecast(
-        responses=responses_of(table), hypotheses=Hypotheses.draw(p, hypotheses, np.zeros(count)), prior=energies,
-        grid=grid, growth=growth, measure=Entropy(int(np.prod(grid.shape))),
+        responses=responses_of(table), prior=energies, grid=grid, growth=growth,
+        hypotheses=Hypotheses.draw(p, hypotheses, np.zeros(count)),
+        measure=Entropy(int(np.prod(grid.shape))),
     )  # fmt: skip
     return forecast, table.astype(np.float64), p
 
@@ -212,7 +214,8 @@ class TestRankOne:
         p = posteriors(rng, count, 12)
         forecast = SpectrumForecast(
             responses=responses_of(table), prior=None,
-            hypotheses=Hypotheses.draw(p, 12, np.zeros(count)), grid=grid, switches=switches, sigma=switches.sigma, prefilter=0.0,
+            hypotheses=Hypotheses.draw(p, 12, np.zeros(count)), grid=grid,
+            switches=switches, sigma=switches.sigma, prefilter=0.0,
         )  # fmt: skip
         alphas = grid.roughness_nodes**2
         alphas = np.maximum(alphas, 1e-3) if switches.bounded_alpha else alphas
@@ -436,10 +439,8 @@ class TestNextBestView:
         whole = svu.estimate(capture, texels)
         source = forecaster(svu.estimate(some(capture, (0,)), texels))
         every = source.forecast(np.arange(texels.count), capture.sensors[1:], 1, 0)
-        exact = np.stack([
-            np.array(whole.observed.found.bits.test(mi.UInt32(v), dr.arange(mi.UInt32, texels.count)))
-            for v in range(20)
-        ])  # fmt: skip
+        bits, lanes = whole.observed.found.bits, dr.arange(mi.UInt32, texels.count)
+        exact = np.stack([np.array(bits.test(mi.UInt32(v), lanes)) for v in range(20)])
         assert (every.seen == exact).mean() > 0.999
         assert exact.sum() > 1000
 
