@@ -19,6 +19,8 @@ from svu_mi.capture.scene import to_world
 from svu_mi.capture.transforms import read_transforms, write_transforms
 from svu_mi.errors import CaptureError, OutputError
 from svu_mi.exr import read_attributes, read_exr
+from svu_mi.guidance.options import UNITS
+from svu_mi.output import directions as sky
 from svu_mi.output import guidance_page
 from svu_mi.output.guidance import file_names, write_guidance, write_sensors
 
@@ -198,12 +200,12 @@ def test_directions_are_on_the_map_where_they_should_be(up):
     """Up is above, the first photograph in the middle, and right is where it is from outside."""
     up = np.array(up, float)
     first = np.array([0.4, 0.3, 0.8])
-    frame = guidance_page._frame(up, first)
+    frame = sky._frame(up, first)
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(frame @ up / np.linalg.norm(up), [0, 1, 0], atol=1e-12)
     assert frame[2] @ first > 0 and abs(frame[0] @ first) < 1e-12
     assert np.linalg.det(frame) == pytest.approx(1)  # seen from outside, not mirrored
-    x, y = guidance_page._hammer(np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0], [-1e-9, 0, -1.0]]))
+    x, y = sky._hammer(np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0], [-1e-9, 0, -1.0]]))
     np.testing.assert_allclose(x, [0, 0, 2 * np.sin(np.pi / 4) * np.sqrt(2 / (1 + 2**-0.5)),
                                    -2 * np.sqrt(2)], atol=1e-6)  # fmt: skip
     np.testing.assert_allclose(y, [np.sqrt(2), 0, 0, 0], atol=1e-6)
@@ -212,24 +214,24 @@ def test_directions_are_on_the_map_where_they_should_be(up):
 def test_the_map_of_directions_keeps_areas():
     """Of equally many directions per area, equally many lie in both halves of the ellipse."""
     directions = np.random.default_rng(RNG_SEED).normal(size=(20_000, 3))
-    x, y = guidance_page._hammer(directions / np.linalg.norm(directions, axis=1, keepdims=True))
+    x, y = sky._hammer(directions / np.linalg.norm(directions, axis=1, keepdims=True))
     radius = (x / 8**0.5) ** 2 + (y / 2**0.5) ** 2
     assert radius.max() <= 1 + 1e-9
     assert (radius < 0.5).mean() == pytest.approx(0.5, abs=0.015)  # four standard errors
 
 
-@pytest.mark.parametrize("strategy", ["coverage", "farthest", "random", "d-optimal"])
+@pytest.mark.parametrize("strategy", ["error", "coverage", "farthest", "random", "d-optimal"])
 def test_the_page_is_drawn_for_every_strategy(vase, tmp_path, strategy):
     options = {"strategy": strategy, "texels": 200}
     guidance = svu.next_best_view(vase.estimate, vase.guidance.candidates, 1, **options)
     figure = Figure()
     axes = figure.subplots(1, 3)
-    guidance_page.draw_directions(axes[0], vase.capture, guidance, up=(0, 0, 1))
+    sky.draw_directions(axes[0], vase.capture, guidance, up=(0, 0, 1))
     guidance_page.draw_expected(axes[1], vase.capture, guidance, vase.estimate)
     guidance_page.draw_ranking(axes[2], guidance)
     figure.savefig(tmp_path / "page.png")
     assert matplotlib.image.imread(tmp_path / "page.png").ndim == 3
-    assert guidance_page.UNITS[strategy]
+    assert UNITS[strategy]
 
 
 def test_a_single_candidate_that_gains_nothing_is_drawn(vase, tmp_path):

@@ -9,6 +9,15 @@ from svu_mi.settings import require, require_one_of, require_types
 
 Strategy = Literal["entropy", "error", "d-optimal", "coverage", "farthest", "random"]
 STRATEGIES: tuple[Strategy, ...] = get_args(Strategy)
+UNITS: dict[Strategy, str] = {
+    "entropy": "expected change of the mean entropy",
+    "error": "expected change of the mean squared error, relative to the present one",
+    "d-optimal": "mean change of log det of the information",
+    "coverage": "mean worth of the texels seen",
+    "farthest": "angle to the nearest photograph, in radians",
+    "random": "a drawn rank",
+}
+"""Of what ``Guidance.gains`` are, by strategy."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,13 +16,10 @@ from svu_mi.capture.poses import describe
 from svu_mi.capture.transforms import write_transforms
 from svu_mi.exr import write_exr
 from svu_mi.files import prepare_folder, replacing
+from svu_mi.guidance.options import UNITS
 from svu_mi.output import scene_nodes as nodes
-from svu_mi.output.guidance_page import (
-    UNITS,
-    UP,
-    gain_picture,
-    write_guidance_overview,
-)
+from svu_mi.output.directions import UP
+from svu_mi.output.guidance_page import gain_picture, write_guidance_overview
 from svu_mi.output.manifest import environment_record, guidance_record, write_manifest
 from svu_mi.output.maps import GUTTER, padded
 

@@ -50,6 +50,10 @@ def run_guidance(
     first: SvuError | None = None
     failed: set[str] = set()
     chosen = few_lights(cells, sizes.lights)
+    with bench.progress.stage("Timing steps of guidance"):
+        capture = some_views(bench.capture(chosen[0]), PHOTOGRAPHS)
+        record["speed"] = measure_speed(capture, sizes)
+    _tell(record, sizes, finished)
     # Every cell once before any twice: an interrupted run has seen them all.
     for seed, cell in itertools.product(range(sizes.starts), chosen):
         if cell.name in failed:
@@ -64,10 +68,6 @@ def run_guidance(
         _tell(record, sizes, finished)
     if not record["runs"] and first is not None:
         raise first
-    with bench.progress.stage("Timing steps of guidance"):
-        capture = some_views(bench.capture(chosen[0]), PHOTOGRAPHS)
-        record["speed"] = measure_speed(capture, sizes)
-    _tell(record, sizes, finished)
     return record
 
 

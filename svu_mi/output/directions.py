@@ -1,0 +1,149 @@
+"""The map of directions around the object: where photographs were taken, and could be."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from svu_mi.capture.poses import bounding_sphere
+from svu_mi.capture.scene import to_world
+from svu_mi.output.overview import COLORMAP, FAINT, INK, RULE, UNSEEN
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+
+WORST = 0.02  # part of the candidates' gains that colours clip below
+LUMINANCE, DARK = (0.2126, 0.7152, 0.0722), 0.45  # numbers on darker discs are white
+UP = (0.0, 1.0, 0.0)
+
+
+def draw_directions(
+    axes: Axes, capture: Any, guidance: Any, *, up: tuple[float, float, float] = UP
+) -> ScalarMappable:
+    """Draw all candidates on a map of the directions around the object.
+
+    An equal-area map (Hammer's), seen from outside; its centre is below the first photograph.
+    Candidates are dots, hollow if they cannot be reached; photographs are crosses; proposals have
+    their rank.
+
+    Args:
+        axes: where to.
+        capture: the ``Capture``; photographs that are used are shown.
+        guidance: candidates, their gains, and the proposals.
+        up: top of the map.
+
+    Returns:
+        What was drawn, to hand to ``figure.colorbar``.
+    """
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    used = [s for s, u in zip(capture.sensors, capture.used, strict=True) if u]
+    center, _ = bounding_sphere(capture.shape)
+    frame = _frame(np.array(up, np.float64), _directions(used, center)[0])
+    x, y = _hammer(_directions(guidance.candidates.sensors, center) @ frame.T)
+    gains, reachable = guidance.gains, guidance.candidates.reachable
+    drawn = ScalarMappable(Normalize(*color_range(gains[reachable])), COLORMAP)
+    _graticule(axes)
+    size = _dot(axes, len(gains))
+    axes.scatter(x[~reachable], y[~reachable], size, facecolors="none", edgecolors=UNSEEN, lw=1)
+    colors = drawn.to_rgba(gains[reachable])
+    axes.scatter(x[reachable], y[reachable], size, c=colors, lw=0)
+    for color, width in (("white", 4.5), (INK, 2.0)):
+        axes.scatter(*_hammer(_directions(used, center) @ frame.T), 60, c=color, marker="x",
+                     lw=width, zorder=3)  # fmt: skip
+    for rank, proposal in enumerate(guidance.proposals, 1):
+        k = proposal.candidate
+        numbered(axes, x[k], y[k], rank, drawn.to_rgba(gains[k]), max(size, 230))
+    _key(axes, bool((~reachable).any()))
+    return drawn
+
+
+def _directions(sensors: Any, center: np.ndarray) -> np.ndarray:
+    """Unit vectors (V, 3) from the object to sensors; upwards for one at its very centre."""
+    offsets = np.array([to_world(sensor)[:3, 3] - center for sensor in sensors]).reshape(-1, 3)
+    lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
+    return np.where(lengths > 0, offsets / np.maximum(lengths, 1e-30), UP)
+
+
+def _frame(up: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Rows right, up, front (3, 3); ``first`` is in front, or above it."""
+    up = up / np.linalg.norm(up)
+    for front in (first, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])):
+        front = front - (front @ up) * up
+        if np.linalg.norm(front) > 1e-3:
+            break
+    front = front / np.linalg.norm(front)
+    return np.stack([np.cross(up, front), up, front])
+
+
+def _hammer(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Project (right, up, front) (V, 3) onto an ellipse of half-axes 2 sqrt(2) and sqrt(2)."""
+    right, up, front = directions.T
+    half, level = np.arctan2(right, front) / 2, np.sqrt(np.maximum(1 - up**2, 0))
+    scale = np.sqrt(2 / (1 + level * np.cos(half)))
+    return 2 * scale * level * np.sin(half), scale * up
+
+
+def _graticule(axes: Axes) -> None:
+    """Draw the border of the map, and lines every 30 degrees of elevation and 45 of azimuth."""
+    t = np.linspace(-np.pi, np.pi, 181)
+
+    def line(azimuth: Any, elevation: Any, **style: Any) -> None:
+        level = np.cos(elevation)
+        parts = (level * np.sin(azimuth), np.sin(elevation) + 0 * azimuth, level * np.cos(azimuth))
+        axes.plot(*_hammer(np.stack(parts, axis=-1)), color=RULE, zorder=0, **style)
+
+    edge = np.pi - 1e-6
+    for elevation in np.radians([-60, -30, 0, 30, 60]):
+        line(np.clip(t, -edge, edge), elevation, lw=1.1 if elevation == 0 else 0.6)
+    for azimuth in np.radians([-135, -90, -45, 0, 45, 90, 135]):
+        line(azimuth + 0 * t, t / 2, lw=0.6)
+    for azimuth in (-edge, edge):
+        line(azimuth + 0 * t, t / 2, lw=1.2)
+    root = np.sqrt(2)
+    axes.set(xlim=(-2.02 * root, 2.02 * root), ylim=(-1.05 * root, 1.05 * root), aspect="equal")
+    axes.set_anchor("W")
+    axes.set_axis_off()
+    axes.text(0, 1.02 * root, "above", size=9.5, color=FAINT, ha="center", va="bottom")
+    axes.text(0, -1.02 * root, "below", size=9.5, color=FAINT, ha="center", va="top")
+
+
+def _key(axes: Axes, unreachable: bool) -> None:
+    axes.scatter([], [], 60, c=INK, marker="x", lw=2, label="photographs so far")
+    axes.scatter([], [], 90, c="white", edgecolors=INK, lw=1.6, label="proposals, by rank")
+    axes.scatter([], [], 60, c=[(0.13, 0.57, 0.55)], lw=0, label="other candidates")
+    if unreachable:
+        axes.scatter([], [], 60, facecolors="none", edgecolors=UNSEEN, label="out of reach")
+    axes.legend(
+        fontsize=9.5, frameon=False, labelcolor=INK, loc="lower left", borderaxespad=0,
+        bbox_to_anchor=(-0.01, 1.03), handletextpad=0.1, ncol=4, columnspacing=1.4,
+    )  # fmt: skip
+
+
+def numbered(axes: Axes, x: float, y: float, rank: int, color: Any, size: float,
+              **options: Any) -> None:  # fmt: skip
+    """Draw a disk with a number in it."""
+    from matplotlib.colors import to_rgb
+
+    ink = INK if np.dot(LUMINANCE, to_rgb(color)) > DARK else "white"
+    axes.scatter([x], [y], size, c=[color], edgecolors=INK, lw=1.6, zorder=4, **options)
+    axes.text(
+        x, y, str(rank), size=9.5, weight="bold", color=ink, ha="center", va="center_baseline",
+        zorder=5, **options,
+    )  # fmt: skip
+
+
+def _dot(axes: Axes, count: int) -> float:
+    """Area of a candidate's dot in square points: dots of an even sphere do not touch."""
+    width = axes.get_position().width * axes.figure.get_size_inches()[0] * 72
+    diameter = 0.62 * np.sqrt(4 * np.pi / max(count, 1)) * width / (4.04 * np.sqrt(2))
+    return float(np.clip(diameter**2, 9, 170))
+
+
+def color_range(gains: np.ndarray) -> tuple[float, float]:
+    """Values at both ends of the colours; a few candidates that see nothing do not count."""
+    low, high = float(np.quantile(gains, WORST)), float(gains.max())
+    return (low, high) if high > low else (low - 1e-6, low + 1e-6)
