@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from helpers import memory_capture, render_ball
 from oracle import guidance as oracle
+from scipy import stats
 
 import svu_mi as svu
 from svu_mi.capture.poses import sphere_sensors
@@ -62,7 +63,7 @@ def angular_forecast(
     p = posteriors(rng, count, int(np.prod(grid.shape)))
     energies = None if prior is None else owned(mi.Float, -np.log(prior).ravel())
     forecast = AngularForecast(
-        responses=responses_of(table), prior=energies, grid=grid, growth=growth,
+        responses=responses_of(table), prior=energies, grid=grid, growth=growth, grazing=False,
         hypotheses=Hypotheses.draw(p, hypotheses, np.zeros(count)),
         measure=Entropy(int(np.prod(grid.shape))),
     )  # fmt: skip
@@ -74,7 +75,7 @@ def angular_oracle(table, p, grid, views, texel, **options):
     lobes = table[seen, texel, 1:].reshape(len(seen), -1, 3)
     r = oracle.radiances(lobes, grid.axes["metallic"], grid.axes["base_color"])
     prior = options.pop("prior", None)
-    d = oracle.angular_distances(r, table[seen, texel, 0], **options)
+    d = oracle.angular_distances(r, **options)
     return oracle.expected(p[texel], d, prior)
 
 
@@ -119,7 +120,8 @@ class TestAngular:
         rng, grid = np.random.default_rng(6), GRIDS["cube"]
         forecast, table, p = angular_forecast(rng, 5, 8, grid)
         present, prior = (0.1, 0.05, 0.02), (0.14, 0.17, 0.125)
-        judged = dataclasses.replace(forecast, measure=SquaredError(present, prior))
+        measure = SquaredError(present, prior)
+        judged = dataclasses.replace(forecast, grazing=True, measure=measure)
         values = np.stack([x.ravel() for x in np.meshgrid(*grid.axes.values(), indexing="ij")], 1)
         found = judged.expected(np.arange(3), np.array([3, 4]), np.arange(8))
         now = judged.now(np.arange(3))
@@ -130,7 +132,7 @@ class TestAngular:
                     continue
                 lobes = table[seen, t, 1:].reshape(len(seen), -1, 3)
                 r = oracle.radiances(lobes, grid.axes["metallic"], grid.axes["base_color"])
-                d = oracle.angular_distances(r, table[seen, t, 0])
+                d = oracle.angular_distances(r, cosines=table[seen, t, 0])
                 exact = oracle.expected_error(p[t], d, values, np.array(present))
                 assert got == pytest.approx(exact, rel=1e-4, abs=1e-5)
         unseen = ~(table[:3, :, 0] > 0).any(axis=0)
@@ -391,7 +393,7 @@ class TestBaselines:
             for k in range(3):
                 step = 1e-4 * np.eye(3)[k]
                 exact = (radiance(t, *(x + step)) - radiance(t, *(x - step))) / 2e-4
-                exact = np.sqrt(2) * table[:, t, 0] * exact
+                exact = np.sqrt(2) * exact
                 np.testing.assert_allclose(found[:, t, k], exact, rtol=2e-3, atol=1e-4)
 
 
@@ -427,7 +429,9 @@ class TestNextBestView:
         dirty = dataclasses.replace(clean, images=images, masks=tuple(
             None if i in used else np.zeros((64, 64), bool) for i in range(20)))  # fmt: skip
         found = [
-            svu.next_best_view(svu.estimate(c, texels, **switches), count=3)
+            svu.next_best_view(
+                svu.estimate(c, texels, **switches), svu.Candidates.without_photograph(c), 3
+            )
             for c in (clean, dirty)
         ]
         assert found[0].candidates.count == 16
@@ -463,15 +467,16 @@ class TestNextBestView:
     def test_expected_gain_of_a_sample_is_that_of_all_within_its_error(self, sunny):
         capture, texels = sunny
         estimate = svu.estimate(some(capture, (0, 5, 9)), texels)
-        every = svu.next_best_view(estimate, texels=10**6)
+        around = svu.Candidates.without_photograph(some(capture, (0, 5, 9)))
+        every = svu.next_best_view(estimate, around, texels=10**6)
         assert every.proposals[0].error == 0
         assert every.skipped["texels not looked at"] == 0
-        few = [svu.next_best_view(estimate, texels=300, seed=seed) for seed in range(8)]
+        few = [svu.next_best_view(estimate, around, texels=300, seed=seed) for seed in range(8)]
         z = [
             (g.gains[p.candidate] - every.gains[p.candidate]) / p.error
             for g in few for p in g.proposals
         ]
-        assert np.abs(z).max() < 4 and np.sqrt(np.mean(np.square(z))) < 2
+        assert np.abs(z).max() < 4 and 0.2 < np.sqrt(np.mean(np.square(z))) < 1.5
         assert all(0 < g.proposals[0].error < 0.02 for g in few)
 
     def test_gain_maps_add_up(self, sunny):
@@ -526,11 +531,46 @@ class TestNextBestView:
         ]
         assert not compiled
 
-    def test_joint_channels_and_grey_light(self, sunny):
+    def test_entropy_so_far_is_the_estimate_s_where_it_is_right(self, sunny):
+        """Photographs as the model has them: what they are expected to say is what they say."""
         capture, texels = sunny
-        joint = preset("default", method="angular", channels="joint")
-        estimate = svu.estimate(some(capture, (0, 1, 2)), texels, preset=joint)
-        assert svu.next_best_view(estimate).proposals[0].gain > 0
+        estimate = svu.estimate(some(capture, (0, 5, 9, 14)), texels)
+        source = forecaster(estimate)
+        forecast = source.forecast(np.arange(texels.count), capture.sensors[:1], 512, 0)
+        seen = np.array(estimate.coverage) > 0
+        now, entropy = forecast.now(np.arange(4)), np.array(estimate.entropy)
+        assert np.corrcoef(now[seen], entropy[seen])[0, 1] > 0.99
+        assert np.sqrt(np.mean((now - entropy)[seen] ** 2)) < 0.03
+        assert (now[~seen] == 1).all()
+
+    def test_expected_change_is_what_photographs_then_change(self, sunny):
+        """With the photograph taken, entropy falls as was expected, over all candidates."""
+        capture, texels = sunny
+        taken = (0, 5, 9)
+        estimate = svu.estimate(some(capture, taken), texels)
+        left = [v for v in range(20) if v not in taken]
+        guidance = svu.next_best_view(estimate, [capture.sensors[v] for v in left], hypotheses=64)
+        before = np.array(estimate.entropy).mean()
+        real = np.array([
+            before - np.array(svu.estimate(some(capture, (*taken, v)), texels).entropy).mean()
+            for v in left
+        ])  # fmt: skip
+        # The truth is one of many that were averaged over: gains are right on average, and those
+        # of single candidates agree far beyond chance.
+        assert stats.pearsonr(guidance.gains, real, alternative="greater").pvalue < 0.01
+        assert 0.5 < guidance.gains.mean() / real.mean() < 1.5
+
+    def test_a_black_photograph_has_been_taken(self, sunny):
+        capture, texels = sunny
+        black = some(capture, range(1, 20))  # loading leaves view 0 out, with a warning
+        images = (np.zeros_like(capture.images[0]), *capture.images[1:])
+        estimate = svu.estimate(dataclasses.replace(black, images=images), texels)
+        assert svu.next_best_view(estimate, texels=50).candidates.count == 100
+
+    def test_a_single_texel_has_no_standard_error(self, sunny):
+        capture, texels = sunny
+        estimate = svu.estimate(some(capture, (0, 1)), texels)
+        assert np.isnan(svu.next_best_view(estimate, texels=1).proposals[0].error)
 
     def test_calibrated_preset_and_prior(self, sunny):
         capture, texels = sunny
@@ -562,6 +602,12 @@ class TestNextBestView:
         specular = preset("default", method="angular", parameters="specular")
         with pytest.raises(svu.SvuError, match="parameters='principled'"):
             svu.next_best_view(svu.estimate(some(capture, (0, 1)), texels, preset=specular))
+        with pytest.raises(svu.SvuError, match="must be GuidanceOptions"):
+            svu.next_best_view(estimate, options={"texels": 5})
+        for switches in ({"noise": "marginal"}, {"channels": "joint"}):
+            other = preset("default", method="angular", **switches)
+            with pytest.raises(svu.SvuError, match="does not say"):
+                svu.next_best_view(svu.estimate(some(capture, (0, 1)), texels, preset=other))
         with pytest.raises(svu.SvuError, match="does not know its capture"):
             svu.next_best_view(dataclasses.replace(estimate, observed=None))
         paper = svu.estimate(some(capture, (0, 1)), texels, "spectrum", "paper")

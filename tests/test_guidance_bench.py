@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zlib
 
 import numpy as np
 import pytest
@@ -15,7 +16,13 @@ from svu_mi.bench.guidance import run as module
 from svu_mi.bench.guidance.curves import Shoot
 from svu_mi.bench.guidance.run import few_lights
 from svu_mi.bench.guidance.sizes import Sizes
-from svu_mi.bench.guidance.verdict import compare, find_bars, mean_gain, views_needed
+from svu_mi.bench.guidance.verdict import (
+    compare,
+    find_bars,
+    mean_gain,
+    times_as_many,
+    views_needed,
+)
 from svu_mi.progress import Progress
 from svu_mi.surface import texels
 
@@ -43,24 +50,31 @@ def test_mean_gain_is_the_area_under_a_curve():
 def runs_of(first, second, starts=1):
     """Runs of two strategies in as many cells as there are rows; a start per column."""
     return [
-        {"cell": f"cell {c}", "curves": {
+        {"cell": f"cell {c} {s}", "object": f"object {c}", "curves": {
             name: {"psnr": [0, *rows[c][s]], "entropy": [0, *(-x for x in rows[c][s])]}
             for name, rows in (("entropy", first), ("random", second))}}
         for c in range(len(first)) for s in range(starts)
     ]  # fmt: skip
 
 
-def test_starts_of_a_cell_are_no_independent_samples():
+def test_starts_of_an_object_are_no_independent_samples():
     rng = np.random.default_rng(0)
     first, second = (rng.normal(1, 0.2, (6, 2, 2)).tolist() for _ in range(2))
-    sizes = Sizes(strategies=("entropy", "random"), marks=(1, 2))
+    sizes = Sizes(strategies=("entropy", "random"), judged=("entropy",), marks=(1, 2))
     (found,) = compare(runs_of(first, second, 2), sizes)
     gains = [[mean_gain((1, 2), [0, *s]) for s in cell] for cell in first]
     others = [[mean_gain((1, 2), [0, *s]) for s in cell] for cell in second]
     exact = stats.ttest_rel(np.mean(gains, axis=1), np.mean(others, axis=1))
-    assert found["p"] == pytest.approx(exact.pvalue) and found["cells"] == 6
+    assert found["p"] == pytest.approx(exact.pvalue) and found["objects"] == 6
     (entropy,) = compare(runs_of(first, second, 2), sizes, "entropy")
     assert entropy["difference"] == pytest.approx(found["difference"])  # lower is better there
+
+
+def test_who_never_gets_there_needs_at_least_all_views():
+    sizes = Sizes(strategies=("entropy", "random"), judged=("entropy",), marks=(1, 2))
+    runs = runs_of([[[1.0, 2.0]]], [[[0.1, 0.2]]])
+    assert times_as_many(runs, sizes, "entropy", "random") == pytest.approx(2)
+    assert np.isnan(times_as_many(runs, sizes, "random", "entropy"))
 
 
 def test_few_lights_of_every_object():
@@ -130,6 +144,7 @@ def test_a_second_run_chooses_nothing_again(finished, monkeypatch):
 def test_farthest_is_the_library_s_own(finished):
     bench, record = finished
     capture = bench.capture(CELLS[0])
-    shoot = Shoot(capture, texels(capture.mesh, 24), TINY, 0)
+    own = zlib.crc32(b"vase__window 0")
+    shoot = Shoot(capture, texels(capture.mesh, 24), TINY, own)
     assert shoot.start == record["runs"][0]["start"]
     assert shoot.order("farthest") == record["runs"][0]["curves"]["farthest"]["order"]

@@ -20,7 +20,7 @@ from svu_mi.files import replacing
 
 FLIP = np.diag([-1.0, 1.0, -1.0, 1.0])
 SQUARE = 1e-3  # part by which the focal lengths of x and y may differ
-NEAR, FAR = 1e-2, 1e2  # clip planes, in distances from the origin of the world
+NEAR, FAR = 1e-4, 1e7  # clip planes: the file has none, nor the size of the scene
 
 
 def write_transforms(path: str | Path, sensors: Sequence[Any], names: Sequence[str]) -> None:
@@ -103,13 +103,12 @@ def _sensor(record: Mapping[str, Any], frame: Any, label: str) -> Any:
         raise CaptureError(f"{label}: fl_x and fl_y differ; resample to square pixels.")
     if any(known.get(key) for key in ("k1", "k2", "k3", "k4", "p1", "p2")):
         raise CaptureError(f"{label}: the lens is distorted; undistort the photographs first.")
-    distance = max(float(np.linalg.norm(matrix[:3, 3])), 1e-3)
     return make_sensor(
         {
             "to_world": matrix @ FLIP,
             "x_fov": 2 * np.degrees(np.arctan(size[0] / 2 / focal)),
             "principal_point_offset": [0.5 - center[k] / size[k] for k in range(2)],
-            "clip": [distance * NEAR, distance * FAR],
+            "clip": [NEAR, FAR],
             "film": size,
             "crop_offset": [0, 0],
             "crop_size": size,

@@ -9,9 +9,10 @@ A candidate v adds one square to the sum, however many views there are:
 
     d_{S+v} = (|S| d_S + w_v (r_v(psi_0) - r_v(psi))^2) / (|S| + 1).
 
-The weights are those of Eq. 12, cos^2 theta: what a camera sees at a grazing angle is stretched
-over few pixels, and models are worst there. They also fall with r_i(psi_0) if the noise grows
-with radiance. As the weights are not normalised, a grazing view alone says little.
+The weights are the estimator's: 1, or less where r_i(psi_0) is large if the noise grows with
+radiance. Expected errors, which follow what recovery makes of photographs, also count grazing
+samples less, by the cos^2 theta of Eq. 12: they are stretched over few pixels, and models are
+worst there.
 
 No photograph takes part: r = Kd e + R0 p + q, and e, p, q of every roughness level are what
 ``Responses`` hold, in units of sqrt(2) sigma.
@@ -36,7 +37,7 @@ from svu_mi.radiance import Surface
 from svu_mi.radiance.hemisphere import mirror_free
 from svu_mi.radiance.observe import Observation
 
-FAR = 80.0  # exp(-FAR) adds nothing to the sum over cells, of which one is exp(0)
+FAR = 60.0  # exp(-FAR) adds nothing to the sum over cells, of which one is exp(0)
 
 
 def columns(levels: int) -> int:
@@ -71,13 +72,15 @@ class AngularForecast(Forecast):
     """``Forecast`` on a grid of (roughness, metallic, base colour).
 
     Attributes:
-        growth: a sample of r weighs cos^2 / (1 + (growth r)^2), with r in units of sqrt(2) sigma:
+        growth: a sample of r weighs 1 / (1 + (growth r)^2), with r in units of sqrt(2) sigma:
             noise that grows with radiance; 0 if it does not.
+        grazing: whether samples also weigh cos^2 theta.
         measure: what is expected, by default the entropy.
     """
 
     grid: PrincipledGrid
     growth: float
+    grazing: bool
     measure: Measure
 
     @property
@@ -123,6 +126,7 @@ class _Launch:
         self.nodes = [mi.Float(node) for node in streaming.cells(axes["base_color"])]
         self._columns = dr.opaque(mi.UInt32, columns)
         self._growth = dr.opaque(mi.Float, forecast.growth)
+        self._grazing = dr.opaque(mi.Float, float(forecast.grazing))
         self.size = dr.opaque(mi.UInt32, dr.width(lane))
         self.place = dr.arange(mi.UInt32, dr.width(lane))
         self.hypotheses = dr.gather(mi.UInt32, self._hypotheses.counts, lane)
@@ -131,26 +135,28 @@ class _Launch:
         """cos theta of a view, 0 where it does not see the texel."""
         return self._responses.read(view, 0)
 
-    def truth(self, number: Any) -> tuple[Any, Cell, Any]:
-        """Roughness level and cell of a hypothesis, and its probability."""
+    def truth(self, number: Any) -> tuple[Any, Cell, Any, Any]:
+        """Roughness level, cell, probability and -log prior of a hypothesis."""
         place, weight = self._hypotheses.at(number, self._lane)
         row = place // len(self.nodes)
         level, m = self._row(row)
         c = self.nodes[0]
         for index, node in enumerate(self.nodes[1:], 1):
             c = dr.select(place - row * len(self.nodes) == index, node, c)
-        return level, (self._level(level), m, c), weight
+        prior = mi.Float(0) if self._prior is None else dr.gather(mi.Float, self._prior, place)
+        return level, (self._level(level), m, c), weight, prior
 
-    def predicted(self, view: Any, truth: tuple[Any, Cell, Any]) -> Any:
+    def predicted(self, view: Any, truth: tuple[Any, Cell, Any, Any]) -> Any:
         """r(psi_0) in a view."""
-        level, (_, m, c), _ = truth
+        level, (_, m, c), *_ = truth
         e, p, q = self._lobe(view, level)
         Kd, R0 = diffuse_from_principled(c, m), specular_from_principled(c, m)
         return dr.fma(Kd, e, dr.fma(R0, p, q))
 
     def squares(self, view: Any, row: Any, predicted: Any) -> list[Any]:
         """w (r(psi_0) - r(psi))^2 in a view, for all cells psi of a row."""
-        weight = dr.square(self.sees(view)) * dr.rcp(1 + dr.square(self._growth * predicted))
+        weight = dr.lerp(mi.Float(1), dr.square(self.sees(view)), self._grazing)
+        weight *= dr.rcp(1 + dr.square(self._growth * predicted))
         level, m = self._row(row)
         e, p, q = self._lobe(view, level)
         # Kd = (1 - m) c and R0 = F0 (1 - m) + m c: radiance is linear in c.
@@ -158,15 +164,17 @@ class _Launch:
         slope = dr.fma(1 - m, e, m * p)
         return [weight * dr.square(dr.fma(-c, slope, rest)) for c in self.nodes]
 
-    def add(self, sums: list[Any], row: Any, distances: list[Any], share: Any) -> list[Any]:
-        """Add the cells of a row to the measure's sums."""
+    def add(
+        self, sums: list[Any], row: Any, distances: list[Any], share: Any, prior: Any
+    ) -> list[Any]:
+        """Add the cells of a row to the measure's sums; energies are relative to the truth's."""
         level, m = self._row(row)
         energies = []
         for j, distance in enumerate(distances):
             x = share * distance
             if self._prior is not None:
-                x += dr.gather(mi.Float, self._prior, row * len(self.nodes) + j)
-            energies.append(dr.minimum(x, FAR))
+                x += dr.gather(mi.Float, self._prior, row * len(self.nodes) + j) - prior
+            energies.append(dr.clip(x, -FAR, FAR))
         return self.measure.add(sums, (self._level(level), m), energies, self.nodes)
 
     def _level(self, level: Any) -> Any:
@@ -225,7 +233,7 @@ def _entropies(launch: _Launch, known: _Order, asked: _Order, add: Any, out: Any
                 row = mi.UInt32(0)
                 while row < rows:
                     squares = [add * x for x in launch.squares(view, row, r)]
-                    sums = launch.add(sums, row, _sums(so_far, row, squares), share)
+                    sums = launch.add(sums, row, _sums(so_far, row, squares), share, truth[3])
                     row += 1
                 value = launch.measure.value(sums, truth[1])
                 _add(out, j * launch.size + launch.place, truth[2] * value)

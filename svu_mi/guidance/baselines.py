@@ -106,8 +106,8 @@ def jacobians(table: np.ndarray, grid: PrincipledGrid, cells: np.ndarray) -> np.
         cells: (T,) where to differentiate.
 
     Returns:
-        (V, T, 3), in radiance over sigma, times cos theta, the root of a sample's weight; by
-        roughness from the neighbouring levels.
+        (V, T, 3), in radiance over sigma; by roughness from the neighbouring levels, and 0 for
+        parameters that are known.
     """
     levels, columns, count = grid.shape
     nodes = list(grid.axes.values())
@@ -126,7 +126,7 @@ def jacobians(table: np.ndarray, grid: PrincipledGrid, cells: np.ndarray) -> np.
     by_metallic = (p - e) * c - F0 * p
     by_color = (1 - m) * e + m * p
     slopes = np.stack([by_roughness, by_metallic, by_color], axis=-1)
-    return np.sqrt(2) * table[..., :1] * slopes
+    return np.sqrt(2) * np.where(np.array(grid.shape) > 1, slopes, 0)
 
 
 def unit_directions(positions: Sequence[np.ndarray], center: np.ndarray) -> np.ndarray:

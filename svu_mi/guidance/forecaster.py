@@ -22,7 +22,7 @@ from svu_mi.guidance.measures import Entropy
 from svu_mi.guidance.responses import Respond, collect
 from svu_mi.guidance.spectral import SpectrumForecast
 from svu_mi.interop import owned
-from svu_mi.options import AngularPreset, Preset
+from svu_mi.options import AngularPreset, AnyPreset, Preset
 from svu_mi.pipeline import Estimate, Observed
 from svu_mi.posterior import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.angular import AngularPosterior
@@ -75,10 +75,8 @@ class Forecaster(ABC):
         """Put a forecast together."""
 
     def _probabilities(self, texels: np.ndarray) -> np.ndarray:
-        """p(psi | B, L), (t, N); the mean over channels where each has its own."""
-        p = np.array(self.estimate.posterior.probabilities_of(texels))
-        p = p.mean(axis=-1) if self.estimate.posterior.groups > 1 else p
-        return p.reshape(len(texels), -1)
+        """p(psi | B, L), (t, N)."""
+        return np.array(self.estimate.posterior.probabilities_of(texels)).reshape(len(texels), -1)
 
 
 class AngularForecaster(Forecaster):
@@ -92,6 +90,8 @@ class AngularForecaster(Forecaster):
                 "next_best_view(): an angular estimate of (roughness, Ks) says nothing of what "
                 "photographs would show; use parameters='principled', as the default preset does."
             )
+        _require(estimate.preset, noise=("fixed", "relative", "heteroscedastic"),
+                 channels=("grey",))  # fmt: skip
         self.grid = grid
         self.columns = angular.columns(grid.shape[0])
         self._model: Any = None
@@ -113,7 +113,9 @@ class AngularForecaster(Forecaster):
         switches = self.estimate.preset
         growth = 2**0.5 * switches.sigma if switches.noise == "heteroscedastic" else 0.0
         measure = Entropy(int(np.prod(self.grid.shape)))
-        return AngularForecast(grid=self.grid, growth=growth, measure=measure, **parts)
+        return AngularForecast(
+            grid=self.grid, growth=growth, grazing=False, measure=measure, **parts
+        )  # fmt: skip
 
 
 class SpectrumForecaster(Forecaster):
@@ -127,6 +129,7 @@ class SpectrumForecaster(Forecaster):
                 "next_best_view(): spectra of photographs to come are known over (roughness, Ks) "
                 "only; use preset='paper' or parameters='specular', or method='angular'."
             )
+        _require(estimate.preset, noise=("fixed", "relative"), channels=("grey", "sum"))
         self.grid = grid
         assert isinstance(estimate.preset, Preset)
         self.switches = estimate.preset
@@ -160,6 +163,16 @@ def forecaster(estimate: Estimate) -> Forecaster:
         return AngularForecaster(estimate, estimate.observed)
     assert isinstance(estimate.posterior, SpectrumPosterior)
     return SpectrumForecaster(estimate, estimate.observed)
+
+
+def _require(preset: AnyPreset, **allowed: tuple[str, ...]) -> None:
+    """Refuse switches whose entropy cannot be foretold."""
+    for name, values in allowed.items():
+        if getattr(preset, name) not in values:
+            raise OptionError(
+                f"next_best_view(): an estimate with {name}={getattr(preset, name)!r} does not say "
+                f"what photographs would add; use {name}={' or '.join(map(repr, values))}."
+            )
 
 
 def _energies(prior: tuple[Any, Any] | None) -> Any | None:

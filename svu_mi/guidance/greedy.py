@@ -68,7 +68,8 @@ class Greedy:
         # What was not looked at is no better than the best, but its bound may be equal.
         fresh = self._free & ~self._stale.any(axis=1)
         best = self._gains[fresh].max(initial=-np.inf)
-        return np.where(fresh, self._gains, np.minimum(self._gains, np.nextafter(best, -np.inf)))
+        bound = np.minimum(self._gains, np.nextafter(best, -np.inf))
+        return np.where(fresh, self._gains, np.where(self._free, bound, -np.inf))
 
     def texel_gains(self, candidate: int) -> np.ndarray:
         """Return what a candidate would change in every texel, (T,) float64."""

@@ -1,8 +1,8 @@
 """What a forecast expects of a texel: its entropy, or the error of its parameters.
 
 Both are means over truths psi_0 of a number that sums over all cells psi make, weighted by
-p ~ exp(-x) with the energies x = d(psi_0, psi) - log prior. That of psi_0 itself is 0, but for
-the prior, so the largest weight is known before the sum.
+p ~ exp(-x) with the energies x = d(psi_0, psi) - log prior, relative to that of psi_0: its own
+weight is 1, and with a uniform prior no other is larger.
 """
 
 from __future__ import annotations

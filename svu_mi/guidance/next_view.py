@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from numbers import Integral
 from typing import Any
@@ -30,7 +30,7 @@ AROUND = 100  # candidates that are placed when none are given
 
 def next_best_view(
     estimate: Estimate,
-    candidates: Candidates | None = None,
+    candidates: Candidates | Sequence[Any] | None = None,
     count: int = 1,
     *,
     options: GuidanceOptions | None = None,
@@ -47,8 +47,9 @@ def next_best_view(
 
     Args:
         estimate: what the photographs so far say (``svu.estimate``).
-        candidates: where photographs can be taken from; by default the sensors of the capture
-            that have no photograph, or 100 views on a sphere around the object.
+        candidates: where photographs can be taken from, or live Mitsuba sensors; by default the
+            sensors of the capture whose photograph is missing, or 100 views on a sphere around
+            the object.
         count: how many to propose; each takes those before it as photographed.
         options: how candidates are judged.
         progress: shows what is going on and collects timings.
@@ -59,13 +60,16 @@ def next_best_view(
             over parameters that do not say what photographs would show.
         SceneError: a candidate is no pinhole camera.
     """
-    if not isinstance(count, Integral) or count < 1:
+    if not isinstance(count, Integral) or isinstance(count, bool) or count < 1:
         raise OptionError(
             f"next_best_view(): count must be at least 1, a whole number, got {count!r}."
         )
     options = _options(options, switches)
     source, progress = forecaster(estimate), progress or Progress()
-    candidates = candidates or _default(source.observed.capture)
+    if candidates is None:
+        candidates = _default(source.observed.capture)
+    elif not isinstance(candidates, Candidates):
+        candidates = Candidates.of(candidates)
     texels = source.observed.texels
     with progress.stage("Looking from the candidates"):
         chosen = _sample(texels.count, options)
@@ -93,20 +97,26 @@ def next_best_view(
 
 
 def _options(options: GuidanceOptions | None, switches: dict[str, Any]) -> GuidanceOptions:
-    try:
-        return replace(options or GuidanceOptions(), **switches)
-    except TypeError:
-        known = ", ".join(asdict(GuidanceOptions()))
-        name = sorted(set(switches) - set(asdict(GuidanceOptions())))[0]
-        raise OptionError(
-            f"next_best_view(): unknown option {name!r}; there are {known}."
-        ) from None
+    options = GuidanceOptions() if options is None else options
+    if not isinstance(options, GuidanceOptions):
+        raise OptionError(f"next_best_view(): options must be GuidanceOptions, got {options!r}.")
+    known = asdict(options)
+    for name in switches:
+        if name not in known:
+            raise OptionError(
+                f"next_best_view(): unknown option {name!r}; there are {', '.join(known)}."
+            )
+    return replace(options, **switches)
 
 
 def _default(capture: Capture) -> Candidates:
-    if all(capture.used):
+    """Sensors whose photograph is missing; one that is black, say, has been taken."""
+    missing = np.array([not np.isfinite(image).any() for image in capture.images])
+    if not missing.any():
         return Candidates.around(capture, AROUND)
-    return Candidates.without_photograph(capture)
+    sensors = [sensor for sensor, gone in zip(capture.sensors, missing, strict=True) if gone]
+    names = [name for name, gone in zip(capture.names, missing, strict=True) if gone]
+    return Candidates(tuple(sensors), tuple(names), np.ones(len(names), bool))
 
 
 def _sample(count: int, options: GuidanceOptions) -> np.ndarray:
@@ -153,11 +163,20 @@ def _proposal(
         name=candidates.names[candidate],
         sensor=candidates.sensors[candidate],
         gain=float(change.mean()),
-        error=float(change.std() * np.sqrt(left_out / len(change))),
+        error=_standard_error(change, left_out),
         entropy=float((greedy.entropy - change).mean()),
         sees=float(sees.mean()),
         new=float((sees & greedy.unseen()).mean()),
     )
+
+
+def _standard_error(change: np.ndarray, left_out: float) -> float:
+    """Of the mean over all texels, from some of them; NaN from a single one."""
+    if left_out == 0:
+        return 0.0
+    if len(change) < 2:
+        return float("nan")
+    return float(change.std(ddof=1) * np.sqrt(left_out / len(change)))
 
 
 def _skipped(greedy: Greedy, candidates: Candidates, texels: int) -> dict[str, int]:

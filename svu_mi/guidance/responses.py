@@ -15,6 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.errors import OptionError
 from svu_mi.radiance import Surface, Survey, Views, over_views
 from svu_mi.radiance.observe import Observation
 
@@ -46,8 +47,10 @@ class Responses:
     @property
     def seen(self) -> np.ndarray:
         """(V, T) bool, which view sees which texel."""
-        blocks = self.values.numpy().reshape(-1, int(self.views[0]), self.columns, BLOCK)
-        return np.moveaxis(blocks[:, :, 0] > 0, 1, 0).reshape(blocks.shape[1], -1)[:, : self.count]
+        views, count = int(self.views[0]), dr.opaque(mi.UInt32, self.count)
+        place = dr.arange(mi.UInt32, views * self.count)
+        first = self.at(place % count).read(place // count, 0) > 0
+        return np.array(first).reshape(views, self.count)
 
     def table(self) -> np.ndarray:
         """Return (V, T, K) float32."""
@@ -86,10 +89,18 @@ def collect(
         candidates: views without.
         respond: what a view shows.
         columns: K.
+
+    Raises:
+        OptionError: more numbers than 32-bit indices reach.
     """
     views, found = photographed
     number, count = views.number + candidates.number, surface.count
     room = -(-count // BLOCK) * BLOCK * number * columns
+    if room >= 2**32:
+        raise OptionError(
+            f"next_best_view(): {count} texels are too many for {number} views; look at "
+            f"{count * 2**32 // room} at most (texels=...)."
+        )
     responses = Responses(
         values=dr.zeros(mi.Float, room), views=dr.opaque(mi.UInt32, number), columns=columns,
         count=count, lane=surface.lane,

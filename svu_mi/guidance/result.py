@@ -28,7 +28,9 @@ class Proposal:
         sensor: where to take it from.
         gain: what is expected to become known: mean over texels of E[H] before and after, the
             proposals before it taken as photographed.
-        error: standard error of that mean, as not all texels were looked at; 0 if they were.
+        error: standard error of that mean, as not all texels were looked at; 0 if they were, NaN
+            if it was a single one. That of the hypotheses, which all candidates share, is not
+            part of it.
         entropy: mean over texels of E[H] with this view.
         sees: part of the texels that it sees.
         new: part of the texels that it would be the first to see.

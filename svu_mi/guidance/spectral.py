@@ -159,15 +159,18 @@ class _Cells:
         self._nodes = owned(mi.Float64, grid.specular_nodes**2)
         self._squares = [mi.Float64(float(Ks) ** 2) for Ks in grid.specular_nodes]
 
-    def truth(self, number: Any) -> tuple[Any, list[Any]]:
-        """Probability of a hypothesis, and its Ks_0^2 e_l."""
+    def truth(self, number: Any) -> tuple[Any, list[Any], Any]:
+        """Probability of a hypothesis, its Ks_0^2 e_l, and its -log prior."""
         cell, weight = self._hypotheses.at(number, self._texel)
         count = len(self._squares)
         square = dr.gather(mi.Float64, self._nodes, cell % count)
-        return weight, [square * e for e in self._falloff(cell // count)]
+        prior = mi.Float64(0)
+        if self._prior is not None:
+            prior = mi.Float64(dr.gather(mi.Float, self._prior, cell))
+        return weight, [square * e for e in self._falloff(cell // count)], prior
 
-    def energies(self, level: Any, truth: list[Any]) -> list[Any]:
-        """d / (2 sigma^2) - log prior of the cells of a roughness: Float."""
+    def energies(self, level: Any, truth: list[Any], prior: Any) -> list[Any]:
+        """d / (2 sigma^2) - log prior of the cells of a roughness, less the truth's: Float."""
         first = both = second = mi.Float64(0)
         for e, t, S in zip(self._falloff(level), truth, self._light, strict=True):
             first = dr.fma(t * t, S, first)
@@ -178,8 +181,8 @@ class _Cells:
             x = dr.maximum(dr.fma(K, dr.fma(K, second, -2 * both), first), 0)
             if self._prior is not None:
                 place = level * len(self._squares) + j
-                x += mi.Float64(dr.gather(mi.Float, self._prior, place))
-            found.append(mi.Float(dr.minimum(x, FAR)))
+                x += mi.Float64(dr.gather(mi.Float, self._prior, place)) - prior
+            found.append(mi.Float(dr.clip(x, -FAR, FAR)))
         return found
 
     def _falloff(self, level: Any) -> list[Any]:
@@ -199,11 +202,11 @@ def _average(cells: _Cells, levels: Any) -> Any:
     total = mi.Float(0)
     h = mi.UInt32(0)
     while h < cells.hypotheses:
-        weight, truth = cells.truth(h)
+        weight, truth, prior = cells.truth(h)
         z, zx = mi.Float(0), mi.Float(0)
         level = mi.UInt32(0)
         while level < levels:
-            z, zx = _sums(cells.energies(level, truth), z, zx)
+            z, zx = _sums(cells.energies(level, truth, prior), z, zx)
             level += 1
         total += weight * (dr.log(z) + zx / z)
         h += 1

@@ -52,7 +52,7 @@ def find_strategy(
     if not isinstance(forecast, AngularForecast):
         raise OptionError(f"next_best_view(): {name} needs an estimate by method='angular'.")
     if name == "error":
-        judged = replace(forecast, measure=_error(forecast, greedy))
+        judged = replace(forecast, grazing=True, measure=_error(forecast, greedy))
         return Greedy(judged, greedy.photographs, candidates.reachable, lazy=options.lazy)
     return _d_optimal(forecast, greedy.photographs)
 

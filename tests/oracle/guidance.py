@@ -51,10 +51,12 @@ def radiances(
     return np.stack(cells, axis=1).reshape(views, -1)
 
 
-def angular_distances(r: np.ndarray, cosines: np.ndarray, growth: float = 0.0) -> np.ndarray:
+def angular_distances(
+    r: np.ndarray, growth: float = 0.0, cosines: np.ndarray | None = None
+) -> np.ndarray:
     """Mean weighted squared difference between cells, (N, N), of radiances (V, N)."""
     total = np.zeros((r.shape[1],) * 2)
-    for row, cosine in zip(r, cosines, strict=True):
+    for row, cosine in zip(r, np.ones(len(r)) if cosines is None else cosines, strict=True):
         weight = cosine**2 / (1 + (growth * row) ** 2)
         total += weight[:, None] * (row[:, None] - row[None, :]) ** 2
     return total / len(r)

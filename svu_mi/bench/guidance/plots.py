@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.bench.guidance.verdict import mean_curve
+from svu_mi.bench.guidance.verdict import object_curves
 from svu_mi.bench.plots import COLORS, INK, MARKS, page, tidy
 from svu_mi.files import replacing
 
@@ -45,14 +45,15 @@ def draw_guidance(folder: Path, record: Record) -> list[Path]:
 
 
 def _curves(axes: Axes, record: Record, name: str, label: str) -> None:
-    """Mean over starts, and its standard error as a band."""
+    """Mean over objects, and its standard error as a band."""
     runs, sizes = record["runs"], record["sizes"]
     places = [0, *sizes.marks]
     for k, strategy in enumerate(sizes.strategies):
         color, mark = COLORS[k % len(COLORS)], MARKS[k % len(MARKS)]
-        curves = np.array([run["curves"][strategy][name] for run in runs])
-        error = (curves - curves[:, :1]).std(axis=0) / np.sqrt(len(runs))
-        mean = np.array(mean_curve(runs, strategy, name))
+        curves = object_curves(runs, strategy, name)
+        mean, error = curves.mean(axis=0), np.zeros(curves.shape[1])
+        if len(curves) > 1:
+            error = curves.std(axis=0, ddof=1) / np.sqrt(len(curves))
         style = {"color": color, "markersize": 5, "linewidth": 1.2}
         axes.plot(places, mean, mark + "-", label=strategy, **style)
         axes.fill_between(places, mean - error, mean + error, color=color, alpha=0.12, linewidth=0)

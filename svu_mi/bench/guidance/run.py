@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import warnings
+import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from typing import Any
 
 from svu_mi.bench.accuracy import Bench
@@ -37,7 +37,7 @@ def run_guidance(
         finished: called with the record so far after each run.
 
     Returns:
-        ``runs``: a record per cell and start, with ``cell``, ``seed``, ``start`` and ``curves`` by
+        ``runs``: a record per cell and start, with ``cell``, ``object``, ``seed``, ``start`` and ``curves`` by
         strategy; ``speed``; ``bars``; ``sizes``; ``quick``; ``failed`` cells.
 
     Raises:
@@ -83,19 +83,22 @@ def few_lights(cells: Sequence[Cell], count: int) -> list[Cell]:
 def _run(bench: Bench, cell: Cell, sizes: Sizes, seed: int) -> Record:
     settings = bench.settings
     photographs = (settings.views, settings.film, settings.spp, settings.seed)
-    key = key_of(
-        str(cell.scene), cell.defines, photographs, asdict(sizes), seed, code_and_machine()
-    )
+    what = (sizes.texels, sizes.start, sizes.marks, sizes.strategies)
+    key = key_of(str(cell.scene), cell.defines, photographs, what, seed, code_and_machine())
 
     def measure() -> Record:
         capture = bench.capture(cell)
-        shoot = Shoot(capture, texels(capture.mesh, sizes.texels), sizes, seed)
+        own = zlib.crc32(f"{cell.name} {seed}".encode())  # no two cells share their luck
+        shoot = Shoot(capture, texels(capture.mesh, sizes.texels), sizes, own)
         with bench.progress.stage(f"{cell.title}, start {seed}", len(sizes.strategies)) as stage:
             curves: Record = {}
             for strategy, curve in shoot.curves():
                 curves[strategy] = curve
                 stage.update(len(curves), len(sizes.strategies))
-        return {"cell": cell.title, "seed": seed, "start": shoot.start, "curves": curves}
+        return {
+            "cell": cell.title, "object": cell.object, "seed": seed, "start": shoot.start,
+            "curves": curves,
+        }  # fmt: skip
 
     store = Store(bench.folder / PLACE / cell.name)
     return store.recall(f"start_{seed}", key, measure, fresh=bench.fresh)

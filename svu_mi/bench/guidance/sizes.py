@@ -14,10 +14,11 @@ class Sizes:
     Attributes:
         lights: at most so many lights per object.
         texels: per side, of the textures that are recovered.
-        starts: sets of views to start from, per cell.
+        starts: sets of views to start from, per cell; each has random views of its own.
         start: photographs of each, spread out from a view drawn at random.
         marks: numbers of added views at which textures are recovered.
-        strategies: what is compared, the one that is judged first.
+        strategies: what is compared.
+        judged: those of them that are compared with all others.
         step: dB over the start that views are counted for.
         speed_texels: per side, where steps are timed.
         candidates: numbers of candidates that steps are timed with, the last for the bars.
@@ -31,10 +32,11 @@ class Sizes:
     texels: int = 128
     starts: int = 2
     start: int = 4
-    marks: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 11)
+    marks: tuple[int, ...] = (1, 2, 3, 4, 6, 8)
     strategies: tuple[Strategy, ...] = (
         "entropy", "error", "farthest", "coverage", "random", "d-optimal",
     )  # fmt: skip
+    judged: tuple[Strategy, ...] = ("entropy", "error")
     step: float = 1.0
     speed_texels: int = 64
     candidates: tuple[int, ...] = (25, 50, 100)
@@ -47,5 +49,5 @@ class Sizes:
 FULL = Sizes()
 QUICK = Sizes(
     lights=1, texels=32, starts=1, marks=(1, 2), strategies=("entropy", "farthest", "random"),
-    speed_texels=16, candidates=(4, 8), fewer=(8,), added=2, refits=(1, 1), repeats=1,
+    judged=("entropy",), speed_texels=16, candidates=(4, 8), fewer=(8,), added=2, refits=(1, 1), repeats=1,
 )  # fmt: skip

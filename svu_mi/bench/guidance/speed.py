@@ -84,8 +84,8 @@ def _method(capture: Capture, timed: Timed, sizes: Sizes) -> Record:
     Returns:
         ``label``; ``points``: per size ``candidates``, ``texels``, ``prepare`` (what all steps
         start from), ``first`` (all candidates) and ``later`` (only what changes) seconds per
-        view, medians; ``per_view``, at the largest size; ``exponents``, of the growth of
-        ``first`` with ``candidates`` and with ``texels``.
+        view, medians; ``per_view``, of all three at the largest size; ``exponents``, of the growth
+        of ``first`` with ``candidates`` and with ``texels``.
     """
     most, side = sizes.candidates[-1], sizes.speed_texels
     by_side = {s: timed.estimate(capture, s) for s in (*sizes.fewer, side)}
@@ -97,7 +97,8 @@ def _method(capture: Capture, timed: Timed, sizes: Sizes) -> Record:
     return {
         "label": timed.label,
         "points": [*(points[most, s] for s in sizes.fewer), *by_candidates],
-        "per_view": (full["first"] + (sizes.added - 1) * full["later"]) / sizes.added,
+        "per_view": (full["prepare"] + full["first"] + (sizes.added - 1) * full["later"])
+        / sizes.added,
         "exponents": {
             "candidates": _exponent([p["candidates"] for p in by_candidates], by_candidates),
             "texels": _exponent([p["texels"] for p in by_texels], by_texels),
@@ -149,8 +150,9 @@ def _refitting(capture: Capture, sizes: Sizes, step: float) -> Record:
     compared with every cell: by this package's own public functions, kernels compiled.
 
     Returns:
-        ``seconds`` of one candidate and truth, ``evaluations`` that all would take,
-        ``times``: all of them over one step of guidance; ``largest_difference`` of E[H] from it.
+        ``seconds`` of one candidate and truth; ``evaluations`` of all; ``times``: all of them over
+        ``step``, a step of guidance; ``once``: seconds for all candidates if each is fitted once,
+        and its truths are spectra of the same fit.
     """
     timed, most = SPECTRUM, sizes.candidates[-1]
     found = timed.estimate(capture, sizes.speed_texels)
@@ -159,42 +161,49 @@ def _refitting(capture: Capture, sizes: Sizes, step: float) -> Record:
     chosen = np.arange(found.texels.count)
     forecast = source.forecast(chosen, sensors, timed.hypotheses, 0)
     assert isinstance(forecast, SpectrumForecast)
-    views = source.observed.views.number
-    table = forecast.responses.table()
-    runs = [
-        _refit(forecast, table[[*range(views), views + candidate]], cell)
-        for candidate in range(sizes.refits[0]) for cell in range(WARM_UP + sizes.refits[1])
-    ]
-    each = statistics.median(
-        t for place, t in enumerate(runs) if place % (WARM_UP + sizes.refits[1]) >= WARM_UP
-    )
+    views, table = source.observed.views.number, forecast.responses.table()
+    fits, posteriors = [], []
+    for candidate in range(sizes.refits[0]):
+        for cell in range(WARM_UP + sizes.refits[1]):
+            rows = table[[*range(views), views + candidate]]
+            fit, compare = _refit(forecast, rows, cell)
+            if cell >= WARM_UP:
+                fits.append(fit)
+                posteriors.append(compare)
+    fit, compare = statistics.median(fits), statistics.median(posteriors)
     evaluations = most * timed.hypotheses
-    return {"seconds": each, "evaluations": evaluations, "step": step,
-            "times": each * evaluations / step}  # fmt: skip
+    return {
+        "seconds": fit + compare, "evaluations": evaluations, "step": step,
+        "times": (fit + compare) * evaluations / step,
+        "once": most * (fit + timed.hypotheses * compare),
+    }  # fmt: skip
 
 
-def _refit(forecast: SpectrumForecast, table: np.ndarray, cell: int) -> float:
-    """Return the seconds that one truth of one candidate takes."""
-    directions = np.moveaxis(table[..., 1:4], 0, 1)
-    weights, light = table[..., 0].T, np.moveaxis(table[..., 4:], 0, 1)
-    switches = forecast.switches
+def _refit(forecast: SpectrumForecast, table: np.ndarray, cell: int) -> tuple[float, float]:
+    """Return the seconds of a candidate's fit, light and photographs, and of its posterior."""
+    directions, weights = np.moveaxis(table[..., 1:4], 0, 1), table[..., 0].T
+    light, switches = np.moveaxis(table[..., 4:], 0, 1), forecast.switches
     level, Ks = divmod(cell, forecast.grid.shape[1])
     falloff = decay(switches, forecast.grid, forecast.prefilter)[level]
-    shape = forecast.grid.specular_nodes[Ks] ** 2 * falloff ** (np.arange(7) ** 2)
+    degrees = np.arange(switches.degree + 1)
+    shape = forecast.grid.specular_nodes[Ks] ** 2 * falloff ** (degrees**2)
+    # Made-up photographs: one more right-hand side, whatever its values.
+    both = np.concatenate([light, light], axis=2)
+    fitted: list[Any] = []
 
-    def evaluate() -> Any:
-        fitted = fit_sh(
-            directions, weights, np.concatenate([light, light], axis=2), switches.degree,
-            switches.regularizer, switches,
-        )  # fmt: skip
-        power = np.array(power_spectrum(fitted))
-        incoming = power[..., : light.shape[2]]
-        outgoing = incoming * shape[None, :, None]
+    def fit() -> None:
+        coefficients = fit_sh(
+            directions, weights, both, switches.degree, switches.regularizer, switches
+        )
+        fitted[:] = [np.array(power_spectrum(coefficients))[..., : light.shape[2]]]
+
+    def compare() -> Any:
+        incoming = fitted[0]
         return spectrum_posterior(
-            incoming, outgoing, forecast.grid, preset=switches, scale=1.0
+            incoming, incoming * shape[None, :, None], forecast.grid, preset=switches, scale=1.0
         ).entropy()
 
-    return seconds(evaluate)
+    return seconds(fit), seconds(compare)
 
 
 def seconds(function: Callable[[], Any]) -> float:

@@ -46,7 +46,7 @@ def _curves(runs: list[Record], sizes: Any) -> list[str]:
     parts = [
         "## Views to photograph next",
         f"{len(runs)} starts of {sizes.start} photographs. Average texture PSNR, recovered by SH, "
-        "above that of the start (dB), by the number of added views; means over starts. Texels "
+        "above that of the start (dB), by the number of added views; means over objects. Texels "
         "that any view sees count, also before they are seen.",
         table(heads, rows),
         "Mean entropy, relative to the start's.",
@@ -54,13 +54,13 @@ def _curves(runs: list[Record], sizes: Any) -> list[str]:
     ]
     for name, what in (("psnr", "PSNR (dB)"), ("entropy", "entropy (positive: lower)")):
         rows = [
-            [f["strategy"], f"{f['difference']:+.3f}", f"{f['p']:.2g}",
-             f"{f['better']} of {f['cells']}"]
+            [f["strategy"], f["other"], f"{f['difference']:+.3f}", f"{f['p']:.2g}",
+             f"{f['better']} of {f['objects']}"]
             for f in compare(runs, sizes, name)
         ]  # fmt: skip
         parts += [
-            f"Mean gain in {what} of {strategies[0]} over the others; paired t-test over cells.",
-            table(("other", "difference", "p", "better in"), rows),
+            f"Mean gain in {what} of one strategy over another; paired t-test over objects.",
+            table(("strategy", "over", "difference", "p", "better for"), rows),
         ]
     return [*parts, *_cells(runs, sizes)]
 
@@ -91,10 +91,12 @@ def _speed(speed: Record) -> list[str]:
         f"{speed['photographs']} photographs; warm, medians. Prepare: once, all views of all "
         "texels; first: every candidate; later: what the view before has changed.",
         table(("method", "candidates", "texels", "truths", "prepare", "first", "later"), rows),
-        f"Refitting one candidate for one truth takes {seconds(refit['seconds'])} (fit, spectra, "
+        f"Refitting one candidate for one truth takes {seconds(refit['seconds'])} (fits, spectra, "
         f"posterior; kernels compiled); all {refit['evaluations']} would take "
         f"{seconds(refit['seconds'] * refit['evaluations'])}, {refit['times']:.0f} times as long "
-        f"as the step by rank-1 changes ({seconds(refit['step'])}).",
+        f"as the step by rank-1 changes ({seconds(refit['step'])}). With one fit per candidate, "
+        f"as spectra of truths follow from that of the light: {seconds(refit['once'])}, "
+        f"{refit['once'] / refit['step']:.0f} times as long.",
     ]
 
 
