@@ -37,8 +37,8 @@ def run_guidance(
         finished: called with the record so far after each run.
 
     Returns:
-        ``runs``: a record per cell and start, with ``cell``, ``object``, ``seed``, ``start`` and ``curves`` by
-        strategy; ``speed``; ``bars``; ``sizes``; ``quick``; ``failed`` cells.
+        ``runs``: a record per cell and start, with ``cell``, ``object``, ``seed``, ``start`` and
+        ``curves`` by strategy; ``speed``; ``bars``; ``sizes``; ``quick``; ``failed`` cells.
 
     Raises:
         SvuError: that of the first cell, if every cell failed.

@@ -49,5 +49,6 @@ class Sizes:
 FULL = Sizes()
 QUICK = Sizes(
     lights=1, texels=32, starts=1, marks=(1, 2), strategies=("entropy", "farthest", "random"),
-    judged=("entropy",), speed_texels=16, candidates=(4, 8), fewer=(8,), added=2, refits=(1, 1), repeats=1,
+    judged=("entropy",), speed_texels=16, candidates=(4, 8), fewer=(8,), added=2, refits=(1, 1),
+    repeats=1,
 )  # fmt: skip
