@@ -101,6 +101,8 @@ def _sensor(record: Mapping[str, Any], frame: Any, label: str) -> Any:
         raise CaptureError(f"{label}: focal length and size must be positive.")
     if not abs(upright / focal - 1) <= SQUARE:  # NaN fails, too
         raise CaptureError(f"{label}: fl_x and fl_y differ; resample to square pixels.")
+    if "FISHEYE" in str(known.get("camera_model", "")).upper():
+        raise CaptureError(f"{label}: a fisheye is no pinhole; undistort the photographs first.")
     if any(known.get(key) for key in ("k1", "k2", "k3", "k4", "p1", "p2")):
         raise CaptureError(f"{label}: the lens is distorted; undistort the photographs first.")
     return make_sensor(
