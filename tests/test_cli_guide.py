@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
+from typing import get_args
 
 import mitsuba as mi
 import numpy as np
@@ -14,9 +15,10 @@ from helpers import sensor_xml, write_scene
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.scene import to_world
-from svu_mi.cli.guide import Guide
+from svu_mi.cli.guide import Guide, Strategy
 from svu_mi.cli.main import main
 from svu_mi.exr import read_exr
+from svu_mi.guidance import STRATEGIES
 
 MISSING = (2, 5, 6)  # photographs that the scene has sensors for, but nobody has taken
 
@@ -276,3 +278,7 @@ def test_bad_input_is_one_line_and_nothing_is_half_written(partial, tmp_path, ca
 def test_every_sensor_has_its_photograph(shot, tmp_path, capsys):
     words = ("guide", shot, "-o", tmp_path / "out", "--candidates", "scene", "--resolution", 16)
     assert "Every sensor of the capture has its photograph" in fails(capsys, *words)
+
+
+def test_the_command_knows_every_strategy():
+    assert get_args(Strategy) == STRATEGIES  # written twice: importing the stage takes long
