@@ -30,14 +30,12 @@ import numpy as np
 from svu_mi.angular.model import Reflection, terms
 from svu_mi.brdf.principled import diffuse_from_principled, specular_from_principled
 from svu_mi.guidance.forecast import Forecast, numbers
-from svu_mi.guidance.measures import Cell, Measure
+from svu_mi.guidance.measures import FAR, Cell, Measure
 from svu_mi.guidance.responses import Respond
 from svu_mi.posterior import PrincipledGrid, streaming
 from svu_mi.radiance import Surface
 from svu_mi.radiance.hemisphere import mirror_free
 from svu_mi.radiance.observe import Observation
-
-FAR = 60.0  # exp(-FAR) adds nothing to the sum over cells, of which one is exp(0)
 
 
 def columns(levels: int) -> int:

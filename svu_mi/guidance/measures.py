@@ -14,6 +14,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+FAR = 60.0  # exp(-FAR) adds nothing to the sum over cells, of which one is exp(0)
+
 Cell = tuple[Any, Any, Any]
 """Roughness in [0, 1], metallic, base colour: Floats."""
 Row = tuple[Any, Any]
@@ -56,8 +58,10 @@ class Entropy:
         """Z and sum exp(-x) x."""
         return [mi.Float(0), mi.Float(0)]
 
-    def add(self, sums: list[Any], row: Row, energies: list[Any], nodes: list[Any]) -> list[Any]:
-        """Add a row."""
+    def add(
+        self, sums: list[Any], row: Row | None, energies: list[Any], nodes: list[Any]
+    ) -> list[Any]:
+        """Add a row, whatever its parameters."""
         del row, nodes
         z, zx = sums
         for x in energies:
@@ -65,7 +69,7 @@ class Entropy:
             z, zx = z + term, dr.fma(x, term, zx)
         return [z, zx]
 
-    def value(self, sums: list[Any], truth: Cell) -> Any:
+    def value(self, sums: list[Any], truth: Cell | None) -> Any:
         """H, whatever the truth."""
         del truth
         z, zx = sums

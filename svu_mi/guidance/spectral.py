@@ -19,8 +19,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.frequency.extend import extend_lanes
-from svu_mi.guidance.angular import FAR
 from svu_mi.guidance.forecast import Forecast, numbers
+from svu_mi.guidance.measures import FAR, Entropy
 from svu_mi.guidance.responses import Respond, Responses
 from svu_mi.interop import owned
 from svu_mi.options import Preset
@@ -130,7 +130,6 @@ class SpectrumForecast(Forecast):
             for l in range(degree)
         ]
         H = _average(_Cells(self, texel, light), dr.opaque(mi.UInt32, self.grid.shape[0]))
-        H *= float(1 / np.log(np.prod(self.grid.shape)))
         dr.eval(H)
         return H.numpy()
 
@@ -153,6 +152,7 @@ class _Cells:
     def __init__(self, forecast: SpectrumForecast, texel: Any, light: list[Any]) -> None:
         grid, switches = forecast.grid, forecast.switches
         self._hypotheses, self._texel = forecast.hypotheses, texel
+        self.measure = Entropy(int(np.prod(grid.shape)))
         self.hypotheses = dr.gather(mi.UInt32, forecast.hypotheses.counts, texel)
         self._light, self._prior = light, forecast.prior
         self._decay = owned(mi.Float64, decay(switches, grid, forecast.prefilter))
@@ -198,23 +198,16 @@ class _Cells:
 
 @dr.syntax
 def _average(cells: _Cells, levels: Any) -> Any:
-    """sum over psi_0 of p(psi_0) H, not normalised."""
+    """sum over psi_0 of p(psi_0) H."""
     total = mi.Float(0)
     h = mi.UInt32(0)
     while h < cells.hypotheses:
         weight, truth, prior = cells.truth(h)
-        z, zx = mi.Float(0), mi.Float(0)
+        sums = cells.measure.start()
         level = mi.UInt32(0)
         while level < levels:
-            z, zx = _sums(cells.energies(level, truth, prior), z, zx)
+            sums = cells.measure.add(sums, None, cells.energies(level, truth, prior), [])
             level += 1
-        total += weight * (dr.log(z) + zx / z)
+        total += weight * cells.measure.value(sums, None)
         h += 1
     return total
-
-
-def _sums(energies: list[Any], z: Any, zx: Any) -> tuple[Any, Any]:
-    for x in energies:
-        term = dr.exp(-x)
-        z, zx = z + term, dr.fma(x, term, zx)
-    return z, zx
