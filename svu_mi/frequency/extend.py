@@ -17,7 +17,7 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.frequency import cholesky, harmonics
-from svu_mi.frequency.primal import accumulate, clear, write_ridge, write_row
+from svu_mi.frequency.primal import Solved, read_rows, write_row
 from svu_mi.frequency.spectrum import power_lanes
 from svu_mi.frequency.system import Sample, System, unit
 
@@ -58,19 +58,12 @@ def extend_lanes(
     """
     ridge = [max(value, FREE) for value in harmonics.ridge(degree, penalize_constant)]
     system = System(degree, channels, ridge, dr.opaque(mi.Float64, regularizer))
-    size = degree + 1  # tiles of this edge fill the matrix without padding
-    blocks = dr.opaque(mi.UInt32, size)
-    memory = cholesky.packed_count(size)
-    gram = cholesky.allocate(mi.Float64, size * size, memory)
-    fitted = cholesky.allocate(mi.Float64, size * channels, size)
-    rows = cholesky.allocate(mi.Float64, size, size)
-    gram, fitted = clear(gram, fitted, dr.opaque(mi.UInt32, memory), blocks)
-    write_ridge(gram, system, size)
-    gram, fitted, _ = accumulate(known, views, gram, fitted, rows, blocks, system.basis)
-    gram, fitted = cholesky.factor_and_forward(gram, fitted, blocks, size)
-    fitted = cholesky.backward(gram, fitted, blocks, size, size)
-    _add_each(_Change(system, added, take), candidates, gram, fitted, rows, blocks, size)
-    return power_lanes(_coefficients(fitted, system))
+    solved = Solved.of(known, views, system)
+    _add_each(
+        _Change(system, added, take), candidates, solved.factor, solved.solution, solved.rows,
+        solved.blocks, degree + 1,
+    )  # fmt: skip
+    return power_lanes(solved.coefficients(system))
 
 
 class _Change:
@@ -92,7 +85,7 @@ class _Change:
     def take(self, j: Any, fitted: list, step: list, y: list, weight: Any, values: list,
              norm: Any) -> None:  # fmt: skip
         """Hand the changed spectrum over; ``step`` holds A^-1 w y."""
-        size, old = self._system.degree + 1, _coefficients(fitted, self._system)
+        size, old = self._system.degree + 1, read_rows(fitted, self._system)
         errors = [
             weight * (mi.Float64(f) - sum(b * c[k] for b, c in zip(y, old, strict=True))) / norm
             for k, f in enumerate(values)
@@ -120,13 +113,3 @@ def _add_each(
             change.take(j, fitted, step, y, w, values, norm)
         j += 1
     return step
-
-
-def _coefficients(memory: list, system: System) -> list[list[Any]]:
-    """Read (degree + 1)^2 rows of channels."""
-    size, channels = system.degree + 1, system.channels
-    return [
-        [memory[i % size * channels + c][i // size] for c in range(channels)]
-        for i in range(size * size)
-    ]
-

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -14,29 +15,62 @@ from svu_mi.frequency.system import Sample, System, unit
 
 def fit_primal(sample: Sample, views: Any, system: System) -> list[list[Any]]:
     """Accumulate the normal equations view by view, then solve them in place."""
-    count = (system.degree + 1) ** 2
-    size = system.degree + 1  # tiles of this edge fill the matrix without padding
-    blocks = dr.opaque(mi.UInt32, count // size)
-    memory = cholesky.packed_count(count // size)
-    gram = cholesky.allocate(mi.Float64, size * size, memory)
-    right = cholesky.allocate(mi.Float64, size * system.channels, count // size)
-    rows = cholesky.allocate(mi.Float64, size, count // size)
-    gram, right = clear(gram, right, dr.opaque(mi.UInt32, memory), blocks)
-    write_ridge(gram, system, size)
-    gram, right, seen = accumulate(sample, views, gram, right, rows, blocks, system.basis)
-    gram, right = cholesky.factor_and_forward(gram, right, blocks, size)
-    right = cholesky.backward(gram, right, blocks, size, count // size)
+    solved = Solved.of(sample, views, system)
     return [
-        [
-            dr.select(seen, mi.Float(right[i % size * system.channels + c][i // size]), 0)
-            for c in range(system.channels)
-        ]
-        for i in range(count)
+        [dr.select(solved.seen, mi.Float(value), 0) for value in row]
+        for row in solved.coefficients(system)
+    ]
+
+
+@dataclass
+class Solved:
+    """Normal equations in local memory, factored and solved.
+
+    Attributes:
+        factor: of A = Y^T W^2 Y + lambda R, packed lower tiles.
+        solution: c, one block of degree + 1 rows per tile row.
+        rows: room for one more row of Y.
+        blocks: number of tile rows, UInt32.
+        seen: Bool, which lanes saw anything.
+    """
+
+    factor: list
+    solution: list
+    rows: list
+    blocks: Any
+    seen: Any
+
+    @staticmethod
+    def of(sample: Sample, views: Any, system: System) -> Solved:
+        """Accumulate the equations view by view, and solve them."""
+        size = system.degree + 1  # tiles of this edge fill the matrix without padding
+        blocks, memory = dr.opaque(mi.UInt32, size), cholesky.packed_count(size)
+        gram = cholesky.allocate(mi.Float64, size * size, memory)
+        right = cholesky.allocate(mi.Float64, size * system.channels, size)
+        rows = cholesky.allocate(mi.Float64, size, size)
+        gram, right = _clear(gram, right, dr.opaque(mi.UInt32, memory), blocks)
+        _add_ridge(gram, system, size)
+        gram, right, seen = _accumulate(sample, views, gram, right, rows, blocks, system.basis)
+        gram, right = cholesky.factor_and_forward(gram, right, blocks, size)
+        right = cholesky.backward(gram, right, blocks, size, size)
+        return Solved(gram, right, rows, blocks, seen)
+
+    def coefficients(self, system: System) -> list[list[Any]]:
+        """Read c: (degree + 1)^2 rows of channels, Float64."""
+        return read_rows(self.solution, system)
+
+
+def read_rows(memory: list, system: System) -> list[list[Any]]:
+    """Read (degree + 1)^2 rows of channels from blocks."""
+    size, channels = system.degree + 1, system.channels
+    return [
+        [memory[i % size * channels + c][i // size] for c in range(channels)]
+        for i in range(size * size)
     ]
 
 
 @dr.syntax
-def clear(gram: list, right: list, tiles: Any, blocks: Any) -> tuple[list, list]:
+def _clear(gram: list, right: list, tiles: Any, blocks: Any) -> tuple[list, list]:
     """Fill both with zeros."""
     i = mi.UInt32(0)
     while i < tiles:
@@ -49,7 +83,7 @@ def clear(gram: list, right: list, tiles: Any, blocks: Any) -> tuple[list, list]
     return gram, right
 
 
-def write_ridge(gram: list, system: System, size: int) -> None:
+def _add_ridge(gram: list, system: System, size: int) -> None:
     """Write lambda R on the diagonal."""
     for i, l in enumerate(system.degrees):
         tile = cholesky.packed_count(i // size) + i // size
@@ -57,7 +91,7 @@ def write_ridge(gram: list, system: System, size: int) -> None:
 
 
 @dr.syntax
-def accumulate(
+def _accumulate(
     sample: Sample,
     views: Any,
     gram: list,

@@ -26,6 +26,7 @@ from svu_mi.interop import owned
 from svu_mi.options import Preset
 from svu_mi.posterior import ParameterGrid
 from svu_mi.posterior.spectrum import decay
+from svu_mi.posterior.spectrum_kernel import Products, falloff, row_distances
 from svu_mi.radiance import Lighting, Surface
 from svu_mi.radiance.hemisphere import as_channels, mirror_free
 from svu_mi.radiance.observe import Observation
@@ -171,14 +172,11 @@ class _Cells:
 
     def energies(self, level: Any, truth: list[Any], prior: Any) -> list[Any]:
         """d / (2 sigma^2) - log prior of the cells of a roughness, less the truth's: Float."""
-        first = both = second = mi.Float64(0)
-        for e, t, S in zip(self._falloff(level), truth, self._light, strict=True):
-            first = dr.fma(t * t, S, first)
-            both = dr.fma(t * e, S, both)
-            second = dr.fma(e * e, S, second)
+        both = [t * S for t, S in zip(truth, self._light, strict=True)]
+        observed = sum(t * x for t, x in zip(truth, both, strict=True))
+        products = Products(self._light, both, observed)
         found = []
-        for j, K in enumerate(self._squares):
-            x = dr.maximum(dr.fma(K, dr.fma(K, second, -2 * both), first), 0)
+        for j, x in enumerate(row_distances(self._squares, products, self._falloff(level))):
             if self._prior is not None:
                 place = level * len(self._squares) + j
                 x += mi.Float64(dr.gather(mi.Float, self._prior, place)) - prior
@@ -186,14 +184,8 @@ class _Cells:
         return found
 
     def _falloff(self, level: Any) -> list[Any]:
-        """e_l = q^(l^2), l = 1 ... l*, of a roughness."""
         q = dr.gather(mi.Float64, self._decay, level)
-        power, step, result = q, q, [q]
-        for _ in range(len(self._light) - 1):
-            step = step * q * q  # (l + 1)^2 = l^2 + 2 l + 1
-            power = power * step
-            result.append(power)
-        return result
+        return falloff(q, mi.Float64(1), len(self._light))
 
 
 @dr.syntax

@@ -47,7 +47,7 @@ class Constant:
 
 
 @dataclass(frozen=True)
-class _Products:
+class Products:
     """Of one texel and group, over 2 sigma^2: sums over channels by degree, and over all."""
 
     light: list[Any]  # S_L(l)^2
@@ -116,7 +116,7 @@ def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:
         for product, constant in zip(products, constants, strict=True):
             metallic = row - level * problem.columns
             R0, first = _cells(problem, level, metallic, constant)
-            x = _energies([R * R for R in R0], product, decay)
+            x = row_distances([R * R for R in R0], product, decay)
             if first is not None:
                 x = [value + more for value, more in zip(x, first, strict=True)]
             if power is not None:
@@ -164,7 +164,7 @@ def _constants(problem: Problem, texel: Any) -> list[tuple[Any, Any, Any] | None
     return result
 
 
-def _products(problem: Problem, texel: Any, group: tuple[int, ...]) -> _Products:
+def _products(problem: Problem, texel: Any, group: tuple[int, ...]) -> Products:
     """Read the spectra of l >= 1 and multiply them."""
     scale = 0.5 * dr.square(dr.rcp(problem.sigma))
     light = [mi.Float64(0)] * problem.degree
@@ -179,7 +179,7 @@ def _products(problem: Problem, texel: Any, group: tuple[int, ...]) -> _Products
             light[l] = dr.fma(L, L, light[l])
             both[l] = dr.fma(L, B, both[l])
             observed = dr.fma(B, B, observed)
-    return _Products([scale * x for x in light], [scale * x for x in both], scale * observed)
+    return Products([scale * x for x in light], [scale * x for x in both], scale * observed)
 
 
 def _power(problem: Problem, texel: Any) -> Any | None:
@@ -187,18 +187,21 @@ def _power(problem: Problem, texel: Any) -> Any | None:
 
 
 def _decay(problem: Problem, level: Any) -> list[Any]:
-    """e_l = a^2 q^(l^2), l = 1 ... L, of one roughness: multiplying is faster than reading."""
     q = dr.gather(mi.Float64, problem.decay, level)
-    power = dr.gather(mi.Float64, problem.albedo, level)  # a^2 q^(l^2), l = 0
-    step, two, result = q, q * q, []
-    for _ in range(problem.degree):
+    return falloff(q, dr.gather(mi.Float64, problem.albedo, level), problem.degree)
+
+
+def falloff(q: Any, first: Any, degree: int) -> list[Any]:
+    """e_l = first q^(l^2), l = 1 ... degree: multiplying is faster than reading."""
+    power, step, two, result = first, q, q * q, []  # power: of l = 0
+    for _ in range(degree):
         power = power * step  # (l + 1)^2 = l^2 + 2 l + 1
         step = step * two
         result.append(power)
     return result
 
 
-def _energies(squares: list, products: _Products, decay: list) -> list[Any]:
+def row_distances(squares: list, products: Products, decay: list) -> list[Any]:
     """d / (2 sigma^2) of every Ks^2 for one roughness (Eq. 11)."""
     slope, curve = mi.Float64(0), mi.Float64(0)
     for e, light, both in zip(decay, products.light, products.both, strict=True):
