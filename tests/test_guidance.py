@@ -442,7 +442,7 @@ class TestNextBestView:
         capture, texels = sunny
         whole = svu.estimate(capture, texels)
         source = forecaster(svu.estimate(some(capture, (0,)), texels))
-        every = source.forecast(np.arange(texels.count), capture.sensors[1:], 1, 0)
+        every = source.forecast(np.arange(texels.count), source.pack(capture.sensors[1:]), 1, 0)
         bits, lanes = whole.observed.found.bits, dr.arange(mi.UInt32, texels.count)
         exact = np.stack([np.array(bits.test(mi.UInt32(v), lanes)) for v in range(20)])
         assert (every.seen == exact).mean() > 0.999
@@ -536,7 +536,8 @@ class TestNextBestView:
         capture, texels = sunny
         estimate = svu.estimate(some(capture, (0, 5, 9, 14)), texels)
         source = forecaster(estimate)
-        forecast = source.forecast(np.arange(texels.count), capture.sensors[:1], 512, 0)
+        candidates = source.pack(capture.sensors[:1])
+        forecast = source.forecast(np.arange(texels.count), candidates, 512, 0)
         seen = np.array(estimate.coverage) > 0
         now, entropy = forecast.now(np.arange(4)), np.array(estimate.entropy)
         assert np.corrcoef(now[seen], entropy[seen])[0, 1] > 0.99

@@ -100,8 +100,11 @@ def scaled_sensor(sensor: Any, side: int) -> Any:
     The sensor itself, if its film is not larger.
     """
     scale = side / max(film_size(sensor))
-    if scale >= 1:
-        return sensor
+    return sensor if scale >= 1 else resized_sensor(sensor, scale)
+
+
+def resized_sensor(sensor: Any, scale: float) -> Any:
+    """Return a sensor of the same view, with a film of ``scale`` times as many pixels per side."""
     record = describe(sensor)
     for key in ("film", "crop_offset", "crop_size"):
         low = 0 if key == "crop_offset" else 1
@@ -111,9 +114,13 @@ def scaled_sensor(sensor: Any, side: int) -> Any:
 
 def cropped_fov(sensor: Any) -> float:
     """Return the opening angle of a sensor's crop window over its width, in degrees."""
+    return float(2 * np.degrees(np.arctan(film_size(sensor)[0] / 2 / focal_length(sensor))))
+
+
+def focal_length(sensor: Any) -> float:
+    """Return a sensor's focal length in pixels."""
     record = describe(sensor)
-    focal = record["film"][0] / 2 / np.tan(np.radians(record["x_fov"]) / 2)
-    return float(2 * np.degrees(np.arctan(record["crop_size"][0] / 2 / focal)))
+    return float(record["film"][0] / 2 / np.tan(np.radians(record["x_fov"]) / 2))
 
 
 def _check_finite(record: Mapping[str, Any], label: str) -> None:

@@ -47,3 +47,8 @@ class Capture:
     def count(self) -> int:
         """Number of views V."""
         return len(self.sensors)
+
+    @property
+    def used_sensors(self) -> tuple[Any, ...]:
+        """Sensors of the views that are used, in their order."""
+        return tuple(s for s, used in zip(self.sensors, self.used, strict=True) if used)

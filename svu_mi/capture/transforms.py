@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.poses import describe, film_size, make_sensor
+from svu_mi.capture.poses import describe, film_size, focal_length, make_sensor
 from svu_mi.capture.scene import check_sensor
 from svu_mi.errors import CaptureError
 from svu_mi.files import replacing
@@ -72,7 +72,7 @@ def read_transforms(path: str | Path) -> tuple[Any, ...]:
 def _intrinsics(sensor: Any) -> dict[str, Any]:
     record, (width, height) = describe(sensor), film_size(sensor)
     film, offset, crop = (record[k] for k in ("film", "principal_point_offset", "crop_offset"))
-    focal = film[0] / 2 / np.tan(np.radians(record["x_fov"]) / 2)
+    focal = focal_length(sensor)
     center = [film[k] / 2 - offset[k] * film[k] - crop[k] for k in range(2)]
     return {"fl_x": focal, "fl_y": focal, "cx": center[0], "cy": center[1],
             "w": width, "h": height}  # fmt: skip

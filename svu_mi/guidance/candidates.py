@@ -74,8 +74,14 @@ class Candidates:
                 "Every sensor of the capture has its photograph; place candidates with "
                 "Candidates.around(capture)."
             )
-        sensors = tuple(capture.sensors[i] for i in left)
-        return Candidates(sensors, tuple(capture.names[i] for i in left), np.ones(len(left), bool))
+        return Candidates.at(capture, left)
+
+    @staticmethod
+    def at(capture: Capture, views: Sequence[int]) -> Candidates:
+        """Take some of a capture's sensors, by their numbers, all of them reachable."""
+        sensors = tuple(capture.sensors[view] for view in views)
+        names = tuple(capture.names[view] for view in views)
+        return Candidates(sensors, names, np.ones(len(sensors), bool))
 
     @staticmethod
     def around(
@@ -94,8 +100,7 @@ class Candidates:
         Raises:
             OptionError: a number out of range.
         """
-        used = [s for s, u in zip(capture.sensors, capture.used, strict=True) if u]
-        used = used or list(capture.sensors)
+        used = capture.used_sensors or capture.sensors
         center, _ = bounding_sphere(capture.shape)
         if distance is None:
             offsets = [to_world(sensor)[:3, 3] - center for sensor in used]

@@ -27,7 +27,7 @@ from svu_mi.pipeline import Estimate, Observed
 from svu_mi.posterior import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.angular import AngularPosterior
 from svu_mi.posterior.spectrum import SpectrumPosterior
-from svu_mi.radiance import Surface, pack_sensors
+from svu_mi.radiance import Surface, Views, pack_sensors
 
 
 class Forecaster(ABC):
@@ -38,21 +38,24 @@ class Forecaster(ABC):
     def __init__(self, estimate: Estimate, observed: Observed) -> None:
         self.estimate, self.observed = estimate, observed
 
+    def pack(self, sensors: Sequence[Any]) -> Views:
+        """Lay candidates out, once for all texels."""
+        capture = self.observed.capture
+        return pack_sensors(capture.scene, capture.shape, sensors)
+
     def forecast(
-        self, texels: np.ndarray, sensors: Sequence[Any], hypotheses: int, seed: int
+        self, texels: np.ndarray, candidates: Views, hypotheses: int, seed: int
     ) -> Forecast:
         """Look at texels from sensors that have not taken a photograph.
 
         Args:
             texels: (t,) int64 indices of texels of the estimate.
-            sensors: the candidates.
+            candidates: views, as ``pack`` returns them.
             hypotheses: most psi per texel.
             seed: of their draw.
         """
         seen = self.observed
         surface = Surface.of(seen.texels, numbers(texels))
-        capture = seen.capture
-        candidates = pack_sensors(capture.scene, capture.shape, sensors)
         responses = collect(
             surface, (seen.views, seen.found), candidates, self._respond(surface), self.columns
         )

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from svu_mi.guidance.forecast import Forecast
 from svu_mi.guidance.forecaster import Forecaster
 from svu_mi.guidance.options import GuidanceOptions
+from svu_mi.radiance import Views
 
 
 class Strategy(Protocol):
@@ -103,7 +103,7 @@ class Greedy:
 
 
 def look(
-    source: Forecaster, texels: np.ndarray, sensors: Sequence[Any], options: GuidanceOptions,
+    source: Forecaster, texels: np.ndarray, candidates: Views, options: GuidanceOptions,
     reachable: np.ndarray | None = None,
 ) -> Greedy:  # fmt: skip
     """Look at texels from candidates.
@@ -111,9 +111,9 @@ def look(
     Args:
         source: makes the forecast.
         texels: (t,) indices of texels of its estimate.
-        sensors: the C candidates.
+        candidates: C views, as ``Forecaster.pack`` returns them.
         options: how they are judged.
         reachable: (C,) bool, all by default.
     """
-    forecast = source.forecast(texels, sensors, options.hypotheses, options.seed)
+    forecast = source.forecast(texels, candidates, options.hypotheses, options.seed)
     return Greedy(forecast, source.observed.views.number, reachable, lazy=options.lazy)

@@ -73,7 +73,8 @@ def next_best_view(
     texels = source.observed.texels
     with progress.stage("Looking from the candidates"):
         chosen = _sample(texels.count, options)
-        greedy = look(source, chosen, candidates.sensors, options, candidates.reachable)
+        packed = source.pack(candidates.sensors)
+        greedy = look(source, chosen, packed, options, candidates.reachable)
     before = float(greedy.entropy.mean())
     left_out = 1 - len(chosen) / texels.count
     with progress.stage("Choosing views", count) as stage:
@@ -111,12 +112,9 @@ def _options(options: GuidanceOptions | None, switches: dict[str, Any]) -> Guida
 
 def _default(capture: Capture) -> Candidates:
     """Sensors whose photograph is missing; one that is black, say, has been taken."""
-    missing = np.array([not np.isfinite(image).any() for image in capture.images])
-    if not missing.any():
-        return Candidates.around(capture, AROUND)
-    sensors = [sensor for sensor, gone in zip(capture.sensors, missing, strict=True) if gone]
-    names = [name for name, gone in zip(capture.names, missing, strict=True) if gone]
-    return Candidates(tuple(sensors), tuple(names), np.ones(len(names), bool))
+    unused = [view for view, used in enumerate(capture.used) if not used]
+    missing = [view for view in unused if not np.isfinite(capture.images[view]).any()]
+    return Candidates.at(capture, missing) if missing else Candidates.around(capture, AROUND)
 
 
 def _sample(count: int, options: GuidanceOptions) -> np.ndarray:

@@ -94,11 +94,11 @@ class Guidance:
     def _maps(self) -> np.ndarray:
         assert self._source is not None
         maps = np.zeros((len(self.proposals), self.texels.count), np.float32)
-        sensors = [proposal.sensor for proposal in self.proposals]
+        packed = self._source.pack([proposal.sensor for proposal in self.proposals])
         for first in range(0, self.texels.count, CHUNK):
             chosen = np.arange(first, min(first + CHUNK, self.texels.count))
-            greedy = look(self._source, chosen, sensors, self.options)
-            for k in range(len(sensors)):
+            greedy = look(self._source, chosen, packed, self.options)
+            for k in range(len(self.proposals)):
                 maps[k, chosen] = greedy.texel_gains(k)
                 greedy.choose(k)
         return maps

@@ -45,7 +45,7 @@ def find_strategy(
     if name == "coverage":
         return baselines.Coverage(forecast.seen, greedy.photographs)
     if name == "farthest":
-        used = [s for s, u in zip(capture.sensors, capture.used, strict=True) if u]
+        used = capture.used_sensors
         places = [to_world(sensor)[:3, 3] for sensor in (*used, *candidates.sensors)]
         center, _ = bounding_sphere(capture.shape)
         return baselines.Farthest(baselines.unit_directions(places, center), len(used))

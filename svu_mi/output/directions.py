@@ -40,7 +40,7 @@ def draw_directions(
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    used = [s for s, u in zip(capture.sensors, capture.used, strict=True) if u]
+    used = capture.used_sensors
     center, _ = bounding_sphere(capture.shape)
     frame = _frame(np.array(up, np.float64), _directions(used, center)[0])
     x, y = _hammer(_directions(guidance.candidates.sensors, center) @ frame.T)

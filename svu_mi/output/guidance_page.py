@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.capture.poses import describe, make_sensor
+from svu_mi.capture.poses import film_size, resized_sensor
 from svu_mi.files import replacing
 from svu_mi.guidance.options import UNITS
 from svu_mi.output import views
@@ -284,11 +284,7 @@ def _entropy_texture(estimate: Any) -> np.ndarray:
 
 def _large(sensor: Any) -> Any:
     """Return the sensor with a film that pictures need not be smaller than."""
-    record = describe(sensor)
-    factor = -(-views.SIDE // max(record["crop_size"]))
-    for key in ("film", "crop_offset", "crop_size"):
-        record[key] = [factor * value for value in record[key]]
-    return make_sensor(record, "overview")
+    return resized_sensor(sensor, -(-views.SIDE // max(film_size(sensor))))
 
 
 def _worth(proposal: Any) -> str:

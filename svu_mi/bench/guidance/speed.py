@@ -112,7 +112,7 @@ def _point(found: Estimate, candidates: int, timed: Timed, sizes: Sizes) -> Reco
     chosen = np.arange(found.texels.count)
 
     def prepare() -> Any:
-        return source.forecast(chosen, sensors, timed.hypotheses, 0)
+        return source.forecast(chosen, source.pack(sensors), timed.hypotheses, 0)
 
     forecast = prepare()
     steps = [_steps(source, forecast, sizes.added) for _ in range(WARM_UP + sizes.repeats)]
@@ -159,7 +159,7 @@ def _refitting(capture: Capture, sizes: Sizes, step: float) -> Record:
     source = forecaster(found)
     sensors = Candidates.around(capture, most).sensors
     chosen = np.arange(found.texels.count)
-    forecast = source.forecast(chosen, sensors, timed.hypotheses, 0)
+    forecast = source.forecast(chosen, source.pack(sensors), timed.hypotheses, 0)
     assert isinstance(forecast, SpectrumForecast)
     views, table = source.observed.views.number, forecast.responses.table()
     fits, posteriors = [], []
