@@ -1,14 +1,16 @@
-"""Where results go: folders that can be written, files that are whole or not there."""
+"""Files: folders that can be written, results that are whole or not there, JSON that is read."""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import secrets
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from svu_mi.errors import OutputError
+from svu_mi.errors import CaptureError, OutputError
 
 
 def prepare_folder(folder: str | Path) -> Path:
@@ -73,3 +75,15 @@ def _reason(path: Path, error: OSError) -> str:
     if not path.parent.is_dir():
         return f"{path.parent} is not a folder"
     return error.strerror or type(error).__name__
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file.
+
+    Raises:
+        CaptureError: it cannot be read, or is no JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise CaptureError(f"{path}: not a readable JSON file ({error}).") from error

@@ -12,7 +12,7 @@ from typing import Any
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import check_sensor
 from svu_mi.errors import CaptureError
-from svu_mi.files import replacing
+from svu_mi.files import read_json, replacing
 
 FILE = "capture.json"
 FORMAT = "svu-capture"
@@ -56,10 +56,7 @@ def read(folder: Path) -> Description | None:
     path = folder / FILE
     if not path.is_file():
         return None
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise CaptureError(f"{path}: not a readable JSON file ({error}).") from error
+    record = read_json(path)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise CaptureError(f'{path}: not a capture; expected "format": "{FORMAT}".')
     if record.get("version", VERSION) != VERSION:

@@ -16,7 +16,7 @@ import numpy as np
 from svu_mi.capture.poses import describe, film_size, focal_length, make_sensor
 from svu_mi.capture.scene import check_sensor
 from svu_mi.errors import CaptureError
-from svu_mi.files import replacing
+from svu_mi.files import read_json, replacing
 
 FLIP = np.diag([-1.0, 1.0, -1.0, 1.0])
 SQUARE = 1e-3  # part by which the focal lengths of x and y may differ
@@ -54,10 +54,7 @@ def read_transforms(path: str | Path) -> tuple[Any, ...]:
         SceneError: a pose is mirrored, or no rotation.
     """
     path = Path(path)
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise CaptureError(f"{path}: not a readable JSON file ({error}).") from error
+    record = read_json(path)
     frames = record.get("frames") if isinstance(record, dict) else None
     if not isinstance(frames, list) or not frames:
         raise CaptureError(f'{path}: no poses; expected a list "frames" with transform_matrix.')

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from svu_mi.capture.poses import bounding_sphere, cropped_fov, film_size, sphere
 from svu_mi.capture.scene import check_sensor, find_sensors, load_scene, to_world
 from svu_mi.capture.transforms import read_transforms
 from svu_mi.errors import CaptureError, OptionError, ShapeError
+from svu_mi.files import read_json
 
 
 @dataclass(frozen=True)
@@ -160,10 +160,7 @@ class Candidates:
 
 def _is_capture(path: Path) -> bool:
     """Return whether a JSON file is one of ours, by what it says of itself."""
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise CaptureError(f"{path}: not a readable JSON file ({error}).") from error
+    record = read_json(path)
     return (
         path.name == capture_folder.FILE
         and isinstance(record, dict)
