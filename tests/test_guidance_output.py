@@ -16,9 +16,9 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.scene import to_world
-from svu_mi.capture.transforms import read_transforms, write_transforms
 from svu_mi.errors import CaptureError, OutputError
 from svu_mi.exr import read_attributes, read_exr
+from svu_mi.formats.transforms import read_transforms, write_transforms
 from svu_mi.guidance.options import UNITS
 from svu_mi.output import directions as sky
 from svu_mi.output import guidance_page

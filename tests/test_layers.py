@@ -8,8 +8,9 @@ from pathlib import Path
 
 LAYERS = (
     "errors", "_llvm", "interop", "files", "exr", "progress", "settings", "options", "capture",
-    "surface", "radiance", "brdf", "frequency", "angular", "posterior", "skipping", "pipeline",
-    "guidance", "regularization", "recovery", "reference", "metrics", "output", "bench", "cli",
+    "formats", "surface", "radiance", "brdf", "frequency", "angular", "posterior", "skipping",
+    "pipeline", "guidance", "regularization", "recovery", "reference", "metrics", "checking",
+    "output", "export", "bench", "cli",
 )  # fmt: skip
 # Built on the stages; only what stands at the very top may use them.
 ABOVE = {"plugins": ("output", "cli"), "scenes": ("output", "bench", "cli")}

@@ -13,9 +13,9 @@ from svu_mi.capture import Capture
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.poses import bounding_sphere, cropped_fov, film_size, sphere_sensors
 from svu_mi.capture.scene import check_sensor, find_sensors, load_scene, to_world
-from svu_mi.capture.transforms import read_transforms
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.files import read_json
+from svu_mi.formats.transforms import read_transforms
 
 
 @dataclass(frozen=True)

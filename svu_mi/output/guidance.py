@@ -13,9 +13,9 @@ from PIL import Image
 
 import svu_mi
 from svu_mi.capture.poses import describe
-from svu_mi.capture.transforms import write_transforms
 from svu_mi.exr import write_exr
 from svu_mi.files import prepare_folder, replacing
+from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.options import UNITS
 from svu_mi.output import scene_nodes as nodes
 from svu_mi.output.directions import UP

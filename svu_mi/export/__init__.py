@@ -1,0 +1,1 @@
+"""Results as assets of other programs: GLB, MaterialX, PNG, packed textures."""

@@ -1,0 +1,97 @@
+"""Corrections of the mistakes that everybody makes with axes, by name.
+
+``svu check`` finds which of them explains the photographs better, ``svu import --fix NAME``
+applies it; the names are the same. Each is relative to how the capture was read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from svu_mi.errors import OptionError
+
+Kind = Literal["camera", "mesh", "light", "texture"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fix:
+    """One correction.
+
+    Attributes:
+        name: as ``--fix`` takes it.
+        kind: what it changes: ``camera`` (all sensors), ``mesh`` (against the cameras), ``light``
+            or ``texture``.
+        cause: what probably went wrong, as half a sentence.
+        matrix: (3, 3). ``camera``: multiplied from the right to each ``to_world``; ``mesh``: from
+            the left to each position; ``light``: in the frame of Mitsuba's envmap, from the right
+            to the emitter's rotation (det < 0: the map is mirrored left to right). None for
+            ``camera-inverse`` and ``texture-flip-v``, which are no matrices.
+    """
+
+    name: str
+    kind: Kind
+    cause: str
+    matrix: np.ndarray | None = None
+
+
+def turned(axis: Literal["x", "y", "z"], degrees: float) -> np.ndarray:
+    """Return the (3, 3) rotation about an axis; exact at multiples of 90 degrees."""
+    i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    if degrees % 90 == 0:
+        c, s = round(c), round(s)
+    matrix = np.eye(3)
+    matrix[[i, i, j, j], [i, j, i, j]] = c, -s, s, c
+    return matrix
+
+
+FIXES = {fix.name: fix for fix in (
+    Fix(name="camera-x180", kind="camera", matrix=turned("x", 180),
+        cause="OpenCV camera axes were read as OpenGL's, or the other way round"),
+    Fix(name="camera-y180", kind="camera", matrix=turned("y", 180),
+        cause="OpenGL camera axes were read as Mitsuba's, or the other way round"),
+    Fix(name="camera-z180", kind="camera", matrix=turned("z", 180),
+        cause="OpenCV camera axes were read as Mitsuba's, or the photographs are upside down"),
+    Fix(name="camera-inverse", kind="camera",
+        cause="the poses are world-to-camera, not camera-to-world"),
+    Fix(name="mesh-x90", kind="mesh", matrix=turned("x", 90),
+        cause="the mesh has +Y up, the poses have +Z up"),
+    Fix(name="mesh-x270", kind="mesh", matrix=turned("x", 270),
+        cause="the mesh has +Z up, the poses have +Y up"),
+    Fix(name="mesh-x180", kind="mesh", matrix=turned("x", 180),
+        cause="the mesh is upside down against the poses"),
+    Fix(name="mesh-mirror", kind="mesh", matrix=np.diag([-1.0, 1.0, 1.0]),
+        cause="the mesh comes from a left-handed program"),
+    Fix(name="light-turn-90", kind="light", matrix=turned("y", 90),
+        cause="the environment map has its centre elsewhere"),
+    Fix(name="light-turn-180", kind="light", matrix=turned("y", 180),
+        cause="the environment map has its centre where its seam was taken to be"),
+    Fix(name="light-turn-270", kind="light", matrix=turned("y", 270),
+        cause="the environment map has its centre elsewhere"),
+    Fix(name="light-mirror", kind="light", matrix=np.diag([-1.0, 1.0, 1.0]),
+        cause="the environment map is seen from outside: left and right are exchanged"),
+    Fix(name="light-flip", kind="light", matrix=turned("z", 180),
+        cause="the environment map is upside down"),
+    Fix(name="light-x90", kind="light", matrix=turned("x", 90),
+        cause="the environment map has another axis up than the world"),
+    Fix(name="light-x270", kind="light", matrix=turned("x", 270),
+        cause="the environment map has another axis up than the world"),
+    Fix(name="texture-flip-v", kind="texture",
+        cause="V of the texture coordinates runs the other way"),
+)}  # fmt: skip
+
+
+def fixes_named(names: Sequence[str]) -> tuple[Fix, ...]:
+    """Return corrections by name.
+
+    Raises:
+        OptionError: there is none of a name.
+    """
+    for name in names:
+        if name not in FIXES:
+            raise OptionError(f"There is no fix {name!r}; known are {', '.join(FIXES)}.")
+    return tuple(FIXES[name] for name in names)
