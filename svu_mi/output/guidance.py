@@ -15,6 +15,7 @@ import svu_mi
 from svu_mi.capture.poses import describe
 from svu_mi.exr import write_exr
 from svu_mi.files import prepare_folder, replacing
+from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.options import UNITS
 from svu_mi.output import scene_nodes as nodes
@@ -63,7 +64,8 @@ def write_guidance(
     report = progress or _say_nothing
     _remove_stale(folder)
     names, sensors = file_names(capture, guidance), [p.sensor for p in guidance.proposals]
-    write_transforms(folder / POSES, sensors, names)
+    frames = [frame_of(s, Path(name)) for s, name in zip(sensors, names, strict=True)]
+    write_transforms(folder / POSES, frames)
     write_sensors(folder / SENSORS, sensors, [Path(name).stem for name in names])
     write_manifest(folder / PLAN, plan(capture, estimate, guidance))
     report(1, 4)
