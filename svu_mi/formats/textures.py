@@ -36,7 +36,8 @@ def textures_of(visual: Any, path: Path) -> Textures:
     try:
         if hasattr(material, "baseColorTexture"):
             return _of_gltf(material)
-        return {"base_color": _rgb(material.image)} if is_textured(visual) else {}
+        picture = getattr(material, "image", None)
+        return {"base_color": _rgb(picture)} if is_textured(visual) else {}
     except Exception as error:  # Pillow raises whatever its decoders meet
         raise MeshError(f"{path}: a texture cannot be read ({error}); export it again.") from error
 
