@@ -6,29 +6,17 @@ the centre of the first pixel is (0.5, 0.5). The world is wherever the reconstru
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from svu_mi.capture.picture import SUFFIXES
 from svu_mi.errors import CaptureError, OutputError
 from svu_mi.files import copy_file, prepare_folder
-from svu_mi.formats.colmap_model import Camera, View, is_model, read_model, write_model
-from svu_mi.formats.paths import inside
+from svu_mi.formats.colmap_model import Camera, View, is_model, write_model
+from svu_mi.formats.colmap_project import IMAGES, MASKS, Project, read_project
 from svu_mi.formats.source import OPENCV, Frame, Source
-
-# Undistorted models go before those they were made from: both have the same world.
-PLACES = ("dense/sparse", "dense/0/sparse", "sparse/0", "sparse", ".")
-IMAGES, MASKS = "images", "masks"
-
-
-def find_model(path: Path) -> Path | None:
-    """Return the folder of the sparse model in a project, or the folder itself; None without."""
-    folders = [Path(os.path.normpath(path / place)) for place in PLACES]
-    return next((folder for folder in folders if is_model(folder)), None)
 
 
 def read_colmap(path: Path, *, images: Path | None = None, masks: Path | None = None) -> Source:
@@ -44,19 +32,17 @@ def read_colmap(path: Path, *, images: Path | None = None, masks: Path | None = 
         CaptureError: there is no model, it is damaged, a lens is distorted, or a photograph is
             missing.
     """
-    model = model_in(path)
-    cameras, views = read_model(model)
-    numbers = sorted({view.camera for view in views})
-    pinholes = {number: _pinhole(cameras[number], f"{model}: camera {number}") for number in numbers}
-    folder = images_folder(model, images)
-    masks = masks_folder(model, masks)
+    project = read_project(path, images, masks)
     frames = []
-    for view, file in zip(views, photographs(model, views, folder), strict=True):
-        camera, (focal, center) = cameras[view.camera], pinholes[view.camera]
+    for view, photograph, mask in zip(
+        project.views, project.photographs, project.masks, strict=True
+    ):
+        camera = project.cameras[view.camera]
+        focal, center = _pinhole(camera, f"{project.model}: camera {view.camera}")
         frames.append(Frame(
-            label=_label(model, view),
-            image=file,
-            mask=None if masks is None else find_mask(masks, file.relative_to(folder)),
+            label=project.label(view),
+            image=photograph,
+            mask=mask,
             to_world=_to_world(view),
             focal=focal,
             center=center,
@@ -67,7 +53,7 @@ def read_colmap(path: Path, *, images: Path | None = None, masks: Path | None = 
         root=path,
         frames=frames,
         camera_axes=OPENCV,
-        notes=list(_notes(model, len(views))),
+        notes=list(_notes(project)),
     )
 
 
@@ -105,69 +91,7 @@ def write_colmap(root: Path, source: Source) -> None:
             mask = f"{name}.png" if suffix == ".png" else Path(name).with_suffix(suffix)
             copy_file(frame.mask, root / MASKS / mask)
     model = prepare_folder(root / "sparse" / "0")
-    write_model(model, {number: camera for camera, number in numbers.items()}, views)
-
-
-def images_folder(model: Path, images: Path | None) -> Path:
-    """Return the folder of the photographs: the one given, or ``images`` beside the model.
-
-    Raises:
-        CaptureError: there is none.
-    """
-    folder = images or _beside(model, IMAGES)
-    if folder is None or not folder.is_dir():
-        missing = f"no folder {IMAGES!r} is beside it" if folder is None else f"no folder {folder}"
-        raise CaptureError(f"{model}: {missing}; give that of the photographs with --images.")
-    return folder
-
-
-def photographs(model: Path, views: Sequence[View], folder: Path) -> list[Path]:
-    """Return the file of each image.
-
-    Raises:
-        CaptureError: a name leaves the folder, or a file is missing.
-    """
-    files = [inside(folder, view.name, _label(model, view)) for view in views]
-    missing = [file for file in files if not file.is_file()]
-    if missing:
-        raise CaptureError(
-            f"{folder}: {len(missing)} of {len(files)} photographs are missing, "
-            f"{missing[0].relative_to(folder)} first; give their folder with --images."
-        )
-    return files
-
-
-def masks_folder(model: Path, masks: Path | None) -> Path | None:
-    """Return the folder of the masks, None if there is none beside the model.
-
-    Raises:
-        CaptureError: the folder that was given is not there.
-    """
-    if masks is not None and not masks.is_dir():
-        raise CaptureError(f"{masks}: no such folder of masks.")
-    return masks or _beside(model, MASKS)
-
-
-def find_mask(folder: Path, name: Path) -> Path | None:
-    """Return the mask of an image: ``name.jpg.png``, ``name.jpg``, or ``name`` with any suffix."""
-    names = (f"{name}.png", name, *(name.with_suffix(suffix) for suffix in SUFFIXES))
-    return next((folder / n for n in names if (folder / n).is_file()), None)
-
-
-def model_in(path: Path) -> Path:
-    """Return the folder of the sparse model, as ``find_model``.
-
-    Raises:
-        CaptureError: there is none.
-    """
-    model = find_model(path)
-    if model is None:
-        raise CaptureError(f"{path}: no COLMAP model; expected cameras.bin or .txt in sparse/0.")
-    return model
-
-
-def _label(model: Path, view: View) -> str:
-    return f"{model}: image {view.name!r}"
+    write_model(model, dict(enumerate(numbers, 1)), views)
 
 
 def _pinhole(camera: Camera, label: str) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -178,12 +102,6 @@ def _pinhole(camera: Camera, label: str) -> tuple[tuple[float, float], tuple[flo
             "photographs with --undistort."
         )
     return pinhole
-
-
-def _beside(model: Path, name: str) -> Path | None:
-    """Return a folder in the model's own or one of the two above, as far as projects nest it."""
-    folders = [Path(os.path.normpath(model / up / name)) for up in (".", "..", "../..")]
-    return next((folder for folder in folders if folder.is_dir()), None)
 
 
 def _to_world(view: View) -> np.ndarray:
@@ -203,10 +121,11 @@ def _view(name: str, camera: int, to_world: np.ndarray) -> View:
     return View(name, camera, (w, x, y, z), tuple(translation.tolist()))
 
 
-def _notes(model: Path, count: int) -> Iterator[str]:
+def _notes(project: Project) -> Iterator[str]:
     yield (
-        f"{model}: {count} images. COLMAP's world has a unit and an up axis of its own; the mesh "
-        "must be in it."
+        f"{project.model}: {len(project.views)} images. COLMAP's world has a unit and an up axis "
+        "of its own; the mesh must be in it."
     )
-    if model.name == "0" and is_model(model.parent / "1"):
-        yield f"{model.parent}: holds several models, parts of a whole; 0 is taken."
+    folder = project.model.parent
+    if project.model.name == "0" and is_model(folder / "1"):
+        yield f"{folder}: holds several models, parts of a whole; 0 is taken."

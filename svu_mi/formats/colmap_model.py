@@ -9,6 +9,7 @@ https://colmap.github.io/format.html; newer models keep the same two files besid
 from __future__ import annotations
 
 import contextlib
+import math
 import mmap
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,7 +37,7 @@ FOCAL_LENGTHS = {
 }  # fmt: skip
 CAMERA_FIELDS = ("CAMERA_ID", "MODEL", "WIDTH", "HEIGHT", "PARAMS")
 VIEW_FIELDS = ("IMAGE_ID", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ", "CAMERA_ID", "NAME")
-LONGEST_NAME = 4096  # bytes
+LONGEST_NAME = 512  # bytes
 LONGEST = 120  # letters of a damage, in a message
 POINT = 24  # bytes of a point in an image: x, y and the number of the point in space
 UNIT = 1e-2  # by which the norm of a quaternion may differ from 1
@@ -111,7 +112,7 @@ def read_model(folder: Path) -> tuple[dict[int, Camera], list[View]]:
         label = f"{files[1]}: image {view.name!r}"
         if view.camera not in cameras:
             raise CaptureError(f"{label}: there is no camera {view.camera}; export both again.")
-        if not abs(np.linalg.norm(view.rotation) - 1) < UNIT:
+        if not abs(math.hypot(*view.rotation) - 1) < UNIT:
             raise CaptureError(f"{label}: the rotation is no unit quaternion (w, x, y, z).")
         if view.name in names:
             raise CaptureError(f"{label}: is there twice; export the model again.")
@@ -250,6 +251,8 @@ def _parse_views(path: Path) -> list[View]:
             if _is_empty(line):
                 continue
             _, *fields, camera, name = _fields(line.strip(), VIEW_FIELDS, len(VIEW_FIELDS) - 1)
+            if len(name) > LONGEST_NAME:
+                raise ValueError("a name has no end")
             pose = [float(field) for field in fields]
             views.append(View(name, _number(camera), _finite(pose[:4]), _finite(pose[4:])))
             # Every second line has the image's points; it is there even if it is empty.

@@ -10,10 +10,10 @@ from __future__ import annotations
 import importlib.util
 import subprocess
 import sys
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from PIL import Image
@@ -21,10 +21,8 @@ from PIL import Image
 from svu_mi.capture.picture import read_planes
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 from svu_mi.files import prepare_folder, replacing_folder
-from svu_mi.formats.colmap import (
-    IMAGES, MASKS, find_mask, images_folder, masks_folder, model_in, photographs,
-)  # fmt: skip
-from svu_mi.formats.colmap_model import Camera, View, read_model, write_model
+from svu_mi.formats.colmap_model import Camera, View, write_model
+from svu_mi.formats.colmap_project import IMAGES, MASKS, read_project
 
 KINDS = (".png", ".jpg", ".jpeg")  # COLMAP resamples eight bits
 # A JPEG file is compressed a second time.
@@ -57,32 +55,28 @@ def undistort(
             "Photographs are undistorted by pycolmap, which is not installed: "
             "pip install 'svu_mi[colmap]'."
         )
-    model = model_in(path)
-    cameras, views = read_model(model)
-    folder, masks = images_folder(model, images), masks_folder(model, masks)
-    files = photographs(model, views, folder)
+    project = read_project(path, images, masks)
     views = [
-        replace(view, name=file.relative_to(folder).as_posix())
-        for view, file in zip(views, files, strict=True)
+        replace(view, name=file.relative_to(project.images).as_posix())
+        for view, file in zip(project.views, project.photographs, strict=True)
     ]
-    with replacing_folder(output, lambda _: False) as made:
-        with tempfile.TemporaryDirectory(dir=made) as name:
-            scratch = Path(name)
-            masked = []
-            for view, file in zip(views, files, strict=True):
-                found = None if masks is None else find_mask(masks, Path(view.name))
-                mask = _checked(cameras[view.camera], file, found)
-                if mask is not None:
-                    masked.append(replace(view, name=f"{view.name}.png"))
-                    target = scratch / MASKS / masked[-1].name
-                    target.parent.mkdir(parents=True, exist_ok=True)
-                    Image.fromarray(mask).save(target)
-            straight = _straightened(cameras, views, folder, scratch / "photographs")
-            (straight / IMAGES).rename(made / IMAGES)
-            (straight / "sparse").rename(made / "sparse")
-            if masked:
-                straight = _straightened(cameras, masked, scratch / MASKS, scratch / "shapes")
-                (straight / IMAGES).rename(made / MASKS)
+    cameras = {view.camera: project.cameras[view.camera] for view in views}
+    with replacing_folder(output, lambda _: False) as made, TemporaryDirectory(dir=made) as name:
+        scratch = Path(name)
+        masked = []
+        for view, file, found in zip(views, project.photographs, project.masks, strict=True):
+            mask = _checked(cameras[view.camera], file, found)
+            if mask is not None:
+                masked.append(replace(view, name=f"{view.name}.png"))
+                target = scratch / MASKS / masked[-1].name
+                target.parent.mkdir(parents=True, exist_ok=True)
+                Image.fromarray(mask).save(target)
+        straight = _straightened(cameras, views, project.images, scratch / "photographs")
+        (straight / IMAGES).rename(made / IMAGES)
+        (straight / "sparse").rename(made / "sparse")
+        if masked:
+            straight = _straightened(cameras, masked, scratch / MASKS, scratch / "shapes")
+            (straight / IMAGES).rename(made / MASKS)
     return output
 
 
