@@ -1,9 +1,8 @@
 """COLMAP's sparse model: cameras and poses of a reconstruction, from ``.bin`` or ``.txt`` files.
 
-Read and written here, not by pycolmap: on a damaged file that one may allocate without bound or
-run for minutes, and pinhole cameras need nothing else of it. The layout is
-https://colmap.github.io/format.html; newer models keep the same two files beside ``rigs`` and
-``frames``.
+Read and written here, not by pycolmap: given a damaged file, that may fill the memory or not come
+back, and pinhole cameras need nothing else of it. The layout is
+https://colmap.github.io/format.html; models with ``rigs`` and ``frames`` have the same two files.
 """
 
 from __future__ import annotations

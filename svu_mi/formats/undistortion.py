@@ -21,7 +21,7 @@ from PIL import Image
 from svu_mi.capture.picture import read_planes
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 from svu_mi.files import prepare_folder, replacing_folder
-from svu_mi.formats.colmap_model import Camera, View, write_model
+from svu_mi.formats.colmap_model import Camera, View, read_model, write_model
 from svu_mi.formats.colmap_project import IMAGES, MASKS, read_project
 
 KINDS = (".png", ".jpg", ".jpeg")  # COLMAP resamples eight bits
@@ -114,4 +114,9 @@ def _straightened(
         raise CaptureError(
             f"{pictures}: COLMAP cannot undistort these ({reason[-LONGEST:]}); check the cameras."
         )
+    for camera in read_model(output / "sparse")[0].values():
+        if camera.pinhole() is None:
+            raise CaptureError(
+                f"{pictures}: COLMAP cannot undistort cameras of kind {camera.model}."
+            )
     return output
