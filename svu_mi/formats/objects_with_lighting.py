@@ -202,5 +202,6 @@ def _numbers(path: Path, count: int) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != count or not np.isfinite(numbers).all():
-        raise CaptureError(f"{path}: must hold {count} numbers; copy the file again.")
+        wanted = "one number" if count == 1 else f"{count} numbers"
+        raise CaptureError(f"{path}: must hold {wanted}; copy the file again.")
     return numbers
