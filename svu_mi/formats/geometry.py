@@ -76,21 +76,16 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
     return Geometry(mesh=mesh, textures=textures, notes=notes)
 
 
-def _buffers(parts: Sequence[Any], path: Path) -> MeshArrays:
+def _buffers(parts: Sequence[_Part], path: Path) -> MeshArrays:
     """Return the buffers of all parts; UVs and normals only if each has them."""
-    first = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    # trimesh computes missing normals, without a look across UV seams.
-    normals = [part.vertex_normals if "vertex_normals" in part._cache else None for part in parts]
-    uvs = [getattr(part.visual, "uv", None) for part in parts]
+    meshes = [part.mesh for part in parts]
+    first = np.cumsum([0, *(len(mesh.positions) for mesh in meshes)])
     mesh = MeshArrays(
-        positions=np.concatenate([np.array(part.vertices, np.float64) for part in parts]),
-        faces=np.concatenate([
-            np.array(part.faces, np.int64) + offset
-            for part, offset in zip(parts, first, strict=False)
-        ]),
-        normals=_joined(normals, 3),
-        uvs=_joined(uvs, 2),
-    )  # fmt: skip
+        positions=np.concatenate([mesh.positions for mesh in meshes]),
+        faces=np.concatenate([m.faces + k for m, k in zip(meshes, first, strict=False)]),
+        normals=_joined([mesh.normals for mesh in meshes]),
+        uvs=_joined([mesh.uvs for mesh in meshes]),
+    )
     for name, values in (("positions", mesh.positions), ("UVs", mesh.uvs)):
         if values is not None and not (np.abs(values) < MAX_NUMBER).all():  # NaN fails, too
             raise MeshError(f"{path}: some {name} are NaN, infinite or absurd; export it again.")
@@ -99,10 +94,9 @@ def _buffers(parts: Sequence[Any], path: Path) -> MeshArrays:
     return mesh
 
 
-def _joined(arrays: Sequence[Any], width: int) -> np.ndarray | None:
-    if any(array is None for array in arrays):
-        return None
-    return np.concatenate([np.array(array, np.float64)[:, :width] for array in arrays])
+def _joined(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:
+    there = [array for array in arrays if array is not None]
+    return np.concatenate(there) if len(there) == len(arrays) else None
 
 
 def _tile(uvs: np.ndarray) -> np.ndarray:
@@ -110,8 +104,36 @@ def _tile(uvs: np.ndarray) -> np.ndarray:
     return np.floor((uvs.min(axis=0) + uvs.max(axis=0)) / 2)
 
 
-def _parts(path: Path) -> list[Any]:
-    """Return the triangle meshes of a file, in its world."""
+@dataclass(frozen=True)
+class _Part:
+    """One mesh of a file, in its world, and what it is painted with."""
+
+    mesh: MeshArrays
+    visual: Any
+
+    @staticmethod
+    def of(scene: trimesh.Scene, node: str) -> _Part:
+        matrix, name = scene.graph[node]
+        part = scene.geometry[name]
+        faces = np.array(getattr(part, "faces", np.empty((0, 3))), np.int64)
+        # A file's own normals are there, others are computed on demand, up to UV seams.
+        given = len(faces) > 0 and "vertex_normals" in part._cache
+        normals = part.vertex_normals @ np.linalg.inv(matrix[:3, :3]) if given else None
+        mirrored = np.linalg.det(matrix[:3, :3]) < 0
+        uvs = getattr(part.visual, "uv", None)
+        return _Part(
+            MeshArrays(
+                positions=np.array(part.vertices) @ matrix[:3, :3].T + matrix[:3, 3],
+                faces=faces[:, ::-1] if mirrored else faces,
+                normals=normals,
+                uvs=None if uvs is None else np.array(uvs, np.float64)[:, :2],
+            ),
+            part.visual,
+        )
+
+
+def _parts(path: Path) -> list[_Part]:
+    """Return the triangle meshes of a file."""
     if path.suffix.lower() not in SUFFIXES:
         raise MeshError(f"{path}: not a kind of mesh known here ({', '.join(SUFFIXES)}).")
     if not path.is_file():
@@ -121,7 +143,8 @@ def _parts(path: Path) -> list[Any]:
             raise MeshError(f"{path}: larger than {MAX_BYTES // 2**20} MiB; simplify the mesh.")
         _refuse_bombs(path)
         scene = trimesh.load_scene(path, resolver=_Inside(path.parent), process=False)
-        parts = [part for part in scene.dump() if len(getattr(part, "faces", ())) > 0]
+        parts = [_Part.of(scene, node) for node in scene.graph.nodes_geometry]
+        parts = [part for part in parts if len(part.mesh.faces) > 0]
     except MeshError:
         raise
     except (Exception, MemoryError) as error:  # trimesh raises whatever its parsers meet

@@ -103,7 +103,7 @@ def import_capture(
     with replacing_folder(folder, _was_imported) as made:
         geometry = _placed(read_geometry(mesh, geometry_only=options.geometry_only), options, fixes)
         found = _write_photographs(frames, made, options.shrink, progress)
-        sensors = [frame.sensor() for frame, _ in found]
+        sensors = [frame.sensor(_clip(frame, geometry.mesh)) for frame, _ in found]
         geometry = _with_uvs(geometry, str(mesh))
         notes = [*source.notes, *geometry.notes, *_about(frames, [c for _, c in found])]
         notes += _write_scene(made, geometry, _turned(light, fixes), sensors)
@@ -180,6 +180,14 @@ def _turned(light: Light, fixes: Sequence[Fix]) -> Light:
         if fix.kind == "light" and fix.matrix is not None:
             matrix = matrix @ fix.matrix
     return replace(light, to_world=matrix)
+
+
+def _clip(frame: Frame, mesh: MeshArrays) -> tuple[float, float]:
+    """Return near and far planes that suit the object, whatever its units."""
+    low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
+    distance = np.linalg.norm(frame.to_world[:3, 3] - (low + high) / 2)
+    reach = float(max(distance, np.linalg.norm(high - low) / 2))
+    return reach * 1e-2, reach * 1e2
 
 
 def _with_uvs(geometry: Geometry, label: str) -> Geometry:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from trimesh.visual.material import empty_material
 
 from svu_mi.capture.picture import decoded, srgb
 from svu_mi.errors import MeshError
@@ -36,7 +37,7 @@ def textures_of(visual: Any, path: Path) -> Textures:
         if hasattr(material, "baseColorTexture"):
             return _of_gltf(material)
         picture = getattr(material, "image", None)
-        return {} if picture is None else {"base_color": _rgb(picture)}
+        return {"base_color": _rgb(picture)} if is_textured(visual) else {}
     except Exception as error:  # Pillow raises whatever its decoders meet
         raise MeshError(f"{path}: a texture cannot be read ({error}); export it again.") from error
 
@@ -44,7 +45,9 @@ def textures_of(visual: Any, path: Path) -> Textures:
 def is_textured(visual: Any) -> bool:
     """Return whether a mesh is painted with at least one picture."""
     material = getattr(visual, "material", None)
-    names = ("baseColorTexture", "metallicRoughnessTexture", "image")
+    if getattr(material, "image", None) is not None:
+        return hash(material) != hash(empty_material())  # what trimesh gives to UVs alone
+    names = ("baseColorTexture", "metallicRoughnessTexture")
     return any(getattr(material, name, None) is not None for name in names)
 
 
