@@ -145,6 +145,24 @@ def test_an_object_is_found_from_any_of_its_folders(written):
     assert find_inputs(written.parent) is None
 
 
+def test_an_exposure_of_its_own_clips_nothing_on_the_object(source, tmp_path):
+    """Pixels that hold no radiance do not count; they become white, which is left out."""
+    bright = tmp_path / "bright.exr"
+    pixels = np.random.default_rng(61).uniform(20, 80, (32, 48, 3)).astype(np.float32)
+    pixels[:4] = -1
+    pixels[20:] = 8000
+    mask = tmp_path / "mask.png"
+    Image.fromarray(np.uint8(255 * (pixels[..., 0] < 8000))).save(mask)
+    frame = replace(source.frames[0], image=bright, mask=mask)
+    write_exr(bright, {"RGB": pixels})
+    write_owl(tmp_path / "o", replace(source, frames=[frame], mesh=None, light=None))
+    (found,) = read_owl(tmp_path / "o").frames
+    tone = np.array(Image.open(found.image))
+    assert (tone[:4] == 255).all() and (tone[20:] == 255).all()
+    assert tone[4:20].max() == 250 and np.median(tone[4:20]) > 180  # 0.98 of 255
+    assert 80 * found.exposure / frame.exposure == pytest.approx(0.98**2.2, rel=0.01)
+
+
 def test_an_exposure_beyond_all_is_refused(source, tmp_path):
     with pytest.raises(OptionError, match="within 64 stops"):
         write_owl(tmp_path / "o", source, exposure=float("nan"))

@@ -16,6 +16,7 @@ import mitsuba as mi
 import numpy as np
 from PIL import Image
 
+from svu_mi.capture.images import IN_MASK, SATURATED
 from svu_mi.capture.picture import decoded, read_planes
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.files import copy_file, prepare_folder, replacing
@@ -78,7 +79,7 @@ def read_owl(path: Path) -> Source:
     )
 
 
-def write_owl(root: Path, source: Source, *, exposure: float = 0.0) -> None:
+def write_owl(root: Path, source: Source, *, exposure: float | None = None) -> None:
     """Write an object with its ``test`` folder: photographs, masks, mesh and light.
 
     The light is written as it is, with ``world_to_env.txt``, and not resampled. Nothing is
@@ -88,7 +89,8 @@ def write_owl(root: Path, source: Source, *, exposure: float = 0.0) -> None:
         root: the object's folder, made if missing.
         source: the capture.
         exposure: stops by which radiance is brighter in the photographs; what exceeds 1 then is
-            clipped.
+            clipped, and pixels that hold no radiance are white. None = as bright as can be while
+            nothing on the object is clipped.
 
     Raises:
         CaptureError: a photograph, a mask or the light cannot be read.
@@ -96,6 +98,7 @@ def write_owl(root: Path, source: Source, *, exposure: float = 0.0) -> None:
         OptionError: no such exposure.
         OutputError: a file cannot be written.
     """
+    exposure = _fitting_exposure(source.frames) if exposure is None else exposure
     if not abs(exposure) <= STOPS:  # NaN fails, too
         raise OptionError(f"An exposure must be within {STOPS} stops, got {exposure}.")
     test = prepare_folder(root / "test")
@@ -161,14 +164,31 @@ def _light(test: Path) -> Light | None:
     return Light(path=test / ENVIRONMENT, to_world=rotation.T @ axes)
 
 
-def _write_frame(inputs: Path, index: int, frame: Frame, exposure: float) -> None:
+def _radiance(frame: Frame) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return (H, W, 3) radiance, infinite where a pixel holds none, and the mask, (H, W)."""
     planes, is_integer = read_planes(frame.image)
-    frame = fitted(frame, planes[0].shape[::-1])
     pixels = np.stack(planes[:3], axis=-1)
     radiance = (decoded(pixels, frame.transfer) if is_integer else pixels) / frame.exposure
+    radiance[~(np.isfinite(radiance) & (radiance >= 0)).all(axis=-1)] = np.inf
+    mask = read_planes(frame.mask)[0][0] if frame.mask else planes[3] if planes[3:] else None
+    return radiance, mask
+
+
+def _fitting_exposure(frames: Sequence[Frame]) -> float:
+    brightest = float(np.finfo(np.float32).tiny)
+    for frame in frames:
+        radiance, mask = _radiance(frame)
+        peaks = radiance.max(axis=-1)[... if mask is None else mask >= IN_MASK]
+        peaks = peaks[np.isfinite(peaks)]
+        brightest = max(brightest, float(peaks.max(initial=0)))
+    return float(np.clip(np.log2(SATURATED**GAMMA / brightest), -STOPS, STOPS))
+
+
+def _write_frame(inputs: Path, index: int, frame: Frame, exposure: float) -> None:
+    radiance, mask = _radiance(frame)
+    frame = fitted(frame, radiance.shape[1::-1])
     tone = np.clip(radiance * 2.0**exposure, 0, 1) ** (1 / GAMMA)
     _write_png(inputs / f"image_{index:04d}.png", tone)
-    mask = read_planes(frame.mask)[0][0] if frame.mask else planes[3] if planes[3:] else None
     if mask is not None:
         _write_png(inputs / f"mask_{index:04d}.png", mask)
     K = [[frame.focal[0], 0, frame.center[0]], [0, frame.focal[1], frame.center[1]], [0, 0, 1]]
