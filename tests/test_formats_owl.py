@@ -49,7 +49,7 @@ def written(source, tmp_path_factory):
 def test_what_is_written_is_read(source, written):
     found = read_owl(written)
     assert found.format == "owl" and (found.camera_axes == OPENCV).all()
-    assert found.root == written / "test" and "evaluation alone" in found.notes[0]
+    assert found.root == written / "test" and "not for reconstruction" in found.notes[0]
     for got, wanted in zip(found.frames, source.frames, strict=True):
         np.testing.assert_allclose(got.to_world, wanted.to_world, atol=1e-12)
         assert (got.focal, got.center, got.size) == (wanted.focal, wanted.center, wanted.size)
@@ -184,11 +184,16 @@ BROKEN = {
     "a mirror": ({CAMERA: GOOD.replace("0 1 0", "0 -1 0")}, "mirrored"),
     "no rotation": ({CAMERA: GOOD.replace("0 1 0", "0 0 0")}, "no rotation"),
     "a broken size": ({CAMERA: GOOD.replace("8 6", "8.5 6")}, "no size"),
-    "a huge size": ({CAMERA: GOOD.replace("8 6", "1e300 6")}, "no size"),
+    "a huge size": ({CAMERA: GOOD.replace("8 6", "1e300 6")}, "must hold 24"),
+    "a large size": ({CAMERA: GOOD.replace("8 6", "1e9 6")}, "no size"),
     "no photograph": ({"inputs/image_0000.png": None}, "image_0000.png: no such photograph"),
     "no camera": ({CAMERA: None}, "no camera_0000.txt"),
     "no exposure": ({EXPOSURE: None}, "expected test/inputs/exposure.txt"),
     "a map without its frame": ({"env.hdr": ""}, "world_to_env.txt: cannot be read"),
+    "a mirrored map": (
+        {"env.hdr": "", "world_to_env.txt": "0 1 0 0 1 0 0 0 0 0 1 0 0 0 0 1"},
+        "is no rotation",
+    ),
     "a map without rotation": ({"env.hdr": "", "world_to_env.txt": "1 " * 16}, "no rotation"),
 }
 

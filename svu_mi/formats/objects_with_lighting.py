@@ -22,7 +22,7 @@ from svu_mi.errors import CaptureError, OptionError
 from svu_mi.files import copy_file, prepare_folder, replacing
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.resampling import fitted
-from svu_mi.formats.source import ENVIRONMENT_AXES, OPENCV, Frame, Light, Source
+from svu_mi.formats.source import ENVIRONMENT_AXES, OPENCV, RIGID, Frame, Light, Source
 
 INPUTS = "inputs"
 PLACES = (INPUTS, f"test/{INPUTS}", ".")  # of the photographs: in a test, in an object, here
@@ -30,13 +30,14 @@ ROTATED, ENVIRONMENT, WORLD_TO_ENV = "env_512_rotated.hdr", "env.hdr", "world_to
 EXPOSURE, BOX = "exposure.txt", "object_bounding_box.txt"
 # The data has no mesh; the benchmark's own baseline puts its meshes here, with UVs and without.
 MESHES = ("prepared_mesh", "neus_mesh")
-MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl")
+MESH_SUFFIXES = (".obj", ".ply", ".glb", ".stl")
 GAMMA = 2.2
 STOPS = 64  # of exposure, either way
+LARGEST = 1e12  # number, in any of the text files
 LARGEST_TEXT = 2**16  # bytes
 RULES = (
-    "The rules of the benchmark give the environment map for evaluation alone: results that are "
-    "found with it must not be entered there."
+    "The benchmark gives the environment map for debugging, not for reconstruction: results found "
+    "with it must not be entered there. Its masks are approximate."
 )
 
 
@@ -82,8 +83,8 @@ def read_owl(path: Path) -> Source:
 def write_owl(root: Path, source: Source, *, exposure: float | None = None) -> None:
     """Write an object with its ``test`` folder: photographs, masks, mesh and light.
 
-    The light is written as it is, with ``world_to_env.txt``, and not resampled. Nothing is
-    written for evaluation.
+    The light is written as it is, with ``world_to_env.txt``, and not resampled. Of the mesh, the
+    one file is copied, not what it refers to. Nothing is written for evaluation.
 
     Args:
         root: the object's folder, made if missing.
@@ -126,7 +127,7 @@ def _frame(camera: Path, gain: float) -> Frame:
     K, rotation, translation, size = values[:3], values[3:6], values[6], values[7]
     if np.abs(K[[0, 1, 2, 2], [1, 0, 0, 1]]).max() > 0 or K[2, 2] != 1:
         raise CaptureError(f"{camera}: the camera has skew; its K must be fx 0 cx 0 fy cy 0 0 1.")
-    if np.abs(size).max() >= 2**31 or (size != np.floor(size)).any():
+    if (size != np.floor(size)).any():
         raise CaptureError(f"{camera}: {size[0]} x {size[1]} pixels is no size.")
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3], world_to_camera[:3, 3] = rotation, translation
@@ -159,7 +160,8 @@ def _light(test: Path) -> Light | None:
     if not (test / ENVIRONMENT).is_file():
         return None
     rotation = np.array(_numbers(test / WORLD_TO_ENV, 16)).reshape(4, 4)[:3, :3]
-    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+    is_rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=RIGID)
+    if not is_rigid or np.linalg.det(rotation) < 0:
         raise CaptureError(f"{test / WORLD_TO_ENV}: is no rotation; copy the file again.")
     return Light(path=test / ENVIRONMENT, to_world=rotation.T @ axes)
 
@@ -212,7 +214,7 @@ def _numbers(path: Path, count: int) -> list[float]:
     """Read numbers from a text file.
 
     Raises:
-        CaptureError: it is missing, or holds anything but that many finite numbers.
+        CaptureError: it is missing, or holds anything but that many numbers of a sane size.
     """
     try:
         with path.open(encoding="utf-8") as file:
@@ -221,7 +223,7 @@ def _numbers(path: Path, count: int) -> list[float]:
         raise CaptureError(f"{path}: cannot be read ({error.strerror}).") from error
     except ValueError:
         numbers = []
-    if len(numbers) != count or not np.isfinite(numbers).all():
+    if len(numbers) != count or not (np.abs(numbers) < LARGEST).all():  # NaN fails, too
         wanted = "one number" if count == 1 else f"{count} numbers"
         raise CaptureError(f"{path}: must hold {wanted}; copy the file again.")
     return numbers
