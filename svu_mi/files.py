@@ -103,6 +103,20 @@ def replacing_folder(folder: str | Path, may_replace: Callable[[Path], bool]) ->
         shutil.rmtree(old, ignore_errors=True)
 
 
+def copy_file(source: Path, target: Path) -> None:
+    """Copy a file; the folder of the copy is made if missing.
+
+    Raises:
+        CaptureError: the file cannot be read.
+        OutputError: the copy cannot be written.
+    """
+    if not source.is_file():
+        raise CaptureError(f"{source}: no such file.")
+    prepare_folder(target.parent)
+    with replacing(target) as temporary:
+        shutil.copyfile(source, temporary)
+
+
 def _reason(path: Path, error: OSError) -> str:
     if not path.parent.exists():
         return f"there is no folder {path.parent}"

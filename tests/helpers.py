@@ -5,12 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
+from PIL import Image
 
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.poses import sphere_sensors
 from svu_mi.capture.record import Capture
+from svu_mi.exr import write_exr
+from svu_mi.formats import fixes
+from svu_mi.formats.resampling import squared
+from svu_mi.formats.source import Frame, Source
 from svu_mi.scenes import meshes
 
 SPHERE_XML = """<scene version="3.0.0">
@@ -129,3 +135,44 @@ def render_ball(
         for index, sensor in enumerate(sensors)
     ]
     return memory_capture(scene, images, sensors)
+
+
+def foreign_source(folder: Path) -> Source:
+    """What a reader would say of three cameras around the origin of a turned world.
+
+    Photographs are not square, one has pixels that are not, principal points are off the centre,
+    the second has no mask, and the third is a PNG.
+    """
+    rng = np.random.default_rng(20611)
+    world = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    world[:, 0] *= np.linalg.det(world)
+    folder.mkdir(parents=True, exist_ok=True)
+    frames = []
+    for index, (size, focal) in enumerate((((48, 32), (70, 70)), ((30, 40), (61.5, 48)),
+                                           ((48, 32), (70, 70)))):  # fmt: skip
+        pose = np.eye(4)
+        pose[:3, :3] = world @ fixes.turned("y", 77 * index) @ fixes.turned("x", 25)
+        pose[:3, 3] = pose[:3, :3] @ [0.1, -0.2, -4.0] + [0.2, 0, 0.1]
+        pixels = rng.uniform(0.01, 0.9, (size[1], size[0], 3)).astype(np.float32)
+        suffix = ".png" if index == 2 else ".exr"
+        image, mask = folder / f"photo{9 - index}{suffix}", folder / f"shape{index}.png"
+        if suffix == ".png":
+            Image.fromarray(np.uint8(255 * pixels)).save(image)
+        else:
+            write_exr(image, {"RGB": pixels})
+        Image.fromarray(np.uint8(255 * (pixels[..., 0] > 0.5))).save(mask)
+        frames.append(Frame(
+            label=image.name, image=image, mask=None if index == 1 else mask, to_world=pose,
+            focal=focal, center=(size[0] / 2 + 2.25, size[1] / 2 - 3.5), size=size,
+        ))  # fmt: skip
+    return Source(format="test", root=folder, frames=frames)
+
+
+def projected(frame: Frame, points: np.ndarray) -> np.ndarray:
+    """Project points (N, 3) to pixels (N, 2) by the sensor that an import would make."""
+    square, scale = squared(frame)
+    interaction = dr.zeros(mi.Interaction3f, len(points))
+    interaction.p = mi.Point3f(np.array(points, np.float32).T)
+    sample, _ = square.sensor().sample_direction(interaction, mi.Point2f(0.5))
+    assert (np.array(sample.pdf) > 0).all()
+    return np.array(sample.uv).T / scale

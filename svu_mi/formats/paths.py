@@ -8,8 +8,8 @@ from typing import Any
 
 from svu_mi.errors import CaptureError
 
-LONGEST = 255  # bytes of one part of a path, on every common file system
-DEEPEST = 32  # parts
+LONGEST = 240  # bytes of one part of a path; file systems take 255, and suffixes are added
+LONGEST_PATH = 2048  # bytes
 SHOWN = 60  # characters of a name in a message
 
 
@@ -47,7 +47,8 @@ def _is_usable(parts: tuple[str, ...]) -> bool:
         sizes = [len(os.fsencode(part)) for part in parts]
     except UnicodeEncodeError:  # half a surrogate pair, which JSON can spell
         return False
-    return max(sizes) <= LONGEST and len(parts) <= DEEPEST and "\0" not in "".join(parts)
+    fits = max(sizes) <= LONGEST and sum(sizes) + len(sizes) <= LONGEST_PATH
+    return fits and "\0" not in "".join(parts)
 
 
 def _shown(name: Any) -> str:

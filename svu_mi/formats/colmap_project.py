@@ -1,0 +1,99 @@
+"""A COLMAP project: where its model, photographs and masks are."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from svu_mi.capture.picture import SUFFIXES
+from svu_mi.errors import CaptureError
+from svu_mi.formats.colmap_model import Camera, View, is_model, read_model
+from svu_mi.formats.paths import inside
+
+# Undistorted models go before those they were made from: both have the same world.
+PLACES = ("dense/sparse", "dense/0/sparse", "sparse/0", "sparse", ".")
+IMAGES, MASKS = "images", "masks"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Project:
+    """A sparse model and its pictures.
+
+    Attributes:
+        model: folder of the model.
+        cameras: by their number.
+        views: V views, in the order of their names.
+        images: folder of the photographs.
+        photographs: V files in there.
+        masks: V files; None for each that has none.
+    """
+
+    model: Path
+    cameras: dict[int, Camera]
+    views: Sequence[View]
+    images: Path
+    photographs: Sequence[Path]
+    masks: Sequence[Path | None]
+
+    def label(self, view: View) -> str:
+        """Return the name of a view for messages."""
+        return f"{self.model}: image {view.name!r}"
+
+
+def find_model(path: Path) -> Path | None:
+    """Return the folder of the sparse model in a project, or the folder itself; None without."""
+    folders = [Path(os.path.normpath(path / place)) for place in PLACES]
+    return next((folder for folder in folders if is_model(folder)), None)
+
+
+def read_project(path: Path, images: Path | None, masks: Path | None) -> Project:
+    """Read the model and find its pictures.
+
+    Args:
+        path: the model's folder, or a project with ``sparse/0``, ``sparse`` or ``dense/sparse``.
+        images: folder of the photographs; None = ``images`` beside the model.
+        masks: folder of the masks; None = ``masks`` beside the model, if there is one.
+
+    Raises:
+        CaptureError: the model is missing or damaged, or a photograph is missing.
+    """
+    model = find_model(path)
+    if model is None:
+        raise CaptureError(f"{path}: no COLMAP model; expected cameras.bin or .txt in sparse/0.")
+    cameras, views = read_model(model)
+    images = images or _beside(model, IMAGES) or model / IMAGES
+    if not images.is_dir():
+        raise CaptureError(f"{images}: no such folder; give that of the photographs by --images.")
+    if masks is not None and not masks.is_dir():
+        raise CaptureError(f"{masks}: no such folder of masks.")
+    masks = masks or _beside(model, MASKS)
+    files = [inside(images, view.name, f"{model}: image {view.name!r}") for view in views]
+    missing = [file for file in files if not file.is_file()]
+    if missing:
+        raise CaptureError(
+            f"{images}: {len(missing)} of {len(files)} photographs are missing, "
+            f"{missing[0].relative_to(images)} first; give their folder by --images."
+        )
+    return Project(
+        model=model,
+        cameras=cameras,
+        views=views,
+        images=images,
+        photographs=files,
+        masks=[None if masks is None else _mask(masks, f.relative_to(images)) for f in files],
+    )
+
+
+def _beside(model: Path, name: str) -> Path | None:
+    """Return a folder in the model's own or one of the two above, as far as projects nest it."""
+    folders = [Path(os.path.normpath(model / up / name)) for up in (".", "..", "../..")]
+    return next((folder for folder in folders if folder.is_dir()), None)
+
+
+def _mask(folder: Path, name: Path) -> Path | None:
+    """Return the mask of an image: ``name.jpg.png``, ``name.jpg``, or ``name`` with any suffix."""
+    stems = [folder / name.with_suffix(suffix) for suffix in SUFFIXES]
+    names = (folder / f"{name}.png", folder / name, *stems)
+    return next((file for file in names if file.is_file()), None)

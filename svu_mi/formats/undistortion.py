@@ -1,0 +1,122 @@
+"""Straight lines for COLMAP's distorted cameras: photographs and masks resampled by pycolmap.
+
+It runs in a process of its own: it aborts on what it does not expect, and its copy of zlib must
+not meet that of Pillow. It gets nothing but a model with the cameras and poses that were read
+here, and pictures that were decoded here.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from PIL import Image
+
+from svu_mi.capture.picture import read_planes
+from svu_mi.errors import CaptureError, SvuEnvironmentError
+from svu_mi.files import prepare_folder, replacing_folder
+from svu_mi.formats.colmap_model import Camera, View, read_model, write_model
+from svu_mi.formats.colmap_project import IMAGES, MASKS, read_project
+
+KINDS = (".png", ".jpg", ".jpeg")  # COLMAP resamples eight bits
+# A JPEG file is compressed a second time.
+SCRIPT = "import sys, pycolmap; pycolmap.undistort_images(*sys.argv[1:], jpeg_quality=100)"
+LONGEST = 160  # letters of its reason, in a message
+
+
+def undistort(
+    path: Path, output: Path, *, images: Path | None = None, masks: Path | None = None
+) -> Path:
+    """Write an undistorted copy of a project, for ``read_colmap``.
+
+    Args:
+        path: as ``read_colmap``.
+        output: folder of the copy, with ``sparse``, ``images`` and ``masks``; empty, or made.
+        images: as ``read_colmap``.
+        masks: as ``read_colmap``; without any, alpha channels become masks.
+
+    Returns:
+        The folder of the copy.
+
+    Raises:
+        CaptureError: the model or a picture is missing or damaged, has another size than its
+            camera, or cannot be undistorted.
+        SvuEnvironmentError: pycolmap is not installed.
+        OutputError: the folder cannot be written, or holds other files.
+    """
+    if importlib.util.find_spec("pycolmap") is None:
+        raise SvuEnvironmentError(
+            "Photographs are undistorted by pycolmap, which is not installed: "
+            "pip install 'svu_mi[colmap]'."
+        )
+    project = read_project(path, images, masks)
+    views = [
+        replace(view, name=file.relative_to(project.images).as_posix())
+        for view, file in zip(project.views, project.photographs, strict=True)
+    ]
+    cameras = {view.camera: project.cameras[view.camera] for view in views}
+    with replacing_folder(output, lambda _: False) as made, TemporaryDirectory(dir=made) as name:
+        scratch = Path(name)
+        masked = []
+        for view, file, found in zip(views, project.photographs, project.masks, strict=True):
+            mask = _checked(cameras[view.camera], file, found)
+            if mask is not None:
+                masked.append(replace(view, name=f"{view.name}.png"))
+                target = scratch / MASKS / masked[-1].name
+                target.parent.mkdir(parents=True, exist_ok=True)
+                Image.fromarray(mask).save(target)
+        straight = _straightened(cameras, views, project.images, scratch / "photographs")
+        (straight / IMAGES).rename(made / IMAGES)
+        (straight / "sparse").rename(made / "sparse")
+        if masked:
+            straight = _straightened(cameras, masked, scratch / MASKS, scratch / "shapes")
+            (straight / IMAGES).rename(made / MASKS)
+    return output
+
+
+def _checked(camera: Camera, file: Path, mask: Path | None) -> np.ndarray | None:
+    """Read a photograph and return its mask, (H, W) uint8."""
+    if file.suffix.lower() not in KINDS:
+        raise CaptureError(
+            f"{file}: COLMAP undistorts {', '.join(KINDS)} alone; undistort the photographs first."
+        )
+    planes, _ = read_planes(file)
+    given = read_planes(mask)[0][0] if mask is not None else planes[3] if planes[3:] else None
+    for name, plane in ((file, planes[0]), (mask, given)):
+        if plane is not None and plane.shape != (camera.height, camera.width):
+            raise CaptureError(
+                f"{name}: has {plane.shape[1]} x {plane.shape[0]} pixels, but its camera "
+                f"{camera.width} x {camera.height}; give the photographs that COLMAP was run on."
+            )
+    return None if given is None else np.round(255 * np.clip(given, 0, 1)).astype(np.uint8)
+
+
+def _straightened(
+    cameras: Mapping[int, Camera], views: Sequence[View], pictures: Path, output: Path
+) -> Path:
+    """Run pycolmap; return its folder with ``images`` and ``sparse``."""
+    model = prepare_folder(output / "distorted")
+    write_model(model, cameras, views)
+    arguments = [str(folder.absolute()) for folder in (output, model, pictures)]
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", SCRIPT, *arguments],
+        capture_output=True, text=True, errors="replace",
+    )  # fmt: skip
+    if done.returncode != 0:
+        lines = done.stderr.strip().splitlines() or ["it was ended"]
+        reason = next((line for line in lines if "Check failed" in line), lines[-1])
+        raise CaptureError(
+            f"{pictures}: COLMAP cannot undistort these ({reason[-LONGEST:]}); check the cameras."
+        )
+    for camera in read_model(output / "sparse")[0].values():
+        if camera.pinhole() is None:
+            raise CaptureError(
+                f"{pictures}: COLMAP cannot undistort cameras of kind {camera.model}."
+            )
+    return output
