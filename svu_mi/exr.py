@@ -25,6 +25,8 @@ from svu_mi.files import replacing
 MAGIC = b"\x76\x2f\x31\x01"
 GROUPS = ("RGBA", "RGB")  # last part of a channel name that stands for several channels
 INT_LIMIT = 2**31
+MAX_SIDE = 2**17  # pixels
+MAX_RATIO, FREE = 2000, 2**26  # no lossless codec packs more; bytes that are no danger anyway
 
 
 def write_exr(
@@ -79,7 +81,7 @@ def read_exr(path: str | Path) -> dict[str, np.ndarray]:
         CaptureError: the file is missing, not an EXR, damaged, deep, or subsampled.
     """
     path = Path(path)
-    _check_magic(path)
+    exr_size(path)  # refuses a small file that would unpack to more than there is memory
     return {
         name: np.ascontiguousarray(pixels, np.float32)
         for name, pixels in _read_channels(path).items()
@@ -100,6 +102,33 @@ def read_attributes(path: str | Path) -> dict[str, str | int | float]:
     except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
         raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
     return {name: value for name, value in header.items() if isinstance(value, str | int | float)}
+
+
+def exr_size(path: str | Path) -> tuple[int, int]:
+    """Return (width, height) of the first part's data window.
+
+    Raises:
+        CaptureError: as ``read_exr``, or the header promises more pixels than the file can hold.
+    """
+    path = Path(path)
+    _check_magic(path)
+    try:
+        with _quiet, OpenEXR.File(str(path), header_only=True) as file:
+            header = dict(file.parts[0].header)
+        low, high = (np.array(corner, np.int64) for corner in header["dataWindow"])
+        width, height = (int(side) for side in high - low + 1)
+        channels = len(header["channels"])
+    except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
+        raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
+    unpacked = width * height * channels * 2
+    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE) or unpacked > max(
+        FREE, MAX_RATIO * path.stat().st_size
+    ):
+        raise CaptureError(
+            f"{path}: the header says {width} x {height} pixels, more than a file of "
+            f"{path.stat().st_size} bytes can hold; export it again."
+        )
+    return width, height
 
 
 def _planes(

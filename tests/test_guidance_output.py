@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import matplotlib
@@ -14,11 +15,12 @@ from matplotlib.figure import Figure
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
+from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import to_world
-from svu_mi.errors import CaptureError, OutputError
+from svu_mi.errors import OutputError
 from svu_mi.exr import read_attributes, read_exr
-from svu_mi.formats.transforms import read_transforms, write_transforms
+from svu_mi.formats.source import frame_of
+from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.options import UNITS
 from svu_mi.output import directions as sky
 from svu_mi.output import guidance_page
@@ -160,7 +162,7 @@ def test_any_film_comes_back(vase, tmp_path, film, kind):
     if kind == "sensors.xml":
         write_sensors(tmp_path / kind, [sensor], ["view_0007"])
     else:
-        write_transforms(tmp_path / kind, [sensor], ["view_0007.exr"])
+        write_transforms(tmp_path / kind, [frame_of(sensor, Path("view_0007.exr"))])
     (found,) = svu.Candidates.read(tmp_path / kind).sensors
     np.testing.assert_allclose(to_world(found), to_world(sensor), atol=POSE)
     np.testing.assert_allclose(rays(found), rays(sensor), atol=RAY)
@@ -243,69 +245,3 @@ def test_a_single_candidate_that_gains_nothing_is_drawn(vase, tmp_path):
     assert guidance.proposals[0].gain == 0
     write_guidance(vase.capture, vase.estimate, guidance, tmp_path)
     assert read_exr(tmp_path / "gain_0.exr")["Y"].max() == 0
-
-
-# --- transforms.json ----------------------------------------------------------------------
-
-
-GOOD = {"transform_matrix": np.eye(4).tolist(), "w": 8, "h": 6, "fl_x": 9.0}
-BROKEN = {
-    "no matrix": ({"transform_matrix": None}, "transform_matrix must be 4 x 4"),
-    "a small matrix": ({"transform_matrix": [[1, 0], [0, 1]]}, "must be 4 x 4, got \\(2, 2\\)"),
-    "words in the matrix": ({"transform_matrix": [["a"] * 4] * 4}, "a frame needs"),
-    "no focal length": ({"fl_x": "drop"}, "camera_angle_x"),
-    "no width": ({"w": "drop"}, "'w'.*a frame needs"),
-    "a width of none": ({"w": 0}, "must be positive"),
-    "a focal length of 0": ({"fl_x": 0}, "must be positive"),
-    "a focal length of nan": ({"fl_x": float("nan")}, "must be positive"),
-    "long pixels": ({"fl_y": 9.1}, "fl_x and fl_y differ"),
-    "a height of nan": ({"fl_y": float("nan")}, "fl_x and fl_y differ"),
-    "a height in words": ({"fl_y": "long"}, "a frame needs"),
-    "a bent lens": ({"k1": 0.02}, "undistort"),
-    "nan in the matrix": ({"transform_matrix": np.full((4, 4), np.nan).tolist()}, "NaN"),
-}
-
-
-@pytest.mark.parametrize("case", BROKEN)
-def test_a_broken_frame_is_named(tmp_path, case):
-    changes, sentence = BROKEN[case]
-    frame = {k: v for k, v in {**GOOD, **changes}.items() if v != "drop"}
-    path = tmp_path / "transforms.json"
-    path.write_text(json.dumps({"frames": [GOOD, frame]}))
-    with pytest.raises(CaptureError, match=sentence) as error:
-        read_transforms(path)
-    assert f"{path}: frame 1" in str(error.value)
-
-
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"frames": []}', '{"frames": {}}', "[" * 100_000])
-def test_no_poses_at_all(tmp_path, text):
-    (tmp_path / "poses.json").write_text(text)
-    with pytest.raises(CaptureError, match="poses.json: no"):
-        read_transforms(tmp_path / "poses.json")
-    with pytest.raises(CaptureError, match="none.json"):
-        read_transforms(tmp_path / "none.json")
-
-
-@pytest.mark.parametrize("frame", [None, 3, "view", [1, 2]])
-def test_a_frame_that_is_none(tmp_path, frame):
-    (tmp_path / "poses.json").write_text(json.dumps({"frames": [frame]}))
-    with pytest.raises(CaptureError, match="frame 0"):
-        read_transforms(tmp_path / "poses.json")
-
-
-def test_intrinsics_of_the_file_are_those_of_its_frames(tmp_path):
-    shared = {"w": 8, "h": 6, "camera_angle_x": np.radians(40), "fl_y": 4 / np.tan(np.radians(20))}
-    frames = [{"transform_matrix": np.eye(4)[:3].tolist()}, {**GOOD, "fl_y": 9.0}]
-    (tmp_path / "t.json").write_text(json.dumps({**shared, "frames": frames}))
-    first, second = (describe(sensor) for sensor in read_transforms(tmp_path / "t.json"))
-    assert first["x_fov"] == pytest.approx(40) and first["film"] == [8, 6]
-    assert second["x_fov"] == pytest.approx(2 * np.degrees(np.arctan(4 / 9)))
-    # OpenGL's camera looks along -Z, with +X to the right; ours along +Z, with +X to the left.
-    np.testing.assert_allclose(first["to_world"], np.diag([-1, 1, -1, 1]))
-
-
-def test_poses_of_a_sphere_come_back(vase, tmp_path):
-    sensors = sphere_sensors(vase.capture.shape, 7, (20, 10), up=(0, 0, 1), lowest=0.2)
-    write_transforms(tmp_path / "t.json", sensors, [f"{k}" for k in range(7)])
-    for a, b in zip(read_transforms(tmp_path / "t.json"), sensors, strict=True):
-        np.testing.assert_allclose(to_world(a), to_world(b), atol=POSE)

@@ -9,16 +9,14 @@ from pathlib import Path
 from typing import Literal
 
 import drjit as dr
-import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.block import allocate
+from svu_mi.capture.picture import SUFFIXES, decoded, read_planes
 from svu_mi.errors import CaptureError
-from svu_mi.exr import read_exr
 
 Missing = Literal["refuse", "leave out"]
 
-SUFFIXES = (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg")
 SATURATED = 0.98  # of an 8-bit photograph's encoded range; a clipped highlight is no measurement
 ON_OBJECT = 0.999  # alpha from which a pixel shows nothing but the object
 IN_MASK = 0.5  # the same for 8-bit masks, which say inside or outside, with noise if JPEG
@@ -118,7 +116,7 @@ def read_photographs(
 
 def _read_photograph(path: Path, room: np.ndarray, exposure: float) -> Photograph:
     """Read one photograph into ``room`` (H, W, 3)."""
-    planes, low_range = _read(path)
+    planes, low_range = read_planes(path)
     shape = planes[0].shape
     if shape != room.shape[:2]:
         raise CaptureError(
@@ -139,7 +137,7 @@ def _read_photograph(path: Path, room: np.ndarray, exposure: float) -> Photograp
 def _linearise(color: np.ndarray) -> int:
     """Decode sRGB in place, clipped pixels as NaN; return how many those are."""
     clipped = (color > SATURATED).any(axis=-1)
-    color[:] = _linear_from_srgb(color)
+    color[:] = decoded(color)
     color[clipped] = np.nan
     return int(clipped.sum())
 
@@ -163,35 +161,11 @@ def _mark(color: np.ndarray, exposure: float) -> tuple[int, bool]:
     return int(bad.sum()), not np.fmax.reduce(color, axis=None, initial=0) > 0
 
 
-def _read(path: Path) -> tuple[list[np.ndarray], bool]:
-    """Return three or four planes (H, W) as stored and whether they are 8-bit sRGB."""
-    if path.suffix.lower() == ".exr":
-        channels = read_exr(path)
-        grey = channels.get("Y")
-        found = [channels.get(name, grey) for name in "RGB"]
-        planes = [plane for plane in found if plane is not None]
-        if len(planes) < 3:
-            raise CaptureError(
-                f"{path}: expected the channels R, G, B (or Y), found {', '.join(channels)}."
-            )
-        return planes + ([channels["A"]] if "A" in channels else []), False
-    try:
-        bitmap = mi.Bitmap(str(path))
-    except Exception as error:  # Mitsuba raises RuntimeError for everything
-        raise CaptureError(f"{path}: not a readable image; write it again as EXR.") from error
-    values = np.array(bitmap)
-    values = values[..., None] if values.ndim == 2 else values
-    low_range = np.issubdtype(values.dtype, np.integer)
-    scale = np.float32(np.iinfo(values.dtype).max if low_range else 1)
-    planes = [values[..., k].astype(np.float32) / scale for k in range(values.shape[2])]
-    return planes if len(planes) >= 3 else planes[:1] * 3 + planes[1:], low_range
-
-
 def _mask_beside(path: Path, shape: tuple[int, ...]) -> np.ndarray | None:
     for suffix in SUFFIXES:
         candidate = path.with_name(path.stem.replace("view_", "mask_") + suffix)
         if candidate.is_file():
-            planes, low_range = _read(candidate)
+            planes, low_range = read_planes(candidate)
             values = planes[0]
             if values.shape != shape:
                 raise CaptureError(
@@ -200,10 +174,3 @@ def _mask_beside(path: Path, shape: tuple[int, ...]) -> np.ndarray | None:
                 )
             return values >= (IN_MASK if low_range else ON_OBJECT)
     return None
-
-
-def _linear_from_srgb(encoded: np.ndarray) -> np.ndarray:
-    """Invert the sRGB transfer function (IEC 61966-2-1)."""
-    low = encoded / 12.92
-    high = ((encoded + 0.055) / 1.055) ** 2.4
-    return np.where(encoded <= 0.04045, low, high).astype(np.float32)

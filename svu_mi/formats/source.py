@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
-Transfer = Literal["srgb", "gamma 2.2", "linear"]
+from svu_mi.capture.picture import Transfer
+from svu_mi.capture.poses import describe, film_size, focal_length, make_sensor
+from svu_mi.errors import CaptureError
 
 # Columns of a camera-to-world rotation that change their sign on the way to Mitsuba's camera:
 # +X left, +Y up, +Z forward. Each matrix is its own inverse.
@@ -30,9 +32,18 @@ ENVIRONMENT_AXES = {
 }
 
 
+MAX_DISTANCE = 1e9  # units; single precision is long lost there
+MAX_SIDE = 2**16  # pixels; no camera has more, a damaged file easily
+RIGID = 1e-3  # part by which the axes of a pose may fail to be orthogonal and of one length
+SQUARE = 1e-6  # part by which the focal lengths of square pixels may differ
+NEAR, FAR = 1e-4, 1e7  # clip planes: no file has any, nor the size of the scene
+
+
 @dataclass(frozen=True, kw_only=True)
 class Frame:
     """One photograph and its camera.
+
+    A pose with one scale for all axes loses it; float noise in its rotation is removed.
 
     Attributes:
         label: the file and frame, for messages, such as ``transforms.json: frame 3``.
@@ -57,6 +68,96 @@ class Frame:
     size: tuple[int, int]
     exposure: float = 1.0
     transfer: Transfer = "srgb"
+
+    def __post_init__(self) -> None:
+        """Refuse what is no camera.
+
+        Raises:
+            CaptureError: a number that is NaN, infinite or out of range, or a pose that is
+                mirrored or not rigid.
+        """
+        object.__setattr__(self, "to_world", _rigid(self.to_world, self.label))
+        if not all(1 <= side <= MAX_SIDE for side in self.size):
+            raise CaptureError(f"{self.label}: {self.size[0]} x {self.size[1]} pixels is no size.")
+        if not all(np.isfinite(f) and 1e-3 < f / max(self.size) < 1e6 for f in self.focal):
+            raise CaptureError(f"{self.label}: a focal length of {self.focal} pixels is none.")
+        if not all(abs(c) <= 1e3 * n for c, n in zip(self.center, self.size, strict=True)):
+            raise CaptureError(f"{self.label}: the principal point {self.center} is nowhere near.")
+        if not (np.isfinite(self.exposure) and self.exposure > 0):
+            raise CaptureError(f"{self.label}: an exposure of {self.exposure} is not positive.")
+
+    @property
+    def has_square_pixels(self) -> bool:
+        """Whether both focal lengths are the same."""
+        return abs(self.focal[1] / self.focal[0] - 1) <= SQUARE
+
+    def sensor(self) -> Any:
+        """Make the ``perspective`` sensor of this camera.
+
+        Raises:
+            CaptureError: the pixels are not square (see ``resampling.squared``).
+        """
+        if not self.has_square_pixels:
+            raise CaptureError(
+                f"{self.label}: fl_x and fl_y differ, so the pixels are not square; resample the "
+                "photograph, or import it with svu import, which does."
+            )
+        return make_sensor(
+            {
+                "to_world": self.to_world,
+                "x_fov": 2 * np.degrees(np.arctan(self.size[0] / 2 / self.focal[0])),
+                "principal_point_offset": [0.5 - self.center[k] / self.size[k] for k in (0, 1)],
+                "clip": [NEAR, FAR],
+                "film": self.size,
+                "crop_offset": [0, 0],
+                "crop_size": self.size,
+            },
+            self.label,
+        )
+
+
+def frame_of(sensor: Any, image: Path, **fields: Any) -> Frame:
+    """Return the frame of a ``perspective`` sensor; its crop window is the photograph.
+
+    Args:
+        sensor: the sensor.
+        image: its photograph, which need not exist.
+        fields: others of ``Frame``.
+    """
+    record, focal = describe(sensor), focal_length(sensor)
+    film, shift, crop = (record[k] for k in ("film", "principal_point_offset", "crop_offset"))
+    return Frame(**{
+        "label": image.name,
+        "image": image,
+        "to_world": np.array(record["to_world"]),
+        "focal": (focal, focal),
+        "center": tuple(film[k] * (0.5 - shift[k]) - crop[k] for k in (0, 1)),
+        "size": film_size(sensor),
+        **fields,
+    })  # fmt: skip
+
+
+def _rigid(matrix: np.ndarray, label: str) -> np.ndarray:
+    """Return the (4, 4) rotation and translation nearest to a pose, without its scale."""
+    if np.shape(matrix) != (4, 4) or not np.isfinite(matrix).all():
+        raise CaptureError(f"{label}: the pose is not a 4 x 4 matrix without NaN; export it again.")
+    if not np.allclose(matrix[3], [0, 0, 0, 1]):
+        raise CaptureError(f"{label}: the last row of the pose must be 0 0 0 1.")
+    if max(abs(matrix[:3, 3])) > MAX_DISTANCE:
+        raise CaptureError(f"{label}: the camera is {max(abs(matrix[:3, 3])):.2g} units away.")
+    rotation = np.array(matrix[:3, :3], np.float64)
+    scale = np.cbrt(np.linalg.det(rotation))
+    if scale < 0:
+        raise CaptureError(
+            f"{label}: the pose is mirrored (determinant < 0); export it from a right-handed "
+            "program, or negate one column."
+        )
+    left, _, right = np.linalg.svd(rotation)
+    if not np.allclose(left @ right * scale, rotation, atol=RIGID * scale) or scale == 0:
+        raise CaptureError(f"{label}: the pose is no rotation and translation; remove the shear.")
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = left @ right, matrix[:3, 3]
+    return result
 
 
 @dataclass(frozen=True, kw_only=True)

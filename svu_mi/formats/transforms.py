@@ -1,7 +1,8 @@
 """``transforms.json``: poses as NeRF tools, Blender and nerfstudio write and read them.
 
-There, camera space is +X right, +Y up, and the camera looks along -Z (OpenGL); here it is +X
-left, +Y up, +Z forward (Mitsuba): two columns change their sign. World space is the scene's own.
+There, camera space is +X right, +Y up, and the camera looks along -Z (``OPENGL``). World space is
+the scene's own; Blender's and nerfstudio's have +Z up. The keys are nerfstudio's:
+https://docs.nerf.studio/quickstart/data_conventions.html
 """
 
 from __future__ import annotations
@@ -13,110 +14,157 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.poses import describe, film_size, focal_length, make_sensor
-from svu_mi.capture.scene import check_sensor
+from svu_mi.capture.picture import SUFFIXES, image_size
 from svu_mi.errors import CaptureError
 from svu_mi.files import read_json, replacing
+from svu_mi.formats.paths import inside
+from svu_mi.formats.source import OPENGL, Frame, Source
 
-FLIP = np.diag([-1.0, 1.0, -1.0, 1.0])
-SQUARE = 1e-3  # part by which the focal lengths of x and y may differ
-NEAR, FAR = 1e-4, 1e7  # clip planes: the file has none, nor the size of the scene
+FILE = "transforms.json"
+DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
-def write_transforms(path: str | Path, sensors: Sequence[Any], names: Sequence[str]) -> None:
-    """Write sensors as ``transforms.json``, with intrinsics per frame.
+def read_transforms(path: str | Path, *, original_world: bool = False) -> Source:
+    """Read poses, intrinsics and the names of photographs and masks.
+
+    Intrinsics are taken from the frame, or else from the file: ``fl_x`` (or ``camera_angle_x``,
+    the opening angle in radians), ``fl_y``, ``cx``, ``cy`` (the centre by default), ``w``, ``h``
+    (by default those of the photograph). ``exposure`` is a gain per frame, ours. A
+    ``file_path`` without extension is looked for with each that photographs may have.
 
     Args:
         path: the file.
-        sensors: V perspective sensors.
-        names: V names of photographs, which need not exist.
+        original_world: undo nerfstudio's ``applied_transform``, so that poses are those of the
+            world before it, which a mesh from the photogrammetry tool is in.
 
     Raises:
-        OutputError: the file cannot be written.
-    """
-    frames = [
-        {"file_path": name, **_intrinsics(sensor), "transform_matrix": _opengl(sensor)}
-        for sensor, name in zip(sensors, names, strict=True)
-    ]
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps({"frames": frames}, indent=1) + "\n", encoding="utf-8")
-
-
-def read_transforms(path: str | Path) -> tuple[Any, ...]:
-    """Read sensors from ``transforms.json``.
-
-    Intrinsics are taken from the frame, or else from the file: ``fl_x`` (or ``camera_angle_x``,
-    the opening angle in radians), ``cx``, ``cy`` (the centre by default), ``w``, ``h``.
-
-    Raises:
-        CaptureError: the file is no such JSON, a frame lacks something, or its pixels are not
-            square or its lens not straight.
-        SceneError: a pose is mirrored, or no rotation.
+        CaptureError: the file is no such JSON, a frame lacks something, names a file outside
+            the folder, or its lens is not straight, or its pose mirrored.
     """
     path = Path(path)
     record = read_json(path)
     frames = record.get("frames") if isinstance(record, dict) else None
     if not isinstance(frames, list) or not frames:
         raise CaptureError(f'{path}: no poses; expected a list "frames" with transform_matrix.')
-    made = []
-    for index, frame in enumerate(frames):
-        label = f"{path}: frame {index}"
-        made.append(_sensor(record, frame, label))
-        check_sensor(made[-1], label)
-    return tuple(made)
-
-
-def _intrinsics(sensor: Any) -> dict[str, Any]:
-    record, (width, height) = describe(sensor), film_size(sensor)
-    film, offset, crop = (record[k] for k in ("film", "principal_point_offset", "crop_offset"))
-    focal = focal_length(sensor)
-    center = [film[k] / 2 - offset[k] * film[k] - crop[k] for k in range(2)]
-    return {"fl_x": focal, "fl_y": focal, "cx": center[0], "cy": center[1],
-            "w": width, "h": height}  # fmt: skip
-
-
-def _opengl(sensor: Any) -> list[list[float]]:
-    return (np.array(describe(sensor)["to_world"]) @ FLIP).tolist()
-
-
-def _sensor(record: Mapping[str, Any], frame: Any, label: str) -> Any:
-    try:
-        known = {**record, **frame}
-        matrix = np.array(known["transform_matrix"], np.float64)
-        if matrix.shape not in ((4, 4), (3, 4)):
-            raise CaptureError(f"{label}: transform_matrix must be 4 x 4, got {matrix.shape}.")
-        matrix = np.vstack([matrix[:3], [0, 0, 0, 1]])
-        size = [int(known["w"]), int(known["h"])]
-        focal = _focal(known, size)
-        upright = float(known.get("fl_y", focal))
-        center = [float(known.get("cx", size[0] / 2)), float(known.get("cy", size[1] / 2))]
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise CaptureError(
-            f"{label}: {error!r}; a frame needs transform_matrix, w, h, and fl_x or camera_angle_x."
-        ) from error
-    if not (np.isfinite(focal) and focal > 0 and min(size) > 0):
-        raise CaptureError(f"{label}: focal length and size must be positive.")
-    if not abs(upright / focal - 1) <= SQUARE:  # NaN fails, too
-        raise CaptureError(f"{label}: fl_x and fl_y differ; resample to square pixels.")
-    if "FISHEYE" in str(known.get("camera_model", "")).upper():
-        raise CaptureError(f"{label}: a fisheye is no pinhole; undistort the photographs first.")
-    if any(known.get(key) for key in ("k1", "k2", "k3", "k4", "p1", "p2")):
-        raise CaptureError(f"{label}: the lens is distorted; undistort the photographs first.")
-    return make_sensor(
-        {
-            "to_world": matrix @ FLIP,
-            "x_fov": 2 * np.degrees(np.arctan(size[0] / 2 / focal)),
-            "principal_point_offset": [0.5 - center[k] / size[k] for k in range(2)],
-            "clip": [NEAR, FAR],
-            "film": size,
-            "crop_offset": [0, 0],
-            "crop_size": size,
-        },
-        label,
+    applied = _applied(record, path)
+    before = np.linalg.inv(applied) if original_world else np.eye(4)
+    kept = not original_world and not np.allclose(applied, np.eye(4))
+    note = (
+        f"{path}: has an applied_transform; poses are taken as they stand, in the world after it. "
+        "If the mesh is in the world before, import with --original-world."
+    )
+    return Source(
+        format="transforms",
+        root=path.parent,
+        frames=tuple(
+            _frame(record, frame, path.parent, f"{path}: frame {index}", before)
+            for index, frame in enumerate(frames)
+        ),
+        camera_axes=OPENGL,
+        notes=(note,) if kept else (),
     )
 
 
-def _focal(known: Mapping[str, Any], size: list[int]) -> float:
+def write_transforms(path: str | Path, frames: Sequence[Frame]) -> None:
+    """Write frames as ``transforms.json``, with intrinsics per frame.
+
+    Args:
+        path: the file.
+        frames: V of them; photographs and masks in the file's folder are named relative to it,
+            others by their name alone, and need not exist.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    root = Path(path).parent
+    records = [_record(frame, root) for frame in frames]
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps({"frames": records}, indent=1) + "\n", encoding="utf-8")
+
+
+def _record(frame: Frame, root: Path) -> dict[str, Any]:
+    def name(file: Path) -> str:
+        return file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
+
+    return {
+        "file_path": name(frame.image),
+        **({} if frame.mask is None else {"mask_path": name(frame.mask)}),
+        **({} if frame.exposure == 1 else {"exposure": frame.exposure}),
+        "fl_x": frame.focal[0], "fl_y": frame.focal[1],
+        "cx": frame.center[0], "cy": frame.center[1],
+        "w": frame.size[0], "h": frame.size[1],
+        "transform_matrix": (frame.to_world @ OPENGL).tolist(),
+    }  # fmt: skip
+
+
+def _applied(record: Mapping[str, Any], path: Path) -> np.ndarray:
+    """Return nerfstudio's ``applied_transform`` as a (4, 4) matrix."""
+    given = record.get("applied_transform", np.eye(4)[:3].tolist())
+    try:
+        return _matrix(given)
+    except (TypeError, ValueError) as error:
+        raise CaptureError(f"{path}: applied_transform must be 3 x 4 numbers.") from error
+
+
+def _matrix(value: Any) -> np.ndarray:
+    matrix = np.array(value, np.float64)
+    if matrix.shape not in ((4, 4), (3, 4)):
+        raise ValueError(f"transform_matrix of shape {matrix.shape}")
+    return np.vstack([matrix[:3], [0, 0, 0, 1]])
+
+
+def _frame(
+    record: Mapping[str, Any], given: Any, root: Path, label: str, before: np.ndarray
+) -> Frame:
+    try:
+        known = {**record, **given}
+        matrix = _matrix(known["transform_matrix"])
+        image = _image(root, known.get("file_path"), label)
+        masked = known.get("mask_path")
+        mask = None if masked is None else inside(root, masked, label)
+        size = _size(known, image)
+        fl_x = _focal(known, size)
+        fl_y = float(known.get("fl_y", fl_x))
+        center = (float(known.get("cx", size[0] / 2)), float(known.get("cy", size[1] / 2)))
+        exposure = float(known.get("exposure", 1.0))
+    except (KeyError, TypeError, ValueError, OverflowError, ZeroDivisionError) as error:
+        raise CaptureError(
+            f"{label}: {error!r}; a frame needs transform_matrix, w, h, and fl_x or camera_angle_x."
+        ) from error
+    if "FISHEYE" in str(known.get("camera_model", "")).upper():
+        raise CaptureError(f"{label}: a fisheye is no pinhole; undistort the photographs first.")
+    if any(known.get(key) for key in DISTORTION):
+        raise CaptureError(f"{label}: the lens is distorted; undistort the photographs first.")
+    return Frame(
+        label=label,
+        image=image,
+        mask=mask,
+        to_world=before @ matrix @ OPENGL,
+        focal=(fl_x, fl_y),
+        center=center,
+        size=size,
+        exposure=exposure,
+    )
+
+
+def _size(known: Mapping[str, Any], image: Path) -> tuple[int, int]:
+    if "w" not in known and "h" not in known and image.is_file():
+        return image_size(image)
+    return int(known["w"]), int(known["h"])
+
+
+def _focal(known: Mapping[str, Any], size: tuple[int, int]) -> float:
     if "fl_x" in known:
         return float(known["fl_x"])
     return float(size[0] / 2 / np.tan(float(known["camera_angle_x"]) / 2))
+
+
+def _image(root: Path, given: Any, label: str) -> Path:
+    """Return the photograph of a frame; poses alone name none."""
+    if given is None:
+        return root / "none"
+    path = inside(root, given, label)
+    if path.suffix.lower() in SUFFIXES:
+        return path
+    found = (path.with_name(path.name + suffix) for suffix in SUFFIXES)
+    return next((file for file in found if file.is_file()), path)

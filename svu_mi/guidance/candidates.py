@@ -136,7 +136,7 @@ class Candidates:
             description = capture_folder.read(path.parent)
             assert description is not None
             return Candidates.of(description.make_sensors(path))
-        return Candidates.of(read_transforms(path))
+        return Candidates.of([frame.sensor() for frame in read_transforms(path).frames])
 
     def restricted(self, reachable: Any) -> Candidates:
         """Return the candidates with some out of reach.

@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Comment, Element
 
 import numpy as np
 from PIL import Image
 
 import svu_mi
+from svu_mi.capture import nodes
 from svu_mi.capture.poses import describe
 from svu_mi.exr import write_exr
 from svu_mi.files import prepare_folder, replacing
+from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.options import UNITS
-from svu_mi.output import scene_nodes as nodes
 from svu_mi.output.directions import UP
 from svu_mi.output.guidance_page import gain_picture, write_guidance_overview
 from svu_mi.output.manifest import environment_record, guidance_record, write_manifest
@@ -63,7 +62,8 @@ def write_guidance(
     report = progress or _say_nothing
     _remove_stale(folder)
     names, sensors = file_names(capture, guidance), [p.sensor for p in guidance.proposals]
-    write_transforms(folder / POSES, sensors, names)
+    frames = [frame_of(s, Path(name)) for s, name in zip(sensors, names, strict=True)]
+    write_transforms(folder / POSES, frames)
     write_sensors(folder / SENSORS, sensors, [Path(name).stem for name in names])
     write_manifest(folder / PLAN, plan(capture, estimate, guidance))
     report(1, 4)
@@ -146,13 +146,9 @@ def write_sensors(path: str | Path, sensors: Sequence[Any], names: Sequence[str]
     Raises:
         OutputError: the file cannot be written.
     """
-    root = Element("scene", version="3.0.0")
-    root.append(Comment(f" Written by svu_mi {svu_mi.__version__}; needs nothing but Mitsuba. "))
-    ElementTree.SubElement(root, "default", name="spp", value=str(SAMPLES))
+    root = nodes.scene()
     root.extend(nodes.sensor(s, name) for s, name in zip(sensors, names, strict=True))
-    ElementTree.indent(root)
-    with replacing(path) as temporary:
-        temporary.write_text(ElementTree.tostring(root, "unicode") + "\n", encoding="utf-8")
+    nodes.write_document(root, Path(path))
 
 
 def _ranked(guidance: Any) -> list[dict[str, Any]]:

@@ -1,15 +1,9 @@
-"""Live Mitsuba objects as nodes of a scene file.
-
-``mi.parser.write_file`` writes what a scene was parsed from; a live scene has none of that, and
-may never have been a file. So the few plugins that a capture consists of are written by hand,
-from what ``mi.traverse`` says of them, with ids, which that function leaves out.
-"""
+"""Live lights and materials as nodes of a scene file, from what ``mi.traverse`` says of them."""
 
 from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -17,66 +11,20 @@ from xml.etree.ElementTree import Element, SubElement
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.poses import describe
+from svu_mi.capture.nodes import bitmap, plugin, put, text_of
 from svu_mi.capture.repaint import is_two_sided
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import SvuWarning
 from svu_mi.exr import write_exr
 from svu_mi.recovery.relight import path_length
 
-FILTERS = {
-    "BoxFilter": "box", "TentFilter": "tent", "GaussianFilter": "gaussian",
-    "MitchellNetravaliFilter": "mitchell", "CatmullRomFilter": "catmullrom",
-    "LanczosSincFilter": "lanczos",
-}  # fmt: skip
 MATERIALS = {"Principled": "principled", "SmoothDiffuse": "diffuse"}
 GREY = 0.5  # reflectance of a shape whose material cannot be written
-
-
-def plugin(tag: str, kind: str, name: str | None = None, *, id: str | None = None) -> Element:
-    """Return ``<tag type="kind" name="name" id="id"/>``."""
-    attributes = {"type": kind, "name": name, "id": None if id is None else _legal(id)}
-    return Element(tag, {key: value for key, value in attributes.items() if value is not None})
-
-
-def put(parent: Element, **properties: Any) -> Element:
-    """Add properties by name: text, bool, int, float, three floats (rgb), or a 4 x 4 matrix.
-
-    Returns:
-        ``parent``.
-    """
-    for name, value in properties.items():
-        tag, text = _property(value)
-        if tag == "transform":
-            SubElement(SubElement(parent, tag, name=name), "matrix", value=text)
-        else:
-            SubElement(parent, tag, name=name, value=text)
-    return parent
 
 
 def integrator(scene: Any) -> Element:
     """Return ``path``, with paths as long as those of the scene's own integrator."""
     return put(plugin("integrator", "path"), max_depth=path_length(scene))
-
-
-def sensor(camera: Any, name: str) -> Element:
-    """Return a perspective sensor, in floats that read back as they are."""
-    record = describe(camera)
-    node = plugin("sensor", "perspective", id=name)
-    put(node, to_world=np.array(record["to_world"]), fov=record["x_fov"], fov_axis="x")
-    put(node, near_clip=record["clip"][0], far_clip=record["clip"][1])
-    shift_x, shift_y = record["principal_point_offset"]
-    put(node, principal_point_offset_x=shift_x, principal_point_offset_y=shift_y)
-    film = plugin("film", "hdrfilm")
-    put(film, width=record["film"][0], height=record["film"][1])
-    put(film, crop_offset_x=record["crop_offset"][0], crop_offset_y=record["crop_offset"][1])
-    put(film, crop_width=record["crop_size"][0], crop_height=record["crop_size"][1])
-    put(film, pixel_format="rgb", component_format="float32")
-    film.append(plugin("rfilter", FILTERS.get(camera.film().rfilter().class_name(), "box")))
-    sampler = plugin("sampler", "independent")
-    SubElement(sampler, "integer", name="sample_count", value="$spp")
-    node.extend([film, sampler])
-    return node
 
 
 def light(emitter: Any, folder: Path, assets: str) -> Element:
@@ -110,7 +58,7 @@ def _sunsky(emitter: Any, params: Any, name: str) -> Element:
         put(node, **{key: _numbers(params, key)})
     # In world space, whatever to_world is, here and in the file.
     sun = np.array(params["sun_direction"], np.float64).ravel()
-    SubElement(node, "vector", name="sun_direction", value=_text(sun))
+    SubElement(node, "vector", name="sun_direction", value=text_of(sun))
     for key, label in (("sun_aperture", "Sun aperture"), ("complex_sun", "Complex sun model")):
         found = re.search(rf"{label} = (\S+)", str(emitter))  # not among its parameters
         if found is not None:
@@ -196,12 +144,6 @@ def _bitmap(name: str, pixels: np.ndarray, folder: Path, file: str) -> Element:
     return bitmap(name, file)
 
 
-def bitmap(name: str, file: str, *, wrap: str = "repeat", id: str | None = None) -> Element:
-    """Return a texture of values that are taken as they are."""
-    node = plugin("texture", "bitmap", name, id=id)
-    return put(node, filename=file, raw=True, filter_type="bilinear", wrap_mode=wrap)
-
-
 def _numbers(params: Any, name: str) -> Any:
     """Return a parameter, whether it is a number or a spectrum of one or three."""
     return _plain(params[name] if name in params else params[f"{name}.value"])
@@ -210,27 +152,3 @@ def _numbers(params: Any, name: str) -> Any:
 def _plain(value: Any) -> Any:
     flat = [float(v) for v in np.array(value, np.float64).ravel()]
     return flat[0] if len(flat) == 1 else flat
-
-
-def _property(value: Any) -> tuple[str, str]:
-    if isinstance(value, bool):
-        return "boolean", "true" if value else "false"
-    if isinstance(value, int):
-        return "integer", str(value)
-    if isinstance(value, str):
-        return "string", value
-    if isinstance(value, Sequence):
-        return "rgb", _text(value)
-    if np.ndim(value) == 2:
-        return "transform", _text(np.ravel(value))
-    return "float", repr(float(value))
-
-
-def _text(values: Any) -> str:
-    # Seventeen digits: a double reads back as it was.
-    return " ".join(repr(float(value)) for value in values)
-
-
-def _legal(name: str) -> str:
-    """Return an id that Mitsuba takes: it keeps leading underscores and dots for itself."""
-    return re.sub(r"[^\w-]", "_", name).lstrip("_") or "node"

@@ -6,26 +6,23 @@ import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Comment, Element
+from xml.etree.ElementTree import Comment
 
 import mitsuba as mi
 import numpy as np
 
-import svu_mi
-from svu_mi.capture import Capture
+from svu_mi.capture import Capture, nodes
 from svu_mi.capture.mesh import arrays, make
 from svu_mi.capture.repaint import is_same, is_two_sided
 from svu_mi.errors import SvuWarning
 from svu_mi.files import prepare_folder, replacing
-from svu_mi.output import scene_nodes as nodes
+from svu_mi.output import scene_nodes
 from svu_mi.output.textures import FILES, write_textures
 from svu_mi.recovery.textures import Textures
 
 SCENE = "recovered.xml"
 ASSETS = "assets"
 ANALYTIC = {"Sphere": "sphere", "Disk": "disk", "Cylinder": "cylinder"}
-SAMPLES = 64
 SPECULAR = 0.5  # of the principled BSDF: F0 = 0.04, as recovery takes it to be
 WRAP = "repeat"  # a chart that goes around closes without a seam
 
@@ -59,19 +56,15 @@ def write_scene(
     folder = prepare_folder(folder)
     prepare_folder(folder / ASSETS)
     write_textures(textures, folder, attributes)
-    root = Element("scene", version="3.0.0")
-    root.append(Comment(f" Written by svu_mi {svu_mi.__version__}; needs nothing but Mitsuba. "))
-    ElementTree.SubElement(root, "default", name="spp", value=str(SAMPLES))
-    root.append(nodes.integrator(capture.scene))
+    root = nodes.scene()
+    root.append(scene_nodes.integrator(capture.scene))
     light = next(e for e in capture.scene.emitters() if e.is_environment())
-    root.append(nodes.light(light, folder, ASSETS))
+    root.append(scene_nodes.light(light, folder, ASSETS))
     root.append(_object(capture, folder))
     others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
     root.extend(_other(shape, folder, f"{ASSETS}/other_{k}") for k, shape in enumerate(others))
     root.extend(nodes.sensor(s, f"view_{k:04d}") for k, s in enumerate(capture.sensors))
-    ElementTree.indent(root)
-    with replacing(folder / SCENE) as temporary:
-        temporary.write_text(ElementTree.tostring(root, "unicode") + "\n", encoding="utf-8")
+    nodes.write_document(root, folder / SCENE)
     return folder / SCENE
 
 
@@ -109,7 +102,7 @@ def _other(shape: Any, folder: Path, stem: str) -> Any:
             stacklevel=4,
         )
         return Comment(f" Left out: {shape.class_name()} ")
-    node.append(nodes.material(shape.bsdf(), folder, stem))
+    node.append(scene_nodes.material(shape.bsdf(), folder, stem))
     return node
 
 

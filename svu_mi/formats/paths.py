@@ -1,0 +1,55 @@
+"""Names of files as other people's files give them: only those inside the source are followed."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
+
+from svu_mi.errors import CaptureError
+
+LONGEST = 255  # bytes of one part of a path, on every common file system
+DEEPEST = 32  # parts
+SHOWN = 60  # characters of a name in a message
+
+
+def inside(root: Path, name: Any, label: str) -> Path:
+    r"""Return the path of a file that is named relative to a folder; it need not exist.
+
+    ``\`` separates folders, too, as Windows' tools write it. Links are followed when the file is
+    opened: whoever made the folder has made them.
+
+    Args:
+        root: the folder.
+        name: what the file says.
+        label: the file and frame, for the message.
+
+    Raises:
+        CaptureError: the name is no text, absolute, leaves the folder by ``..``, names the folder
+            itself, or is none that a file system takes.
+    """
+    if not isinstance(name, str):
+        raise CaptureError(f"{label}: a file's name must be text, got {_shown(name)}.")
+    parts = PurePosixPath(os.path.normpath(name.replace("\\", "/"))).parts
+    if PureWindowsPath(name).drive or name.startswith(("/", "\\")) or ".." in parts[:1]:
+        raise CaptureError(
+            f"{label}: {_shown(name)} lies outside {root}; put the file in there and name it "
+            "relative to that folder."
+        )
+    if not name or not parts or not _is_usable(parts):
+        raise CaptureError(f"{label}: {_shown(name)} is no file's name.")
+    return root.joinpath(*parts)
+
+
+def _is_usable(parts: tuple[str, ...]) -> bool:
+    """Whether the operating system can be asked for a file of this name."""
+    try:
+        sizes = [len(os.fsencode(part)) for part in parts]
+    except UnicodeEncodeError:  # half a surrogate pair, which JSON can spell
+        return False
+    return max(sizes) <= LONGEST and len(parts) <= DEEPEST and "\0" not in "".join(parts)
+
+
+def _shown(name: Any) -> str:
+    text = ascii(name) if isinstance(name, str) else f"a {type(name).__name__}"
+    return text if len(text) <= SHOWN else text[:SHOWN] + "..."

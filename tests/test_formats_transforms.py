@@ -1,0 +1,140 @@
+"""transforms.json: what NeRF tools, Blender and nerfstudio write, and what they get wrong."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from svu_mi.capture.poses import describe
+from svu_mi.errors import CaptureError
+from svu_mi.formats.source import OPENGL, Frame
+from svu_mi.formats.transforms import read_transforms, write_transforms
+
+GOOD = {"transform_matrix": np.eye(4).tolist(), "w": 8, "h": 6, "fl_x": 9.0}
+BROKEN = {
+    "no matrix": ({"transform_matrix": None}, "a frame needs"),
+    "a small matrix": ({"transform_matrix": [[1, 0], [0, 1]]}, "a frame needs"),
+    "words in the matrix": ({"transform_matrix": [["a"] * 4] * 4}, "a frame needs"),
+    "no focal length": ({"fl_x": "drop"}, "camera_angle_x"),
+    "no width": ({"w": "drop"}, "'w'.*a frame needs"),
+    "a width of none": ({"w": 0}, "is no size"),
+    "a focal length of 0": ({"fl_x": 0}, "focal length"),
+    "a focal length of nan": ({"fl_x": float("nan")}, "focal length"),
+    "a height of nan": ({"fl_y": float("nan")}, "focal length"),
+    "a height in words": ({"fl_y": "long"}, "a frame needs"),
+    "a bent lens": ({"k1": 0.02}, "undistort"),
+    "nan in the matrix": ({"transform_matrix": np.full((4, 4), np.nan).tolist()}, "NaN"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_broken_frame_is_named(tmp_path, case):
+    changes, sentence = BROKEN[case]
+    frame = {k: v for k, v in {**GOOD, **changes}.items() if v != "drop"}
+    path = tmp_path / "transforms.json"
+    path.write_text(json.dumps({"frames": [GOOD, frame]}))
+    with pytest.raises(CaptureError, match=sentence) as error:
+        read_transforms(path)
+    assert f"{path}: frame 1" in str(error.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"frames": []}', '{"frames": {}}', "[" * 100_000])
+def test_no_poses_at_all(tmp_path, text):
+    (tmp_path / "poses.json").write_text(text)
+    with pytest.raises(CaptureError, match="poses.json: no"):
+        read_transforms(tmp_path / "poses.json")
+    with pytest.raises(CaptureError, match="none.json"):
+        read_transforms(tmp_path / "none.json")
+
+
+@pytest.mark.parametrize("frame", [None, 3, "view", [1, 2]])
+def test_a_frame_that_is_none(tmp_path, frame):
+    (tmp_path / "poses.json").write_text(json.dumps({"frames": [frame]}))
+    with pytest.raises(CaptureError, match="frame 0"):
+        read_transforms(tmp_path / "poses.json")
+
+
+def test_intrinsics_of_the_file_are_those_of_its_frames(tmp_path):
+    shared = {"w": 8, "h": 6, "camera_angle_x": np.radians(40), "fl_y": 4 / np.tan(np.radians(20))}
+    frames = [{"transform_matrix": np.eye(4)[:3].tolist()}, {**GOOD, "fl_y": 9.0}]
+    (tmp_path / "t.json").write_text(json.dumps({**shared, "frames": frames}))
+    first, second = (describe(f.sensor()) for f in read_transforms(tmp_path / "t.json").frames)
+    assert first["x_fov"] == pytest.approx(40) and first["film"] == [8, 6]
+    assert second["x_fov"] == pytest.approx(2 * np.degrees(np.arctan(4 / 9)))
+    # OpenGL's camera looks along -Z, with +X to the right; ours along +Z, with +X to the left.
+    np.testing.assert_allclose(first["to_world"], np.diag([-1, 1, -1, 1]))
+
+
+def turned(seed: int) -> np.ndarray:
+    """A random rotation and translation."""
+    rng = np.random.default_rng(seed)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    matrix[:3, 0] *= np.linalg.det(matrix[:3, :3])
+    matrix[:3, 3] = rng.normal(size=3)
+    return matrix
+
+
+def frame(tmp_path, seed: int, **fields: object) -> Frame:
+    return Frame(**{
+        "label": "frame", "image": tmp_path / "images" / f"{seed}.png", "to_world": turned(seed),
+        "focal": (900.0, 700.0), "center": (130.5, 80.25), "size": (320, 200), **fields,
+    })  # fmt: skip
+
+
+def test_frames_come_back_as_they_were(tmp_path):
+    given = [
+        frame(tmp_path, 1718),
+        frame(tmp_path, 5391, mask=tmp_path / "masks" / "5391.png", exposure=0.25),
+    ]
+    write_transforms(tmp_path / "transforms.json", given)
+    source = read_transforms(tmp_path / "transforms.json")
+    assert source.root == tmp_path and source.notes == ()
+    for found, wanted in zip(source.frames, given, strict=True):
+        np.testing.assert_allclose(found.to_world, wanted.to_world, atol=1e-12)
+        for name in ("image", "mask", "focal", "center", "size", "exposure"):
+            assert getattr(found, name) == getattr(wanted, name)
+
+
+def test_a_name_without_extension_is_looked_for(tmp_path):
+    (tmp_path / "train").mkdir()
+    (tmp_path / "train" / "r_0.png").write_bytes(b"")
+    frame = {**GOOD, "file_path": "./train/r_0"}
+    (tmp_path / "t.json").write_text(json.dumps({"frames": [frame]}))
+    (found,) = read_transforms(tmp_path / "t.json").frames
+    assert found.image == tmp_path / "train" / "r_0.png"
+
+
+@pytest.mark.parametrize("name", ["../a.png", "/etc/passwd", "C:\\a.png", "x/../../a.png", 3])
+def test_photographs_elsewhere_are_refused(tmp_path, name):
+    (tmp_path / "t.json").write_text(json.dumps({"frames": [{**GOOD, "file_path": name}]}))
+    with pytest.raises(CaptureError, match="frame 0"):
+        read_transforms(tmp_path / "t.json")
+
+
+def test_a_transform_that_nerfstudio_applied_is_told_or_undone(tmp_path):
+    applied = turned(94)
+    record = {"applied_transform": applied[:3].tolist()}
+    frame = {**GOOD, "transform_matrix": (applied @ turned(7) @ OPENGL).tolist()}
+    (tmp_path / "t.json").write_text(json.dumps({**record, "frames": [frame]}))
+    kept = read_transforms(tmp_path / "t.json")
+    assert "applied_transform" in kept.notes[0]
+    np.testing.assert_allclose(kept.frames[0].to_world, applied @ turned(7), atol=1e-12)
+    undone = read_transforms(tmp_path / "t.json", original_world=True)
+    np.testing.assert_allclose(undone.frames[0].to_world, turned(7), atol=1e-12)
+
+
+def test_a_scale_in_a_pose_is_dropped_and_a_mirror_refused(tmp_path):
+    scaled = turned(31) @ np.diag([2.5, 2.5, 2.5, 1])
+    np.testing.assert_allclose(frame(tmp_path, 1, to_world=scaled).to_world, turned(31), atol=1e-12)
+    with pytest.raises(CaptureError, match="mirrored"):
+        frame(tmp_path, 1, to_world=turned(31) @ np.diag([1, 1, -1, 1]))
+    with pytest.raises(CaptureError, match="shear"):
+        frame(tmp_path, 1, to_world=turned(31) @ np.diag([1, 2, 1, 1]))
+
+
+def test_pixels_that_are_not_square_make_no_sensor(tmp_path):
+    with pytest.raises(CaptureError, match="not square"):
+        frame(tmp_path, 2).sensor()
