@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import secrets
+import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,39 @@ def replacing(path: str | Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def replacing_folder(folder: str | Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]:
+    """Give a new, empty folder that becomes ``folder`` when the block succeeds.
+
+    Args:
+        folder: the name it gets; its parents are made.
+        may_replace: whether a folder of that name that is not empty may be replaced.
+
+    Raises:
+        OutputError: it cannot be made, or one is there that must not be replaced.
+    """
+    folder = Path(folder).absolute()
+    prepare_folder(folder.parent)
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"{folder}: is a file, not a folder; choose another folder.")
+    if folder.is_dir() and any(folder.iterdir()) and not may_replace(folder):
+        raise OutputError(f"{folder}: holds other files; choose another folder, or empty it.")
+    made, old = (
+        folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.{what}") for what in ("tmp", "old")
+    )
+    try:
+        made.mkdir()
+        yield made
+        if folder.exists():
+            folder.rename(old)
+        made.rename(folder)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written ({_reason(folder, error)}).") from error
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
 
 
 def _reason(path: Path, error: OSError) -> str:

@@ -344,7 +344,7 @@ def test_factors_without_textures(tmp_path):
 
 def test_glb_files_that_are_refused(tmp_path):
     (tmp_path / "bad.glb").write_bytes(b"not a GLB")
-    with pytest.raises(MeshError, match="bad.glb: cannot be read"):
+    with pytest.raises(MeshError, match="bad.glb: not a readable mesh"):
         convert_glb(tmp_path / "bad.glb", tmp_path / "c")
     trimesh.creation.box().export(tmp_path / "plain.glb")
     with pytest.raises(MeshError, match="plain.glb: a mesh has no UVs"):

@@ -29,6 +29,7 @@ class Description:
         shape: id of the target, None = the only candidate.
         exposures: one gain per view, empty = all 1.
         sensors: descriptions of the sensors, empty = those of the scene.
+        imported: what it was imported from, and how; empty = it was not.
     """
 
     scene: Path | None = None
@@ -36,6 +37,7 @@ class Description:
     shape: str | None = None
     exposures: Sequence[float] = ()
     sensors: Sequence[Mapping[str, Any]] = ()
+    imported: Mapping[str, Any] = field(default_factory=dict)
 
     def make_sensors(self, path: Path) -> tuple[Any, ...]:
         """Make the sensors that the photographs of this folder were taken with."""
@@ -71,6 +73,7 @@ def read(folder: Path) -> Description | None:
             shape=record.get("shape"),
             exposures=tuple(float(gain) for gain in record.get("exposure", ())),
             sensors=tuple(record.get("sensors", ())),
+            imported=dict(record.get("import", {})),
         )
     except (TypeError, ValueError, AttributeError) as error:
         raise CaptureError(f"{path}: a value has the wrong type ({error}).") from error
@@ -87,6 +90,7 @@ def write(folder: Path, description: Description, sensors: Sequence[Any]) -> Non
         "shape": description.shape,
         "exposure": list(description.exposures),
         "sensors": [describe(sensor) for sensor in sensors],
+        **({"import": description.imported} if description.imported else {}),
     }
     with replacing(folder / FILE) as temporary:
         temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")

@@ -76,10 +76,12 @@ def sensor(camera: Any, name: str) -> Element:
     return node
 
 
-def bitmap(name: str, file: str, *, wrap: str = "repeat", id: str | None = None) -> Element:
-    """Return a texture of values that are taken as they are."""
+def bitmap(
+    name: str, file: str, *, wrap: str = "repeat", id: str | None = None, raw: bool = True
+) -> Element:
+    """Return a texture of values that are taken as they are, or of sRGB colours."""
     node = plugin("texture", "bitmap", name, id=id)
-    return put(node, filename=file, raw=True, filter_type="bilinear", wrap_mode=wrap)
+    return put(node, filename=file, raw=raw, filter_type="bilinear", wrap_mode=wrap)
 
 
 def write_document(root: Element, path: Path) -> None:

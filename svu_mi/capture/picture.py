@@ -83,6 +83,11 @@ def decoded(encoded: np.ndarray, transfer: Transfer = "srgb") -> np.ndarray:
     return np.where(encoded <= 0.04045, low, high).astype(np.float32)
 
 
+def srgb(linear: np.ndarray) -> np.ndarray:
+    """Encode linear values in [0, 1] with the sRGB transfer function (IEC 61966-2-1)."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
 def _exr_planes(path: Path) -> list[np.ndarray]:
     channels = read_exr(path)
     grey = channels.get("Y")

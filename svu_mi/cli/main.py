@@ -14,12 +14,14 @@ from rich.console import Console
 from svu_mi.cli.bench import Bench
 from svu_mi.cli.commands import Demo, Doctor, Entropy, Render
 from svu_mi.cli.guide import Guide
+from svu_mi.cli.importing import Import
 from svu_mi.cli.inputs import was_interrupted
 from svu_mi.cli.recover import Recover
 from svu_mi.errors import SvuError
 
 Command = (
-    Annotated[Entropy, tyro.conf.subcommand("entropy")]
+    Annotated[Import, tyro.conf.subcommand("import")]
+    | Annotated[Entropy, tyro.conf.subcommand("entropy")]
     | Annotated[Guide, tyro.conf.subcommand("guide")]
     | Annotated[Recover, tyro.conf.subcommand("recover")]
     | Annotated[Render, tyro.conf.subcommand("render")]

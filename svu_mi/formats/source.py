@@ -91,8 +91,11 @@ class Frame:
         """Whether both focal lengths are the same."""
         return abs(self.focal[1] / self.focal[0] - 1) <= SQUARE
 
-    def sensor(self) -> Any:
+    def sensor(self, clip: tuple[float, float] = (NEAR, FAR)) -> Any:
         """Make the ``perspective`` sensor of this camera.
+
+        Args:
+            clip: distance of the near and the far plane.
 
         Raises:
             CaptureError: the pixels are not square (see ``resampling.squared``).
@@ -107,7 +110,7 @@ class Frame:
                 "to_world": self.to_world,
                 "x_fov": 2 * np.degrees(np.arctan(self.size[0] / 2 / self.focal[0])),
                 "principal_point_offset": [0.5 - self.center[k] / self.size[k] for k in (0, 1)],
-                "clip": [NEAR, FAR],
+                "clip": clip,
                 "film": self.size,
                 "crop_offset": [0, 0],
                 "crop_size": self.size,

@@ -191,7 +191,7 @@ def _light(
     lights = {view.name: view.light for view in views if view.light is not None}
     if not lights:
         folder = path.parent.parent / TRUTH / views[0].capture / ENVIRONMENTS
-        return None, [f"{folder}: no environment map; give the light with --light."]
+        return None, [f"{folder}: no environment map; give the light with --environment."]
     if wanted is not None and wanted not in lights:
         raise OptionError(
             f"{path}: there is no environment map of the test photograph {wanted!r}; there are "

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from svu_mi.capture.picture import srgb
 from svu_mi.errors import ShapeError
 from svu_mi.metrics.checks import require_finite
 from svu_mi.metrics.textures import psnr
@@ -71,11 +72,6 @@ def image_error(found: Any, truth: Any, mask: Any) -> ImageError:
         psnr_ldr=psnr(low_a[inside], low_b[inside]),
         ssim=float(ssim_map(low_a, low_b)[inside].mean()),
     )
-
-
-def srgb(linear: np.ndarray) -> np.ndarray:
-    """Encode linear values in [0, 1] with the sRGB transfer function (IEC 61966-2-1)."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def ssim_map(

@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import binary_erosion
 
+from svu_mi.capture.picture import srgb
 from svu_mi.errors import ShapeError
 from svu_mi.metrics.checks import require_finite
-from svu_mi.metrics.images import srgb, ssim_map
+from svu_mi.metrics.images import ssim_map
 from svu_mi.metrics.lpips import lpips
 from svu_mi.metrics.textures import psnr
 
@@ -64,7 +65,7 @@ def orb_error(found: Any, truth: Any, mask: Any, *, scaled: bool) -> OrbError:
         OptionError: NaN or infinite values on the object.
     """
     a, b, inside = _prepared(found, truth, mask)
-    scale = _scale(a[inside], b[inside]) if scaled else np.ones(3)
+    scale = channel_scale(a[inside], b[inside]) if scaled else np.ones(3)
     white = np.clip(b, 0, 1).mean()
     gain = srgb(np.clip(b, 0, 1)).mean() / white if white > 1e-8 else 1.0
     # The scale does not depend on the gain: both pictures are multiplied by it.
@@ -92,13 +93,26 @@ def orb_albedo_error(found: Any, truth: Any, mask: Any) -> OrbError:
         ShapeError, OptionError: as ``orb_error``.
     """
     a, b, inside = _prepared(found, truth, mask)
-    a, b = np.clip(_scale(a[inside], b[inside]) * a, 0, 1), np.clip(b, 0, 1)
+    a, b = np.clip(channel_scale(a[inside], b[inside]) * a, 0, 1), np.clip(b, 0, 1)
     return OrbError(
         psnr_hdr=None,
         psnr_ldr=_psnr(a, b, inside),
         ssim=_ssim(a, b),
         lpips=lpips(srgb(a), srgb(b)),
     )
+
+
+def channel_scale(found: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Return the (3,) factors of a picture's channels that bring it closest to a photograph.
+
+    Args:
+        found: (N, 3) radiance of the object's pixels.
+        truth: the same.
+    """
+    energy = (found**2).sum(axis=0)
+    black = energy <= DARK
+    found, energy = np.where(black, 1.0, found), np.where(black, len(found), energy)
+    return (found * truth).sum(axis=0) / energy
 
 
 def _prepared(found: Any, truth: Any, mask: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -120,14 +134,6 @@ def _prepared(found: Any, truth: Any, mask: Any) -> tuple[np.ndarray, np.ndarray
     require_finite(b[inside], "the photograph")
     a, b = (np.where(inside[..., None], np.maximum(x, 0), 0) for x in (a, b))
     return a, b, inside
-
-
-def _scale(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(3,) factors of the channels of a (N, 3) that bring it closest to b."""
-    energy = (a**2).sum(axis=0)
-    black = energy <= DARK
-    a, energy = np.where(black, 1.0, a), np.where(black, len(a), energy)
-    return (a * b).sum(axis=0) / energy
 
 
 def _psnr(a: np.ndarray, b: np.ndarray, inside: np.ndarray) -> float:

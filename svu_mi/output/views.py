@@ -10,10 +10,10 @@ import numpy as np
 
 import svu_mi.plugins  # noqa: F401 - registers svu_entropy
 from svu_mi.capture import mesh as meshes
+from svu_mi.capture import picture as pictures
 from svu_mi.capture.poses import scaled_sensor
 from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.scene import to_world
-from svu_mi.metrics import images
 
 SIDE = 512  # pixels of the longer side of a picture
 SAMPLES = 16
@@ -138,7 +138,7 @@ def tone_mapped(
 
 def srgb(linear: np.ndarray) -> np.ndarray:
     """Encode linear values in [0, 1] as sRGB, float32; NaN becomes middle grey."""
-    encoded = images.srgb(linear)
+    encoded = pictures.srgb(linear)
     return np.where(np.isfinite(encoded), encoded, 0.5).astype(np.float32)
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from svu_mi.bench.recovery import rows as ways
-from svu_mi.bench.recovery import sizes as recovery_sizes
 from svu_mi.bench.recovery.rows import Row
+from svu_mi.bench.recovery.sizes import Sizes as RecoverySizes
 from svu_mi.errors import OptionError
 from svu_mi.recovery.options import PathOptions, ShOptions
 
@@ -45,11 +45,11 @@ class Sizes:
     film: int = 512
     texels: int = 512
     spp: int = 128
-    recovery: recovery_sizes.Sizes = field(default_factory=recovery_sizes.Sizes)
+    recovery: RecoverySizes = field(default_factory=RecoverySizes)
 
 
 FULL = Sizes()
-QUICK = Sizes(film=128, texels=128, spp=16, recovery=recovery_sizes.QUICK)
+QUICK = Sizes(film=128, texels=128, spp=16, recovery=RecoverySizes(warm=False, repeats=1))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.orb.targets import Target
+from svu_mi.bench.plots import DPI, FAINT, INK
+from svu_mi.capture.picture import srgb
 from svu_mi.files import replacing
-from svu_mi.metrics.images import srgb
-from svu_mi.output.figures import DPI, FAINT, INK
+from svu_mi.metrics.orb import channel_scale
 
-Shown = tuple[str, Target, np.ndarray, dict[str, Any]]
+Shown = tuple[str, Target, np.ndarray, dict[str, Any], bool]
 WHITE = 0.98  # part of the object's pixels that are not clipped
 LARGEST = 0.25  # difference of sRGB values that is shown as white
 
@@ -24,7 +25,8 @@ def draw_pictures(path: Path, label: str, shown: Sequence[Shown]) -> None:
     Args:
         path: the PNG file.
         label: of the way of recovery.
-        shown: title, target, picture (H, W, 3) and the figures of its task, per row.
+        shown: title, target, picture (H, W, 3), the figures of its task, and whether those are
+            of a picture with a scale per channel; one per row.
 
     Raises:
         OutputError: the file cannot be written.
@@ -35,10 +37,10 @@ def draw_pictures(path: Path, label: str, shown: Sequence[Shown]) -> None:
     size = (7.2, 2.6 * len(shown))
     figure = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
-    for axes, (title, target, picture, found) in zip(
+    for axes, (title, target, picture, found, scaled) in zip(
         figure.subplots(len(shown), 3, squeeze=False), shown, strict=True
     ):
-        photograph, made = _comparable(target, picture)
+        photograph, made = _comparable(target, picture, scaled=scaled)
         difference = np.abs(photograph - made).max(axis=-1)
         axes[0].imshow(photograph)
         axes[1].imshow(made)
@@ -53,8 +55,12 @@ def draw_pictures(path: Path, label: str, shown: Sequence[Shown]) -> None:
         figure.savefig(temporary)
 
 
-def _comparable(target: Target, picture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _comparable(
+    target: Target, picture: np.ndarray, *, scaled: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """Tone-map photograph and picture alike, black outside the object."""
+    if scaled:
+        picture = picture * channel_scale(picture[target.mask], target.photograph[target.mask])
     mask = target.mask[..., None]
     bright = target.photograph[target.mask].max(axis=-1)
     white = max(float(np.quantile(bright, WHITE)), 1e-6)

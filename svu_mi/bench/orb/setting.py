@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 
 from svu_mi.bench.accuracy import Bench
@@ -18,16 +17,14 @@ from svu_mi.bench.orb.targets import Target, judge_albedo, judge_pictures
 from svu_mi.bench.recovery.measure import run_warm
 from svu_mi.bench.store import Store, code_and_machine, key_of
 from svu_mi.capture import Capture, load_capture
-from svu_mi.errors import CaptureError
 from svu_mi.formats.importing import ImportOptions, import_capture
 from svu_mi.formats.stanford_orb import Split, read_orb, read_views
 from svu_mi.pipeline import estimate
-from svu_mi.recovery.textures import Textures, lay_out
+from svu_mi.recovery.textures import Textures, uniform
 from svu_mi.surface import Texels, texels
 
 Record = dict[str, Any]
 PLACE = "orb"  # folder of finished results
-GREY = {"base_color": (0.5, 0.5, 0.5), "roughness": 0.5, "metallic": 0.0}
 
 
 @dataclass(frozen=True)
@@ -53,9 +50,7 @@ class Setting:
     def recall(self, row: OrbRow) -> Record:
         """Return the record of a row, from disk if it is there."""
         key = key_of(self._source, asdict(self.sizes), asdict(row), code_and_machine())
-        return self.store.recall(
-            row.slug, key, lambda: self.measure(row), fresh=self.bench.fresh
-        )
+        return self.store.recall(row.slug, key, lambda: self.measure(row), fresh=self.bench.fresh)
 
     def measure(self, row: OrbRow) -> Record:
         """Recover textures, and compare pictures of them with photographs."""
@@ -81,11 +76,9 @@ class Setting:
         )
         light = judge_pictures(self.novel, relit, scaled=True)
         view = judge_pictures(self.test, seen, scaled=False)
-        draw_pictures(
-            self.store.folder / f"{name}.png", label,
-            [("another light", self.novel[0], relit[0], light), ("another view", self.test[0],
-              seen[0], view)],
-        )  # fmt: skip
+        shown = [("another light", self.novel[0], relit[0], light, True),
+                 ("another view", self.test[0], seen[0], view, False)]  # fmt: skip
+        draw_pictures(self.store.folder / f"{name}.png", label, shown)
         albedo = judge_albedo(self.test, self.capture, textures)
         return {"light": light, "view": view, "albedo": albedo}
 
@@ -124,6 +117,7 @@ class Setting:
             found = estimate(self.capture, self.grid)
         seen = np.array(found.coverage) > 0
         entropy = np.array(found.entropy)[seen]
+        grey = replace(uniform(self.grid, 0.5), metallic=uniform(self.grid, 0.0).metallic)
         return {
             "name": self.path.name,
             "object": object_of(self.path.name),
@@ -132,7 +126,7 @@ class Setting:
             "seen": int(seen.sum()),
             "entropy": float(entropy.mean()),
             "entropy_seconds": sum(found.timings.values()),
-            "grey": self.judge(self._grey(), "grey", "grey"),
+            "grey": self.judge(grey, "grey", "grey"),
         }
 
     @property
@@ -147,10 +141,3 @@ class Setting:
                 found.append(Target.of(view, self.sizes.film))
                 stage.update(len(found), len(views))
         return found
-
-    def _grey(self) -> Textures:
-        count = self.grid.count
-        return lay_out(
-            self.grid,
-            {name: np.broadcast_to(value, (count, *np.shape(value))) for name, value in GREY.items()},
-        )

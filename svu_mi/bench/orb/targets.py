@@ -13,7 +13,7 @@ from svu_mi.bench.orb.albedo import albedo_pictures
 from svu_mi.capture import Capture
 from svu_mi.capture.picture import decoded, read_planes
 from svu_mi.errors import CaptureError
-from svu_mi.formats.light import read_light
+from svu_mi.formats.light import read_environment_map
 from svu_mi.formats.resampling import resampled, squared
 from svu_mi.formats.stanford_orb import OrbView
 from svu_mi.metrics.orb import OrbError, orb_albedo_error, orb_error
@@ -70,7 +70,7 @@ class Target:
     def emitter(self) -> Any:
         """Make the environment that the photograph was taken under."""
         assert self.view.light is not None  # ``of`` has looked
-        pixels, pose, _ = read_light(self.view.light)
+        pixels, pose, _ = read_environment_map(self.view.light)
         return mi.load_dict(
             {"type": "envmap", "bitmap": mi.Bitmap(pixels), "to_world": mi.ScalarTransform4f(pose)}
         )

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from svu_mi.capture.picture import srgb
 from svu_mi.files import prepare_folder, replacing
-from svu_mi.metrics.images import srgb
 from svu_mi.scenes import make_assets, meshes, textures
 
 REPEATED, CONTINUOUS = "mosaic", "drift"

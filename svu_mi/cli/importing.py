@@ -1,0 +1,105 @@
+"""``svu import``: captures of other tools as capture folders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from svu_mi.cli.inputs import Common, Output
+from svu_mi.progress import Progress
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from svu_mi.formats.importing import ImportOptions
+
+From = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
+Fixes = Annotated[
+    tuple[str, ...], tyro.conf.arg(metavar="NAME"), tyro.conf.UseAppendAction,
+]  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Import(Common):
+    """Turn the capture of another tool into a capture folder.
+
+    Reads transforms.json (NeRF, Blender, nerfstudio), COLMAP, Stanford-ORB and Objects with
+    Lighting; writes scene.xml with the mesh and the light, linear EXR photographs with their
+    masks, and capture.json. Look at the result with svu check.
+    """
+
+    source: From
+    """The file or folder."""
+    output: Output = Path("capture")
+    format: Literal["auto", "transforms", "colmap", "stanford-orb", "owl"] = "auto"
+    images: Path | None = None
+    """Folder of the photographs, where the format does not say."""
+    masks: Path | None = None
+    """Folder of the masks, likewise."""
+    split: Literal["train", "test", "val"] = "train"
+    """Part of the data set."""
+    mesh: Path | None = None
+    """The object: GLB, glTF, OBJ, PLY or STL."""
+    mesh_up: Literal["y", "z"] | None = None
+    """Axis that is up in the mesh's file (glTF: y)."""
+    world_up: Literal["y", "z"] | None = None
+    """Axis that is up in the world of the poses (Blender, nerfstudio: z)."""
+    mesh_scale: float = 1.0
+    """Units of the poses per unit of the mesh: 0.001 for a mesh in mm and poses in m."""
+    geometry_only: bool = False
+    """Leave UVs and textures of the mesh out, and lay out new UVs."""
+    environment: Path | None = None
+    """The light: a lat-long map, HDR or EXR."""
+    environment_axes: Literal["mitsuba", "opengl", "threejs", "blender"] = "mitsuba"
+    """Top and centre of the map: +Y +Z, +Y -Z, +Y +X, or +Z +X."""
+    environment_scale: float = 1.0
+    """Factor of the light's radiance."""
+    original_world: bool = False
+    """Undo the applied_transform of nerfstudio."""
+    shrink: float = 1.0
+    """Make photographs smaller by this factor."""
+    every: int = 1
+    """Take every N-th photograph."""
+    fix: Fixes = ()
+    """Correction that svu check has proposed; can be repeated."""
+
+    def run(self, console: Console) -> int:
+        """Import the capture and say what was found."""
+        from svu_mi.formats.importing import import_capture
+        from svu_mi.formats.reading import ReadOptions, read_source
+
+        self.start()
+        kind = None if self.format == "auto" else self.format
+        reading = ReadOptions(
+            format=kind, images=self.images, masks=self.masks, split=self.split,
+            original_world=self.original_world,
+        )  # fmt: skip
+        progress = Progress(console)
+        with progress.stage("Reading poses"):
+            source = read_source(self.source, reading)
+        with progress.stage("Converting photographs") as stage:
+            notes = import_capture(source, self.output, self._options(), progress=stage.update)
+        for note in notes:
+            console.print(note, markup=False, highlight=False, soft_wrap=True)
+        console.print(
+            f"Wrote {self.output}; look at it with: svu check {self.output}",
+            markup=False, highlight=False, soft_wrap=True,
+        )  # fmt: skip
+        return 0
+
+    def _options(self) -> ImportOptions:
+        from svu_mi.formats.importing import ImportOptions
+        from svu_mi.formats.source import ENVIRONMENT_AXES, Light
+
+        light = None
+        if self.environment is not None:
+            axes = ENVIRONMENT_AXES[self.environment_axes]
+            light = Light(path=self.environment, to_world=axes, scale=self.environment_scale)
+        return ImportOptions(
+            mesh=self.mesh, mesh_up=self.mesh_up, world_up=self.world_up,
+            mesh_scale=self.mesh_scale, geometry_only=self.geometry_only, environment=light,
+            shrink=self.shrink, every=self.every, fixes=self.fix,
+        )  # fmt: skip

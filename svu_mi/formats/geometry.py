@@ -1,0 +1,193 @@
+"""Meshes with their textures from GLB, OBJ, PLY and STL files, in Mitsuba's conventions."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from svu_mi.capture.mesh import MeshArrays
+from svu_mi.errors import MeshError, OutputError
+from svu_mi.formats.normals import repaired
+from svu_mi.formats.paths import inside
+from svu_mi.formats.textures import Textures, is_textured, textures_of
+
+SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
+V_DOWN = (".ply",)  # as Mitsuba's plugin takes it; trimesh hands on V upwards for the others
+MAX_BYTES = 2**31
+MAX_NUMBER = 1e9  # units or UV tiles
+
+
+@dataclass(frozen=True, kw_only=True)
+class Geometry:
+    """A mesh and what it is painted with.
+
+    Attributes:
+        mesh: its buffers; V of the UVs is 0 in the first row of the textures.
+        textures: pictures by parameter of ``principled``; empty without any.
+        notes: sentences about what was decided while reading.
+    """
+
+    mesh: MeshArrays
+    textures: Textures = field(default_factory=dict)
+    notes: Sequence[str] = ()
+
+
+def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
+    """Read a mesh.
+
+    Args:
+        path: GLB, glTF, OBJ, PLY or STL. Parts are placed by the file's own transformations and
+            merged; V of GLB, glTF and OBJ runs upwards or downwards as their formats say, that of
+            PLY is Mitsuba's.
+        geometry_only: leave UVs and textures out, so that several materials do not matter.
+
+    Raises:
+        MeshError: the file is missing, damaged or of another kind, has no triangle, or several
+            materials with textures.
+    """
+    path = Path(path)
+    parts = _parts(path)
+    painted = {hash(part.visual.material): part for part in parts if part.visual.kind == "texture"}
+    if len(painted) > 1 and not geometry_only:
+        raise MeshError(
+            f"{path}: has {len(painted)} materials; bake them into one, or import the geometry "
+            "alone with --geometry-only."
+        )
+    mesh = _buffers(parts, path)
+    if geometry_only:
+        mesh = replace(mesh, uvs=None)
+    textures: Textures = {}
+    if mesh.uvs is not None:
+        textures = textures_of(next(iter(painted.values()), parts[0]).visual, path)
+        uvs = mesh.uvs
+        if path.suffix.lower() not in V_DOWN:
+            uvs = np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=-1)
+        mesh = replace(mesh, uvs=uvs - _tile(uvs))
+    mesh, notes = repaired(mesh, str(path))
+    if mesh.uvs is None and any(is_textured(part.visual) for part in parts):
+        notes.append(f"{path}: its textures are left out, and its UVs laid out anew.")
+    return Geometry(mesh=mesh, textures=textures, notes=notes)
+
+
+def _buffers(parts: Sequence[_Part], path: Path) -> MeshArrays:
+    """Return the buffers of all parts; UVs and normals only if each has them."""
+    meshes = [part.mesh for part in parts]
+    first = np.cumsum([0, *(len(mesh.positions) for mesh in meshes)])
+    mesh = MeshArrays(
+        positions=np.concatenate([mesh.positions for mesh in meshes]),
+        faces=np.concatenate([m.faces + k for m, k in zip(meshes, first, strict=False)]),
+        normals=_joined([mesh.normals for mesh in meshes]),
+        uvs=_joined([mesh.uvs for mesh in meshes]),
+    )
+    for name, values in (("positions", mesh.positions), ("UVs", mesh.uvs)):
+        if values is not None and not (np.abs(values) < MAX_NUMBER).all():  # NaN fails, too
+            raise MeshError(f"{path}: some {name} are NaN, infinite or absurd; export it again.")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.positions):
+        raise MeshError(f"{path}: a triangle has a corner that there is not; export it again.")
+    return mesh
+
+
+def _joined(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:
+    there = [array for array in arrays if array is not None]
+    return np.concatenate(there) if len(there) == len(arrays) else None
+
+
+def _tile(uvs: np.ndarray) -> np.ndarray:
+    """Return the whole tile all UVs lie in: an offset that repeats the same texture."""
+    return np.floor((uvs.min(axis=0) + uvs.max(axis=0)) / 2)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One mesh of a file, in its world, and what it is painted with."""
+
+    mesh: MeshArrays
+    visual: Any
+
+    @staticmethod
+    def of(scene: trimesh.Scene, node: str) -> _Part:
+        matrix, name = scene.graph[node]
+        part = scene.geometry[name]
+        faces = np.array(getattr(part, "faces", np.empty((0, 3))), np.int64)
+        # A file's own normals are there, others are computed on demand, up to UV seams.
+        given = len(faces) > 0 and "vertex_normals" in part._cache
+        normals = part.vertex_normals @ np.linalg.inv(matrix[:3, :3]) if given else None
+        mirrored = np.linalg.det(matrix[:3, :3]) < 0
+        uvs = getattr(part.visual, "uv", None)
+        return _Part(
+            MeshArrays(
+                positions=np.array(part.vertices) @ matrix[:3, :3].T + matrix[:3, 3],
+                faces=faces[:, ::-1] if mirrored else faces,
+                normals=normals,
+                uvs=None if uvs is None else np.array(uvs, np.float64)[:, :2],
+            ),
+            part.visual,
+        )
+
+
+def _parts(path: Path) -> list[_Part]:
+    """Return the triangle meshes of a file."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise MeshError(f"{path}: not a kind of mesh known here ({', '.join(SUFFIXES)}).")
+    if not path.is_file():
+        raise MeshError(f"{path}: no such mesh.")
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise MeshError(f"{path}: larger than {MAX_BYTES // 2**20} MiB; simplify the mesh.")
+        _refuse_bombs(path)
+        scene = trimesh.load_scene(path, resolver=_Inside(path.parent), process=False)
+        parts = [_Part.of(scene, node) for node in scene.graph.nodes_geometry]
+        parts = [part for part in parts if len(part.mesh.faces) > 0]
+    except MeshError:
+        raise
+    except (Exception, MemoryError) as error:  # trimesh raises whatever its parsers meet
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise MeshError(f"{path}: not a readable mesh ({reason}); export it again.") from error
+    if not parts:
+        raise MeshError(f"{path}: holds no triangle mesh.")
+    return parts
+
+
+def _refuse_bombs(path: Path) -> None:
+    """Refuse a glTF that asks for more numbers than its files hold: they would all be made."""
+    if path.suffix.lower() not in (".glb", ".gltf"):
+        return
+    content = path.read_bytes()
+    if path.suffix.lower() == ".glb":
+        (length,) = struct.unpack_from("<I", content, 12)
+        content = content[20 : 20 + length]
+    held = sum(file.stat().st_size for file in (path, *path.parent.glob("*.bin")))
+    accessors = json.loads(content).get("accessors", ())
+    counts = [int(accessor.get("count", 0)) for accessor in accessors]
+    if not all(0 <= count <= held for count in counts):
+        raise MeshError(f"{path}: asks for more numbers than the file holds; export it again.")
+
+
+class _Inside(trimesh.resolvers.Resolver):
+    """Read files that a mesh refers to, if they lie in its folder (a trimesh resolver)."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    def get(self, name: str) -> bytes:
+        """Return the bytes of a file."""
+        return inside(self.root, str(name).strip(), f"{self.root}").read_bytes()
+
+    def keys(self) -> list[str]:
+        """Return the names of the files there."""
+        return [file.name for file in self.root.iterdir()]
+
+    def namespaced(self, namespace: str) -> _Inside:
+        """Return the resolver of a folder inside."""
+        return _Inside(inside(self.root, namespace, str(self.root)))
+
+    def write(self, name: str, data: object) -> None:
+        """Refuse: reading a mesh writes nothing."""
+        raise OutputError(f"{self.root}: {name} ({type(data)}) is not written while reading.")

@@ -1,0 +1,269 @@
+"""From what any tool has written to one capture folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import drjit as dr
+import numpy as np
+
+from svu_mi.capture import folder as capture_folder
+from svu_mi.capture import mesh as capture_mesh
+from svu_mi.capture import nodes
+from svu_mi.capture.folder import Description
+from svu_mi.capture.mesh import MeshArrays
+from svu_mi.capture.picture import image_size
+from svu_mi.capture.scene import require_variant
+from svu_mi.capture.unwrap import unwrap
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.files import replacing, replacing_folder
+from svu_mi.formats.fixes import FIXES, Fix, fixes_named
+from svu_mi.formats.geometry import Geometry, read_geometry
+from svu_mi.formats.light import write_environment
+from svu_mi.formats.photographs import Converted, convert
+from svu_mi.formats.resampling import fitted, squared
+from svu_mi.formats.source import Frame, Light, Source
+from svu_mi.formats.textures import write_pictures
+
+SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
+MAX_DEPTH = 6  # of the paths that a scene without a say of its own is rendered with
+
+Up = Literal["y", "z"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions:
+    """What a source does not say, or says wrong.
+
+    Attributes:
+        mesh: the object's file, if the source names none or another is meant.
+        mesh_up: axis that is up in the mesh's file; None = that of the poses.
+        world_up: axis that is up in the world of the poses; None = that of the mesh.
+        mesh_scale: units of the poses per unit of the mesh (0.001: mm to m).
+        geometry_only: leave the mesh's UVs and textures out, and lay out new UVs.
+        environment: the light, if the source names none or another is meant.
+        shrink: factor by which pixels become larger, at least 1.
+        every: take every N-th photograph.
+        fixes: names of corrections (``formats.fixes``).
+    """
+
+    mesh: Path | None = None
+    mesh_up: Up | None = None
+    world_up: Up | None = None
+    mesh_scale: float = 1.0
+    geometry_only: bool = False
+    environment: Light | None = None
+    shrink: float = 1.0
+    every: int = 1
+    fixes: Sequence[str] = ()
+
+
+def import_capture(
+    source: Source,
+    folder: str | Path,
+    options: ImportOptions | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[str]:
+    """Write a capture folder: ``scene.xml`` with all it refers to, photographs, ``capture.json``.
+
+    Everything is written beside the folder first: it is complete, or as it was.
+
+    Args:
+        source: what a reader has found.
+        folder: made if missing. A capture that was imported earlier is replaced.
+        options: see there.
+        progress: called with (photographs done, photographs in all).
+
+    Returns:
+        Sentences about what was found, decided and changed.
+
+    Raises:
+        CaptureError: a photograph, a mask or the environment is missing or damaged.
+        MeshError: the mesh is.
+        OptionError: an option is out of range, or mesh or light are missing.
+        OutputError: the folder cannot be written, or holds something else.
+    """
+    require_variant()
+    options = options or ImportOptions()
+    fixes = _fixes(options)
+    frames = _frames(source, options, fixes)
+    mesh, light = options.mesh or source.mesh, options.environment or source.light
+    if mesh is None:
+        raise OptionError(f"{source.root}: names no mesh of the object; give one with --mesh.")
+    if light is None:
+        raise OptionError(
+            f"{source.root}: names no environment map; the method needs the light that the "
+            "photographs were taken under: give it with --environment."
+        )
+    with replacing_folder(folder, _was_imported) as made:
+        geometry = _placed(read_geometry(mesh, geometry_only=options.geometry_only), options, fixes)
+        found = _write_photographs(frames, made, options.shrink, progress)
+        sensors = [frame.sensor(_clip(frame, geometry.mesh)) for frame, _ in found]
+        geometry = _with_uvs(geometry, str(mesh))
+        notes = [*source.notes, *geometry.notes, *_about(frames, [c for _, c in found])]
+        notes += _write_scene(made, geometry, _turned(light, fixes), sensors)
+        description = Description(
+            scene=made / SCENE,
+            shape=OBJECT,
+            exposures=[frame.exposure for frame, _ in found],
+            imported={
+                "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
+                "photographs": [frame.image.name for frame, _ in found], "notes": notes,
+            },
+        )  # fmt: skip
+        capture_folder.write(made, description, sensors)
+    return notes
+
+
+def _was_imported(folder: Path) -> bool:
+    """Return whether a folder holds an earlier import."""
+    description = capture_folder.read(folder)
+    return description is not None and bool(description.imported)
+
+
+def _fixes(options: ImportOptions) -> tuple[Fix, ...]:
+    if options.every < 1:
+        raise OptionError(f"--every takes 1 (all photographs) or more, got {options.every}.")
+    if not (np.isfinite(options.mesh_scale) and options.mesh_scale > 0):
+        raise OptionError(f"A mesh is scaled by a positive factor, got {options.mesh_scale}.")
+    up = {("y", "z"): "mesh-x90", ("z", "y"): "mesh-x270"}
+    between = up.get((options.mesh_up or "", options.world_up or ""))
+    return (*([] if between is None else [FIXES[between]]), *fixes_named(options.fixes))
+
+
+def _frames(source: Source, options: ImportOptions, fixes: Sequence[Fix]) -> list[Frame]:
+    """Return the frames that are asked for, as large as their photographs, with fixed cameras."""
+    frames = []
+    for frame in source.frames[:: options.every]:
+        pose = frame.to_world
+        for fix in fixes:
+            if fix.kind == "camera":
+                pose = _moved(pose, fix, source.camera_axes)
+        frames.append(fitted(replace(frame, to_world=pose), image_size(frame.image)))
+    if not frames:
+        raise CaptureError(f"{source.root}: holds no photograph.")
+    return frames
+
+
+def _moved(pose: np.ndarray, fix: Fix, axes: np.ndarray) -> np.ndarray:
+    if fix.matrix is None:  # the only one without: camera-inverse
+        return np.linalg.inv(pose @ axes) @ axes
+    turn = np.eye(4)
+    turn[:3, :3] = fix.matrix
+    return pose @ turn
+
+
+def _placed(geometry: Geometry, options: ImportOptions, fixes: Sequence[Fix]) -> Geometry:
+    """Scale the mesh, apply its fixes, and turn V over if asked."""
+    mesh = geometry.mesh
+    matrix = np.eye(3)
+    for fix in fixes:
+        if fix.kind == "mesh" and fix.matrix is not None:
+            matrix = fix.matrix @ matrix
+    faces = mesh.faces if np.linalg.det(matrix) > 0 else mesh.faces[:, ::-1]
+    uvs = mesh.uvs
+    if uvs is not None and any(fix.kind == "texture" for fix in fixes):
+        uvs = np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=-1)
+    normals = None if mesh.normals is None else mesh.normals @ matrix.T
+    placed = MeshArrays(mesh.positions @ matrix.T * options.mesh_scale, faces, normals, uvs)
+    return replace(geometry, mesh=placed)
+
+
+def _turned(light: Light, fixes: Sequence[Fix]) -> Light:
+    matrix = light.to_world
+    for fix in fixes:
+        if fix.kind == "light" and fix.matrix is not None:
+            matrix = matrix @ fix.matrix
+    return replace(light, to_world=matrix)
+
+
+def _clip(frame: Frame, mesh: MeshArrays) -> tuple[float, float]:
+    """Return near and far planes that suit the object, whatever its units."""
+    low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
+    distance = np.linalg.norm(frame.to_world[:3, 3] - (low + high) / 2)
+    reach = float(max(distance, np.linalg.norm(high - low) / 2))
+    return reach * 1e-2, reach * 1e2
+
+
+def _with_uvs(geometry: Geometry, label: str) -> Geometry:
+    if geometry.mesh.uvs is not None:
+        return geometry
+    mesh = capture_mesh.arrays(unwrap(capture_mesh.make(OBJECT, geometry.mesh)))
+    note = f"{label}: has no UVs; they are laid out by xatlas and kept in {MESH}."
+    return replace(geometry, mesh=mesh, notes=[*geometry.notes, note])
+
+
+def _write_photographs(
+    frames: Sequence[Frame],
+    folder: Path,
+    shrink: float,
+    progress: Callable[[int, int], None] | None,
+) -> list[tuple[Frame, Converted]]:
+    """Write ``view_0000.exr``, ...; return the frames with square pixels, and what was found."""
+    squares = [squared(frame, shrink) for frame in frames]
+
+    def write(index: int) -> Converted:
+        return convert(frames[index], folder / f"view_{index:04d}.exr", squares[index][1])
+
+    found = []
+    with ThreadPoolExecutor(max(1, dr.thread_count())) as threads:
+        for converted in threads.map(write, range(len(frames))):
+            found.append(converted)
+            if progress is not None:
+                progress(len(found), len(frames))
+    return [(square, converted) for (square, _), converted in zip(squares, found, strict=True)]
+
+
+def _write_scene(
+    folder: Path, geometry: Geometry, light: Light, sensors: Sequence[Any]
+) -> list[str]:
+    """Write the scene and what it refers to; return sentences about the light."""
+    with replacing(folder / MESH) as temporary:
+        capture_mesh.make(OBJECT, geometry.mesh).write_ply(str(temporary))
+    write_pictures(geometry.textures, folder)
+    pose, notes = write_environment(light, folder / ENVIRONMENT)
+    root = nodes.scene()
+    root.append(nodes.put(nodes.plugin("integrator", "path"), max_depth=MAX_DEPTH))
+    emitter = nodes.plugin("emitter", "envmap", id="environment")
+    root.append(nodes.put(emitter, filename=ENVIRONMENT, to_world=pose))
+    shape = nodes.put(nodes.plugin("shape", "ply", id=OBJECT), filename=MESH)
+    material = nodes.plugin("bsdf", "principled", id=f"{OBJECT}_material")
+    for name in geometry.textures:
+        raw = name != "base_color"  # that one is sRGB
+        material.append(nodes.bitmap(name, f"{name}.png", raw=raw, id=name))
+    shape.append(material)
+    root.append(shape)
+    root.extend(nodes.sensor(sensor, f"view_{k:04d}") for k, sensor in enumerate(sensors))
+    nodes.write_document(root, folder / SCENE)
+    return notes
+
+
+def _about(frames: Sequence[Frame], found: Sequence[Converted]) -> list[str]:
+    """Say what the photographs are not good for."""
+    notes = []
+    count, low = len(found), sum(c.low_range for c in found)
+    if low:
+        saturated = sum(c.saturated for c in found)
+        notes.append(
+            f"{low} of {count} photographs are not HDR: decoded as {frames[0].transfer}, "
+            f"{saturated} clipped pixels left out. Clipped highlights hide what gloss says."
+        )
+    bad = [f.image.name for f, c in zip(frames, found, strict=True) if c.invalid]
+    if bad:
+        pixels = sum(c.invalid for c in found)
+        notes.append(
+            f"{len(bad)} of {count} photographs, {bad[0]} first, have {pixels} pixels that are "
+            "NaN, infinite or negative; left out."
+        )
+    bare = count - sum(c.masked for c in found)
+    if bare:
+        notes.append(
+            f"{bare} of {count} photographs have no mask: what stands before the object is taken "
+            "for it."
+        )
+    return notes

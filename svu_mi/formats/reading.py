@@ -1,0 +1,72 @@
+"""Any capture of another tool: find out what it is, and read it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.formats.source import Source
+from svu_mi.formats.transforms import FILE, read_transforms
+
+Format = Literal["transforms", "colmap", "stanford-orb", "owl"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadOptions:
+    """How a source is read.
+
+    Attributes:
+        format: None = found by the files that are there.
+        images: folder of the photographs, for formats that do not say where they are.
+        masks: folder of the masks, likewise.
+        split: part of the data set: ``train`` or ``test``.
+        original_world: undo nerfstudio's ``applied_transform``.
+    """
+
+    format: Format | None = None
+    images: Path | None = None
+    masks: Path | None = None
+    split: str = "train"
+    original_world: bool = False
+
+
+def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
+    """Read a capture.
+
+    Args:
+        path: ``transforms.json`` or its folder, a COLMAP project or model, a scene of Stanford-ORB
+            or an object of Objects with Lighting.
+        options: see there.
+
+    Raises:
+        CaptureError: it is missing, damaged, or none of these.
+        OptionError: an unknown format.
+    """
+    path, options = Path(path), options or ReadOptions()
+    if options.format is not None and options.format not in get_args(Format):
+        raise OptionError(
+            f"There is no format {options.format!r}; known are {', '.join(get_args(Format))}."
+        )
+    if not path.exists():
+        raise CaptureError(f"{path}: no such file or folder; give a capture to import.")
+    kind = options.format or _guess(path, options.split)
+    if kind == "transforms":
+        file = path if path.is_file() else _transforms_in(path, options.split)
+        return read_transforms(file, original_world=options.original_world)
+    raise OptionError(kind)
+
+
+def _guess(path: Path, split: str) -> Format:
+    if path.suffix.lower() == ".json" or _transforms_in(path, split).is_file():
+        return "transforms"
+    raise CaptureError(
+        f"{path}: no known capture; expected {FILE}, a COLMAP model, Stanford-ORB or Objects with "
+        "Lighting. Say which with --format."
+    )
+
+
+def _transforms_in(folder: Path, split: str) -> Path:
+    parts = folder / f"transforms_{split}.json"
+    return parts if parts.is_file() else folder / FILE

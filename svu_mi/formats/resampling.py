@@ -1,0 +1,101 @@
+"""Square pixels, and fewer of them: photographs resampled by area.
+
+Mitsuba's cameras have square pixels. A photograph whose focal lengths differ is brought to the
+coarser of the two, so that no detail is made up. Focal lengths and principal point follow
+exactly, whatever part of a pixel the last row or column would have been: it is dropped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.formats.source import Frame
+
+NEARLY_SQUARE = 0.05  # pixels that nothing may be displaced by, for pixels to pass as square
+WHOLE = 1e-6  # of a pixel that may be missing from the last one
+SAME_ASPECT = 2.0  # pixels by which a resized photograph may miss the ratio of its sides
+
+
+def fitted(frame: Frame, size: tuple[int, int]) -> Frame:
+    """Return the frame for a photograph that was resized after it was calibrated.
+
+    Args:
+        frame: the frame.
+        size: (width, height) that the photograph has.
+
+    Raises:
+        CaptureError: the photograph has another shape than the frame says.
+    """
+    if size == frame.size:
+        return frame
+    scale = size[0] / frame.size[0], size[1] / frame.size[1]
+    if abs(frame.size[1] * scale[0] - size[1]) > SAME_ASPECT:
+        raise CaptureError(
+            f"{frame.image}: has {size[0]} x {size[1]} pixels, but {frame.label} is of "
+            f"{frame.size[0]} x {frame.size[1]}, which is another shape; give the photograph that "
+            "was calibrated."
+        )
+    return replace(_scaled(frame, scale), size=size)
+
+
+def squared(frame: Frame, shrink: float = 1.0) -> tuple[Frame, tuple[float, float]]:
+    """Return the frame with square pixels, and the scale of its width and height.
+
+    Args:
+        frame: the frame, as calibrated.
+        shrink: factor by which pixels become larger, at least 1.
+
+    Raises:
+        OptionError: another factor, or one that leaves no pixel.
+    """
+    if not (np.isfinite(shrink) and shrink >= 1):
+        raise OptionError(f"Photographs can be shrunk by a factor of 1 or more, got {shrink}.")
+    fx, fy = frame.focal
+    if abs(fx / fy - 1) * max(frame.size) / 2 < NEARLY_SQUARE:
+        fx = fy = float(np.sqrt(fx * fy))
+    target = min(fx, fy) / shrink
+    scale = target / fx, target / fy
+    width, height = (int(n * s + WHOLE) for n, s in zip(frame.size, scale, strict=True))
+    if min(width, height) < 1:
+        raise OptionError(f"{frame.label}: nothing is left of a photograph shrunk by {shrink}.")
+    made = replace(_scaled(frame, scale), size=(width, height), focal=(target, target))
+    return made, scale
+
+
+def resampled(image: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
+    """Average an image over the area of its new pixels.
+
+    Args:
+        image: (H, W, C), finite.
+        scale: of width and height, at most 1 each; both 1 returns the image itself.
+
+    Returns:
+        (H', W', C) float32; H' and W' are those of ``squared``.
+    """
+    for axis, factor in ((1, scale[0]), (0, scale[1])):
+        if factor != 1:
+            image = _averaged(image, factor, axis)
+    return image
+
+
+def _averaged(image: np.ndarray, factor: float, axis: int) -> np.ndarray:
+    """Average along one axis: differences of the integral of a piecewise constant function."""
+    lines = np.moveaxis(np.asarray(image, np.float64), axis, 0)
+    integral = np.concatenate([np.zeros_like(lines[:1]), np.cumsum(lines, axis=0)])
+    edges = np.arange(int(len(lines) * factor + WHOLE) + 1) / factor
+    edges = np.minimum(edges, len(lines))
+    below = np.minimum(edges.astype(int), len(lines) - 1)
+    part = (edges - below).reshape(-1, *[1] * (lines.ndim - 1))
+    at_edges = integral[below] + part * lines[below]
+    return np.moveaxis(np.diff(at_edges, axis=0) * factor, 0, axis).astype(np.float32)
+
+
+def _scaled(frame: Frame, scale: tuple[float, float]) -> Frame:
+    return replace(
+        frame,
+        focal=(frame.focal[0] * scale[0], frame.focal[1] * scale[1]),
+        center=(frame.center[0] * scale[0], frame.center[1] * scale[1]),
+    )
