@@ -41,14 +41,16 @@ class DatasetSizes:
         train: photographs per capture that textures are recovered from.
         test: photographs that results are compared with.
         film: pixels per side.
-        spp: samples per pixel.
+        spp: samples per pixel of the former.
+        test_spp: samples per pixel of the latter: their noise limits every result.
         environment: rows of the environment maps; they have twice as many columns.
     """
 
     train: int = 40
     test: int = 6
     film: int = 128
-    spp: int = 256
+    spp: int = 128
+    test_spp: int = 1024
     environment: int = 256
 
 
@@ -128,7 +130,8 @@ def _photograph(
     *,
     tested: bool,
 ) -> OrbPhotograph:
-    image = np.array(mi.render(scene, sensor=sensor, spp=sizes.spp, seed=seed % 2**32))[..., :3]
+    spp = sizes.test_spp if tested else sizes.spp
+    image = np.array(mi.render(scene, sensor=sensor, spp=spp, seed=seed % 2**32))[..., :3]
     pose = to_world(sensor)
     environment = albedo = None
     if tested:

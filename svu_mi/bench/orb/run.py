@@ -28,9 +28,8 @@ def run_orb(
         finished: called with the record so far after each capture.
 
     Returns:
-        ``captures``: a record each, with ``name``, ``object``, counts, ``entropy``, ``grey`` (the
-        figures of a uniform grey object) and ``rows`` by label, each with ``light``, ``view`` and
-        ``albedo``; ``failed``; ``sizes``; ``quick``.
+        ``captures``: what ``Setting.head`` says of each, and ``rows`` by label, each with what
+        ``Setting.judge`` returns; ``failed``; ``sizes``; ``quick``.
 
     Raises:
         OptionError: there is no such capture or row.
@@ -52,10 +51,10 @@ def run_orb(
             first = first or error
             record["failed"].append({"cell": path.name, "reason": str(error)})
             warnings.warn(f"{path.name} is left out: {error}", SvuWarning, stacklevel=2)
-            continue
-        head = next(iter(found.values()))["capture"]
-        record["captures"].append({**head, "rows": found})
-        if finished is not None:
+        else:
+            head = next(iter(found.values()))["capture"]
+            record["captures"].append({**head, "rows": found})
+        if finished is not None and record["captures"]:
             finished(record)
     if not record["captures"] and first is not None:
         raise first

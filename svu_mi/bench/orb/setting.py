@@ -54,9 +54,10 @@ class Setting:
 
     def measure(self, row: OrbRow) -> Record:
         """Recover textures, and compare pictures of them with photographs."""
+        head = self.head  # first: what is wrong with the data is said before any long work
         timed = run_warm(row, self.capture, self.grid, self.sizes.recovery)
         return {
-            "capture": self.head,
+            "capture": head,
             **timed.figures(),
             **self.judge(timed.recovery.textures, row.label, row.slug),
         }
@@ -113,6 +114,7 @@ class Setting:
     @cached_property
     def head(self) -> Record:
         """What holds for all rows: counts, entropy, and what a grey object reaches."""
+        counts = {"novel": len(self.novel), "test": len(self.test)}
         with self.bench.progress.stage(f"{self.path.name}: entropy"):
             found = estimate(self.capture, self.grid)
         seen = np.array(found.coverage) > 0
@@ -122,6 +124,7 @@ class Setting:
             "name": self.path.name,
             "object": object_of(self.path.name),
             "photographs": self.capture.count,
+            **counts,
             "texels": self.grid.count,
             "seen": int(seen.sum()),
             "entropy": float(entropy.mean()),

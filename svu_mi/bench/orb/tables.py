@@ -15,7 +15,7 @@ from svu_mi.files import replacing
 
 Record = dict[str, Any]
 
-TASKS = {"light": "another light", "view": "another view", "albedo": "base colour"}
+TASKS = {"light": "Relighting", "view": "New views", "albedo": "Base colour"}
 HEADS = {"psnr_hdr": "PSNR-H", "psnr_ldr": "PSNR-L", "ssim": "SSIM", "lpips": "LPIPS"}
 DIGITS = {"psnr_hdr": 2, "psnr_ldr": 2, "ssim": 3, "lpips": 3}
 GREY = "uniform grey"
@@ -38,9 +38,11 @@ def orb_tables(record: Record) -> str:
         record: what ``run_orb`` returns.
     """
     captures = record["captures"]
-    parts = [_heading(record), "## Means over captures", _means(captures)]
+    parts = [_heading(record)]
+    for task, title in TASKS.items():
+        parts += [f"## {title}", _means(captures, task)]
     if len(captures) > 1:
-        parts += ["## By capture", "PSNR-H and PSNR-L under another light.", _by_capture(captures)]
+        parts += ["## By capture", "PSNR-H and PSNR-L of relighting.", _by_capture(captures)]
     parts += [
         "## Published",
         "Table 1 of the paper, relighting, for all 42 captures of the real data set; times are of "
@@ -82,13 +84,14 @@ def _rows(capture: Record) -> Iterator[tuple[str, Record]]:
 
 def _heading(record: Record) -> str:
     sizes, captures = record["sizes"], record["captures"]
-    count = sum(len(c["grey"]["light"]["single"]) for c in captures)
+    count = sum(capture["novel"] for capture in captures)
     text = (
-        f"{len(captures)} captures; photographs reduced to {sizes.film} pixels, {sizes.texels} x "
-        f"{sizes.texels} texels. The rules are those of the data set (`svu_mi.metrics.orb`): "
-        f"photographs in other places ({count} in all) under their own light, each channel scaled; "
-        "photographs in the same place from other sides, not scaled; base colour against the data "
-        "set's own, scaled. Depth, normals and shape are not judged: geometry is given. Times are "
+        f"Captures: {len(captures)}; photographs reduced to {sizes.film} pixels, {sizes.texels} x "
+        f"{sizes.texels} texels. Means and standard deviations over captures, by the rules of the "
+        "data set (`svu_mi.metrics.orb`). Relighting: photographs of the object in other places "
+        f"({count} in all), each under its own light, channels scaled. New views: test "
+        "photographs of the same place, not scaled. Base colour: against the data set's own, "
+        "channels scaled. Depth, normals and shape are not judged: geometry is given. Times are "
         "of recovery, by the clock."
     )
     if all(c["grey"]["light"]["mean"]["lpips"] is None for c in captures):
@@ -98,18 +101,16 @@ def _heading(record: Record) -> str:
     return text
 
 
-def _means(captures: list[Record]) -> str:
+def _means(captures: list[Record], task: str) -> str:
     labels = dict.fromkeys(label for capture in captures for label, _ in _rows(capture))
+    names = _figures(task)
     lines = []
     for label in labels:
         found = [dict(_rows(capture))[label] for capture in captures]
-        line = [label]
-        for task in TASKS:
-            line += [_mean(found, task, name) for name in _figures(task)]
         times = [row["seconds"] for row in found if "seconds" in row]
-        lines.append([*line, seconds(float(np.mean(times))) if times else ""])
-    heads = [f"{title}, {HEADS[name]}" for task, title in TASKS.items() for name in _figures(task)]
-    return table(("recovery", *heads, "time"), lines)
+        lines.append([label, *(_mean(found, task, name) for name in names),
+                      seconds(float(np.mean(times))) if times else ""])  # fmt: skip
+    return table(("recovery", *(HEADS[name] for name in names), "time"), lines)
 
 
 def _figures(task: str) -> tuple[str, ...]:
