@@ -12,7 +12,7 @@ from svu_mi.exr import write_exr
 from svu_mi.formats.source import Light
 
 SUFFIXES = (".exr", ".hdr", ".pfm")
-ASPECT = 2  # width over height of a lat-long map
+ASPECT, OFF = 2, 0.05  # width over height of a lat-long map, and what it may be off by
 MIRROR = np.diag([-1.0, 1.0, 1.0])  # of the envmap's frame: u becomes 1 - u
 
 
@@ -53,7 +53,7 @@ def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str
     planes, _ = read_planes(light.path)
     pixels = np.stack(planes[:3], axis=-1)
     height, width = pixels.shape[:2]
-    if width != ASPECT * height:
+    if abs(width / height / ASPECT - 1) > OFF:
         raise CaptureError(
             f"{light.path}: has {width} x {height} pixels, but a lat-long map is twice as wide as "
             "high; convert it."

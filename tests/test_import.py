@@ -1,0 +1,151 @@
+"""Captures written as other tools write them, and imported again: nothing must change."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+from trimesh.visual.material import PBRMaterial
+
+import svu_mi as svu
+from svu_mi import scenes
+from svu_mi.capture import nodes
+from svu_mi.capture.poses import describe, make_sensor
+from svu_mi.capture.scene import to_world
+from svu_mi.exr import read_exr, write_exr
+from svu_mi.formats.geometry import read_geometry
+from svu_mi.formats.importing import ImportOptions, import_capture
+from svu_mi.formats.reading import read_source
+from svu_mi.formats.source import ENVIRONMENT_AXES, Light, Source, frame_of
+from svu_mi.formats.transforms import write_transforms
+
+POSE = 1e-5  # the bar; a matrix goes through single precision once
+SAME = 0.999  # Pearson correlation of entropy: the bar
+RESOLUTION = 48
+SIZE, SHIFT = (72, 52), (0.06, -0.04)  # of the photographs and their principal point
+VIEWS = 8
+Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # a world whose +Z is the scene's +Y
+LIGHT = Z_UP.T @ ENVIRONMENT_AXES["blender"]  # of the map, so that it is Blender's in that world
+
+
+@dataclass(frozen=True)
+class Original:
+    """A capture, what it says, and the files it consists of."""
+
+    capture: svu.Capture
+    entropy: np.ndarray
+    source: Source
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory) -> Original:
+    """Eight photographs of the knot, wide, with the principal point off the centre."""
+    folder = tmp_path_factory.mktemp("original")
+    shutil.copytree(scenes.path("knot").parent, folder / "knot")
+    shutil.copytree(scenes.path("knot").parent.parent / "lights", folder / "lights")
+    scene = mi.load_file(str(folder / "knot" / "knot.xml"), optimize=False)
+    changes = {"film": SIZE, "crop_size": SIZE, "principal_point_offset": SHIFT}
+    light = nodes.plugin("emitter", "envmap", id="light")
+    nodes.put(light, filename="../lights/window.exr", to_world=in_4d(LIGHT))
+    root = nodes.scene()
+    root.append(light)
+    nodes.write_document(root, folder / "lights" / "window.xml")
+    root = nodes.scene()
+    for k, sensor in enumerate(scene.sensors()[::3][:VIEWS]):
+        changed = make_sensor({**describe(sensor), **changes}, "changed")
+        root.append(nodes.sensor(changed, f"view_{k:04d}"))
+    nodes.write_document(root, folder / "knot" / "sensors.xml")
+    capture = svu.render_capture(folder / "knot" / "knot.xml", spp=16, folder=folder / "capture")
+    frames = [
+        frame_of(sensor, folder / "capture" / name)
+        for sensor, name in zip(capture.sensors, capture.names, strict=True)
+    ]
+    source = Source(
+        format="svu", root=folder / "capture", frames=frames, mesh=folder / "knot" / "mesh.ply",
+        light=Light(path=folder / "lights" / "window.exr", to_world=LIGHT),
+    )  # fmt: skip
+    return Original(capture, entropy_of(capture), source)
+
+
+def in_4d(rotation: np.ndarray) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    return matrix
+
+
+def entropy_of(capture: svu.Capture) -> np.ndarray:
+    estimate = svu.estimate(capture, svu.texels(capture.mesh, resolution=RESOLUTION))
+    return np.array(estimate.entropy)
+
+
+def in_z_up_world(source: Source, folder: Path) -> Source:
+    """The same capture in a world whose +Z is up, with Blender's environment and a GLB."""
+    frames = [replace(frame, to_world=in_4d(Z_UP) @ frame.to_world) for frame in source.frames]
+    given = read_geometry(source.mesh).mesh
+    # glTF has +Y up whatever the world: the importer is told.
+    uvs = np.stack([given.uvs[:, 0], 1 - given.uvs[:, 1]], axis=-1)  # trimesh has V upwards
+    picture = Image.fromarray(np.full((4, 4, 3), 128, np.uint8))
+    visual = trimesh.visual.TextureVisuals(uvs, PBRMaterial(baseColorTexture=picture))
+    trimesh.Trimesh(
+        given.positions, given.faces, vertex_normals=given.normals, visual=visual, process=False
+    ).export(folder / "mesh.glb")
+    light = replace(source.light, to_world=ENVIRONMENT_AXES["blender"])
+    return replace(source, frames=frames, mesh=folder / "mesh.glb", light=light)
+
+
+def with_long_pixels(source: Source, folder: Path) -> Source:
+    """The same photographs with each row written twice: pixels are wider than high."""
+    frames = []
+    for frame in source.frames:
+        image = folder / f"long_{frame.image.name}"
+        channels = read_exr(frame.image)
+        write_exr(image, {name: np.repeat(plane, 2, axis=0) for name, plane in channels.items()})
+        frames.append(replace(
+            frame, image=image, focal=(frame.focal[0], 2 * frame.focal[1]),
+            center=(frame.center[0], 2 * frame.center[1]), size=(SIZE[0], 2 * SIZE[1]),
+        ))  # fmt: skip
+    return replace(source, frames=frames)
+
+
+def as_transforms(root: Path, source: Source) -> Path:
+    """Write transforms.json with the photographs beside it."""
+    frames = []
+    for frame in source.frames:
+        shutil.copy(frame.image, root / frame.image.name)
+        frames.append(replace(frame, image=root / frame.image.name))
+    write_transforms(root / "transforms.json", frames)
+    return root
+
+
+WRITERS = {"transforms": as_transforms}
+VARIANTS = {
+    "as it is": (lambda source, _: source, {}),
+    "z up": (in_z_up_world, {"mesh_up": "y", "world_up": "z"}),
+    "long pixels": (with_long_pixels, {}),
+}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("form", WRITERS)
+def test_a_capture_comes_back(original, tmp_path, form, variant):
+    change, options = VARIANTS[variant]
+    for name in ("changed", "written"):
+        (tmp_path / name).mkdir()
+    source = change(original.source, tmp_path / "changed")
+    given = read_source(WRITERS[form](tmp_path / "written", source))
+    options = ImportOptions(mesh=source.mesh, environment=source.light, **options)
+    import_capture(given, tmp_path / "capture", options)
+    capture = svu.load_capture(tmp_path / "capture")
+    for sensor, frame in zip(capture.sensors, source.frames, strict=True):
+        np.testing.assert_allclose(to_world(sensor), frame.to_world, atol=POSE)
+        found = describe(sensor)
+        assert tuple(found["film"]) == SIZE
+        np.testing.assert_allclose(found["principal_point_offset"], SHIFT, atol=POSE)
+        assert found["x_fov"] == pytest.approx(describe(original.capture.sensors[0])["x_fov"])
+    assert np.corrcoef(entropy_of(capture), original.entropy)[0, 1] > SAME
