@@ -8,6 +8,7 @@ https://docs.nerf.studio/quickstart/data_conventions.html
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -178,7 +179,7 @@ def _size(known: Mapping[str, Any], image: Path) -> tuple[int, int]:
 def _focal(known: Mapping[str, Any], size: tuple[int, int]) -> float:
     if "fl_x" in known:
         return float(known["fl_x"])
-    return float(size[0] / 2 / np.tan(float(known["camera_angle_x"]) / 2))
+    return size[0] / 2 / math.tan(float(known["camera_angle_x"]) / 2)
 
 
 def _image(root: Path, given: Any, label: str) -> Path:
