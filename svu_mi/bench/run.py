@@ -13,6 +13,8 @@ from svu_mi.bench.cells import Cell
 from svu_mi.bench.checks import run_checks
 from svu_mi.bench.guidance import draw_guidance, run_guidance
 from svu_mi.bench.kernels import run_kernels
+from svu_mi.bench.orb import run_orb, write_csv
+from svu_mi.bench.orb.options import Options as OrbOptions
 from svu_mi.bench.plots import draw_plots
 from svu_mi.bench.recovery import draw_recovery, run_recovery
 from svu_mi.bench.recovery.options import Options
@@ -26,7 +28,8 @@ from svu_mi.errors import OptionError, SvuError, SvuWarning
 from svu_mi.files import prepare_folder
 from svu_mi.output import environment_record, write_manifest
 
-WHAT = ("accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance", "all")
+WHAT = ("accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance", "orb",
+        "all")  # fmt: skip
 
 
 def run_bench(
@@ -36,6 +39,7 @@ def run_bench(
     *,
     variants: Sequence[Variant] | None = None,
     recovery: Options | None = None,
+    orb: OrbOptions | None = None,
     command: str = "",
 ) -> dict[str, Any]:
     """Run cells, then run times, and write bench.json, bench.md and the plots.
@@ -45,23 +49,26 @@ def run_bench(
     Args:
         bench: where and how.
         cells: objects x lights; run times are measured on the first.
-        what: one of ``WHAT``; ``all`` is all but ``recovery`` and ``guidance``.
+        what: one of ``WHAT``; ``all`` is all but ``recovery``, ``guidance`` and ``orb``.
         variants: estimators; all that this version knows by default.
         recovery: what of the recovery benchmark is run.
+        orb: where Stanford-ORB is, and what of it is run; for ``orb``, which needs no cells.
         command: as the user gave it, for the record.
 
     Returns:
         What bench.json holds: ``cells``, ``summary``, ``checks``, ``speed``, ``kernels``,
-        ``stability``, ``recovery``, ``guidance``, ``failed``, and how it was run.
+        ``stability``, ``recovery``, ``guidance``, ``orb``, ``failed``, and how it was run.
 
     Raises:
-        OptionError: an unknown ``what``, or no cell.
+        OptionError: an unknown ``what``, no cell, or no data set.
         SvuError: that of the first cell, if every cell failed.
         OutputError: the folder cannot be written.
     """
     if what not in WHAT:
         raise OptionError(f"There is no benchmark {what!r}; there are {', '.join(WHAT)}.")
-    if not cells:
+    if what == "orb" and orb is None:
+        raise OptionError("Stanford-ORB does not come with svu_mi; say where it is.")
+    if what != "orb" and not cells:
         raise OptionError("There is no object under any light to run.")
     prepare_folder(bench.folder)
     variants = available() if variants is None else tuple(variants)
@@ -78,6 +85,7 @@ def run_bench(
         "stability": None,
         "recovery": None,
         "guidance": None,
+        "orb": None,
     }
     if what in ("accuracy", "all"):
         record["cells"], record["failed"] = _all_cells(bench, cells, variants)
@@ -105,6 +113,8 @@ def run_bench(
         run_recovery(bench, cells, recovery, finished=partial(finished, what))
     if what == "guidance":
         run_guidance(bench, cells, finished=partial(finished, what))
+    if what == "orb" and orb is not None:
+        run_orb(bench, orb, finished=partial(finished, what))
     return record
 
 
@@ -133,6 +143,8 @@ def _write(bench: Bench, record: dict[str, Any]) -> None:
             draw_recovery(bench.folder, record["recovery"])
         if record["guidance"]:
             draw_guidance(bench.folder, record["guidance"])
+        if record["orb"]:
+            write_csv(bench.folder / "orb.csv", record["orb"])
 
 
 def _all_cells(

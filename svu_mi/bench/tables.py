@@ -8,6 +8,7 @@ from typing import Any
 
 from svu_mi.bench.guidance import guidance_tables
 from svu_mi.bench.kernels import kernel_tables
+from svu_mi.bench.orb import orb_tables
 from svu_mi.bench.recovery import recovery_tables
 from svu_mi.bench.speed_tables import speed_tables
 from svu_mi.bench.stability import stability_table
@@ -46,6 +47,8 @@ def write_tables(path: Path, record: Record) -> None:
         parts += ["# Recovery of textures", recovery_tables(record["recovery"])]
     if record["guidance"]:
         parts += ["# Capture guidance", guidance_tables(record["guidance"])]
+    if record["orb"]:
+        parts += ["# Stanford-ORB", orb_tables(record["orb"])]
     with replacing(path) as temporary:
         temporary.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
 
@@ -53,11 +56,15 @@ def write_tables(path: Path, record: Record) -> None:
 def _heading(record: Record) -> str:
     size, place = record["settings"], record["environment"]
     versions = place["versions"]
-    return (
+    how = (
         f"`{record['command']}`, {record['date']}; svu_mi {versions['svu_mi']}, Mitsuba "
         f"{versions['mitsuba']}, Dr.Jit {versions['drjit']}, {place['variant']}, "
-        f"{place['threads']} threads, {place['platform']}.\n\n"
-        f"{len(record['cells'])} cells (object / light); {size.views} photographs of "
+        f"{place['threads']} threads, {place['platform']}."
+    )
+    if record["orb"]:  # has sizes of its own
+        return how
+    return (
+        f"{how}\n\n{len(record['cells'])} cells (object / light); {size.views} photographs of "
         f"{size.film} x {size.film} with {size.spp} samples per pixel, {size.texels} x "
         f"{size.texels} texels, reference on {size.reference_texels} texels with "
         f"{size.reference_spp} samples."

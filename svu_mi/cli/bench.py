@@ -18,12 +18,14 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from svu_mi.bench.cells import Cell
+    from svu_mi.bench.orb.options import Options as OrbOptions
     from svu_mi.bench.recovery.options import Options
 
 What = Annotated[
-    Literal["accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance", "all"],
+    Literal["accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance", "orb",
+            "all"],
     tyro.conf.Positional,
-]
+]  # fmt: skip
 Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
 
 
@@ -40,12 +42,14 @@ class Bench(Common):
     for some objects; speed: run times, of the first object and light; kernels: speed and error of
     each kernel, what skipping saves, scaling; stability: errors at the ends of every axis;
     all: these; recovery: textures recovered in every way, against the true ones; guidance: textures
-    recovered from views chosen in every way, and the time that choosing takes."""
+    recovered from views chosen in every way, and the time that choosing takes; orb: textures
+    recovered from the captures of Stanford-ORB, relit, against its photographs."""
     output: Output = Path("out/bench")
     data: Path | None = None
-    """Folder with objects/ and envmaps/; without it, the scenes of svu_mi."""
+    """Folder with objects/ and envmaps/; without it, the scenes of svu_mi. orb: the data set, with
+    blender_HDR/ and ground_truth/."""
     objects: Names = ""
-    """Objects to run; without it all (of svu_mi's: vase, knot and spheres)."""
+    """Objects to run; without it all (of svu_mi's: vase, knot and spheres). orb: captures, too."""
     lights: Names = ""
     """Lights to run; without it all."""
     quick: bool = False
@@ -55,12 +59,16 @@ class Bench(Common):
     fresh: bool = False
     """Compute finished cells anew."""
     rows: Names = ""
-    """recovery: ways of recovery to run; without it all."""
+    """recovery, orb: ways of recovery to run; without it all, or (orb) those that trace no
+    paths."""
     groups: Names = ""
     """recovery: even (photographs from everywhere), repeated, varied (from one side mostly, of
     materials that repeat or do not), costs (single steps); without it all."""
     keep: bool = False
     """recovery: take up results that another version of svu_mi found."""
+    environment_view: str | None = None
+    """orb: test photograph, such as 0003, whose environment map is the light of recovery; without
+    it the first."""
     stored: bool = False
     """recovery: run nothing; make tables and plots of the results that are there."""
 
@@ -82,7 +90,7 @@ class Bench(Common):
         chosen = tuple(v for v in available() if v.main or not (self.main or self.quick))
         record = run_bench(
             bench, self._cells(), self.what, variants=chosen, recovery=self._recovery(),
-            command=shlex.join(words),
+            orb=self._orb(), command=shlex.join(words),
         )  # fmt: skip
         for row in record["summary"]:
             if row["kind"] != "switch" and row["pearson"] is not None:
@@ -105,9 +113,23 @@ class Bench(Common):
             stored=self.stored,
         )  # fmt: skip
 
+    def _orb(self) -> OrbOptions | None:
+        from svu_mi.bench.orb.options import Options
+
+        if self.what != "orb":
+            return None
+        if self.data is None:
+            raise OptionError("svu bench orb needs the folder of Stanford-ORB: --data FOLDER.")
+        return Options(
+            data=self.data, captures=names(self.objects, "--objects"),
+            rows=names(self.rows, "--rows"), environment_view=self.environment_view,
+        )  # fmt: skip
+
     def _cells(self) -> tuple[Cell, ...]:
         from svu_mi.bench.cells import data_cells, own_cells
 
+        if self.what == "orb":
+            return ()
         objects, lights = names(self.objects, "--objects"), names(self.lights, "--lights")
         if self.data is None:
             return own_cells(objects, lights, quick=self.quick)

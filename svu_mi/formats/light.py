@@ -27,8 +27,23 @@ def write_environment(light: Light, path: Path) -> tuple[np.ndarray, list[str]]:
         The (4, 4) ``to_world`` of the emitter, a rotation, and sentences about the map.
 
     Raises:
-        CaptureError: the map cannot be read, has 8 bits, holds NaN, or is no lat-long map.
+        CaptureError: as ``read_environment_map``.
         OutputError: it cannot be written.
+    """
+    pixels, matrix, notes = read_environment_map(light)
+    write_exr(path, {"RGB": pixels})
+    return matrix, notes
+
+
+def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Read a map, mirrored if its matrix is, so that what is left is a rotation.
+
+    Returns:
+        (H, W, 3) float32 radiance, the (4, 4) ``to_world`` of Mitsuba's envmap with these pixels,
+        and sentences about the map.
+
+    Raises:
+        CaptureError: the map cannot be read, has 8 bits, holds NaN, or is no lat-long map.
     """
     if light.path.suffix.lower() not in SUFFIXES:
         raise CaptureError(
@@ -54,7 +69,6 @@ def write_environment(light: Light, path: Path) -> tuple[np.ndarray, list[str]]:
     rotation = light.to_world
     if np.linalg.det(rotation) < 0:
         pixels, rotation = pixels[:, ::-1], rotation @ MIRROR
-    write_exr(path, {"RGB": pixels * np.float32(light.scale)})
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
-    return matrix, notes
+    return pixels * np.float32(light.scale), matrix, notes

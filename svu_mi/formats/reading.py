@@ -8,6 +8,7 @@ from typing import Literal, get_args
 
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.formats.source import Source
+from svu_mi.formats.stanford_orb import is_orb, read_orb
 from svu_mi.formats.transforms import FILE, read_transforms
 
 Format = Literal["transforms", "colmap", "stanford-orb", "owl"]
@@ -55,10 +56,14 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
     if kind == "transforms":
         file = path if path.is_file() else _transforms_in(path, options.split)
         return read_transforms(file, original_world=options.original_world)
+    if kind == "stanford-orb":
+        return read_orb(path, split=options.split)
     raise OptionError(kind)
 
 
 def _guess(path: Path, split: str) -> Format:
+    if is_orb(path):
+        return "stanford-orb"
     if path.suffix.lower() == ".json" or _transforms_in(path, split).is_file():
         return "transforms"
     raise CaptureError(

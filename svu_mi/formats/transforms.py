@@ -8,6 +8,7 @@ https://docs.nerf.studio/quickstart/data_conventions.html
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -42,10 +43,7 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
             the folder, or its lens is not straight, or its pose mirrored.
     """
     path = Path(path)
-    record = read_json(path)
-    frames = record.get("frames") if isinstance(record, dict) else None
-    if not isinstance(frames, list) or not frames:
-        raise CaptureError(f'{path}: no poses; expected a list "frames" with transform_matrix.')
+    record, frames = read_poses(path)
     applied = _applied(record, path)
     before = np.linalg.inv(applied) if original_world else np.eye(4)
     kept = not original_world and not np.allclose(applied, np.eye(4))
@@ -57,12 +55,25 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
         format="transforms",
         root=path.parent,
         frames=tuple(
-            _frame(record, frame, path.parent, f"{path}: frame {index}", before)
+            parse_frame(record, frame, path.parent, f"{path}: frame {index}", before)
             for index, frame in enumerate(frames)
         ),
         camera_axes=OPENGL,
         notes=(note,) if kept else (),
     )
+
+
+def read_poses(path: Path) -> tuple[dict[str, Any], list[Any]]:
+    """Return what a file says as a whole, and the frames that it lists, at least one.
+
+    Raises:
+        CaptureError: the file is no such JSON.
+    """
+    record = read_json(path)
+    frames = record.get("frames") if isinstance(record, dict) else None
+    if not isinstance(frames, list) or not frames:
+        raise CaptureError(f'{path}: no poses; expected a list "frames" with transform_matrix.')
+    return record, frames
 
 
 def write_transforms(path: str | Path, frames: Sequence[Frame]) -> None:
@@ -113,9 +124,21 @@ def _matrix(value: Any) -> np.ndarray:
     return np.vstack([matrix[:3], [0, 0, 0, 1]])
 
 
-def _frame(
+def parse_frame(
     record: Mapping[str, Any], given: Any, root: Path, label: str, before: np.ndarray
 ) -> Frame:
+    """Read one frame.
+
+    Args:
+        record: what holds for all frames.
+        given: the frame.
+        root: folder that files are named relative to.
+        label: the file and frame, for messages.
+        before: (4, 4), applied to the pose from the left.
+
+    Raises:
+        CaptureError: as ``read_transforms``.
+    """
     try:
         known = {**record, **given}
         matrix = _matrix(known["transform_matrix"])
@@ -156,7 +179,7 @@ def _size(known: Mapping[str, Any], image: Path) -> tuple[int, int]:
 def _focal(known: Mapping[str, Any], size: tuple[int, int]) -> float:
     if "fl_x" in known:
         return float(known["fl_x"])
-    return float(size[0] / 2 / np.tan(float(known["camera_angle_x"]) / 2))
+    return size[0] / 2 / math.tan(float(known["camera_angle_x"]) / 2)
 
 
 def _image(root: Path, given: Any, label: str) -> Path:

@@ -16,6 +16,9 @@ from svu_mi.metrics.error import ErrorSummary as ErrorSummary
 from svu_mi.metrics.error import error_summary as error_summary
 from svu_mi.metrics.images import ImageError as ImageError
 from svu_mi.metrics.images import image_error as image_error
+from svu_mi.metrics.orb import OrbError as OrbError
+from svu_mi.metrics.orb import orb_albedo_error as orb_albedo_error
+from svu_mi.metrics.orb import orb_error as orb_error
 from svu_mi.metrics.sparsification import Sparsification as Sparsification
 from svu_mi.metrics.sparsification import sparsification as sparsification
 from svu_mi.metrics.textures import psnr as psnr

@@ -1,8 +1,8 @@
 """How close a relit picture is to the true one: PSNR and SSIM over an object's pixels.
 
-As Stanford-ORB does it (Kuang et al., NeurIPS 2023, Sec. 4.2), with two differences: no scale
-per channel is fitted, since the light is known and the scale is part of the error; and the
-mean is over pixels *and* channels, where theirs sums channels (4.8 dB less).
+Much as Stanford-ORB does it (Kuang et al., NeurIPS 2023, Sec. 4.2), but no scale per channel is
+fitted, since the light is known and the scale is part of the error; and means are over the
+object's pixels, not the whole picture. ``orb`` has that data set's own rules.
 """
 
 from __future__ import annotations
@@ -74,17 +74,21 @@ def image_error(found: Any, truth: Any, mask: Any) -> ImageError:
     )
 
 
-def ssim_map(found: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def ssim_map(
+    found: np.ndarray, truth: np.ndarray, radius: int = WINDOW_RADIUS, border: str = "reflect"
+) -> np.ndarray:
     """Return the SSIM index of every pixel and channel (Wang et al. 2004, Eq. 13).
 
     Args:
         found: (H, W, C) in [0, 1].
         truth: the same.
+        radius: pixels of the window on each side of its centre.
+        border: what lies beyond the picture, as ``scipy.ndimage`` calls it.
     """
 
     def local(values: np.ndarray) -> np.ndarray:
         sigma = (WINDOW_SIGMA, WINDOW_SIGMA, 0)
-        return gaussian_filter(values, sigma, radius=(WINDOW_RADIUS, WINDOW_RADIUS, 0))
+        return gaussian_filter(values, sigma, radius=(radius, radius, 0), mode=border)
 
     c1, c2 = K1**2, K2**2
     mean_a, mean_b = local(found), local(truth)

@@ -81,7 +81,7 @@ def read_environment(emitter: Any) -> Environment:
         )
     columns, rows = _grid(emitter)
     local = directions(columns, rows)
-    grid = _evaluate(emitter, local.reshape(-1, 3) @ to_world.T).reshape(rows, columns, 3)
+    grid = radiance_from(emitter, local.reshape(-1, 3) @ to_world.T).reshape(rows, columns, 3)
     disk = (np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
     if emitter.class_name() == "SunskyEmitter":
         grid, disk = _split_sun(emitter, grid, local, to_world)
@@ -116,7 +116,13 @@ def directions(columns: int, rows: int) -> np.ndarray:
     return np.stack([sin * np.sin(phi), y, -sin * np.cos(phi)], axis=-1)
 
 
-def _evaluate(emitter: Any, world: np.ndarray) -> np.ndarray:
+def radiance_from(emitter: Any, world: np.ndarray) -> np.ndarray:
+    """Return (N, 3) float64 radiance that an environment emitter sends from directions.
+
+    Args:
+        emitter: as for ``read_environment``.
+        world: (N, 3) unit directions towards it.
+    """
     si = dr.zeros(mi.SurfaceInteraction3f, len(world))
     si.wi = -owned(mi.Vector3f, world.T.astype(np.float32))
     return np.broadcast_to(emitter.eval(si).numpy().T.astype(np.float64), world.shape).copy()
@@ -129,7 +135,7 @@ def _split_sun(
     # Mitsuba 3.9 states the sun's direction in world space, whatever to_world is.
     sun = np.array(mi.traverse(emitter)["sun_direction"], np.float64).ravel()[:3] @ to_world
     sun /= np.linalg.norm(sun)
-    brightest = _evaluate(emitter, sun[None] @ to_world.T)[0]
+    brightest = radiance_from(emitter, sun[None] @ to_world.T)[0]
     radius = _disk_radius(emitter, sun, to_world, brightest)
     if radius == 0:
         return grid, (np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
@@ -148,7 +154,7 @@ def _split_sun(
     points = cos[:, None, None] * sun + np.sqrt(1 - cos**2)[:, None, None] * around_sun
     solid = np.repeat(weights / 2 * height * 2 * np.pi / SUN_SPOKES, SUN_SPOKES)
     points = points.reshape(-1, 3)
-    excess = np.maximum(_evaluate(emitter, points @ to_world.T) - sky, 0)
+    excess = np.maximum(radiance_from(emitter, points @ to_world.T) - sky, 0)
     return grid, (points, solid, excess)
 
 
@@ -160,7 +166,7 @@ def _disk_radius(
 
     def lit(angle: np.ndarray) -> np.ndarray:
         ray = np.cos(angle)[:, None] * sun + np.sin(angle)[:, None] * side
-        return _evaluate(emitter, ray @ to_world.T).sum(axis=1) > 0.2 * brightest.sum()
+        return radiance_from(emitter, ray @ to_world.T).sum(axis=1) > 0.2 * brightest.sum()
 
     low, high = 0.0, np.radians(20)
     if not lit(np.array([0.0]))[0] or lit(np.array([high]))[0]:

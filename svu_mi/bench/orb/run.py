@@ -1,0 +1,61 @@
+"""Run the benchmark of Stanford-ORB, capture by capture; what is finished is kept."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+from svu_mi.bench.accuracy import Bench
+from svu_mi.bench.orb.options import FULL, QUICK, Options
+from svu_mi.bench.orb.setting import Setting
+from svu_mi.errors import SvuError, SvuWarning
+from svu_mi.formats.stanford_orb import find_captures
+
+Record = dict[str, Any]
+
+
+def run_orb(
+    bench: Bench, options: Options, *, finished: Callable[[Record], None] | None = None
+) -> Record:
+    """Recover the textures of every capture, and compare pictures of them with photographs.
+
+    A capture that cannot be read is reported and left out.
+
+    Args:
+        bench: where, and how large.
+        options: what is run.
+        finished: called with the record so far after each capture.
+
+    Returns:
+        ``captures``: what ``Setting.head`` says of each, and ``rows`` by label, each with what
+        ``Setting.judge`` returns; ``failed``; ``sizes``; ``quick``.
+
+    Raises:
+        OptionError: there is no such capture or row.
+        SvuError: that of the first capture, if everything failed.
+        OutputError: the folder cannot be written.
+    """
+    rows = options.chosen_rows()
+    sizes = options.sizes or (QUICK if bench.quick else FULL)
+    record: Record = {"captures": [], "failed": [], "sizes": sizes, "quick": bench.quick}
+    first: SvuError | None = None
+    for path in options.chosen_captures(find_captures(options.data)):
+        setting = Setting(bench, path, options, sizes)
+        try:
+            found = {}
+            for row in rows:
+                with bench.progress.stage(f"{path.name}: {row.label}"):
+                    found[row.label] = setting.recall(row)
+        except SvuError as error:
+            first = first or error
+            record["failed"].append({"cell": path.name, "reason": str(error)})
+            warnings.warn(f"{path.name} is left out: {error}", SvuWarning, stacklevel=2)
+        else:
+            head = next(iter(found.values()))["capture"]
+            record["captures"].append({**head, "rows": found})
+        if finished is not None and record["captures"]:
+            finished(record)
+    if not record["captures"] and first is not None:
+        raise first
+    return record

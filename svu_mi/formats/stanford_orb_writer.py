@@ -1,0 +1,164 @@
+"""Write photographs in the layout of Stanford-ORB, as ``stanford_orb`` reads it.
+
+Of ``ground_truth``, surface_normal and z_depth are left out: geometry is given here, not estimated.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture.mesh import MeshArrays
+from svu_mi.errors import MeshError
+from svu_mi.exr import write_exr
+from svu_mi.files import prepare_folder, replacing
+from svu_mi.formats.source import OPENGL
+from svu_mi.formats.stanford_orb import ALBEDO, ENVIRONMENTS, MESH, SUFFIXES, TRUTH
+
+# What the scans' normals look like in the data set.
+NORMALS_AS_PUBLISHED = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrbPhotograph:
+    """One photograph.
+
+    Attributes:
+        image: (H, W, 3) linear radiance.
+        mask: (H, W) in [0, 1], 1 on the object.
+        to_world: (4, 4), camera to the world of its capture; camera space is Mitsuba's.
+        environment: (h, w, 3) radiance in the frame of the camera, as Mitsuba's envmap; of test
+            photographs only.
+        albedo: (H, W, 3) linear base colour; the same.
+    """
+
+    image: np.ndarray
+    mask: np.ndarray
+    to_world: np.ndarray
+    environment: np.ndarray | None = None
+    albedo: np.ndarray | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrbCapture:
+    """An object in one place.
+
+    Attributes:
+        name: such as ``teapot_scene001``.
+        x_fov: opening angle of all photographs over their width, in degrees.
+        world: (4, 4) rotation and translation from the mesh's own frame to this world: each place
+            has its own.
+        train: photographs that textures are recovered from.
+        test: photographs that results are compared with.
+    """
+
+    name: str
+    x_fov: float
+    world: np.ndarray
+    train: Sequence[OrbPhotograph]
+    test: Sequence[OrbPhotograph]
+
+
+def write_orb(root: str | Path, mesh: MeshArrays, captures: Sequence[OrbCapture]) -> None:
+    """Write all captures of one object.
+
+    Photographs are written with high and with low range; ``transforms_novel.json`` of each capture
+    lists the test photographs of the others.
+
+    Args:
+        root: folder of the data set.
+        mesh: the object, with normals and UVs, in the frame that ``OrbCapture.world`` starts from.
+        captures: its captures.
+
+    Raises:
+        MeshError: the mesh has no normals or no UVs.
+        OutputError: a file cannot be written.
+    """
+    if mesh.normals is None or mesh.uvs is None:
+        raise MeshError("write_orb(): the mesh needs normals and UVs, as the scans have them.")
+    for capture in captures:
+        others = [other for other in captures if other is not capture]
+        for kind in SUFFIXES:
+            _write_photographs(Path(root) / kind, capture, others)
+        _write_truth(Path(root) / TRUTH / capture.name, capture, mesh)
+
+
+def _names(capture: OrbCapture) -> dict[str, list[tuple[str, OrbPhotograph]]]:
+    """Number the photographs; test ones follow, as no number is given twice."""
+    numbered = enumerate([*capture.train, *capture.test])
+    shots = [(f"{number:04d}", photograph) for number, photograph in numbered]
+    return {"train": shots[: len(capture.train)], "test": shots[len(capture.train) :]}
+
+
+def _write_photographs(folder: Path, capture: OrbCapture, others: Sequence[OrbCapture]) -> None:
+    place = folder / capture.name
+    angle = {"camera_angle_x": float(np.radians(capture.x_fov))}
+    for split, shots in _names(capture).items():
+        images, masks = (prepare_folder(place / name) for name in (split, f"{split}_mask"))
+        for name, shot in shots:
+            path = images / f"{name}{SUFFIXES[folder.name]}"
+            if path.suffix == ".exr":
+                write_exr(path, {"RGB": shot.image})
+            else:
+                _write_png(path, shot.image)
+            _write_png(masks / f"{name}.png", shot.mask, encoded=True)
+        frames = [_frame(split, name, shot.to_world) for name, shot in shots]
+        _write_json(place / f"transforms_{split}.json", {**angle, "frames": frames})
+    novel = [
+        {
+            **_frame("test", name, capture.world @ np.linalg.inv(other.world) @ shot.to_world),
+            "camera_angle_x": float(np.radians(other.x_fov)),
+            "scene_name": other.name,
+        }
+        for other in others
+        for name, shot in _names(other)["test"]
+    ]
+    _write_json(place / "transforms_novel.json", {"frames": novel})
+
+
+def _frame(split: str, name: str, to_world: np.ndarray) -> dict[str, Any]:
+    return {"file_path": f"{split}/{name}", "transform_matrix": (to_world @ OPENGL).tolist()}
+
+
+def _write_truth(place: Path, capture: OrbCapture, mesh: MeshArrays) -> None:
+    for name, shot in _names(capture)["test"]:
+        if shot.environment is not None:
+            path = prepare_folder(place / ENVIRONMENTS) / f"{name}.exr"
+            write_exr(path, {"RGB": shot.environment})
+        if shot.albedo is not None:
+            _write_png(prepare_folder(place / ALBEDO) / f"{name}.png", shot.albedo)
+    prepare_folder((place / MESH).parent)
+    rotation, shift = capture.world[:3, :3], capture.world[:3, 3]
+    assert mesh.normals is not None and mesh.uvs is not None  # write_orb has looked
+    columns = {
+        "v": mesh.positions @ rotation.T + shift,
+        "vt": np.stack([mesh.uvs[:, 0], 1 - mesh.uvs[:, 1]], axis=-1),  # OBJ counts V upwards
+        "vn": mesh.normals @ rotation.T @ NORMALS_AS_PUBLISHED.T,
+    }
+    lines = [
+        f"{key} {' '.join(f'{value:.9g}' for value in row)}"
+        for key, rows in columns.items()
+        for row in rows
+    ]
+    lines += [f"f {' '.join(f'{i}/{i}/{i}' for i in face)}" for face in mesh.faces + 1]
+    with replacing(place / MESH) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _write_png(path: Path, values: np.ndarray, *, encoded: bool = False) -> None:
+    """Write 8 bits; linear values are encoded as sRGB."""
+    bitmap = mi.Bitmap(np.ascontiguousarray(np.clip(values, 0, 1), np.float32))
+    bitmap = bitmap.convert(component_format=mi.Struct.Type.UInt8, srgb_gamma=not encoded)
+    with replacing(path) as temporary:
+        bitmap.write(str(temporary))
+
+
+def _write_json(path: Path, record: dict[str, Any]) -> None:
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,505 @@
+"""Stanford-ORB: its layout read and written, its rules, and its benchmark on a rendered set."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import sys
+import types
+from dataclasses import replace
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from svu_mi import scenes
+from svu_mi.bench import run_bench
+from svu_mi.bench.accuracy import Bench
+from svu_mi.bench.cells import QUICK, own_cells
+from svu_mi.bench.orb.dataset import DatasetSizes, render_dataset
+from svu_mi.bench.orb.options import ROWS, Options, Sizes
+from svu_mi.bench.orb.setting import Setting
+from svu_mi.bench.orb.tables import GREY
+from svu_mi.bench.orb.targets import Target, judge_pictures
+from svu_mi.bench.recovery.sizes import Sizes as RecoverySizes
+from svu_mi.capture.mesh import MeshArrays, arrays
+from svu_mi.capture.picture import read_planes
+from svu_mi.capture.scene import find_environment, load_scene
+from svu_mi.cli.main import main
+from svu_mi.errors import CaptureError, MeshError, OptionError, ShapeError, SvuWarning
+from svu_mi.formats.fixes import turned
+from svu_mi.formats.light import read_environment_map
+from svu_mi.formats.reading import read_source
+from svu_mi.formats.stanford_orb import find_captures, is_orb, read_orb, read_views
+from svu_mi.formats.stanford_orb_writer import OrbCapture, OrbPhotograph, write_orb
+from svu_mi.metrics import lpips as lpips_module
+from svu_mi.metrics.orb import orb_albedo_error, orb_error
+from svu_mi.progress import Progress
+from svu_mi.radiance.environment import radiance_from
+from svu_mi.recovery.textures import Textures
+
+LIGHTS = ("window", "studio")
+PHOTOGRAPHS = DatasetSizes(train=12, test=2, film=48, spp=48, test_spp=1024, environment=128)
+TINY = Sizes(film=48, texels=48, spp=256, recovery=RecoverySizes(warm=False, repeats=1))
+FIRST, SECOND = "vase_scene001", "vase_scene002"
+
+
+# --- the layout ---------------------------------------------------------------------------
+
+
+def pose(rng):
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.random(random_state=rng).as_matrix()
+    matrix[:3, 3] = rng.normal(size=3)
+    return matrix
+
+
+def photograph(rng, size=(6, 8)):
+    return OrbPhotograph(
+        image=rng.uniform(size=(*size, 3)).astype(np.float32),
+        mask=np.ones(size),
+        to_world=pose(rng),
+        environment=rng.uniform(size=(4, 8, 3)),
+        albedo=np.full((*size, 3), 0.5),
+    )
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Two captures of a triangle, without any rendering."""
+    rng = np.random.default_rng(605120984)
+    mesh = MeshArrays(
+        positions=rng.normal(size=(3, 3)), faces=np.array([[0, 1, 2]]),
+        normals=np.array([[0.0, 0.6, 0.8]] * 3), uvs=rng.uniform(size=(3, 2)),
+    )  # fmt: skip
+    captures = [
+        OrbCapture(
+            name=f"cup_scene{k:03d}", x_fov=30.0 + k, world=pose(rng),
+            train=[photograph(rng) for _ in range(3)], test=[photograph(rng) for _ in range(2)],
+        )
+        for k in (1, 2)
+    ]  # fmt: skip
+    write_orb(tmp_path, mesh, captures)
+    return tmp_path, mesh, captures
+
+
+def test_what_is_written_is_read(written):
+    root, mesh, (capture, _) = written
+    path = root / "blender_HDR" / capture.name
+    source = read_orb(path)
+    assert is_orb(path) and source.root == root and len(source.notes) == 2
+    assert source.mesh == root / "ground_truth" / capture.name / "mesh_blender/mesh.obj"
+    focal = 4 / np.tan(np.radians(31 / 2))
+    for frame, shot in zip(source.frames, capture.train, strict=True):
+        np.testing.assert_allclose(frame.to_world, shot.to_world, atol=1e-12)
+        assert frame.focal == pytest.approx((focal, focal)) and frame.size == (8, 6)
+        assert frame.center == (4, 3)
+        color = np.stack(read_planes(frame.image)[0], axis=-1)
+        np.testing.assert_array_equal(color, shot.image)
+        assert read_planes(frame.mask)[0][0].min() == 1
+    lines = [line.split() for line in source.mesh.read_text().splitlines()]
+    rows = {key: np.array([w[1:] for w in lines if w[0] == key], float) for key in ("v", "vn")}
+    turn, shift = capture.world[:3, :3], capture.world[:3, 3]
+    np.testing.assert_allclose(rows["v"], mesh.positions @ turn.T + shift, atol=1e-7)
+    x, y, z = (mesh.normals @ turn.T).T
+    np.testing.assert_allclose(rows["vn"], np.stack([x, -z, y], axis=-1), atol=1e-7)
+
+
+def test_eight_bits_are_read_like_floats(written):
+    root, _, (capture, _) = written
+    high, low = (read_orb(root / kind / capture.name) for kind in ("blender_HDR", "blender_LDR"))
+    for a, b in zip(high.frames, low.frames, strict=True):
+        np.testing.assert_array_equal(a.to_world, b.to_world)
+        assert b.image.suffix == ".png" and b.transfer == "srgb" and read_planes(b.image)[1]
+    assert low.light.path == high.light.path and low.mesh == high.mesh
+
+
+def test_the_light_turns_with_the_camera_of_its_photograph(written):
+    root, _, (capture, _) = written
+    path = root / "blender_HDR" / capture.name
+    chosen = read_orb(path).light, read_orb(path, environment_view="0004").light
+    for light, shot in zip(chosen, capture.test, strict=True):
+        np.testing.assert_allclose(light.to_world, shot.to_world[:3, :3], atol=1e-12)
+        pixels, _, _ = read_environment_map(light)
+        np.testing.assert_allclose(pixels, shot.environment, rtol=1e-6)
+    with pytest.raises(OptionError, match="'0000'; there are 0003, 0004"):
+        read_orb(path, environment_view="0000")
+
+
+def test_photographs_of_other_places_have_a_pose_here(written):
+    root, _, (here, there) = written
+    path = root / "blender_HDR" / here.name
+    source = read_orb(path, split=there.name)
+    for frame, shot in zip(source.frames, there.test, strict=True):
+        on_object = np.linalg.inv(there.world) @ shot.to_world
+        np.testing.assert_allclose(
+            np.linalg.inv(here.world) @ frame.to_world, on_object, atol=1e-12
+        )
+        assert frame.image.parent == root / "blender_HDR" / there.name / "test"
+        assert frame.focal[0] == pytest.approx(4 / np.tan(np.radians(32 / 2)))
+    assert source.light.path.parent.parent.name == there.name
+    with pytest.raises(OptionError, match="no photographs of 'cup_scene007'"):
+        read_orb(path, split="cup_scene007")
+
+
+def test_svu_import_recognises_it(written):
+    root, _, (capture, _) = written
+    assert read_source(root / "blender_HDR" / capture.name).format == "stanford-orb"
+    assert [path.name for path in find_captures(root)] == ["cup_scene001", "cup_scene002"]
+    with pytest.raises(OptionError, match="holds no capture"):
+        find_captures(root / "blender_HDR")
+    with pytest.raises(CaptureError, match="not a capture of Stanford-ORB"):
+        read_views(root, "train")
+
+
+def test_without_ground_truth_there_is_neither_mesh_nor_light(written):
+    root, _, (capture, _) = written
+    shutil.rmtree(root / "ground_truth")
+    source = read_orb(root / "blender_HDR" / capture.name)
+    assert source.mesh is None and source.light is None and "--environment" in source.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"file_path": "../../secret"}, "lies outside"),
+        ({"file_path": "/etc/passwd"}, "lies outside"),
+        ({"file_path": 7}, "file_path must be text"),
+        ({"file_path": "train/9999"}, "9999.exr: no such photograph"),
+        ({"scene_name": "../ground_truth"}, "lies outside"),
+        ({"scene_name": "cup_scene002/test"}, "must be the name of a capture"),
+        ({"scene_name": ["cup"]}, "must be text"),
+        ({"transform_matrix": [[1, 2], [3, 4]]}, "a frame needs transform_matrix"),
+        ({"transform_matrix": np.diag([-1.0, 1, 1, 1]).tolist()}, "mirrored"),
+        ({"camera_angle_x": "wide"}, "a frame needs"),
+        ({"camera_angle_x": 0}, "a frame needs|focal length"),
+        (None, "file_path must be text"),
+    ],
+)
+def test_a_broken_frame_is_named(written, changes, sentence):
+    root, _, (capture, _) = written
+    file = root / "blender_HDR" / capture.name / "transforms_train.json"
+    record = json.loads(file.read_text())
+    record["frames"][1] = None if changes is None else {**record["frames"][1], **changes}
+    file.write_text(json.dumps(record))
+    with pytest.raises(CaptureError, match=sentence) as error:
+        read_orb(file.parent)
+    assert "frame 1" in str(error.value) or "9999" in str(error.value)
+
+
+def test_a_mesh_is_written_with_normals_and_uvs(written, tmp_path):
+    _, mesh, captures = written
+    with pytest.raises(MeshError, match="normals and UVs"):
+        write_orb(tmp_path / "other", replace(mesh, uvs=None), captures)
+
+
+# --- the rules ----------------------------------------------------------------------------
+
+
+def pictures():
+    """A photograph, a picture of it, and a mask that reaches one border."""
+    rng = np.random.default_rng(330917452)
+    truth = rng.uniform(size=(14, 17, 3)) * 3
+    found = truth * [0.5, 1, 2] + rng.uniform(size=truth.shape) * 0.2
+    mask = np.zeros((14, 17), bool)
+    mask[3:, 2:15] = True
+    inside = np.zeros_like(mask)
+    inside[5:, 4:13] = True  # two pixels less, but not at the border
+    return found, truth, mask, inside
+
+
+def encode(x):
+    return np.where(x > 0.0031308, 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055, 12.92 * x)
+
+
+def decibels(a, b):
+    return -10 * np.log10(np.mean((a - b) ** 2))
+
+
+def test_psnr_is_of_the_whole_picture_with_channels_scaled_on_the_eroded_mask():
+    found, truth, mask, inside = pictures()
+    for scaled in (True, False):
+        a, b = (np.where(inside[..., None], x, 0) for x in (found, truth))
+        if scaled:
+            for c in range(3):
+                a[..., c] *= (a[..., c] * b[..., c]).sum() / (a[..., c] ** 2).sum()
+        gain = encode(np.clip(b, 0, 1)).mean() / np.clip(b, 0, 1).mean()
+        error = orb_error(found, truth, mask, scaled=scaled)
+        high = decibels(np.clip(gain * a, 0, 4), np.clip(gain * b, 0, 4))
+        low = decibels(encode(np.clip(a, 0, 1)), encode(np.clip(b, 0, 1)))
+        assert (error.psnr_hdr, error.psnr_ldr) == pytest.approx((high, low), abs=1e-9)
+    error = orb_albedo_error(found / 3, truth / 3, mask)
+    a, b = (np.where(inside[..., None], x / 3, 0) for x in (found, truth))
+    a *= (a * b).sum(axis=(0, 1)) / (a**2).sum(axis=(0, 1))
+    assert error.psnr_ldr == pytest.approx(decibels(np.clip(a, 0, 1), b), abs=1e-9)
+    assert error.psnr_hdr is None
+
+
+def test_a_scale_is_forgiven_only_when_relit():
+    _, truth, mask, _ = pictures()
+    dark = truth * [0.1, 0.2, 0.3]
+    assert orb_error(dark, truth, mask, scaled=True).psnr_hdr > 90
+    assert orb_error(dark, truth, mask, scaled=False).psnr_hdr < 20
+
+
+def test_no_picture_is_worse_than_grey():
+    found, truth, mask, inside = pictures()
+    truth = truth / 30
+    bad = orb_error(np.full_like(found, 1e3), truth, mask, scaled=False)
+    grey = np.where(inside[..., None], 0.5, 0) * np.ones(3)
+    low = np.where(inside[..., None], encode(truth), 0)
+    assert bad.psnr_ldr == pytest.approx(decibels(grey, low), abs=1e-9)
+
+
+def test_ssim_is_of_windows_of_three_pixels():
+    found, truth, mask, inside = pictures()
+    error = orb_error(found, truth, mask, scaled=False)
+    a, b = (encode(np.clip(np.where(inside[..., None], x, 0), 0, 1)) for x in (found, truth))
+    at = np.exp(-np.array([1.0, 0, 1]) / (2 * 1.5**2))
+    weight = np.outer(at, at) / at.sum() ** 2
+    padded = [np.pad(x, ((1, 1), (1, 1), (0, 0)), mode="reflect") for x in (a, b)]
+    total = 0.0
+    for i, j, c in np.ndindex(*a.shape):
+        x, y = (p[i : i + 3, j : j + 3, c] for p in padded)
+        mx, my = (weight * x).sum(), (weight * y).sum()
+        sx, sy = (weight * x**2).sum() - mx**2, (weight * y**2).sum() - my**2
+        sxy = (weight * x * y).sum() - mx * my
+        part = (2 * mx * my + 1e-4) * (2 * sxy + 9e-4)
+        total += part / ((mx**2 + my**2 + 1e-4) * (sx + sy + 9e-4))
+    assert error.ssim == pytest.approx(total / a.size, abs=1e-9)
+
+
+def test_what_cannot_be_compared_is_refused():
+    found, truth, mask, _ = pictures()
+    with pytest.raises(ShapeError, match="two .H, W, 3. pictures"):
+        orb_error(found[:5], truth, mask, scaled=True)
+    with pytest.raises(ShapeError, match="nothing is left"):
+        orb_error(found, truth, np.zeros_like(mask), scaled=True)
+    truth[7, 7] = np.nan
+    with pytest.raises(OptionError, match="the photograph has 3 values"):
+        orb_error(found, truth, mask, scaled=True)
+    truth[7, 7], truth[0, 0] = 1, np.nan  # outside, nobody looks
+    black = orb_error(found * [1, 0, 1], truth, mask, scaled=True)
+    assert np.isfinite([black.psnr_hdr, black.ssim]).all()
+
+
+@pytest.fixture
+def network(monkeypatch):
+    """A stand-in for the packages ``lpips`` and ``torch``: mean squared difference."""
+
+    def use(kind):
+        def made(net, verbose):
+            if kind == "no weights":
+                raise OSError("no network")
+            assert net == "vgg"
+            return types.SimpleNamespace(eval=lambda: distance)
+
+        def distance(a, b, normalize):
+            assert normalize and a.shape == (1, 3, 14, 17)
+            return np.mean((a - b) ** 2)
+
+        torch = types.ModuleType("torch")
+        torch.no_grad = lambda: pytest.MonkeyPatch.context()
+        torch.from_numpy = np.array
+        package = types.ModuleType("lpips")
+        package.LPIPS = made
+        missing = kind == "missing"
+        monkeypatch.setitem(sys.modules, "lpips", None if missing else package)
+        monkeypatch.setitem(sys.modules, "torch", torch)
+        lpips_module._network.cache_clear()
+
+    yield use
+    lpips_module._network.cache_clear()
+
+
+def test_lpips_is_asked_where_it_is_installed(network):
+    found, truth, mask, inside = pictures()
+    network("there")
+    error = orb_error(found, truth, mask, scaled=False)
+    a, b = (np.where(inside[..., None], np.clip(x, 0, 1), 0) for x in (found, truth))
+    twice = np.mean((encode(encode(a)) - encode(encode(b))) ** 2)
+    assert error.lpips == pytest.approx(twice, rel=1e-4)
+    network("missing")
+    assert orb_error(found, truth, mask, scaled=False).lpips is None
+    network("no weights")
+    with pytest.warns(SvuWarning, match="LPIPS is left out"):
+        assert orb_error(found, truth, mask, scaled=False).lpips is None
+
+
+# --- the benchmark ------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    root = tmp_path_factory.mktemp("orb")
+    render_dataset(root, own_cells(["vase"], LIGHTS), PHOTOGRAPHS)
+    return root
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("orb_bench")
+
+
+def bench_in(folder):
+    return Bench(folder, QUICK, Progress(), quick=True)
+
+
+def some(data, **changes):
+    fields = {"captures": [FIRST], "rows": ["SH (ours)"], "sizes": TINY, **changes}
+    return Options(data=data, **fields)
+
+
+@pytest.fixture(scope="module")
+def setting(data, folder):
+    return Setting(bench_in(folder), data / "blender_HDR" / FIRST, some(data), TINY)
+
+
+@pytest.fixture(scope="module")
+def record(data, folder):
+    return run_bench(bench_in(folder), (), "orb", orb=some(data), command="svu bench orb")
+
+
+def true_textures():
+    place = scenes.path("vase").parent
+    channels = {"base_color": 3, "roughness": 1, "metallic": 1}
+    return Textures(**{
+        name: mi.TensorXf(np.stack(read_planes(place / f"{name}.exr")[0][:count], axis=-1))
+        for name, count in channels.items()
+    })  # fmt: skip
+
+
+def test_the_light_is_where_it_was(data):
+    """Every map, whatever its camera, says of each direction what the scene's own light does."""
+    rng = np.random.default_rng(71255093)
+    towards = rng.normal(size=(2000, 3))
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    for name, light in zip((FIRST, SECOND), LIGHTS, strict=True):
+        scene = load_scene(scenes.path("vase"), {"light": light})
+        true = radiance_from(find_environment(scene, ""), towards)
+        for view in read_views(data / "blender_HDR" / name, "test"):
+            pixels, matrix, _ = read_environment_map(view.light)
+            emitter = mi.load_dict({
+                "type": "envmap", "bitmap": mi.Bitmap(pixels),
+                "to_world": mi.ScalarTransform4f(matrix),
+            })  # fmt: skip
+            found = radiance_from(emitter, towards @ rotation_of(data, name).T)
+            assert np.corrcoef(found.ravel(), true.ravel())[0, 1] > 0.995
+
+
+def rotation_of(data, name):
+    """From the vase's own frame to the world of a capture: a mesh is the same in both."""
+    file = data / "ground_truth" / name / "mesh_blender/mesh.obj"
+    lines = [line.split()[1:] for line in file.read_text().splitlines() if line.startswith("v ")]
+    placed, own = np.array(lines, float), arrays(load_scene(scenes.path("vase")).shapes()[0])
+    turn, _ = Rotation.align_vectors(
+        placed - placed.mean(axis=0), own.positions - own.positions.mean(axis=0)
+    )
+    return turn.as_matrix()
+
+
+def test_normals_of_the_scan_are_computed_anew(setting):
+    mesh = arrays(setting.capture.mesh)
+    corners = mesh.positions[mesh.faces]
+    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    face /= np.maximum(np.linalg.norm(face, axis=1, keepdims=True), 1e-12)
+    assert np.einsum("fi,fi->f", face, mesh.normals[mesh.faces].mean(axis=1)).mean() > 0.9
+
+
+def test_true_textures_give_the_photographs_and_a_turned_light_does_not(setting):
+    textures = true_textures()
+    found = setting.judge(textures, "truth", "truth")
+    assert found["light"]["mean"]["psnr_ldr"] > 40 and found["light"]["mean"]["psnr_hdr"] > 30
+    assert found["view"]["mean"]["psnr_ldr"] > 40 and found["view"]["mean"]["psnr_hdr"] > 30
+    assert found["albedo"]["mean"]["psnr_ldr"] > 45
+    turned_light = [
+        replace(target, view=replace(target.view, light=replace(
+            target.view.light, to_world=target.view.light.to_world @ turned("y", 180)
+        )))
+        for target in setting.novel
+    ]  # fmt: skip
+    wrong = [target.picture(setting.capture, textures, 32) for target in turned_light]
+    assert judge_pictures(setting.novel, wrong, scaled=True)["mean"]["psnr_ldr"] < 27
+
+
+def test_recovered_textures_are_far_better_than_grey(record):
+    (capture,) = record["orb"]["captures"]
+    grey, found = capture["grey"], capture["rows"]["SH (ours)"]
+    assert capture["name"] == FIRST and capture["photographs"] == PHOTOGRAPHS.train
+    assert 0 < capture["entropy"] < 1 and 0.4 < capture["seen"] / capture["texels"] < 1  # hollow
+    for task, gain in (("light", 3), ("view", 5), ("albedo", 3)):
+        assert found[task]["mean"]["psnr_ldr"] > grey[task]["mean"]["psnr_ldr"] + gain
+        assert found[task]["mean"]["ssim"] > grey[task]["mean"]["ssim"]
+    assert {one["capture"] for one in found["light"]["single"]} == {SECOND}
+    assert {one["capture"] for one in found["view"]["single"]} == {FIRST}
+
+
+def test_everything_is_written(record, folder):
+    stored = json.loads((folder / "bench.json").read_text())
+    assert stored["orb"]["captures"][0]["name"] == FIRST
+    with (folder / "orb.csv").open(encoding="utf-8") as stream:
+        lines = list(csv.DictReader(stream))
+    assert len(lines) == 2 * 3 * PHOTOGRAPHS.test  # grey and SH, three tasks
+    assert {line["row"] for line in lines} == {GREY, "SH (ours)"}
+    text = (folder / "bench.md").read_text()
+    assert "26.918" in text and "| SH (ours) |" in text and "cells (object / light)" not in text
+    assert (folder / "orb" / FIRST / "sh_ours.png").stat().st_size > 5000
+
+
+def test_what_is_finished_is_kept(record, data, folder, monkeypatch):
+    def refuse(*args):
+        raise AssertionError("measured again")
+
+    monkeypatch.setattr(Setting, "measure", refuse)
+    again = run_bench(bench_in(folder), (), "orb", orb=some(data))
+    assert again["orb"]["captures"] == record["orb"]["captures"]
+
+
+def test_a_capture_that_cannot_be_read_is_left_out(record, data, folder, monkeypatch):
+    recall, bad = Setting.recall, {SECOND}
+
+    def refuse(self, row):
+        if self.path.name in bad:
+            raise CaptureError("torn")
+        return recall(self, row)
+
+    monkeypatch.setattr(Setting, "recall", refuse)
+    with pytest.warns(SvuWarning, match="vase_scene002 is left out: torn"):
+        found = run_bench(bench_in(folder), (), "orb", orb=some(data, captures=()))["orb"]
+    assert [capture["name"] for capture in found["captures"]] == [FIRST]
+    assert found["failed"] == [{"cell": SECOND, "reason": "torn"}]
+    assert "torn" in (folder / "bench.md").read_text()
+    bad.add(FIRST)
+    with pytest.warns(SvuWarning, match="left out"), pytest.raises(CaptureError, match="torn"):
+        run_bench(bench_in(folder), (), "orb", orb=some(data, captures=()))
+
+
+def test_a_test_needs_its_light_and_its_mask(data):
+    view = read_views(data / "blender_HDR" / FIRST, "test")[0]
+    with pytest.raises(CaptureError, match="0012.exr: there is no environment map"):
+        Target.of(replace(view, light=None), 48)
+    with pytest.raises(CaptureError, match="there is no mask"):
+        Target.of(replace(view, frame=replace(view.frame, mask=None)), 48)
+    small = Target.of(view, 24)
+    assert small.photograph.shape == (24, 24, 3) and small.mask.any()
+    whole = Target.of(view, 48).photograph.reshape(24, 2, 24, 2, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(small.photograph, whole, rtol=1e-5)
+
+
+def test_names_are_looked_up_before_anything_is_run(data, tmp_path, capsys):
+    found = find_captures(data)
+    assert some(data, captures=["vase"]).chosen_captures(found) == found
+    with pytest.raises(OptionError, match="no capture or object 'cup'"):
+        some(data, captures=["cup"]).chosen_captures(found)
+    with pytest.raises(OptionError, match="no row 'best'"):
+        some(data, rows=["best"]).chosen_rows()
+    assert [row.label for row in Options(data=data).chosen_rows()] == [
+        "SH (ours)", "SH (paper)", "spectrum",
+    ]  # fmt: skip
+    assert all(row.options()[1].max_depth is None for row in ROWS)
+    assert main(["bench", "orb", "-o", str(tmp_path / "out")]) == 2
+    assert "--data FOLDER" in capsys.readouterr().err
+    with pytest.raises(OptionError, match="say where it is"):
+        run_bench(bench_in(tmp_path / "out"), (), "orb")
