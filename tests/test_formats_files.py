@@ -12,6 +12,7 @@ from PIL import Image
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 import svu_mi as svu
+from svu_mi.capture.images import UNUSABLE
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.poses import describe
 from svu_mi.capture.scene import to_world
@@ -23,7 +24,7 @@ from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.importing import ImportOptions, import_capture
 from svu_mi.formats.light import write_environment
 from svu_mi.formats.normals import repaired
-from svu_mi.formats.photographs import UNUSABLE, convert
+from svu_mi.formats.photographs import convert
 from svu_mi.formats.resampling import fitted, resampled, squared
 from svu_mi.formats.source import ENVIRONMENT_AXES, OPENGL, Frame, Light, Source
 
@@ -357,3 +358,16 @@ def test_the_command_says_one_line_and_leaves_nothing(tmp_path, capsys):
     error = capsys.readouterr().err
     assert error.startswith("svu: ") and error.count("\n") == 1 and "no such" in error
     assert not (tmp_path / "capture").exists()
+
+
+def test_pixels_marked_by_the_import_are_left_out_without_a_word(source, tmp_path):
+    pixels = np.full((6, 8, 3), 90, np.uint8)
+    pixels[2, 3:5] = 255
+    Image.fromarray(pixels).save(source.root / "0.png")
+    frames = [replace(source.frames[0], image=source.root / "0.png"), source.frames[1]]
+    capture = loaded(replace(source, frames=frames), tmp_path / "capture")
+    assert capture.unusable == (2, 0) and capture.warnings == ()
+    assert np.isnan(capture.images[0][2, 3:5]).all()
+    write_exr(tmp_path / "capture" / "view_0001.exr", {"RGB": np.full((6, 8, 3), -0.5)})
+    with pytest.warns(svu.SvuWarning, match="48 pixels are NaN, infinite or negative"):
+        svu.load_capture(tmp_path / "capture")

@@ -19,10 +19,13 @@ from svu_mi.capture import nodes
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import to_world
 from svu_mi.exr import read_exr, write_exr
+from svu_mi.formats.colmap import write_colmap
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.importing import ImportOptions, import_capture
+from svu_mi.formats.objects_with_lighting import write_owl
 from svu_mi.formats.reading import read_source
 from svu_mi.formats.source import ENVIRONMENT_AXES, Light, Source, frame_of
+from svu_mi.formats.stanford_orb_writer import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.formats.transforms import write_transforms
 
 POSE = 1e-5  # the bar; a matrix goes through single precision once
@@ -46,11 +49,20 @@ class Original:
 @pytest.fixture(scope="module")
 def original(tmp_path_factory) -> Original:
     """Eight photographs of the knot, wide, with the principal point off the centre."""
-    folder = tmp_path_factory.mktemp("original")
+    return photographed(tmp_path_factory.mktemp("original"), SHIFT)
+
+
+@pytest.fixture(scope="module")
+def centered(tmp_path_factory) -> Original:
+    """The same with the principal point in the centre, for a format that knows no other."""
+    return photographed(tmp_path_factory.mktemp("centered"), (0.0, 0.0))
+
+
+def photographed(folder: Path, shift: tuple[float, float]) -> Original:
     shutil.copytree(scenes.path("knot").parent, folder / "knot")
     shutil.copytree(scenes.path("knot").parent.parent / "lights", folder / "lights")
     scene = mi.load_file(str(folder / "knot" / "knot.xml"), optimize=False)
-    changes = {"film": SIZE, "crop_size": SIZE, "principal_point_offset": SHIFT}
+    changes = {"film": SIZE, "crop_size": SIZE, "principal_point_offset": shift}
     light = nodes.plugin("emitter", "envmap", id="light")
     nodes.put(light, filename="../lights/window.exr", to_world=in_4d(LIGHT))
     root = nodes.scene()
@@ -123,7 +135,40 @@ def as_transforms(root: Path, source: Source) -> Path:
     return root
 
 
-WRITERS = {"transforms": as_transforms}
+def as_colmap(root: Path, source: Source) -> Path:
+    write_colmap(root, source)
+    return root
+
+
+def as_owl(root: Path, source: Source) -> Path:
+    write_owl(root, source)
+    return root
+
+
+def as_orb(root: Path, source: Source) -> Path:
+    """Write one capture; its test camera stands in the frame of the light."""
+    records = []
+    for frame in source.frames:
+        channels = read_exr(frame.image)
+        image = np.stack([channels[name] for name in "RGB"], axis=-1)
+        records.append(
+            OrbPhotograph(image=image, mask=channels["A"], to_world=frame.to_world)
+        )
+    light = np.stack([read_exr(source.light.path)[name] for name in "RGB"], axis=-1)
+    test = replace(
+        records[0], to_world=in_4d(source.light.to_world), environment=light,
+        albedo=records[0].image,
+    )  # fmt: skip
+    x_fov = 2 * np.degrees(np.arctan(SIZE[0] / 2 / source.frames[0].focal[0]))
+    capture = OrbCapture(
+        name="knot_scene001", x_fov=float(x_fov), world=np.eye(4), train=records, test=[test]
+    )
+    write_orb(root, read_geometry(source.mesh).mesh, [capture])
+    return root / "blender_HDR" / "knot_scene001"
+
+
+WRITERS = {"transforms": as_transforms, "colmap": as_colmap, "owl": as_owl}
+OWN_FILES = ("owl", "stanford-orb")  # formats with a place for mesh and light
 VARIANTS = {
     "as it is": (lambda source, _: source, {}),
     "z up": (in_z_up_world, {"mesh_up": "y", "world_up": "z"}),
@@ -138,14 +183,30 @@ def test_a_capture_comes_back(original, tmp_path, form, variant):
     for name in ("changed", "written"):
         (tmp_path / name).mkdir()
     source = change(original.source, tmp_path / "changed")
-    given = read_source(WRITERS[form](tmp_path / "written", source))
-    options = ImportOptions(mesh=source.mesh, environment=source.light, **options)
-    import_capture(given, tmp_path / "capture", options)
-    capture = svu.load_capture(tmp_path / "capture")
+    path = WRITERS[form](tmp_path / "written", source)
+    if form not in OWN_FILES:
+        options = {**options, "mesh": source.mesh, "environment": source.light}
+    check(original, source, imported(path, tmp_path / "capture", options), SHIFT)
+
+
+def test_a_capture_comes_back_from_stanford_orb(centered, tmp_path):
+    path = as_orb(tmp_path, centered.source)
+    check(centered, centered.source, imported(path, tmp_path / "capture", {}), (0, 0))
+
+
+def imported(path: Path, folder: Path, options: dict[str, object]) -> svu.Capture:
+    import_capture(read_source(path), folder, ImportOptions(**options))
+    return svu.load_capture(folder)
+
+
+def check(
+    original: Original, source: Source, capture: svu.Capture, shift: tuple[float, float]
+) -> None:
+    """Compare poses, intrinsics and entropy."""
     for sensor, frame in zip(capture.sensors, source.frames, strict=True):
         np.testing.assert_allclose(to_world(sensor), frame.to_world, atol=POSE)
         found = describe(sensor)
         assert tuple(found["film"]) == SIZE
-        np.testing.assert_allclose(found["principal_point_offset"], SHIFT, atol=POSE)
+        np.testing.assert_allclose(found["principal_point_offset"], shift, atol=POSE)
         assert found["x_fov"] == pytest.approx(describe(original.capture.sensors[0])["x_fov"])
     assert np.corrcoef(entropy_of(capture), original.entropy)[0, 1] > SAME

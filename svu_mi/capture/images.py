@@ -18,6 +18,7 @@ from svu_mi.errors import CaptureError
 Missing = Literal["refuse", "leave out"]
 
 SATURATED = 0.98  # of an 8-bit photograph's encoded range; a clipped highlight is no measurement
+UNUSABLE = -1.0  # radiance of a pixel that is not to be used, in all channels of an EXR
 ON_OBJECT = 0.999  # alpha from which a pixel shows nothing but the object
 IN_MASK = 0.5  # the same for 8-bit masks, which say inside or outside, with noise if JPEG
 
@@ -30,6 +31,7 @@ class Photograph:
         pixels: (H, W, 3) float32 linear radiance, exposure divided out; NaN = not usable.
         mask: (H, W) bool, True on the object, or None.
         invalid: number of pixels that were NaN, infinite or negative.
+        marked: number of pixels that whoever wrote the photograph has marked as unusable.
         saturated: number of clipped pixels of an 8-bit photograph.
         low_range: True for an 8-bit photograph.
         black: True where no usable pixel holds any light.
@@ -38,6 +40,7 @@ class Photograph:
     pixels: np.ndarray
     mask: np.ndarray | None
     invalid: int
+    marked: int
     saturated: int
     low_range: bool
     black: bool
@@ -50,7 +53,7 @@ def not_taken(size: tuple[int, int]) -> Photograph:
         size: (width, height) that it would have.
     """
     pixels = np.broadcast_to(np.float32(np.nan), (size[1], size[0], 3))
-    return Photograph(pixels, None, 0, 0, False, True)
+    return Photograph(pixels, None, 0, 0, 0, False, True)
 
 
 def find_images(folder: Path, count: int, missing: Missing = "refuse") -> list[Path | None]:
@@ -127,11 +130,12 @@ def _read_photograph(path: Path, room: np.ndarray, exposure: float) -> Photograp
     for channel in range(3):
         room[..., channel] = planes[channel]
     saturated = _linearise(room) if low_range else 0
-    invalid, black = _mark(room, exposure)
+    invalid, marked, black = _mark(room, exposure)
     mask = _mask_beside(path, shape)
     if len(planes) > 3:
         mask = planes[3] >= (IN_MASK if low_range else ON_OBJECT)
-    return Photograph(room, mask, invalid - saturated, saturated, low_range, black)
+    invalid -= saturated + marked
+    return Photograph(room, mask, invalid, marked, saturated, low_range, black)
 
 
 def _linearise(color: np.ndarray) -> int:
@@ -142,11 +146,12 @@ def _linearise(color: np.ndarray) -> int:
     return int(clipped.sum())
 
 
-def _mark(color: np.ndarray, exposure: float) -> tuple[int, bool]:
+def _mark(color: np.ndarray, exposure: float) -> tuple[int, int, bool]:
     """Divide by the exposure and set pixels that hold no radiance to NaN, in place.
 
     Returns:
-        The number of those pixels, and whether all others are black.
+        The number of those pixels, that of those among them that were marked, and whether all
+        others are black.
     """
     with np.errstate(invalid="ignore", over="ignore"):
         if exposure != 1:
@@ -156,9 +161,10 @@ def _mark(color: np.ndarray, exposure: float) -> tuple[int, bool]:
         sound = bool(low >= 0 and high < np.inf)
         bad = None if sound else ~(np.isfinite(color) & (color >= 0)).all(axis=-1)
     if bad is None:
-        return 0, not high > 0
+        return 0, 0, not high > 0
+    marked = int((color == np.float32(UNUSABLE) / np.float32(exposure)).all(axis=-1).sum())
     color[bad] = np.nan
-    return int(bad.sum()), not np.fmax.reduce(color, axis=None, initial=0) > 0
+    return int(bad.sum()), marked, not np.fmax.reduce(color, axis=None, initial=0) > 0
 
 
 def _mask_beside(path: Path, shape: tuple[int, ...]) -> np.ndarray | None:

@@ -114,7 +114,7 @@ def read_capture(
         masks=tuple(photograph.mask for photograph in photographs),
         exposures=tuple(exposures),
         names=tuple(_name(path, view) for view, path in enumerate(paths)),
-        unusable=tuple(photograph.invalid + photograph.saturated for photograph in photographs),
+        unusable=tuple(p.invalid + p.marked + p.saturated for p in photographs),
         used=used,
         source=folder,
         warnings=tuple(notes + note),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import tempfile
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -36,9 +37,9 @@ class Import(Common):
     output: Output = Path("capture")
     format: Literal["auto", "transforms", "colmap", "stanford-orb", "owl"] = "auto"
     images: Path | None = None
-    """Folder of the photographs, where the format does not say."""
+    """COLMAP: folder of the photographs."""
     masks: Path | None = None
-    """Folder of the masks, likewise."""
+    """COLMAP: folder of the masks."""
     split: Literal["train", "test", "val"] = "train"
     """Part of the data set."""
     mesh: Path | None = None
@@ -57,8 +58,12 @@ class Import(Common):
     """Top and centre of the map: +Y +Z, +Y -Z, +Y +X, or +Z +X."""
     environment_scale: float = 1.0
     """Factor of the light's radiance."""
+    environment_view: str | None = None
+    """Stanford-ORB: test photograph whose environment is the light; by default the first."""
     original_world: bool = False
     """Undo the applied_transform of nerfstudio."""
+    undistort: bool = False
+    """COLMAP: straighten the photographs first (needs pycolmap)."""
     shrink: float = 1.0
     """Make photographs smaller by this factor."""
     every: int = 1
@@ -70,18 +75,27 @@ class Import(Common):
         """Import the capture and say what was found."""
         from svu_mi.formats.importing import import_capture
         from svu_mi.formats.reading import ReadOptions, read_source
+        from svu_mi.formats.undistortion import undistort
 
         self.start()
         kind = None if self.format == "auto" else self.format
         reading = ReadOptions(
             format=kind, images=self.images, masks=self.masks, split=self.split,
-            original_world=self.original_world,
+            environment_view=self.environment_view, original_world=self.original_world,
         )  # fmt: skip
         progress = Progress(console)
-        with progress.stage("Reading poses"):
-            source = read_source(self.source, reading)
-        with progress.stage("Converting photographs") as stage:
-            notes = import_capture(source, self.output, self._options(), progress=stage.update)
+        with tempfile.TemporaryDirectory(prefix="svu-undistorted-") as scratch:
+            path = self.source
+            if self.undistort:
+                with progress.stage("Undistorting photographs"):
+                    path = undistort(
+                        path, Path(scratch) / "project", images=self.images, masks=self.masks
+                    )
+                reading = replace(reading, format="colmap", images=None, masks=None)
+            with progress.stage("Reading poses"):
+                source = read_source(path, reading)
+            with progress.stage("Converting photographs") as stage:
+                notes = import_capture(source, self.output, self._options(), progress=stage.update)
         for note in notes:
             console.print(note, markup=False, highlight=False, soft_wrap=True)
         console.print(

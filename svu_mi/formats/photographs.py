@@ -7,14 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from svu_mi.capture.images import IN_MASK, ON_OBJECT, SATURATED
+from svu_mi.capture.images import IN_MASK, ON_OBJECT, SATURATED, UNUSABLE
 from svu_mi.capture.picture import decoded, read_planes
 from svu_mi.errors import CaptureError
 from svu_mi.exr import write_exr
 from svu_mi.formats.resampling import resampled
 from svu_mi.formats.source import Frame
-
-UNUSABLE = -1.0  # radiance that no pixel has: the loader leaves it out
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,9 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from svu_mi.errors import CaptureError, OptionError
+from svu_mi.formats.colmap import read_colmap
+from svu_mi.formats.colmap_project import find_model
+from svu_mi.formats.objects_with_lighting import find_inputs, read_owl
 from svu_mi.formats.source import Source
 from svu_mi.formats.stanford_orb import is_orb, read_orb
 from svu_mi.formats.transforms import FILE, read_transforms
@@ -20,16 +23,18 @@ class ReadOptions:
 
     Attributes:
         format: None = found by the files that are there.
-        images: folder of the photographs, for formats that do not say where they are.
-        masks: folder of the masks, likewise.
+        images: COLMAP: folder of the photographs.
+        masks: COLMAP: folder of the masks.
         split: part of the data set: ``train`` or ``test``.
-        original_world: undo nerfstudio's ``applied_transform``.
+        environment_view: Stanford-ORB: name of the test photograph whose light is taken.
+        original_world: transforms.json: undo nerfstudio's ``applied_transform``.
     """
 
     format: Format | None = None
     images: Path | None = None
     masks: Path | None = None
     split: str = "train"
+    environment_view: str | None = None
     original_world: bool = False
 
 
@@ -53,19 +58,25 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
     if not path.exists():
         raise CaptureError(f"{path}: no such file or folder; give a capture to import.")
     kind = options.format or _guess(path, options.split)
-    if kind == "transforms":
-        file = path if path.is_file() else _transforms_in(path, options.split)
-        return read_transforms(file, original_world=options.original_world)
+    if kind == "colmap":
+        return read_colmap(path, images=options.images, masks=options.masks)
     if kind == "stanford-orb":
-        return read_orb(path, split=options.split)
-    raise OptionError(kind)
+        return read_orb(path, split=options.split, environment_view=options.environment_view)
+    if kind == "owl":
+        return read_owl(path)
+    file = path if path.is_file() else _transforms_in(path, options.split)
+    return read_transforms(file, original_world=options.original_world)
 
 
 def _guess(path: Path, split: str) -> Format:
-    if is_orb(path):
+    if is_orb(path):  # it has transforms_train.json, too
         return "stanford-orb"
     if path.suffix.lower() == ".json" or _transforms_in(path, split).is_file():
         return "transforms"
+    if find_model(path) is not None:
+        return "colmap"
+    if find_inputs(path) is not None:
+        return "owl"
     raise CaptureError(
         f"{path}: no known capture; expected {FILE}, a COLMAP model, Stanford-ORB or Objects with "
         "Lighting. Say which with --format."
