@@ -123,8 +123,8 @@ def _view(name: str, camera: int, to_world: np.ndarray) -> View:
 
 def _notes(project: Project) -> Iterator[str]:
     yield (
-        f"{project.model}: {len(project.views)} images. COLMAP's world has a unit and an up axis "
-        "of its own; the mesh must be in it."
+        f"{len(project.views)} images of COLMAP, whose world has a unit and an up axis of its own: "
+        "the mesh must be in it."
     )
     folder = project.model.parent
     if project.model.name == "0" and is_model(folder / "1"):
