@@ -94,6 +94,8 @@ class Import(Common):
                 reading = replace(reading, format="colmap", images=None, masks=None)
             with progress.stage("Reading poses"):
                 source = read_source(path, reading)
+                if self.undistort:
+                    source = replace(source, root=self.source)
             with progress.stage("Converting photographs") as stage:
                 notes = import_capture(source, self.output, self._options(), progress=stage.update)
         for note in notes:
