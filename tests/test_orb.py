@@ -18,6 +18,7 @@ from svu_mi import scenes
 from svu_mi.bench import run_bench
 from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.cells import QUICK, own_cells
+from svu_mi.bench.orb import dataset, orb_lines
 from svu_mi.bench.orb.dataset import DatasetSizes, render_dataset
 from svu_mi.bench.orb.options import ROWS, Options, Sizes
 from svu_mi.bench.orb.setting import Setting
@@ -445,6 +446,9 @@ def test_everything_is_written(record, folder):
     assert {line["row"] for line in lines} == {GREY, "SH (ours)"}
     text = (folder / "bench.md").read_text()
     assert "26.918" in text and "| SH (ours) |" in text and "cells (object / light)" not in text
+    grey, found = orb_lines(record["orb"])
+    assert grey.startswith(f"{GREY}: PSNR-H ") and found.startswith("SH (ours): PSNR-H ")
+    assert found.endswith("LPIPS -")
     assert (folder / "orb" / FIRST / "sh_ours.png").stat().st_size > 5000
 
 
@@ -488,7 +492,7 @@ def test_a_test_needs_its_light_and_its_mask(data):
     np.testing.assert_allclose(small.photograph, whole, rtol=1e-5)
 
 
-def test_names_are_looked_up_before_anything_is_run(data, tmp_path, capsys):
+def test_names_are_looked_up_before_anything_is_run(data):
     found = find_captures(data)
     assert some(data, captures=["vase"]).chosen_captures(found) == found
     with pytest.raises(OptionError, match="no capture or object 'cup'"):
@@ -499,7 +503,18 @@ def test_names_are_looked_up_before_anything_is_run(data, tmp_path, capsys):
         "SH (ours)", "SH (paper)", "spectrum",
     ]  # fmt: skip
     assert all(row.options()[1].max_depth is None for row in ROWS)
-    assert main(["bench", "orb", "-o", str(tmp_path / "out")]) == 2
-    assert "--data FOLDER" in capsys.readouterr().err
-    with pytest.raises(OptionError, match="say where it is"):
-        run_bench(bench_in(tmp_path / "out"), (), "orb")
+
+
+def test_without_the_data_set_our_own_scenes_are_rendered_once(tmp_path, monkeypatch, capsys):
+    rendered = []
+
+    def note(root, cells, sizes, progress):
+        rendered.append([cell.name for cell in cells])
+
+    monkeypatch.setattr(dataset, "render_dataset", note)
+    for _ in range(2):
+        folder = dataset.own_dataset(bench_in(tmp_path))
+    assert folder == tmp_path / "orb" / "data" and len(rendered) == 1
+    assert rendered[0][:2] == ["vase__window", "vase__overcast"]
+    assert main(["bench", "orb", "--quick", "-o", str(tmp_path)]) == 2  # there is nothing
+    assert "holds no capture" in capsys.readouterr().err

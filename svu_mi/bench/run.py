@@ -52,7 +52,7 @@ def run_bench(
         what: one of ``WHAT``; ``all`` is all but ``recovery``, ``guidance`` and ``orb``.
         variants: estimators; all that this version knows by default.
         recovery: what of the recovery benchmark is run.
-        orb: where Stanford-ORB is, and what of it is run; for ``orb``, which needs no cells.
+        orb: where Stanford-ORB is, and what of it is run, for ``orb``, which needs no cells.
         command: as the user gave it, for the record.
 
     Returns:
@@ -60,14 +60,12 @@ def run_bench(
         ``stability``, ``recovery``, ``guidance``, ``orb``, ``failed``, and how it was run.
 
     Raises:
-        OptionError: an unknown ``what``, no cell, or no data set.
+        OptionError: an unknown ``what``, or no cell.
         SvuError: that of the first cell, if every cell failed.
         OutputError: the folder cannot be written.
     """
     if what not in WHAT:
         raise OptionError(f"There is no benchmark {what!r}; there are {', '.join(WHAT)}.")
-    if what == "orb" and orb is None:
-        raise OptionError("Stanford-ORB does not come with svu_mi; say where it is.")
     if what != "orb" and not cells:
         raise OptionError("There is no object under any light to run.")
     prepare_folder(bench.folder)
@@ -113,8 +111,8 @@ def run_bench(
         run_recovery(bench, cells, recovery, finished=partial(finished, what))
     if what == "guidance":
         run_guidance(bench, cells, finished=partial(finished, what))
-    if what == "orb" and orb is not None:
-        run_orb(bench, orb, finished=partial(finished, what))
+    if what == "orb":
+        run_orb(bench, orb or OrbOptions(), finished=partial(finished, what))
     return record
 
 

@@ -47,7 +47,7 @@ class Bench(Common):
     output: Output = Path("out/bench")
     data: Path | None = None
     """Folder with objects/ and envmaps/; without it, the scenes of svu_mi. orb: the data set, with
-    blender_HDR/ and ground_truth/."""
+    blender_HDR/ and ground_truth/; without it, these scenes in its layout."""
     objects: Names = ""
     """Objects to run; without it all (of svu_mi's: vase, knot and spheres). orb: captures, too."""
     lights: Names = ""
@@ -80,6 +80,7 @@ class Bench(Common):
         self.start()
         from svu_mi.bench import accuracy, run_bench
         from svu_mi.bench.cells import FULL, QUICK
+        from svu_mi.bench.orb import orb_lines
         from svu_mi.bench.variants import available
 
         bench = accuracy.Bench(
@@ -96,6 +97,8 @@ class Bench(Common):
             if row["kind"] != "switch" and row["pearson"] is not None:
                 line = f"{row['label']}: Pearson {row['pearson']['mean']:.2f}"
                 console.print(line, markup=False, highlight=False, soft_wrap=True)
+        for line in orb_lines(record["orb"]) if record["orb"] else ():
+            console.print(line, markup=False, highlight=False, soft_wrap=True)
         parts = [record[name] or {} for name in ("kernels", "recovery", "guidance")]
         for bar in (bar for part in parts for bar in part.get("bars", ())):
             if not (bar["holds"] or self.quick):
@@ -118,8 +121,6 @@ class Bench(Common):
 
         if self.what != "orb":
             return None
-        if self.data is None:
-            raise OptionError("svu bench orb needs the folder of Stanford-ORB: --data FOLDER.")
         return Options(
             data=self.data, captures=names(self.objects, "--objects"),
             rows=names(self.rows, "--rows"), environment_view=self.environment_view,

@@ -116,8 +116,8 @@ def read_orb(
     mesh = path.parent.parent / TRUTH / path.name / MESH
     if mesh.is_file():
         notes.append(
-            f"{mesh}: the normals of this data set's scans are turned by 90 degrees (y and z "
-            "exchanged); they are computed anew."
+            f"{mesh}: the scans of this data set came with normals turned by 90 degrees (y and z "
+            "exchanged); normals that contradict their triangles are computed anew."
         )
     return Source(
         format="stanford-orb",

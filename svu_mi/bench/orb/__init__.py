@@ -5,5 +5,6 @@ one capture, ``run`` takes them all in turn; ``dataset`` renders a small set in 
 """
 
 from svu_mi.bench.orb.run import run_orb as run_orb
+from svu_mi.bench.orb.tables import orb_lines as orb_lines
 from svu_mi.bench.orb.tables import orb_tables as orb_tables
 from svu_mi.bench.orb.tables import write_csv as write_csv

@@ -1,4 +1,4 @@
-"""A data set in the layout of Stanford-ORB, rendered: the real one is not ours to pass on.
+"""A data set in the layout of Stanford-ORB, rendered: the real one does not come with svu_mi.
 
 Like there, each capture has a world of its own, cameras are rolled, and each test photograph has
 the light in the frame of its own camera. Unlike there, textures and light are known exactly.
@@ -17,8 +17,10 @@ import mitsuba as mi
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from svu_mi.bench.cells import Cell
+from svu_mi.bench.accuracy import Bench
+from svu_mi.bench.cells import Cell, own_cells
 from svu_mi.bench.orb.albedo import albedo_pictures
+from svu_mi.bench.store import Store, key_of
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.rendering import object_mask
@@ -52,6 +54,28 @@ class DatasetSizes:
     spp: int = 128
     test_spp: int = 1024
     environment: int = 256
+
+
+OWN = DatasetSizes()
+OWN_QUICK = DatasetSizes(train=16, test=2, film=64, spp=32, test_spp=256, environment=128)
+
+
+def own_dataset(bench: Bench) -> Path:
+    """Return the folder of a set of svu_mi's own scenes, rendered the first time.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    sizes = OWN_QUICK if bench.quick else OWN
+    store, cells = Store(bench.folder / "orb"), own_cells(quick=True)
+    folder = store.folder / "data"
+
+    def render() -> dict[str, Any]:
+        render_dataset(folder, cells, sizes, bench.progress)
+        return {"sizes": sizes}
+
+    store.recall("data", key_of(sizes, [cell.name for cell in cells]), render, fresh=bench.fresh)
+    return folder
 
 
 def render_dataset(

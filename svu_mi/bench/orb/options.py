@@ -57,7 +57,8 @@ class Options:
     """What of the data set is run.
 
     Attributes:
-        data: its folder, with blender_HDR and ground_truth.
+        data: its folder, with blender_HDR and ground_truth; None for a rendered set of svu_mi's own
+            scenes in the same layout.
         captures: names of captures (``teapot_scene001``) or objects (``teapot``); all by default.
         rows: labels of ways of recovery; by default those that trace no paths.
         environment_view: test photograph whose environment map is the light of recovery; by
@@ -65,7 +66,7 @@ class Options:
         sizes: None for those that fit ``Bench.quick``.
     """
 
-    data: Path
+    data: Path | None = None
     captures: Sequence[str] = ()
     rows: Sequence[str] = ()
     environment_view: str | None = None
@@ -92,7 +93,7 @@ class Options:
         for name in self.captures:
             if not any(name in (path.name, object_of(path.name)) for path in found):
                 raise OptionError(
-                    f"There is no capture or object {name!r} in {self.data}; there are "
+                    f"There is no capture or object {name!r}; there are "
                     f"{', '.join(path.name for path in found)}."
                 )
         return tuple(

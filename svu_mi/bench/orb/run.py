@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from svu_mi.bench.accuracy import Bench
+from svu_mi.bench.orb.dataset import own_dataset
 from svu_mi.bench.orb.options import FULL, QUICK, Options
 from svu_mi.bench.orb.setting import Setting
 from svu_mi.errors import SvuError, SvuWarning
@@ -29,7 +30,8 @@ def run_orb(
 
     Returns:
         ``captures``: what ``Setting.head`` says of each, and ``rows`` by label, each with what
-        ``Setting.judge`` returns; ``failed``; ``sizes``; ``quick``.
+        ``Setting.judge`` returns; ``failed``; ``sizes``; ``quick``; whether the set was
+        ``rendered``.
 
     Raises:
         OptionError: there is no such capture or row.
@@ -38,9 +40,11 @@ def run_orb(
     """
     rows = options.chosen_rows()
     sizes = options.sizes or (QUICK if bench.quick else FULL)
-    record: Record = {"captures": [], "failed": [], "sizes": sizes, "quick": bench.quick}
+    data = own_dataset(bench) if options.data is None else options.data
+    record: Record = {"captures": [], "failed": [], "sizes": sizes, "quick": bench.quick,
+                      "rendered": options.data is None}  # fmt: skip
     first: SvuError | None = None
-    for path in options.chosen_captures(find_captures(options.data)):
+    for path in options.chosen_captures(find_captures(data)):
         setting = Setting(bench, path, options, sizes)
         try:
             found = {}

@@ -55,6 +55,22 @@ def orb_tables(record: Record) -> str:
     return "\n\n".join(parts)
 
 
+def orb_lines(record: Record) -> list[str]:
+    """Return what relighting reaches by each way of recovery, a line each.
+
+    Args:
+        record: what ``run_orb`` returns.
+    """
+    captures = record["captures"]
+    labels = dict.fromkeys(label for capture in captures for label, _ in _rows(capture))
+    lines = []
+    for label in labels:
+        found = [dict(_rows(capture))[label] for capture in captures]
+        figures = (f"{HEADS[name]} {_mean(found, 'light', name)}" for name in FIGURES)
+        lines.append(f"{label}: {', '.join(figures)}")
+    return lines
+
+
 def write_csv(path: Path, record: Record) -> None:
     """Write one line per capture, row, task and photograph.
 
@@ -96,6 +112,8 @@ def _heading(record: Record) -> str:
     )
     if all(c["grey"]["light"]["mean"]["lpips"] is None for c in captures):
         text += " LPIPS needs the extra `lpips`."
+    if record["rendered"]:
+        text = f"**Not the real data set: svu_mi's own scenes, rendered in its layout.** {text}"
     if record["quick"]:
         text += " Quick sizes, not those of the data set."
     return text
