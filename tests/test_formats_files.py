@@ -373,3 +373,32 @@ def test_pixels_marked_by_the_import_are_left_out_without_a_word(source, tmp_pat
     write_exr(tmp_path / "capture" / "view_0001.exr", {"RGB": spoiled})
     with pytest.warns(svu.SvuWarning, match="3 pixels are NaN, infinite or negative"):
         svu.load_capture(tmp_path / "capture")
+
+
+def test_exposures_from_a_list(source, tmp_path):
+    (tmp_path / "gains.txt").write_text("# name gain\n0.exr 4\n\n1.exr 0.5  # dark\n")
+    capture = loaded(source, tmp_path / "capture", exposures=tmp_path / "gains.txt")
+    assert capture.exposures == (4.0, 0.5)
+    np.testing.assert_allclose(capture.images[1], 3.0)
+    for text, sentence in (
+        ("0.exr 1\n", "no exposure of 1.exr"), ("0.exr\n", "line 1: expected NAME GAIN"),
+        ("0.exr 1\n1.exr -2", "line 2.*not positive"), ("0.exr nan", "not positive"),
+    ):  # fmt: skip
+        (tmp_path / "gains.txt").write_text(text)
+        with pytest.raises(CaptureError, match=sentence):
+            loaded(source, tmp_path / "again", exposures=tmp_path / "gains.txt")
+
+
+def test_exposures_from_exif(source, tmp_path):
+    frames = []
+    for k, (time, iso, aperture) in enumerate(((1 / 50, 100, 4.0), (1 / 200, 800, 8.0))):
+        exif = Image.Exif()
+        exif.get_ifd(0x8769).update({0x829A: time, 0x8827: iso, 0x829D: aperture})
+        path = source.root / f"{k}.jpg"
+        Image.fromarray(np.full((6, 8, 3), 90, np.uint8)).save(path, exif=exif)
+        frames.append(replace(source.frames[k], image=path))
+    capture = loaded(replace(source, frames=frames), tmp_path / "capture", exposures="exif")
+    ratio = (1 / 200 * 800 / 64) / (1 / 50 * 100 / 16)
+    assert capture.exposures[1] / capture.exposures[0] == pytest.approx(ratio, rel=1e-5)
+    with pytest.raises(CaptureError, match="0.exr: no exposure time"):
+        loaded(source, tmp_path / "again", exposures="exif")

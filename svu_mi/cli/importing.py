@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from svu_mi.formats.importing import ImportOptions
 
 From = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
+Gains = Annotated[str | None, tyro.conf.arg(metavar="FILE | exif")]
 Fixes = Annotated[
     tuple[str, ...], tyro.conf.arg(metavar="NAME"), tyro.conf.UseAppendAction,
 ]  # fmt: skip
@@ -58,6 +59,8 @@ class Import(Common):
     """Top and centre of the map: +Y +Z, +Y -Z, +Y +X, or +Z +X."""
     environment_scale: float = 1.0
     """Factor of the light's radiance."""
+    exposures: Gains = None
+    """Gains of the photographs: a file with lines NAME GAIN, or exif."""
     environment_view: str | None = None
     """Stanford-ORB: test photograph whose environment is the light; by default the first."""
     original_world: bool = False
@@ -114,7 +117,11 @@ class Import(Common):
         if self.environment is not None:
             axes = ENVIRONMENT_AXES[self.environment_axes]
             light = Light(path=self.environment, to_world=axes, scale=self.environment_scale)
+        exposures: Path | Literal["exif"] | None = None
+        if self.exposures is not None:
+            exposures = "exif" if self.exposures == "exif" else Path(self.exposures)
         return ImportOptions(
+            exposures=exposures,
             mesh=self.mesh, mesh_up=self.mesh_up, world_up=self.world_up,
             mesh_scale=self.mesh_scale, geometry_only=self.geometry_only, environment=light,
             shrink=self.shrink, every=self.every, fixes=self.fix,

@@ -21,6 +21,7 @@ from svu_mi.capture.scene import require_variant
 from svu_mi.capture.unwrap import unwrap
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.files import replacing, replacing_folder
+from svu_mi.formats.exposures import with_exif_exposures, with_exposures
 from svu_mi.formats.fixes import FIXES, Fix, fixes_named
 from svu_mi.formats.geometry import Geometry, read_geometry
 from svu_mi.formats.light import write_environment
@@ -46,6 +47,8 @@ class ImportOptions:
         mesh_scale: units of the poses per unit of the mesh (0.001: mm to m).
         geometry_only: leave the mesh's UVs and textures out, and lay out new UVs.
         environment: the light, if the source names none or another is meant.
+        exposures: a list of gains by photograph (``formats.exposures``), or ``exif`` to take them
+            from the photographs; None = those of the source.
         shrink: factor by which pixels become larger, at least 1.
         every: take every N-th photograph.
         fixes: names of corrections (``formats.fixes``).
@@ -57,6 +60,7 @@ class ImportOptions:
     mesh_scale: float = 1.0
     geometry_only: bool = False
     environment: Light | None = None
+    exposures: Path | Literal["exif"] | None = None
     shrink: float = 1.0
     every: int = 1
     fixes: Sequence[str] = ()
@@ -139,7 +143,7 @@ def _fixes(options: ImportOptions) -> tuple[Fix, ...]:
 def _frames(source: Source, options: ImportOptions, fixes: Sequence[Fix]) -> list[Frame]:
     """Return the frames that are asked for, as large as their photographs, with fixed cameras."""
     frames = []
-    for frame in source.frames[:: options.every]:
+    for frame in _exposed(source.frames[:: options.every], options):
         pose = frame.to_world
         for fix in fixes:
             if fix.kind == "camera":
@@ -148,6 +152,14 @@ def _frames(source: Source, options: ImportOptions, fixes: Sequence[Fix]) -> lis
     if not frames:
         raise CaptureError(f"{source.root}: holds no photograph.")
     return frames
+
+
+def _exposed(frames: Sequence[Frame], options: ImportOptions) -> Sequence[Frame]:
+    if options.exposures is None or not frames:
+        return frames
+    if options.exposures == "exif":
+        return with_exif_exposures(frames)
+    return with_exposures(frames, Path(options.exposures))
 
 
 def _moved(pose: np.ndarray, fix: Fix, axes: np.ndarray) -> np.ndarray:

@@ -1,0 +1,86 @@
+"""Exposures of photographs whose format has no place for them: from a list, or from EXIF."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+
+from svu_mi.errors import CaptureError
+from svu_mi.formats.source import Frame
+
+EXIF, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # tags of EXIF 2.32
+MAX_BYTES = 2**24  # of a list
+
+
+def with_exposures(frames: Sequence[Frame], path: Path) -> list[Frame]:
+    """Return frames with the gains that a list names.
+
+    Args:
+        frames: V of them.
+        path: a text file with one line ``NAME GAIN`` for each photograph, such as
+            ``IMG_0012.jpg 0.25``; empty lines and what follows a ``#`` are left out.
+
+    Raises:
+        CaptureError: it cannot be read, a line is none, or a photograph is not named.
+    """
+    gains = {}
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise CaptureError(f"{path}: too large for a list of exposures.")
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise CaptureError(f"{path}: no readable list of exposures ({error}).") from error
+    for number, line in enumerate(lines, 1):
+        words = line.partition("#")[0].rsplit(maxsplit=1)
+        if words:
+            gains[words[0].strip()] = _gain(words, f"{path}: line {number}")
+    missing = [frame.image.name for frame in frames if frame.image.name not in gains]
+    if missing:
+        raise CaptureError(f"{path}: has no exposure of {missing[0]}; add a line NAME GAIN.")
+    return [replace(frame, exposure=gains[frame.image.name]) for frame in frames]
+
+
+def with_exif_exposures(frames: Sequence[Frame]) -> list[Frame]:
+    """Return frames with gains of time * ISO / aperture^2, relative to the median photograph.
+
+    Args:
+        frames: V of them, of JPEG or PNG photographs with EXIF. Without an aperture (a lens that
+            tells none) it is taken to be the same in all.
+
+    Raises:
+        CaptureError: a photograph has no exposure time.
+    """
+    gains = [_exif_gain(frame.image) for frame in frames]
+    middle = median(gains)
+    return [replace(frame, exposure=g / middle) for frame, g in zip(frames, gains, strict=True)]
+
+
+def _gain(words: Sequence[str], label: str) -> float:
+    try:
+        gain = float(words[1])
+    except (IndexError, ValueError) as error:
+        raise CaptureError(f"{label}: expected NAME GAIN, got {' '.join(words)!r:.60}.") from error
+    if not (math.isfinite(gain) and gain > 0):
+        raise CaptureError(f"{label}: an exposure of {gain} is not positive.")
+    return gain
+
+
+def _exif_gain(path: Path) -> float:
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            tags = image.getexif().get_ifd(EXIF)
+        time, aperture = float(tags[TIME]), float(tags.get(APERTURE, 1) or 1)
+        speed = tags.get(ISO, 100)
+        gain = time * float(speed[0] if isinstance(speed, tuple) else speed) / 100 / aperture**2
+    except Exception as error:  # whatever Pillow's parsers meet
+        raise CaptureError(
+            f"{path}: no exposure time in its EXIF data; give exposures as a list with --exposures."
+        ) from error
+    if not (math.isfinite(gain) and gain > 0):
+        raise CaptureError(f"{path}: an exposure of {gain} in its EXIF data is not positive.")
+    return gain
