@@ -130,7 +130,7 @@ def _environment() -> Environment:
     )
     script = (TEMPLATES / SCRIPT).read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
-    environment.globals = {
+    environment.globals |= {
         "policy": f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
         f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'",
         "style": Markup((TEMPLATES / STYLE).read_text(encoding="utf-8")),
