@@ -27,7 +27,7 @@ TEMPLATES = Path(__file__).parent / "templates"
 STYLE, SCRIPT = "page.css", "page.js"
 THUMBNAIL = 240  # pixels of the longer side of a photograph; 60 of them take about a megabyte
 JPEG_QUALITY = 82
-THIN_SPACE = "\u2009"
+NARROW_SPACE = "\u202f"  # at which no line breaks
 
 
 @dataclass(frozen=True)
@@ -88,17 +88,17 @@ def write_page(path: str | Path, template: str, **context: Any) -> None:
 
 
 def grouped(number: float) -> str:
-    """Write a whole number with a thin space between thousands."""
-    return f"{number:,.0f}".replace(",", THIN_SPACE)
+    """Write a whole number with a narrow space between thousands."""
+    return f"{number:,.0f}".replace(",", NARROW_SPACE)
 
 
 def percent(part: float) -> str:
     """Write a part in [0, 1] in percent; what is not quite nothing, or all, is not called so."""
     if 0 < part < 0.005:
-        return "under 1 %"
+        return f"under 1{NARROW_SPACE}%"
     if 0.995 <= part < 1:
-        return "over 99 %"
-    return f"{100 * part:.0f} %"
+        return f"over 99{NARROW_SPACE}%"
+    return f"{100 * part:.0f}{NARROW_SPACE}%"
 
 
 def _embedded(image: np.ndarray, side: int | None, kind: str, **options: Any) -> Picture:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 WIDTH, HEIGHT = 320, 170
-LEFT, RIGHT, TOP, BOTTOM = 36, 8, 10, 26  # margins, where the words of the axes are
+LEFT, RIGHT, TOP, BOTTOM = 44, 8, 10, 26  # margins, where the words of the axes are
 GAP = 0.12  # between bars, in parts of one
 
 

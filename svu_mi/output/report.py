@@ -14,7 +14,8 @@ import svu_mi
 from svu_mi.output import findings, report_pictures, report_plots
 from svu_mi.output.manifest import environment_record
 from svu_mi.output.overview import Result, known
-from svu_mi.output.page import THIN_SPACE, grouped, percent, write_page
+from svu_mi.output.page import NARROW_SPACE, grouped, percent, write_page
+from svu_mi.output.relit import DIFFERENCE_COLORMAP, WORST
 from svu_mi.output.turntable import Turntable
 
 if TYPE_CHECKING:
@@ -80,8 +81,8 @@ def write_report(
         count=capture.count, used=sum(capture.used), frames=frames, maps=maps, recovered=recovered,
         histogram=report_plots.histogram(result),
         marginals=report_plots.marginals(estimate, result), examples=examples, errors=errors,
-        error_scale=", ".join(report_pictures.hexadecimal(np.linspace(0, 1, 9), "magma")),
-        error_end=report_plots.SCALE_END, textured=textures is not None,
+        error_colors=report_pictures.gradient(DIFFERENCE_COLORMAP),
+        error_end=percent(WORST), textured=textures is not None,
         color=estimate.posterior.groups == 3, skipped=findings.skipped(estimate),
         warnings=capture.warnings[:WARNINGS], more_warnings=capture.warnings[WARNINGS:],
         **_record(capture, estimate, settings),
@@ -148,7 +149,7 @@ def _record(capture: Any, estimate: Any, settings: Mapping[str, Any] | None) -> 
         "settings": rows,
         "switches": [(name, _plain(value)) for name, value in preset.items()],
         "given": [(name, _plain(value)) for name, value in (settings or {}).items()],
-        "timings": [(stage, f"{s:.2f}{THIN_SPACE}s") for stage, s in timings if np.isfinite(s)],
+        "timings": [(stage, f"{s:.2f}{NARROW_SPACE}s") for stage, s in timings if np.isfinite(s)],
         "seconds": f"{np.nansum([s for _, s in timings]):.1f}",
         "versions": [(n, v) for n, v in environment["versions"].items() if v],
         "machine": [

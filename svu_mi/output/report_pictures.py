@@ -22,8 +22,11 @@ if TYPE_CHECKING:
     from svu_mi.recovery.textures import Textures
 
 SHOWN = 60  # photographs in a report; of more, every other, or fewer
+FIRST = 12  # of them that are shown without asking
 SHOWN_LEFT_OUT = 12
 VALUES_COLORMAP = "plasma"  # has no grey, which means unseen
+ENDS = {"roughness": ("0: mirror", "1: matt"), "metallic": ("0: no metal", "1: metal"),
+        "specular": ("0: no gloss", "1: mirror of all light")}  # fmt: skip
 MAP_SIDE = 512  # pixels
 CHECKS, LIGHT, DARK = 24, 0.72, 0.5  # fields across a texture and greys of what was not seen
 
@@ -36,11 +39,13 @@ class Thumbnail:
         picture: small.
         name: of its file.
         notes: what there is to say of it.
+        first: whether it is one of those that stand for all.
     """
 
     picture: Picture
     name: str
     notes: str
+    first: bool
 
 
 @dataclass(frozen=True)
@@ -67,17 +72,18 @@ def thumbnails(capture: Any, estimate: Any) -> tuple[list[Thumbnail], list[Thumb
     used = [view for view in range(capture.count) if capture.used[view]]
     seen = dict(zip(used, np.asarray(estimate.seen_per_view), strict=False))
     texels = max(estimate.texels.count, 1)
-    shown = []
-    for view in spread(used, SHOWN):
+    chosen = spread(used, SHOWN)
+    first, shown = spread(chosen, FIRST), []
+    for view in chosen:
         notes = [f"shows {percent(seen.get(view, 0) / texels)} of the points"]
         if capture.unusable[view]:
             notes.append(f"{grouped(capture.unusable[view])} unusable pixels")
         if capture.exposures[view] != 1:
             notes.append(f"exposure × {capture.exposures[view]:.3g}")
-        shown.append(_thumbnail(capture, view, ", ".join(notes)))
+        shown.append(_thumbnail(capture, view, ", ".join(notes), view in first))
     left_out = [view for view in range(capture.count) if not capture.used[view]]
     return shown, [
-        _thumbnail(capture, view, why_left_out(capture.images[view]))
+        _thumbnail(capture, view, why_left_out(capture.images[view]), True)
         for view in left_out[:SHOWN_LEFT_OUT]
     ]
 
@@ -89,7 +95,7 @@ def spread(views_: Sequence[int], most: int) -> list[int]:
     return [views_[k] for k in np.linspace(0, len(views_) - 1, most).round().astype(int)]
 
 
-def _thumbnail(capture: Any, view: int, notes: str) -> Thumbnail:
+def _thumbnail(capture: Any, view: int, notes: str, first: bool) -> Thumbnail:
     image, mask = capture.images[view], capture.masks[view]
     height, width = image.shape[:2]
     scale = min(1.0, THUMBNAIL / max(width, height))
@@ -99,7 +105,7 @@ def _thumbnail(capture: Any, view: int, notes: str) -> Thumbnail:
         rows = (np.arange(size[1]) + 0.5) * height / size[1]
         columns = (np.arange(size[0]) + 0.5) * width / size[0]
         mask = mask[np.ix_(rows.astype(int), columns.astype(int))]
-    return Thumbnail(embedded(views.tone_mapped(small, mask)), capture.names[view], notes)
+    return Thumbnail(embedded(views.tone_mapped(small, mask)), capture.names[view], notes, first)
 
 
 def turning(table: Turntable, estimate: Any) -> list[tuple[Picture, str, str]]:
@@ -142,12 +148,12 @@ def parameter_maps(table: Turntable, estimate: Any) -> list[Map]:
             maps.append(_colored(table, estimate, values))
         else:
             maps.append(_scaled(
-                table, estimate, f"Most probable {label}", values, VALUES_COLORMAP, ("0", "1"),
-                f"The {label} of the material that explains the photographs best.",
+                table, estimate, f"Most probable {label}", values, VALUES_COLORMAP, ENDS[name],
+                "Of the material that explains the photographs best.",
             ))  # fmt: skip
         maps.append(_scaled(
             table, estimate, f"Uncertainty of {label}", doubt, COLORMAP,
-            ("certain", "nothing known"), f"How far the photographs leave the {label} open.",
+            ("certain", "nothing known"), "How far the photographs leave it open.",
         ))  # fmt: skip
     return maps
 
@@ -163,7 +169,7 @@ def texture_maps(table: Turntable, estimate: Any, textures: Textures) -> list[Ma
         colors, scale = views.srgb(image), None
         if image.shape[2] == 1:
             colors = _shades(image[..., 0], VALUES_COLORMAP)
-            scale = _scale(VALUES_COLORMAP, "0", "1")
+            scale = gradient(VALUES_COLORMAP), *ENDS[name]
         maps.append(_map(
             table, f"Recovered {words(name)}", colors, inside, scale,
             "As the recovered texture has it, also where nothing was seen.",
@@ -176,8 +182,9 @@ def _scaled(
     ends: tuple[str, str], sentence: str, most: float = 1,
 ) -> Map:  # fmt: skip
     colors = map_colors(estimate, values, limits=(0, most), colormap=colormap)
-    scale = _scale(colormap, *ends)
-    return _map(table, name, colors, estimate.texels.inside(), scale, sentence)
+    return _map(
+        table, name, colors, estimate.texels.inside(), (gradient(colormap), *ends), sentence
+    )
 
 
 def _colored(table: Turntable, estimate: Any, values: np.ndarray) -> Map:
@@ -213,8 +220,9 @@ def _shades(values: np.ndarray, colormap: str) -> np.ndarray:
     return np.array(colormaps[colormap](values)[..., :3], np.float32)
 
 
-def _scale(colormap: str, low: str, high: str) -> tuple[str, str, str]:
-    return ", ".join(hexadecimal(np.linspace(0, 1, 9), colormap)), low, high
+def gradient(colormap: str) -> str:
+    """Return a colormap as CSS has it."""
+    return ", ".join(hexadecimal(np.linspace(0, 1, 9), colormap))
 
 
 def hexadecimal(values: np.ndarray, colormap: str = COLORMAP) -> list[str]:

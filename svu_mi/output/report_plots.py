@@ -11,10 +11,10 @@ from svu_mi.output import views
 from svu_mi.output.figures import cell_edges
 from svu_mi.output.findings import open_axes, words
 from svu_mi.output.overview import Result, mean_marginals
-from svu_mi.output.page import Picture, drawing, grouped
+from svu_mi.output.page import NARROW_SPACE, Picture, drawing, grouped
 from svu_mi.output.page import photograph as embedded
 from svu_mi.output.plots import Plot, plot
-from svu_mi.output.relit import WORST, Comparison, explain
+from svu_mi.output.relit import Comparison, explain
 from svu_mi.output.report_pictures import hexadecimal, spread
 from svu_mi.output.turntable import Turntable
 from svu_mi.recovery.textures import CHANNELS, NAMES, Textures, lay_out
@@ -26,8 +26,8 @@ BINS = 25  # of the histogram
 TOPS = (0.2, 0.3, 0.5, 1.0)  # of axes of probability
 CHANNEL_STYLES = ("red", "green", "blue")
 # Texels to look at: names, and the part of all seen texels that are more certain.
-EXAMPLES = (("A most certain point", 0.01), ("A typical point", 0.5),
-            ("A least certain point", 0.99))  # fmt: skip
+EXAMPLES = (("Certain", 0.01), ("Typical", 0.5),
+            ("Uncertain", 0.99))  # fmt: skip
 ALIKE = 200  # texels of about that entropy, of which the one that is shown best is taken
 COMPARED = 60  # most views that are rendered
 SIDE, SAMPLES = 128, 24  # of renders that only errors are taken of
@@ -97,7 +97,7 @@ def histogram(result: Result) -> Plot | None:
     return plot(
         edges, parts, f"Histogram of entropy; the median is {np.median(values):.2f}.",
         top=top, y_ticks=[(0, "0"), (parts.max(), f"{100 * parts.max():.0f} %")],
-        x_ticks=ZEROS_AND_ONE, colors=hexadecimal(centers), labels=labels, width=560,
+        x_ticks=ZEROS_AND_ONE, colors=hexadecimal(centers), labels=labels,
     )  # fmt: skip
 
 
@@ -241,7 +241,4 @@ def _marginal(name: str, nodes: np.ndarray, p: np.ndarray, certain: np.ndarray |
 
 
 def _percent(difference: float) -> str:
-    return f"{100 * difference:.1f} %"
-
-
-SCALE_END = _percent(WORST)
+    return f"{100 * difference:.1f}{NARROW_SPACE}%"
