@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from svu_mi.recovery.textures import Textures
 
 TEMPLATE = "report.html"
+FRAMES, SIDE = 12, 400  # of the turntable; pixels
 WARNINGS = 12  # that are shown at once
 
 
@@ -61,7 +62,7 @@ def write_report(
         if progress is not None:
             progress(next(done), 5)
 
-    result, table = Result.of(estimate), Turntable.around(capture)
+    result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
     shown, left_out = report_pictures.thumbnails(capture, estimate)
     step()
     frames = report_pictures.turning(table, estimate)

@@ -14,6 +14,7 @@ from svu_mi.output.overview import Result, mean_marginals
 from svu_mi.output.page import NARROW_SPACE, Picture, drawing, grouped
 from svu_mi.output.page import photograph as embedded
 from svu_mi.output.plots import Plot, plot
+from svu_mi.output.relit import SIDE as LARGE
 from svu_mi.output.relit import Comparison, explain
 from svu_mi.output.report_pictures import hexadecimal, spread
 from svu_mi.output.turntable import Turntable
@@ -29,8 +30,9 @@ CHANNEL_STYLES = ("red", "green", "blue")
 EXAMPLES = (("Certain", 0.01), ("Typical", 0.5),
             ("Uncertain", 0.99))  # fmt: skip
 ALIKE = 200  # texels of about that entropy, of which the one that is shown best is taken
-COMPARED = 60  # most views that are rendered
-SIDE, SAMPLES = 128, 24  # of renders that only errors are taken of
+COMPARED = 48  # most views that are rendered
+SIDE = 96  # pixels of renders that only errors are taken of
+SAMPLES = 96  # per pixel: with fewer, their noise would be most of the error
 ZEROS_AND_ONE = ((0, "0"), (0.5, "0.5"), (1, "1"))
 
 
@@ -149,7 +151,7 @@ def errors(capture: Capture, textures: Textures, grey: bool) -> Errors | None:
         None if no photograph shows the object.
     """
     used = [view for view in range(capture.count) if capture.used[view]]
-    compared = _compare(capture, textures, spread(used, COMPARED), grey, SAMPLES, SIDE)
+    compared = _compare(capture, textures, spread(used, COMPARED), grey, SIDE)
     found = {c.view: e for c in compared if (e := c.mean_difference) is not None}
     if not found:
         return None
@@ -165,10 +167,11 @@ def errors(capture: Capture, textures: Textures, grey: bool) -> Errors | None:
     )  # fmt: skip
     order = list(np.array(list(found))[np.argsort(values, kind="stable")])
     extremes = dict.fromkeys([order[0], order[len(order) // 2], order[-1]])
-    larger = _compare(capture, textures, [int(view) for view in extremes], grey)
+    larger = _compare(capture, textures, [int(view) for view in extremes], grey, LARGE)
     return Errors(
         tuple((name, _percent(value)) for name, value in zip(names, values, strict=True)),
-        _percent(values.mean()), chart, tuple(_shown(capture, c) for c in larger), len(used),
+        _percent(values.mean()), chart,
+        tuple(_shown(capture.names[c.view], c, found[c.view]) for c in larger), len(used),
     )  # fmt: skip
 
 
@@ -183,9 +186,9 @@ def most_probable(estimate: Any) -> Textures | None:
 
 
 def _compare(
-    capture: Any, textures: Textures, chosen: list[int], grey: bool, *settings: int
+    capture: Any, textures: Textures, chosen: list[int], grey: bool, side: int
 ) -> list[Comparison]:
-    compared = explain(capture, textures, chosen, *settings)
+    compared = explain(capture, textures, chosen, SAMPLES, side)
     if not grey:
         return compared
 
@@ -198,7 +201,7 @@ def _compare(
     ]
 
 
-def _shown(capture: Any, comparison: Comparison) -> Shown:
+def _shown(name: str, comparison: Comparison, error: float) -> Shown:
     window = views.object_window(comparison.inside)
     photograph, render, difference = (views.crop(i, window) for i in comparison.pictures())
     inside = views.crop(comparison.inside, window)
@@ -208,8 +211,7 @@ def _shown(capture: Any, comparison: Comparison) -> Shown:
         drawing(np.dstack([render, inside])),
         drawing(np.dstack([difference, usable])),
     )
-    error = comparison.mean_difference
-    return Shown(capture.names[comparison.view], pictures, "" if error is None else _percent(error))
+    return Shown(name, pictures, _percent(error))
 
 
 def _texel_marginal(estimate: Any, texel: int, name: str) -> Plot:

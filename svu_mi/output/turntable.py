@@ -15,15 +15,15 @@ from svu_mi.capture.scene import to_world
 from svu_mi.output import views
 from svu_mi.output.directions import UP
 from svu_mi.surface import Texels
+from svu_mi.surface.gutter import dilate
 
-FRAMES = 12
 ELEVATION = 20.0  # degrees
 FOV, ROOM = 30.0, 1.02  # degrees; distance, relative to where the bounding sphere just fits
-SIDE = 400  # pixels of a frame, before empty borders are cut off
 STEEP = 0.3  # length of the cameras' mean upward direction below which they say nothing
 NEAR_AXIS = 0.9  # cosine from which an axis of the world is meant
 BORDER = 0.01  # left around the object, in parts of the film
 EMPTY = 0.02  # coverage of a pixel below which its colour means nothing
+EDGE = 2  # pixels of the silhouette that take their colour from within
 LIFT = 1e-3  # of rays above the surface, in parts of the object's extent
 
 
@@ -43,13 +43,13 @@ class Turntable:
     up: np.ndarray
 
     @classmethod
-    def around(cls, capture: Any, count: int = FRAMES, side: int = SIDE) -> Turntable:
+    def around(cls, capture: Any, count: int, side: int) -> Turntable:
         """Place sensors around the object of a capture.
 
         Args:
             capture: the ``Capture``.
             count: number of sensors.
-            side: width and height of their films, in pixels.
+            side: width and height of their films in pixels, before empty borders are cut off.
         """
         center, radius = bounding_sphere(capture.mesh)
         distance = ROOM * radius / np.sin(np.radians(FOV) / 2)
@@ -84,6 +84,8 @@ class Turntable:
         alpha = image[..., 3:]
         # Over white it is c = a x + 1 - a; a page may be dark.
         color = np.clip((image[..., :3] + alpha - 1) / np.maximum(alpha, EMPTY), 0, 1)
+        # Colour and coverage are sampled apart, so that a silhouette keeps some of the white.
+        color = dilate(color, image[..., 3] == 1, EDGE)
         return views.crop(np.dstack([color, alpha]), self.window)
 
     @cached_property
