@@ -307,5 +307,7 @@ def test_the_command_writes_a_page(scene, tmp_path, capsys):
     text = page.read_text(encoding="utf-8")
     assert "laid out" in section(text, "skipped")  # the warning of the mesh
     page.unlink()
+    assert main([*words, "-o", str(tmp_path)]) == 2
+    assert "is a folder; -o takes a file" in capsys.readouterr().err
     assert main([*words, "--recovered", str(tmp_path / "none")]) == 2
     assert "none: no such folder" in capsys.readouterr().err and not page.exists()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from svu_mi.cli.inputs import Known, Photographed, given, pair, parse_defines, parse_known
+from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
@@ -46,6 +47,8 @@ class Report(Photographed):
 
         pair(self.resolution, "--resolution")  # refused before any work
         defines, known = parse_defines(self.define), parse_known(self.known)
+        if self.output.is_dir():
+            raise OptionError(f"{self.output}: is a folder; -o takes a file, such as report.html.")
         prepare_folder(self.output.parent)
         self.start()
         textures = None if self.recovered is None else read_textures(self.recovered)
@@ -63,4 +66,4 @@ class Report(Photographed):
     @property
     def rendered(self) -> Path:
         """Where a scene without photographs is rendered to: beside the page."""
-        return self.output.with_suffix("") / "capture"
+        return self.output.with_name(f"{self.output.stem}_capture")

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 SHOWN = 60  # photographs in a report; of more, every other, or fewer
 FIRST = 12  # of them that are shown without asking
 SHOWN_LEFT_OUT = 12
+OVERSAMPLED = 4  # pixels that a thumbnail's is averaged over, along each side
 VALUES_COLORMAP = "plasma"  # has no grey, which means unseen
 ENDS = {"roughness": ("0: mirror", "1: matt"), "metallic": ("0: no metal", "1: metal"),
         "specular": ("0: no gloss", "1: mirror of all light")}  # fmt: skip
@@ -97,6 +98,8 @@ def spread(views_: Sequence[int], most: int) -> list[int]:
 
 def _thumbnail(capture: Any, view: int, notes: str, first: bool) -> Thumbnail:
     image, mask = capture.images[view], capture.masks[view]
+    step = max(max(image.shape[:2]) // (OVERSAMPLED * THUMBNAIL), 1)  # for large ones' sake
+    image, mask = image[::step, ::step], None if mask is None else mask[::step, ::step]
     height, width = image.shape[:2]
     scale = min(1.0, THUMBNAIL / max(width, height))
     size = max(1, round(width * scale)), max(1, round(height * scale))
