@@ -221,6 +221,15 @@ def test_frames_are_free_of_their_background(capture, estimate):
     assert edge.any() and np.quantile(frame[edge][:, :3], 0.95) < 0.2
 
 
+def test_a_texel_that_no_frame_shows_has_no_ring(capture, estimate):
+    """From a little above, nothing shows the ball's lowest part."""
+    table = Turntable.around(capture, 4, side=16)
+    low = np.flatnonzero(np.array(estimate.texels.normal)[1] < -0.97)
+    assert len(low) and table.find(estimate.texels, low) is None
+    high = np.flatnonzero(np.array(estimate.texels.normal)[1] > 0.97)
+    assert table.find(estimate.texels, high) is not None
+
+
 # --- Few views, many, and other methods ---------------------------------------------------
 
 
