@@ -247,7 +247,7 @@ def test_one_view_of_the_method_as_printed(capture, estimate, tmp_path):
     found = svu.estimate(one, estimate.texels, "spectrum", "paper")
     svu.write_report(one, found, tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
-    assert "1 photograph settles the material" in text and "is not in it" in text
+    assert "1 photograph settles the material" in text and "It does not show" in text
     assert "Most probable specular" in text and "base colour" not in section(text, "maps")
     assert "--recovered FOLDER" in section(text, "errors")
 
