@@ -289,6 +289,18 @@ def test_errors_tell_good_textures_from_bad(capture, estimate, monkeypatch):
     assert percent(good) < 5 < 20 < percent(bad)
 
 
+def test_recovered_textures_of_any_size_are_shown(capture, estimate, tmp_path, monkeypatch):
+    monkeypatch.setattr(report_plots, "COMPARED", 1)
+    textures = uniform(svu.texels(capture.mesh, 16), 0.4)
+    svu.write_report(capture, estimate, tmp_path / "page.html", textures=textures)
+    text = (tmp_path / "page.html").read_text()
+    recovered = section(text, "recovered")
+    for name in ("base colour", "roughness", "metallic"):
+        assert f"Recovered {name}." in recovered
+    assert "in the recovered textures" in section(text, "errors")
+    assert "in grey" not in section(text, "errors")
+
+
 # --- The command --------------------------------------------------------------------------
 
 
