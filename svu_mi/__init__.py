@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from svu_mi.frequency import fit_sh, power_spectrum
     from svu_mi.guidance import Candidates, Guidance, GuidanceOptions, next_best_view
     from svu_mi.options import AngularPreset, Preset, Skip, preset
+    from svu_mi.output.report import write_report
     from svu_mi.pipeline import Estimate, estimate
     from svu_mi.posterior import (
         ParameterGrid,
@@ -44,6 +45,7 @@ _HOME = {
     "Candidates": "guidance", "Guidance": "guidance", "GuidanceOptions": "guidance",
     "next_best_view": "guidance",
     "Estimate": "pipeline", "estimate": "pipeline",
+    "write_report": "output.report",
     "Reference": "reference", "reference_posterior": "reference",
     "Recovery": "recovery.recover", "recover": "recovery.recover",
     "GlobalSharing": "regularization", "TotalVariation": "regularization",
@@ -56,7 +58,7 @@ __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "Reference", "Skip", "SvuError", "SvuWarning", "Texels", "TotalVariation",
     "angular_posterior", "estimate", "fit_sh", "load_capture", "next_best_view",
     "power_spectrum", "preset", "recover", "reference_posterior", "render_capture",
-    "spectrum_posterior", "texels",
+    "spectrum_posterior", "texels", "write_report",
 ]  # fmt: skip
 
 _llvm.bootstrap()

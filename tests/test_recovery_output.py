@@ -26,7 +26,7 @@ from svu_mi.exr import read_attributes, read_exr, write_exr
 from svu_mi.metrics import ground_truth
 from svu_mi.output import scene_nodes, views
 from svu_mi.output.recovery import write_losses, write_recovery
-from svu_mi.output.relit import Comparison, compare, write_relit
+from svu_mi.output.relit import Relit, compare, write_relit
 from svu_mi.output.scene_xml import write_scene as write_recovered
 from svu_mi.output.textures import read_textures, write_textures
 from svu_mi.radiance.environment import read_environment
@@ -416,7 +416,7 @@ def test_pictures_of_large_photographs_are_small(vase):
 
 def test_nothing_to_compare_is_no_error(tmp_path):
     nothing = np.full((8, 8, 3), np.nan, np.float32)
-    empty = Comparison(
+    empty = Relit(
         view=0, photograph=nothing, render=np.ones((8, 8, 3)), relit=np.ones((8, 8, 3)),
         inside=np.zeros((8, 8), bool),
     )  # fmt: skip

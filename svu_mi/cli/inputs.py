@@ -100,6 +100,11 @@ class Photographed(Common):
     spp: int = 64
     """Samples per pixel, when the scene is rendered."""
 
+    @property
+    def rendered(self) -> Path:
+        """Where a scene without photographs is rendered to."""
+        return self.output / "capture"
+
     def load(
         self, progress: Progress, defines: dict[str, str], *, again: bool = False,
         missing: Missing = "refuse",
@@ -132,7 +137,7 @@ class Photographed(Common):
         images = self.images
         live = images is None and self.scene.suffix.lower() == ".xml" and missing == "refuse"
         if live and not has_photographs(photographs_of(self.scene)):
-            images = self.output / "capture"
+            images = self.rendered
             if not (again and has_photographs(images)):
                 with progress.stage("Rendering photographs") as stage:
                     capture = render_capture(

@@ -17,6 +17,7 @@ from svu_mi.cli.guide import Guide
 from svu_mi.cli.importing import Import
 from svu_mi.cli.inputs import was_interrupted
 from svu_mi.cli.recover import Recover
+from svu_mi.cli.reporting import Report
 from svu_mi.errors import SvuError
 
 Command = (
@@ -24,6 +25,7 @@ Command = (
     | Annotated[Entropy, tyro.conf.subcommand("entropy")]
     | Annotated[Guide, tyro.conf.subcommand("guide")]
     | Annotated[Recover, tyro.conf.subcommand("recover")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]

@@ -104,16 +104,34 @@ def draw_on_object(
         limits: values at the two ends of the colormap.
         colormap: a name of matplotlib's.
     """
+    colors = map_colors(estimate, values, limits=limits, colormap=colormap)
+    shown = views.picture(capture, colors, capture.sensors[view])
+    axes.imshow(views.crop(shown[..., :3], views.object_window(shown[..., 3] > 0)))
+    axes.set_axis_off()
+
+
+def map_colors(
+    estimate: Estimate,
+    values: Any | None = None,
+    *,
+    limits: tuple[float, float] = (0, 1),
+    colormap: str = COLORMAP,
+) -> np.ndarray:
+    """Return a value of every texel as screen colours (H, W, 3), with a gutter around charts.
+
+    Args:
+        estimate: says which texels there are; those that no view sees are grey.
+        values: (T,) one value per texel; the entropy by default.
+        limits: values at the two ends of the colormap.
+        colormap: a name of matplotlib's.
+    """
     from matplotlib import colormaps
     from matplotlib.colors import Normalize
 
     image = estimate.texels.to_image(_values(estimate, values), limits[0])
     colors = colormaps[colormap](Normalize(*limits)(image))[..., :3].astype(np.float32)
     colors[~estimate.texels.to_image(_seen(estimate), True)] = UNSEEN
-    colors = dilate(colors, estimate.texels.inside(), GUTTER)
-    shown = views.picture(capture, colors, capture.sensors[view])
-    axes.imshow(views.crop(shown[..., :3], views.object_window(shown[..., 3] > 0)))
-    axes.set_axis_off()
+    return dilate(colors, estimate.texels.inside(), GUTTER)
 
 
 def draw_posterior(
@@ -151,7 +169,7 @@ def draw_posterior(
     p = p.sum(axis=tuple(k for k, name in enumerate(order) if name not in (x, y)))
     if order.index(x) < order.index(y):
         p = p.T  # rows along y
-    edges_x, edges_y = _edges(posterior.axes[x]), _edges(posterior.axes[y])
+    edges_x, edges_y = cell_edges(posterior.axes[x]), cell_edges(posterior.axes[y])
     drawn = axes.pcolormesh(edges_x, edges_y, p, cmap=DENSITY, vmin=0, vmax=p.max())
     if truth is not None:
         point = [truth.grey(name)[texel] for name in (x, y)]
@@ -186,7 +204,7 @@ def draw_marginal(
     p = np.array(posterior.marginal(name, [texel]), np.float64)
     nodes = posterior.axes[name]
     heights = p.reshape(len(nodes), -1).mean(axis=1)
-    edges = _edges(nodes)
+    edges = cell_edges(nodes)
     axes.bar(edges[:-1], heights, 0.9 * np.diff(edges), align="edge", color=INK, alpha=0.75)
     axes.axhline(1 / len(nodes), color=INK, lw=1, ls=(0, (2, 2)))
     if truth is not None:
@@ -208,7 +226,7 @@ def _open_first(posterior: Posterior) -> list[str]:
     return sorted(posterior.axes, key=lambda name: len(posterior.axes[name]) == 1)
 
 
-def _edges(nodes: np.ndarray) -> np.ndarray:
+def cell_edges(nodes: np.ndarray) -> np.ndarray:
     """Borders of cells around the nodes: half-way, and mirrored at both ends."""
     if len(nodes) == 1:  # of a parameter that is known
         return nodes[0] + np.array([-KNOWN_WIDTH, KNOWN_WIDTH]) / 2

@@ -247,16 +247,7 @@ def _marginal(axes: Axes, estimate: Any, result: Result, name: str) -> None:
         _nothing(axes)
         return
     nodes = estimate.posterior.axes[name]
-    limit = np.quantile(result.entropy[result.seen], CERTAIN_PART)
-    certain = result.seen & (result.entropy <= limit)
-
-    def mean(of: np.ndarray) -> np.ndarray:
-        every = np.flatnonzero(of)
-        some = every[:: max(len(every) // SAMPLE, 1)]
-        p = np.array(estimate.posterior.marginal(name, some))
-        return p.reshape(len(some), len(nodes), -1).mean(axis=0)
-
-    means = {True: mean(certain), False: mean(result.seen)}
+    means = mean_marginals(estimate, result, name)
     channels = means[False].shape[1]
     colors = ("#c23b3b", "#2f8f4e", "#3566b8") if channels == 3 else (INK,)
     for k, color in enumerate(colors):
@@ -273,6 +264,29 @@ def _marginal(axes: Axes, estimate: Any, result: Result, name: str) -> None:
     )  # fmt: skip
     if channels == 3:
         _title(axes, f"Posterior of {words}: R, G, B")
+
+
+def mean_marginals(estimate: Any, result: Result, name: str) -> dict[bool, np.ndarray]:
+    """Return mean marginals of a parameter, if any texel is seen.
+
+    Args:
+        estimate: the ``Estimate``.
+        result: what it says.
+        name: of the parameter.
+
+    Returns:
+        (nodes, 1), or (nodes, 3) where channels differ: over all texels seen (False), and over
+        the most certain of them (True).
+    """
+    limit = np.quantile(result.entropy[result.seen], CERTAIN_PART)
+
+    def mean(of: np.ndarray) -> np.ndarray:
+        every = np.flatnonzero(of)
+        some = every[:: max(len(every) // SAMPLE, 1)]
+        p = np.array(estimate.posterior.marginal(name, some), np.float64)
+        return p.reshape(len(some), p.shape[1], -1).mean(axis=0)
+
+    return {True: mean(result.seen & (result.entropy <= limit)), False: mean(result.seen)}
 
 
 def _colorbar(figure: Figure, axes: Axes, name: str, scale: Any, label: str) -> Any:

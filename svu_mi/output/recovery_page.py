@@ -21,7 +21,7 @@ from svu_mi.output.overview import (
     THIN_SPACE,
     VIEWS_COLORMAP,
 )  # fmt: skip
-from svu_mi.output.relit import Comparison, draw_comparison, draw_relit
+from svu_mi.output.relit import Relit, draw_comparison, draw_relit
 from svu_mi.recovery.textures import NAMES
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ SMOOTH = 50  # losses are averaged over this part of the steps
 def write_recovery_overview(
     capture: Any,
     recovery: Any,
-    comparisons: Sequence[Comparison],
+    comparisons: Sequence[Relit],
     path: str | Path,
     estimate: Any | None = None,
 ) -> None:
@@ -159,7 +159,7 @@ def _parameters(cells: Sequence[Axes], capture: Any, recovery: Any, view: int) -
 
 
 def _rest(
-    cells: Sequence[Axes], capture: Any, recovery: Any, comparison: Comparison, estimate: Any | None
+    cells: Sequence[Axes], capture: Any, recovery: Any, comparison: Relit, estimate: Any | None
 ) -> None:
     """Draw the other light, and what is known of the object from there."""
     draw_relit(cells[0], comparison)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.poses import film_size, scaled_sensor
@@ -39,15 +38,13 @@ class Comparison:
     Attributes:
         view: index into ``capture.sensors``.
         photograph: (h, w, 3) linear radiance; NaN where it is not usable.
-        render: (h, w, 3) linear radiance of the recovered object under the capture's light.
-        relit: (h, w, 3) the same under another light.
+        render: (h, w, 3) linear radiance of the object in the textures under the capture's light.
         inside: (h, w) bool, the pixels that show nothing but the object.
     """
 
     view: int
     photograph: np.ndarray
     render: np.ndarray
-    relit: np.ndarray
     inside: np.ndarray
 
     @property
@@ -68,6 +65,61 @@ class Comparison:
         error = self.difference()
         return float(np.nanmean(error)) if np.isfinite(error).any() else None
 
+    def pictures(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return photograph, render and difference as screen colours (h, w, 3), white outside.
+
+        The difference is of sRGB values, from 0 (black) to a quarter (yellow).
+        """
+        from matplotlib import colormaps
+
+        difference = self.difference()
+        colors = colormaps[DIFFERENCE_COLORMAP](np.clip(difference / WORST, 0, 1))[..., :3]
+        return (
+            views.tone_mapped(self.photograph, white=self.white),
+            _on_white(views.tone_mapped(self.render, white=self.white), self),
+            np.where(np.isnan(difference)[..., None], 1, colors),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relit(Comparison):
+    """A comparison, and the object under another light.
+
+    Attributes:
+        relit: (h, w, 3) linear radiance.
+    """
+
+    relit: np.ndarray
+
+
+def explain(
+    capture: Capture,
+    textures: Textures,
+    chosen: Sequence[int],
+    spp: int = SAMPLES,
+    side: int = SIDE,
+) -> list[Comparison]:
+    """Render the object in some textures as some of the cameras saw it.
+
+    Args:
+        capture: the ``Capture``.
+        textures: of the object.
+        chosen: indices of its sensors.
+        spp: samples per pixel.
+        side: of the pictures' longer side, in pixels.
+    """
+    sensors = [scaled_sensor(capture.sensors[view], side) for view in chosen]
+    renders = relight(capture, textures, None, sensors, spp)
+    return [
+        Comparison(
+            view=view,
+            photograph=views.resized(capture.images[view], film_size(sensor)),
+            render=render,
+            inside=object_mask(capture.scene, capture.shape, sensor) >= 1,
+        )
+        for view, sensor, render in zip(chosen, sensors, renders, strict=True)
+    ]
+
 
 def compare(
     capture: Capture,
@@ -75,7 +127,7 @@ def compare(
     chosen: Sequence[int],
     environment: Any | None = None,
     spp: int = SAMPLES,
-) -> list[Comparison]:
+) -> list[Relit]:
     """Render the recovered object as some of the cameras saw it, and under another light.
 
     Args:
@@ -87,21 +139,14 @@ def compare(
     """
     sensors = [scaled_sensor(capture.sensors[view], SIDE) for view in chosen]
     other = novel_light(capture) if environment is None else environment
-    renders = relight(capture, textures, None, sensors, spp)
     relit = relight(capture, textures, other, sensors, spp)
     return [
-        Comparison(
-            view=view,
-            photograph=_resized(capture.images[view], film_size(sensor)),
-            render=render,
-            relit=other_render,
-            inside=object_mask(capture.scene, capture.shape, sensor) >= 1,
-        )
-        for view, sensor, render, other_render in zip(chosen, sensors, renders, relit, strict=True)
+        Relit(**vars(comparison), relit=image)
+        for comparison, image in zip(explain(capture, textures, chosen, spp), relit, strict=True)
     ]
 
 
-def write_relit(comparisons: Sequence[Comparison], path: str | Path) -> None:
+def write_relit(comparisons: Sequence[Relit], path: str | Path) -> None:
     """Draw one row per view: photograph, render, their difference, and another light.
 
     Args:
@@ -144,20 +189,11 @@ def draw_comparison(axes: Sequence[Axes], comparison: Comparison) -> None:
         axes: three of them.
         comparison: what to draw.
     """
-    from matplotlib import colormaps
-
-    difference = comparison.difference()
-    colors = colormaps[DIFFERENCE_COLORMAP](np.clip(difference / WORST, 0, 1))[..., :3]
-    shown = (
-        views.tone_mapped(comparison.photograph, white=comparison.white),
-        _on_white(views.tone_mapped(comparison.render, white=comparison.white), comparison),
-        np.where(np.isnan(difference)[..., None], 1, colors),
-    )
-    for place, image in zip(axes, shown, strict=True):
+    for place, image in zip(axes, comparison.pictures(), strict=True):
         _draw(place, image, comparison)
 
 
-def draw_relit(axes: Axes, comparison: Comparison) -> None:
+def draw_relit(axes: Axes, comparison: Relit) -> None:
     """Draw the object under the other light, exposed for itself."""
     image = views.tone_mapped(comparison.relit, comparison.inside)
     _draw(axes, _on_white(image, comparison), comparison)
@@ -170,14 +206,3 @@ def _draw(axes: Axes, image: np.ndarray, comparison: Comparison) -> None:
 
 def _on_white(image: np.ndarray, comparison: Comparison) -> np.ndarray:
     return np.where(comparison.inside[..., None], image, np.float32(1))
-
-
-def _resized(photograph: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return the photograph in (width, height) pixels; unusable ones leave NaN around them."""
-    if photograph.shape[1::-1] == size:
-        return np.array(photograph)
-    unusable = ~np.isfinite(photograph).all(axis=2, keepdims=True)
-    planes = np.concatenate([np.where(unusable, 0, photograph), unusable], axis=2)
-    bitmap = mi.Bitmap(np.ascontiguousarray(planes, np.float32)).resample(mi.ScalarVector2u(size))
-    small = np.array(bitmap, np.float32)
-    return np.where(np.abs(small[..., 3:]) > 1e-3, np.nan, np.maximum(small[..., :3], 0))

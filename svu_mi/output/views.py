@@ -62,11 +62,11 @@ def picture(capture: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
     Returns:
         (h, w, 4) float32, colour over white and the part of the pixel that is covered.
     """
-    scene = mi.load_dict(
-        # A copy: a live shape belongs to one scene, and the capture's may have no UVs.
-        {"type": "scene", "object": meshes.make("object", meshes.arrays(capture.mesh))},
-        optimize=False,
-    )
+    return painted(alone(capture), texture, sensor)
+
+
+def painted(scene: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
+    """Render a texture on the one shape of a scene, as ``picture`` does."""
     bitmap = {
         "type": "bitmap",
         "bitmap": mi.Bitmap(np.ascontiguousarray(texture, np.float32)),
@@ -80,6 +80,15 @@ def picture(capture: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
     image = np.array(mi.render(scene, sensor=small, integrator=integrator, spp=SAMPLES))
     covered = object_mask(scene, scene.shapes()[0], small)
     return np.clip(np.dstack([image[..., :3], covered]), 0, 1)
+
+
+def alone(capture: Any) -> Any:
+    """Return a scene of the capture's ``mesh`` and nothing else."""
+    return mi.load_dict(
+        # A copy: a live shape belongs to one scene, and the capture's may have no UVs.
+        {"type": "scene", "object": meshes.make("object", meshes.arrays(capture.mesh))},
+        optimize=False,
+    )
 
 
 def object_window(alpha: np.ndarray) -> tuple[float, float, float, float]:
@@ -134,6 +143,17 @@ def tone_mapped(
     """
     linear = photograph / (exposure(photograph, mask) if white is None else white)
     return srgb(np.clip(linear, 0, 1))
+
+
+def resized(photograph: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return a photograph in (width, height) pixels; unusable ones leave NaN around them."""
+    if photograph.shape[1::-1] == size:
+        return np.array(photograph)
+    unusable = ~np.isfinite(photograph).all(axis=2, keepdims=True)
+    planes = np.concatenate([np.where(unusable, 0, photograph), unusable], axis=2)
+    bitmap = mi.Bitmap(np.ascontiguousarray(planes, np.float32)).resample(mi.ScalarVector2u(size))
+    small = np.array(bitmap, np.float32)
+    return np.where(np.abs(small[..., 3:]) > 1e-3, np.nan, np.maximum(small[..., :3], 0))
 
 
 def srgb(linear: np.ndarray) -> np.ndarray:

@@ -1,0 +1,182 @@
+"""``report.html``: one file that says what photographs tell, to send to whom they belong to."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import svu_mi
+from svu_mi.output import findings, report_pictures, report_plots
+from svu_mi.output.manifest import environment_record
+from svu_mi.output.overview import Result, known
+from svu_mi.output.page import NARROW_SPACE, grouped, percent, write_page
+from svu_mi.output.relit import DIFFERENCE_COLORMAP, WORST
+from svu_mi.output.turntable import Turntable
+
+if TYPE_CHECKING:
+    from svu_mi.capture import Capture
+    from svu_mi.pipeline import Estimate
+    from svu_mi.recovery.textures import Textures
+
+TEMPLATE = "report.html"
+FRAMES, SIDE = 12, 400  # of the turntable; pixels
+WARNINGS = 12  # that are shown at once
+
+
+def write_report(
+    capture: Capture,
+    estimate: Estimate,
+    path: str | Path,
+    *,
+    textures: Textures | None = None,
+    title: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write what the photographs say as one HTML page, with all pictures inside.
+
+    It opens without a network, in any browser. Of many photographs some are shown and rendered,
+    evenly through their order, so that page and time stay small.
+
+    Args:
+        capture: the ``Capture``.
+        estimate: its ``Estimate``; nothing need have been seen.
+        path: the HTML file.
+        textures: recovered from the photographs, such as ``recover(...).textures``; they are shown,
+            and each photograph is compared with what they predict.
+        title: of the page; by default the name of the capture's folder.
+        settings: what the caller was asked for (command-line options).
+        progress: called with (parts done, parts in all).
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    done = iter(range(1, 6))
+
+    def step() -> None:
+        if progress is not None:
+            progress(next(done), 5)
+
+    result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
+    shown, left_out = report_pictures.thumbnails(capture, estimate)
+    step()
+    frames = report_pictures.turning(table, estimate)
+    step()
+    maps = report_pictures.entropy_maps(table, estimate, result)
+    if result.seen.any():
+        maps += report_pictures.parameter_maps(table, estimate)
+    recovered = [] if textures is None else report_pictures.texture_maps(table, estimate, textures)
+    step()
+    examples = report_plots.examples(table, estimate, result, [frame[0] for frame in frames])
+    step()
+    errors = _errors(capture, estimate, result, textures)
+    write_page(
+        path, TEMPLATE,
+        title=title or _name(capture), version=svu_mi.__version__, date=_today(),
+        summary=_summary(capture, estimate, result, table), thumbnails=shown, left_out=left_out,
+        count=capture.count, used=sum(capture.used), frames=frames, maps=maps, recovered=recovered,
+        histogram=report_plots.histogram(result),
+        marginals=report_plots.marginals(estimate, result), examples=examples, errors=errors,
+        error_colors=report_pictures.gradient(DIFFERENCE_COLORMAP),
+        error_end=percent(WORST), textured=textures is not None,
+        color=estimate.posterior.groups == 3, skipped=findings.skipped(estimate),
+        warnings=capture.warnings[:WARNINGS], more_warnings=capture.warnings[WARNINGS:],
+        **_record(capture, estimate, settings),
+    )  # fmt: skip
+    step()
+
+
+def _errors(
+    capture: Capture, estimate: Estimate, result: Result, textures: Textures | None
+) -> report_plots.Errors | None:
+    grey = textures is None and estimate.posterior.groups == 1
+    if textures is None and result.seen.any():
+        textures = report_plots.most_probable(estimate)
+    return None if textures is None else report_plots.errors(capture, textures, grey)
+
+
+def _summary(capture: Any, estimate: Any, result: Result, table: Turntable) -> dict[str, Any]:
+    """Numbers for the head of the page, and words for them."""
+    parts = findings.Parts.of(estimate, result)
+    seen = result.entropy[result.seen]
+    median = float(np.median(seen)) if len(seen) else 1.0
+    total = findings.candidates(estimate)
+    left = findings.candidates(estimate, median)
+    views = float(np.median(result.coverage[result.seen])) if len(seen) else 0
+    width, height = estimate.texels.resolution
+    return {
+        "parts": parts,
+        "direction": findings.facing(estimate, ~result.seen, table.up),
+        "numbers": [
+            ("Photographs used", grouped(sum(capture.used)), f"of {grouped(capture.count)}"),
+            ("Points of the surface", grouped(len(result.seen)),
+             f"in a texture of {width} × {height}"),
+            ("Seen", percent(1 - parts.unseen),
+             f"of the surface; a point seen is in {views:g} photographs (median)"),
+            ("Mean entropy", f"{seen.mean():.2f}" if len(seen) else "–",
+             "of the points seen: 0 = certain, 1 = nothing known"),
+            ("Materials left", f"{left:.0f}" if left >= 1.5 else "1",
+             f"of {grouped(total)} at a typical point"),
+        ],
+        "left": f"{left:.0f}", "total": grouped(total),
+        "parameters": [findings.words(name) for name in findings.open_axes(estimate)],
+    }  # fmt: skip
+
+
+def _record(capture: Any, estimate: Any, settings: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Settings, times and versions as rows of words."""
+    preset = dataclasses.asdict(estimate.preset)
+    width, height = estimate.texels.resolution
+    axes = estimate.posterior.axes.items()
+    grid = " × ".join(f"{len(v)} {findings.words(n)}" for n, v in axes if len(v) > 1)
+    sizes = sorted({f"{image.shape[1]} × {image.shape[0]}" for image in capture.images})
+    rows = [
+        ("Method", estimate.method),
+        ("Preset", preset.pop("name")),
+        ("Materials tried at each point", grid),
+        *((f"Known {findings.words(n)}", f"{value:g}") for n, value in known(estimate).items()),
+        ("Texture", f"{width} × {height}"),
+        ("Photographs", f"{', '.join(sizes[:4])}{', …' if len(sizes) > 4 else ''} pixels"),
+    ]
+    timings = [(stage, seconds) for stage, seconds in estimate.timings.items()]
+    environment = environment_record()
+    llvm = environment["llvm"]["version"]
+    return {
+        "settings": rows,
+        "switches": [(name, _plain(value)) for name, value in preset.items()],
+        "given": [(name, _plain(value)) for name, value in (settings or {}).items()],
+        "timings": [(stage, f"{s:.2f}{NARROW_SPACE}s") for stage, s in timings if np.isfinite(s)],
+        "seconds": f"{np.nansum([s for _, s in timings]):.1f}",
+        "versions": [(n, v) for n, v in environment["versions"].items() if v],
+        "machine": [
+            ("Platform", environment["platform"]),
+            ("Mitsuba variant", environment["variant"] or "–"),
+            ("Threads", environment["threads"] or "–"),
+            ("LLVM", llvm or "–"),
+        ],
+    }
+
+
+def _plain(value: Any) -> str:
+    """Write a setting; of a file its name alone, as a page is sent to others."""
+    if isinstance(value, Path):
+        return value.name or str(value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, tuple | list):
+        return ", ".join(map(_plain, value)) or "–"
+    return "–" if value is None else str(value)
+
+
+def _name(capture: Any) -> str:
+    return capture.source.resolve().name if capture.source else str(capture.shape.id())
+
+
+def _today() -> str:
+    today = datetime.date.today()
+    return f"{today.day} {today:%B %Y}"

@@ -1,0 +1,176 @@
+"""The object from all around, upright, as on a turntable; and where on it a texel is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture.mesh import arrays
+from svu_mi.capture.poses import bounding_sphere, film_size, make_sensor
+from svu_mi.capture.scene import to_world
+from svu_mi.output import views
+from svu_mi.output.directions import UP
+from svu_mi.surface import Texels
+from svu_mi.surface.gutter import dilate
+
+ELEVATION = 20.0  # degrees
+FOV, ROOM = 30.0, 1.02  # degrees; distance, relative to where the bounding sphere just fits
+STEEP = 0.3  # length of the cameras' mean upward direction below which they say nothing
+NEAR_AXIS = 0.9  # cosine from which an axis of the world is meant
+BORDER = 0.01  # left around the object, in parts of the film
+EMPTY = 0.02  # coverage of a pixel below which its colour means nothing
+EDGE = 2  # pixels of the silhouette that take their colour from within
+LIFT = 1e-3  # of rays above the surface, in parts of the object's extent
+
+
+@dataclass(frozen=True)
+class Turntable:
+    """Sensors in a ring around an object, slightly above it.
+
+    Attributes:
+        capture: whose ``mesh`` is shown.
+        sensors: in the order of turning; the first looks from where the first photograph was
+            taken.
+        up: (3,) unit vector.
+    """
+
+    capture: Any
+    sensors: tuple[Any, ...]
+    up: np.ndarray
+
+    @classmethod
+    def around(cls, capture: Any, count: int, side: int) -> Turntable:
+        """Place sensors around the object of a capture.
+
+        Args:
+            capture: the ``Capture``.
+            count: number of sensors.
+            side: width and height of their films in pixels, before empty borders are cut off.
+        """
+        center, radius = bounding_sphere(capture.mesh)
+        distance = ROOM * radius / np.sin(np.radians(FOV) / 2)
+        up = upright(capture)
+        front, right = _level(capture, center, up)
+        high = np.radians(ELEVATION)
+        sensors = []
+        for k in range(count):
+            turn = 2 * np.pi * k / count
+            level = np.cos(turn) * front + np.sin(turn) * right
+            origin = center + distance * (np.cos(high) * level + np.sin(high) * up)
+            pose = mi.ScalarTransform4f().look_at(list(origin), list(center), list(up))
+            record = {
+                "to_world": np.array(pose.matrix, np.float64), "x_fov": FOV,
+                "principal_point_offset": [0, 0], "clip": [distance * 1e-2, distance * 1e2],
+                "film": [side, side], "crop_offset": [0, 0], "crop_size": [side, side],
+            }  # fmt: skip
+            sensors.append(make_sensor(record, f"turntable {k}"))
+        return cls(capture, tuple(sensors), up)
+
+    def frame(self, texture: np.ndarray, number: int) -> np.ndarray:
+        """Render a texture on the object.
+
+        Args:
+            texture: (H, W, 3) screen colours, row 0 at v = 0.
+            number: index of the sensor.
+
+        Returns:
+            (h, w, 4) screen colours and opacity, cut to ``window``.
+        """
+        image = views.painted(self._scene, texture, self.sensors[number])
+        alpha = image[..., 3:]
+        # Over white it is c = a x + 1 - a; a page may be dark.
+        color = np.clip((image[..., :3] + alpha - 1) / np.maximum(alpha, EMPTY), 0, 1)
+        # Colour and coverage are sampled apart, so that a silhouette keeps some of the white.
+        color = dilate(color, image[..., 3] == 1, EDGE)
+        return views.crop(np.dstack([color, alpha]), self.window)
+
+    @cached_property
+    def window(self) -> tuple[float, float, float, float]:
+        """What the object covers in any frame: (left, right, top, bottom), in parts of the film.
+
+        All frames are cut alike, so that nothing jumps as the object turns.
+        """
+        points = arrays(self.capture.mesh).positions
+        places = np.concatenate([_places(points, sensor) for sensor in self.sensors])
+        (left, top), (right, bottom) = places.min(axis=0) - BORDER, places.max(axis=0) + BORDER
+        return max(left, 0.0), min(right, 1.0), max(top, 0.0), min(bottom, 1.0)
+
+    @cached_property
+    def _scene(self) -> Any:
+        return views.alone(self.capture)
+
+    def find(self, texels: Texels, chosen: np.ndarray) -> tuple[int, int, float, float] | None:
+        """Find the one of some texels that is shown best, and where.
+
+        Args:
+            texels: of the capture's mesh.
+            chosen: (t,) indices of texels.
+
+        Returns:
+            Which of them, the number of the frame, and how far from the left and from the top of
+            the frame it is, in parts of it; None if no frame shows any.
+        """
+        points = np.array(texels.position).T[chosen]
+        normals = np.array(texels.normal).T[chosen]
+        best = (0.0, 0, 0)
+        for number, sensor in enumerate(self.sensors):
+            offset = to_world(sensor)[:3, 3] - points
+            cosine = (normals * offset).sum(axis=1) / np.linalg.norm(offset, axis=1)
+            free = self._free(points + LIFT * texels.extent * normals, offset)
+            shown = np.where(free, cosine, 0)
+            k = int(np.argmax(shown))
+            best = max(best, (float(shown[k]), number, k), key=lambda entry: entry[0])
+        cosine, number, k = best
+        if cosine <= 0:
+            return None
+        x, y = _places(points[k : k + 1], self.sensors[number])[0]
+        left, right, top, bottom = self.window
+        return int(chosen[k]), number, (x - left) / (right - left), (y - top) / (bottom - top)
+
+    def _free(self, points: np.ndarray, offset: np.ndarray) -> np.ndarray:
+        ray = mi.Ray3f(
+            mi.Point3f(*points.T.astype(np.float32)), mi.Vector3f(*offset.T.astype(np.float32))
+        )
+        ray.maxt = mi.Float(1.0)
+        return ~np.array(self._scene.ray_test(ray))
+
+
+def _places(points: np.ndarray, sensor: Any) -> np.ndarray:
+    """Return where a sensor shows points (N, 3): (N, 2) from the left and the top, in [0, 1]."""
+    interaction = mi.Interaction3f()
+    interaction.p = mi.Point3f(*np.ascontiguousarray(points.T, np.float32))
+    sample, _ = sensor.sample_direction(interaction, mi.Point2f(0.5))
+    return np.array(sample.uv, np.float64).T / film_size(sensor)
+
+
+def upright(capture: Any) -> np.ndarray:
+    """Return the direction (3,) that is up in a capture, as far as its cameras tell.
+
+    It is their mean upward direction, or the world's axis next to it; +Y if they are turned
+    in all ways.
+    """
+    sensors = capture.used_sensors or capture.sensors
+    mean = np.mean([to_world(sensor)[:3, 1] for sensor in sensors], axis=0)
+    length = np.linalg.norm(mean)
+    if length < STEEP:
+        return np.array(UP)
+    axis = np.zeros(3)
+    largest = int(np.argmax(np.abs(mean)))
+    axis[largest] = np.sign(mean[largest])
+    return axis if mean @ axis > NEAR_AXIS * length else mean / length
+
+
+def _level(capture: Any, center: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return directions (3,) to the front, where the first photograph is from, and to the right."""
+    sensors = capture.used_sensors or capture.sensors
+    for front in (to_world(sensors[0])[:3, 3] - center, np.eye(3)[2], np.eye(3)[0]):
+        front = front - (front @ up) * up
+        length = np.linalg.norm(front)
+        if length > 1e-3 * np.linalg.norm(to_world(sensors[0])[:3, 3] - center):
+            break
+    front = front / length
+    return front, np.cross(up, front)

@@ -1,0 +1,334 @@
+"""The report: what the estimate says, in one page that a browser shows as it should."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from helpers import render_ball, write_scene
+
+import svu_mi as svu
+from svu_mi.capture.poses import describe, make_sensor
+from svu_mi.cli.main import main
+from svu_mi.exr import write_exr
+from svu_mi.output import findings, report, report_pictures, report_plots
+from svu_mi.output.overview import Result
+from svu_mi.output.turntable import Turntable, upright
+from svu_mi.recovery.textures import uniform
+
+VIEWS = 5
+NAME = '<img src=x onerror="y">.exr'
+WARNING = "view_0001.exr: 4 pixels are NaN & <left> out."
+SWITCHES = {"roughness": 0.3, "metallic": 0.0, "base_color": {"type": "rgb", "value": [0.6] * 3}}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _small():
+    """Small pictures and few of them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report, "SIDE", 48)
+        patch.setattr(report, "FRAMES", 4)
+        yield
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    """A ball from five sides; one photograph has NaN, one is black and left out."""
+    light = {"type": "constant"}
+    taken = render_ball(
+        tmp_path_factory.mktemp("ball"), light, {"type": "principled", **SWITCHES},
+        views=VIEWS, resolution=(40, 32), spp=16,
+    )  # fmt: skip
+    images = [np.array(image) for image in taken.images]
+    images[1][10:12, 10:12] = np.nan
+    images[4] *= 0
+    return replace(
+        taken, images=tuple(images), names=(NAME, *taken.names[1:]), unusable=(0, 4, 0, 0, 0),
+        used=(True, True, True, True, False), exposures=(1.0, 1.0, 0.25, 1.0, 1.0),
+        warnings=(WARNING,) * 14,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def estimate(capture):
+    return svu.estimate(capture, svu.texels(capture.mesh, (48, 24)))
+
+
+@pytest.fixture(scope="module")
+def written(capture, estimate, tmp_path_factory):
+    path = tmp_path_factory.mktemp("für <uns>") / "réport.html"
+    steps = []
+    svu.write_report(
+        capture, estimate, path, title="Ball & <b>co</b>", settings={"scene": path, "spp": (1, 2)},
+        progress=lambda done, total: steps.append((done, total)),
+    )  # fmt: skip
+    assert steps == [(k, 5) for k in range(1, 6)]
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
+    return path
+
+
+@pytest.fixture(scope="module")
+def text(written):
+    return written.read_text(encoding="utf-8")
+
+
+def unseen(estimate):
+    """The estimate, had no photograph shown anything."""
+    count = estimate.texels.count
+    posterior = replace(estimate.posterior, observed=np.zeros(count, bool))
+    return replace(
+        estimate, posterior=posterior, coverage=mi.UInt32(np.zeros(count, np.uint32)),
+        seen_per_view=0 * estimate.seen_per_view,
+    )  # fmt: skip
+
+
+def section(text, name):
+    return re.search(rf'<section id="{name}">(.*?)</section>', text, re.DOTALL)[1]
+
+
+# --- In a browser -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("width", "dark"), [(1280, False), (400, True)])
+def test_the_page_fits_and_asks_for_nothing(browser, written, width, dark):
+    shown = browser.open(written, width, dark=dark)
+    shown.evaluate("document.querySelectorAll('details').forEach(d => d.open = true)")
+    assert shown.overflow == 0
+    assert shown.requests == [] and shown.complaints == []
+    pictures = shown.evaluate("[...document.images].map(i => i.complete && i.naturalWidth > 0)")
+    assert len(pictures) > 30 and all(pictures)
+    small = "[...document.querySelectorAll('p, td, figcaption, dd')].filter(e => e.innerText)"
+    sizes = shown.evaluate(f"{small}.map(e => parseFloat(getComputedStyle(e).fontSize))")
+    assert min(sizes) >= 13
+    assert shown.evaluate("document.title").startswith("Ball & <b>co</b>")
+    shown.close()
+
+
+# --- What it says -------------------------------------------------------------------------
+
+
+def test_numbers_are_those_of_the_estimate(text, estimate):
+    seen = np.array(estimate.coverage) > 0
+    mean = float(np.array(estimate.entropy)[seen].mean())
+    assert re.search(rf"<dt>Mean entropy</dt><dd>{mean:.2f}<", text)
+    assert re.search(r"<dt>Photographs used</dt><dd>4<small>of 5</small>", text)
+    assert "All switches of the preset" in text and "llvm_ad_rgb" in text and mi.__version__ in text
+    assert "Gathering statistics" in section(text, "record")
+
+
+def test_parts_are_of_the_area_and_sum_to_1(estimate):
+    """Texels of a lat-long chart are small near its poles."""
+    result = Result.of(estimate)
+    parts = findings.Parts.of(estimate, result)
+    uv = np.array(estimate.texels.uv)
+    area = np.sin(np.pi * uv[1])
+    expected = area[result.seen & (result.entropy < 1 / 3)].sum() / area.sum()
+    assert parts.certain == pytest.approx(expected, abs=0.02)
+    total = parts.certain + parts.partly + parts.uncertain + parts.unseen
+    assert total == pytest.approx(1)
+    assert parts.unseen == pytest.approx(area[~result.seen].sum() / area.sum(), abs=0.02)
+
+
+def test_an_entropy_is_a_number_of_materials(estimate):
+    left = [findings.candidates(estimate, h) for h in (0, 1 / 3, 1)]
+    assert left == pytest.approx([1, 8, 512])
+
+
+def test_names_and_warnings_are_escaped(text):
+    assert NAME not in text and WARNING not in text
+    assert "&lt;img src=x onerror=" in section(text, "photographs")
+    warnings = section(text, "skipped")
+    assert warnings.count("&amp; &lt;left&gt; out.") == 14 and "2 more" in warnings
+
+
+def test_photographs_say_what_is_wrong_with_them(text):
+    photographs = section(text, "photographs")
+    assert "4 unusable pixels" in photographs and "exposure × 0.25" in photographs
+    left_out = photographs[photographs.index("Left out: 1") :]
+    assert "entirely black" in left_out and "view_0004.exr" in left_out
+
+
+def test_a_page_for_others_names_no_folder(text, written):
+    assert str(written.parent) not in text and written.name in section(text, "record")
+
+
+def test_all_that_is_skipped_is_said_in_sentences(estimate):
+    every = SimpleNamespace(**vars(estimate))
+    for number in (1, 2):
+        every.skipped = dict.fromkeys(estimate.skipped, number)
+        lines = findings.skipped(every)
+        assert len(lines) == len(estimate.skipped) >= 9
+        assert not [line for line in lines if ": 1." in line or ": 2." in line]
+        assert all(line.endswith(".") for line in lines)
+    every.skipped = {**dict.fromkeys(estimate.skipped, 0), "new reason": 3}
+    assert findings.skipped(every) == ["new reason: 3."]
+
+
+def test_what_faces_down_is_said_to(estimate):
+    normals = np.array(estimate.texels.normal)
+    up = np.array([0.0, 1.0, 0.0])
+    assert findings.facing(estimate, normals[1] < -0.3, up) == "downwards"
+    assert findings.facing(estimate, normals[1] > 0.3, up) == "upwards"
+    assert findings.facing(estimate, normals[0] > 0, up) is None
+    assert findings.facing(estimate, np.zeros(estimate.texels.count, bool), up) is None
+
+
+# --- The turntable ------------------------------------------------------------------------
+
+
+def test_a_ring_is_where_its_texel_is(capture, estimate):
+    """One white texel on a black ball, near its equator."""
+    table = Turntable.around(capture, 3, side=96)
+    uv = np.array(estimate.texels.uv)
+    found = table.find(estimate.texels, np.flatnonzero(abs(uv[1] - 0.45) < 0.05)[::9])
+    texel, number, x, y = found
+    values = np.zeros((estimate.texels.count, 3), np.float32)
+    values[texel] = 1
+    frame = table.frame(estimate.texels.to_image(values), number)
+    bright = np.argwhere(frame[..., 0] > 0.5 * frame[..., 0].max())
+    place = (bright.mean(axis=0) + 0.5) / frame.shape[:2]
+    np.testing.assert_allclose(place, (y, x), atol=0.03)
+    assert table.find(estimate.texels, np.array([texel])) == found
+
+
+def test_up_is_where_cameras_have_it(capture):
+    def turned(matrix):
+        records = [describe(sensor) for sensor in capture.sensors]
+        for record in records:
+            record["to_world"] = matrix @ np.array(record["to_world"])
+        sensors = tuple(make_sensor(record, "turned") for record in records)
+        return replace(capture, sensors=sensors)
+
+    to_z = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
+    np.testing.assert_array_equal(upright(capture), [0, 1, 0])
+    np.testing.assert_array_equal(upright(turned(to_z)), [0, 0, 1])
+    table = Turntable.around(turned(to_z), 4, side=16)
+    heights = [np.array(s.world_transform().matrix).reshape(4, 4)[2, 3] for s in table.sensors]
+    assert np.ptp(heights) < 1e-4 and min(heights) > 0.5
+
+
+def test_frames_are_free_of_their_background(capture, estimate):
+    """What was mixed with white at the silhouette would shine on a dark page."""
+    table = Turntable.around(capture, 1, side=64)
+    frame = table.frame(np.full((24, 48, 3), 0.1, np.float32), 0)
+    alpha = frame[..., 3]
+    assert (alpha == 0).any() and (alpha == 1).mean() > 0.5
+    edge = (alpha > 0.3) & (alpha < 1)
+    assert edge.any() and np.quantile(frame[edge][:, :3], 0.95) < 0.2
+
+
+def test_a_texel_that_no_frame_shows_has_no_ring(capture, estimate):
+    """From a little above, nothing shows the ball's lowest part."""
+    table = Turntable.around(capture, 4, side=16)
+    low = np.flatnonzero(np.array(estimate.texels.normal)[1] < -0.97)
+    assert len(low) and table.find(estimate.texels, low) is None
+    high = np.flatnonzero(np.array(estimate.texels.normal)[1] > 0.97)
+    assert table.find(estimate.texels, high) is not None
+
+
+# --- Few views, many, and other methods ---------------------------------------------------
+
+
+def test_nothing_seen_is_said(capture, estimate, tmp_path):
+    few = replace(capture, used=(False,) * VIEWS, warnings=())
+    svu.write_report(few, unseen(estimate), tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    assert "No point of the surface is seen" in text and "No photograph was used" in text
+    assert "There is nothing to compare" in text and "Left out: 5" in text
+    assert "nan" not in re.sub(r"data:image/[^\"]*", "", text).lower()
+
+
+def test_one_view_of_the_method_as_printed(capture, estimate, tmp_path):
+    one = replace(capture, used=(True,) + (False,) * (VIEWS - 1), masks=(None,) * VIEWS)
+    found = svu.estimate(one, estimate.texels, "spectrum", "paper")
+    svu.write_report(one, found, tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    assert "1 photograph settles the material" in text and "It does not show" in text
+    assert "Most probable specular" in text and "base colour" not in section(text, "maps")
+    assert "--recovered FOLDER" in section(text, "errors")
+
+
+def test_channels_have_lines_of_their_own(capture, estimate):
+    switches = svu.preset("default", method="angular", channels="joint")
+    found = svu.estimate(capture, estimate.texels, preset=switches, known={"metallic": 0.0})
+    plots = dict(report_plots.marginals(found, Result.of(found)))
+    assert list(plots) == ["roughness", "base colour"]
+    assert {style for style, _ in plots["base colour"].lines} >= {"red", "green", "blue"}
+    assert len(plots["roughness"].bars) == 8 and not plots["base colour"].bars
+    assert report_plots.most_probable(found).resolution == (48, 24)
+    assert "metallic = 0" in " ".join(findings.skipped(found))
+
+
+def test_many_photographs_are_thinned_out(capture, estimate):
+    many = SimpleNamespace(
+        **vars(capture) | {name: getattr(capture, name) * 40
+                           for name in ("sensors", "images", "masks", "names", "unusable", "used",
+                                        "exposures")}
+    )  # fmt: skip
+    many.count = len(many.sensors)
+    shown, left_out = report_pictures.thumbnails(many, estimate)
+    assert (len(shown), len(left_out)) == (60, 12)
+    assert sum(thumbnail.first for thumbnail in shown) == 12
+    assert report_pictures.spread(range(200), 5) == [0, 50, 100, 149, 199]
+
+
+def test_errors_tell_good_textures_from_bad(capture, estimate, monkeypatch):
+    monkeypatch.setattr(report_plots, "COMPARED", 2)
+    good = report_plots.errors(capture, report_plots.most_probable(estimate), grey=True)
+    bad = report_plots.errors(capture, uniform(estimate.texels, 0.02), grey=False)
+    assert [name for name, _ in good.rows] == [capture.names[0], capture.names[3]]
+    assert good.views == 4 and len(good.shown) == 2
+
+    def percent(errors):
+        return float(errors.mean.split("\u202f")[0])
+
+    assert percent(good) < 5 < 20 < percent(bad)
+
+
+def test_recovered_textures_of_any_size_are_shown(capture, estimate, tmp_path, monkeypatch):
+    monkeypatch.setattr(report_plots, "COMPARED", 1)
+    textures = uniform(svu.texels(capture.mesh, 16), 0.4)
+    svu.write_report(capture, estimate, tmp_path / "page.html", textures=textures)
+    text = (tmp_path / "page.html").read_text()
+    recovered = section(text, "recovered")
+    for name in ("base colour", "roughness", "metallic"):
+        assert f"Recovered {name}." in recovered
+    assert "in the recovered textures" in section(text, "errors")
+    assert "in grey" not in section(text, "errors")
+
+
+# --- The command --------------------------------------------------------------------------
+
+
+@pytest.fixture
+def scene(tmp_path, variant):
+    """A scene folder with photographs of grey, and a mesh without UVs."""
+    folder = tmp_path / "Wäsche & co"
+    folder.mkdir()
+    path = write_scene(folder, uvs=None)
+    (folder / "images").mkdir()
+    for view in range(3):
+        grey = np.full((24, 24, 3), 0.2, np.float32)
+        write_exr(folder / "images" / f"view_{view:04d}.exr", {"RGB": grey})
+    yield path
+    mi.set_variant(variant)
+    mi.set_log_level(mi.LogLevel.Warn)
+
+
+@pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
+def test_the_command_writes_a_page(scene, tmp_path, capsys):
+    page = tmp_path / "new" / "page.html"
+    words = ["report", str(scene), "-o", str(page), "--resolution", "16", "-t", "2"]
+    assert main(words) == 0
+    assert "no UVs" in capsys.readouterr().err
+    text = page.read_text(encoding="utf-8")
+    assert "laid out" in section(text, "skipped")  # the warning of the mesh
+    page.unlink()
+    assert main([*words, "-o", str(tmp_path)]) == 2
+    assert "is a folder; -o takes a file" in capsys.readouterr().err
+    assert main([*words, "--recovered", str(tmp_path / "none")]) == 2
+    assert "none: no such folder" in capsys.readouterr().err and not page.exists()
