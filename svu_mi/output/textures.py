@@ -21,8 +21,10 @@ def write_textures(
     textures: Textures,
     folder: str | Path,
     attributes: Mapping[str, str | int | float] | None = None,
+    *,
+    half: bool = False,
 ) -> None:
-    """Write ``base_color.exr`` (R, G, B), ``roughness.exr`` and ``metallic.exr`` (Y), float32.
+    """Write ``base_color.exr`` (R, G, B), ``roughness.exr`` and ``metallic.exr`` (Y).
 
     Linear values in [0, 1]; row 0 is v = 0. Texels outside the charts are written as they
     are: ``lay_out`` has filled them with their neighbours.
@@ -31,6 +33,7 @@ def write_textures(
         textures: what to write.
         folder: an existing folder.
         attributes: header entries of each file, such as the settings of the run.
+        half: store half floats instead of float32.
 
     Raises:
         OutputError: a file cannot be written, or a value is NaN or infinite.
@@ -38,7 +41,8 @@ def write_textures(
     header = {"svu:version": svu_mi.__version__, **(attributes or {})}
     for name, tensor in textures.items():
         channels = "RGB" if CHANNELS[name] == 3 else "Y"
-        write_exr(Path(folder) / FILES[name], {channels: np.array(tensor, np.float32)}, header)
+        image = np.array(tensor, np.float32)
+        write_exr(Path(folder) / FILES[name], {channels: image}, header, half=half)
 
 
 def read_textures(folder: str | Path) -> Textures:
