@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import mitsuba as mi
 import numpy as np
 
 import svu_mi
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr, write_exr
-from svu_mi.interop import owned
 from svu_mi.recovery.textures import CHANNELS, NAMES, Textures
 
 FILES = {name: f"{name}.exr" for name in NAMES}
@@ -64,10 +62,7 @@ def read_textures(folder: str | Path) -> Textures:
     if len(set(sizes.values())) > 1:
         words = ", ".join(f"{FILES[name]} {size[1]} x {size[0]}" for name, size in sizes.items())
         raise CaptureError(f"{folder}: the textures differ in size ({words}); resample them.")
-    return Textures(**{
-        name: mi.TensorXf(owned(mi.Float, image.ravel()), shape=image.shape)
-        for name, image in images.items()
-    })  # fmt: skip
+    return Textures.of(images)
 
 
 def _image(path: Path, count: int) -> np.ndarray:
