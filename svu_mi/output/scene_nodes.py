@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import mitsuba as mi
 import numpy as np
@@ -22,6 +22,7 @@ from svu_mi.capture.repaint import is_two_sided
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import SvuWarning
 from svu_mi.exr import write_exr
+from svu_mi.files import replacing
 from svu_mi.recovery.relight import path_length
 
 FILTERS = {
@@ -52,6 +53,17 @@ def put(parent: Element, **properties: Any) -> Element:
         else:
             SubElement(parent, tag, name=name, value=text)
     return parent
+
+
+def write_xml(path: Path, root: Element) -> None:
+    """Write a document, indented.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    indent(root)
+    with replacing(path) as temporary:
+        temporary.write_text(tostring(root, "unicode") + "\n", encoding="utf-8")
 
 
 def integrator(scene: Any) -> Element:

@@ -6,8 +6,7 @@ import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Comment, Element
+from xml.etree.ElementTree import Comment, Element, SubElement
 
 import mitsuba as mi
 import numpy as np
@@ -62,7 +61,7 @@ def write_scene(
     write_textures(textures, folder, attributes)
     root = Element("scene", version="3.0.0")
     root.append(Comment(f" Written by svu_mi {svu_mi.__version__}; needs nothing but Mitsuba. "))
-    ElementTree.SubElement(root, "default", name="spp", value=str(SAMPLES))
+    SubElement(root, "default", name="spp", value=str(SAMPLES))
     root.append(nodes.integrator(capture.scene))
     light = next(e for e in capture.scene.emitters() if e.is_environment())
     root.append(nodes.light(light, folder, ASSETS))
@@ -71,9 +70,7 @@ def write_scene(
     others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
     root.extend(_other(shape, folder, f"{ASSETS}/other_{k}") for k, shape in enumerate(others))
     root.extend(nodes.sensor(s, f"view_{k:04d}") for k, s in enumerate(capture.sensors))
-    ElementTree.indent(root)
-    with replacing(folder / SCENE) as temporary:
-        temporary.write_text(ElementTree.tostring(root, "unicode") + "\n", encoding="utf-8")
+    nodes.write_xml(folder / SCENE, root)
     return folder / SCENE
 
 
