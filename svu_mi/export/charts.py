@@ -19,6 +19,7 @@ Layouts = dict[tuple[int, ...], Texels]
 """Texels by (H, W)."""
 
 UNKNOWN = {"entropy": 1.0, "coverage": 0.0}  # where there is no surface
+COINCIDENT = 1e-6  # of the mesh's extent: vertices that close are at one point
 STRAY_LIMIT = 0.02  # part of the seen texels that may lie where the mesh has no chart
 
 
@@ -88,7 +89,8 @@ def at_vertices(asset: Asset, laid_out: Texels, image: np.ndarray) -> np.ndarray
     weights = barycentric(mesh.uvs[corners], np.array(laid_out.uv, np.float64).T)
     weights *= np.array(laid_out.footprint, np.float64)[:, None] ** 2
     values = weights * image.reshape(-1)[np.array(laid_out.index), None]
-    point = np.unique(mesh.positions, axis=0, return_inverse=True)[1].reshape(-1)
+    steps = np.rint(mesh.positions / (COINCIDENT * laid_out.extent)).astype(np.int64)
+    point = np.unique(steps, axis=0, return_inverse=True)[1].reshape(-1)
     weight, total = (
         np.bincount(point[corners].ravel(), each.ravel(), len(point))[point]
         for each in (weights, values)

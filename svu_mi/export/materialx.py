@@ -17,6 +17,7 @@ from svu_mi.files import replacing
 from svu_mi.output.scene_nodes import write_xml
 
 MATERIAL, MESH = "material.mtlx", "mesh.obj"
+DIGITS = 10  # after the point: objects of a millimetre in metres keep single precision
 VERSION = "1.38"  # later ones read it, too
 INDEX_OF_REFRACTION = 1.5  # F0 = 0.04, as specular = 0.5 of Mitsuba's principled
 # Parameter: type of its image, colour space of the file, and input of standard_surface.
@@ -73,9 +74,14 @@ def _write_obj(asset: Asset, path: Path) -> None:
 
     mesh = as_trimesh(asset.mesh, TextureVisuals(uv=upward_uvs(asset.mesh)))
     text, _ = export_obj(
-        mesh, include_normals=asset.mesh.normals is not None, return_texture=True, header=None
+        mesh,
+        include_normals=asset.mesh.normals is not None,
+        return_texture=True,
+        header=None,
+        digits=DIGITS,
     )
     # trimesh names a material of its own, which is grey; ours is in the other file.
-    kept = [line for line in text.splitlines() if not line.startswith(("mtllib", "usemtl"))]
+    left_out = ("mtllib", "usemtl")
+    kept = [line for line in text.splitlines() if line and not line.startswith(left_out)]
     with replacing(path) as temporary:
         temporary.write_text("\n".join([f"o {asset.name}", *kept]) + "\n", encoding="utf-8")
