@@ -16,9 +16,10 @@ from helpers import ball, lettered, recovered_folder, write_known
 from PIL import Image
 
 import svu_mi as svu
+from svu_mi.capture import mesh as meshes
 from svu_mi.cli.main import main
 from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError, ShapeError
-from svu_mi.export.charts import at_vertices, charts, with_gutters
+from svu_mi.export.charts import at_vertices, inside_charts, with_gutters
 from svu_mi.export.export import EVERY
 from svu_mi.export.mesh import front_faces
 from svu_mi.export.options import FORMATS
@@ -124,7 +125,7 @@ def test_exr_textures_are_those_recovered(exported, result, tmp_path):
         found, given = (read_exr(folder / f"{name}.exr") for folder in (
             exported / "textures", result.folder,
         ))  # fmt: skip
-        inside = charts(svu.load_asset(result.folder))[HEIGHT, WIDTH].inside()
+        inside = inside_charts(svu.load_asset(result.folder), (HEIGHT, WIDTH))
         assert list(found) == list(given)
         for channel, values in given.items():
             np.testing.assert_array_equal(found[channel][inside], values[inside])
@@ -155,15 +156,14 @@ def test_png_textures_are_rounded_and_encoded(asset, tmp_path, bits):
 
 def test_gutters_hold_the_nearest_value(asset):
     """Junk outside the charts never survives; beyond a narrow gutter nothing is known."""
-    laid_out = charts(asset)
-    inside = laid_out[HEIGHT, WIDTH].inside()
+    inside = inside_charts(asset, (HEIGHT, WIDTH))
     junk = {name: np.where(inside[..., None], np.array(tensor), np.float32(0.9))
             for name, tensor in asset.textures.items()}  # fmt: skip
     spoilt = replace(asset, textures=type(asset.textures).of(junk))
-    filled = with_gutters(spoilt, laid_out, None)
+    filled = with_gutters(spoilt, None)
     assert not np.isin(np.float32(0.9), np.array(filled.textures.roughness))
     assert filled.coverage[0, 0] == 3 and filled.coverage[0, -1] == 0
-    narrow = with_gutters(spoilt, laid_out, 2)
+    narrow = with_gutters(spoilt, 2)
     changed = (np.array(narrow.textures.roughness) != junk["roughness"])[..., 0]
     row = np.flatnonzero(inside[HEIGHT // 2])
     assert list(np.flatnonzero(changed[HEIGHT // 2])) == [
@@ -220,18 +220,16 @@ def test_entropy_is_at_the_vertices_of_both_glb_files(exported, asset):
 def test_means_at_vertices_know_no_seam(asset):
     """A constant stays; a linear function of position returns; a pole has one value."""
     ones = np.ones((160, 192), np.float32)
-    laid_out = charts(replace(asset, entropy=ones, coverage=None))[ones.shape]
-    np.testing.assert_allclose(at_vertices(asset, laid_out, ones), 1, rtol=1e-6)
-    height = laid_out.to_image(np.array(laid_out.position)[1])
-    found = at_vertices(asset, laid_out, height)
+    np.testing.assert_allclose(at_vertices(asset.mesh, ones), 1, rtol=1e-6)
+    laid_out = svu.texels(meshes.make("ball", asset.mesh), (192, 160))
+    found = at_vertices(asset.mesh, laid_out.to_image(np.array(laid_out.position)[1]))
     middle = np.abs(asset.mesh.positions[:, 1]) < 0.8
     edge = np.pi / 24
     np.testing.assert_allclose(found[middle], asset.mesh.positions[middle, 1], atol=edge / 4)
     assert len(set(found[asset.mesh.positions[:, 1] == 1])) == 1
     u = np.round(asset.mesh.uvs[:, 0], 6)  # the seam: one meridian at both ends of the chart
     np.testing.assert_array_equal(found[u == u.min()], found[u == u.max()])
-    few = charts(replace(asset, entropy=ones[:3, :2], coverage=None))[3, 2]
-    coarse = at_vertices(asset, few, np.arange(6, dtype=np.float32).reshape(3, 2))
+    coarse = at_vertices(asset.mesh, np.arange(6, dtype=np.float32).reshape(3, 2))
     assert np.isfinite(coarse).all() and coarse.min() >= 0 and coarse.max() <= 5
 
 
@@ -394,10 +392,18 @@ def test_damaged_results_are_refused(result, tmp_path, file, content, error, sen
     ({"faces": np.zeros((0, 3), int)}, "no triangles"),
     ({"faces": np.array([[0, 1, 10**6]])}, "does not exist"),
     ({"positions": np.full_like(ball().positions, np.nan)}, "positions that are NaN"),
+    ({"uvs": np.full_like(UVS, np.inf)}, "UVs that are NaN or infinite"),
 ])  # fmt: skip
 def test_meshes_that_cannot_be_exported(asset, changes, sentence):
     with pytest.raises(MeshError, match=sentence):
         replace(asset, mesh=replace(asset.mesh, **changes))
+
+
+def test_charts_outside_the_unit_square_are_refused(asset, tmp_path):
+    moved = replace(asset, mesh=replace(asset.mesh, uvs=asset.mesh.uvs + 3))
+    with pytest.raises(MeshError, match="no texel of a 56 x 40 texture lies on a chart"):
+        svu.export_asset(moved, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_maps_that_cannot_be_exported(asset):

@@ -31,10 +31,13 @@ const renderer_ = new THREE.WebGLRenderer({preserveDrawingBuffer: true, antialia
 renderer_.outputEncoding = THREE.sRGBEncoding;
 renderer_.setSize(view.width, view.height);
 document.body.appendChild(renderer_.domElement);
-const shown = new THREE.Scene(), room = new THREE.Scene();
-shown.background = new THREE.Color(view.color ? 0x000000 : 0xffffff);
-room.background = new THREE.Color(0xffffff);
-shown.environment = new THREE.PMREMGenerator(renderer_).fromScene(room).texture;
+const shown = new THREE.Scene();
+shown.background = new THREE.Color(view.mode == "color" ? 0x000000 : 0xffffff);
+if (view.mode == "lit") {
+  const room = new THREE.Scene();
+  room.background = new THREE.Color(0xffffff);
+  shown.environment = new THREE.PMREMGenerator(renderer_).fromScene(room).texture;
+}
 const eye = new THREE.PerspectiveCamera(view.fov, view.width / view.height, view.near, view.far);
 eye.matrixAutoUpdate = false;
 eye.matrix.fromArray(view.matrix);
@@ -47,7 +50,7 @@ const done = new Promise((resolve, reject) => new THREE.GLTFLoader().parse(data,
     found = {type: m.type, roughness: m.roughness, metalness: m.metalness,
       same: !!m.roughnessMap && m.roughnessMap === m.metalnessMap, colors: m.vertexColors,
       srgb: !!m.map && m.map.encoding === THREE.sRGBEncoding};
-    if (view.color) node.material = new THREE.MeshBasicMaterial({map: m.map});
+    if (view.mode == "color") node.material = new THREE.MeshBasicMaterial({map: m.map});
   } });
   shown.add(gltf.scene);
   shown.updateMatrixWorld(true);
@@ -105,7 +108,7 @@ def included(asset):
 
 def unpack(glb, folder):
     """Read a GLB with trimesh and write what is in it for Mitsuba; return paths by parameter."""
-    mesh = trimesh.load_scene(glb, process=False).to_mesh()
+    (mesh,) = trimesh.load_scene(glb, process=False).geometry.values()  # to_mesh() drops normals
     uvs = mesh.visual.uv * [1, -1] + [0, 1]  # trimesh has v = 0 at the bottom, Mitsuba at the top
     arrays = MeshArrays(mesh.vertices, mesh.faces, mesh.vertex_normals, uvs)
     make("read", arrays).write_ply(str(folder / "read.ply"))
@@ -166,14 +169,14 @@ def webgl(tmp_path_factory):
     running.close()
 
 
-def show(webgl, folder, glb, sensor, *, color):
+def show(webgl, folder, glb, sensor, mode):
     """Return what three.js has found in a GLB, and its picture from a sensor's place."""
     record = describe(sensor)
     pose = np.array(record["to_world"]) @ np.diag([-1, 1, -1, 1])  # three.js looks along -Z
     width, height = record["film"]
     near, far = record["clip"]
     view = {"width": width, "height": height, "fov": record["x_fov"], "near": near, "far": far,
-            "matrix": pose.T.ravel().tolist(), "color": color}  # fmt: skip
+            "matrix": pose.T.ravel().tolist(), "mode": mode}  # fmt: skip
     archive = trimesh.resources.get_bytes("templates/viewer.zip")
     template = trimesh.util.decompress(archive, file_type="zip")["viewer.html.template"]
     start = template.read().decode().rpartition("init();</script>")[0]
@@ -188,7 +191,7 @@ def show(webgl, folder, glb, sensor, *, color):
     return found, np.array(mi.Bitmap(str(folder / "shown.png")))[..., :3] / 255
 
 
-def large(sensor, side=160):
+def large(sensor, side=96):
     record = describe(sensor)
     return svu.capture.poses.make_sensor(
         {**record, "film": [side, side], "crop_size": [side, side]}, "large"
@@ -204,7 +207,7 @@ def seen_by_mitsuba(rendered, sensor, shape):
 
 def test_a_browser_shows_the_textures_the_right_way_round(rendered, webgl, tmp_path):
     sensor = large(rendered.capture.sensors[1])  # sees the letter
-    found, shown = show(webgl, tmp_path, rendered.asset / "asset.glb", sensor, color=True)
+    found, shown = show(webgl, tmp_path, rendered.asset / "asset.glb", sensor, "color")
     assert found == {
         "type": "MeshStandardMaterial", "roughness": 1, "metalness": 1, "same": True,
         "srgb": True, "colors": False,
@@ -219,7 +222,7 @@ def test_a_browser_shows_the_textures_the_right_way_round(rendered, webgl, tmp_p
 def test_a_browser_shades_as_mitsuba_does(rendered, webgl, tmp_path):
     """In a white room, where the split-sum approximation of three.js is good."""
     sensor = large(rendered.capture.sensors[0])
-    _, shown = show(webgl, tmp_path, rendered.asset / "asset.glb", sensor, color=False)
+    _, shown = show(webgl, tmp_path, rendered.asset / "asset.glb", sensor, "lit")
     scene = scene_with(rendered, tmp_path, included(rendered.asset))
     picture = srgb(np.clip(np.array(mi.render(scene, sensor=sensor, spp=64)), 0, 1))
     assert psnr(shown, picture) > 25
@@ -227,7 +230,7 @@ def test_a_browser_shades_as_mitsuba_does(rendered, webgl, tmp_path):
 
 def test_a_browser_shows_entropy_without_light(rendered, webgl, tmp_path):
     sensor = large(rendered.capture.sensors[0])
-    found, shown = show(webgl, tmp_path, rendered.asset / "entropy.glb", sensor, color=False)
+    found, shown = show(webgl, tmp_path, rendered.asset / "entropy.glb", sensor, "as it is")
     assert found["type"] == "MeshBasicMaterial" and found["colors"]
     # Half of it is unseen: the yellow end of viridis, whatever the light.
     yellow = np.abs(shown - np.array([253, 231, 37]) / 255).max(axis=-1) < 0.02

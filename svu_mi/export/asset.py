@@ -88,7 +88,8 @@ def _check_mesh(name: str, mesh: MeshArrays) -> None:
         raise MeshError(f"'{name}' has no triangles.")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.positions):
         raise MeshError(f"'{name}': a triangle names a vertex that does not exist.")
-    for values, words in ((mesh.positions, "positions"), (mesh.normals, "normals")):
+    buffers = {"positions": mesh.positions, "normals": mesh.normals, "UVs": mesh.uvs}
+    for words, values in buffers.items():
         if values is not None and not np.isfinite(values).all():
             raise MeshError(f"'{name}' has {words} that are NaN or infinite; repair the mesh.")
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from svu_mi.export import glb, materialx, mitsuba_xml
 from svu_mi.export.asset import Asset
-from svu_mi.export.charts import Layouts, at_vertices, charts, with_gutters
+from svu_mi.export.charts import at_vertices, with_gutters
 from svu_mi.export.files import RECORD, TEXTURES, Written
 from svu_mi.export.images import write_exr_images, write_png_images
 from svu_mi.export.options import ExportOptions
@@ -54,29 +54,25 @@ def export_asset(
     """
     options = options or ExportOptions()
     asset = asset if isinstance(asset, Asset) else load_asset(asset)
-    laid_out = charts(asset)
-    asset = with_gutters(asset, laid_out, options.gutter)
+    asset = with_gutters(asset, options.gutter)
     folder = prepare_folder(folder)
     prepare_folder(folder / TEXTURES)
     (folder / RECORD).unlink(missing_ok=True)  # of an older export
-    files = _write(asset, laid_out, folder, options)
+    files = _write(asset, folder, options)
     for name in set(EVERY) - {each.file for each in files}:
         (folder / name).unlink(missing_ok=True)
     write_manifest(folder / RECORD, _record(asset, options, files))
     return folder / RECORD
 
 
-def _write(asset: Asset, laid_out: Layouts, folder: Path, options: ExportOptions) -> list[Written]:
+def _write(asset: Asset, folder: Path, options: ExportOptions) -> list[Written]:
     files = []
     if "exr" in options.written:
         files += write_exr_images(asset, folder, half=options.half)
     if "png" in options.written:
         files += write_png_images(asset, folder, bits=options.bits)
     if "glb" in options.written:
-        found = {
-            name: at_vertices(asset, laid_out[image.shape], image)
-            for name, image in asset.maps.items()
-        }
+        found = {name: at_vertices(asset.mesh, image) for name, image in asset.maps.items()}
         files.append(glb.write_asset_glb(asset, folder, found, up=options.up))
         if "entropy" in found:
             files.append(glb.write_entropy_glb(asset, folder, found["entropy"], up=options.up))
