@@ -8,6 +8,8 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import MaterialX as mx
+import MaterialX.PyMaterialXGenGlsl as gen_glsl
+import MaterialX.PyMaterialXGenShader as gen_shader
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -159,7 +161,9 @@ def test_gutters_hold_the_nearest_value(asset):
     inside = inside_charts(asset, (HEIGHT, WIDTH))
     junk = {name: np.where(inside[..., None], np.array(tensor), np.float32(0.9))
             for name, tensor in asset.textures.items()}  # fmt: skip
-    spoilt = replace(asset, textures=type(asset.textures).of(junk))
+    around = ~inside_charts(asset, asset.entropy.shape)
+    entropy = np.where(around, np.float32(0.3), asset.entropy)
+    spoilt = replace(asset, textures=type(asset.textures).of(junk), entropy=entropy)
     filled = with_gutters(spoilt, None)
     assert not np.isin(np.float32(0.9), np.array(filled.textures.roughness))
     assert filled.coverage[0, 0] == 3 and filled.coverage[0, -1] == 0
@@ -302,6 +306,15 @@ def test_materialx_is_valid_and_becomes_a_shader(exported, library):
         assert (exported / file.getValueString()).is_file()
         assert file.getColorSpace() == space
     assert document.getColorSpace() == "lin_rec709"
+    generator = gen_glsl.EsslShaderGenerator.create()
+    colors = gen_shader.DefaultColorManagementSystem.create(generator.getTarget())
+    colors.loadLibrary(library)
+    generator.setColorManagementSystem(colors)
+    context = gen_shader.GenContext(generator)
+    context.registerSourceCodeSearchPath(mx.getDefaultDataSearchPath())
+    shader = generator.generate("shader", material, context)
+    source = shader.getSourceCode(gen_shader.PIXEL_STAGE)
+    assert source.count("srgb_texture_to_lin_rec709_color3(") == 2  # defined, and used once
 
 
 @pytest.mark.parametrize("name", ["ball", "9 lives: é", "a b"])
@@ -334,6 +347,12 @@ def test_an_asset_of_results_in_memory(result, asset):
     made = svu.Asset.of(result.capture, recovery)
     np.testing.assert_array_equal(made.mesh.uvs, asset.mesh.uvs)
     assert made.name == asset.name and made.entropy is None and made.coverage.max() == 3
+    few = svu.texels(result.capture.mesh, 16)
+    estimate = SimpleNamespace(texels=few, entropy=mi.Float(np.full(few.count, 0.25)),
+                               coverage=mi.UInt32(np.full(few.count, 7)))  # fmt: skip
+    both = svu.Asset.of(result.capture, recovery, estimate)
+    assert both.entropy.shape == both.coverage.shape == (16, 16)
+    assert set(both.entropy.ravel()) == {0.25, 1} and both.coverage.max() == 7
 
 
 def test_entropy_of_another_run_is_taken(result, tmp_path):
