@@ -100,13 +100,17 @@ def test_a_format_brings_what_it_refers_to_and_replaces_an_older_export(
     asset, tmp_path, formats, names
 ):
     (tmp_path / "textures").mkdir()
-    for name in ("entropy.glb", "textures/roughness.png", "textures/coverage.exr", "mine.txt"):
+    older = ("entropy.glb", "textures/roughness.png", "textures/coverage.exr", "mesh.obj")
+    for name in (*older, "mine.txt", "object.xml"):
         (tmp_path / name).write_text("of an older export")
+    named = [{"file": name} for name in (*older, "mine.txt", "../asset.json")]
+    (tmp_path / "asset.json").write_text(json.dumps({"files": named}))
     svu.export_asset(asset, tmp_path, svu.ExportOptions(formats=formats))
     record = json.loads((tmp_path / "asset.json").read_text())
-    named = [each["file"] for each in record["files"]]
-    assert set(names) <= set(named)
-    assert files(tmp_path) == sorted([*named, "asset.json", "mine.txt"])
+    named = {each["file"] for each in record["files"]}
+    assert set(names) <= named
+    # Nothing is removed that an export does not write, or that the older one had not.
+    assert set(files(tmp_path)) == {*named, "asset.json", "mine.txt", "object.xml"}
     assert b"of an older" not in b"".join((tmp_path / name).read_bytes() for name in named)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from svu_mi.errors import CaptureError
 from svu_mi.export import glb, materialx, mitsuba_xml
 from svu_mi.export.asset import Asset
 from svu_mi.export.charts import at_vertices, with_gutters
@@ -16,7 +17,7 @@ from svu_mi.export.files import RECORD, TEXTURES, Written
 from svu_mi.export.images import write_exr_images, write_png_images
 from svu_mi.export.options import ExportOptions
 from svu_mi.export.reading import load_asset
-from svu_mi.files import prepare_folder
+from svu_mi.files import prepare_folder, read_json
 from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.recovery.textures import NAMES
 
@@ -37,7 +38,8 @@ def export_asset(
     """Write an object with its textures for other programs.
 
     Each file replaces an older one only when it is complete. ``asset.json``, which says what each
-    file is, comes last, so a folder that has it has everything, and nothing of an older export.
+    file is, comes last, so a folder that has it has everything. Files that an older one names and
+    that are not written now are removed.
 
     Args:
         asset: an ``Asset``, or the folder that ``svu recover`` wrote.
@@ -57,12 +59,22 @@ def export_asset(
     asset = with_gutters(asset, options.gutter)
     folder = prepare_folder(folder)
     prepare_folder(folder / TEXTURES)
-    (folder / RECORD).unlink(missing_ok=True)  # of an older export
+    older = _named(folder / RECORD)
+    (folder / RECORD).unlink(missing_ok=True)
     files = _write(asset, folder, options)
-    for name in set(EVERY) - {each.file for each in files}:
+    for name in older - {each.file for each in files}:
         (folder / name).unlink(missing_ok=True)
     write_manifest(folder / RECORD, _record(asset, options, files))
     return folder / RECORD
+
+
+def _named(record: Path) -> set[str]:
+    """Return the files that an older export has written, and no others, whatever it says."""
+    try:
+        named = {each["file"] for each in read_json(record)["files"]}
+    except (CaptureError, KeyError, TypeError):
+        return set()
+    return {name for name in EVERY if name in named and (record.parent / name).is_file()}
 
 
 def _write(asset: Asset, folder: Path, options: ExportOptions) -> list[Written]:
