@@ -30,6 +30,8 @@ from svu_mi.metrics.images import srgb
 
 RNG_SEED = 2061455329
 WIDTH, HEIGHT = 56, 40
+PLY = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\n"
+NORMAL = "property float nx\n"
 UVS = np.array([0.15, 0.1]) + np.array([0.75, 0.7]) * ball().uvs
 
 
@@ -389,7 +391,8 @@ def test_a_folder_of_entropy_alone_says_what_is_missing(tmp_path):
 @pytest.mark.parametrize(("file", "content", "error", "sentence"), [
     ("recovered.xml", "<scene>", CaptureError, r"recovered\.xml: cannot be read"),
     ("recovered.xml", "<scene/>", CaptureError, "no shape has the mesh"),
-    ("assets/mesh.ply", "ply\nnonsense", MeshError, r"mesh\.ply: cannot be read"),
+    ("assets/mesh.ply", f"{PLY}end_header\n", MeshError, r"mesh\.ply: has no vertex normals"),
+    ("assets/mesh.ply", f"{PLY}{NORMAL}nonsense", MeshError, r"mesh\.ply: cannot be read"),
     ("coverage.exr", "no image", CaptureError, r"coverage\.exr: not an EXR"),
     ("entropy.exr", {"Y": np.full((48, 32), 1.5)}, CaptureError, r"outside \[0, 1\]"),
     ("entropy.exr", {"R": np.ones((48, 32))}, CaptureError, "expected the channel Y, found R"),

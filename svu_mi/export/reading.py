@@ -18,6 +18,8 @@ from svu_mi.output.maps import COVERAGE, ENTROPY
 from svu_mi.output.scene_xml import MESH, SCENE
 from svu_mi.output.textures import FILES, read_textures
 
+HEADER = 4096  # bytes that hold the header of a PLY file
+
 
 def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
     """Read what ``svu recover`` has written.
@@ -78,6 +80,11 @@ def _shape(path: Path) -> ElementTree.Element:
 
 
 def _mesh(path: Path, smooth: bool) -> MeshArrays:
+    with path.open("rb") as stream:
+        header = stream.read(HEADER).partition(b"end_header")[0]
+    if smooth and b" nx\n" not in header.replace(b"\r", b""):
+        # Mitsuba would make some, and end the process if a face names a missing vertex.
+        raise MeshError(f"{path}: has no vertex normals (nx, ny, nz); run svu recover again.")
     try:
         found: Any = mi.load_dict(
             {"type": "ply", "filename": str(path), "face_normals": not smooth}
