@@ -8,6 +8,7 @@ which a window cannot.
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import os
 import select
@@ -34,6 +35,7 @@ OPTIONS = (
     "--disable-dev-shm-usage", "--remote-debugging-pipe",
 )  # fmt: skip
 SECONDS = 60.0  # to wait for any answer
+LOADED = "location.href != 'about:blank' && document.readyState == 'complete'"
 
 
 class Browser:
@@ -63,7 +65,8 @@ class Browser:
     def close(self) -> None:
         """End the browser."""
         try:
-            self.ask("Browser.close")
+            with contextlib.suppress(TimeoutError, OSError):  # it may go without an answer
+                self.ask("Browser.close")
             self._process.wait(SECONDS)
         finally:
             self._process.kill()
@@ -84,7 +87,12 @@ class Browser:
         page.ask("Emulation.setScriptExecutionDisabled", value=not scripts)
         page.url = url.resolve().as_uri() if isinstance(url, Path) else url
         page.ask("Page.navigate", url=page.url)
-        self._until(lambda: any(page.happened("Page.loadEventFired")))
+        end = time.monotonic() + SECONDS
+        # Not the load event, which may still be that of the empty page before.
+        while not page.loaded:
+            if time.monotonic() > end:
+                raise TimeoutError(f"{page.url} does not load")
+            time.sleep(0.01)
         return page
 
     def ask(self, method: str, session: str | None = None, **parameters: Any) -> dict[str, Any]:
@@ -148,6 +156,14 @@ class Page:
         logged = [e["entry"]["text"] for e in self.happened("Log.entryAdded")]
         thrown = [e["exceptionDetails"]["text"] for e in self.happened("Runtime.exceptionThrown")]
         return logged + thrown
+
+    @property
+    def loaded(self) -> bool:
+        """Whether the page and all that it names is there."""
+        try:
+            return self.evaluate(LOADED)
+        except RuntimeError:  # asked between two pages
+            return False
 
     def resize(self, width: int, height: int = 900) -> None:
         """Give the page another size in CSS pixels."""
