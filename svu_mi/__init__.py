@@ -15,6 +15,10 @@ from svu_mi import _llvm
 if TYPE_CHECKING:
     from svu_mi.capture import Capture, load_capture, render_capture
     from svu_mi.errors import SvuError, SvuWarning
+    from svu_mi.export.asset import Asset
+    from svu_mi.export.export import export_asset
+    from svu_mi.export.options import ExportOptions
+    from svu_mi.export.reading import load_asset
     from svu_mi.frequency import fit_sh, power_spectrum
     from svu_mi.guidance import Candidates, Guidance, GuidanceOptions, next_best_view
     from svu_mi.options import AngularPreset, Preset, Skip, preset
@@ -49,16 +53,18 @@ _HOME = {
     "Reference": "reference", "reference_posterior": "reference",
     "Recovery": "recovery.recover", "recover": "recovery.recover",
     "GlobalSharing": "regularization", "TotalVariation": "regularization",
+    "Asset": "export.asset", "ExportOptions": "export.options",
+    "export_asset": "export.export", "load_asset": "export.reading",
     "SvuError": "errors", "SvuWarning": "errors",
 }  # fmt: skip
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
-    "AngularPreset", "Candidates", "Capture", "Estimate", "GlobalSharing", "Guidance",
-    "GuidanceOptions", "ParameterGrid", "Posterior", "Preset", "PrincipledGrid", "Recovery",
-    "Reference", "Skip", "SvuError", "SvuWarning", "Texels", "TotalVariation",
-    "angular_posterior", "estimate", "fit_sh", "load_capture", "next_best_view",
-    "power_spectrum", "preset", "recover", "reference_posterior", "render_capture",
-    "spectrum_posterior", "texels", "write_report",
+    "AngularPreset", "Asset", "Candidates", "Capture", "Estimate", "ExportOptions",
+    "GlobalSharing", "Guidance", "GuidanceOptions", "ParameterGrid", "Posterior", "Preset",
+    "PrincipledGrid", "Recovery", "Reference", "Skip", "SvuError", "SvuWarning", "Texels",
+    "TotalVariation", "angular_posterior", "estimate", "export_asset", "fit_sh", "load_asset",
+    "load_capture", "next_best_view", "power_spectrum", "preset", "recover",
+    "reference_posterior", "render_capture", "spectrum_posterior", "texels", "write_report",
 ]  # fmt: skip
 
 _llvm.bootstrap()

@@ -11,13 +11,17 @@ import numpy as np
 from PIL import Image
 
 from svu_mi.capture import mesh as capture_mesh
+from svu_mi.capture import render_capture
 from svu_mi.capture.poses import sphere_sensors
 from svu_mi.capture.record import Capture
 from svu_mi.exr import write_exr
 from svu_mi.formats import fixes
 from svu_mi.formats.resampling import squared
 from svu_mi.formats.source import Frame, Source
+from svu_mi.output.scene_xml import write_scene as write_recovered
+from svu_mi.recovery.textures import NAMES, Textures, lay_out
 from svu_mi.scenes import meshes
+from svu_mi.surface import texels
 
 SPHERE_XML = """<scene version="3.0.0">
   <integrator type="direct"/>
@@ -176,3 +180,54 @@ def projected(frame: Frame, points: np.ndarray) -> np.ndarray:
     sample, _ = square.sensor().sample_direction(interaction, mi.Point2f(0.5))
     assert (np.array(sample.pdf) > 0).all()
     return np.array(sample.uv).T / scale
+def lettered(width: int, height: int) -> Textures:
+    """Textures that show which way is up and right: a letter F, dark to bright, dull to shiny."""
+    x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    base_color = np.stack([0.2 + 0.6 * x, 0.8 - 0.6 * y, 0.3 + 0 * x], axis=-1)
+    stem = (x > 0.36) & (x < 0.4) & (y > 0.28) & (y < 0.62)
+    bars = (x > 0.36) & (x < 0.5) & (((y > 0.28) & (y < 0.34)) | ((y > 0.42) & (y < 0.47)))
+    base_color[stem | bars] = 0.03, 0.02, 0.02
+    return Textures.of({
+        "base_color": base_color.astype(np.float32),
+        "roughness": (0.25 + 0.5 * y)[..., None].astype(np.float32),
+        "metallic": (0.7 * x * (1 - y))[..., None].astype(np.float32),
+    })  # fmt: skip
+
+
+def recovered_folder(
+    folder: Path, textures: Textures, *, two_sided: bool = False, **changes: Any
+) -> Capture:
+    """Write what ``svu recover`` does but for its pictures; no part of the ball is recovered.
+
+    Args:
+        folder: an empty folder; the scene is in its ``scene``.
+        textures: as if recovered.
+        two_sided: whether the ball has a material on both sides.
+        **changes: of the ball's arrays.
+    """
+    (folder / "scene").mkdir(parents=True)
+    arrays = ball()
+    # A chart with room around it; its poles are 0.1 and 0.8 of the way down.
+    uvs = np.array([0.15, 0.1]) + np.array([0.75, 0.7]) * arrays.uvs
+    scene = write_scene(folder / "scene", **{"uvs": uvs, **changes})
+    capture = render_capture(scene, spp=1)
+    if two_sided:
+        capture.shape.set_bsdf(mi.load_dict({"type": "twosided", "b": {"type": "principled"}}))
+    grid = texels(capture.mesh, textures.resolution)
+    recovered = lay_out(grid, {name: textures.at(grid, name) for name in NAMES})
+    write_recovered(capture, recovered, folder)
+    return capture
+
+
+def write_known(folder: Path, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """Write entropy and coverage over that chart; its right half is unseen."""
+    column = np.tile((np.arange(width) + 0.5) / width, (height, 1))
+    rows = ((np.arange(height) + 0.5) / height)[:, None]
+    inside = (column > 0.15) & (column < 0.9) & (rows > 0.1) & (rows < 0.8)
+    seen = inside & (column < 0.525)
+    entropy = np.where(seen, column, 1).astype(np.float32)
+    coverage = np.where(seen, 3, 0).astype(np.float32)
+    folder.mkdir(exist_ok=True)
+    write_exr(folder / "entropy.exr", {"Y": entropy})
+    write_exr(folder / "coverage.exr", {"Y": coverage})
+    return entropy, coverage

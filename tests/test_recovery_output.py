@@ -19,6 +19,7 @@ from helpers import ball, memory_capture, sensor_xml, write_scene
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture import mesh as meshes
+from svu_mi.capture import nodes
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.repaint import scene_of
 from svu_mi.errors import CaptureError, OptionError, OutputError, SvuWarning
@@ -342,8 +343,8 @@ def test_an_object_open_to_both_sides_stays_so(tmp_path):
 
 
 def test_ids_that_mitsuba_refuses_are_changed():
-    assert scene_nodes.plugin("shape", "ply", id="_my.shape 1").get("id") == "my_shape_1"
-    assert scene_nodes.plugin("shape", "ply", id="").get("id") == "node"
+    assert nodes.plugin("shape", "ply", id="_my.shape 1").get("id") == "my_shape_1"
+    assert nodes.plugin("shape", "ply", id="").get("id") == "node"
 
 
 # --- Another light ------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from svu_mi.cli.bench import Bench
 from svu_mi.cli.commands import Demo, Doctor, Entropy, Render
+from svu_mi.cli.exporting import Export
 from svu_mi.cli.guide import Guide
 from svu_mi.cli.importing import Import
 from svu_mi.cli.inputs import was_interrupted
@@ -26,6 +27,7 @@ Command = (
     | Annotated[Guide, tyro.conf.subcommand("guide")]
     | Annotated[Recover, tyro.conf.subcommand("recover")]
     | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]

@@ -6,13 +6,13 @@ import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Comment
+from xml.etree.ElementTree import Comment, Element
 
 import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture, nodes
-from svu_mi.capture.mesh import arrays, make
+from svu_mi.capture.mesh import MeshArrays, arrays, make
 from svu_mi.capture.repaint import is_same, is_two_sided
 from svu_mi.errors import SvuWarning
 from svu_mi.files import prepare_folder, replacing
@@ -22,6 +22,7 @@ from svu_mi.recovery.textures import Textures
 
 SCENE = "recovered.xml"
 ASSETS = "assets"
+MESH = f"{ASSETS}/mesh.ply"
 ANALYTIC = {"Sphere": "sphere", "Disk": "disk", "Cylinder": "cylinder"}
 SPECULAR = 0.5  # of the principled BSDF: F0 = 0.04, as recovery takes it to be
 WRAP = "repeat"  # a chart that goes around closes without a seam
@@ -60,7 +61,8 @@ def write_scene(
     root.append(scene_nodes.integrator(capture.scene))
     light = next(e for e in capture.scene.emitters() if e.is_environment())
     root.append(scene_nodes.light(light, folder, ASSETS))
-    root.append(_object(capture, folder))
+    two_sided = is_two_sided(capture.shape.bsdf())
+    root.append(object_node(capture.shape.id(), arrays(capture.mesh), folder, two_sided=two_sided))
     others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
     root.extend(_other(shape, folder, f"{ASSETS}/other_{k}") for k, shape in enumerate(others))
     root.extend(nodes.sensor(s, f"view_{k:04d}") for k, s in enumerate(capture.sensors))
@@ -68,15 +70,35 @@ def write_scene(
     return folder / SCENE
 
 
-def _object(capture: Capture, folder: Path) -> Any:
-    """Return the object on the mesh that texels are laid out on, and write that mesh."""
-    name = capture.shape.id()
-    node = _mesh(capture.mesh, folder, f"{ASSETS}/mesh.ply", name)
+def object_node(
+    name: str,
+    mesh: MeshArrays,
+    folder: Path,
+    *,
+    file: str = MESH,
+    textures: Mapping[str, str] = FILES,
+    two_sided: bool = False,
+) -> Element:
+    """Return an object in recovered textures, and write the mesh that they belong to.
+
+    Args:
+        name: id of the shape.
+        mesh: with the UVs of the textures.
+        folder: where the scene file lies.
+        file: of the mesh, relative to it.
+        textures: files of base_color, roughness and metallic, relative to it; they are not
+            written here.
+        two_sided: whether the object reflects on the back of its surface, too.
+
+    Raises:
+        OutputError: the mesh cannot be written.
+    """
+    node = _mesh(mesh, folder, file, name)
     material = nodes.plugin("bsdf", "principled", id=f"{name}_material")
-    for texture, file in FILES.items():
-        material.append(nodes.bitmap(texture, file, wrap=WRAP, id=texture))
+    for texture, path in textures.items():
+        material.append(nodes.bitmap(texture, path, wrap=WRAP, id=texture))
     nodes.put(material, specular=SPECULAR)
-    if is_two_sided(capture.shape.bsdf()):
+    if two_sided:
         sides = nodes.plugin("bsdf", "twosided", id=f"{name}_sides")
         sides.append(material)
         material = sides
@@ -88,7 +110,7 @@ def _other(shape: Any, folder: Path, stem: str) -> Any:
     """Return any other shape, with its own material."""
     kind = ANALYTIC.get(shape.class_name())
     if shape.is_mesh():
-        node = _mesh(shape, folder, f"{stem}.ply", shape.id())
+        node = _mesh(arrays(shape), folder, f"{stem}.ply", shape.id())
     elif kind is not None:
         node = nodes.plugin("shape", kind, id=shape.id())
         nodes.put(node, to_world=_matrix(shape))
@@ -106,14 +128,13 @@ def _other(shape: Any, folder: Path, stem: str) -> Any:
     return node
 
 
-def _mesh(mesh: Any, folder: Path, file: str, name: str) -> Any:
-    buffers = arrays(mesh)
+def _mesh(mesh: MeshArrays, folder: Path, file: str, name: str) -> Element:
     with replacing(folder / file) as temporary:
         # A copy: in it, world space and flipped normals are baked.
-        make(name, buffers).write_ply(str(temporary))
+        make(name, mesh).write_ply(str(temporary))
     node = nodes.put(nodes.plugin("shape", "ply", id=name), filename=file)
     # Mitsuba would compute smooth normals where the file has none.
-    return node if buffers.normals is not None else nodes.put(node, face_normals=True)
+    return node if mesh.normals is not None else nodes.put(node, face_normals=True)
 
 
 def _matrix(shape: Any) -> np.ndarray:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import mitsuba as mi
 import numpy as np
 
 import svu_mi
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr, write_exr
-from svu_mi.interop import owned
 from svu_mi.recovery.textures import CHANNELS, NAMES, Textures
 
 FILES = {name: f"{name}.exr" for name in NAMES}
@@ -21,8 +19,10 @@ def write_textures(
     textures: Textures,
     folder: str | Path,
     attributes: Mapping[str, str | int | float] | None = None,
+    *,
+    half: bool = False,
 ) -> None:
-    """Write ``base_color.exr`` (R, G, B), ``roughness.exr`` and ``metallic.exr`` (Y), float32.
+    """Write ``base_color.exr`` (R, G, B), ``roughness.exr`` and ``metallic.exr`` (Y).
 
     Linear values in [0, 1]; row 0 is v = 0. Texels outside the charts are written as they
     are: ``lay_out`` has filled them with their neighbours.
@@ -31,6 +31,7 @@ def write_textures(
         textures: what to write.
         folder: an existing folder.
         attributes: header entries of each file, such as the settings of the run.
+        half: store half floats instead of float32.
 
     Raises:
         OutputError: a file cannot be written, or a value is NaN or infinite.
@@ -38,7 +39,8 @@ def write_textures(
     header = {"svu:version": svu_mi.__version__, **(attributes or {})}
     for name, tensor in textures.items():
         channels = "RGB" if CHANNELS[name] == 3 else "Y"
-        write_exr(Path(folder) / FILES[name], {channels: np.array(tensor, np.float32)}, header)
+        image = np.array(tensor, np.float32)
+        write_exr(Path(folder) / FILES[name], {channels: image}, header, half=half)
 
 
 def read_textures(folder: str | Path) -> Textures:
@@ -60,10 +62,7 @@ def read_textures(folder: str | Path) -> Textures:
     if len(set(sizes.values())) > 1:
         words = ", ".join(f"{FILES[name]} {size[1]} x {size[0]}" for name, size in sizes.items())
         raise CaptureError(f"{folder}: the textures differ in size ({words}); resample them.")
-    return Textures(**{
-        name: mi.TensorXf(owned(mi.Float, image.ravel()), shape=image.shape)
-        for name, image in images.items()
-    })  # fmt: skip
+    return Textures.of(images)
 
 
 def _image(path: Path, count: int) -> np.ndarray:

@@ -43,6 +43,14 @@ class Textures:
                     f"Textures: {name} must have shape {wanted}, got {tuple(tensor.shape)}."
                 )
 
+    @classmethod
+    def of(cls, images: Mapping[str, np.ndarray]) -> Textures:
+        """Copy NumPy images of these shapes, by name."""
+        return cls(**{
+            name: mi.TensorXf(owned(mi.Float, images[name].ravel()), shape=images[name].shape)
+            for name in NAMES
+        })  # fmt: skip
+
     @property
     def resolution(self) -> tuple[int, int]:
         """(W, H) in texels."""
@@ -83,17 +91,14 @@ def lay_out(texels: Texels, values: Mapping[str, Any]) -> Textures:
         OptionError: a parameter is missing, or is NaN or infinite.
         ShapeError: not one value per texel.
     """
-    return Textures(**{name: _texture(texels, values, name) for name in NAMES})
+    return Textures.of({name: _texture(texels, values, name) for name in NAMES})
 
 
 def uniform(texels: Texels, value: float = 0.5) -> Textures:
     """Return textures of one value, on the grid of the texels."""
     width, height = texels.resolution
-    return Textures(**{
-        name: mi.TensorXf(
-            owned(mi.Float, np.full(width * height * count, value, np.float32)),
-            shape=(height, width, count),
-        )
+    return Textures.of({
+        name: np.full((height, width, count), value, np.float32)
         for name, count in CHANNELS.items()
     })  # fmt: skip
 
@@ -112,7 +117,7 @@ def scene_textures(capture: Capture, texels: Texels) -> Textures:
     return lay_out(texels, parameters_at(capture, texels))
 
 
-def _texture(texels: Texels, values: Mapping[str, Any], name: str) -> Any:
+def _texture(texels: Texels, values: Mapping[str, Any], name: str) -> np.ndarray:
     if name not in values:
         raise OptionError(f"lay_out(): {name} is missing; textures need {', '.join(NAMES)}.")
     flat = np.array(values[name], np.float32).reshape(texels.count, -1)
@@ -123,5 +128,4 @@ def _texture(texels: Texels, values: Mapping[str, Any], name: str) -> Any:
     if not np.isfinite(flat).all():
         raise OptionError(f"lay_out(): {name} is NaN or infinite in some texels.")
     image = texels.to_image(np.clip(flat, 0, 1))
-    image = dilate(image, texels.inside(), float(np.hypot(*image.shape[:2])))
-    return mi.TensorXf(owned(mi.Float, image.ravel()), shape=image.shape)
+    return dilate(image, texels.inside(), float(np.hypot(*image.shape[:2])))

@@ -204,7 +204,7 @@ def _surface_points(
     width, height = resolution
     uv = np.stack([(index % width + 0.5) / width, (index // width + 0.5) / height], axis=-1)
     corner_uv = source.uvs[source.faces[face]]
-    weights = _barycentric(corner_uv, uv)
+    weights = barycentric(corner_uv, uv)
     position = np.einsum("tk,tki->ti", weights, source.positions[source.faces[face]])
     geometric, area = _face_normals(source)
     geometric = geometric[face]
@@ -235,8 +235,8 @@ def _surface_points(
     )
 
 
-def _barycentric(corners: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Return (T, 3) weights of a point in UV triangles (T, 3, 2)."""
+def barycentric(corners: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Return (T, 3) weights of points (T, 2) in UV triangles (T, 3, 2)."""
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     p = point - corners[:, 0]
     area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

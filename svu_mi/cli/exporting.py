@@ -1,0 +1,66 @@
+"""``svu export``: recovered textures for other programs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from svu_mi.cli.inputs import Common, Output
+from svu_mi.progress import Progress
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+Result = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")]
+Format = Literal["exr", "png", "glb", "xml", "materialx"]
+Formats = Annotated[tuple[Format, ...], tyro.conf.arg(metavar="{exr,png,glb,xml,materialx} ...")]
+Maps = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
+Gutter = Annotated[int | None, tyro.conf.arg(metavar="TEXELS")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export(Common):
+    """Write recovered textures for Blender, Mitsuba, MaterialX and the web.
+
+    Writes textures/*.exr and *.png (base_color, roughness, metallic, packed orm, entropy,
+    coverage), asset.glb, entropy.glb, object.xml, preview.xml, mesh.ply, material.mtlx, mesh.obj,
+    and asset.json, which says what each file is.
+    """
+
+    result: Result
+    """Folder that svu recover wrote."""
+    output: Output = Path("asset")
+    entropy: Maps = None
+    """Folder that svu entropy wrote about the same capture, for its maps; by default those that
+    lie in RESULT."""
+    formats: Formats = ("exr", "png", "glb", "xml", "materialx")
+    """What to write; xml comes with exr, and materialx with png."""
+    bits: Literal[8, 16] = 8
+    """Of PNG, per channel."""
+    half: bool = False
+    """EXR in half precision."""
+    gutter: Gutter = None
+    """Width of the gutter around charts; by default everything between them is filled."""
+    up: Literal["y", "z"] = "y"
+    """Axis of the capture's world that points upwards; glTF wants y, so z is turned in the GLB."""
+
+    def run(self, console: Console) -> int:
+        """Read the result, and write the asset."""
+        from svu_mi.export.export import export_asset
+        from svu_mi.export.options import ExportOptions
+        from svu_mi.export.reading import load_asset
+
+        options = ExportOptions(
+            formats=self.formats, bits=self.bits, half=self.half, gutter=self.gutter, up=self.up
+        )  # refused before any work
+        self.start()
+        progress = Progress(console)
+        with progress.stage("Reading the result"):
+            asset = load_asset(self.result, self.entropy)
+        with progress.stage("Writing the asset"):
+            export_asset(asset, self.output, options)
+        console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
+        return 0

@@ -1,0 +1,107 @@
+"""An object in textures, and what is known about them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from svu_mi.capture.mesh import MeshArrays, arrays
+from svu_mi.capture.repaint import is_two_sided
+from svu_mi.errors import MeshError, OptionError, ShapeError
+from svu_mi.output.maps import padded
+from svu_mi.recovery.textures import Textures
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asset:
+    """A mesh in textures of the ``principled`` BSDF, in the world space of its capture.
+
+    Attributes:
+        name: of the object, in all files.
+        mesh: with UVs in the unit square; v = 0 is the first row of an image.
+        textures: over these UVs.
+        entropy: (H, W) float32 in [0, 1] over these UVs, 1 = nothing known; of any resolution,
+            or None.
+        coverage: (H, W) float32 number of views, of the same resolution as ``entropy``, or None.
+        two_sided: whether the surface reflects on its back, too.
+        source: where all this comes from, for the record.
+    """
+
+    name: str
+    mesh: MeshArrays
+    textures: Textures
+    entropy: np.ndarray | None = None
+    coverage: np.ndarray | None = None
+    two_sided: bool = False
+    source: str | None = None
+
+    def __post_init__(self) -> None:
+        _check_mesh(self.name, self.mesh)
+        for name, tensor in self.textures.items():
+            _check_values(name, np.array(tensor), 1)
+        for name, image in self.maps.items():
+            if image.ndim != 2 or not image.size:
+                raise ShapeError(f"Asset: {name} must have shape (H, W), got {image.shape}.")
+            _check_values(name, image, 1 if name == "entropy" else np.inf)
+        if len({image.shape for image in self.maps.values()}) > 1:
+            raise ShapeError(
+                f"Asset: entropy and coverage differ in size, {self.entropy.shape} and "  # type: ignore[union-attr]
+                f"{self.coverage.shape}; give maps of one estimate."  # type: ignore[union-attr]
+            )
+
+    @property
+    def maps(self) -> dict[str, np.ndarray]:
+        """Those of entropy and coverage that there are, by name."""
+        found = {"entropy": self.entropy, "coverage": self.coverage}
+        return {name: image for name, image in found.items() if image is not None}
+
+    @classmethod
+    def of(cls, capture: Any, recovery: Any, estimate: Any | None = None) -> Asset:
+        """Put an asset together from results in memory.
+
+        Args:
+            capture: the ``Capture``.
+            recovery: its ``Recovery``.
+            estimate: its ``Estimate``, if entropy is to be exported; of any resolution.
+        """
+        seen = recovery if estimate is None else estimate
+        entropy = None
+        if estimate is not None:
+            entropy = padded(estimate, np.asarray(estimate.entropy, np.float32))
+        return cls(
+            name=capture.shape.id() or "object",
+            mesh=arrays(capture.mesh),
+            textures=recovery.textures,
+            entropy=entropy,
+            coverage=padded(seen, np.asarray(seen.coverage).astype(np.float32), fill=0),
+            two_sided=is_two_sided(capture.shape.bsdf()),
+            source=capture.source,
+        )
+
+
+def _check_mesh(name: str, mesh: MeshArrays) -> None:
+    if mesh.uvs is None:
+        raise MeshError(f"'{name}' has no UVs, so its textures have no place; unwrap it first.")
+    if not len(mesh.faces):
+        raise MeshError(f"'{name}' has no triangles.")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.positions):
+        raise MeshError(f"'{name}': a triangle names a vertex that does not exist.")
+    buffers = {"positions": mesh.positions, "normals": mesh.normals, "UVs": mesh.uvs}
+    for words, values in buffers.items():
+        if values is not None and not np.isfinite(values).all():
+            raise MeshError(f"'{name}' has {words} that are NaN or infinite; repair the mesh.")
+
+
+def bad_values(image: np.ndarray, most: float) -> int:
+    """Count values that are NaN, infinite, or outside [0, most]."""
+    return int((~((image >= 0) & (image <= most) & np.isfinite(image))).sum())  # NaN fails all
+
+
+def _check_values(name: str, image: np.ndarray, most: float) -> None:
+    bad = bad_values(image, most)
+    if bad:
+        raise OptionError(
+            f"Asset: {bad} values of {name} are NaN or outside [0, {most:g}]; clip them."
+        )

@@ -1,0 +1,114 @@
+"""Charts of an asset: what lies inside them, gutters around them, and means at vertices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from svu_mi.capture.mesh import MeshArrays, make
+from svu_mi.errors import CaptureError, MeshError
+from svu_mi.export.asset import Asset
+from svu_mi.output.maps import GUTTER
+from svu_mi.recovery.textures import Textures
+from svu_mi.surface import texels
+from svu_mi.surface.gutter import dilate
+from svu_mi.surface.layout import barycentric
+from svu_mi.surface.raster import rasterize
+
+UNKNOWN = {"entropy": 1.0, "coverage": 0.0}  # where there is no surface
+COINCIDENT = 1e-6  # of the mesh's extent: vertices that close are at one point
+STRAY_LIMIT = 0.02  # part of the seen texels that may lie where the mesh has no chart
+
+
+def with_gutters(asset: Asset, width: int | None) -> Asset:
+    """Give texels outside the charts the value of the nearest one inside.
+
+    Args:
+        asset: the asset.
+        width: of the gutter in texels; None is as far as it goes. Beyond it textures stay as they
+            are, entropy is 1 and coverage 0.
+
+    Raises:
+        MeshError: no texel lies on a chart.
+        CaptureError: entropy and coverage belong to other UVs.
+    """
+    images = {name: np.array(tensor) for name, tensor in asset.textures.items()}
+    shapes = [image.shape[:2] for image in (*images.values(), *asset.maps.values())]
+    inside = {shape: inside_charts(asset, shape) for shape in dict.fromkeys(shapes)}
+    _require_fitting(asset, inside)
+    filled = {}
+    for name, image in {**images, **asset.maps}.items():
+        valid = inside[image.shape[:2]]
+        if name in UNKNOWN:
+            image = np.where(valid, image, np.float32(UNKNOWN[name]))
+        filled[name] = dilate(
+            image, valid, float(np.hypot(*valid.shape)) if width is None else width
+        )
+    textures = Textures.of({name: filled.pop(name) for name in images})
+    entropy, coverage = filled.get("entropy"), filled.get("coverage")
+    return replace(asset, textures=textures, entropy=entropy, coverage=coverage)
+
+
+def inside_charts(asset: Asset, shape: tuple[int, int]) -> np.ndarray:
+    """Return (H, W) bool: True where a texel's centre lies on a chart.
+
+    Raises:
+        MeshError: none does.
+    """
+    height, width = shape
+    assert asset.mesh.uvs is not None
+    count = rasterize(asset.mesh.uvs[asset.mesh.faces], (width, height))[1]
+    if not count.any():
+        raise MeshError(
+            f"'{asset.name}': no texel of a {width} x {height} texture lies on a chart; check that "
+            "the UVs are in the unit square."
+        )
+    return count.reshape(height, width) > 0
+
+
+def _require_fitting(asset: Asset, inside: dict[tuple[int, ...], np.ndarray]) -> None:
+    if asset.coverage is None:
+        return
+    valid, seen = inside[asset.coverage.shape], asset.coverage > 0
+    if (seen & ~dilate(valid, valid, GUTTER + 1)).sum() > STRAY_LIMIT * seen.sum():
+        raise CaptureError(
+            f"'{asset.name}': coverage and entropy lie beside the charts of the mesh, so they "
+            "belong to other UVs; compute them on the capture that the textures are of."
+        )
+
+
+def at_vertices(mesh: MeshArrays, image: np.ndarray) -> np.ndarray:
+    """Average a map around every vertex.
+
+    A texel counts for the three vertices of its face, by its area and barycentric coordinates:
+    the L2 projection onto linear elements with a lumped mass matrix. Vertices at the same point,
+    as along the border of a chart, get the same value.
+
+    Args:
+        mesh: N vertices with UVs.
+        image: (H, W), gutters filled.
+
+    Returns:
+        (N,) float32.
+
+    Raises:
+        MeshError: the UVs cannot carry texels.
+    """
+    assert mesh.uvs is not None
+    height, width = image.shape
+    laid_out = texels(make("mesh", mesh), (width, height))
+    corners = mesh.faces[np.array(laid_out.face)]
+    weights = barycentric(mesh.uvs[corners], np.array(laid_out.uv, np.float64).T)
+    weights *= np.array(laid_out.footprint, np.float64)[:, None] ** 2
+    values = weights * image.reshape(-1)[np.array(laid_out.index), None]
+    steps = np.rint(mesh.positions / (COINCIDENT * laid_out.extent)).astype(np.int64)
+    point = np.unique(steps, axis=0, return_inverse=True)[1].reshape(-1)
+    weight, total = (
+        np.bincount(point[corners].ravel(), each.ravel(), len(point))[point]
+        for each in (weights, values)
+    )
+    # A face may be too small for a texel: what is under the vertex itself must do.
+    column, row = np.clip(mesh.uvs * (width, height), 0, (width - 1, height - 1)).astype(int).T
+    found = np.where(weight > 0, total / np.where(weight > 0, weight, 1), image[row, column])
+    return found.astype(np.float32)

@@ -1,0 +1,118 @@
+"""Assets that other programs can use.
+
+export_asset("out", "asset")
+export_asset(Asset.of(capture, recovery, estimate), "asset", ExportOptions(bits=16))
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from svu_mi.errors import CaptureError
+from svu_mi.export import glb, materialx, mitsuba_xml
+from svu_mi.export.asset import Asset
+from svu_mi.export.charts import at_vertices, with_gutters
+from svu_mi.export.files import RECORD, TEXTURES, Written
+from svu_mi.export.images import write_exr_images, write_png_images
+from svu_mi.export.options import ExportOptions
+from svu_mi.export.reading import load_asset
+from svu_mi.files import prepare_folder, read_json
+from svu_mi.output.manifest import environment_record, write_manifest
+from svu_mi.recovery.textures import NAMES
+
+FORMAT, VERSION = "svu-asset", 1
+MODEL = "principled, specular 0.5 (F0 = 0.04), alpha = roughness^2: glTF's metallic-roughness"
+IMAGES = (*NAMES, "orm", "entropy", "coverage")
+EVERY = (
+    *(f"{TEXTURES}/{name}.{suffix}" for name in IMAGES for suffix in ("exr", "png")),
+    glb.ASSET, glb.ENTROPY, mitsuba_xml.OBJECT, mitsuba_xml.PREVIEW, mitsuba_xml.MESH,
+    materialx.MATERIAL, materialx.MESH,
+)  # fmt: skip
+"""All files that an export can consist of, but for its record."""
+
+
+def export_asset(
+    asset: Asset | str | Path, folder: str | Path, options: ExportOptions | None = None
+) -> Path:
+    """Write an object with its textures for other programs.
+
+    Each file replaces an older one only when it is complete. ``asset.json``, which says what each
+    file is, comes last, so a folder that has it has everything. Files that an older one names and
+    that are not written now are removed.
+
+    Args:
+        asset: an ``Asset``, or the folder that ``svu recover`` wrote.
+        folder: made if missing.
+        options: which files, and how.
+
+    Returns:
+        The path of ``asset.json``.
+
+    Raises:
+        CaptureError: the folder to read lacks something, or its maps belong to another mesh.
+        MeshError: the mesh has no UVs, or they cannot carry texels.
+        OutputError: a file cannot be written.
+    """
+    options = options or ExportOptions()
+    asset = asset if isinstance(asset, Asset) else load_asset(asset)
+    asset = with_gutters(asset, options.gutter)
+    folder = prepare_folder(folder)
+    prepare_folder(folder / TEXTURES)
+    older = _named(folder / RECORD)
+    (folder / RECORD).unlink(missing_ok=True)
+    files = _write(asset, folder, options)
+    for name in older - {each.file for each in files}:
+        (folder / name).unlink(missing_ok=True)
+    write_manifest(folder / RECORD, _record(asset, options, files))
+    return folder / RECORD
+
+
+def _named(record: Path) -> set[str]:
+    """Return the files that an older export has written, and no others, whatever it says."""
+    try:
+        named = {each["file"] for each in read_json(record)["files"]}
+    except (CaptureError, KeyError, TypeError):
+        return set()
+    return {name for name in EVERY if name in named and (record.parent / name).is_file()}
+
+
+def _write(asset: Asset, folder: Path, options: ExportOptions) -> list[Written]:
+    files = []
+    if "exr" in options.written:
+        files += write_exr_images(asset, folder, half=options.half)
+    if "png" in options.written:
+        files += write_png_images(asset, folder, bits=options.bits)
+    if "glb" in options.written:
+        found = {name: at_vertices(asset.mesh, image) for name, image in asset.maps.items()}
+        files.append(glb.write_asset_glb(asset, folder, found, up=options.up))
+        if "entropy" in found:
+            files.append(glb.write_entropy_glb(asset, folder, found["entropy"], up=options.up))
+    if "xml" in options.written:
+        files += mitsuba_xml.write_mitsuba(asset, folder, up=options.up)
+    if "materialx" in options.written:
+        files += materialx.write_materialx(asset, folder)
+    return files
+
+
+def _record(asset: Asset, options: ExportOptions, files: list[Written]) -> dict[str, Any]:
+    """Return what ``asset.json`` says."""
+    low, high = asset.mesh.positions.min(axis=0), asset.mesh.positions.max(axis=0)
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": asset.name,
+        "source": asset.source,
+        "files": files,
+        "mesh": {
+            "vertices": len(asset.mesh.positions),
+            "triangles": len(asset.mesh.faces),
+            "normals": asset.mesh.normals is not None,
+            "two_sided": asset.two_sided,
+            "bounds": [low, high],
+            "up": options.up,
+        },
+        "textures": {"resolution": asset.textures.resolution, "model": MODEL},
+        "settings": options,
+        "environment": environment_record(),
+    }

@@ -1,0 +1,123 @@
+"""Binary glTF 2.0 (GLB): the object in its textures, and in the colours of its entropy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import svu_mi
+from svu_mi.capture.picture import decoded
+from svu_mi.export.asset import Asset
+from svu_mi.export.files import Written
+from svu_mi.export.images import packed, quantized
+from svu_mi.export.mesh import as_trimesh, upward_uvs
+from svu_mi.export.options import Axis
+from svu_mi.files import replacing
+from svu_mi.metrics.images import srgb
+from svu_mi.output.overview import COLORMAP
+
+ASSET, ENTROPY = "asset.glb", "entropy.glb"
+# glTF 2.0, Sec. 3.4: right-handed, +Y up.
+TURN = {"y": np.eye(4), "z": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])}
+UNLIT = "KHR_materials_unlit"
+
+
+def write_asset_glb(
+    asset: Asset, folder: Path, at_vertices: Mapping[str, np.ndarray], *, up: Axis
+) -> Written:
+    """Write ``asset.glb``: mesh and textures (8-bit PNG) in one file.
+
+    Args:
+        asset: the asset.
+        folder: an existing folder.
+        at_vertices: (N,) values of each map; they become the attributes ``_ENTROPY`` and
+            ``_COVERAGE``, which viewers ignore.
+        up: axis of the world that points upwards.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    from PIL import Image
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    base_color = np.array(asset.textures.base_color)
+    material = PBRMaterial(
+        name=asset.name,
+        baseColorTexture=Image.fromarray(quantized(srgb(base_color), 8)),
+        metallicRoughnessTexture=Image.fromarray(quantized(packed(asset), 8)),
+        baseColorFactor=[255, 255, 255, 255],
+        metallicFactor=1.0,
+        roughnessFactor=1.0,
+        doubleSided=asset.two_sided,
+    )
+    visual = TextureVisuals(uv=upward_uvs(asset.mesh), material=material)
+    attributes = {f"_{name.upper()}": values for name, values in at_vertices.items()}
+    _write(folder / ASSET, asset, visual, up, attributes)
+    return Written(
+        file=ASSET, format="glb", holds=", ".join(["mesh", "textures", *attributes]),
+        values="8 bits; base colour sRGB; roughness (G) and metallic (B) linear",
+    )  # fmt: skip
+
+
+def write_entropy_glb(asset: Asset, folder: Path, entropy: np.ndarray, *, up: Axis) -> Written:
+    """Write ``entropy.glb``: the mesh with entropy as vertex colours, to be seen without light.
+
+    A file of its own, since glTF multiplies vertex colours with the textures.
+
+    Args:
+        asset: the asset.
+        folder: an existing folder.
+        entropy: (N,) in [0, 1].
+        up: axis of the world that points upwards.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    from matplotlib import colormaps
+    from trimesh.visual import ColorVisuals
+
+    shown = colormaps[COLORMAP](entropy)[:, :3].astype(np.float32)
+    colors = quantized(decoded(shown), 8)  # COLOR_0 is linear (Sec. 3.7.2.1)
+    visual = ColorVisuals(vertex_colors=np.insert(colors, 3, 255, axis=1))
+
+    def unlit(tree: dict[str, Any]) -> None:
+        tree["materials"] = [{
+            "name": f"{asset.name} entropy", "doubleSided": asset.two_sided,
+            "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
+            "extensions": {UNLIT: {}},
+        }]  # fmt: skip
+        tree["extensionsUsed"] = [UNLIT]
+        tree["meshes"][0]["primitives"][0]["material"] = 0
+
+    _write(folder / ENTROPY, asset, visual, up, {"_ENTROPY": entropy}, unlit)
+    return Written(
+        file=ENTROPY, format="glb", holds="entropy",
+        values=f"vertex colours, {COLORMAP} over [0, 1]; _ENTROPY has the numbers",
+    )  # fmt: skip
+
+
+def _write(
+    path: Path, asset: Asset, visual: Any, up: Axis, attributes: Mapping[str, np.ndarray],
+    change: Any = None,
+) -> None:  # fmt: skip
+    import trimesh
+    from trimesh.exchange.gltf import export_glb
+
+    def finish(tree: dict[str, Any]) -> None:
+        tree["asset"]["generator"] = f"svu_mi {svu_mi.__version__}"
+        if change is not None:
+            change(tree)
+
+    scene = trimesh.Scene()
+    mesh = as_trimesh(asset.mesh, visual, attributes)
+    scene.add_geometry(mesh, node_name=asset.name, geom_name=asset.name, transform=TURN[up])
+    # Without normals in a file, glTF wants flat shading (Sec. 3.7.2.1), as Mitsuba has it here.
+    data = export_glb(
+        scene, include_normals=asset.mesh.normals is not None, tree_postprocessor=finish
+    )
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)

@@ -1,0 +1,105 @@
+"""Textures and maps as EXR and PNG."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+
+import svu_mi
+from svu_mi.errors import OutputError
+from svu_mi.export.asset import Asset
+from svu_mi.export.files import TEXTURES, Written
+from svu_mi.exr import write_exr
+from svu_mi.files import replacing
+from svu_mi.metrics.images import srgb
+from svu_mi.output.textures import FILES, write_textures
+
+LINEAR = "linear"
+SRGB = "sRGB (IEC 61966-2-1)"
+PACKED = "linear: R occlusion (1, none is known), G roughness, B metallic, as in glTF"
+
+
+def write_exr_images(asset: Asset, folder: Path, *, half: bool) -> list[Written]:
+    """Write the textures and maps as EXR, linear; entropy and coverage have the channel Y.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    write_textures(asset.textures, folder / TEXTURES, half=half)
+    written = [
+        Written(file=f"{TEXTURES}/{file}", format="exr", holds=name, values=LINEAR)
+        for name, file in FILES.items()
+    ]
+    for name, image in asset.maps.items():
+        file = f"{TEXTURES}/{name}.exr"
+        write_exr(folder / file, {"Y": image}, {"svu:version": svu_mi.__version__}, half=half)
+        values = "in [0, 1], 1 = nothing known" if name == "entropy" else "number of views"
+        written.append(Written(file=file, format="exr", holds=name, values=values))
+    return written
+
+
+def write_png_images(asset: Asset, folder: Path, *, bits: int) -> list[Written]:
+    """Write the textures, their packed ``orm``, and the maps as PNG.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    textures = {name: np.array(tensor) for name, tensor in asset.textures.items()}
+    images = {
+        "base_color": (srgb(textures["base_color"]), SRGB),
+        "roughness": (textures["roughness"], LINEAR),
+        "metallic": (textures["metallic"], LINEAR),
+        "orm": (packed(asset), PACKED),
+    }
+    if asset.entropy is not None:
+        images["entropy"] = (asset.entropy, "linear in [0, 1], 1 = nothing known")
+    if asset.coverage is not None:
+        most = max(float(asset.coverage.max()), 1.0)
+        images["coverage"] = (asset.coverage / most, f"linear: white is {most:g} views")
+    written = []
+    for name, (image, values) in images.items():
+        file = f"{TEXTURES}/{name}.png"
+        write_png(folder / file, quantized(image, bits), color=values == SRGB)
+        written.append(Written(file=file, format="png", holds=name, values=values))
+    return written
+
+
+def packed(asset: Asset) -> np.ndarray:
+    """Return occlusion, roughness and metallic as one (H, W, 3) image.
+
+    The layout that glTF 2.0 prescribes (Sec. 3.9.2): G is roughness, B metallic; R is free there
+    for occlusion, which is 1 as nothing is known of it.
+    """
+    rough, metal = np.array(asset.textures.roughness), np.array(asset.textures.metallic)
+    return np.concatenate([np.ones_like(rough), rough, metal], axis=-1)
+
+
+def quantized(image: np.ndarray, bits: int) -> np.ndarray:
+    """Round values in [0, 1] to unsigned integers of 8 or 16 bits."""
+    most = 2**bits - 1
+    return (np.clip(image, 0, 1) * most + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def write_png(path: Path, pixels: np.ndarray, *, color: bool) -> None:
+    """Write (H, W) or (H, W, C) integers as PNG, as they are.
+
+    Args:
+        path: the file.
+        pixels: uint8 or uint16.
+        color: whether the file says that they are sRGB; else it says nothing, since a viewer
+            that went by a gamma would change data.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    shown = np.ascontiguousarray(pixels[..., 0] if pixels.shape[2:] == (1,) else pixels)
+    with replacing(path) as temporary:
+        bitmap = mi.Bitmap(shown)
+        # Without a gamma of its own, a bitmap would declare one of 1 where color is False.
+        bitmap.set_srgb_gamma(color)
+        try:
+            bitmap.write(str(temporary))
+        except RuntimeError as error:
+            raise OutputError(f"{path}: cannot be written ({error}).") from error

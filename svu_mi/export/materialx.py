@@ -1,0 +1,87 @@
+"""MaterialX: the material as ``standard_surface``, and the mesh as OBJ to put it on.
+
+MaterialX takes the lower left corner of an image for (0, 0) (Specification 1.38, "Image Nodes").
+In the OBJ, v runs upwards accordingly; a program that reads the GLB turns its v over to the same.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement
+
+from svu_mi.capture.nodes import write_document
+from svu_mi.export.asset import Asset
+from svu_mi.export.files import TEXTURES, Written
+from svu_mi.export.mesh import as_trimesh, upward_uvs
+from svu_mi.files import replacing
+
+MATERIAL, MESH = "material.mtlx", "mesh.obj"
+DIGITS = 10  # after the point: objects of a millimetre in metres keep single precision
+VERSION = "1.38"  # later ones read it, too
+INDEX_OF_REFRACTION = 1.5  # F0 = 0.04, as specular = 0.5 of Mitsuba's principled
+# Parameter: type of its image, colour space of the file, and input of standard_surface.
+INPUTS = {
+    "base_color": ("color3", "srgb_texture", "base_color"),
+    "roughness": ("float", None, "specular_roughness"),
+    "metallic": ("float", None, "metalness"),
+}
+
+
+def write_materialx(asset: Asset, folder: Path) -> list[Written]:
+    """Write ``material.mtlx`` and ``mesh.obj``; the textures are those written as PNG.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    # Names are of ASCII letters, digits and underscores, a digit not first.
+    name = re.sub(r"\W", "_", asset.name, flags=re.ASCII)
+    write_document(_document(f"_{name}" if name[0].isdigit() else name), folder / MATERIAL)
+    _write_obj(asset, folder / MESH)
+    return [
+        Written(file=MATERIAL, format="materialx", holds="material",
+                values="standard_surface; colour space of the document lin_rec709"),
+        Written(file=MESH, format="materialx", holds="mesh", values="v = 0 at an image's bottom"),
+    ]  # fmt: skip
+
+
+def _document(name: str) -> Element:
+    root = Element("materialx", version=VERSION, colorspace="lin_rec709")
+    for parameter, (kind, space, _) in INPUTS.items():
+        image = SubElement(root, "image", name=f"{name}_{parameter}", type=kind)
+        file = _input(image, "file", "filename", value=f"{TEXTURES}/{parameter}.png")
+        if space is not None:  # numbers have none, and are taken as they are
+            file.set("colorspace", space)
+    surface = SubElement(root, "standard_surface", name=f"{name}_surface", type="surfaceshader")
+    _input(surface, "base", "float", value="1")
+    for parameter, (kind, _, target) in INPUTS.items():
+        _input(surface, target, kind, nodename=f"{name}_{parameter}")
+    _input(surface, "specular_IOR", "float", value=str(INDEX_OF_REFRACTION))
+    material = SubElement(root, "surfacematerial", name=name, type="material")
+    _input(material, "surfaceshader", "surfaceshader", nodename=f"{name}_surface")
+    look = SubElement(root, "look", name=f"{name}_look")
+    SubElement(look, "materialassign", name=f"{name}_assign", material=name, geom="/")
+    return root
+
+
+def _input(parent: Element, name: str, kind: str, **attributes: str) -> Element:
+    return SubElement(parent, "input", {"name": name, "type": kind, **attributes})
+
+
+def _write_obj(asset: Asset, path: Path) -> None:
+    from trimesh.exchange.obj import export_obj
+    from trimesh.visual import TextureVisuals
+
+    mesh = as_trimesh(asset.mesh, TextureVisuals(uv=upward_uvs(asset.mesh)))
+    text, _ = export_obj(
+        mesh,
+        include_normals=asset.mesh.normals is not None,
+        return_texture=True,
+        header=None,
+        digits=DIGITS,
+    )
+    # trimesh names a material of its own, which is grey; ours is in the other file.
+    left_out = ("mtllib", "usemtl")
+    kept = [line for line in text.splitlines() if line and not line.startswith(left_out)]
+    with replacing(path) as temporary:
+        temporary.write_text("\n".join([f"o {asset.name}", *kept]) + "\n", encoding="utf-8")

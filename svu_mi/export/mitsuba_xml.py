@@ -1,0 +1,78 @@
+"""Mitsuba XML: the object for other scenes to include, and a scene that shows it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Comment, Element
+
+import mitsuba as mi
+import numpy as np
+
+import svu_mi
+from svu_mi.capture import nodes
+from svu_mi.capture.mesh import make
+from svu_mi.capture.poses import bounding_sphere, sphere_sensors
+from svu_mi.export.asset import Asset
+from svu_mi.export.files import TEXTURES, Written
+from svu_mi.export.options import DIRECTION, Axis
+from svu_mi.output.scene_xml import object_node
+from svu_mi.output.textures import FILES
+
+OBJECT, PREVIEW, MESH = "object.xml", "preview.xml", "mesh.ply"
+FILM = (512, 512)
+ROOM, LAMP = 0.5, 16.0  # radiance
+USE = """ Written by svu_mi {version}. To use the object in another scene:
+       <path value="this folder"/>
+       <include filename="object.xml"/> """
+
+
+def write_mitsuba(asset: Asset, folder: Path, *, up: Axis) -> list[Written]:
+    """Write ``object.xml``, ``mesh.ply`` and ``preview.xml``; textures are those written as EXR.
+
+    Args:
+        asset: the asset.
+        folder: an existing folder.
+        up: where the preview's camera has its top.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    textures = {name: f"{TEXTURES}/{file}" for name, file in FILES.items()}
+    node = object_node(
+        asset.name, asset.mesh, folder, file=MESH, textures=textures, two_sided=asset.two_sided
+    )
+    _write(folder / OBJECT, [Comment(USE.format(version=svu_mi.__version__)), node])
+    _write(folder / PREVIEW, _preview(asset, up))
+    return [
+        Written(file=OBJECT, format="xml", holds="object", values="for <include> of a scene"),
+        Written(file=PREVIEW, format="xml", holds="scene", values="object, light and camera"),
+        Written(file=MESH, format="xml", holds="mesh", values="v = 0 at an image's top"),
+    ]  # fmt: skip
+
+
+def _preview(asset: Asset, up: Axis) -> list[Element]:
+    """Return the nodes of a scene: the object in a grey room, lit from above the camera's left."""
+    shape = make(asset.name, asset.mesh)
+    camera = sphere_sensors(shape, 1, FILM, up=DIRECTION[up], lowest=-0.4)[0]
+    pose = np.array(camera.world_transform().matrix, np.float64).reshape(4, 4)
+    center, radius = bounding_sphere(shape)
+    left, above, forward = pose[:3, :3].T
+    samples = Element("default", name="spp", value=str(nodes.SAMPLES))
+    room = nodes.put(nodes.plugin("emitter", "constant", id="room"), radiance=[ROOM] * 3)
+    lamp = nodes.plugin("shape", "rectangle", id="lamp")
+    place = center + 3 * radius * (0.8 * left + above - 0.8 * forward)
+    turn = mi.ScalarTransform4f().look_at(
+        list(map(float, place)), list(map(float, center)), list(map(float, above))
+    ).scale(float(radius))  # fmt: skip
+    nodes.put(lamp, to_world=np.array(turn.matrix, np.float64))
+    lamp.append(nodes.put(nodes.plugin("emitter", "area"), radiance=[LAMP] * 3))
+    include = Element("include", filename=OBJECT)
+    integrator = nodes.put(nodes.plugin("integrator", "path"), max_depth=8)
+    return [samples, integrator, nodes.sensor(camera, "camera"), room, lamp, include]
+
+
+def _write(path: Path, children: list[Any]) -> None:
+    root = Element("scene", version="3.0.0")
+    root.extend(children)
+    nodes.write_document(root, path)

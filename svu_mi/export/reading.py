@@ -1,0 +1,110 @@
+"""An asset from the folders that ``svu recover`` and ``svu entropy`` write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture.mesh import MeshArrays, arrays
+from svu_mi.capture.scene import last_sentence
+from svu_mi.errors import CaptureError, MeshError
+from svu_mi.export.asset import Asset, bad_values
+from svu_mi.exr import read_exr
+from svu_mi.output.maps import COVERAGE, ENTROPY
+from svu_mi.output.scene_xml import MESH, SCENE
+from svu_mi.output.textures import FILES, read_textures
+
+HEADER = 4096  # bytes that hold the header of a PLY file
+
+
+def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
+    """Read what ``svu recover`` has written.
+
+    Args:
+        folder: with ``base_color.exr``, ``roughness.exr``, ``metallic.exr``, ``recovered.xml`` and
+            ``assets/mesh.ply``; ``coverage.exr`` and ``entropy.exr`` are taken if there.
+        entropy: folder that ``svu entropy`` wrote about the same capture, for its two maps; its
+            resolution may be another.
+
+    Raises:
+        CaptureError: something is missing, damaged, or does not fit.
+        MeshError: the mesh cannot be read, or has no UVs.
+    """
+    folder = Path(folder)
+    _require_recovery(folder)
+    maps = Path(folder if entropy is None else entropy)
+    if entropy is not None and not (maps / ENTROPY).is_file():
+        raise CaptureError(f"{maps}: has no {ENTROPY}; give the folder that svu entropy wrote.")
+    shape = _shape(folder / SCENE)
+    smooth = shape.find("boolean[@name='face_normals']") is None
+    return Asset(
+        name=shape.get("id") or "object",
+        mesh=_mesh(folder / MESH, smooth),
+        textures=read_textures(folder),
+        entropy=_map(maps / ENTROPY, 1),
+        coverage=_map(maps / COVERAGE, np.inf),
+        two_sided=shape.find("bsdf[@type='twosided']") is not None,
+        source=str(folder),
+    )
+
+
+def _require_recovery(folder: Path) -> None:
+    if not folder.is_dir():
+        raise CaptureError(f"{folder}: no such folder; give one that svu recover wrote.")
+    missing = [name for name in (*FILES.values(), SCENE, MESH) if not (folder / name).is_file()]
+    if not missing:
+        return
+    words = f"{folder}: has no {', '.join(missing)}, so it is no result of svu recover"
+    if (folder / ENTROPY).is_file():
+        raise CaptureError(
+            f"{words} but of svu entropy; run svu recover on the same capture, export what it "
+            "writes, and give this folder as --entropy."
+        )
+    raise CaptureError(f"{words}; run that first, or give the folder that it wrote.")
+
+
+def _shape(path: Path) -> ElementTree.Element:
+    """Return the node of the object."""
+    try:
+        root = ElementTree.parse(path).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        raise CaptureError(f"{path}: cannot be read ({error}); run svu recover again.") from error
+    for shape in root.findall("shape"):
+        if shape.find(f"string[@value='{MESH}']") is not None:
+            return shape
+    raise CaptureError(f"{path}: no shape has the mesh {MESH}; run svu recover again.")
+
+
+def _mesh(path: Path, smooth: bool) -> MeshArrays:
+    with path.open("rb") as stream:
+        header = stream.read(HEADER).partition(b"end_header")[0]
+    if smooth and b" nx\n" not in header.replace(b"\r", b""):
+        # Mitsuba would make some, and end the process if a face names a missing vertex.
+        raise MeshError(f"{path}: has no vertex normals (nx, ny, nz); run svu recover again.")
+    try:
+        found: Any = mi.load_dict(
+            {"type": "ply", "filename": str(path), "face_normals": not smooth}
+        )
+    except RuntimeError as error:
+        raise MeshError(f"{path}: cannot be read: {last_sentence(str(error))}") from error
+    return arrays(found)
+
+
+def _map(path: Path, most: float) -> np.ndarray | None:
+    """Return an (H, W) map, None if there is no such file."""
+    if not path.is_file():
+        return None
+    channels = read_exr(path)
+    if "Y" not in channels:
+        raise CaptureError(f"{path}: expected the channel Y, found {', '.join(channels)}.")
+    image = channels["Y"]
+    bad = bad_values(image, most)
+    if bad:
+        raise CaptureError(
+            f"{path}: {bad} values are NaN or outside [0, {most:g}]; compute it again."
+        )
+    return image
