@@ -139,7 +139,7 @@ def _read_photograph(path: Path, room: np.ndarray, exposure: float) -> Photograp
 def _linearise(color: np.ndarray) -> int:
     """Decode sRGB in place, clipped pixels as NaN; return how many those are."""
     clipped = (color > SATURATED).any(axis=-1)
-    color[:] = _linear_from_srgb(color)
+    color[:] = linear_from_srgb(color)
     color[clipped] = np.nan
     return int(clipped.sum())
 
@@ -202,7 +202,7 @@ def _mask_beside(path: Path, shape: tuple[int, ...]) -> np.ndarray | None:
     return None
 
 
-def _linear_from_srgb(encoded: np.ndarray) -> np.ndarray:
+def linear_from_srgb(encoded: np.ndarray) -> np.ndarray:
     """Invert the sRGB transfer function (IEC 61966-2-1)."""
     low = encoded / 12.92
     high = ((encoded + 0.055) / 1.055) ** 2.4

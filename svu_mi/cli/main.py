@@ -16,12 +16,14 @@ from svu_mi.cli.commands import Demo, Doctor, Entropy, Render
 from svu_mi.cli.guide import Guide
 from svu_mi.cli.inputs import was_interrupted
 from svu_mi.cli.recover import Recover
+from svu_mi.cli.viewing import View
 from svu_mi.errors import SvuError
 
 Command = (
     Annotated[Entropy, tyro.conf.subcommand("entropy")]
     | Annotated[Guide, tyro.conf.subcommand("guide")]
     | Annotated[Recover, tyro.conf.subcommand("recover")]
+    | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
