@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 import sys
 import time
 import urllib.request
@@ -12,6 +10,7 @@ from dataclasses import replace
 import mitsuba as mi
 import numpy as np
 import pytest
+from browser import SECONDS, Browser
 from helpers import memory_capture, render_ball, write_scene
 
 from svu_mi.capture import mesh as meshes
@@ -31,7 +30,6 @@ from svu_mi.pipeline import estimate
 from svu_mi.recovery.textures import Textures
 from svu_mi.surface import texels
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
 SIZE = (40, 24)  # texels: not square, so that rows cannot pass for columns
 FILM = (48, 36)
 SIDEWAYS = 4  # the view that is least from above
@@ -258,23 +256,19 @@ def test_command_line(tmp_path, monkeypatch, capsys, variant):
     mi.set_variant(variant)
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to look with")
 def test_a_browser_shows_what_mitsuba_renders(capture, known, quarters, tmp_path):
-    """Axes of cameras, of the texture and of its colours, all at once."""
+    """Axes of cameras, of the texture and of its colours, all at once; and the way of a click."""
     viewer = Viewer(capture, known, quarters, port=0)
-    viewer.show("recovered base color")
-    options = ["--headless", "--no-sandbox", "--use-angle=swiftshader",
-               "--enable-unsafe-swiftshader", "--window-size=320,240",
-               f"--user-data-dir={tmp_path}"]  # fmt: skip
-    browser = subprocess.Popen(
-        [CHROMIUM, *options, viewer.url], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+    browser = Browser(tmp_path, "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
     try:
+        viewer.show("recovered base color")
+        page = browser.open(viewer.url, 760, 240)  # the panel is on the right
         shown = _shown(viewer, frustum(capture, SIDEWAYS, 8))
+        eye = _click_the_middle(viewer, page)
+        requests = page.requests
     finally:
-        browser.terminate()
-        browser.wait(10)
         viewer.stop()
+        browser.close()
     color, valid = _colors_seen(capture, quarters)
     assert valid.mean() > 0.2
     assert len(np.unique(color[valid], axis=0)) >= 2  # quarters: what a flip would exchange
@@ -282,11 +276,24 @@ def test_a_browser_shows_what_mitsuba_renders(capture, known, quarters, tmp_path
     # Borders of quarters and the silhouette are smoothed.
     assert right[valid].mean() > 0.9
     assert (shown[..., 3] > 0.5)[~valid].mean() < 0.03
+    # The camera looks at the ball's centre: what is nearest to it is in the middle.
+    assert viewer.picked.position @ eye / np.linalg.norm(eye) > 0.97
+    assert all(request.startswith(viewer.url) for request in requests)
+
+
+def _click_the_middle(viewer, page):
+    """Click, let the viewer answer, and return where the page's camera is."""
+    for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
+        page.ask("Input.dispatchMouseEvent", type=kind, x=380, y=120, button="left", clickCount=1)
+    while viewer.picked is None:
+        assert viewer.work(10), "the click does not arrive"
+    (client,) = viewer._server.get_clients().values()
+    return np.array(client.camera.position)
 
 
 def _shown(viewer, camera):
     """What the browser shows from a camera, (H, W, 4)."""
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + SECONDS
     while not viewer._server.get_clients():
         assert time.monotonic() < deadline, "no browser has connected"
         time.sleep(0.05)
