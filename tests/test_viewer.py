@@ -256,6 +256,7 @@ def test_command_line(tmp_path, monkeypatch, capsys, variant):
     mi.set_variant(variant)
 
 
+@pytest.mark.slow
 def test_a_browser_shows_what_mitsuba_renders(capture, known, quarters, tmp_path):
     """Axes of cameras, of the texture and of its colours, all at once; and the way of a click."""
     viewer = Viewer(capture, known, quarters, port=0)

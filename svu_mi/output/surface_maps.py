@@ -76,7 +76,8 @@ def surface_maps(
     }
     unknown = [name for name, nodes in estimate.posterior.axes.items() if len(nodes) > 1]
     for name in unknown:
-        best = Scale(colormap=GREY, high=1, label=words(name))
+        # Not in greys: these are for what nobody sees.
+        best = Scale(colormap=VIEWS_COLORMAP, high=1, label=words(name))
         maps[f"most probable {words(name)}"] = partial(_best, estimate, name, best)
     for name in unknown:
         marginal = partial(estimate.posterior.marginal_entropy, name)
@@ -95,10 +96,9 @@ def words(name: str) -> str:
 
 def _best(estimate: Estimate, name: str, scale: Scale) -> SurfaceMap:
     values = np.array(estimate.posterior.map()[name])
-    if name != COLOR:
+    if values.ndim == 1:
         return _numbers(estimate, lambda: values, scale)
-    color = np.broadcast_to(values.reshape(len(values), -1), (len(values), 3))
-    return SurfaceMap(colors=_spread(estimate, views.srgb(color)), scale=None)
+    return SurfaceMap(colors=_spread(estimate, views.srgb(values)), scale=None)  # R, G and B
 
 
 def _numbers(estimate: Estimate, values: Callable[[], Any], scale: Scale) -> SurfaceMap:

@@ -121,6 +121,7 @@ class Viewer:
             self._status.content = self._heading()
         for other, (handle, _) in self._shown.items():
             handle.visible = other == name
+        self._choice.value = name
         drawn = self._shown[name][1]
         self._bar.visible = drawn.scale is not None
         if drawn.scale is not None:
@@ -141,6 +142,7 @@ class Viewer:
         if self._view is not None and view != self._view:  # its large picture is of no use there
             self._frusta[self._view].image = frustum(self._capture, self._view, THUMBNAIL).image
         self._view = view
+        self._through.value = NOWHERE if view is None else self._capture.names[view]
         self._update_frusta()
         camera = None if view is None else frustum(self._capture, view, PHOTOGRAPH)
         self._fade(camera)
@@ -206,8 +208,9 @@ class Viewer:
         """Turn events into tasks; coroutines, because viser runs those in order."""
 
         def task(widget: Any, work: Callable[[], None]) -> None:
-            async def put(_event: Any) -> None:
-                self._tasks.put(work)
+            async def put(event: Any) -> None:
+                if event.client is not None:  # else it was set here
+                    self._tasks.put(work)
 
             widget.on_update(put)
 
@@ -217,7 +220,7 @@ class Viewer:
         task(self._opacity, self._fade)
 
         async def choose(event: Any) -> None:
-            if event.client is not None:  # not an answer to a click on a frustum
+            if event.client is not None:
                 names = (NOWHERE, *self._capture.names)
                 view = names.index(self._through.value) - 1
                 self._tasks.put(lambda: self.look_through(None if view < 0 else view, event.client))
@@ -237,7 +240,6 @@ class Viewer:
         async def click(event: Any) -> None:
             if view != self._view:  # else it was meant for what is behind the photograph
                 self._taken = event.screen_pos
-                self._through.value = self._capture.names[view]
                 self._tasks.put(lambda: self.look_through(view, event.client))
 
         return click
