@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.poses import describe, film_size, focal_length, make_sensor, principal_point
+from svu_mi.capture.poses import describe, film_size, focal_length, make_sensor
 from svu_mi.capture.scene import check_sensor
 from svu_mi.errors import CaptureError
 from svu_mi.files import read_json, replacing
@@ -67,8 +67,10 @@ def read_transforms(path: str | Path) -> tuple[Any, ...]:
 
 
 def _intrinsics(sensor: Any) -> dict[str, Any]:
-    width, height = film_size(sensor)
-    focal, center = focal_length(sensor), principal_point(sensor)
+    record, (width, height) = describe(sensor), film_size(sensor)
+    film, offset, crop = (record[k] for k in ("film", "principal_point_offset", "crop_offset"))
+    focal = focal_length(sensor)
+    center = [film[k] / 2 - offset[k] * film[k] - crop[k] for k in range(2)]
     return {"fl_x": focal, "fl_y": focal, "cx": center[0], "cy": center[1],
             "w": width, "h": height}  # fmt: skip
 
