@@ -18,7 +18,6 @@ from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.main import main
 from svu_mi.errors import OptionError, ShapeError, SvuEnvironmentError
-from svu_mi.output import viewer as viewing
 from svu_mi.output import views
 from svu_mi.output.browser_model import GAIN, before_tone_mapping, tone_mapped
 from svu_mi.output.frusta import frustum
@@ -209,7 +208,7 @@ def page(url):
 
 
 def test_a_page_is_served_here_alone_until_interrupted(capture, known, quarters, capfd):
-    viewer = Viewer(capture, known, quarters, port=0)
+    viewer = Viewer(capture, known, quarters, port=0, up="z")
     assert viewer.url.startswith("http://127.0.0.1:")
     assert "<html" in page(viewer.url)
     assert "recovered roughness" in viewer.maps
@@ -304,7 +303,7 @@ def _shown(viewer, camera):
     while True:  # the model arrives some time after the page
         assert time.monotonic() < deadline, "the browser shows nothing"
         shown = client.get_render(
-            FILM[1], FILM[0], wxyz=viewing._quaternion(camera.rotation),
+            FILM[1], FILM[0], wxyz=camera.quaternion,
             position=camera.position, fov=camera.fov, transport_format="png",
         )  # fmt: skip
         if shown[..., 3].any():

@@ -31,10 +31,13 @@ class View(Photographed):
     """Folder that svu recover has written; its size is taken for --resolution."""
     port: int = 8080
     """Of the page on this machine; the next free one if it is taken."""
+    up: Literal["y", "z"] = "y"
+    """Axis of the world that points upwards."""
 
     def run(self, console: Console) -> int:
         """Estimate, open the page, and serve it until Ctrl-C."""
-        from svu_mi.output.viewer import Viewer, require_viser
+        from svu_mi.output.serving import require_viser
+        from svu_mi.output.viewer import Viewer
         from svu_mi.pipeline import estimate
 
         pair(self.resolution, "--resolution")  # refused before any work
@@ -47,7 +50,7 @@ class View(Photographed):
         capture, texels = sized.load(progress, defines)
         result = estimate(capture, texels, self.method, self.preset, known=known, progress=progress)
         with progress.stage("Opening the viewer"):
-            viewer = Viewer(capture, result, recovered, port=self.port)
+            viewer = Viewer(capture, result, recovered, port=self.port, up=self.up)
         console.print(
             f"Open {viewer.url} in a browser; Ctrl-C ends.",
             markup=False, highlight=False, soft_wrap=True,

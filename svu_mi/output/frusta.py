@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from svu_mi.capture.poses import film_size, focal_length, principal_point
 from svu_mi.capture.scene import to_world
@@ -35,6 +36,11 @@ class Frustum:
     fov: float
     aspect: float
     image: np.ndarray
+
+    @property
+    def quaternion(self) -> np.ndarray:
+        """The rotation as (w, x, y, z)."""
+        return Rotation.from_matrix(self.rotation).as_quat()[[3, 0, 1, 2]]
 
 
 def frustum(capture: Capture, view: int, side: int) -> Frustum:

@@ -15,8 +15,6 @@ from svu_mi.interop import owned
 from svu_mi.surface.gutter import dilate
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from svu_mi.capture import Capture
     from svu_mi.pipeline import Estimate
     from svu_mi.surface import Texels
@@ -62,14 +60,14 @@ class Picker:
             optimize=False,
         )
 
-    def pick(self, origin: Sequence[float], direction: Sequence[float]) -> Pick | None:
+    def pick(self, origin: Any, direction: Any) -> Pick | None:
         """Return the texel that a ray hits first, None if it misses the object.
 
         Where a chart is too narrow for a texel's centre, it is the nearest one in the texture.
 
         Args:
-            origin: of the ray, in world space.
-            direction: of the ray, of any length but 0.
+            origin: (3,) of the ray, in world space.
+            direction: (3,) of the ray, of any length but 0.
         """
         # Arrays, not numbers: these would be compiled into a new kernel for every ray.
         start, towards = (np.array(v, np.float32)[:, None] for v in (origin, direction))

@@ -6,21 +6,18 @@ a queue, and one thread works it off: nothing of Dr.Jit runs anywhere else, and 
 
 from __future__ import annotations
 
-import contextlib
-import io
-import logging
 import queue
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from svu_mi.capture.poses import bounding_sphere
-from svu_mi.errors import OptionError, SvuEnvironmentError
 from svu_mi.metrics.images import srgb
 from svu_mi.output.browser_model import GAIN, material_colors, model
 from svu_mi.output.frusta import Frustum, frustum
 from svu_mi.output.picking import Pick, Picker
+from svu_mi.output.serving import require_viser, serve, stop
 from svu_mi.output.surface_maps import SurfaceMap, surface_maps
 from svu_mi.output.viewer_panels import draw_pick, draw_scale, says
 
@@ -29,8 +26,8 @@ if TYPE_CHECKING:
     from svu_mi.pipeline import Estimate
     from svu_mi.recovery.textures import Textures
 
-HOST = "127.0.0.1"  # nobody else's browser
-UP = (0.0, 1.0, 0.0)
+# By the axis that is up: its direction, and from where the object is first looked at, in radii.
+UP = {"y": ((0.0, 1.0, 0.0), (1.2, 0.8, 2.2)), "z": ((0.0, 0.0, 1.0), (1.2, -2.2, 0.8))}
 NOWHERE = "anywhere"
 THUMBNAIL, PHOTOGRAPH = 160, 1024  # pixels of the longer side
 CAMERA, SEEING = (70, 70, 80), (232, 69, 60)  # colours of frusta
@@ -51,6 +48,7 @@ class Viewer:
         estimate: its ``Estimate``, as ``svu.estimate`` returns it.
         recovered: textures to look at, of the same resolution.
         port: of the page; the next free one if it is taken, any free one if it is 0.
+        up: axis of the world that points upwards.
 
     Raises:
         SvuEnvironmentError: viser is not installed.
@@ -65,21 +63,20 @@ class Viewer:
         recovered: Textures | None = None,
         *,
         port: int = 8080,
+        up: Literal["y", "z"] = "y",
     ) -> None:
-        viser = require_viser()
-        if not 0 <= port < 65536:
-            raise OptionError(f"--port must be 0 to 65535, got {port}.")
+        require_viser()  # before any work
         self._capture, self._estimate, self._recovered = capture, estimate, recovered
         self._maps = surface_maps(estimate, recovered)
         self._picker = Picker(capture, estimate)
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._shown: dict[str, tuple[Any, SurfaceMap]] = {}
         self._center, self._radius = bounding_sphere(capture.mesh)
+        self._up, self._home = np.array(UP[up])
+        self._picker.pick(self._center, self._up)  # compiled now, not at the first click
         self.picked: Pick | None = None
         self._view: int | None = None
-        with _quiet():
-            self._server = viser.ViserServer(host=HOST, port=port, label="svu view", verbose=False)
-        self.url = f"http://{HOST}:{self._server.get_port()}"
+        self._server, self.url = serve(port)
         self._set_the_stage()
         self._panels()
         self._frusta = [self._add_frustum(view) for view in range(capture.count)]
@@ -107,8 +104,7 @@ class Viewer:
 
     def stop(self) -> None:
         """Close the page."""
-        with _quiet():
-            self._server.stop()
+        stop(self._server)
 
     def show(self, name: str) -> None:
         """Show a map on the object; ``maps`` names them."""
@@ -167,7 +163,7 @@ class Viewer:
 
     def _set_the_stage(self) -> None:
         scene, camera = self._server.scene, self._server.initial_camera
-        scene.set_up_direction(UP)
+        scene.set_up_direction(self._up)
         scene.configure_environment_map(None)
         scene.configure_default_lights(False)
         ground = round(255 * float(srgb(np.array(SHADE))))
@@ -176,7 +172,7 @@ class Viewer:
             intensity=GAIN * np.pi,
         )  # fmt: skip
         camera.near, camera.far = 1e-3 * self._radius, 1e3 * self._radius
-        camera.position = self._center + self._radius * np.array([1.2, 0.8, 2.2])
+        camera.position = self._center + self._radius * self._home
         camera.look_at, camera.fov = self._center, np.radians(45)
         self._server.gui.configure_theme(show_logo=False, show_share_button=False)
 
@@ -249,7 +245,7 @@ class Viewer:
         return self._server.scene.add_camera_frustum(
             f"/cameras/{view:04d}", camera.fov, camera.aspect, image=camera.image, color=CAMERA,
             scale=CAMERA_SIZE * self._radius, thickness=1.5, thickness_units="screen",
-            wxyz=_quaternion(camera.rotation), position=camera.position,
+            wxyz=camera.quaternion, position=camera.position,
             cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
 
@@ -273,40 +269,10 @@ class Viewer:
         if to is None:
             home = self._server.initial_camera
             camera.position, camera.look_at, camera.fov = home.position, home.look_at, home.fov
-            camera.up_direction = UP
+            camera.up_direction = self._up
             return
         forward = to.rotation[:, 2]
         ahead = max(float((self._center - to.position) @ forward), 0.1 * self._radius)
         camera.position, camera.look_at = to.position, to.position + ahead * forward
         camera.up_direction = -to.rotation[:, 1]
         camera.fov = 2 * np.arctan(np.tan(to.fov / 2) * max(1.0, to.aspect / camera.aspect))
-
-
-def require_viser() -> Any:
-    """Return the module viser.
-
-    Raises:
-        SvuEnvironmentError: it is not installed.
-    """
-    try:
-        import viser
-    except ImportError as error:
-        raise SvuEnvironmentError(
-            "The viewer needs viser, which is not installed: pip install 'svu_mi[viewer]'."
-        ) from error
-    return viser
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep viser from printing when it starts and stops, and from logging broken connections."""
-    logging.getLogger("websockets").setLevel(logging.CRITICAL)
-    with contextlib.redirect_stdout(io.StringIO()):
-        yield
-
-
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Return (w, x, y, z) of a rotation matrix."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
