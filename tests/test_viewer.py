@@ -267,8 +267,8 @@ def test_a_browser_shows_what_mitsuba_renders(capture, known, quarters, tmp_path
         eye = _click_the_middle(viewer, page)
         requests = page.requests
     finally:
+        browser.close()  # first: a server with an open page takes seconds to stop
         viewer.stop()
-        browser.close()
     color, valid = _colors_seen(capture, quarters)
     assert valid.mean() > 0.2
     assert len(np.unique(color[valid], axis=0)) >= 2  # quarters: what a flip would exchange
