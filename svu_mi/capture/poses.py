@@ -123,6 +123,14 @@ def focal_length(sensor: Any) -> float:
     return float(record["film"][0] / 2 / np.tan(np.radians(record["x_fov"]) / 2))
 
 
+def principal_point(sensor: Any) -> tuple[float, float]:
+    """Return (cx, cy) in pixels of the photograph; (0, 0) is the corner of its first pixel."""
+    record = describe(sensor)
+    film, offset, crop = (record[k] for k in ("film", "principal_point_offset", "crop_offset"))
+    x, y = (film[k] * (0.5 - offset[k]) - crop[k] for k in range(2))
+    return x, y
+
+
 def _check_finite(record: Mapping[str, Any], label: str) -> None:
     """Refuse numbers that Mitsuba would take and then see nothing with."""
     pose = np.array(record["to_world"], np.float64)

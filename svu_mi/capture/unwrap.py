@@ -36,9 +36,10 @@ def unwrap(mesh: Any) -> Any:
     source = arrays(mesh)
     if len(source.faces) == 0:
         raise MeshError(f"Shape '{mesh.id()}' has no faces, so there is nothing to unwrap.")
-    vmap, faces, uvs = xatlas.parametrize(
-        source.positions.astype(np.float32), source.faces.astype(np.uint32)
-    )
+    # Of unit size: xatlas works in single precision and takes small triangles for degenerate ones.
+    low, high = source.positions.min(axis=0), source.positions.max(axis=0)
+    unit = (source.positions - low) / max(float((high - low).max()), 1e-300)
+    vmap, faces, uvs = xatlas.parametrize(unit.astype(np.float32), source.faces.astype(np.uint32))
     if len(faces) != len(source.faces) or not np.isfinite(uvs).all():
         raise MeshError(
             f"Shape '{mesh.id()}' cannot be unwrapped automatically; "
