@@ -557,6 +557,6 @@ def test_loading_leaves_no_warning_when_all_is_well(scene):
 
 def test_tiny_meshes_are_unwrapped_like_large_ones():
     """xatlas alone takes the triangles of a ball of 3 mm, in metres, for degenerate ones."""
-    given = ball(12, 6)
+    given = ball(24, 12)
     small = make("ball", replace(given, positions=given.positions * 1e-3, uvs=None))
     assert np.isfinite(arrays(unwrap(small)).uvs).all()
