@@ -25,12 +25,29 @@ def _variant_is_set() -> None:
 
 @pytest.fixture
 def variant() -> Iterator[str]:
-    """Name of the active variant; a test that changes it finds it restored afterwards."""
+    """Name of the active variant; a test that changes it finds it restored afterwards.
+
+    So is how much Mitsuba logs, which ``svu`` changes, too.
+    """
     import mitsuba as mi
 
     yield VARIANT
     if mi.variant() != VARIANT:
         mi.set_variant(VARIANT)
+    mi.set_log_level(mi.LogLevel.Warn)
+
+
+@pytest.fixture(scope="session")
+def shot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A capture folder rendered by ``svu``: the vase, 8 views placed on a sphere. Read only."""
+    from helpers import run
+
+    from svu_mi import scenes
+
+    folder = tmp_path_factory.mktemp("shot")
+    words = ("render", scenes.path("vase"), "-D", "light=window", "--views", 8)
+    assert run(*words, "--resolution", 40, 32, "--spp", 4, "-o", folder) == 0
+    return folder
 
 
 @pytest.fixture(scope="session")

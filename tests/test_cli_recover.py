@@ -11,11 +11,9 @@ import time
 import mitsuba as mi
 import numpy as np
 import pytest
-from helpers import sensor_xml, write_scene
+from helpers import fails, last_line, names, run, sensor_xml, write_scene
 
-from svu_mi import scenes
 from svu_mi.cli.inputs import was_interrupted
-from svu_mi.cli.main import main
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.output.textures import read_textures, write_textures
 from svu_mi.recovery import descent
@@ -32,20 +30,7 @@ SIZE = 32
 STEPS = 150  # enough to be interrupted in
 
 
-@pytest.fixture(autouse=True)
-def _restore(variant):
-    yield
-    mi.set_variant(variant)
-    mi.set_log_level(mi.LogLevel.Warn)
-
-
-@pytest.fixture(scope="module")
-def shot(tmp_path_factory):
-    """A rendered capture folder of the vase, 8 views placed on a sphere."""
-    folder = tmp_path_factory.mktemp("shot")
-    words = ("render", scenes.path("vase"), "-D", "light=window", "--views", 8)
-    assert run(*words, "--resolution", 40, 32, "--spp", 4, "-o", folder) == 0
-    return folder
+pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
 
 
 def leave_out_pictures(patch):
@@ -59,32 +44,10 @@ def no_pictures(monkeypatch):
     leave_out_pictures(monkeypatch)
 
 
-def run(*words):
-    """Run the program in this process."""
-    return main([str(word) for word in words])
-
-
 def recover(shot, out, *words):
     """Run ``svu recover`` on the capture, briefly."""
     steps = () if "path" in words else ("--steps", 20)
     return run("recover", shot, "-o", out, "--resolution", SIZE, *steps, *words)
-
-
-def last_line(capsys):
-    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("svu: ")]
-    lines = [line for line in lines if not line.startswith("svu: warning")]
-    assert len(lines) == 1, lines
-    return lines[0]
-
-
-def fails(capsys, *words):
-    """Run the program, expect status 2, and return its one line."""
-    assert run(*words) == 2
-    return last_line(capsys)
-
-
-def names(folder):
-    return sorted(path.name for path in folder.iterdir())
 
 
 def maps(folder):
