@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import svu_mi  # noqa: F401
 
 ROOT = Path(__file__).parent.parent
 VARIANT = "llvm_ad_rgb"
+MAPS = 100  # of filtered light, that are kept: some 50 MB
 # Read when Dr.Jit is first imported: compiled kernels are kept with the checkout, not in HOME.
 os.environ.setdefault("DRJIT_CACHE_DIR", str(ROOT / ".pytest_cache" / "drjit"))
 
@@ -21,6 +25,28 @@ def _variant_is_set() -> None:
     import mitsuba as mi
 
     mi.set_variant(VARIANT)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _light_is_filtered_once() -> None:
+    """The same light and the same lobes come again in many tests, and take NumPy 0.3 s each.
+
+    What is kept is what ``convolve`` has returned for exactly these arguments.
+    """
+    from svu_mi.radiance import levels
+
+    convolve, kept = levels.convolve, {}
+
+    def once(grid: np.ndarray, width: float, profile: partial) -> np.ndarray:
+        light = hashlib.blake2b(np.ascontiguousarray(grid)).digest()
+        key = (light, grid.shape, width, profile.func, profile.args)
+        if key not in kept:
+            if len(kept) == MAPS:
+                kept.clear()
+            kept[key] = convolve(grid, width, profile)
+        return kept[key]
+
+    levels.convolve = once
 
 
 @pytest.fixture
