@@ -467,6 +467,14 @@ class TestNextBestView:
             # One sample has hardly a spectrum: there, where the light is counts for more.
             assert max(sides) < 0 if method == "angular" else min(sides) < 0
 
+    def test_the_light_is_not_filtered_again(self, sunny):
+        capture, layout = sunny
+        estimate = svu.estimate(some(capture, range(6)), layout)
+        kept = dict(estimate.observed.lighting.lobes)
+        assert kept
+        svu.next_best_view(estimate, svu.Candidates.around(capture, 5), texels=50)
+        assert estimate.observed.lighting.lobes == kept
+
     def test_expected_gain_of_a_sample_is_that_of_all_within_its_error(self, sunny):
         capture, texels = sunny
         estimate = svu.estimate(some(capture, (0, 5, 9)), texels)
