@@ -15,7 +15,7 @@ import svu_mi  # noqa: F401
 
 ROOT = Path(__file__).parent.parent
 VARIANT = "llvm_ad_rgb"
-MAPS = 100  # of filtered light, that are kept: some 50 MB
+MAPS = 64  # of filtered light, that are kept: less than 100 MB
 # Read when Dr.Jit is first imported: compiled kernels are kept with the checkout, not in HOME.
 os.environ.setdefault("DRJIT_CACHE_DIR", str(ROOT / ".pytest_cache" / "drjit"))
 
