@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from browser import Browser
 
 import svu_mi  # noqa: F401
 
@@ -37,3 +38,11 @@ def variant() -> Iterator[str]:
 def root() -> Path:
     """The checkout."""
     return ROOT
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """A headless Chromium; without one on PATH the test is skipped."""
+    running = Browser(tmp_path_factory.mktemp("browser"))
+    yield running
+    running.close()

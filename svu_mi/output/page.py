@@ -1,0 +1,140 @@
+"""Self-contained HTML pages: one file with all its pictures, that asks nothing of any network.
+
+A page extends ``base.html`` of the folder ``templates`` and draws with the macros of
+``parts.html``. Its content security policy lets it show embedded pictures and its own style, and
+run the one script of this package; text from files cannot add another, even unescaped.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from svu_mi.errors import OutputError
+from svu_mi.files import replacing
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+TEMPLATES = Path(__file__).parent / "templates"
+STYLE, SCRIPT = "page.css", "page.js"
+THUMBNAIL = 240  # pixels of the longer side of a photograph; 60 of them take about a megabyte
+JPEG_QUALITY = 82
+THIN_SPACE = "\u2009"
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture inside a page.
+
+    Attributes:
+        uri: the whole file as a ``data:`` URI.
+        width: in pixels.
+        height: in pixels.
+    """
+
+    uri: str
+    width: int
+    height: int
+
+
+def drawing(image: np.ndarray, side: int | None = None) -> Picture:
+    """Embed a map or a drawing without loss, as PNG.
+
+    Args:
+        image: (H, W, 3) or, with opacity, (H, W, 4) screen values in [0, 1].
+        side: the longer side is made this small, if it is longer.
+
+    Raises:
+        OutputError: a value is NaN or infinite, or there is no pixel.
+    """
+    return _embedded(image, side, "png", optimize=True)
+
+
+def photograph(image: np.ndarray, side: int | None = THUMBNAIL) -> Picture:
+    """Embed a photograph, as JPEG.
+
+    Args:
+        image: (H, W, 3) screen values in [0, 1].
+        side: the longer side is made this small, if it is longer.
+
+    Raises:
+        OutputError: a value is NaN or infinite, or there is no pixel.
+    """
+    return _embedded(image, side, "jpeg", quality=JPEG_QUALITY)
+
+
+def write_page(path: str | Path, template: str, **context: Any) -> None:
+    """Write a page, atomically.
+
+    Args:
+        path: the HTML file.
+        template: its name in ``templates``.
+        context: what the template shows; text is escaped.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    page = _environment().get_template(template).render(context)
+    with replacing(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def grouped(number: float) -> str:
+    """Write a whole number with a thin space between thousands."""
+    return f"{number:,.0f}".replace(",", THIN_SPACE)
+
+
+def percent(part: float) -> str:
+    """Write a part in [0, 1] in percent; what is not quite nothing, or all, is not called so."""
+    if 0 < part < 0.005:
+        return "under 1 %"
+    if 0.995 <= part < 1:
+        return "over 99 %"
+    return f"{100 * part:.0f} %"
+
+
+def _embedded(image: np.ndarray, side: int | None, kind: str, **options: Any) -> Picture:
+    # Pillow takes a while to import, and most of this package does without.
+    from PIL import Image
+
+    if not (image.size and np.isfinite(image).all()):
+        raise OutputError(f"A picture of a page has NaN, or no pixels: {image.shape}.")
+    picture = Image.fromarray(np.round(255 * np.clip(image, 0, 1)).astype(np.uint8))
+    if side is not None:
+        picture.thumbnail((side, side), Image.Resampling.LANCZOS)
+    file = io.BytesIO()
+    picture.save(file, kind, **options)
+    data = base64.b64encode(file.getvalue()).decode("ascii")
+    return Picture(f"data:image/{kind};base64,{data}", *picture.size)
+
+
+@cache
+def _environment() -> Environment:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    from markupsafe import Markup
+
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    script = (TEMPLATES / SCRIPT).read_text(encoding="utf-8")
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    environment.globals = {
+        "policy": f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
+        f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'",
+        "style": Markup((TEMPLATES / STYLE).read_text(encoding="utf-8")),
+        "script": Markup(script),
+    }
+    environment.filters |= {"grouped": grouped, "percent": percent}
+    return environment
