@@ -14,6 +14,7 @@ from svu_mi import _llvm
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture, load_capture, render_capture
+    from svu_mi.checking import Check, check
     from svu_mi.errors import SvuError, SvuWarning
     from svu_mi.frequency import fit_sh, power_spectrum
     from svu_mi.guidance import Candidates, Guidance, GuidanceOptions, next_best_view
@@ -41,6 +42,7 @@ _HOME = {
     "angular_posterior": "posterior", "spectrum_posterior": "posterior",
     "AngularPreset": "options", "Preset": "options", "Skip": "options",
     "preset": "options",
+    "Check": "checking", "check": "checking",
     "Candidates": "guidance", "Guidance": "guidance", "GuidanceOptions": "guidance",
     "next_best_view": "guidance",
     "Estimate": "pipeline", "estimate": "pipeline",
@@ -51,10 +53,10 @@ _HOME = {
 }  # fmt: skip
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
-    "AngularPreset", "Candidates", "Capture", "Estimate", "GlobalSharing", "Guidance",
+    "AngularPreset", "Candidates", "Capture", "Check", "Estimate", "GlobalSharing", "Guidance",
     "GuidanceOptions", "ParameterGrid", "Posterior", "Preset", "PrincipledGrid", "Recovery",
     "Reference", "Skip", "SvuError", "SvuWarning", "Texels", "TotalVariation",
-    "angular_posterior", "estimate", "fit_sh", "load_capture", "next_best_view",
+    "angular_posterior", "check", "estimate", "fit_sh", "load_capture", "next_best_view",
     "power_spectrum", "preset", "recover", "reference_posterior", "render_capture",
     "spectrum_posterior", "texels",
 ]  # fmt: skip
