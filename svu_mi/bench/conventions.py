@@ -12,8 +12,8 @@ import numpy as np
 from svu_mi.bench.captures import some_views
 from svu_mi.bench.text import table
 from svu_mi.capture import Capture
-from svu_mi.checking.apply import spoil
 from svu_mi.checking.appearance import read_texture
+from svu_mi.checking.apply import spoil
 from svu_mi.checking.points import scatter_points
 from svu_mi.checking.record import Finding
 from svu_mi.checking.run import find_mistakes

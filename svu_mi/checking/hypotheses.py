@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -50,6 +51,7 @@ class PoseHypothesis:
         return poses
 
 
+@cache
 def pose_hypotheses() -> tuple[PoseHypothesis, ...]:
     """Return all combinations of wrong camera axes, inverse poses, and a wrong mesh.
 
@@ -87,17 +89,22 @@ class LightHypothesis:
         return tuple(fix.name for fix in self.fixes)
 
 
+@cache
 def light_hypotheses() -> tuple[LightHypothesis, ...]:
     """Return the 48 ways to put a map's axes on those of the world, each in the fewest words.
 
     The first corrects nothing, then come single corrections.
     """
     words = [fix for fix in FIXES.values() if fix.kind == "light"]
-    found = [LightHypothesis((), np.eye(3))]
-    for known in found:  # grows while it is walked through: shortest first
-        for fix in words:
-            assert fix.matrix is not None
-            matrix = known.matrix @ fix.matrix
-            if not any(np.allclose(matrix, other.matrix) for other in found):
-                found.append(LightHypothesis((*known.fixes, fix), matrix))
-    return tuple(found)
+    queue = [LightHypothesis((), np.eye(3))]
+    found = {}
+    for known in queue:  # grows while it is walked through: shortest first
+        key = known.matrix.astype(int).tobytes()  # axes go to axes
+        if key not in found:
+            found[key] = known
+            queue += [
+                LightHypothesis((*known.fixes, fix), known.matrix @ fix.matrix)
+                for fix in words
+                if fix.matrix is not None
+            ]
+    return tuple(found.values())

@@ -15,8 +15,8 @@ from svu_mi.checking.points import Points, look
 from svu_mi.checking.silhouettes import contrast, outline, overlap, silhouettes
 
 VIEWS = 24  # that hypotheses are tried on
-NEAR = 0.2  # a hypothesis whose silhouettes fit worse than the best by more is out
-KEPT = 12  # hypotheses whose colours are looked at
+NEAR = 0.2  # a hypothesis whose silhouettes fit worse than the best by more need not be looked at
+FEWEST, KEPT = 5, 12  # hypotheses whose colours are looked at
 FEWER = 0.02  # of the score, that one more correction must be worth
 CERTAIN = 3.0  # standard errors
 
@@ -78,8 +78,9 @@ def score_poses(
         fits.append(judge(silhouettes(capture, small.posed(_posed(hypothesis, small)))))
         step(index + 1, len(hypotheses))
     means = np.array([one.mean() for one in fits])
-    order = [i for i in np.argsort(-means, kind="stable") if means[i] >= means.max() - NEAR]
-    kept = dict.fromkeys([0, *order[:KEPT]])
+    order = [int(i) for i in np.argsort(-means, kind="stable")]
+    near = sum(means >= means.max() - NEAR)
+    kept = dict.fromkeys([0, *order[: max(FEWEST, min(near, KEPT))]])
     scores = []
     for index in kept:
         hypothesis = hypotheses[index]

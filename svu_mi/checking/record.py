@@ -132,6 +132,18 @@ class Check:
         """Whether nothing is wrong, as far as this can be told."""
         return all(finding.verdict in ("fits", "unknown") for finding in self.findings)
 
+    @property
+    def worst(self) -> tuple[ViewCheck, ...]:
+        """Views, those that fit worst first: by silhouette, then by colour."""
+
+        def badness(view: ViewCheck) -> tuple[float, float]:
+            shape = view.overlap if view.overlap is not None else view.contrast
+            color = 1.0 if view.color_error is None else view.color_error
+            # Silhouettes that differ by less than a tenth are put in the order of colours.
+            return -round(10 * (shape or 0.0)), color
+
+        return tuple(sorted(self.views, key=badness, reverse=True))
+
     def finding(self, question: Question) -> Finding:
         """Return the answer to one question."""
         return next(one for one in self.findings if one.question == question)

@@ -12,6 +12,7 @@ import tyro
 from rich.console import Console
 
 from svu_mi.cli.bench import Bench
+from svu_mi.cli.checking import CheckCapture
 from svu_mi.cli.commands import Demo, Doctor, Entropy, Render
 from svu_mi.cli.guide import Guide
 from svu_mi.cli.inputs import was_interrupted
@@ -20,6 +21,7 @@ from svu_mi.errors import SvuError
 
 Command = (
     Annotated[Entropy, tyro.conf.subcommand("entropy")]
+    | Annotated[CheckCapture, tyro.conf.subcommand("check")]
     | Annotated[Guide, tyro.conf.subcommand("guide")]
     | Annotated[Recover, tyro.conf.subcommand("recover")]
     | Annotated[Render, tyro.conf.subcommand("render")]
