@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.captures import some_views
+from svu_mi.bench.cells import Cell
+from svu_mi.bench.store import Store
 from svu_mi.bench.text import table
 from svu_mi.capture import Capture
 from svu_mi.checking.appearance import read_texture
@@ -71,9 +75,7 @@ def eight_bit(capture: Capture) -> Capture:
     images = []
     for image in capture.images:
         encoded = np.round(255 * srgb(np.clip(image / white, 0, 1))) / 255
-        linear = np.where(
-            encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4
-        )
+        linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
         clipped = ~(encoded <= 0.98).all(axis=-1, keepdims=True)  # NaN too
         images.append(np.where(clipped, np.nan, linear).astype(np.float32))
     return replace(capture, images=tuple(images))
@@ -141,7 +143,32 @@ def _rest(names: Sequence[str]) -> set[str]:
     return {name for name in names if FIXES[name].kind in ("camera", "texture")}
 
 
-def run_conventions(
+def run_conventions(bench: Bench, cells: Sequence[Cell]) -> list[dict[str, Any]]:
+    """Check spoiled captures of every cell; what is finished is taken from disk.
+
+    Args:
+        bench: where, and how large; ``quick`` leaves out some photographs.
+        cells: objects x lights.
+
+    Returns:
+        All records of ``spoiled``.
+    """
+    store, rows = Store(bench.folder / "conventions"), []
+    photographs = tuple(PHOTOGRAPHS)[:: 3 if bench.quick else 1]
+    for cell in cells:
+        capture = bench.capture(cell)
+        with bench.progress.stage(f"Spoiling {cell.title}"):
+            key = bench.key(cell, ())
+            compute = partial(_finished, capture, cell.title, photographs)
+            rows += store.recall(cell.name, key, compute, fresh=bench.fresh)["checks"]
+    return rows
+
+
+def _finished(capture: Capture, title: str, photographs: Sequence[str]) -> dict[str, Any]:
+    return {"checks": spoiled(capture, title, photographs=photographs)}
+
+
+def spoiled(
     capture: Capture, title: str, cases: Sequence[Case] = CASES,
     photographs: Sequence[str] = tuple(PHOTOGRAPHS),
 ) -> list[dict[str, Any]]:  # fmt: skip
@@ -173,7 +200,11 @@ def run_conventions(
 
 
 def conventions_table(rows: Sequence[dict[str, Any]]) -> str:
-    """Return a Markdown table: kind of mistake x photographs, parts right, unsure and misled."""
+    """Return a Markdown table: kinds of mistakes x photographs.
+
+    Args:
+        rows: records of ``spoiled``.
+    """
     groups = list(dict.fromkeys(row["group"] for row in rows))
     columns = list(dict.fromkeys(row["photographs"] for row in rows))
     lines = []
@@ -188,4 +219,7 @@ def conventions_table(rows: Sequence[dict[str, Any]]) -> str:
             total = max(sum(cell.values()), 1)
             line.append(" / ".join(f"{100 * cell[one] / total:.0f}" for one in OUTCOMES))
         lines.append([*line, sum(row["group"] == group for row in rows)])
-    return table(["mistake", *columns, "checks"], lines)
+    return (
+        f"Checks of captures that were spoiled on purpose, in percent: {' / '.join(OUTCOMES)}.\n\n"
+        + table(["mistake", *columns, "checks"], lines)
+    )

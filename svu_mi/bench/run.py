@@ -11,6 +11,7 @@ from typing import Any
 from svu_mi.bench.accuracy import Bench, run_cell
 from svu_mi.bench.cells import Cell
 from svu_mi.bench.checks import run_checks
+from svu_mi.bench.conventions import run_conventions
 from svu_mi.bench.guidance import draw_guidance, run_guidance
 from svu_mi.bench.kernels import run_kernels
 from svu_mi.bench.plots import draw_plots
@@ -26,7 +27,10 @@ from svu_mi.errors import OptionError, SvuError, SvuWarning
 from svu_mi.files import prepare_folder
 from svu_mi.output import environment_record, write_manifest
 
-WHAT = ("accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance", "all")
+WHAT = (
+    "accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance", "conventions",
+    "all",
+)  # fmt: skip
 
 
 def run_bench(
@@ -45,14 +49,14 @@ def run_bench(
     Args:
         bench: where and how.
         cells: objects x lights; run times are measured on the first.
-        what: one of ``WHAT``; ``all`` is all but ``recovery`` and ``guidance``.
+        what: one of ``WHAT``; ``all`` is all but ``recovery``, ``guidance`` and ``conventions``.
         variants: estimators; all that this version knows by default.
         recovery: what of the recovery benchmark is run.
         command: as the user gave it, for the record.
 
     Returns:
         What bench.json holds: ``cells``, ``summary``, ``checks``, ``speed``, ``kernels``,
-        ``stability``, ``recovery``, ``guidance``, ``failed``, and how it was run.
+        ``stability``, ``recovery``, ``guidance``, ``conventions``, ``failed``, and how it was run.
 
     Raises:
         OptionError: an unknown ``what``, or no cell.
@@ -78,6 +82,7 @@ def run_bench(
         "stability": None,
         "recovery": None,
         "guidance": None,
+        "conventions": None,
     }
     if what in ("accuracy", "all"):
         record["cells"], record["failed"] = _all_cells(bench, cells, variants)
@@ -105,10 +110,12 @@ def run_bench(
         run_recovery(bench, cells, recovery, finished=partial(finished, what))
     if what == "guidance":
         run_guidance(bench, cells, finished=partial(finished, what))
+    if what == "conventions":
+        finished(what, run_conventions(bench, cells))
     return record
 
 
-def _finished(bench: Bench, record: dict[str, Any], name: str, found: dict[str, Any]) -> None:
+def _finished(bench: Bench, record: dict[str, Any], name: str, found: Any) -> None:
     record[name] = found
     _write(bench, record)
 

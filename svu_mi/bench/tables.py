@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from svu_mi.bench.conventions import conventions_table
 from svu_mi.bench.guidance import guidance_tables
 from svu_mi.bench.kernels import kernel_tables
 from svu_mi.bench.recovery import recovery_tables
@@ -46,6 +47,8 @@ def write_tables(path: Path, record: Record) -> None:
         parts += ["# Recovery of textures", recovery_tables(record["recovery"])]
     if record["guidance"]:
         parts += ["# Capture guidance", guidance_tables(record["guidance"])]
+    if record.get("conventions"):
+        parts += ["# Mistakes about axes", conventions_table(record["conventions"])]
     with replacing(path) as temporary:
         temporary.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
 

@@ -19,6 +19,7 @@ NEAR = 0.2  # a hypothesis whose silhouettes fit worse than the best by more nee
 FEWEST, KEPT = 5, 12  # hypotheses whose colours are looked at
 FEWER = 0.02  # of the score, that one more correction must be worth
 CERTAIN = 3.0  # standard errors
+DECISIVE = 0.1  # of the silhouettes' fit
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,15 @@ def outline_contrast(seen: np.ndarray, rank: np.ndarray) -> float | None:
 
 
 def clearly_better(one: PoseScore, other: PoseScore) -> bool:
-    """Return whether a hypothesis is better than another beyond chance, and in no way worse."""
+    """Return whether a hypothesis is better than another beyond chance, and in no way worse.
+
+    Much better silhouettes decide alone: a shiny object agrees less between views than whatever
+    is behind it.
+    """
+    for better, worse in ((one, other), (other, one)):
+        closer = better.fits - worse.fits
+        if closer.mean() > DECISIVE and certain(closer):
+            return better is one
     return any(_gains(one, other)) and not any(_gains(other, one))
 
 
@@ -152,17 +161,19 @@ def certain(differences: np.ndarray) -> bool:
     return bool(differences.mean() > CERTAIN * error)
 
 
-def rivals(scores: Sequence[PoseScore], chosen: PoseScore) -> list[PoseScore]:
-    """Return hypotheses in as few corrections as another that it is not clearly better than.
+def simplest(scores: Sequence[PoseScore]) -> tuple[PoseScore, list[PoseScore]]:
+    """Choose among the hypotheses that none is clearly better than: that with fewest corrections.
 
-    One more correction would be needed for the others, such as a mirror for a symmetric object.
+    A symmetric object looks the same with a mirror or a turn more, which nobody needs.
+
+    Args:
+        scores: best first.
+
+    Returns:
+        The choice, and others that are as good and as simple, or need a single correction.
     """
+    equal = [score for score in scores if not clearly_better(scores[0], score)]
+    chosen = min(equal, key=lambda score: len(score.hypothesis.fixes))
     names = chosen.hypothesis.names
-    most = max(len(names), 1)
-    return [
-        score
-        for score in scores
-        if len(score.hypothesis.fixes) <= most
-        and score.hypothesis.names != names
-        and not clearly_better(chosen, score)
-    ]
+    others = [score for score in equal if len(score.hypothesis.fixes) <= max(len(names), 1)]
+    return chosen, [score for score in others if score.hypothesis.names != names]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from svu_mi.checking.light import LightScore, indistinguishable
-from svu_mi.checking.poses import PoseScore, certain, clearly_better, rivals
+from svu_mi.checking.poses import PoseScore, certain, simplest
 from svu_mi.checking.record import Finding, Hypothesis
 from svu_mi.formats.fixes import FIXES
 
@@ -28,11 +28,9 @@ def judge_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
     Returns:
         The finding, and the hypothesis that everything else should be judged under.
     """
-    best, current = scores[0], next(s for s in scores if not s.hypothesis.fixes)
-    table = _pose_table(scores)
-    better = best is not current and clearly_better(best, current)
-    chosen = best if better else current
-    names, others = chosen.hypothesis.names, rivals(scores, chosen)
+    current = next(score for score in scores if not score.hypothesis.fixes)
+    chosen, others = simplest(scores)
+    names, table = chosen.hypothesis.names, _pose_table(scores)
     alternatives = tuple(dict.fromkeys(other.hypothesis.names for other in others))
     if _is_poor(chosen):
         return Finding(
@@ -40,7 +38,7 @@ def judge_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
             sentence=f"Mesh and photographs do not fit ({_fit(current)}), and no known mistake "
             "explains it: check the scale of mesh and poses, and whether they belong together.",
         ), current  # fmt: skip
-    if not better:
+    if chosen is current:
         also = f"; {_either(alternatives)} would fit as well" if alternatives else ""
         return Finding(
             question="poses", verdict="fits", hypotheses=table, alternatives=alternatives,
@@ -51,13 +49,13 @@ def judge_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
             question="poses", verdict="unclear", hypotheses=table, fixes=names,
             alternatives=alternatives,
             sentence=f"Cameras and mesh do not fit the photographs ({_fit(current)}); "
-            f"{_either((names, *alternatives))} explains them equally well ({_fit(best)}): the "
+            f"{_either((names, *alternatives))} explains them equally well ({_fit(chosen)}): the "
             "object is too symmetric to tell.",
-        ), best  # fmt: skip
+        ), chosen  # fmt: skip
     return Finding(
         question="poses", verdict="wrong", hypotheses=table, fixes=names,
-        sentence=f"{_causes(names)}: {_fit(best)} instead of {_fit(current)}.",
-    ), best  # fmt: skip
+        sentence=f"{_causes(names)}: {_fit(chosen)} instead of {_fit(current)}.",
+    ), chosen  # fmt: skip
 
 
 def _pose_table(scores: Sequence[PoseScore]) -> tuple[Hypothesis, ...]:

@@ -38,9 +38,7 @@ def check_views(capture: Capture) -> tuple[ViewCheck, ...]:
     return tuple(found)
 
 
-def _color_errors(
-    capture: Capture, points: Points, sightings: Sightings
-) -> list[float | None]:
+def _color_errors(capture: Capture, points: Points, sightings: Sightings) -> list[float | None]:
     """Return the mean error of each view, of a diffuse object; None where none of it is seen.
 
     The reflectance is the scene's texture, or one colour, times a factor per channel that the

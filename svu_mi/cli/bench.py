@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from svu_mi.bench.recovery.options import Options
 
 What = Annotated[
-    Literal["accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance", "all"],
+    Literal[
+        "accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance",
+        "conventions", "all",
+    ],
     tyro.conf.Positional,
 ]
 Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
@@ -40,7 +43,8 @@ class Bench(Common):
     for some objects; speed: run times, of the first object and light; kernels: speed and error of
     each kernel, what skipping saves, scaling; stability: errors at the ends of every axis;
     all: these; recovery: textures recovered in every way, against the true ones; guidance: textures
-    recovered from views chosen in every way, and the time that choosing takes."""
+    recovered from views chosen in every way, and the time that choosing takes; conventions: how
+    often svu check finds wrong axes."""
     output: Output = Path("out/bench")
     data: Path | None = None
     """Folder with objects/ and envmaps/; without it, the scenes of svu_mi."""

@@ -180,9 +180,7 @@ def _draw(picture: np.ndarray, seen: np.ndarray, color: tuple[float, float, floa
     picture[outline(seen) | outline(~seen)] = color
 
 
-def _panoramas(
-    capture: Capture, corrected: Capture, found: Check
-) -> list[tuple[Picture, str]]:
+def _panoramas(capture: Capture, corrected: Capture, found: Check) -> list[tuple[Picture, str]]:
     """The light as it is and, if that differs, corrected, around the object."""
     if found.finding("light").verdict == "unknown" and not found.fixes:
         return [(_panorama(capture), "as the capture says")]
