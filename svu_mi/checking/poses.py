@@ -19,6 +19,7 @@ NEAR = 0.2  # a hypothesis whose silhouettes fit worse than the best by more nee
 FEWEST, KEPT = 5, 12  # hypotheses whose colours are looked at
 FEWER = 0.02  # of the score, that one more correction must be worth
 CERTAIN = 3.0  # standard errors
+AGREEING = 0.3  # least agreement of views that speaks for anything
 DECISIVE = 0.1  # of the silhouettes' fit
 
 
@@ -146,7 +147,8 @@ def _gains(one: PoseScore, other: PoseScore) -> tuple[bool, bool, bool]:
     shapes = closer > 0.005 and 1 - other.silhouette > 1.3 * (1 - one.silhouette)
     shapes = shapes if one.masked else closer > 0.015
     shapes &= certain(one.fits - other.fits)
-    views = one.agreement - other.agreement > 0.12
+    # Little agreement says little: of something flat or shiny, the background agrees more.
+    views = one.agreement > max(AGREEING, other.agreement + 0.15, 1.5 * other.agreement)
     known = np.isfinite(one.misfit) & np.isfinite(other.misfit)
     colors = one.texture - other.texture > 0.015
     colors &= certain((other.misfit - one.misfit)[known])
