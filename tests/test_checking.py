@@ -215,13 +215,30 @@ def test_light_without_a_direction_cannot_be_told(capture):
     assert finding.verdict in ("fits", "unknown") and not finding.fixes
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("value", [0.0, np.nan])
+def test_photographs_that_show_nothing_say_nothing(capture, value):
+    """All black, or all saturated: silhouettes alone are judged, and no number is NaN."""
+    few = slice(0, 4)
+    blank = replace(
+        capture, sensors=capture.sensors[few], masks=capture.masks[few], used=(True,) * 4,
+        names=capture.names[few], exposures=(1.0,) * 4, unusable=(0,) * 4,
+        images=tuple(np.full_like(image, value) for image in capture.images[few]),
+    )  # fmt: skip
+    assert pose_finding(spoil(blank, FIXES["camera-y180"]))[0].fixes == ("camera-y180",)
+    views = check_views(blank)
+    assert all(view.color_error is None for view in views)
+    assert all(np.isfinite([view.overlap, view.contrast]).all() for view in views)
+    with pytest.raises(svu.SvuError, match="none can be used"):
+        svu.check(replace(blank, used=(False,) * 4))
+
+
 def test_texture_without_likeness_is_not_judged(capture):
     points = scatter_points(capture.shape, 500)
     seen = look(capture, points, reduced(capture, 64))
     noise = np.random.default_rng(SEED).random((2, 500, 3))
     fits = tuple(texture_fit(seen, points, one) for one in noise)
-    assert judge_texture(fits).verdict == "unknown"
-    assert judge_texture(None).verdict == "unknown"
+    assert judge_texture(*fits).verdict == "unknown"
 
 
 @pytest.mark.parametrize("name", FIXES)

@@ -42,7 +42,7 @@ def agreement(sightings: Sightings, spread: float) -> float:
     mean = np.where(seen, shown, 0).sum(axis=0) / count
     within = np.where(seen, (shown - mean) ** 2, 0).sum(axis=0) / (count - 1)
     between = max(float((mean.var(axis=0) - (within / count).mean(axis=0)).mean()), 0.0)
-    return between / (between + float(within.mean()) + 0.02 * spread)
+    return between / (between + float(within.mean()) + 0.02 * spread + 1e-12)
 
 
 def typical(sightings: Sightings) -> tuple[np.ndarray, np.ndarray]:

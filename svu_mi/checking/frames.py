@@ -11,6 +11,7 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.capture.poses import describe
 from svu_mi.capture.scene import to_world
+from svu_mi.errors import CaptureError
 from svu_mi.radiance.rays import ray_floats
 
 POSE = slice(8, 20)  # where ``ray_floats`` keeps three rows of to_world
@@ -51,8 +52,8 @@ class Frames:
 
     @property
     def masked(self) -> np.ndarray:
-        """(V,) bool, whether a view has a mask."""
-        return np.array([mask is not None for mask in self.masks], bool)
+        """(V,) bool, whether a view has a mask with anything in it."""
+        return np.array([mask is not None and bool(mask.any()) for mask in self.masks], bool)
 
     def some(self, chosen: Sequence[int]) -> Frames:
         """Return only some of the views."""
@@ -93,8 +94,16 @@ def tone(radiance: np.ndarray) -> np.ndarray:
 
 
 def reduced(capture: Capture, side: int) -> Frames:
-    """Reduce the photographs that are used to at most ``side`` pixels per side."""
+    """Reduce the photographs that are used to at most ``side`` pixels per side.
+
+    Raises:
+        CaptureError: none is used.
+    """
     views = [index for index in range(capture.count) if capture.used[index]]
+    if not views:
+        raise CaptureError(
+            f"There is no photograph to check: {capture.count} were given, and none can be used."
+        )
     radiance, masks = [], []
     for index in views:
         image, mask = capture.images[index], capture.masks[index]

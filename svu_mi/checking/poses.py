@@ -111,7 +111,9 @@ Judge = Callable[[Sequence[np.ndarray]], np.ndarray]
 
 
 def _fit_to_masks(frames: Frames) -> Judge:
-    pairs = [(view, mask) for view, mask in enumerate(frames.masks) if mask is not None]
+    pairs = [
+        (view, mask) for view, mask in enumerate(frames.masks) if mask is not None and mask.any()
+    ]
     return lambda seen: np.array([overlap(seen[view], mask) for view, mask in pairs])
 
 

@@ -16,7 +16,13 @@ from svu_mi.checking.points import Points, look, scatter_points
 from svu_mi.checking.poses import PoseScore, evenly, score_poses
 from svu_mi.checking.record import Check, Finding
 from svu_mi.checking.sky import Sky, open_cosines
-from svu_mi.checking.verdicts import judge_light, judge_poses, judge_texture, light_unknown
+from svu_mi.checking.verdicts import (
+    judge_light,
+    judge_poses,
+    judge_texture,
+    light_unknown,
+    texture_unknown,
+)
 from svu_mi.checking.views import SIDE, check_views
 from svu_mi.formats.fixes import fixes_named
 from svu_mi.progress import Progress
@@ -37,6 +43,7 @@ def check(capture: Capture, *, progress: Progress | None = None) -> Check:
 
     Raises:
         SvuEnvironmentError: no suitable Mitsuba variant is active.
+        CaptureError: no photograph is used.
     """
     progress = progress or Progress()
     findings, axes = find_mistakes(capture, progress=progress)
@@ -76,6 +83,10 @@ def find_mistakes(
         scores = score_poses(capture, frames, small, points, texture, stage.update)
         poses, chosen = judge_poses(scores)
     frames = frames.posed(chosen.hypothesis.relative_poses(frames.poses))
+    if poses.verdict == "unclear" and not poses.fixes:
+        reason = "cameras and mesh have to fit first"
+        unknown = light_unknown(reason), texture_unknown(f"Nothing can be said of V: {reason}")
+        return (poses, *unknown), chosen.hypothesis.camera_axes
     with progress.stage("Trying textures"):
         flip, texture = _texture(capture, frames, points, texture)
     with progress.stage("Trying lights") as stage:
@@ -88,10 +99,10 @@ def _texture(
 ) -> tuple[Finding, Texture | None]:
     """Decide on the V axis; return the texture the way it fits."""
     if texture is None:
-        return judge_texture(None), None
+        return texture_unknown("The object has no texture, so nothing depends on the V axis"), None
     seen = look(capture, points, frames)
     fits = [texture_fit(seen, points, albedo) for albedo in (texture.albedo, texture.flipped)]
-    found = judge_texture((fits[0], fits[1]))
+    found = judge_texture(*fits)
     return found, texture.turned() if found.verdict == "wrong" else texture
 
 

@@ -13,7 +13,7 @@ from svu_mi.formats.fixes import FIXES
 
 POOR_OVERLAP = 0.7  # silhouettes that fit worse explain no masks
 POOR_CONTRAST, POOR_AGREEMENT = 0.6, 0.3  # the same without masks
-LIGHT_GAIN = 0.1  # of the score, from which another way to turn the light counts as better
+LIGHT_GAIN = 0.06  # of the score, from which another way to turn the light counts as better
 LIGHT_MARGIN = 0.03  # below it, two ways explain the photographs equally well
 LIGHT_RANGE = 0.2  # of the score over all ways, below which nothing can be told
 FLIP_GAIN = 0.03  # of the correlation with a texture
@@ -84,20 +84,14 @@ def _fit(score: PoseScore) -> str:
     return f"{kind} {score.silhouette:.2f}, views agree by {score.agreement:.2f}"
 
 
-def judge_texture(
-    fits: tuple[tuple[float, np.ndarray], tuple[float, np.ndarray]] | None,
-) -> Finding:
-    """Decide on the V axis of texture coordinates.
+def texture_unknown(reason: str) -> Finding:
+    """Return the finding that nothing can be said of V."""
+    return Finding(question="texture", verdict="unknown", sentence=f"{reason}.")
 
-    Args:
-        fits: of the texture as it is and flipped, see ``texture_fit``; None without a texture.
-    """
-    if fits is None:
-        return Finding(
-            question="texture", verdict="unknown",
-            sentence="The object has no texture, so nothing depends on the V axis.",
-        )  # fmt: skip
-    (plain, misfit), (flipped, misfit_flipped) = fits
+
+def judge_texture(as_it_is: tuple[float, np.ndarray], turned: tuple[float, np.ndarray]) -> Finding:
+    """Decide on the V axis of texture coordinates, by two ``texture_fit``."""
+    (plain, misfit), (flipped, misfit_flipped) = as_it_is, turned
     table = [
         Hypothesis(fixes=fixes, score=fit, cues={"texture": fit})
         for fixes, fit in (((), plain), (("texture-flip-v",), flipped))
