@@ -16,6 +16,7 @@ POOR_CONTRAST, POOR_AGREEMENT = 0.6, 0.3  # the same without masks
 LIGHT_GAIN = 0.06  # of the score, from which another way to turn the light counts as better
 LIGHT_MARGIN = 0.03  # below it, two ways explain the photographs equally well
 LIGHT_RANGE = 0.2  # of the score over all ways, below which nothing can be told
+SPEAKING = 0.1  # least cue that speaks for a way to turn the light
 FLIP_GAIN = 0.03  # of the correlation with a texture
 
 
@@ -166,7 +167,7 @@ def _support(one: LightScore, other: LightScore) -> int:
     """Count the cues that speak for one against another; one alone may be chance."""
     pairs = ((one.shading, other.shading), (one.bare, other.bare),
              (one.highlights, other.highlights))  # fmt: skip
-    return sum(a > b + 0.01 for a, b in pairs)
+    return sum(a > max(b + 0.01, SPEAKING) for a, b in pairs)
 
 
 def _light_table(scores: Sequence[LightScore]) -> tuple[Hypothesis, ...]:
