@@ -14,6 +14,7 @@ from svu_mi import _llvm
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture, load_capture, render_capture
+    from svu_mi.checking import Check, check
     from svu_mi.errors import SvuError, SvuWarning
     from svu_mi.export.asset import Asset
     from svu_mi.export.export import export_asset
@@ -46,6 +47,7 @@ _HOME = {
     "angular_posterior": "posterior", "spectrum_posterior": "posterior",
     "AngularPreset": "options", "Preset": "options", "Skip": "options",
     "preset": "options",
+    "Check": "checking", "check": "checking",
     "Candidates": "guidance", "Guidance": "guidance", "GuidanceOptions": "guidance",
     "next_best_view": "guidance",
     "Estimate": "pipeline", "estimate": "pipeline",
@@ -59,11 +61,11 @@ _HOME = {
 }  # fmt: skip
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
-    "AngularPreset", "Asset", "Candidates", "Capture", "Estimate", "ExportOptions",
+    "AngularPreset", "Asset", "Candidates", "Capture", "Check", "Estimate", "ExportOptions",
     "GlobalSharing", "Guidance", "GuidanceOptions", "ParameterGrid", "Posterior", "Preset",
     "PrincipledGrid", "Recovery", "Reference", "Skip", "SvuError", "SvuWarning", "Texels",
-    "TotalVariation", "angular_posterior", "estimate", "export_asset", "fit_sh", "load_asset",
-    "load_capture", "next_best_view", "power_spectrum", "preset", "recover",
+    "TotalVariation", "angular_posterior", "check", "estimate", "export_asset", "fit_sh",
+    "load_asset", "load_capture", "next_best_view", "power_spectrum", "preset", "recover",
     "reference_posterior", "render_capture", "spectrum_posterior", "texels", "write_report",
 ]  # fmt: skip
 

@@ -11,6 +11,7 @@ from typing import Any
 from svu_mi.bench.accuracy import Bench, run_cell
 from svu_mi.bench.cells import Cell
 from svu_mi.bench.checks import run_checks
+from svu_mi.bench.conventions import run_conventions
 from svu_mi.bench.guidance import draw_guidance, run_guidance
 from svu_mi.bench.kernels import run_kernels
 from svu_mi.bench.orb import run_orb, write_csv
@@ -29,7 +30,7 @@ from svu_mi.files import prepare_folder
 from svu_mi.output import environment_record, write_manifest
 
 WHAT = ("accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance", "orb",
-        "all")  # fmt: skip
+        "conventions", "all")  # fmt: skip
 
 
 def run_bench(
@@ -49,7 +50,8 @@ def run_bench(
     Args:
         bench: where and how.
         cells: objects x lights; run times are measured on the first.
-        what: one of ``WHAT``; ``all`` is all but ``recovery``, ``guidance`` and ``orb``.
+        what: one of ``WHAT``; ``all`` is all but ``recovery``, ``guidance``, ``orb`` and
+            ``conventions``.
         variants: estimators; all that this version knows by default.
         recovery: what of the recovery benchmark is run.
         orb: where Stanford-ORB is, and what of it is run, for ``orb``, which needs no cells.
@@ -57,7 +59,8 @@ def run_bench(
 
     Returns:
         What bench.json holds: ``cells``, ``summary``, ``checks``, ``speed``, ``kernels``,
-        ``stability``, ``recovery``, ``guidance``, ``orb``, ``failed``, and how it was run.
+        ``stability``, ``recovery``, ``guidance``, ``orb``, ``conventions``, ``failed``, and how it
+        was run.
 
     Raises:
         OptionError: an unknown ``what``, or no cell.
@@ -84,6 +87,7 @@ def run_bench(
         "recovery": None,
         "guidance": None,
         "orb": None,
+        "conventions": None,
     }
     if what in ("accuracy", "all"):
         record["cells"], record["failed"] = _all_cells(bench, cells, variants)
@@ -111,12 +115,14 @@ def run_bench(
         run_recovery(bench, cells, recovery, finished=partial(finished, what))
     if what == "guidance":
         run_guidance(bench, cells, finished=partial(finished, what))
+    if what == "conventions":
+        finished(what, run_conventions(bench, cells))
     if what == "orb":
         run_orb(bench, orb or OrbOptions(), finished=partial(finished, what))
     return record
 
 
-def _finished(bench: Bench, record: dict[str, Any], name: str, found: dict[str, Any]) -> None:
+def _finished(bench: Bench, record: dict[str, Any], name: str, found: Any) -> None:
     record[name] = found
     _write(bench, record)
 

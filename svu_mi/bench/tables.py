@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from svu_mi.bench.conventions import conventions_table
 from svu_mi.bench.guidance import guidance_tables
 from svu_mi.bench.kernels import kernel_tables
 from svu_mi.bench.orb import orb_tables
@@ -49,6 +50,8 @@ def write_tables(path: Path, record: Record) -> None:
         parts += ["# Capture guidance", guidance_tables(record["guidance"])]
     if record["orb"]:
         parts += ["# Stanford-ORB", orb_tables(record["orb"])]
+    if record["conventions"]:
+        parts += ["# Mistakes about axes", conventions_table(record["conventions"])]
     with replacing(path) as temporary:
         temporary.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
 

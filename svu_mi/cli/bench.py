@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 What = Annotated[
     Literal["accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance", "orb",
-            "all"],
+            "conventions", "all"],
     tyro.conf.Positional,
 ]  # fmt: skip
 Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
@@ -43,7 +43,8 @@ class Bench(Common):
     each kernel, what skipping saves, scaling; stability: errors at the ends of every axis;
     all: these; recovery: textures recovered in every way, against the true ones; guidance: textures
     recovered from views chosen in every way, and the time that choosing takes; orb: textures
-    recovered from the captures of Stanford-ORB, relit, against its photographs."""
+    recovered from the captures of Stanford-ORB, relit, against its photographs; conventions: how
+    often svu check finds wrong axes."""
     output: Output = Path("out/bench")
     data: Path | None = None
     """Folder with objects/ and envmaps/; without it, the scenes of svu_mi. orb: the data set, with

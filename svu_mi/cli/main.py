@@ -12,6 +12,7 @@ import tyro
 from rich.console import Console
 
 from svu_mi.cli.bench import Bench
+from svu_mi.cli.checking import CheckCapture
 from svu_mi.cli.commands import Demo, Doctor, Entropy, Render
 from svu_mi.cli.exporting import Export
 from svu_mi.cli.guide import Guide
@@ -24,6 +25,7 @@ from svu_mi.errors import SvuError
 
 Command = (
     Annotated[Import, tyro.conf.subcommand("import")]
+    | Annotated[CheckCapture, tyro.conf.subcommand("check")]
     | Annotated[Entropy, tyro.conf.subcommand("entropy")]
     | Annotated[Guide, tyro.conf.subcommand("guide")]
     | Annotated[Recover, tyro.conf.subcommand("recover")]

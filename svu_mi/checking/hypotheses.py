@@ -1,0 +1,110 @@
+"""Every combination of known mistakes that a check has to tell apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache
+from itertools import product
+
+import numpy as np
+
+from svu_mi.checking.apply import corrected_poses
+from svu_mi.formats.fixes import FIXES, Fix
+from svu_mi.formats.source import OPENCV, OPENGL
+
+CAMERA_AXES = (np.eye(4), OPENGL, OPENCV)  # that a file may have had before it was imported
+
+
+@dataclass(frozen=True)
+class PoseHypothesis:
+    """Corrections of cameras and mesh.
+
+    Attributes:
+        fixes: in the order they are applied; none says that all is right.
+        camera_axes: (4, 4), for ``camera-inverse``, see ``apply_fixes``.
+    """
+
+    fixes: tuple[Fix, ...] = ()
+    camera_axes: np.ndarray = field(default_factory=lambda: np.eye(4))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the corrections."""
+        return tuple(fix.name for fix in self.fixes)
+
+    def relative_poses(self, poses: np.ndarray) -> np.ndarray:
+        """Return where the cameras stand against the mesh as it is.
+
+        A mesh that is turned is the same as cameras that are turned back, so that one scene
+        serves all hypotheses.
+
+        Args:
+            poses: (V, 4, 4) camera-to-world matrices as they are.
+        """
+        for fix in self.fixes:
+            if fix.kind == "camera":
+                poses = corrected_poses(poses, fix, self.camera_axes)
+            elif fix.matrix is not None:
+                back = np.eye(4)
+                back[:3, :3] = fix.matrix.T
+                poses = back @ poses
+        return poses
+
+
+@cache
+def pose_hypotheses() -> tuple[PoseHypothesis, ...]:
+    """Return all combinations of wrong camera axes, inverse poses, and a wrong mesh.
+
+    The first corrects nothing, then come single corrections.
+    """
+    inverse = FIXES["camera-inverse"]
+    turns = [(), *((f,) for f in FIXES.values() if f.kind == "camera" and f is not inverse)]
+    meshes = [(), *((f,) for f in FIXES.values() if f.kind == "mesh")]
+    cameras = [PoseHypothesis(turn) for turn in turns]
+    cameras += [
+        PoseHypothesis((inverse, *turn), axes) for turn, axes in product(turns, CAMERA_AXES)
+    ]
+    combined = [
+        PoseHypothesis(camera.fixes + mesh, camera.camera_axes)
+        for camera, mesh in product(cameras, meshes)
+    ]
+    return tuple(sorted(combined, key=lambda one: len(one.fixes)))
+
+
+@dataclass(frozen=True)
+class LightHypothesis:
+    """Corrections of the environment map.
+
+    Attributes:
+        fixes: in the order they are applied; none says that all is right.
+        matrix: (3, 3), their product, in the frame of the map.
+    """
+
+    fixes: tuple[Fix, ...]
+    matrix: np.ndarray
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the corrections."""
+        return tuple(fix.name for fix in self.fixes)
+
+
+@cache
+def light_hypotheses() -> tuple[LightHypothesis, ...]:
+    """Return the 48 ways to put a map's axes on those of the world, each in the fewest words.
+
+    The first corrects nothing, then come single corrections.
+    """
+    words = [fix for fix in FIXES.values() if fix.kind == "light"]
+    queue = [LightHypothesis((), np.eye(3))]
+    found = {}
+    for known in queue:  # grows while it is walked through: shortest first
+        key = known.matrix.astype(int).tobytes()  # axes go to axes
+        if key not in found:
+            found[key] = known
+            queue += [
+                LightHypothesis((*known.fixes, fix), known.matrix @ fix.matrix)
+                for fix in words
+                if fix.matrix is not None
+            ]
+    return tuple(found.values())

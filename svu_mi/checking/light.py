@@ -1,0 +1,211 @@
+"""How the environment map lies: what each of 48 ways predicts, against the photographs.
+
+Neither reflectance nor roughness is known, so only what survives that is compared:
+
+* shading: how brightness changes between neighbouring points, since neighbours mostly are of
+  one colour; once as it is, and once without what the texture (or, if there is none, the
+  points' own hue) explains;
+* highlights: how the brightness of one point changes between views, up to a factor per point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from svu_mi.checking.appearance import DARK, FEWEST, Texture, typical
+from svu_mi.checking.hypotheses import LightHypothesis, light_hypotheses
+from svu_mi.checking.points import Points, Sightings
+from svu_mi.checking.sky import Sky
+
+NEIGHBORS = 8
+CLIP = 1.5  # of the median difference of neighbours: edges between colours count no more
+ALBEDO_FLOOR = 0.08  # added before taking logarithms: dark surfaces reflect at least some gloss
+SPECIAL = 0.3  # of the typical radiance, that a point's changes are relative to at least
+FEWER = 0.02  # of the score, that one more correction must be worth
+
+
+@dataclass(frozen=True)
+class LightScore:
+    """How well one hypothesis explains the photographs.
+
+    Attributes:
+        hypothesis: the corrections.
+        shading: correlation of differences between neighbours, with the predicted irradiance's.
+        bare: the same without what colours explain.
+        highlights: part of the variance between views that filtered light explains.
+    """
+
+    hypothesis: LightHypothesis
+    shading: float
+    bare: float
+    highlights: float
+
+    @property
+    def total(self) -> float:
+        """What hypotheses are ranked by: the information in all three, less a cost per word."""
+        rest = (1 - max(self.shading, 0) ** 2, 1 - max(self.bare, 0) ** 2, 1 - self.highlights)
+        return -float(np.log(np.maximum(rest, 1e-3)).sum()) - FEWER * len(self.hypothesis.fixes)
+
+
+def score_light(
+    sky: Sky, points: Points, sightings: Sightings, arriving: tuple[np.ndarray, np.ndarray],
+    texture: Texture | None, step: Callable[[int, int], None],
+) -> tuple[LightScore, ...]:  # fmt: skip
+    """Try all hypotheses; best first. None if next to nothing of the object is seen.
+
+    Args:
+        sky: the light.
+        points: on the object.
+        sightings: what the views show of them.
+        arriving: directions and cosines, see ``open_cosines``.
+        texture: of the object, None if it has none.
+        step: called with (hypotheses done, all of them).
+    """
+    shown, known = typical(sightings)
+    if known.sum() < FEWEST:
+        return ()
+    directions, cosines = arriving
+    shading = _Shading.of(points.position[known], shown[known], _features(shown, texture, known))
+    highlights = _Highlights.of(points, sightings)
+    hypotheses = light_hypotheses()
+    scores = []
+    for index, hypothesis in enumerate(hypotheses):
+        irradiance = cosines[known] @ sky.arriving(directions, hypothesis.matrix)
+        reflected = sky.reflected(highlights.mirror, hypothesis.matrix)
+        scores.append(
+            LightScore(hypothesis, *shading.explained(irradiance), highlights.explained(reflected))
+        )
+        step(index + 1, len(hypotheses))
+    return tuple(sorted(scores, key=lambda score: -score.total))
+
+
+def _features(shown: np.ndarray, texture: Texture | None, known: np.ndarray) -> np.ndarray:
+    """Return (M, F) polynomials in what reflectance is likely to depend on, orthonormal."""
+    colors = shown[known] + DARK if texture is None else texture.albedo[known] + ALBEDO_FLOOR
+    logs = np.log(colors)
+    grey = logs.mean(axis=1, keepdims=True)
+    hue = (logs - grey)[:, :2]
+    # Photographs without a texture say the hue alone: their brightness is what is compared.
+    axes = hue if texture is None else np.concatenate([grey, hue], axis=1)
+    axes = 2 * np.tanh((axes - axes.mean(axis=0)) / (axes.std(axis=0) + 1e-3) / 2)
+    powers = np.stack(np.meshgrid(*[np.arange(4)] * axes.shape[1]), -1).reshape(-1, axes.shape[1])
+    powers = powers[powers.sum(axis=1) < 4]
+    terms = np.prod(axes[:, None] ** powers, axis=-1)
+    left, size, _ = np.linalg.svd(terms, full_matrices=False)
+    return left[:, size > 1e-6 * size[0]]
+
+
+@dataclass(frozen=True)
+class _Shading:
+    """Differences of log radiance between neighbouring points.
+
+    Attributes:
+        pairs: (P, 2) indices of neighbours.
+        features: (M, F), orthonormal columns.
+        differences: (P, 3), clipped.
+        bare: the same without what features explain.
+    """
+
+    pairs: np.ndarray
+    features: np.ndarray
+    differences: np.ndarray
+    bare: np.ndarray
+
+    @staticmethod
+    def of(position: np.ndarray, shown: np.ndarray, features: np.ndarray) -> _Shading:
+        count = min(NEIGHBORS + 1, len(position))
+        near = cKDTree(position).query(position, k=count)[1][:, 1:]
+        pairs = np.stack([np.repeat(np.arange(len(position)), count - 1), near.ravel()], axis=-1)
+        logs = np.log(shown + DARK)
+        return _Shading(
+            pairs, features, _differences(logs, pairs),
+            _differences(logs - features @ (features.T @ logs), pairs),
+        )  # fmt: skip
+
+    def explained(self, irradiance: np.ndarray) -> tuple[float, float]:
+        """Return both correlations for (M, 3) predicted irradiance."""
+        logs = np.log(irradiance + DARK * irradiance.mean() + 1e-300)
+        bare = logs - self.features @ (self.features.T @ logs)
+        return (
+            _correlation(_differences(logs, self.pairs), self.differences),
+            _correlation(_differences(bare, self.pairs), self.bare),
+        )
+
+
+def _differences(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    found = values[pairs[:, 0]] - values[pairs[:, 1]]
+    limit = CLIP * float(np.median(np.abs(found)))
+    return np.clip(found, -limit, limit)
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    product = np.sqrt((a * a).sum() * (b * b).sum())
+    return float((a * b).sum() / product) if product > 1e-12 else 0.0
+
+
+@dataclass(frozen=True)
+class _Highlights:
+    """How points that several views see differ between these.
+
+    Attributes:
+        mirror: (S, 3) directions that samples mirror, in the frame of the mesh; the samples of
+            one point follow each other.
+        first: (M,) index of each point's first sample.
+        count: (M,) of its samples.
+        weight: (S, 1), one over the point's brightness.
+        changes: (S, 3) weighted radiance less the point's mean.
+    """
+
+    mirror: np.ndarray
+    first: np.ndarray
+    count: np.ndarray
+    weight: np.ndarray
+    changes: np.ndarray
+
+    @staticmethod
+    def of(points: Points, sightings: Sightings) -> _Highlights:
+        several = sightings.seen & (sightings.seen.sum(axis=0) >= 2)
+        point, view = np.nonzero(several.T)
+        _, first, count = np.unique(point, return_index=True, return_counts=True)
+        toward, normal = sightings.toward[view, point], points.normal[point]
+        mirror = 2 * np.einsum("si,si->s", toward, normal)[:, None] * normal - toward
+        values = sightings.radiance[view, point].astype(np.float64)
+        empty = _Highlights(mirror, first, count, np.ones((len(point), 1)), values)
+        mean = empty._means(values).mean(axis=1)
+        unit = float(mean.mean()) if len(mean) else 1.0
+        weight = np.repeat(1 / (mean + SPECIAL * unit + 1e-12), count)[:, None]
+        return _Highlights(mirror, first, count, weight, weight * empty._changes(values))
+
+    def explained(self, reflected: np.ndarray) -> float:
+        """Return the part of the changes that (L, S, 3) light explains, by the best of L lobes."""
+        if len(self.first) == 0:
+            return 0.0
+        whole = self._sums((self.changes**2).sum(axis=1))
+        best = 0.0
+        for light in reflected:
+            predicted = self.weight * self._changes(light)
+            product = self._sums((predicted * self.changes).sum(axis=1))
+            square = self._sums((predicted**2).sum(axis=1))
+            part = np.maximum(product, 0) ** 2 / np.where(square > 0, square, 1)
+            best = max(best, float(part.sum() / max(whole.sum(), 1e-12)))
+        return best
+
+    def _changes(self, values: np.ndarray) -> np.ndarray:
+        return values - np.repeat(self._means(values), self.count, axis=0)
+
+    def _means(self, values: np.ndarray) -> np.ndarray:
+        return self._sums(values) / self.count[:, None]
+
+    def _sums(self, values: np.ndarray) -> np.ndarray:
+        return np.add.reduceat(values, self.first, axis=0) if len(self.first) else values[:0]
+
+
+def indistinguishable(
+    scores: Sequence[LightScore], best: LightScore, margin: float
+) -> list[LightScore]:
+    """Return the other hypotheses that explain the photographs as well, to a margin."""
+    return [s for s in scores if s is not best and s.total > best.total - margin]

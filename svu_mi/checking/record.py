@@ -1,0 +1,149 @@
+"""What a check has found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+Question = Literal["poses", "light", "texture"]
+Verdict = Literal["fits", "wrong", "unclear", "unknown"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hypothesis:
+    """One set of corrections, and how well it explains the photographs.
+
+    Attributes:
+        fixes: names of corrections, in the order they are applied; none = as the capture is.
+        score: what hypotheses are ranked by; only comparable within one finding.
+        cues: what the score is made of, by name; each at most 1, which is perfect.
+    """
+
+    fixes: tuple[str, ...]
+    score: float
+    cues: Mapping[str, float]
+
+    @property
+    def title(self) -> str:
+        """The corrections as one phrase."""
+        return " + ".join(self.fixes) if self.fixes else "as it is"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """The answer to one question about a capture.
+
+    Attributes:
+        question: ``poses`` (of cameras and mesh), ``light`` or ``texture``.
+        verdict: ``fits``; ``wrong`` (``fixes`` would put it right); ``unclear`` (something is
+            wrong, or may be, but several explanations fit, or none); ``unknown`` (photographs and
+            light of this kind cannot tell).
+        sentence: the same for people.
+        fixes: the best explanation, if it is better than what the capture says.
+        alternatives: others that explain the photographs as well.
+        hypotheses: best first.
+    """
+
+    question: Question
+    verdict: Verdict
+    sentence: str
+    fixes: tuple[str, ...] = ()
+    alternatives: tuple[tuple[str, ...], ...] = ()
+    hypotheses: tuple[Hypothesis, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewCheck:
+    """How one photograph fits.
+
+    Attributes:
+        view: index into the capture's photographs.
+        name: of its file.
+        overlap: intersection over union of the mesh's silhouette and the mask; None without mask.
+        contrast: mean rank, 0 to 1, of the photograph's gradient along the silhouette's outline:
+            0.5 is chance. None where the mesh is not in the picture.
+        color_error: mean difference to the mesh as a diffuse object under the given light, in
+            parts of the mean radiance; None where no point of it is seen.
+    """
+
+    view: int
+    name: str
+    overlap: float | None
+    contrast: float | None
+    color_error: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """Means over all views of a capture.
+
+    Attributes:
+        overlap, contrast, color_error: see ``ViewCheck``; None without any.
+    """
+
+    overlap: float | None
+    contrast: float | None
+    color_error: float | None
+
+    @staticmethod
+    def of(views: tuple[ViewCheck, ...]) -> Summary:
+        """Average over views."""
+
+        def mean(name: str) -> float | None:
+            values = [v for v in (getattr(view, name) for view in views) if v is not None]
+            return float(np.mean(values)) if values else None
+
+        return Summary(
+            overlap=mean("overlap"), contrast=mean("contrast"), color_error=mean("color_error")
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """What a check of a capture has found.
+
+    Attributes:
+        views: one per photograph that is used, in the capture's order.
+        corrected: the same with all suggestions applied; ``views`` itself without any.
+        findings: poses, light and texture, in this order.
+        camera_axes: (4, 4), what ``camera-inverse`` has assumed (``checking.apply``).
+    """
+
+    views: tuple[ViewCheck, ...]
+    corrected: tuple[ViewCheck, ...]
+    findings: tuple[Finding, ...]
+    camera_axes: np.ndarray
+
+    @property
+    def fixes(self) -> tuple[str, ...]:
+        """Names of all corrections that are suggested without reservation."""
+        return tuple(
+            name
+            for finding in self.findings
+            if finding.verdict == "wrong"
+            for name in finding.fixes
+        )
+
+    @property
+    def fits(self) -> bool:
+        """Whether nothing is wrong, as far as this can be told."""
+        return all(finding.verdict in ("fits", "unknown") for finding in self.findings)
+
+    @property
+    def worst(self) -> tuple[ViewCheck, ...]:
+        """Views, those that fit worst first: by silhouette, then by colour."""
+
+        def badness(view: ViewCheck) -> tuple[float, float]:
+            shape = view.overlap if view.overlap is not None else view.contrast
+            color = 1.0 if view.color_error is None else view.color_error
+            # Silhouettes that differ by less than a tenth are put in the order of colours.
+            return -round(10 * (shape or 0.0)), color
+
+        return tuple(sorted(self.views, key=badness, reverse=True))
+
+    def finding(self, question: Question) -> Finding:
+        """Return the answer to one question."""
+        return next(one for one in self.findings if one.question == question)

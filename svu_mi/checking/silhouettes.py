@@ -1,0 +1,80 @@
+"""Where the mesh would be in the photographs, under any poses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.checking.frames import Frames
+from svu_mi.interop import owned
+from svu_mi.radiance.rays import film_ray
+
+
+def silhouettes(capture: Capture, frames: Frames) -> list[np.ndarray]:
+    """Trace a ray through the centre of every pixel of the small photographs.
+
+    Args:
+        capture: scene and object.
+        frames: V views; their poses need not be those of the capture.
+
+    Returns:
+        V arrays (h, w) bool, True where the object is seen.
+    """
+    view, x, y = _pixels(frames)
+    lenses = owned(mi.Float, frames.lenses.ravel())
+    ray = film_ray(lenses, owned(mi.UInt32, view), owned(mi.Float, x), owned(mi.Float, y))
+    hit = capture.scene.ray_intersect_preliminary(ray, coherent=True)
+    # Opaque: as a literal, every scene would get a kernel of its own.
+    seen = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, capture.shape))
+    shapes = [image.shape[:2] for image in frames.radiance]
+    parts = np.split(_as_bool(seen, len(view)), np.cumsum([h * w for h, w in shapes])[:-1])
+    return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
+
+
+def _as_bool(seen: Any, count: int) -> np.ndarray:
+    return np.broadcast_to(np.array(seen, bool), count)
+
+
+def _pixels(frames: Frames) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return view, x and y of the middle of every small pixel, in pixels of the films."""
+    views, xs, ys = [], [], []
+    for index, image in enumerate(frames.radiance):
+        height, width = image.shape[:2]
+        x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+        views.append(np.full(height * width, index, np.uint32))
+        xs.append((x * frames.size[index, 0] / width).ravel())
+        ys.append((y * frames.size[index, 1] / height).ravel())
+    return np.concatenate(views), np.concatenate(xs), np.concatenate(ys)
+
+
+def overlap(seen: np.ndarray, mask: np.ndarray) -> float:
+    """Return intersection over union of two (h, w) masks; 1 if both are empty."""
+    union = (seen | mask).sum()
+    return float((seen & mask).sum() / union) if union else 1.0
+
+
+def outline(seen: np.ndarray) -> np.ndarray:
+    """Return the pixels (h, w) of an object with a neighbour that is not of it."""
+    edge = np.zeros_like(seen)
+    edge[1:] |= seen[1:] != seen[:-1]
+    edge[:-1] |= seen[1:] != seen[:-1]
+    edge[:, 1:] |= seen[:, 1:] != seen[:, :-1]
+    edge[:, :-1] |= seen[:, 1:] != seen[:, :-1]
+    return edge & seen
+
+
+def contrast(radiance: np.ndarray) -> np.ndarray:
+    """Return how strong an edge every pixel (h, w) lies on: its rank in the photograph, 0 to 1.
+
+    Args:
+        radiance: (h, w, 3), NaN = not usable.
+    """
+    grey = np.nan_to_num(radiance.mean(axis=2), nan=np.nanmax(radiance, initial=0))
+    shown = grey / (grey + max(float(np.median(grey)), 1e-12))
+    gradient = np.hypot(*np.gradient(shown)) if min(shown.shape) > 1 else np.zeros(shown.shape)
+    rank = np.searchsorted(np.sort(gradient.ravel()), gradient, side="left")
+    return rank / gradient.size

@@ -1,0 +1,198 @@
+"""From scores to findings: what is said, and what is better left unsaid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from svu_mi.checking.light import LightScore, indistinguishable
+from svu_mi.checking.poses import PoseScore, certain, simplest
+from svu_mi.checking.record import Finding, Hypothesis
+from svu_mi.formats.fixes import FIXES
+
+POOR_OVERLAP = 0.7  # silhouettes that fit worse explain no masks
+POOR_CONTRAST, POOR_AGREEMENT = 0.6, 0.3  # the same without masks
+LIGHT_GAIN = 0.06  # of the score, from which another way to turn the light counts as better
+LIGHT_MARGIN = 0.03  # below it, two ways explain the photographs equally well
+LIGHT_RANGE = 0.2  # of the score over all ways, below which nothing can be told
+SPEAKING = 0.1  # least cue that speaks for a way to turn the light
+FLIP_GAIN = 0.03  # of the correlation with a texture
+
+
+def judge_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
+    """Decide on cameras and mesh.
+
+    Args:
+        scores: best first; the one without corrections is among them.
+
+    Returns:
+        The finding, and the hypothesis that everything else should be judged under.
+    """
+    current = next(score for score in scores if not score.hypothesis.fixes)
+    chosen, others = simplest(scores)
+    names, table = chosen.hypothesis.names, _pose_table(scores)
+    alternatives = tuple(dict.fromkeys(other.hypothesis.names for other in others))
+    if _is_poor(chosen):
+        return Finding(
+            question="poses", verdict="unclear", hypotheses=table,
+            sentence=f"Mesh and photographs do not fit ({_fit(current)}), and no known mistake "
+            "explains it: check the scale of mesh and poses, and whether they belong together.",
+        ), current  # fmt: skip
+    if chosen is current:
+        also = f"; {_either(alternatives)} would fit as well" if alternatives else ""
+        return Finding(
+            question="poses", verdict="fits", hypotheses=table, alternatives=alternatives,
+            sentence=f"Cameras and mesh fit the photographs ({_fit(current)}{also}).",
+        ), current  # fmt: skip
+    if alternatives:
+        return Finding(
+            question="poses", verdict="unclear", hypotheses=table, fixes=names,
+            alternatives=alternatives,
+            sentence=f"Cameras and mesh do not fit the photographs ({_fit(current)}); "
+            f"{_either((names, *alternatives))} explains them equally well ({_fit(chosen)}): the "
+            "object is too symmetric to tell.",
+        ), chosen  # fmt: skip
+    return Finding(
+        question="poses", verdict="wrong", hypotheses=table, fixes=names,
+        sentence=f"{_causes(names)}: {_fit(chosen)} instead of {_fit(current)}.",
+    ), chosen  # fmt: skip
+
+
+def _pose_table(scores: Sequence[PoseScore]) -> tuple[Hypothesis, ...]:
+    return tuple(
+        Hypothesis(
+            fixes=score.hypothesis.names,
+            score=score.total,
+            cues={
+                "silhouettes" if score.masked else "edges": score.silhouette,
+                "views agree": score.agreement,
+                "texture": score.texture,
+            },
+        )
+        for score in scores
+    )
+
+
+def _is_poor(score: PoseScore) -> bool:
+    if score.masked:
+        return score.silhouette < POOR_OVERLAP
+    return score.silhouette < POOR_CONTRAST and score.agreement < POOR_AGREEMENT
+
+
+def _fit(score: PoseScore) -> str:
+    kind = "silhouettes overlap by" if score.masked else "contrast along the outline"
+    return f"{kind} {score.silhouette:.2f}, views agree by {score.agreement:.2f}"
+
+
+def texture_unknown(reason: str) -> Finding:
+    """Return the finding that nothing can be said of V."""
+    return Finding(question="texture", verdict="unknown", sentence=f"{reason}.")
+
+
+def judge_texture(as_it_is: tuple[float, np.ndarray], turned: tuple[float, np.ndarray]) -> Finding:
+    """Decide on the V axis of texture coordinates, by two ``texture_fit``."""
+    (plain, misfit), (flipped, misfit_flipped) = as_it_is, turned
+    table = [
+        Hypothesis(fixes=fixes, score=fit, cues={"texture": fit})
+        for fixes, fit in (((), plain), (("texture-flip-v",), flipped))
+    ]
+    hypotheses = tuple(sorted(table, key=lambda one: -one.score))
+    known = np.isfinite(misfit) & np.isfinite(misfit_flipped)
+    difference = (misfit - misfit_flipped)[known]
+    figures = f"correlation with the photographs {plain:.2f}, flipped {flipped:.2f}"
+    if max(plain, flipped) < 0.1:
+        verdict, words = "unknown", "The texture resembles the photographs neither way"
+    elif flipped - plain > FLIP_GAIN and certain(difference):
+        return Finding(
+            question="texture", verdict="wrong", hypotheses=hypotheses, fixes=("texture-flip-v",),
+            sentence=f"{_causes(('texture-flip-v',))}: {figures}.",
+        )  # fmt: skip
+    elif plain - flipped > FLIP_GAIN and certain(-difference):
+        verdict, words = "fits", "The texture fits the photographs"
+    else:
+        verdict, words = "unknown", "Which way V of the texture runs cannot be told"
+    return Finding(
+        question="texture", verdict=verdict, hypotheses=hypotheses,  # type: ignore[arg-type]
+        sentence=f"{words} ({figures}).",
+    )  # fmt: skip
+
+
+def judge_light(scores: Sequence[LightScore]) -> Finding:
+    """Decide on the axes of the environment map.
+
+    Args:
+        scores: best first, all 48; none if nothing is seen of the object.
+    """
+    if not scores:
+        return light_unknown("too little of the object is seen")
+    best, current = scores[0], next(s for s in scores if not s.hypothesis.fixes)
+    table, gain = _light_table(scores), best.total - current.total
+    near = indistinguishable(scores, best, LIGHT_MARGIN)
+    alternatives = tuple(score.hypothesis.names for score in near)
+    figures = _light_figures(current)
+    if best.total - min(score.total for score in scores) < LIGHT_RANGE:
+        return light_unknown("it is even, or the object shows too little of it", table)
+    if gain <= LIGHT_GAIN or _support(best, current) < 2:
+        as_good = indistinguishable(scores, current, LIGHT_MARGIN)
+        others = tuple(s.hypothesis.names for s in as_good if len(s.hypothesis.fixes) == 1)
+        also = f"; {_either(others)} would fit as well" if others else ""
+        return Finding(
+            question="light", verdict="fits", hypotheses=table, alternatives=others,
+            sentence=f"The light fits the photographs ({figures}{also}).",
+        )  # fmt: skip
+    names = best.hypothesis.names
+    if alternatives:
+        return Finding(
+            question="light", verdict="unclear", hypotheses=table, fixes=names,
+            alternatives=alternatives,
+            sentence=f"The light does not fit the photographs ({figures}); "
+            f"{_either((names, *alternatives))} would, and which of them cannot be told.",
+        )  # fmt: skip
+    return Finding(
+        question="light", verdict="wrong", hypotheses=table, fixes=names,
+        sentence=f"{_causes(names)}: {_light_figures(best)} instead of {figures}.",
+    )  # fmt: skip
+
+
+def light_unknown(reason: str, table: tuple[Hypothesis, ...] = ()) -> Finding:
+    """Return the finding that the axes of the light cannot be told."""
+    return Finding(
+        question="light", verdict="unknown", hypotheses=table,
+        sentence=f"How the light lies cannot be told: {reason}.",
+    )  # fmt: skip
+
+
+def _support(one: LightScore, other: LightScore) -> int:
+    """Count the cues that speak for one against another; one alone may be chance."""
+    pairs = ((one.shading, other.shading), (one.bare, other.bare),
+             (one.highlights, other.highlights))  # fmt: skip
+    return sum(a > max(b + 0.01, SPEAKING) for a, b in pairs)
+
+
+def _light_table(scores: Sequence[LightScore]) -> tuple[Hypothesis, ...]:
+    return tuple(
+        Hypothesis(
+            fixes=score.hypothesis.names,
+            score=score.total,
+            cues={
+                "shading": score.shading,
+                "shading alone": score.bare,
+                "highlights": score.highlights,
+            },
+        )
+        for score in scores
+    )
+
+
+def _light_figures(score: LightScore) -> str:
+    return f"shading correlates {score.shading:.2f}, highlights explained {score.highlights:.0%}"
+
+
+def _causes(names: Sequence[str]) -> str:
+    text = "; ".join(dict.fromkeys(FIXES[name].cause for name in names))
+    return text[0].upper() + text[1:]
+
+
+def _either(alternatives: Sequence[Sequence[str]]) -> str:
+    return " or ".join(" + ".join(names) if names else "no correction" for names in alternatives)

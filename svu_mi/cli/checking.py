@@ -1,0 +1,93 @@
+"""``svu check``: do poses, mesh, light and photographs belong together?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from svu_mi.cli.inputs import Common, Defines, Output, Scene, given, parse_defines
+from svu_mi.progress import Progress
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from svu_mi.checking.record import Check
+
+SHOWN = 5  # views that fit worst, in the table
+WRONG = 3  # exit status with --strict
+MARKS = {"fits": "fits", "wrong": "WRONG", "unclear": "UNCLEAR", "unknown": "not told"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckCapture(Common):
+    """Compare photographs with mesh, poses and light, and name the fix if axes are wrong.
+
+    Tries every known mistake: axes of cameras and mesh, inverse poses, how the environment map
+    lies, V of the texture. Works with or without masks. Writes check.html and check.json.
+    """
+
+    scene: Scene
+    """Mitsuba scene with one sensor per photograph, or a capture folder."""
+    images: Path | None = None
+    """Folder with view_0000.exr, ..."""
+    output: Output = Path("out")
+    define: Defines = ()
+    shape: str | None = None
+    """Id of the object, if the scene has several."""
+    strict: bool = False
+    """End with status 3 if something does not fit."""
+
+    def run(self, console: Console) -> int:
+        """Check, print what was found, and write the page."""
+        from svu_mi.capture import load_capture
+        from svu_mi.checking import check
+        from svu_mi.files import prepare_folder
+        from svu_mi.output.check_page import write_check
+
+        defines = parse_defines(self.define)
+        prepare_folder(self.output)
+        self.start()
+        progress = Progress(console)
+        with progress.stage("Loading the capture"):
+            capture = load_capture(self.scene, self.images, shape=self.shape, defines=defines)
+        found = check(capture, progress=progress)
+        with progress.stage("Writing the page"):
+            write_check(capture, found, self.output, settings=given(self))
+        _print(console, found)
+        console.print(
+            f"Wrote {self.output / 'check.html'}", markup=False, highlight=False, soft_wrap=True
+        )
+        return WRONG if self.strict and not found.fits else 0
+
+
+def _print(console: Console, found: Check) -> None:
+    from svu_mi.output.check_page import remedy, verdict
+
+    console.print(_views(found))
+    for one in found.findings:
+        line = f"{one.question} ({MARKS[one.verdict]}): {one.sentence}"
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    for line in (verdict(found), remedy(found)):
+        if line:
+            console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _views(found: Check) -> Any:
+    """Return a table of the views that fit worst, and of all of them, before and after."""
+    from rich.table import Table
+
+    from svu_mi.checking.record import Summary
+
+    table = Table("", "IoU", "edges", "colour error", box=None)
+    for view in found.worst[:SHOWN]:
+        table.add_row(view.name, *_cells(view))
+    table.add_row(f"all {len(found.views)}", *_cells(Summary.of(found.views)))
+    if found.corrected is not found.views:
+        table.add_row("all, corrected", *_cells(Summary.of(found.corrected)))
+    return table
+
+
+def _cells(one: Any) -> list[str]:
+    values = (one.overlap, one.contrast, one.color_error)
+    return ["-" if value is None else f"{value:.2f}" for value in values]
