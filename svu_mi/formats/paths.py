@@ -48,7 +48,7 @@ def _is_usable(parts: tuple[str, ...]) -> bool:
     except UnicodeEncodeError:  # half a surrogate pair, which JSON can spell
         return False
     fits = max(sizes) <= LONGEST and sum(sizes) + len(sizes) <= LONGEST_PATH
-    return fits and "\0" not in "".join(parts)
+    return fits and min("".join(parts), default=" ") >= " "  # neither NUL nor a new line
 
 
 def _shown(name: Any) -> str:
