@@ -17,6 +17,7 @@ from svu_mi.files import replacing
 log = logging.getLogger(__name__)
 
 UNWRAPPED = "unwrapped.ply"
+MAX_CHART = 4096  # texels of an atlas of about 1024; packing a longer sliver takes for ever
 
 
 def unwrap(mesh: Any) -> Any:
@@ -36,9 +37,11 @@ def unwrap(mesh: Any) -> Any:
     source = arrays(mesh)
     if len(source.faces) == 0:
         raise MeshError(f"Shape '{mesh.id()}' has no faces, so there is nothing to unwrap.")
-    vmap, faces, uvs = xatlas.parametrize(
-        source.positions.astype(np.float32), source.faces.astype(np.uint32)
-    )
+    atlas, packing = xatlas.Atlas(), xatlas.PackOptions()
+    packing.max_chart_size = MAX_CHART
+    atlas.add_mesh(source.positions.astype(np.float32), source.faces.astype(np.uint32))
+    atlas.generate(pack_options=packing)
+    vmap, faces, uvs = atlas.get_mesh(0)
     if len(faces) != len(source.faces) or not np.isfinite(uvs).all():
         raise MeshError(
             f"Shape '{mesh.id()}' cannot be unwrapped automatically; "
