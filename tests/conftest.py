@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from browser import Browser
 
@@ -13,6 +16,7 @@ import svu_mi  # noqa: F401
 
 ROOT = Path(__file__).parent.parent
 VARIANT = "llvm_ad_rgb"
+MAPS = 64  # of filtered light, that are kept: less than 100 MB
 # Read when Dr.Jit is first imported: compiled kernels are kept with the checkout, not in HOME.
 os.environ.setdefault("DRJIT_CACHE_DIR", str(ROOT / ".pytest_cache" / "drjit"))
 
@@ -24,14 +28,54 @@ def _variant_is_set() -> None:
     mi.set_variant(VARIANT)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _light_is_filtered_once() -> None:
+    """The same light and the same lobes come again in many tests, and take NumPy 0.3 s each.
+
+    What is kept is what ``convolve`` has returned for exactly these arguments.
+    """
+    from svu_mi.radiance import levels
+
+    convolve, kept = levels.convolve, {}
+
+    def once(grid: np.ndarray, width: float, profile: partial) -> np.ndarray:
+        light = hashlib.blake2b(np.ascontiguousarray(grid)).digest()
+        key = (light, grid.shape, width, profile.func, profile.args)
+        found = kept.get(key)  # several threads do this
+        if found is None:
+            if len(kept) >= MAPS:
+                kept.clear()
+            found = kept[key] = convolve(grid, width, profile)
+        return found
+
+    levels.convolve = once
+
+
 @pytest.fixture
 def variant() -> Iterator[str]:
-    """Name of the active variant; a test that changes it finds it restored afterwards."""
+    """Name of the active variant; a test that changes it finds it restored afterwards.
+
+    So is how much Mitsuba logs, which ``svu`` changes, too.
+    """
     import mitsuba as mi
 
     yield VARIANT
     if mi.variant() != VARIANT:
         mi.set_variant(VARIANT)
+    mi.set_log_level(mi.LogLevel.Warn)
+
+
+@pytest.fixture(scope="session")
+def shot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A capture folder rendered by ``svu``: the vase, 8 views placed on a sphere. Read only."""
+    from helpers import run
+
+    from svu_mi import scenes
+
+    folder = tmp_path_factory.mktemp("shot")
+    words = ("render", scenes.path("vase"), "-D", "light=window", "--views", 8)
+    assert run(*words, "--resolution", 40, 32, "--spp", 4, "-o", folder) == 0
+    return folder
 
 
 @pytest.fixture(scope="session")

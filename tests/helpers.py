@@ -1,4 +1,4 @@
-"""Small objects that several tests look at: a sphere with one chart, and scenes around it."""
+"""What several tests use: a sphere with one chart, scenes around it, and ``svu`` itself."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture import render_capture
 from svu_mi.capture.poses import sphere_sensors
 from svu_mi.capture.record import Capture
+from svu_mi.cli.main import main
 from svu_mi.exr import write_exr
 from svu_mi.formats import fixes
 from svu_mi.formats.resampling import squared
@@ -35,6 +36,29 @@ SPHERE_XML = """<scene version="3.0.0">
   {extra}
 </scene>
 """
+
+
+def run(*words: object) -> int:
+    """Run ``svu`` in this process, and return its status."""
+    return main([str(word) for word in words])
+
+
+def last_line(capsys: Any, warnings: int = 0) -> str:
+    """Return the one line that ``svu`` has said about itself, after so many warnings."""
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("svu: ")]
+    assert [line.startswith("svu: warning") for line in lines] == [True] * warnings + [False], lines
+    return lines[-1]
+
+
+def fails(capsys: Any, *words: object, warnings: int = 0) -> str:
+    """Run ``svu``, expect status 2, and return its one line."""
+    assert run(*words) == 2
+    return last_line(capsys, warnings)
+
+
+def names(folder: Path) -> list[str]:
+    """Return the names of a folder's files, in order."""
+    return sorted(path.name for path in folder.iterdir())
 
 
 def ball(columns: int = 48, rows: int = 24) -> capture_mesh.MeshArrays:

@@ -8,6 +8,7 @@ import shutil
 import sys
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import mitsuba as mi
 import numpy as np
@@ -16,7 +17,9 @@ from helpers import ball, sensor_xml, write_scene
 from PIL import Image
 
 from svu_mi.capture import load_capture, render_capture
+from svu_mi.capture.mesh import arrays, make
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
+from svu_mi.capture.unwrap import unwrap
 from svu_mi.errors import (
     CaptureError,
     OptionError,
@@ -550,3 +553,10 @@ def test_loading_leaves_no_warning_when_all_is_well(scene):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         load_capture(scene)
+
+
+def test_tiny_meshes_are_unwrapped_like_large_ones():
+    """xatlas alone takes the triangles of a ball of 3 mm, in metres, for degenerate ones."""
+    given = ball(24, 12)
+    small = make("ball", replace(given, positions=given.positions * 1e-3, uvs=None))
+    assert np.isfinite(arrays(unwrap(small)).uvs).all()

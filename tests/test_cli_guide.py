@@ -7,36 +7,20 @@ import json
 import shutil
 from typing import get_args
 
-import mitsuba as mi
 import numpy as np
 import pytest
-from helpers import sensor_xml, write_scene
+from helpers import fails, names, run, sensor_xml, write_scene
 
 import svu_mi as svu
-from svu_mi import scenes
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.guide import Guide, Strategy
-from svu_mi.cli.main import main
 from svu_mi.exr import read_exr
 from svu_mi.guidance import STRATEGIES
 
 MISSING = (2, 5, 6)  # photographs that the scene has sensors for, but nobody has taken
 
 
-@pytest.fixture(autouse=True)
-def _restore(variant):
-    yield
-    mi.set_variant(variant)
-    mi.set_log_level(mi.LogLevel.Warn)
-
-
-@pytest.fixture(scope="module")
-def shot(tmp_path_factory):
-    """A rendered capture folder of the vase, 8 views placed on a sphere."""
-    folder = tmp_path_factory.mktemp("shot")
-    words = ("render", scenes.path("vase"), "-D", "light=window", "--views", 8)
-    assert run(*words, "--resolution", 40, 32, "--spp", 4, "-o", folder) == 0
-    return folder
+pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
 
 
 @pytest.fixture(scope="module")
@@ -59,26 +43,9 @@ def no_page(monkeypatch):
     monkeypatch.setattr("svu_mi.output.guidance.write_guidance_overview", nothing)
 
 
-def run(*words):
-    """Run the program in this process."""
-    return main([str(word) for word in words])
-
-
 def guide(shot, out, *words):
     """Run ``svu guide`` on a capture, briefly."""
     return run("guide", shot, "-o", out, "--resolution", 32, "--texels", 400, *words)
-
-
-def fails(capsys, *words):
-    """Run the program, expect status 2, and return its one line."""
-    assert run(*words) == 2
-    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("svu: ")]
-    assert len(lines) == 1, lines
-    return lines[0]
-
-
-def names(folder):
-    return sorted(path.name for path in folder.iterdir())
 
 
 def plan(folder):

@@ -11,67 +11,43 @@ import time
 import mitsuba as mi
 import numpy as np
 import pytest
-from helpers import sensor_xml, write_scene
+from helpers import fails, last_line, names, run, sensor_xml, write_scene
 
-from svu_mi import scenes
 from svu_mi.cli.inputs import was_interrupted
-from svu_mi.cli.main import main
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.output.textures import read_textures, write_textures
 from svu_mi.recovery import descent
 from svu_mi.recovery.interrupts import between_steps
 from svu_mi.recovery.textures import NAMES, Textures
 
-FILES = [
+PICTURES = ["recovery.png", "relit.png"]
+NUMBERS = [
     "assets", "base_color.exr", "coverage.exr", "losses.csv", "metallic.exr", "recovered.xml",
-    "recovery.png", "relit.png", "roughness.exr", "run.json",
+    "roughness.exr", "run.json",
 ]  # fmt: skip
+FILES = sorted([*NUMBERS, *PICTURES])
 SIZE = 32
-STEPS = 400  # enough to be interrupted in
+STEPS = 150  # enough to be interrupted in
 
 
-@pytest.fixture(autouse=True)
-def _restore(variant):
-    yield
-    mi.set_variant(variant)
-    mi.set_log_level(mi.LogLevel.Warn)
+pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
 
 
-@pytest.fixture(scope="module")
-def shot(tmp_path_factory):
-    """A rendered capture folder of the vase, 8 views placed on a sphere."""
-    folder = tmp_path_factory.mktemp("shot")
-    words = ("render", scenes.path("vase"), "-D", "light=window", "--views", 8)
-    assert run(*words, "--resolution", 40, 32, "--spp", 4, "-o", folder) == 0
-    return folder
+def leave_out_pictures(patch):
+    """Of a recovery's results, they take longest, and others look at them."""
+    for name in ("compare", "write_relit", "write_recovery_overview"):
+        patch.setattr(f"svu_mi.output.recovery.{name}", lambda *_: None)
 
 
-def run(*words):
-    """Run the program in this process."""
-    return main([str(word) for word in words])
+@pytest.fixture
+def no_pictures(monkeypatch):
+    leave_out_pictures(monkeypatch)
 
 
 def recover(shot, out, *words):
     """Run ``svu recover`` on the capture, briefly."""
     steps = () if "path" in words else ("--steps", 20)
     return run("recover", shot, "-o", out, "--resolution", SIZE, *steps, *words)
-
-
-def last_line(capsys):
-    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("svu: ")]
-    lines = [line for line in lines if not line.startswith("svu: warning")]
-    assert len(lines) == 1, lines
-    return lines[0]
-
-
-def fails(capsys, *words):
-    """Run the program, expect status 2, and return its one line."""
-    assert run(*words) == 2
-    return last_line(capsys)
-
-
-def names(folder):
-    return sorted(path.name for path in folder.iterdir())
 
 
 def maps(folder):
@@ -111,7 +87,7 @@ def test_the_path_tracer_recovers_too(shot, tmp_path, method):
     assert record["settings"]["method"] == method
 
 
-def test_textures_that_are_not_asked_for_stay(shot, tmp_path):
+def test_textures_that_are_not_asked_for_stay(shot, tmp_path, no_pictures):
     rng = np.random.default_rng(1462719035)
     given = {name: np.full((SIZE, SIZE, 3 if name == "base_color" else 1), rng.random(), "f4")
              for name in NAMES}  # fmt: skip
@@ -125,15 +101,17 @@ def test_textures_that_are_not_asked_for_stay(shot, tmp_path):
     assert run("recover", shot, "-o", tmp_path / "b", "--resolution", 48, *words) == 2
 
 
-def test_without_photographs_the_scene_is_rendered_once(tmp_path, capsys, monkeypatch):
+def test_without_photographs_the_scene_is_rendered_once(
+    tmp_path, capsys, monkeypatch, no_pictures
+):
     path = write_scene(tmp_path, sensors=sensor_xml(4, 32, 32))
     words = ("recover", path, "-o", tmp_path / "out", "--resolution", 24, "--spp", 2, "--steps", 20)
-    interrupt_after(monkeypatch, 12)
-    assert run(*words) == 130
+    with monkeypatch.context() as patch:
+        interrupt_after(patch, 12)
+        assert run(*words) == 130
     assert "the scene is rendered" in capsys.readouterr().err
     photograph = tmp_path / "out" / "capture" / "view_0003.exr"
     before = photograph.stat().st_mtime_ns
-    monkeypatch.undo()
     assert run(*words, "--resume") == 0
     assert photograph.stat().st_mtime_ns == before
 
@@ -150,17 +128,19 @@ def interrupt_after(monkeypatch, steps):
     monkeypatch.setattr(descent._Run, "advance", interrupted)
 
 
-def test_an_interrupted_run_goes_on_to_the_same_textures(shot, tmp_path, capsys, monkeypatch):
+def test_an_interrupted_run_goes_on_to_the_same_textures(
+    shot, tmp_path, capsys, monkeypatch, no_pictures
+):
     assert recover(shot, tmp_path / "whole") == 0
     capsys.readouterr()
-    interrupt_after(monkeypatch, 11)
-    assert recover(shot, tmp_path / "out") == 130
+    with monkeypatch.context() as patch:
+        interrupt_after(patch, 11)
+        assert recover(shot, tmp_path / "out") == 130
     line = last_line(capsys)
     assert "checkpoint.npz" in line and "--resume" in line
     assert names(tmp_path / "out") == ["checkpoint.npz"]
-    monkeypatch.undo()
     assert recover(shot, tmp_path / "out", "--resume") == 0
-    assert names(tmp_path / "out") == FILES
+    assert names(tmp_path / "out") == NUMBERS
     whole, resumed = maps(tmp_path / "whole"), maps(tmp_path / "out")
     for name in NAMES:
         np.testing.assert_array_equal(resumed[name], whole[name])
@@ -168,9 +148,20 @@ def test_an_interrupted_run_goes_on_to_the_same_textures(shot, tmp_path, capsys,
     assert losses[0] == losses[1]
 
 
+@pytest.fixture(scope="module")
+def whole(shot, tmp_path_factory):
+    """Textures of a run that nothing stopped."""
+    folder = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        leave_out_pictures(patch)
+        words = ("--resolution", SIZE, "--steps", STEPS)
+        assert run("recover", shot, "-o", folder, *words) == 0
+    return maps(folder)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGKILL])
-def test_a_process_that_is_stopped_can_be_resumed(shot, tmp_path, kind):
+def test_a_process_that_is_stopped_can_be_resumed(shot, whole, tmp_path, no_pictures, kind):
     """Ctrl-C is answered with one line; kill -9 with nothing; both lose only what was not saved."""
     words = ["recover", shot, "-o", tmp_path / "out", "--resolution", SIZE, "--steps", STEPS]
     words = [str(word) for word in (*words, "--checkpoint-seconds", 0)]
@@ -188,16 +179,15 @@ def test_a_process_that_is_stopped_can_be_resumed(shot, tmp_path, kind):
     else:
         assert process.returncode == -signal.SIGKILL
     assert run(*words, "--resume") == 0
-    assert run(*words[:3], tmp_path / "whole", *words[4:]) == 0
-    for name, values in maps(tmp_path / "whole").items():
-        np.testing.assert_array_equal(maps(tmp_path / "out")[name], values)
+    for name, values in maps(tmp_path / "out").items():
+        np.testing.assert_array_equal(values, whole[name])
 
 
 @pytest.mark.slow
-def test_path_tracing_that_was_killed_ends_where_it_would_have(shot, tmp_path):
+def test_path_tracing_that_was_killed_ends_where_it_would_have(shot, tmp_path, no_pictures):
     """Gradients of paths are added up in any order, so it is the same up to rounding."""
     words = ["recover", shot, "-o", tmp_path / "out", "--method", "path", "--resolution", SIZE]
-    words = [str(word) for word in (*words, "--epochs", 60, "--checkpoint-seconds", 0)]
+    words = [str(word) for word in (*words, "--epochs", 30, "--checkpoint-seconds", 0)]
     process = subprocess.Popen([sys.executable, "-m", "svu_mi", *words])
     wait_for(tmp_path / "out" / "checkpoint.npz", process)
     time.sleep(np.random.default_rng().uniform(0, 0.5))
@@ -245,11 +235,11 @@ def test_ctrl_c_waits_for_the_end_of_a_step(ctrl_c):
 
 
 def wait_for(path, process):
-    for _ in range(1200):
+    for _ in range(6000):
         if path.exists():
             return
         assert process.poll() is None, process.communicate()
-        time.sleep(0.1)
+        time.sleep(0.02)
     raise AssertionError(f"{path} never came")
 
 

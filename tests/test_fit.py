@@ -65,7 +65,7 @@ CASES = [
 def test_spectra_agree_with_a_double_precision_solve(kind, views, lmax, method):
     """The method needs 1e-3 of the largest degree; rounding of the output alone is 2e-7."""
     rng = np.random.default_rng(737154091 + views)
-    d, w, f = samples(rng, 9, views, 3, kind=kind, visible=0.7)
+    d, w, f = samples(rng, 9, views, 2, kind=kind, visible=0.7)
     for preset, penalized in (("default", False), ("paper", True)):
         truth = oracle.fit(d, w, f, lmax, LAMBDA, penalized)
         got = fit_sh(d, w, f, lmax, LAMBDA, preset, method)

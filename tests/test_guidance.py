@@ -13,7 +13,7 @@ from oracle import guidance as oracle
 from scipy import stats
 
 import svu_mi as svu
-from svu_mi.capture.poses import sphere_sensors
+from svu_mi.capture.poses import directions_of, sphere_sensors
 from svu_mi.capture.scene import to_world
 from svu_mi.frequency.extend import extend_lanes
 from svu_mi.guidance import STRATEGIES, baselines
@@ -331,7 +331,8 @@ class TestGreedy:
 class TestBaselines:
     def test_farthest(self):
         rng = np.random.default_rng(0)
-        d = baselines.unit_directions(list(rng.normal(size=(30, 3))), np.zeros(3))
+        d = rng.normal(size=(30, 3))
+        d /= np.linalg.norm(d, axis=1, keepdims=True)
         strategy, taken = baselines.Farthest(d, 4), list(range(4))
         for _ in range(6):
             best = int(np.argmax(strategy.gains()))
@@ -340,6 +341,8 @@ class TestBaselines:
             assert strategy.gains()[best] == pytest.approx(angles.max())
             strategy.choose(best)
             taken.append(4 + best)
+        assert baselines.farthest(d, range(4), 6) == taken
+        assert sorted(baselines.farthest(d, [7], 99)) == list(range(30))
 
     def test_coverage_prefers_what_few_views_see(self):
         seen = np.zeros((4, 10), bool)
@@ -463,6 +466,14 @@ class TestNextBestView:
             sides = [to_world(p.sensor)[0, 3] for p in guidance.proposals]
             # One sample has hardly a spectrum: there, where the light is counts for more.
             assert max(sides) < 0 if method == "angular" else min(sides) < 0
+
+    def test_the_light_is_not_filtered_again(self, sunny):
+        capture, layout = sunny
+        estimate = svu.estimate(some(capture, range(6)), layout)
+        kept = dict(estimate.observed.lighting.lobes)
+        assert kept
+        svu.next_best_view(estimate, svu.Candidates.around(capture, 5), texels=50)
+        assert estimate.observed.lighting.lobes == kept
 
     def test_expected_gain_of_a_sample_is_that_of_all_within_its_error(self, sunny):
         capture, texels = sunny
@@ -633,10 +644,7 @@ class TestCandidates:
 
     def test_a_sphere_is_even(self):
         ball = mi.load_dict({"type": "sphere"})
-        d = baselines.unit_directions(
-            [to_world(s)[:3, 3] for s in sphere_sensors(ball, 200, (8, 8), up=(1, 2, -1))],
-            np.zeros(3),
-        )
+        d = directions_of(sphere_sensors(ball, 200, (8, 8), up=(1, 2, -1)), np.zeros(3))
         assert np.abs(d.mean(axis=0)).max() < 0.01
         nearest = np.sort(np.arccos(np.clip(d @ d.T, -1, 1)), axis=1)[:, 1]
         assert nearest.min() > 0.5 * nearest.max()

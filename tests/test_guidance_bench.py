@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import zlib
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from scipy import stats
 
 from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.cells import Settings, own_cells
-from svu_mi.bench.guidance import draw_guidance, guidance_tables, run_guidance
+from svu_mi.bench.guidance import curves, draw_guidance, guidance_tables, run_guidance
 from svu_mi.bench.guidance import run as module
 from svu_mi.bench.guidance.curves import Shoot
 from svu_mi.bench.guidance.run import few_lights
@@ -24,6 +26,7 @@ from svu_mi.bench.guidance.verdict import (
     views_needed,
 )
 from svu_mi.progress import Progress
+from svu_mi.recovery.options import ShOptions
 from svu_mi.surface import texels
 
 PICTURES = Settings(views=8, film=32, spp=4, texels=32)
@@ -33,6 +36,7 @@ TINY = Sizes(
     fewer=(8,), added=2, refits=(1, 1), repeats=1,
 )  # fmt: skip
 CELLS = own_cells(["vase"], ["window", "overcast"])
+STEPS = 15  # of every recovery: how good it is, nobody asks here
 MARKS = (1, 2, 4)
 
 
@@ -87,7 +91,11 @@ def test_few_lights_of_every_object():
 def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("guidance")
     bench = Bench(folder, PICTURES, Progress(), quick=True)
-    return bench, run_guidance(bench, CELLS, TINY)
+    options = ShOptions()
+    brief = replace(options, descent=replace(options.descent, steps=STEPS))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(curves, "recover", partial(curves.recover, sh=brief))
+        return bench, run_guidance(bench, CELLS, TINY)
 
 
 def test_every_strategy_adds_views_that_are_judged(finished):

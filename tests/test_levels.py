@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import drjit as dr
@@ -10,9 +11,10 @@ import numpy as np
 import pytest
 from oracle import angular as oracle
 
-from svu_mi.brdf.lobes import zonal_profile
+from svu_mi.brdf.lobes import profile_of, zonal_profile
 from svu_mi.interop import owned
 from svu_mi.radiance import filter_light
+from svu_mi.radiance import levels as module
 from svu_mi.radiance.environment import Environment, directions, quadrature, read_environment
 from svu_mi.radiance.levels import convolve, resolved
 from svu_mi.radiance.lighting import band_limit, lat_long_texture, look_up
@@ -181,6 +183,21 @@ def test_levels_turn_with_the_light(grey):
         truth = at(grid, local)
         truth = truth.mean(axis=1, keepdims=True) if grey else truth
         np.testing.assert_allclose(ours, truth, rtol=5e-3, atol=1e-3)
+
+
+def test_light_is_filtered_once_for_the_same_lobe(monkeypatch):
+    widths = []
+    monkeypatch.setattr(module, "convolve", lambda grid, width, _: widths.append(width) or grid)
+    lighting = band_limit(lamp_environment(np.eye(3))[1], 20)
+    first = filter_light(lighting, [0.1, 0.3], profile_of("ggx"))
+    again = filter_light(lighting, [0.3, 0.1, 0.2], profile_of("ggx"))
+    assert sorted(widths) == [0.1, 0.2, 0.3]
+    assert again.textures[:2] == first.textures[::-1]
+    filter_light(lighting, [0.1], profile_of("gaussian"))
+    filter_light(lighting, [0.1], profile_of("ggx"), grey=True)
+    assert widths[3:] == [0.1, 0.1]
+    filter_light(replace(lighting, prefilter=0.5), [0.1], profile_of("ggx"))
+    assert len(widths) == 6
 
 
 @pytest.mark.parametrize("alpha", [0.055, 0.068, 0.0816])

@@ -37,7 +37,7 @@ def text_of(output) -> str:
 
 
 def test_there_is_a_notebook():
-    names = ["entropy.ipynb", "guidance.ipynb", "recovery.ipynb"]
+    names = ["conventions.ipynb", "entropy.ipynb", "guidance.ipynb", "recovery.ipynb"]
     assert [path.name for path in NOTEBOOKS] == names
 
 

@@ -486,6 +486,9 @@ def test_a_test_needs_its_light_and_its_mask(data):
         Target.of(replace(view, light=None), 48)
     with pytest.raises(CaptureError, match="there is no mask"):
         Target.of(replace(view, frame=replace(view.frame, mask=None)), 48)
+    wide = data / "ground_truth" / FIRST / "env_map" / "0012.exr"
+    with pytest.raises(CaptureError, match="not as large as its photograph"):
+        Target.of(replace(view, frame=replace(view.frame, mask=wide)), 48)
     small = Target.of(view, 24)
     assert small.photograph.shape == (24, 24, 3) and small.mask.any()
     whole = Target.of(view, 48).photograph.reshape(24, 2, 24, 2, 3).mean(axis=(1, 3))

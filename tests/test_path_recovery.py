@@ -279,52 +279,58 @@ def test_no_usable_pixel_and_no_batch_are_refused(capture):
 # ---- gradients ----
 
 
-@pytest.mark.parametrize("halves", [True, False])
+def loss_and_gradients(objective, textures, step=0):
+    """The loss of a step, and its gradient by every texture."""
+    live = {name: mi.TensorXf(value) for name, value in textures.items()}
+    dr.enable_grad(*live.values())
+    loss = objective(live, step)
+    dr.backward(loss)
+    return number(loss), {name: np.array(value.grad) for name, value in live.items()}
+
+
+def number(loss):
+    return float(np.array(loss).ravel()[0])
+
+
 @pytest.mark.parametrize("loss", LOSSES)
-@pytest.mark.parametrize("name", NAMES)
-def test_gradients_are_those_of_finite_differences(capture, grid, loss, name, halves):
+def test_gradients_are_those_of_finite_differences(capture, grid, loss):
     """Of the mean over many paths: gradients have paths of their own, so equality is statistical.
 
-    The direction is random, so that every texel takes part with a weight of its own.
+    The direction is random, so that every texel takes part with a weight of its own. What is
+    computed in two halves is compared with differences of the whole: so is its loss.
     """
-    objective = path_objective(
-        capture, grid, options(loss=loss, spp=256, pixels_per_batch=4096, halves=halves)
+    plain, halves = (
+        path_objective(
+            capture, grid, options(loss=loss, spp=256, pixels_per_batch=4096, halves=halves)
+        )
+        for halves in (False, True)
     )
     at = random_textures(grid)
-    rng = np.random.default_rng(1)
-    direction = rng.uniform(0.5, 1.0, at[name].shape)
-
-    def value(step):
-        moved = dict(at)
-        moved[name] = tensor(np.array(at[name]) + step * direction)
-        return float(np.array(objective(moved, 0)).ravel()[0])
-
+    losses, found = zip(*(loss_and_gradients(o, at) for o in (plain, halves)), strict=True)
+    assert losses[1] == pytest.approx(losses[0], rel=0.03)  # each half is noisier
     h = 0.01  # the error of a central difference falls as h^2, its rounding rises as 1e-7 / h
-    wanted = (value(h) - value(-h)) / (2 * h)
-    live = {n: mi.TensorXf(v) for n, v in at.items()}
-    dr.enable_grad(live[name])
-    dr.backward(objective(live, 0))
-    found = float((np.array(live[name].grad) * direction).sum())
-    size = float(np.abs(np.array(live[name].grad) * direction).sum())
-    assert abs(found - wanted) < 0.03 * size
-    assert abs(wanted) > 0.1 * size  # it is not the noise that agrees
+    for name in NAMES:
+        direction = np.random.default_rng(1).uniform(0.5, 1.0, at[name].shape)
+        ahead, behind = (
+            number(plain({**at, name: tensor(np.array(at[name]) + step * direction)}, 0))
+            for step in (h, -h)
+        )
+        wanted = (ahead - behind) / (2 * h)
+        for gradient in found:
+            size = float(np.abs(gradient[name] * direction).sum())
+            assert abs((gradient[name] * direction).sum() - wanted) < 0.03 * size, name
+            assert abs(wanted) > 0.1 * size  # it is not the noise that agrees
 
 
 def test_no_path_is_weighted_by_its_own_error(capture, grid):
     """With the truth, gradients of a squared loss vanish in the mean even for two noisy paths."""
     objective = path_objective(capture, grid, options(spp=2, pixels_per_batch=4096))
 
-    def total(textures, steps):
-        sums = []
-        for step in range(steps):
-            live = {name: mi.TensorXf(value) for name, value in textures.items()}
-            for value in live.values():
-                dr.enable_grad(value)
-            dr.backward(objective(live, step))
-            sums.append([np.array(value.grad).sum() for value in live.values()])
-        return np.array(sums)
-
-    found = total(textures_of(grid), 40)
+    truth = textures_of(grid)
+    found = np.array([
+        [gradient.sum() for gradient in loss_and_gradients(objective, truth, step)[1].values()]
+        for step in range(40)
+    ])  # fmt: skip
     error = found.std(axis=0, ddof=1) / np.sqrt(len(found))
     assert np.all(np.abs(found.mean(axis=0)) < 4 * error)
 
@@ -341,16 +347,8 @@ def test_paths_without_halves_are_left_to_mitsuba(capture, grid):
 def test_true_textures_are_a_stationary_point(capture, grid, loss):
     """Within noise: of paths, and of photographs; away from the truth gradients are far larger."""
     objective = path_objective(capture, grid, options(loss=loss, spp=128, pixels_per_batch=4096))
-
-    def gradients(textures):
-        live = {name: mi.TensorXf(value) for name, value in textures.items()}
-        for value in live.values():
-            dr.enable_grad(value)
-        dr.backward(objective(live, 0))
-        return {name: np.array(value.grad) for name, value in live.items()}
-
-    truth = gradients(textures_of(grid))
-    wrong = gradients(textures_of(grid, (0.5, 0.5, 0.5), 0.5, 0.5))
+    _, truth = loss_and_gradients(objective, textures_of(grid))
+    _, wrong = loss_and_gradients(objective, textures_of(grid, (0.5, 0.5, 0.5), 0.5, 0.5))
     for name in NAMES:
         # The mean over texels: an absolute error has a gradient of size 1 at every pixel, whose
         # sign is what cancels.

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -30,9 +29,9 @@ from svu_mi.brdf.lobes import (
     ALBEDO_NODES,
     dielectric_albedo,
     dominance,
+    profile_of,
     reflected_at_view,
     split_sum,
-    zonal_profile,
 )
 from svu_mi.brdf.principled import alpha_from_roughness
 from svu_mi.interop import owned
@@ -83,8 +82,7 @@ def continuous(
     """
     roughness = np.linspace(0, 1, levels)
     widths = alpha_from_roughness(roughness)
-    profile = partial(zonal_profile, switches.lobe)
-    filtered = filter_light(lighting, widths, profile, grey=channels == 1)
+    filtered = filter_light(lighting, widths, profile_of(switches.lobe), grey=channels == 1)
     return _continuous(switches, filtered, roughness)
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -24,9 +23,9 @@ from svu_mi.brdf.lobes import (
     ALBEDO_NODES,
     dielectric_albedo,
     dominance,
+    profile_of,
     reflected_at_view,
     split_sum,
-    zonal_profile,
 )
 from svu_mi.brdf.principled import alpha_from_roughness
 from svu_mi.frequency import harmonics
@@ -93,13 +92,12 @@ def reflection(
     """
     channels = channels or switches.colors
     alpha = alpha_from_roughness(roughness)
-    profile = partial(zonal_profile, switches.lobe)
     # Rays first: Dr.Jit traces them while NumPy filters the light.
     arriving = reaching(scene, surface, lighting, switches, channels)
     return Reflection(
         switches=switches,
         roughness=roughness,
-        levels=filter_light(lighting, alpha, profile, grey=channels == 1),
+        levels=filter_light(lighting, alpha, profile_of(switches.lobe), grey=channels == 1),
         albedo=owned(mi.Float, split_sum(alpha).ravel()),
         dielectric=owned(mi.Float, dielectric_albedo(alpha).ravel()),
         arriving=arriving,

@@ -34,38 +34,33 @@ def basis(directions: np.ndarray, lmax: int) -> np.ndarray:
     theta, phi = np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
     columns = []
     for l in range(lmax + 1):
-        for m in range(-l, l + 1):
-            complex_y = sph_harm_y(l, abs(m), theta, phi)
-            if m == 0:
-                columns.append(complex_y.real)
-            else:
-                columns.append(math.sqrt(2) * (complex_y.real if m > 0 else complex_y.imag))
+        middle, *sides = (sph_harm_y(l, m, theta, phi) for m in range(l + 1))
+        columns += [math.sqrt(2) * side.imag for side in reversed(sides)]
+        columns += [middle.real, *(math.sqrt(2) * side.real for side in sides)]
     return np.stack(columns, axis=-1)
 
 
 def normal_equations(
-    directions: np.ndarray,
+    Y: np.ndarray,
     weights: np.ndarray,
     values: np.ndarray,
-    lmax: int,
     regularizer: float,
     penalize_constant: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Y^T W^2 Y + lambda R and Y^T W^2 f of one texel: (N, N) and (N, C), N = (lmax + 1)^2.
 
     Args:
-        directions: (V, 3), of visible views only, as everything here.
+        Y: (V, N) the basis in the directions of visible views; only these are here.
         weights: (V,) w.
         values: (V, C).
-        lmax: highest degree.
         regularizer: lambda.
         penalize_constant: R_00 = 1, else 0.
     """
+    lmax = math.isqrt(Y.shape[1]) - 1
     ridge = np.exp(degrees(lmax).astype(np.float64))
     if not penalize_constant:
         ridge[0] = 0
     w, f = weights.astype(np.float64)[:, None], values.astype(np.float64)
-    Y = basis(directions, lmax)
     return Y.T @ (w**2 * Y) + regularizer * np.diag(ridge), Y.T @ (w**2 * f)
 
 
@@ -92,13 +87,13 @@ def fit(
     """
     texels, _, channels = values.shape
     coefficients = np.zeros((texels, (lmax + 1) ** 2, channels))
+    Y = basis(directions, lmax)  # of all texels at once: a call of SciPy's costs most
     for t in range(texels):
         seen = weights[t] > 0
         if seen.any():
             normal, right = normal_equations(
-                directions[t, seen], weights[t, seen], values[t, seen],
-                lmax, regularizer, penalize_constant,
-            )  # fmt: skip
+                Y[t, seen], weights[t, seen], values[t, seen], regularizer, penalize_constant
+            )
             coefficients[t] = np.linalg.solve(normal, right)
     return coefficients
 

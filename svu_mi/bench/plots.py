@@ -47,13 +47,19 @@ def draw_plots(folder: Path, record: Record) -> list[Path]:
             wanted["switches"] = _switches
     if record["speed"]:
         wanted["scaling"] = _scaling
-    paths = []
-    for name, draw in wanted.items():
-        path = folder / f"{name}.png"
-        with replacing(path) as temporary:
-            draw(record).savefig(temporary)
-        paths.append(path)
-    return paths
+    return [save(draw(record), folder, name) for name, draw in wanted.items()]
+
+
+def save(figure: Figure, folder: Path, name: str) -> Path:
+    """Write a figure into a folder, and return the PNG file.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    path = folder / f"{name}.png"
+    with replacing(path) as temporary:
+        figure.savefig(temporary)
+    return path
 
 
 def page(width: float, height: float) -> Figure:

@@ -7,7 +7,8 @@ angle of view is left to the directional albedo, and to where the lobe points.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Callable
+from functools import lru_cache, partial
 from typing import Any
 
 import drjit as dr
@@ -37,6 +38,12 @@ def zonal_profile(lobe: Lobe, alpha: float, cosine: np.ndarray) -> np.ndarray:
         return np.exp(-((np.arccos(cosine) / (2 * alpha)) ** 2))
     distribution = (alpha / ((1 + cosine) / 2 * (alpha**2 - 1) + 1)) ** 2
     return np.where(cosine > 0, distribution * smith_g1(np.maximum(cosine, 1e-6), alpha), 0)
+
+
+@lru_cache
+def profile_of(lobe: Lobe) -> Callable[[float, np.ndarray], np.ndarray]:
+    """Return ``zonal_profile`` of a lobe by width and cosine; the same function every time."""
+    return partial(zonal_profile, lobe)
 
 
 def smith_g1(cosine: Any, alpha: Any) -> Any:

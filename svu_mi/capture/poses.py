@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import mitsuba as mi
@@ -125,6 +125,14 @@ def focal_length(sensor: Any) -> float:
     return float(record["film"][0] / 2 / np.tan(np.radians(record["x_fov"]) / 2))
 
 
+def principal_point(sensor: Any) -> tuple[float, float]:
+    """Return (cx, cy) in pixels of the photograph; (0, 0) is the corner of its first pixel."""
+    record = describe(sensor)
+    film, offset, crop = (record[k] for k in ("film", "principal_point_offset", "crop_offset"))
+    x, y = (film[k] * (0.5 - offset[k]) - crop[k] for k in range(2))
+    return x, y
+
+
 def _check_numbers(record: Mapping[str, Any], label: str) -> None:
     """Refuse numbers that Mitsuba would take and then see nothing with."""
     pose = np.array(record["to_world"], np.float64)
@@ -220,6 +228,13 @@ def bounding_sphere(shape: Any) -> tuple[np.ndarray, float]:
     center = (low + high) / 2
     points = arrays(shape).positions if shape.is_mesh() else np.stack([low, high])
     return center, float(np.linalg.norm(points - center, axis=1).max())
+
+
+def directions_of(sensors: Iterable[Any], center: np.ndarray) -> np.ndarray:
+    """Unit vectors (V, 3) from a point to sensors; along +Y for a sensor at that very point."""
+    offsets = np.array([to_world(sensor)[:3, 3] - center for sensor in sensors]).reshape(-1, 3)
+    lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
+    return np.where(lengths > 0, offsets / np.maximum(lengths, 1e-30), (0.0, 1.0, 0.0))
 
 
 def _look_at(origin: np.ndarray, target: np.ndarray, up: Sequence[float]) -> np.ndarray:

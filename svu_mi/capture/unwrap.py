@@ -37,9 +37,12 @@ def unwrap(mesh: Any) -> Any:
     source = arrays(mesh)
     if len(source.faces) == 0:
         raise MeshError(f"Shape '{mesh.id()}' has no faces, so there is nothing to unwrap.")
+    # Of unit size: xatlas works in single precision and takes small triangles for degenerate ones.
+    low, high = source.positions.min(axis=0), source.positions.max(axis=0)
+    unit = (source.positions - low) / max(float((high - low).max()), 1e-300)
     atlas, packing = xatlas.Atlas(), xatlas.PackOptions()
     packing.max_chart_size = MAX_CHART
-    atlas.add_mesh(source.positions.astype(np.float32), source.faces.astype(np.uint32))
+    atlas.add_mesh(unit.astype(np.float32), source.faces.astype(np.uint32))
     atlas.generate(pack_options=packing)
     vmap, faces, uvs = atlas.get_mesh(0)
     if len(faces) != len(source.faces) or not np.isfinite(uvs).all():

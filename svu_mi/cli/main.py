@@ -19,6 +19,7 @@ from svu_mi.cli.importing import Import
 from svu_mi.cli.inputs import was_interrupted
 from svu_mi.cli.recover import Recover
 from svu_mi.cli.reporting import Report
+from svu_mi.cli.viewing import View
 from svu_mi.errors import SvuError
 
 Command = (
@@ -28,6 +29,7 @@ Command = (
     | Annotated[Recover, tyro.conf.subcommand("recover")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Export, tyro.conf.subcommand("export")]
+    | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.picture import Transfer
-from svu_mi.capture.poses import describe, film_size, focal_length, make_sensor
+from svu_mi.capture.poses import film_size, focal_length, make_sensor, principal_point
+from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError
 
 # Columns of a camera-to-world rotation that change their sign on the way to Mitsuba's camera:
@@ -128,14 +129,13 @@ def frame_of(sensor: Any, image: Path, **fields: Any) -> Frame:
         image: its photograph, which need not exist.
         fields: others of ``Frame``.
     """
-    record, focal = describe(sensor), focal_length(sensor)
-    film, shift, crop = (record[k] for k in ("film", "principal_point_offset", "crop_offset"))
+    focal = focal_length(sensor)
     return Frame(**{
         "label": image.name,
         "image": image,
-        "to_world": np.array(record["to_world"]),
+        "to_world": to_world(sensor),
         "focal": (focal, focal),
-        "center": tuple(film[k] * (0.5 - shift[k]) - crop[k] for k in (0, 1)),
+        "center": principal_point(sensor),
         "size": film_size(sensor),
         **fields,
     })  # fmt: skip

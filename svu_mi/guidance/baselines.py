@@ -29,6 +29,29 @@ class Farthest:
         self._angles = np.minimum(self._angles, own)
 
 
+def farthest(directions: np.ndarray, taken: Sequence[int], count: int) -> list[int]:
+    """Add directions by farthest-point sampling.
+
+    Args:
+        directions: (V, 3), of unit length.
+        taken: indices of those to start from.
+        count: how many to add.
+
+    Returns:
+        ``taken``, and ``count`` more, or fewer if there are fewer.
+    """
+    chosen = list(taken)
+    strategy = Farthest(np.concatenate([directions[chosen], directions]), len(chosen))
+    free = np.ones(len(directions), bool)
+    free[chosen] = False
+    for _ in range(min(count, int(free.sum()))):
+        best = int(np.argmax(np.where(free, strategy.gains(), -np.inf)))
+        strategy.choose(best)
+        free[best] = False
+        chosen.append(best)
+    return chosen
+
+
 def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.arccos(np.clip(a @ b.T, -1, 1))
 
@@ -127,9 +150,3 @@ def jacobians(table: np.ndarray, grid: PrincipledGrid, cells: np.ndarray) -> np.
     by_color = (1 - m) * e + m * p
     slopes = np.stack([by_roughness, by_metallic, by_color], axis=-1)
     return np.sqrt(2) * np.where(np.array(grid.shape) > 1, slopes, 0)
-
-
-def unit_directions(positions: Sequence[np.ndarray], center: np.ndarray) -> np.ndarray:
-    """Directions (V, 3) from a centre to positions."""
-    offsets = np.asarray(positions, np.float64).reshape(-1, 3) - center
-    return offsets / np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-30)

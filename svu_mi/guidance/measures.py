@@ -14,6 +14,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.posterior.streaming import nats
+
 FAR = 60.0  # exp(-FAR) adds nothing to the sum over cells, of which one is exp(0)
 
 Cell = tuple[Any, Any, Any]
@@ -41,7 +43,7 @@ class Measure(Protocol):
 
 @dataclass(frozen=True)
 class Entropy:
-    """Normalised entropy of Eq. 5: H = (log Z + sum p x) / log n.
+    """Normalised entropy of Eq. 5: H = ``nats`` / log n.
 
     Attributes:
         cells: n.
@@ -72,8 +74,7 @@ class Entropy:
     def value(self, sums: list[Any], truth: Cell | None) -> Any:
         """H, whatever the truth."""
         del truth
-        z, zx = sums
-        return (dr.log(z) + zx / z) * dr.opaque(mi.Float, float(1 / np.log(self.cells)))
+        return nats(*sums) * dr.opaque(mi.Float, float(1 / np.log(self.cells)))
 
 
 @dataclass(frozen=True)

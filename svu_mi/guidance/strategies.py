@@ -9,8 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.poses import bounding_sphere
-from svu_mi.capture.scene import to_world
+from svu_mi.capture.poses import bounding_sphere, directions_of
 from svu_mi.errors import OptionError
 from svu_mi.guidance import baselines
 from svu_mi.guidance.angular import AngularForecast
@@ -46,9 +45,9 @@ def find_strategy(
         return baselines.Coverage(forecast.seen, greedy.photographs)
     if name == "farthest":
         used = capture.used_sensors
-        places = [to_world(sensor)[:3, 3] for sensor in (*used, *candidates.sensors)]
         center, _ = bounding_sphere(capture.shape)
-        return baselines.Farthest(baselines.unit_directions(places, center), len(used))
+        directions = directions_of((*used, *candidates.sensors), center)
+        return baselines.Farthest(directions, len(used))
     if not isinstance(forecast, AngularForecast):
         raise OptionError(f"next_best_view(): {name} needs an estimate by method='angular'.")
     if name == "error":

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.capture.poses import bounding_sphere
-from svu_mi.capture.scene import to_world
+from svu_mi.capture.poses import bounding_sphere, directions_of
 from svu_mi.output.overview import COLORMAP, FAINT, INK, RULE, UNSEEN
 
 if TYPE_CHECKING:
@@ -42,8 +41,8 @@ def draw_directions(
 
     used = capture.used_sensors
     center, _ = bounding_sphere(capture.shape)
-    frame = _frame(np.array(up, np.float64), _directions(used, center)[0])
-    x, y = _hammer(_directions(guidance.candidates.sensors, center) @ frame.T)
+    frame = _frame(np.array(up, np.float64), directions_of(used, center)[0])
+    x, y = _hammer(directions_of(guidance.candidates.sensors, center) @ frame.T)
     gains, reachable = guidance.gains, guidance.candidates.reachable
     drawn = ScalarMappable(Normalize(*color_range(gains[reachable])), COLORMAP)
     _graticule(axes)
@@ -52,20 +51,13 @@ def draw_directions(
     colors = drawn.to_rgba(gains[reachable])
     axes.scatter(x[reachable], y[reachable], size, c=colors, lw=0)
     for color, width in (("white", 4.5), (INK, 2.0)):
-        axes.scatter(*_hammer(_directions(used, center) @ frame.T), 60, c=color, marker="x",
+        axes.scatter(*_hammer(directions_of(used, center) @ frame.T), 60, c=color, marker="x",
                      lw=width, zorder=3)  # fmt: skip
     for rank, proposal in enumerate(guidance.proposals, 1):
         k = proposal.candidate
         numbered(axes, x[k], y[k], rank, drawn.to_rgba(gains[k]), max(size, 230))
     _key(axes, bool((~reachable).any()))
     return drawn
-
-
-def _directions(sensors: Any, center: np.ndarray) -> np.ndarray:
-    """Unit vectors (V, 3) from the object to sensors; upwards for one at its very centre."""
-    offsets = np.array([to_world(sensor)[:3, 3] - center for sensor in sensors]).reshape(-1, 3)
-    lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
-    return np.where(lengths > 0, offsets / np.maximum(lengths, 1e-30), UP)
 
 
 def _frame(up: np.ndarray, first: np.ndarray) -> np.ndarray:

@@ -24,7 +24,6 @@ from svu_mi.output.maps import GUTTER, padded
 
 RECORD, PLAN, PAGE = "run.json", "guidance.json", "guidance.png"
 POSES, SENSORS, THUMBNAILS = "transforms.json", "sensors.xml", "thumbnails"
-SAMPLES = 64  # per pixel, of the sensors that are written
 
 
 def write_guidance(

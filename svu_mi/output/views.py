@@ -11,9 +11,9 @@ import numpy as np
 import svu_mi.plugins  # noqa: F401 - registers svu_entropy
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture import picture as pictures
-from svu_mi.capture.poses import scaled_sensor
+from svu_mi.capture.poses import bounding_sphere, directions_of, scaled_sensor
 from svu_mi.capture.rendering import object_mask
-from svu_mi.capture.scene import to_world
+from svu_mi.guidance.baselines import farthest
 
 SIDE = 512  # pixels of the longer side of a picture
 SAMPLES = 16
@@ -37,17 +37,10 @@ def far_apart(
     used = [index for index, used in enumerate(capture.used) if used]
     if len(used) < 2:
         return used
-    corners = np.array(capture.mesh.bbox().min), np.array(capture.mesh.bbox().max)
-    center = (corners[0] + corners[1]).ravel() / 2
-    origins = [_origin(capture.sensors[index]) for index in used]
-    directions = np.array([o - center for o in origins])
-    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
+    center, _ = bounding_sphere(capture.mesh)
     first = 0 if seen_per_view is None else int(np.argmax(seen_per_view))
-    chosen = [first]
-    while len(chosen) < min(count, len(used)):
-        nearest = (directions @ directions[chosen].T).max(axis=1)
-        nearest[chosen] = np.inf
-        chosen.append(int(np.argmin(nearest)))
+    chosen = farthest(directions_of((capture.sensors[index] for index in used), center),
+                      [first], count - 1)
     return [used[index] for index in chosen]
 
 
@@ -166,7 +159,3 @@ def _span(center: float, side: float, size: int) -> tuple[float, float]:
     side = min(side, size)
     first = min(max(center - side / 2, 0), size - side)
     return first / size, (first + side) / size
-
-
-def _origin(sensor: Any) -> np.ndarray:
-    return to_world(sensor)[:3, 3]

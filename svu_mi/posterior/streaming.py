@@ -30,8 +30,8 @@ RowEnergies = Callable[[Any], list[tuple[Any, list[Any]]]]
 def entropy(row_energies: RowEnergies, count: int, rows: Any, total: int) -> Any:
     """Return the normalised entropy (T,) of Eq. 5.
 
-    With energies x, p = exp(-x) / Z: H = (log Z + sum p x) / log n, one logarithm per texel.
-    Energies are taken relative to the smallest so far, and sums rescaled when it drops.
+    With energies x: H = ``nats`` / log n, one logarithm per texel. Energies are taken relative
+    to the smallest so far, and sums rescaled when it drops.
 
     Args:
         row_energies: energies of a row, prior included; traced once.
@@ -58,7 +58,17 @@ def entropy(row_energies: RowEnergies, count: int, rows: Any, total: int) -> Any
         cond=lambda place, *_: place < last,
         body=body,
     )
-    return dr.clip((dr.log(z) + zx / z) / float(np.log(total)), 0, 1)
+    return dr.clip(nats(z, zx) / float(np.log(total)), 0, 1)
+
+
+def nats(z: Any, zx: Any) -> Any:
+    """Return the entropy log Z + sum p x, with p = exp(-x) / Z, of energies x.
+
+    Args:
+        z: Z, the sum of exp(-x).
+        zx: the sum of exp(-x) x.
+    """
+    return dr.log(z) + zx / z
 
 
 def _combine(groups: list[tuple[Any, list[Any]]]) -> tuple[Any, Any, Any]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import drjit as dr
@@ -79,16 +80,24 @@ def _gathered(
     centers = fibonacci(count)
     rows, columns = environment.radiance.shape[:2]
     local = env.directions(columns, rows).reshape(-1, 3)
+    on_disk = cKDTree(centers).query(environment.disk_directions)[1]
+    nearest = np.concatenate([_nearest(columns, rows, count), on_disk])
     solid = np.repeat(env.quadrature(rows) * (2 * np.pi / columns), columns)
     nodes = np.concatenate([local, environment.disk_directions])
     solid = np.concatenate([solid, environment.disk_weights])
     radiance = np.concatenate([environment.radiance.reshape(-1, 3), environment.disk_radiance])
-    nearest = cKDTree(centers).query(nodes, workers=-1)[1]
     flux = _sum(nearest, radiance * solid[:, None], count)
     pull = _sum(nearest, nodes * (radiance.sum(axis=1) * solid)[:, None], count)
     length = np.linalg.norm(pull, axis=1, keepdims=True)
     # A black cell has no centroid, and needs none for its light; its centre serves the shape.
     return flux, np.where(length > 1e-12 * length.max(), pull, 1e-12 * centers), centers
+
+
+@lru_cache(maxsize=4)
+def _nearest(columns: int, rows: int, count: int) -> np.ndarray:
+    """(columns * rows,) the cell of every node of a map; kept, as all maps of a size share it."""
+    nodes = env.directions(columns, rows).reshape(-1, 3)
+    return cKDTree(fibonacci(count)).query(nodes, workers=-1)[1]
 
 
 def _cells(

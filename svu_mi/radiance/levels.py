@@ -50,7 +50,7 @@ def filter_light(
     lighting: Lighting, widths: Sequence[float], profile: Callable[[float, np.ndarray], np.ndarray],
     grey: bool = False,
 ) -> Levels:
-    """Convolve the light with a lobe of every width.
+    """Convolve the light with a lobe of every width; what was asked for before is kept.
 
     Args:
         lighting: the capture's light.
@@ -58,12 +58,16 @@ def filter_light(
         profile: weight of a lobe of width alpha by the cosine from its centre, any scale.
         grey: filter the mean of the channels only.
     """
-    grid = resolved(lighting.environment)
-    grid = grid.mean(axis=2, keepdims=True) if grey else grid
-    with ThreadPoolExecutor() as pool:  # NumPy lets go of the interpreter in what takes long
-        maps = list(pool.map(lambda width: convolve(grid, width, partial(profile, width)), widths))
-    textures = tuple(lat_long_texture(one) for one in maps)
-    return Levels(textures=textures, to_local=lighting.to_local)
+    kept = lighting.lobes
+    keys = [(float(width), profile, grey) for width in widths]
+    missing = [key for key in keys if key not in kept]
+    if missing:
+        grid = resolved(lighting.environment)
+        grid = grid.mean(axis=2, keepdims=True) if grey else grid
+        with ThreadPoolExecutor() as pool:  # NumPy lets go of the interpreter in what takes long
+            maps = pool.map(lambda key: convolve(grid, key[0], partial(profile, key[0])), missing)
+            kept.update(zip(missing, map(lat_long_texture, maps), strict=True))
+    return Levels(textures=tuple(kept[key] for key in keys), to_local=lighting.to_local)
 
 
 def resolved(environment: Environment) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import factorial
 from typing import Any
@@ -29,11 +29,14 @@ class Lighting:
         environment: what the light was read from.
         prefilter: alpha' = v^(-1/2), the width the light is band-limited with.
         to_local: Matrix3f, world to local.
+        lobes: Texture2f of the light under lobes of the BRDF, as ``filter_light`` has made them,
+            by the lobe: the estimator and guidance ask for the same ones.
     """
 
     environment: Environment
     prefilter: float
     to_local: Any
+    lobes: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def degree(self) -> int:

@@ -13,9 +13,8 @@ from svu_mi import metrics
 from svu_mi.bench.captures import chosen_views
 from svu_mi.bench.guidance.sizes import Sizes
 from svu_mi.capture import Capture
-from svu_mi.capture.poses import bounding_sphere
-from svu_mi.capture.scene import to_world
-from svu_mi.guidance.baselines import Farthest, unit_directions
+from svu_mi.capture.poses import bounding_sphere, directions_of
+from svu_mi.guidance.baselines import farthest
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.next_view import next_best_view
 from svu_mi.guidance.options import Strategy
@@ -116,14 +115,5 @@ class Shoot:
 
     def _farthest(self, views: list[int], count: int) -> list[int]:
         """Return views, and ``count`` more by farthest-point sampling."""
-        places = [to_world(sensor)[:3, 3] for sensor in self.capture.sensors]
         center, _ = bounding_sphere(self.capture.shape)
-        directions, chosen = unit_directions(places, center), list(views)
-        left = [v for v in range(self.capture.count) if v not in chosen]
-        strategy, free = Farthest(directions[chosen + left], len(chosen)), np.ones(len(left), bool)
-        for _ in range(count):
-            best = int(np.argmax(np.where(free, strategy.gains(), -np.inf)))
-            strategy.choose(best)
-            free[best] = False
-            chosen.append(left[best])
-        return chosen
+        return farthest(directions_of(self.capture.sensors, center), views, count)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.bench.guidance.verdict import object_curves
-from svu_mi.bench.plots import COLORS, INK, MARKS, page, tidy
-from svu_mi.files import replacing
+from svu_mi.bench.plots import COLORS, INK, MARKS, page, save, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,10 +37,7 @@ def draw_guidance(folder: Path, record: Record) -> list[Path]:
     left.axhline(record["sizes"].step, color=INK, linewidth=0.6, linestyle=":")
     _curves(right, record, "entropy", "mean entropy, relative to the start's")
     left.legend(frameon=False, fontsize=8)
-    path = folder / "guidance.png"
-    with replacing(path) as temporary:
-        figure.savefig(temporary)
-    return [path]
+    return [save(figure, folder, "guidance")]
 
 
 def _curves(axes: Axes, record: Record, name: str, label: str) -> None:

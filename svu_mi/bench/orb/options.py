@@ -49,7 +49,7 @@ class Sizes:
 
 
 FULL = Sizes()
-QUICK = Sizes(film=128, texels=128, spp=16, recovery=RecoverySizes(warm=False, repeats=1))
+QUICK = Sizes(film=128, texels=128, spp=64, recovery=RecoverySizes(warm=False, repeats=1))
 
 
 @dataclass(frozen=True, kw_only=True)

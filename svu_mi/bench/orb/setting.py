@@ -86,7 +86,8 @@ class Setting:
     @cached_property
     def capture(self) -> Capture:
         """Photographs of the split ``train``, imported once."""
-        folder, key = self.store.folder / "capture", key_of(self._source, self.sizes.film)
+        folder = self.store.folder / "capture"
+        key = key_of(self._source, self.sizes.film, code_and_machine())
         if self.store.load("import", key) is None or self.bench.fresh:
             source = read_orb(self.path, environment_view=self.options.environment_view)
             shrink = max(1.0, max(source.frames[0].size) / self.sizes.film)

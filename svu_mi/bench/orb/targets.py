@@ -48,7 +48,8 @@ class Target:
         """Read a photograph, reduced to ``film`` pixels on its longer side.
 
         Raises:
-            CaptureError: it, its mask or its environment map is missing or damaged.
+            CaptureError: it, its mask or its environment map is missing or damaged, or photograph
+                and mask differ in size.
         """
         frame = view.frame
         if frame.mask is None or view.light is None:
@@ -56,6 +57,8 @@ class Target:
             raise CaptureError(f"{frame.image}: there is no {missing}, which its test needs.")
         reduced, scale = squared(frame, max(1.0, max(frame.size) / film))
         color, mask = _linear(frame.image), np.stack(read_planes(frame.mask)[0][:1], axis=-1)
+        if mask.shape[:2] != color.shape[:2]:
+            raise CaptureError(f"{frame.mask}: the mask is not as large as its photograph.")
         valid = np.isfinite(color).all(axis=-1, keepdims=True)
         color = np.where(valid, color, 0)
         albedo = None if view.albedo is None else resampled(_encoded(view.albedo), scale)

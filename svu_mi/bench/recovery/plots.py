@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.bench.plots import COLORS, FAINT, INK, MARKS, page, tidy, time_axis
+from svu_mi.bench.plots import COLORS, FAINT, INK, MARKS, page, save, tidy, time_axis
 from svu_mi.bench.recovery.bars import gain
 from svu_mi.bench.recovery.rows import PATH, PATH_SHARING, ROWS, SH, SH_SHARING
-from svu_mi.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,10 +40,7 @@ def draw_recovery(folder: Path, record: Record) -> list[Path]:
         _time_error(panels[0], [cell for cell in record["cells"] if cell["group"] == "even"])
     if shared:
         _gains(panels[-1], record["cells"])
-    path = folder / "recovery.png"
-    with replacing(path) as temporary:
-        figure.savefig(temporary)
-    return [path]
+    return [save(figure, folder, "recovery")]
 
 
 def _time_error(axes: Axes, cells: list[Record]) -> None:

@@ -73,7 +73,8 @@ def condition(
     if not seen.any():
         return 0.0
     nothing = np.zeros((int(seen.sum()), 0))
-    matrix, _ = oracle.normal_equations(d[seen], w[seen], nothing, lmax, regularizer, penalized)
+    Y = oracle.basis(d[seen], lmax)
+    matrix, _ = oracle.normal_equations(Y, w[seen], nothing, regularizer, penalized)
     scale = 1 / np.sqrt(np.diag(matrix))
     return float(np.linalg.cond(scale[:, None] * matrix * scale))
 

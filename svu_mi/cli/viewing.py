@@ -1,0 +1,64 @@
+"""``svu view``: the object and all that is known of it, in a browser."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from svu_mi.cli.inputs import Known, Photographed, pair, parse_defines, parse_known
+from svu_mi.progress import Progress
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from svu_mi.recovery.textures import Textures
+
+
+@dataclass(frozen=True, kw_only=True)
+class View(Photographed):
+    """Look at entropy, textures and photographs on the object, in a browser.
+
+    Click a texel for its posterior and a camera to look through it; Ctrl-C ends. Needs
+    pip install 'svu_mi[viewer]'.
+    """
+
+    method: Literal["angular", "spectrum"] = "angular"
+    preset: Literal["default", "calibrated", "fast", "paper"] = "default"
+    known: Known = ()
+    """Parameters that are not in question, such as metallic=0."""
+    recovered: Path | None = None
+    """Folder that svu recover has written; its size is taken for --resolution."""
+    port: int = 8080
+    """Of the page on this machine; the next free one if it is taken."""
+    up: Literal["y", "z"] = "y"
+    """Axis of the world that points upwards."""
+
+    def run(self, console: Console) -> int:
+        """Estimate, open the page, and serve it until Ctrl-C."""
+        from svu_mi.output.serving import require_viser
+        from svu_mi.output.viewer import Viewer
+        from svu_mi.pipeline import estimate
+
+        pair(self.resolution, "--resolution")  # refused before any work
+        defines, known = parse_defines(self.define), parse_known(self.known)
+        require_viser()
+        self.start()
+        progress = Progress(console)
+        recovered = self._recovered()
+        sized = self if recovered is None else replace(self, resolution=recovered.resolution)
+        capture, texels = sized.load(progress, defines)
+        result = estimate(capture, texels, self.method, self.preset, known=known, progress=progress)
+        with progress.stage("Opening the viewer"):
+            viewer = Viewer(capture, result, recovered, port=self.port, up=self.up)
+        console.print(
+            f"Open {viewer.url} in a browser; Ctrl-C ends.",
+            markup=False, highlight=False, soft_wrap=True,
+        )  # fmt: skip
+        viewer.run()
+        return 0
+
+    def _recovered(self) -> Textures | None:
+        from svu_mi.output.textures import read_textures
+
+        return None if self.recovered is None else read_textures(self.recovered)

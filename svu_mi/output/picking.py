@@ -1,0 +1,131 @@
+"""A ray to a texel, and all that the photographs say of that texel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture import mesh as meshes
+from svu_mi.errors import OptionError
+from svu_mi.interop import owned
+from svu_mi.surface.gutter import dilate
+
+if TYPE_CHECKING:
+    from svu_mi.capture import Capture
+    from svu_mi.pipeline import Estimate
+    from svu_mi.surface import Texels
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pick:
+    """One texel, and what the photographs say of it.
+
+    Attributes:
+        texel: its number, from 0 to T - 1.
+        column: of the texture.
+        row: of the texture; row 0 is v = 0.
+        position: (3,) float64, the texel's centre in world space.
+        entropy: in [0, 1].
+        seen_by: indices of the sensors that see it.
+        most_probable: by parameter, one value, or one per colour channel; None if nobody sees it.
+    """
+
+    texel: int
+    column: int
+    row: int
+    position: np.ndarray
+    entropy: float
+    seen_by: tuple[int, ...]
+    most_probable: dict[str, np.ndarray] | None
+
+
+class Picker:
+    """Finds texels on the surface of a capture's object.
+
+    Args:
+        capture: the ``Capture``; only its ``mesh`` is hit, nothing else in the scene.
+        estimate: its ``Estimate``, as ``svu.estimate`` returns it.
+    """
+
+    def __init__(self, capture: Capture, estimate: Estimate) -> None:
+        self._capture, self._estimate = capture, estimate
+        self._nearest = nearest_texel(estimate.texels)
+        self._scene = mi.load_dict(
+            # A copy: a live shape belongs to one scene, and the capture's may have no UVs.
+            {"type": "scene", "object": meshes.make("object", meshes.arrays(capture.mesh))},
+            optimize=False,
+        )
+
+    def pick(self, origin: Any, direction: Any) -> Pick | None:
+        """Return the texel that a ray hits first, None if it misses the object.
+
+        Where a chart is too narrow for a texel's centre, it is the nearest one in the texture.
+
+        Args:
+            origin: (3,) of the ray, in world space.
+            direction: (3,) of the ray, of any length but 0.
+        """
+        # Arrays, not numbers: these would be compiled into a new kernel for every ray.
+        start, towards = (np.array(v, np.float32)[:, None] for v in (origin, direction))
+        ray = mi.Ray3f(owned(mi.Point3f, start), dr.normalize(owned(mi.Vector3f, towards)))
+        hit = self._scene.ray_intersect(ray)
+        valid, uv = np.array(hit.is_valid()), np.array(hit.uv, np.float64)
+        if not valid.all():
+            return None
+        size = np.array(self._estimate.texels.resolution)
+        column, row = np.clip((uv.ravel() * size).astype(int), 0, size - 1)
+        return self.describe(int(self._nearest[row, column]))
+
+    def describe(self, texel: int) -> Pick:
+        """Return what the photographs say of a texel.
+
+        Raises:
+            OptionError: there is no such texel.
+        """
+        texels, posterior = self._estimate.texels, self._estimate.posterior
+        if not 0 <= texel < texels.count:
+            raise OptionError(f"Texels are numbered 0 to {texels.count - 1}, got {texel}.")
+        index = int(texels.index.numpy()[texel])
+        seen_by = self._seen_by(texel)
+        return Pick(
+            texel=texel,
+            column=index % texels.resolution[0],
+            row=index // texels.resolution[0],
+            position=np.array(texels.position, np.float64)[:, texel],
+            entropy=float(np.array(self._estimate.entropy)[texel]),
+            seen_by=seen_by,
+            most_probable=_most_probable(posterior, texel) if seen_by else None,
+        )
+
+    def _seen_by(self, texel: int) -> tuple[int, ...]:
+        observed = self._estimate.observed
+        if observed is None:
+            raise OptionError("The estimate does not know which views it was made from.")
+        used = np.flatnonzero(self._capture.used)
+        view = dr.arange(mi.UInt32, len(used))
+        seen = observed.found.bits.test(view, owned(mi.UInt32, np.full(len(used), texel)))
+        return tuple(used[np.array(seen)].tolist())
+
+
+def nearest_texel(texels: Texels) -> np.ndarray:
+    """Return (H, W) int64: the number of the texel there, or of the nearest one in the texture."""
+    width, height = texels.resolution
+    numbers = texels.to_image(np.arange(texels.count), -1)
+    return dilate(numbers, texels.inside(), float(np.hypot(width, height)))
+
+
+def _most_probable(posterior: Any, texel: int) -> dict[str, np.ndarray]:
+    """``Posterior.map()`` of a single texel, without computing that of all others."""
+    p = np.array(posterior.probabilities_of([texel])).reshape(-1, posterior.groups)
+    nodes = np.unravel_index(p.argmax(axis=0), posterior.grid.shape)
+    values = {
+        name: grid[node] for (name, grid), node in zip(posterior.axes.items(), nodes, strict=True)
+    }
+    return {
+        # Only the last parameter is a channel's own.
+        name: value if name == list(values)[-1] else value[:1] for name, value in values.items()
+    }

@@ -1,0 +1,127 @@
+"""Everything there is to see on an object's surface, as textures in screen colours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from svu_mi.output import views
+from svu_mi.output.overview import COLORMAP, UNSEEN, VIEWS_COLORMAP
+from svu_mi.surface.gutter import dilate
+
+if TYPE_CHECKING:
+    from svu_mi.pipeline import Estimate
+    from svu_mi.recovery.textures import Textures
+
+GREY = "gray"
+COLOR = "base_color"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale:
+    """How numbers become colours.
+
+    Attributes:
+        colormap: a name of matplotlib's.
+        high: value at the upper end; 0 is at the lower.
+        label: what the numbers are.
+    """
+
+    colormap: str
+    high: float
+    label: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceMap:
+    """A texture to look at.
+
+    Attributes:
+        colors: (H, W, 3) float32 screen colours in [0, 1], row 0 at v = 0; charts reach over all
+            that is outside, so that no seam shows.
+        scale: what the colours stand for; None if they are colours.
+    """
+
+    colors: np.ndarray
+    scale: Scale | None
+
+
+def surface_maps(
+    estimate: Estimate, recovered: Textures | None = None
+) -> dict[str, Callable[[], SurfaceMap]]:
+    """Return what can be shown, by name; each is computed when it is called.
+
+    Entropy, coverage, the most probable parameters, the entropy of each of their marginals; and
+    recovered textures. Texels that no view sees are grey, but in recovered textures, which have
+    a value everywhere.
+
+    Args:
+        estimate: what the photographs say.
+        recovered: textures of the same resolution.
+
+    Raises:
+        ShapeError: they are of another one.
+    """
+    coverage = np.array(estimate.coverage).astype(np.float32)
+    most = max(float(coverage.max(initial=0)), 1.0)
+    entropy = Scale(colormap=COLORMAP, high=1, label="0 = certain, 1 = nothing known")
+    count = Scale(colormap=VIEWS_COLORMAP, high=most, label="views that see the texel")
+    maps: dict[str, Callable[[], SurfaceMap]] = {
+        "entropy": partial(_numbers, estimate, lambda: estimate.entropy, entropy),
+        "coverage": partial(_numbers, estimate, lambda: coverage, count),
+    }
+    unknown = [name for name, nodes in estimate.posterior.axes.items() if len(nodes) > 1]
+    for name in unknown:
+        # Not in greys: these are for what nobody sees.
+        best = Scale(colormap=VIEWS_COLORMAP, high=1, label=words(name))
+        maps[f"most probable {words(name)}"] = partial(_best, estimate, name, best)
+    for name in unknown:
+        marginal = partial(estimate.posterior.marginal_entropy, name)
+        maps[f"entropy of {words(name)}"] = partial(_numbers, estimate, marginal, entropy)
+    if recovered is not None:
+        recovered.require_resolution(estimate.texels)
+        for name, tensor in recovered.items():
+            maps[f"recovered {words(name)}"] = partial(_recovered, name, tensor)
+    return maps
+
+
+def words(name: str) -> str:
+    """Return a parameter's name in words."""
+    return name.replace("_", " ")
+
+
+def _best(estimate: Estimate, name: str, scale: Scale) -> SurfaceMap:
+    values = np.array(estimate.posterior.map()[name])
+    if values.ndim == 1:
+        return _numbers(estimate, lambda: values, scale)
+    return SurfaceMap(colors=_spread(estimate, views.srgb(values)), scale=None)  # R, G and B
+
+
+def _numbers(estimate: Estimate, values: Callable[[], Any], scale: Scale) -> SurfaceMap:
+    """One number per texel; of one per colour channel, the mean."""
+    from matplotlib import colormaps
+
+    numbers = np.array(values(), np.float64)
+    numbers = numbers.reshape(len(numbers), -1).mean(axis=1)
+    colors = colormaps[scale.colormap](numbers / scale.high)[:, :3]
+    return SurfaceMap(colors=_spread(estimate, colors), scale=scale)
+
+
+def _spread(estimate: Estimate, colors: np.ndarray) -> np.ndarray:
+    """Lay (T, 3) colours out, with what no view sees in grey, until they reach everywhere."""
+    colors = np.array(colors, np.float32)
+    colors[np.array(estimate.coverage) == 0] = UNSEEN
+    image = estimate.texels.to_image(colors)
+    return dilate(image, estimate.texels.inside(), float(np.hypot(*image.shape[:2])))
+
+
+def _recovered(name: str, tensor: Any) -> SurfaceMap:
+    image = np.clip(np.array(tensor, np.float32), 0, 1)
+    if name == COLOR:
+        return SurfaceMap(colors=views.srgb(image), scale=None)
+    scale = Scale(colormap=GREY, high=1, label=words(name))
+    return SurfaceMap(colors=np.repeat(image, 3, axis=2), scale=scale)

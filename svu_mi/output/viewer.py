@@ -1,0 +1,278 @@
+"""The viewer: an object and all that is known of it, in a browser.
+
+viser serves a page to 127.0.0.1 from threads of its own. What a user does there becomes a task in
+a queue, and one thread works it off: nothing of Dr.Jit runs anywhere else, and Ctrl-C ends it.
+"""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from svu_mi.capture.poses import bounding_sphere
+from svu_mi.metrics.images import srgb
+from svu_mi.output.browser_model import GAIN, material_colors, model
+from svu_mi.output.frusta import Frustum, frustum
+from svu_mi.output.picking import Pick, Picker
+from svu_mi.output.serving import require_viser, serve, stop
+from svu_mi.output.surface_maps import SurfaceMap, surface_maps
+from svu_mi.output.viewer_panels import draw_pick, draw_scale, says
+
+if TYPE_CHECKING:
+    from svu_mi.capture import Capture
+    from svu_mi.pipeline import Estimate
+    from svu_mi.recovery.textures import Textures
+
+# By the axis that is up: its direction, and from where the object is first looked at, in radii.
+UP = {"y": ((0.0, 1.0, 0.0), (1.2, 0.8, 2.2)), "z": ((0.0, 0.0, 1.0), (1.2, -2.2, 0.8))}
+NOWHERE = "anywhere"
+THUMBNAIL, PHOTOGRAPH = 160, 1024  # pixels of the longer side
+CAMERA, SEEING = (70, 70, 80), (232, 69, 60)  # colours of frusta
+CAMERA_SIZE = 0.12  # in parts of the object's radius
+SHADE = 0.75  # brightness of what faces down, so that shapes are seen
+PATIENCE = 0.5  # seconds between looks for Ctrl-C, which some systems do not tell a waiting queue
+
+
+class Viewer:
+    """A page with an object, its cameras and its posterior; open from when it is made.
+
+    Attributes:
+        url: of the page.
+        picked: the texel clicked last, if any.
+
+    Args:
+        capture: the ``Capture``.
+        estimate: its ``Estimate``, as ``svu.estimate`` returns it.
+        recovered: textures to look at, of the same resolution.
+        port: of the page; the next free one if it is taken, any free one if it is 0.
+        up: axis of the world that points upwards.
+
+    Raises:
+        SvuEnvironmentError: viser is not installed.
+        OptionError: no port.
+        ShapeError: textures of another resolution.
+    """
+
+    def __init__(
+        self,
+        capture: Capture,
+        estimate: Estimate,
+        recovered: Textures | None = None,
+        *,
+        port: int = 8080,
+        up: Literal["y", "z"] = "y",
+    ) -> None:
+        require_viser()  # before any work
+        self._capture, self._estimate, self._recovered = capture, estimate, recovered
+        self._maps = surface_maps(estimate, recovered)
+        self._picker = Picker(capture, estimate)
+        self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._shown: dict[str, tuple[Any, SurfaceMap]] = {}
+        self._center, self._radius = bounding_sphere(capture.mesh)
+        self._up, self._home = np.array(UP[up])
+        self._picker.pick(self._center, self._up)  # compiled now, not at the first click
+        self.picked: Pick | None = None
+        self._view: int | None = None
+        self._server, self.url = serve(port)
+        self._set_the_stage()
+        self._panels()
+        self._frusta = [self._add_frustum(view) for view in range(capture.count)]
+        self._listen()
+        self.show("entropy")
+
+    def run(self) -> None:
+        """Do what the page asks for, until Ctrl-C."""
+        try:
+            while True:
+                self.work(PATIENCE)
+        except KeyboardInterrupt:
+            return
+        finally:
+            self.stop()
+
+    def work(self, seconds: float) -> bool:
+        """Do the next thing that the page asks for; return whether there was one in that time."""
+        try:
+            task = self._tasks.get(timeout=seconds)
+        except queue.Empty:
+            return False
+        task()
+        return True
+
+    def stop(self) -> None:
+        """Close the page."""
+        stop(self._server)
+
+    def show(self, name: str) -> None:
+        """Show a map on the object; ``maps`` names them."""
+        if name not in self._shown:
+            self._status.content = f"Computing *{name}* ..."
+            drawn = self._maps[name]()
+            glb = model(self._capture.mesh, drawn.colors)
+            handle = self._server.scene.add_glb(f"/object/{name}", glb)
+            self._shown[name] = handle, drawn
+            self._status.content = self._heading()
+        for other, (handle, _) in self._shown.items():
+            handle.visible = other == name
+        self._choice.value = name
+        drawn = self._shown[name][1]
+        self._bar.visible = drawn.scale is not None
+        if drawn.scale is not None:
+            self._bar.image = draw_scale(drawn.scale)
+
+    @property
+    def maps(self) -> tuple[str, ...]:
+        """Names of all that can be shown."""
+        return tuple(self._maps)
+
+    def look_through(self, view: int | None, client: Any | None = None) -> None:
+        """Go to a camera and see its photograph over the object; None leaves it.
+
+        Args:
+            view: index of the camera.
+            client: the browser that goes there; all of them by default.
+        """
+        if self._view is not None and view != self._view:  # its large picture is of no use there
+            self._frusta[self._view].image = frustum(self._capture, self._view, THUMBNAIL).image
+        self._view = view
+        self._through.value = NOWHERE if view is None else self._capture.names[view]
+        self._update_frusta()
+        camera = None if view is None else frustum(self._capture, view, PHOTOGRAPH)
+        self._fade(camera)
+        for browser in (client,) if client else self._server.get_clients().values():
+            self._move(browser.camera, camera)
+
+    def pick(self, origin: Any, direction: Any) -> None:
+        """Show what is known of the texel that a ray hits; nothing changes if it hits none."""
+        found = self._picker.pick(origin, direction)
+        if found is None:
+            return
+        self.picked = found
+        self._text.content = says(self._capture, found)
+        self._plot.image = draw_pick(self._estimate, found, self._recovered)
+        self._plot.visible = True
+        red = material_colors(np.array(SEEING) / 255)
+        self._server.scene.add_icosphere(
+            "/texel", 0.012 * self._radius, color=tuple(red.tolist()), position=found.position,
+            cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+        self._update_frusta()
+
+    def _set_the_stage(self) -> None:
+        scene, camera = self._server.scene, self._server.initial_camera
+        scene.set_up_direction(self._up)
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(False)
+        ground = round(255 * float(srgb(np.array(SHADE))))
+        scene.add_light_hemisphere(
+            "/light", sky_color=(255, 255, 255), ground_color=(ground,) * 3,
+            intensity=GAIN * np.pi,
+        )  # fmt: skip
+        camera.near, camera.far = 1e-3 * self._radius, 1e3 * self._radius
+        camera.position = self._center + self._radius * self._home
+        camera.look_at, camera.fov = self._center, np.radians(45)
+        self._server.gui.configure_theme(show_logo=False, show_share_button=False)
+
+    def _panels(self) -> None:
+        gui = self._server.gui
+        self._status = gui.add_markdown(self._heading())
+        with gui.add_folder("Surface"):
+            self._choice = gui.add_dropdown("map", self.maps)
+            self._bar = gui.add_image(draw_scale(None), format="png")
+        with gui.add_folder("Cameras"):
+            self._cameras = gui.add_checkbox("show", True)
+            self._size = gui.add_slider("size", 0.2, 5, 0.1, 1)
+            self._through = gui.add_dropdown("look from", (NOWHERE, *self._capture.names))
+            self._opacity = gui.add_slider("photograph", 0, 1, 0.05, 0.5, visible=False)
+        with gui.add_folder("Texel"):
+            self._text = gui.add_markdown("Click the object.")
+            self._plot = gui.add_image(draw_scale(None), format="png", visible=False)
+
+    def _heading(self) -> str:
+        seen = np.array(self._estimate.coverage) > 0
+        mean = np.array(self._estimate.entropy)[seen].mean()
+        return (
+            f"**{self._capture.shape.id() or 'object'}**: {sum(self._capture.used)} views, "
+            f"{self._estimate.texels.count} texels, {100 * seen.mean():.0f} % seen, mean entropy "
+            f"{mean:.2f}. Grey: never seen."
+        )
+
+    def _listen(self) -> None:
+        """Turn events into tasks; coroutines, because viser runs those in order."""
+
+        def task(widget: Any, work: Callable[[], None]) -> None:
+            async def put(event: Any) -> None:
+                if event.client is not None:  # else it was set here
+                    self._tasks.put(work)
+
+            widget.on_update(put)
+
+        task(self._choice, lambda: self.show(self._choice.value))
+        task(self._cameras, self._update_frusta)
+        task(self._size, self._update_frusta)
+        task(self._opacity, self._fade)
+
+        async def choose(event: Any) -> None:
+            if event.client is not None:
+                names = (NOWHERE, *self._capture.names)
+                view = names.index(self._through.value) - 1
+                self._tasks.put(lambda: self.look_through(None if view < 0 else view, event.client))
+
+        self._through.on_update(choose)
+
+        async def click(event: Any) -> None:
+            if event.screen_pos != self._taken:
+                self._tasks.put(lambda: self.pick(event.ray_origin, event.ray_direction))
+
+        self._taken: tuple[float, float] | None = None  # where a click went to a frustum
+        self._server.scene.on_click()(click)
+        for view, handle in enumerate(self._frusta):
+            handle.on_click(self._on_frustum(view))
+
+    def _on_frustum(self, view: int) -> Callable[[Any], Any]:
+        async def click(event: Any) -> None:
+            if view != self._view:  # else it was meant for what is behind the photograph
+                self._taken = event.screen_pos
+                self._tasks.put(lambda: self.look_through(view, event.client))
+
+        return click
+
+    def _add_frustum(self, view: int) -> Any:
+        camera = frustum(self._capture, view, THUMBNAIL)
+        return self._server.scene.add_camera_frustum(
+            f"/cameras/{view:04d}", camera.fov, camera.aspect, image=camera.image, color=CAMERA,
+            scale=CAMERA_SIZE * self._radius, thickness=1.5, thickness_units="screen",
+            wxyz=camera.quaternion, position=camera.position,
+            cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+
+    def _update_frusta(self) -> None:
+        """Only the camera that is looked through is left; those that see the texel are red."""
+        seeing = self.picked.seen_by if self.picked else ()
+        for view, handle in enumerate(self._frusta):
+            handle.visible = self._cameras.value if self._view is None else view == self._view
+            handle.color = SEEING if view in seeing else CAMERA
+            handle.scale = CAMERA_SIZE * self._radius * self._size.value
+        self._opacity.visible = self._view is not None
+
+    def _fade(self, camera: Frustum | None = None) -> None:
+        if self._view is not None:
+            image = (camera or frustum(self._capture, self._view, PHOTOGRAPH)).image
+            opacity = np.array([1, 1, 1, self._opacity.value])
+            self._frusta[self._view].image = (image * opacity).astype(np.uint8)
+
+    def _move(self, camera: Any, to: Frustum | None) -> None:
+        """Look from a camera, with a window that may be narrower than its picture; or go home."""
+        if to is None:
+            home = self._server.initial_camera
+            camera.position, camera.look_at, camera.fov = home.position, home.look_at, home.fov
+            camera.up_direction = self._up
+            return
+        forward = to.rotation[:, 2]
+        ahead = max(float((self._center - to.position) @ forward), 0.1 * self._radius)
+        camera.position, camera.look_at = to.position, to.position + ahead * forward
+        camera.up_direction = -to.rotation[:, 1]
+        camera.fov = 2 * np.arctan(np.tan(to.fov / 2) * max(1.0, to.aspect / camera.aspect))

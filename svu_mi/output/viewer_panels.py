@@ -1,0 +1,100 @@
+"""What the viewer's panel shows: a texel's posterior, in words and pictures, and colour bars."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from svu_mi.output.figures import TRUTH, draw_marginal
+from svu_mi.output.overview import INK
+from svu_mi.output.surface_maps import Scale, words
+
+if TYPE_CHECKING:
+    from svu_mi.capture import Capture
+    from svu_mi.output.picking import Pick
+    from svu_mi.pipeline import Estimate
+    from svu_mi.recovery.textures import Textures
+
+WIDTH, DPI = 3.6, 160  # inches
+NAMED = 4  # cameras that are named; the others are counted
+
+
+def says(capture: Capture, pick: Pick) -> str:
+    """Return what is known of a texel, as Markdown."""
+    lines = [f"**Texel {pick.column}, {pick.row}** (column, row), number {pick.texel}", ""]
+    lines += [f"* entropy **{pick.entropy:.3f}**", f"* {_seen_by(capture, pick)}"]
+    if pick.most_probable is None:
+        return "\n".join([*lines, "* nothing is known of it"])
+    for name, values in pick.most_probable.items():
+        numbers = ", ".join(f"{value:.2f}" for value in values)
+        lines.append(f"* most probable {words(name)} **{numbers}**")
+    return "\n".join(lines)
+
+
+def _seen_by(capture: Capture, pick: Pick) -> str:
+    count = len(pick.seen_by)
+    if not count:
+        return f"seen by none of {sum(capture.used)} views"
+    names = [capture.names[view] for view in pick.seen_by[:NAMED]]
+    more = [f"and {count - NAMED} more"] if count > NAMED else []
+    return f"seen by **{count}** of {sum(capture.used)} views: {', '.join([*names, *more])}"
+
+
+def draw_pick(estimate: Estimate, pick: Pick, recovered: Textures | None = None) -> np.ndarray:
+    """Draw the marginals of a texel, one below the other.
+
+    Args:
+        estimate: what the photographs say.
+        pick: the texel.
+        recovered: textures, whose value there is marked.
+
+    Returns:
+        (h, w, 3) uint8.
+    """
+    names = [name for name, nodes in estimate.posterior.axes.items() if len(nodes) > 1]
+    figure = _figure(1.25 * len(names))
+    for row, name in enumerate(names, 1):
+        axes = figure.add_subplot(len(names), 1, row)
+        draw_marginal(axes, estimate.posterior, pick.texel, name)
+        axes.tick_params(labelsize=8)
+        axes.xaxis.label.set_size(9)
+        value = None if recovered is None else getattr(recovered, name, None)
+        if value is not None:
+            # Of a colour the mean, as of the marginals.
+            axes.axvline(np.array(value)[pick.row, pick.column].mean(), color=TRUTH, lw=2)
+            axes.plot([], [], color=TRUTH, lw=2, label="recovered")
+            axes.legend(fontsize=8, frameon=False, handlelength=1)
+    return _pixels(figure)
+
+
+def draw_scale(scale: Scale | None) -> np.ndarray:
+    """Draw a colour bar, (h, w, 3) uint8; one white pixel without a scale."""
+    if scale is None:
+        return np.full((1, 1, 3), 255, np.uint8)
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    figure = _figure(0.55)
+    bar = figure.colorbar(
+        ScalarMappable(Normalize(0, scale.high), scale.colormap),
+        cax=figure.add_subplot(), orientation="horizontal",
+    )  # fmt: skip
+    bar.outline.set_visible(False)
+    bar.set_label(scale.label, size=9, color=INK)
+    bar.ax.tick_params(labelsize=8, labelcolor=INK, length=3)
+    return _pixels(figure)
+
+
+def _figure(height: float) -> Any:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH, height), dpi=DPI, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _pixels(figure: Any) -> np.ndarray:
+    figure.canvas.draw()
+    return np.array(figure.canvas.buffer_rgba())[..., :3]
