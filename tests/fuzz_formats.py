@@ -81,10 +81,11 @@ def light(folder: Path, out: Path) -> None:
 
 def mesh(folder: Path, out: Path) -> None:
     """Read a mesh with its textures, unwrap it if need be, and write it."""
-    geometry = read_geometry(next(folder.glob("mesh.*")))
+    path = next(folder.glob("mesh.*"))
+    geometry = read_geometry(path)
     made = capture_mesh.make("object", geometry.mesh)
     if geometry.mesh.uvs is None:
-        made = unwrap(made)
+        made = unwrap(made, str(path))
     made.write_ply(str(out / "mesh.ply"))
     write_pictures(geometry.textures, out)
 
