@@ -94,7 +94,9 @@ def _buffers(parts: Sequence[_Part], path: Path) -> MeshArrays:
         normals=_joined([mesh.normals for mesh in meshes]),
         uvs=_joined([mesh.uvs for mesh in meshes]),
     )
-    for name, values in (("positions", mesh.positions), ("UVs", mesh.uvs)):
+    for name, values, width in (("positions", mesh.positions, 3), ("UVs", mesh.uvs, 2)):
+        if values is not None and values.shape != (len(mesh.positions), width):
+            raise MeshError(f"{path}: has not one of its {name} per vertex; export it again.")
         if values is not None and not (np.abs(values) < MAX_NUMBER).all():  # NaN fails, too
             raise MeshError(f"{path}: some {name} are NaN, infinite or absurd; export it again.")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.positions):
