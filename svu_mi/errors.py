@@ -40,3 +40,10 @@ class OutputError(SvuError):
 
 class SvuWarning(UserWarning):
     """Something the user should know although the run goes on."""
+
+
+def excerpt(value: object, longest: int = 160) -> str:
+    """Return what a file or a library says so that it fits in a sentence: printable, and short."""
+    text = " ".join(str(value)[: longest + 1].split())
+    text = "".join(letter if letter.isprintable() else "?" for letter in text)
+    return text if len(text) <= longest else text[:longest] + "..."

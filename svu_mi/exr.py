@@ -20,13 +20,12 @@ import numpy as np
 import OpenEXR
 
 from svu_mi.errors import CaptureError, OutputError, ShapeError
-from svu_mi.files import replacing
+from svu_mi.files import may_hold, replacing
 
 MAGIC = b"\x76\x2f\x31\x01"
 GROUPS = ("RGBA", "RGB")  # last part of a channel name that stands for several channels
 INT_LIMIT = 2**31
 MAX_SIDE = 2**17  # pixels
-MAX_RATIO, FREE = 2000, 2**26  # no lossless codec packs more; bytes that are no danger anyway
 
 
 def write_exr(
@@ -120,10 +119,8 @@ def exr_size(path: str | Path) -> tuple[int, int]:
         channels = len(header["channels"])
     except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
         raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
-    unpacked = width * height * channels * 2
-    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE) or unpacked > max(
-        FREE, MAX_RATIO * path.stat().st_size
-    ):
+    is_size = 0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE
+    if not (is_size and may_hold(path, width * height * channels * 2)):
         raise CaptureError(
             f"{path}: the header says {width} x {height} pixels, more than a file of "
             f"{path.stat().st_size} bytes can hold; export it again."

@@ -11,7 +11,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from svu_mi.errors import CaptureError, OutputError
+from svu_mi.errors import CaptureError, OutputError, excerpt
+
+MAX_RATIO, FREE = 2000, 2**26  # no codec packs more; bytes that are no danger anyway
 
 
 def prepare_folder(folder: str | Path) -> Path:
@@ -125,6 +127,11 @@ def _reason(path: Path, error: OSError) -> str:
     return error.strerror or type(error).__name__
 
 
+def may_hold(path: Path, size: int) -> bool:
+    """Whether a packed file can unpack to so many bytes; one that cannot is damaged, or a trap."""
+    return size <= max(FREE, MAX_RATIO * path.stat().st_size)
+
+
 def read_json(path: Path) -> Any:
     """Read a JSON file.
 
@@ -134,4 +141,4 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise CaptureError(f"{path}: not a readable JSON file ({error}).") from error
+        raise CaptureError(f"{path}: not a readable JSON file ({excerpt(error)}).") from error

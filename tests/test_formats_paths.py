@@ -14,7 +14,10 @@ GOOD = {
     "..a": "..a", "ü ß.png": "ü ß.png",
 }  # fmt: skip
 OUTSIDE = ["../a", "..", "a/../../b", "a\\..\\..\\b", "/a", "//a/b", "\\a", "C:\\a", "C:a"]
-NO_NAME = ["", ".", "a/..", "a\0b", "\ud800", "x" * 300, "a/" * 2000 + "b", None, 3, ["a"]]
+NO_NAME = [
+    "", ".", "a/..", "a\0b", "a\nb", "\x1b[31m", "\x7f", "\ud800", "x" * 300, "a/" * 2000 + "b",
+    None, 3, ["a"],
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", GOOD)

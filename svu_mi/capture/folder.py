@@ -11,7 +11,7 @@ from typing import Any
 
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import check_sensor
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, excerpt
 from svu_mi.files import read_json, replacing
 
 FILE = "capture.json"
@@ -63,7 +63,8 @@ def read(folder: Path) -> Description | None:
         raise CaptureError(f'{path}: not a capture; expected "format": "{FORMAT}".')
     if record.get("version", VERSION) != VERSION:
         raise CaptureError(
-            f"{path}: version {record['version']!r} is not known, only {VERSION}; update svu_mi."
+            f"{path}: version {excerpt(record['version'])} is not known, only {VERSION}; update "
+            "svu_mi."
         )
     try:
         scene = record.get("scene")
@@ -75,8 +76,10 @@ def read(folder: Path) -> Description | None:
             sensors=tuple(record.get("sensors", ())),
             imported=dict(record.get("import", {})),
         )
-    except (TypeError, ValueError, AttributeError) as error:
-        raise CaptureError(f"{path}: a value has the wrong type ({error}).") from error
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise CaptureError(f"{path}: a value has the wrong type ({excerpt(error)}).") from error
+    except (OSError, RuntimeError) as error:  # a link to itself
+        raise CaptureError(f"{path}: the scene cannot be found ({excerpt(error)}).") from error
 
 
 def write(folder: Path, description: Description, sensors: Sequence[Any]) -> None:

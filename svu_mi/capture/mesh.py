@@ -41,7 +41,8 @@ def arrays(mesh: Any) -> MeshArrays:
     """Copy a mesh's buffers to NumPy (Dr.Jit's own views alias the mesh's memory)."""
 
     def rows(buffer: Any, width: int) -> np.ndarray:
-        return np.array(buffer.numpy(), np.float64).reshape(-1, width)
+        with np.errstate(invalid="ignore"):  # NaN of a damaged file; callers look for them
+            return np.array(buffer.numpy(), np.float64).reshape(-1, width)
 
     faces = np.array(mesh.faces_buffer().numpy(), np.int64).reshape(-1, 3)
     normals = rows(mesh.vertex_normals_buffer(), 3) if mesh.has_vertex_normals() else None

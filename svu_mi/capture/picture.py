@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-import re
+import contextlib
+import struct
+import threading
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.errors import CaptureError
+from svu_mi.capture.float_picture import hdr_size, pfm_size, read_hdr, read_pfm
+from svu_mi.errors import CaptureError, excerpt
 from svu_mi.exr import exr_size, read_exr
+from svu_mi.files import may_hold
 
 SUFFIXES = (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg")
 MAX_PIXELS = 2**28  # 16384 x 16384; a damaged header may promise any number
-HEADER = 4096  # bytes of an HDR or PFM file that its size must stand in
+PNG = b"\x89PNG\r\n\x1a\n"  # how its files begin
+PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # by the kind of colour that it says
+
+_opening = threading.Lock()  # for what several threads must not do at a time
 
 Transfer = Literal["srgb", "gamma 2.2", "linear"]
 
@@ -28,14 +37,13 @@ def image_size(path: Path) -> tuple[int, int]:
     if not path.is_file():
         raise CaptureError(f"{path}: no such photograph.")
     suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise CaptureError(f"{path}: not a kind of picture known here ({', '.join(SUFFIXES)}).")
     if suffix == ".exr":
         size = exr_size(path)
-    elif suffix in (".hdr", ".pfm"):
-        size = _float_size(path)
-    elif suffix in SUFFIXES:
-        size = _integer_size(path)
     else:
-        raise CaptureError(f"{path}: not a kind of picture known here ({', '.join(SUFFIXES)}).")
+        with _readable(path):
+            size = {".hdr": hdr_size, ".pfm": pfm_size}.get(suffix, _integer_size)(path)
     if min(size) < 1 or size[0] * size[1] > MAX_PIXELS:
         raise CaptureError(
             f"{path}: {size[0]} x {size[1]} pixels are too many, or the file is damaged."
@@ -54,13 +62,11 @@ def read_planes(path: Path) -> tuple[list[np.ndarray], bool]:
         CaptureError: as ``image_size``, or the file is damaged or lacks a channel.
     """
     image_size(path)
-    if path.suffix.lower() == ".exr":
+    suffix = path.suffix.lower()
+    if suffix == ".exr":
         return _exr_planes(path), False
-    try:
-        values = np.array(mi.Bitmap(str(path)))
-    except Exception as error:  # Mitsuba raises RuntimeError for everything
-        raise CaptureError(f"{path}: not a readable image; write it again as EXR.") from error
-    values = values[..., None] if values.ndim == 2 else values
+    with _readable(path):
+        values = {".hdr": read_hdr, ".pfm": read_pfm}.get(suffix, _integers)(path)
     low_range = np.issubdtype(values.dtype, np.integer)
     scale = np.float32(np.iinfo(values.dtype).max if low_range else 1)
     planes = [values[..., k].astype(np.float32) / scale for k in range(values.shape[2])]
@@ -95,28 +101,58 @@ def _exr_planes(path: Path) -> list[np.ndarray]:
     planes = [plane for plane in found if plane is not None]
     if len(planes) < 3:
         raise CaptureError(
-            f"{path}: expected the channels R, G, B (or Y), found {', '.join(channels)}."
+            f"{path}: expected the channels R, G, B (or Y), found {excerpt(', '.join(channels))}."
         )
     return planes + ([channels["A"]] if "A" in channels else [])
 
 
-def _integer_size(path: Path) -> tuple[int, int]:
-    from PIL import Image
-
+@contextlib.contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Say of which file a damage is."""
     try:
-        with Image.open(path) as image:  # reads the header only
-            return image.size
-    except Exception as error:  # whatever its parsers meet
+        yield
+    except CaptureError:
+        raise
+    except Exception as error:  # whatever the decoders meet
         raise CaptureError(f"{path}: not a readable image; write it again as EXR.") from error
 
 
-def _float_size(path: Path) -> tuple[int, int]:
+def _integer_size(path: Path) -> tuple[int, int]:
+    """Return (width, height) of a PNG or JPEG file, whatever its name says."""
+    if not _is_png(path):
+        with _jpeg(path) as image:
+            size, pixel = image.size, len(image.getbands())
+    else:
+        with path.open("rb") as stream:
+            *size, bits, kind = struct.unpack(">16xIIBB", stream.read(26))
+        pixel = PNG_CHANNELS[kind] * max(1, bits // 8)
+    if not may_hold(path, size[0] * size[1] * pixel):
+        raise CaptureError(
+            f"{path}: the header says {size[0]} x {size[1]} pixels, more than the file can hold; "
+            "export it again."
+        )
+    return size[0], size[1]
+
+
+def _integers(path: Path) -> np.ndarray:
+    """Return (H, W, C) 8- or 16-bit integers."""
+    if _is_png(path):
+        values = np.array(mi.Bitmap(str(path)))  # Pillow has no 16-bit colours
+    else:
+        with _jpeg(path) as image:  # Mitsuba's reader prints what is damaged
+            values = np.array(image if image.mode in ("L", "RGB") else image.convert("RGB"))
+    return values[..., None] if values.ndim == 2 else values
+
+
+def _is_png(path: Path) -> bool:
     with path.open("rb") as stream:
-        start = stream.read(HEADER)
-    found = re.search(rb"-Y (\d{1,6}) \+X (\d{1,6})\s", start)
-    if found is not None:
-        return int(found[2]), int(found[1])
-    found = re.match(rb"P[Ff]\s(\d{1,6})\s(\d{1,6})\s", start)
-    if found is None:
-        raise CaptureError(f"{path}: not a readable image; write it again as EXR.")
-    return int(found[1]), int(found[2])
+        return stream.read(len(PNG)) == PNG
+
+
+def _jpeg(path: Path) -> Any:
+    """Open a JPEG file; not by ``Image.open``, which tries every other format and warns."""
+    from PIL.JpegImagePlugin import JpegImageFile
+
+    with _opening, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # damaged EXIF data does not matter here
+        return JpegImageFile(path)

@@ -10,9 +10,11 @@ import numpy as np
 
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import last_sentence, to_world
-from svu_mi.errors import CaptureError, OptionError
+from svu_mi.errors import CaptureError, OptionError, excerpt
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+MAX_SIDE = 2**16  # pixels of a film
+LARGEST = 1e30  # of any number of a sensor; single precision ends soon after
 
 
 def film_size(sensor: Any) -> tuple[int, int]:
@@ -57,7 +59,7 @@ def make_sensor(record: Mapping[str, Any], label: str) -> Any:
         CaptureError: a key is missing or Mitsuba refuses a value.
     """
     try:
-        _check_finite(record, label)
+        _check_numbers(record, label)
         return mi.load_dict(
             {
                 "type": "perspective",
@@ -84,9 +86,9 @@ def make_sensor(record: Mapping[str, Any], label: str) -> Any:
                 "sampler": {"type": "independent"},
             }
         )
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
         raise CaptureError(
-            f"{label}: the sensor's description is not complete ({error!r}); "
+            f"{label}: the sensor's description is not complete ({excerpt(repr(error))}); "
             "render or import the capture again."
         ) from error
     except RuntimeError as error:
@@ -131,14 +133,20 @@ def principal_point(sensor: Any) -> tuple[float, float]:
     return x, y
 
 
-def _check_finite(record: Mapping[str, Any], label: str) -> None:
+def _check_numbers(record: Mapping[str, Any], label: str) -> None:
     """Refuse numbers that Mitsuba would take and then see nothing with."""
     pose = np.array(record["to_world"], np.float64)
     numbers = [pose.ravel(), record["x_fov"], *record["principal_point_offset"], *record["clip"]]
-    if not all(np.isfinite(np.array(number, np.float64)).all() for number in numbers):
-        raise CaptureError(f"{label}: the sensor's description has a NaN or infinite number.")
+    if not all((np.abs(np.array(number, np.float64)) < LARGEST).all() for number in numbers):
+        raise CaptureError(
+            f"{label}: the sensor's description has a NaN or infinite number, or one beyond "
+            f"{LARGEST:g}."
+        )
     if pose.shape != (4, 4) or not np.allclose(pose[3], [0, 0, 0, 1]):
         raise CaptureError(f"{label}: to_world must be a 4 x 4 matrix with last row 0 0 0 1.")
+    sides = [int(side) for key in ("film", "crop_offset", "crop_size") for side in record[key]]
+    if not all(0 <= side <= MAX_SIDE for side in sides):
+        raise CaptureError(f"{label}: a film has 1 to {MAX_SIDE} pixels per side.")
 
 
 def sphere_sensors(

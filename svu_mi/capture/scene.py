@@ -12,7 +12,9 @@ import numpy as np
 
 from svu_mi import _llvm
 from svu_mi.capture.mesh import MeshArrays, arrays
-from svu_mi.errors import SceneError, SvuEnvironmentError
+from svu_mi.errors import SceneError, SvuEnvironmentError, excerpt
+
+LONGEST = 400  # letters of what Mitsuba says
 
 
 def require_variant() -> str:
@@ -61,7 +63,7 @@ def last_sentence(message: str) -> str:
     """Strip Mitsuba's nested source positions, keep what the user can act on."""
     lines = [line.strip() for line in message.strip().splitlines() if line.strip()]
     text = " ".join(lines)
-    text = re.sub(r"\[[\w.]+:\d+\]\s*", "", text)
+    text = excerpt(re.sub(r"\[[\w.]+:\d+\]\s*", "", text), LONGEST)
     return text if text.endswith((".", "!")) else text + "."
 
 
@@ -158,7 +160,9 @@ def find_shape(scene: Any, name: str | None, path: str) -> Any:
             f"{path}: shape '{shape.id()}' ({shape.class_name()}) is not a triangle mesh; convert "
             "it to a PLY or OBJ mesh with UVs."
         )
-    _check_orientation(shape, path)
+    mesh = arrays(shape)
+    _check_buffers(mesh, f"{path}: shape '{shape.id()}'")
+    _check_orientation(mesh, f"{path}: the normals of shape '{shape.id()}'")
     return shape
 
 
@@ -189,13 +193,20 @@ def _is_closed(mesh: MeshArrays) -> bool:
     return bool(trimesh.Trimesh(mesh.positions, mesh.faces, process=True).is_watertight)
 
 
-def _check_orientation(shape: Any, path: str) -> None:
+def _check_buffers(mesh: MeshArrays, label: str) -> None:
+    """Refuse what Mitsuba takes from a damaged file."""
+    if not np.isfinite(mesh.positions).all():
+        raise SceneError(f"{label} has positions that are NaN or infinite; export its mesh again.")
+    if mesh.faces.size and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.positions):
+        raise SceneError(f"{label} has a corner that there is not; export its mesh again.")
+
+
+def _check_orientation(mesh: MeshArrays, label: str) -> None:
     """Refuse a closed surface that is inside out: no photograph would see a front face.
 
     A mirrored ``to_world`` reverses the winding. Mitsuba turns vertex normals from the file
     the right way, but computes missing ones from the winding.
     """
-    mesh = arrays(shape)
     if len(mesh.faces) == 0 or mesh.normals is None:
         return
     corners = mesh.positions[mesh.faces]
@@ -207,6 +218,6 @@ def _check_orientation(shape: Any, path: str) -> None:
     reach = float((area * np.linalg.norm(outward, axis=1)).sum())
     if flux < -0.3 * reach and _is_closed(mesh):
         raise SceneError(
-            f"{path}: the normals of shape '{shape.id()}' point inwards (a mirrored to_world does "
-            "this); set flip_normals on the shape or remove the mirror."
+            f"{label} point inwards (a mirrored to_world does this); set flip_normals on the shape "
+            "or remove the mirror."
         )

@@ -17,9 +17,10 @@ from svu_mi.files import replacing
 log = logging.getLogger(__name__)
 
 UNWRAPPED = "unwrapped.ply"
+MAX_CHART = 4096  # texels of an atlas of about 1024; packing a longer sliver takes for ever
 
 
-def unwrap(mesh: Any) -> Any:
+def unwrap(mesh: Any, label: str = "") -> Any:
     """Return a copy of a mesh with new, non-overlapping UVs.
 
     The atlas differs between xatlas versions, so whoever needs the same texels twice
@@ -27,23 +28,28 @@ def unwrap(mesh: Any) -> Any:
 
     Args:
         mesh: an ``mi.Mesh``; its own UVs, if any, are dropped.
+        label: what it is called in messages, such as its file; by default ``Shape 'ID'``.
 
     Raises:
         MeshError: the mesh has no faces, or xatlas finds no parameterisation.
     """
     import xatlas  # noqa: PLC0415 - needed only for meshes without UVs
 
-    source = arrays(mesh)
+    source, label = arrays(mesh), label or f"Shape '{mesh.id()}'"
     if len(source.faces) == 0:
-        raise MeshError(f"Shape '{mesh.id()}' has no faces, so there is nothing to unwrap.")
+        raise MeshError(f"{label} has no faces, so there is nothing to unwrap.")
     # Of unit size: xatlas works in single precision and takes small triangles for degenerate ones.
     low, high = source.positions.min(axis=0), source.positions.max(axis=0)
     unit = (source.positions - low) / max(float((high - low).max()), 1e-300)
-    vmap, faces, uvs = xatlas.parametrize(unit.astype(np.float32), source.faces.astype(np.uint32))
+    atlas, packing = xatlas.Atlas(), xatlas.PackOptions()
+    packing.max_chart_size = MAX_CHART
+    atlas.add_mesh(unit.astype(np.float32), source.faces.astype(np.uint32))
+    atlas.generate(pack_options=packing)
+    vmap, faces, uvs = atlas.get_mesh(0)
     if len(faces) != len(source.faces) or not np.isfinite(uvs).all():
         raise MeshError(
-            f"Shape '{mesh.id()}' cannot be unwrapped automatically; "
-            "give it UVs in a modelling tool and load it again."
+            f"{label} cannot be unwrapped automatically; give it UVs in a modelling tool and load "
+            "it again."
         )
     normals = None if source.normals is None else source.normals[vmap]
     return make(

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, excerpt
 from svu_mi.files import replacing
 
 # Parameters of each camera model, in the order of their numbers (COLMAP's sensor/models.h).
@@ -37,7 +37,6 @@ FOCAL_LENGTHS = {
 CAMERA_FIELDS = ("CAMERA_ID", "MODEL", "WIDTH", "HEIGHT", "PARAMS")
 VIEW_FIELDS = ("IMAGE_ID", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ", "CAMERA_ID", "NAME")
 LONGEST_NAME = 512  # bytes
-LONGEST = 120  # letters of a damage, in a message
 POINT = 24  # bytes of a point in an image: x, y and the number of the point in space
 UNIT = 1e-2  # by which the norm of a quaternion may differ from 1
 
@@ -108,7 +107,7 @@ def read_model(folder: Path) -> tuple[dict[int, Camera], list[View]]:
         raise CaptureError(f"{files[1]}: there is no image; run COLMAP's mapper first.")
     names = set()
     for view in views:
-        label = f"{files[1]}: image {view.name!r}"
+        label = f"{files[1]}: image {excerpt(repr(view.name))}"
         if view.camera not in cameras:
             raise CaptureError(f"{label}: there is no camera {view.camera}; export both again.")
         if not abs(math.hypot(*view.rotation) - 1) < UNIT:
@@ -196,7 +195,7 @@ def _damage_of(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError) as error:
-        raise CaptureError(f"{path}: {str(error)[:LONGEST]}; export the model again.") from error
+        raise CaptureError(f"{path}: {excerpt(error)}; export the model again.") from error
 
 
 @contextlib.contextmanager

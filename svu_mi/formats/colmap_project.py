@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from svu_mi.capture.picture import SUFFIXES
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, excerpt
 from svu_mi.formats.colmap_model import Camera, View, is_model, read_model
 from svu_mi.formats.paths import inside
 
@@ -39,7 +39,7 @@ class Project:
 
     def label(self, view: View) -> str:
         """Return the name of a view for messages."""
-        return f"{self.model}: image {view.name!r}"
+        return _label(self.model, view)
 
 
 def find_model(path: Path) -> Path | None:
@@ -69,12 +69,12 @@ def read_project(path: Path, images: Path | None, masks: Path | None) -> Project
     if masks is not None and not masks.is_dir():
         raise CaptureError(f"{masks}: no such folder of masks.")
     masks = masks or _beside(model, MASKS)
-    files = [inside(images, view.name, f"{model}: image {view.name!r}") for view in views]
+    files = [inside(images, view.name, _label(model, view)) for view in views]
     missing = [file for file in files if not file.is_file()]
     if missing:
         raise CaptureError(
             f"{images}: {len(missing)} of {len(files)} photographs are missing, "
-            f"{missing[0].relative_to(images)} first; give their folder by --images."
+            f"{excerpt(missing[0].relative_to(images))} first; give their folder by --images."
         )
     return Project(
         model=model,
@@ -84,6 +84,10 @@ def read_project(path: Path, images: Path | None, masks: Path | None) -> Project
         photographs=files,
         masks=[None if masks is None else _mask(masks, f.relative_to(images)) for f in files],
     )
+
+
+def _label(model: Path, view: View) -> str:
+    return f"{model}: image {excerpt(repr(view.name))}"
 
 
 def _beside(model: Path, name: str) -> Path | None:

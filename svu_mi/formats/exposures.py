@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, excerpt
 from svu_mi.formats.source import Frame
 
 EXIF, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # tags of EXIF 2.32
@@ -31,8 +32,8 @@ def with_exposures(frames: Sequence[Frame], path: Path) -> list[Frame]:
         if path.stat().st_size > MAX_BYTES:
             raise CaptureError(f"{path}: too large for a list of exposures.")
         lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise CaptureError(f"{path}: no readable list of exposures ({error}).") from error
+    except (OSError, ValueError) as error:
+        raise CaptureError(f"{path}: no readable list of exposures ({excerpt(error)}).") from error
     for number, line in enumerate(lines, 1):
         words = line.partition("#")[0].rsplit(maxsplit=1)
         if words:
@@ -72,8 +73,10 @@ def _exif_gain(path: Path) -> float:
     from PIL import Image
 
     try:
-        with Image.open(path) as image:
-            tags = image.getexif().get_ifd(EXIF)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # damage that matters ends in an error
+            with Image.open(path) as image:
+                tags = image.getexif().get_ifd(EXIF)
         time, aperture = float(tags[TIME]), float(tags.get(APERTURE, 1) or 1)
         speed = tags.get(ISO, 100)
         gain = time * float(speed[0] if isinstance(speed, tuple) else speed) / 100 / aperture**2

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import struct
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
+from PIL import Image, UnidentifiedImageError
 
 from svu_mi.capture.mesh import MeshArrays
-from svu_mi.errors import MeshError, OutputError
+from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
 from svu_mi.formats.normals import repaired
 from svu_mi.formats.paths import inside
-from svu_mi.formats.textures import Textures, is_textured, textures_of
+from svu_mi.formats.textures import Textures, is_textured, load_pictures, textures_of
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
+PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tga", ".bmp", ".tif", ".tiff")
 V_DOWN = (".ply",)  # as Mitsuba's plugin takes it; trimesh hands on V upwards for the others
 MAX_BYTES = 2**31
+FREE = 2**20  # numbers that any file may ask for; more must be in it, not repeated
 MAX_NUMBER = 1e9  # units or UV tiles
 
 
@@ -53,8 +58,9 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
             materials with textures.
     """
     path = Path(path)
-    parts = _parts(path)
-    painted = {hash(part.visual.material): part for part in parts if part.visual.kind == "texture"}
+    files = _Inside(path.parent)
+    parts = _parts(path, files)
+    painted = {part.paint: part for part in parts if part.paint is not None}
     if len(painted) > 1 and not geometry_only:
         raise MeshError(
             f"{path}: has {len(painted)} materials; bake them into one, or import the geometry "
@@ -71,6 +77,8 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
             uvs = np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=-1)
         mesh = replace(mesh, uvs=uvs - _tile(uvs))
     mesh, notes = repaired(mesh, str(path))
+    if files.missing:
+        notes.append(f"{path}: refers to {excerpt(files.missing[0])}, which is not there.")
     if mesh.uvs is None and any(is_textured(part.visual) for part in parts):
         notes.append(f"{path}: its textures are left out, and its UVs laid out anew.")
     return Geometry(mesh=mesh, textures=textures, notes=notes)
@@ -86,7 +94,9 @@ def _buffers(parts: Sequence[_Part], path: Path) -> MeshArrays:
         normals=_joined([mesh.normals for mesh in meshes]),
         uvs=_joined([mesh.uvs for mesh in meshes]),
     )
-    for name, values in (("positions", mesh.positions), ("UVs", mesh.uvs)):
+    for name, values, width in (("positions", mesh.positions, 3), ("UVs", mesh.uvs, 2)):
+        if values is not None and values.shape != (len(mesh.positions), width):
+            raise MeshError(f"{path}: has not one of its {name} per vertex; export it again.")
         if values is not None and not (np.abs(values) < MAX_NUMBER).all():  # NaN fails, too
             raise MeshError(f"{path}: some {name} are NaN, infinite or absurd; export it again.")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.positions):
@@ -106,10 +116,17 @@ def _tile(uvs: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Part:
-    """One mesh of a file, in its world, and what it is painted with."""
+    """One mesh of a file, in its world, and what it is painted with.
+
+    Attributes:
+        mesh: its buffers.
+        visual: that of trimesh; its pictures are whole.
+        paint: a number that parts of the same material share; None without UVs.
+    """
 
     mesh: MeshArrays
     visual: Any
+    paint: int | None
 
     @staticmethod
     def of(scene: trimesh.Scene, node: str) -> _Part:
@@ -121,6 +138,7 @@ class _Part:
         normals = part.vertex_normals @ np.linalg.inv(matrix[:3, :3]) if given else None
         mirrored = np.linalg.det(matrix[:3, :3]) < 0
         uvs = getattr(part.visual, "uv", None)
+        load_pictures(part.visual)
         return _Part(
             MeshArrays(
                 positions=np.array(part.vertices) @ matrix[:3, :3].T + matrix[:3, 3],
@@ -129,30 +147,48 @@ class _Part:
                 uvs=None if uvs is None else np.array(uvs, np.float64)[:, :2],
             ),
             part.visual,
+            hash(part.visual.material) if part.visual.kind == "texture" else None,
         )
 
 
-def _parts(path: Path) -> list[_Part]:
+def _parts(path: Path, files: _Inside) -> list[_Part]:
     """Return the triangle meshes of a file."""
     if path.suffix.lower() not in SUFFIXES:
         raise MeshError(f"{path}: not a kind of mesh known here ({', '.join(SUFFIXES)}).")
     if not path.is_file():
         raise MeshError(f"{path}: no such mesh.")
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise MeshError(f"{path}: larger than {MAX_BYTES // 2**20} MiB; simplify the mesh.")
+    if path.stat().st_size > MAX_BYTES:
+        raise MeshError(f"{path}: larger than {MAX_BYTES // 2**20} MiB; simplify the mesh.")
+    with _damage_of(path):
         _refuse_bombs(path)
-        scene = trimesh.load_scene(path, resolver=_Inside(path.parent), process=False)
+        scene = trimesh.load_scene(path, resolver=files, process=False)
+        placed = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
+        if sum(len(part.vertices) for part in placed) > _held(path):
+            raise MeshError(f"{path}: places too many copies of its parts; bake them into one.")
         parts = [_Part.of(scene, node) for node in scene.graph.nodes_geometry]
         parts = [part for part in parts if len(part.mesh.faces) > 0]
-    except MeshError:
-        raise
-    except (Exception, MemoryError) as error:  # trimesh raises whatever its parsers meet
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise MeshError(f"{path}: not a readable mesh ({reason}); export it again.") from error
+    if files.refused:
+        raise MeshError(f"{path}: {excerpt(files.refused[0])}")
     if not parts:
         raise MeshError(f"{path}: holds no triangle mesh.")
     return parts
+
+
+@contextlib.contextmanager
+def _damage_of(path: Path) -> Iterator[None]:
+    """Say of which file a damage is; trimesh's own word on it, with its traceback, is left out."""
+    spoken, trimesh.util.log.disabled = trimesh.util.log.disabled, True
+    try:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what is not finite or too large is refused later
+            yield
+    except MeshError:
+        raise
+    except Exception as error:  # trimesh raises whatever its parsers meet
+        reason = excerpt(str(error) or type(error).__name__)
+        raise MeshError(f"{path}: not a readable mesh ({reason}); export it again.") from error
+    finally:
+        trimesh.util.log.disabled = spoken
 
 
 def _refuse_bombs(path: Path) -> None:
@@ -163,30 +199,61 @@ def _refuse_bombs(path: Path) -> None:
     if path.suffix.lower() == ".glb":
         (length,) = struct.unpack_from("<I", content, 12)
         content = content[20 : 20 + length]
-    held = sum(file.stat().st_size for file in (path, *path.parent.glob("*.bin")))
-    accessors = json.loads(content).get("accessors", ())
-    counts = [int(accessor.get("count", 0)) for accessor in accessors]
-    if not all(0 <= count <= held for count in counts):
+    record = json.loads(content)
+    counts = [int(accessor.get("count", 0)) for accessor in record.get("accessors", ())]
+    used = [
+        counts[index]
+        for mesh in record.get("meshes", ())
+        for primitive in mesh["primitives"]
+        for index in primitive["attributes"].values()
+    ]
+    if min(counts, default=0) < 0 or max(sum(counts), sum(used)) > _held(path):
         raise MeshError(f"{path}: asks for more numbers than the file holds; export it again.")
 
 
+def _held(path: Path) -> int:
+    """Return how many numbers, at most, a mesh and the buffers beside it hold; some are free."""
+    return max(FREE, sum(file.stat().st_size for file in (path, *path.parent.glob("*.bin"))))
+
+
 class _Inside(trimesh.resolvers.Resolver):
-    """Read files that a mesh refers to, if they lie in its folder (a trimesh resolver)."""
+    """Read files that a mesh refers to, if they lie in its folder (a trimesh resolver).
+
+    trimesh goes on without a material that it cannot read, so what is wrong is kept.
+
+    Attributes:
+        root: the folder.
+        refused: what must not, or cannot be read.
+        missing: names of files that are not there.
+    """
 
     def __init__(self, root: Path) -> None:
         self.root = root
+        self.refused: list[str] = []
+        self.missing: list[str] = []
 
     def get(self, name: str) -> bytes:
         """Return the bytes of a file."""
-        return inside(self.root, str(name).strip(), f"{self.root}").read_bytes()
+        try:
+            path = inside(self.root, str(name).strip(), str(self.root))
+            if not path.is_file():  # a folder, a pipe or a device neither
+                self.missing.append(path.name)
+                raise FileNotFoundError(f"no file {path.name}")
+            if path.suffix.lower() in PICTURES:
+                with Image.open(path):
+                    pass  # its header is sound; the pixels are decoded later
+            return path.read_bytes()
+        except (CaptureError, UnidentifiedImageError, Image.DecompressionBombError) as error:
+            self.refused.append(str(error))
+            raise OSError(str(error)) from error
 
     def keys(self) -> list[str]:
         """Return the names of the files there."""
         return [file.name for file in self.root.iterdir()]
 
     def namespaced(self, namespace: str) -> _Inside:
-        """Return the resolver of a folder inside."""
-        return _Inside(inside(self.root, namespace, str(self.root)))
+        """Refuse: no format that is read here asks for a folder."""
+        raise OSError(f"{self.root}: {namespace} is not looked into.")
 
     def write(self, name: str, data: object) -> None:
         """Refuse: reading a mesh writes nothing."""

@@ -205,7 +205,7 @@ def _clip(frame: Frame, mesh: MeshArrays) -> tuple[float, float]:
 def _with_uvs(geometry: Geometry, label: str) -> Geometry:
     if geometry.mesh.uvs is not None:
         return geometry
-    mesh = capture_mesh.arrays(unwrap(capture_mesh.make(OBJECT, geometry.mesh)))
+    mesh = capture_mesh.arrays(unwrap(capture_mesh.make(OBJECT, geometry.mesh), label))
     note = f"{label}: has no UVs; they are laid out by xatlas and kept in {MESH}."
     return replace(geometry, mesh=mesh, notes=[*geometry.notes, note])
 

@@ -29,7 +29,9 @@ def repaired(mesh: MeshArrays, label: str) -> tuple[MeshArrays, list[str]]:
     # Without the cuts that UV seams are.
     welded = trimesh.Trimesh(mesh.positions[unique], inverse[mesh.faces], process=False)
     notes = []
-    if welded.is_watertight and welded.volume < 0:
+    with np.errstate(all="ignore"):  # trimesh divides by the volume, which may be none
+        is_inside_out = welded.is_watertight and welded.volume < 0
+    if is_inside_out:
         notes.append(f"{label}: the surface was inside out; its triangles are turned.")
         mesh = replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, ::-1]))
         welded.invert()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
@@ -10,6 +11,7 @@ from svu_mi.errors import CaptureError
 
 LONGEST = 240  # bytes of one part of a path; file systems take 255, and suffixes are added
 LONGEST_PATH = 2048  # bytes
+CONTROL = re.compile(r"[\0-\x1f\x7f-\x9f]")  # what no name has, and a terminal obeys
 SHOWN = 60  # characters of a name in a message
 
 
@@ -48,7 +50,7 @@ def _is_usable(parts: tuple[str, ...]) -> bool:
     except UnicodeEncodeError:  # half a surrogate pair, which JSON can spell
         return False
     fits = max(sizes) <= LONGEST and sum(sizes) + len(sizes) <= LONGEST_PATH
-    return fits and "\0" not in "".join(parts)
+    return fits and CONTROL.search("".join(parts)) is None
 
 
 def _shown(name: Any) -> str:

@@ -35,6 +35,7 @@ ENVIRONMENT_AXES = {
 
 MAX_DISTANCE = 1e9  # units; single precision is long lost there
 MAX_SIDE = 2**16  # pixels; no camera has more, a damaged file easily
+LARGEST = 1e30  # number in a pose: products of three of them are finite
 RIGID = 1e-3  # part by which the axes of a pose may fail to be orthogonal and of one length
 SQUARE = 1e-6  # part by which the focal lengths of square pixels may differ
 NEAR, FAR = 1e-4, 1e7  # clip planes: no file has any, nor the size of the scene
@@ -142,7 +143,7 @@ def frame_of(sensor: Any, image: Path, **fields: Any) -> Frame:
 
 def _rigid(matrix: np.ndarray, label: str) -> np.ndarray:
     """Return the (4, 4) rotation and translation nearest to a pose, without its scale."""
-    if np.shape(matrix) != (4, 4) or not np.isfinite(matrix).all():
+    if np.shape(matrix) != (4, 4) or not (np.abs(matrix) < LARGEST).all():  # NaN fails, too
         raise CaptureError(f"{label}: the pose is not a 4 x 4 matrix without NaN; export it again.")
     if not np.allclose(matrix[3], [0, 0, 0, 1]):
         raise CaptureError(f"{label}: the last row of the pose must be 0 0 0 1.")

@@ -10,9 +10,10 @@ import numpy as np
 from trimesh.visual.material import empty_material
 
 from svu_mi.capture.picture import decoded, srgb
-from svu_mi.errors import MeshError
+from svu_mi.errors import MeshError, excerpt
 from svu_mi.files import replacing
 
+MAX_PIXELS = 2**26  # 8192 x 8192
 CONSTANT = 4  # pixels per side of the texture that stands for a factor without a texture
 
 # By parameter: base_color (H, W, 3) bytes, sRGB; roughness and metallic (H, W) bytes, linear.
@@ -39,7 +40,9 @@ def textures_of(visual: Any, path: Path) -> Textures:
         picture = getattr(material, "image", None)
         return {"base_color": _rgb(picture)} if is_textured(visual) else {}
     except Exception as error:  # Pillow raises whatever its decoders meet
-        raise MeshError(f"{path}: a texture cannot be read ({error}); export it again.") from error
+        raise MeshError(
+            f"{path}: a texture cannot be read ({excerpt(error)}); export it again."
+        ) from error
 
 
 def is_textured(visual: Any) -> bool:
@@ -49,6 +52,23 @@ def is_textured(visual: Any) -> bool:
         return hash(material) != hash(empty_material())  # what trimesh gives to UVs alone
     names = ("baseColorTexture", "metallicRoughnessTexture")
     return any(getattr(material, name, None) is not None for name in names)
+
+
+def load_pictures(visual: Any) -> None:
+    """Decode all pictures of a material; Pillow puts that off.
+
+    Raises:
+        ValueError: one is too large.
+        Exception: whatever Pillow's decoders meet.
+    """
+    material = getattr(visual, "material", None)
+    for name in ("image", "baseColorTexture", "metallicRoughnessTexture"):
+        picture = getattr(material, name, None)
+        if picture is None:
+            continue
+        if picture.width * picture.height > MAX_PIXELS:
+            raise ValueError(f"a texture of {picture.width} x {picture.height} pixels is too large")
+        picture.load()
 
 
 def write_pictures(textures: Textures, folder: Path) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.picture import SUFFIXES, image_size
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, excerpt
 from svu_mi.files import read_json, replacing
 from svu_mi.formats.paths import inside
 from svu_mi.formats.source import OPENGL, Frame, Source
@@ -152,17 +152,20 @@ def parse_frame(
         exposure = float(known.get("exposure", 1.0))
     except (KeyError, TypeError, ValueError, OverflowError, ZeroDivisionError) as error:
         raise CaptureError(
-            f"{label}: {error!r}; a frame needs transform_matrix, w, h, and fl_x or camera_angle_x."
+            f"{label}: {excerpt(repr(error))}; a frame needs transform_matrix, w, h, and fl_x or "
+            "camera_angle_x."
         ) from error
     if "FISHEYE" in str(known.get("camera_model", "")).upper():
         raise CaptureError(f"{label}: a fisheye is no pinhole; undistort the photographs first.")
     if any(known.get(key) for key in DISTORTION):
         raise CaptureError(f"{label}: the lens is distorted; undistort the photographs first.")
+    with np.errstate(all="ignore"):  # what is not finite is refused by the frame
+        to_world = before @ matrix @ OPENGL
     return Frame(
         label=label,
         image=image,
         mask=mask,
-        to_world=before @ matrix @ OPENGL,
+        to_world=to_world,
         focal=(fl_x, fl_y),
         center=center,
         size=size,
