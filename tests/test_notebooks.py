@@ -37,8 +37,8 @@ def text_of(output) -> str:
 
 
 def test_there_is_a_notebook():
-    names = ["conventions.ipynb", "entropy.ipynb", "guidance.ipynb", "recovery.ipynb"]
-    assert [path.name for path in NOTEBOOKS] == names
+    names = ["conventions", "entropy", "guidance", "import", "recovery"]
+    assert [path.stem for path in NOTEBOOKS] == names
 
 
 @pytest.mark.parametrize(
