@@ -27,6 +27,7 @@ from svu_mi.export.mesh import front_faces
 from svu_mi.export.options import FORMATS
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.metrics.images import srgb
+from svu_mi.recovery.textures import Textures
 
 RNG_SEED = 2061455329
 WIDTH, HEIGHT = 56, 40
@@ -284,6 +285,33 @@ def test_a_world_with_z_up_is_turned_in_the_glb(asset, tmp_path):
     np.testing.assert_allclose(turned.vertices[:, 2], -tall.mesh.positions[:, 1], atol=1e-6)
     camera = mi.load_file(str(tmp_path / "preview.xml")).sensors()[0]
     assert np.array(camera.world_transform().matrix).reshape(4, 4)[2, 1] > 0.9  # its top is +Z
+
+
+@pytest.mark.parametrize("name", ["lamp", "camera", "room", "roughness"])
+def test_an_object_may_be_called_what_the_preview_calls_its_own(asset, tmp_path, name):
+    options = svu.ExportOptions(formats=("xml",))
+    svu.export_asset(replace(asset, name=name), tmp_path, options)
+    scene = mi.load_file(str(tmp_path / "preview.xml"), optimize=False)
+    assert name in [shape.id() for shape in scene.shapes()]
+
+
+def test_objects_of_several_exports_fit_into_one_scene(asset, tmp_path):
+    included = ""
+    for name, value in (("left", 0.25), ("right", 0.5)):
+        textures = {n: np.full_like(np.array(t), value) for n, t in asset.textures.items()}
+        other = replace(asset, name=name, textures=Textures.of(textures))
+        svu.export_asset(other, tmp_path / name, svu.ExportOptions(formats=("xml",)))
+        path = tmp_path / name / "object.xml"
+        lines = path.read_text()  # as its comment says
+        for file in ("textures/", "mesh.ply"):
+            lines = lines.replace(f'value="{file}', f'value="{tmp_path / name}/{file}')
+        path.write_text(lines)
+        included += f'<include filename="{path}"/>'
+    scene = mi.load_string(f'<scene version="3.0.0">{included}</scene>', optimize=False)
+    found = {s.id(): mi.traverse(s.bsdf())["base_color.data"] for s in scene.shapes()}
+    assert {name: float(np.mean(data)) for name, data in found.items()} == {
+        "left": 0.25, "right": 0.5,
+    }  # fmt: skip
 
 
 # --- MaterialX ----------------------------------------------------------------------------
