@@ -133,6 +133,17 @@ def test_parts_are_of_the_area_and_sum_to_1(estimate):
     assert parts.unseen == pytest.approx(area[~result.seen].sum() / area.sum(), abs=0.02)
 
 
+def test_all_of_the_surface_is_exactly_all(estimate):
+    """Else it would be called over 99 %, and a page would miss that nothing is seen."""
+    for count in range(60, 160):
+        footprint = mi.Float(np.array(estimate.texels.footprint)[:count])
+        some = SimpleNamespace(texels=SimpleNamespace(footprint=footprint))
+        for seen in (True, False):
+            result = SimpleNamespace(entropy=np.zeros(count), seen=np.full(count, seen))
+            parts = findings.Parts.of(some, result)
+            assert (parts.certain, parts.unseen) == ((1, 0) if seen else (0, 1))
+
+
 def test_an_entropy_is_a_number_of_materials(estimate):
     left = [findings.candidates(estimate, h) for h in (0, 1 / 3, 1)]
     assert left == pytest.approx([1, 8, 512])

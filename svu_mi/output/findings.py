@@ -35,14 +35,17 @@ class Parts:
     def of(cls, estimate: Any, result: Result) -> Parts:
         """Measure the parts of an estimate."""
         area = estimate.texels.footprint.numpy().astype(np.float64) ** 2
-        area /= area.sum()
         entropy, seen = result.entropy, result.seen
         certain, uncertain = entropy < CERTAIN, entropy >= OPEN
+
+        def part(chosen: np.ndarray) -> float:
+            return float(area[chosen].sum() / area.sum())  # exactly 1 if all are chosen
+
         return cls(
-            certain=float(area[seen & certain].sum()),
-            partly=float(area[seen & ~certain & ~uncertain].sum()),
-            uncertain=float(area[seen & uncertain].sum()),
-            unseen=float(area[~seen].sum()),
+            certain=part(seen & certain),
+            partly=part(seen & ~certain & ~uncertain),
+            uncertain=part(seen & uncertain),
+            unseen=part(~seen),
         )
 
 
