@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import shutil
 import struct
 from dataclasses import replace
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import MaterialX as mx
 import MaterialX.PyMaterialXGenGlsl as gen_glsl
@@ -285,6 +287,29 @@ def test_a_world_with_z_up_is_turned_in_the_glb(asset, tmp_path):
     np.testing.assert_allclose(turned.vertices[:, 2], -tall.mesh.positions[:, 1], atol=1e-6)
     camera = mi.load_file(str(tmp_path / "preview.xml")).sensors()[0]
     assert np.array(camera.world_transform().matrix).reshape(4, 4)[2, 1] > 0.9  # its top is +Z
+
+
+def test_up_is_where_the_cameras_of_a_recovery_have_it(result, tmp_path):
+    assert svu.load_asset(result.folder).up == "y"
+    folder = shutil.copytree(result.folder, tmp_path / "result")
+    path = folder / "recovered.xml"
+    tree = ElementTree.parse(path)
+    to_z = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
+    for matrix in tree.findall("sensor/transform/matrix"):
+        pose = to_z @ np.array(matrix.get("value").split(), float).reshape(4, 4)
+        matrix.set("value", " ".join(map(str, pose.ravel())))
+    tree.write(path)
+    assert svu.load_asset(folder).up == "z"
+    svu.export_asset(folder, tmp_path / "asset", svu.ExportOptions(formats=("glb",)))
+    assert json.loads((tmp_path / "asset" / "asset.json").read_text())["mesh"]["up"] == "z"
+    low, high = trimesh.load_scene(tmp_path / "asset" / "asset.glb").bounds
+    mesh = svu.load_asset(folder).mesh.positions
+    np.testing.assert_allclose(high[1], mesh[:, 2].max(), atol=1e-5)
+    for broken in ("1 2", "x " * 16):  # says nothing, and is no reason to refuse the textures
+        for matrix in tree.findall("sensor/transform/matrix"):
+            matrix.set("value", broken)
+        tree.write(path)
+        assert svu.load_asset(folder).up == "y"
 
 
 @pytest.mark.parametrize("name", ["lamp", "camera", "room", "roughness"])

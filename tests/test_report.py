@@ -17,7 +17,8 @@ from svu_mi.cli.main import main
 from svu_mi.exr import write_exr
 from svu_mi.output import findings, report, report_pictures, report_plots
 from svu_mi.output.overview import Result
-from svu_mi.output.turntable import Turntable, upright
+from svu_mi.output.turntable import Turntable
+from svu_mi.output.upright import front_and_right, upright
 from svu_mi.recovery.textures import uniform
 
 VIEWS = 5
@@ -220,6 +221,20 @@ def test_up_is_where_cameras_have_it(capture):
     table = Turntable.around(turned(to_z), 4, side=16)
     heights = [np.array(s.world_transform().matrix).reshape(4, 4)[2, 3] for s in table.sensors]
     assert np.ptp(heights) < 1e-4 and min(heights) > 0.5
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1, 1e3])
+def test_the_front_is_the_same_in_any_unit(capture, unit):
+    """Also if the first photograph is from above, and so does not say where it is."""
+    records = [describe(sensor) for sensor in capture.sensors]
+    above = mi.ScalarTransform4f().look_at([0, 4, 0], [0, 0, 0], [0, 0, 1])
+    records[0]["to_world"] = np.array(above.matrix)
+    for record in records:
+        record["to_world"] = np.array(record["to_world"])
+        record["to_world"][:3, 3] *= unit
+    moved = replace(capture, sensors=tuple(make_sensor(r, "moved") for r in records))
+    front, right = front_and_right(moved, np.zeros(3), np.array([0.0, 1, 0]))
+    np.testing.assert_allclose([front, right], [[0, 0, 1], [1, 0, 0]], atol=1e-6)
 
 
 def test_frames_are_free_of_their_background(capture, estimate):

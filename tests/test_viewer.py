@@ -31,6 +31,7 @@ from svu_mi.surface import texels
 
 SIZE = (40, 24)  # texels: not square, so that rows cannot pass for columns
 FILM = (48, 36)
+TO_Z_UP = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
 SIDEWAYS = 4  # the view that is least from above
 
 
@@ -226,6 +227,26 @@ def test_a_page_is_served_here_alone_until_interrupted(capture, known, quarters,
     with pytest.raises(OSError, match="refused"):
         page(viewer.url)
     assert capfd.readouterr().out == ""
+
+
+def test_a_world_with_z_up_of_which_nothing_is_seen(capture, known):
+    records = [describe(sensor) for sensor in capture.sensors]
+    for record in records:
+        record["to_world"] = TO_Z_UP @ np.array(record["to_world"])
+    turned = replace(capture, sensors=tuple(make_sensor(record, "z") for record in records))
+    count = known.texels.count
+    blind = replace(
+        known, posterior=replace(known.posterior, observed=np.zeros(count, bool)),
+        coverage=mi.UInt32(np.zeros(count, np.uint32)),
+    )  # fmt: skip
+    viewer = Viewer(turned, blind, port=0)
+    try:
+        np.testing.assert_array_equal(viewer._up, [0, 0, 1])
+        heading = viewer._status.content
+        assert "mean entropy 1.00" in heading and "0\u202f% seen" in heading
+        assert viewer._server.initial_camera.position[2] > 0.5  # from above
+    finally:
+        viewer.stop()
 
 
 def _interrupt():

@@ -31,8 +31,8 @@ class View(Photographed):
     """Folder that svu recover has written; its size is taken for --resolution."""
     port: int = 8080
     """Of the page on this machine; the next free one if it is taken."""
-    up: Literal["y", "z"] = "y"
-    """Axis of the world that points upwards."""
+    up: Literal["y", "z"] | None = None
+    """Axis of the world that points upwards; by default as the cameras have it."""
 
     def run(self, console: Console) -> int:
         """Estimate, open the page, and serve it until Ctrl-C."""

@@ -78,18 +78,18 @@ def _named(record: Path) -> set[str]:
 
 
 def _write(asset: Asset, folder: Path, options: ExportOptions) -> list[Written]:
-    files = []
+    files, up = [], options.up or asset.up
     if "exr" in options.written:
         files += write_exr_images(asset, folder, half=options.half)
     if "png" in options.written:
         files += write_png_images(asset, folder, bits=options.bits)
     if "glb" in options.written:
         found = {name: at_vertices(asset.mesh, image) for name, image in asset.maps.items()}
-        files.append(glb.write_asset_glb(asset, folder, found, up=options.up))
+        files.append(glb.write_asset_glb(asset, folder, found, up=up))
         if "entropy" in found:
-            files.append(glb.write_entropy_glb(asset, folder, found["entropy"], up=options.up))
+            files.append(glb.write_entropy_glb(asset, folder, found["entropy"], up=up))
     if "xml" in options.written:
-        files += mitsuba_xml.write_mitsuba(asset, folder, up=options.up)
+        files += mitsuba_xml.write_mitsuba(asset, folder, up=up)
     if "materialx" in options.written:
         files += materialx.write_materialx(asset, folder)
     return files
@@ -110,7 +110,7 @@ def _record(asset: Asset, options: ExportOptions, files: list[Written]) -> dict[
             "normals": asset.mesh.normals is not None,
             "two_sided": asset.two_sided,
             "bounds": [low, high],
-            "up": options.up,
+            "up": options.up or asset.up,
         },
         "textures": {"resolution": asset.textures.resolution, "model": MODEL},
         "settings": options,

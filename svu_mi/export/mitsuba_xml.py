@@ -15,9 +15,9 @@ from svu_mi.capture.mesh import make
 from svu_mi.capture.poses import bounding_sphere, sphere_sensors
 from svu_mi.export.asset import Asset
 from svu_mi.export.files import TEXTURES, Written
-from svu_mi.export.options import DIRECTION, Axis
 from svu_mi.output.scene_xml import object_node
 from svu_mi.output.textures import FILES
+from svu_mi.output.upright import DIRECTION, Axis
 
 OBJECT, PREVIEW, MESH = "object.xml", "preview.xml", "mesh.ply"
 FILM = (512, 512)
