@@ -168,6 +168,18 @@ def test_a_page_for_others_names_no_folder(text, written):
     assert str(written.parent) not in text and written.name in section(text, "record")
 
 
+def test_neither_options_nor_warnings_name_a_folder(capture, estimate, tmp_path, monkeypatch):
+    monkeypatch.setattr(report.report_plots, "errors", lambda *_: None)
+    secret = tmp_path / "client = no 7"
+    told = replace(capture, source=secret, warnings=(f"{secret / 'a.png'}: an 8-bit image.",))
+    given = {"define": (f"map={secret / 'sky.exr'}", "spp=4", "a="), "title": "now/then"}
+    svu.write_report(told, estimate, tmp_path / "page.html", settings=given)
+    text = (tmp_path / "page.html").read_text()
+    assert str(tmp_path) not in text
+    assert ">a.png: an 8-bit image." in text
+    assert "map=sky.exr, spp=4, a=" in text and "now/then" in text
+
+
 def test_all_that_is_skipped_is_said_in_sentences(estimate):
     every = SimpleNamespace(**vars(estimate))
     for number in (1, 2):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,6 +63,7 @@ def write_report(
         if progress is not None:
             progress(next(done), 5)
 
+    warnings = [_within(capture.source, sentence) for sentence in capture.warnings]
     result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
     shown, left_out = report_pictures.thumbnails(capture, estimate)
     step()
@@ -85,7 +87,7 @@ def write_report(
         error_colors=report_pictures.gradient(DIFFERENCE_COLORMAP),
         error_end=percent(WORST), textured=textures is not None,
         color=estimate.posterior.groups == 3, skipped=findings.skipped(estimate),
-        warnings=capture.warnings[:WARNINGS], more_warnings=capture.warnings[WARNINGS:],
+        warnings=warnings[:WARNINGS], more_warnings=warnings[WARNINGS:],
         **_record(capture, estimate, settings),
     )  # fmt: skip
     step()
@@ -170,7 +172,15 @@ def _plain(value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, tuple | list):
         return ", ".join(map(_plain, value)) or "–"
+    if isinstance(value, str) and "=" in value:  # of -D
+        key, _, text = value.partition("=")
+        return f"{key}={_plain(Path(text)) if text else ''}"
     return "–" if value is None else str(value)
+
+
+def _within(folder: Path | None, sentence: str) -> str:
+    """Leave a folder out of the names of its files, which is the sender's own affair."""
+    return sentence if folder is None else sentence.replace(f"{folder}{os.sep}", "")
 
 
 def _name(capture: Any) -> str:
