@@ -128,6 +128,12 @@ def test_a_failed_export_has_no_record(exported, asset, tmp_path):
     assert not [name for name in files(tmp_path) if ".tmp" in name]
 
 
+def test_a_record_that_cannot_be_removed_is_one_sentence(asset, tmp_path):
+    (tmp_path / "asset.json").mkdir()
+    with pytest.raises(OutputError, match=r"asset\.json: cannot be removed \(Is a directory\)"):
+        svu.export_asset(asset, tmp_path)
+
+
 # --- Images -------------------------------------------------------------------------------
 
 
@@ -453,8 +459,6 @@ def test_a_folder_of_entropy_alone_says_what_is_missing(tmp_path):
     ("metallic.exr", {"Y": np.ones((8, 8))}, CaptureError, "differ in size"),
 ])  # fmt: skip
 def test_damaged_results_are_refused(result, tmp_path, file, content, error, sentence):
-    import shutil
-
     folder = tmp_path / "result"
     shutil.copytree(result.folder, folder)
     if isinstance(content, str):

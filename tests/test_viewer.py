@@ -270,6 +270,9 @@ def test_command_line(tmp_path, monkeypatch, capsys, variant):
     assert "Open http://127.0.0.1:" in capsys.readouterr().out
     assert main([*words, "--recovered", str(tmp_path / "nowhere")]) == 2
     assert "no such folder" in capsys.readouterr().err
+    assert main(["view", str(scene), "--port", "65536"]) == 2
+    said = capsys.readouterr().err
+    assert "--port must be" in said and "Loading" not in said  # refused before any work
     monkeypatch.setitem(sys.modules, "viser", None)
     assert main(words) == 2
     assert "svu: The viewer needs viser" in capsys.readouterr().err

@@ -36,12 +36,13 @@ class View(Photographed):
 
     def run(self, console: Console) -> int:
         """Estimate, open the page, and serve it until Ctrl-C."""
-        from svu_mi.output.serving import require_viser
+        from svu_mi.output.serving import require_port, require_viser
         from svu_mi.output.viewer import Viewer
         from svu_mi.pipeline import estimate
 
         pair(self.resolution, "--resolution")  # refused before any work
         defines, known = parse_defines(self.define), parse_known(self.known)
+        require_port(self.port)
         require_viser()
         self.start()
         progress = Progress(console)

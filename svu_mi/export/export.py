@@ -17,7 +17,7 @@ from svu_mi.export.files import RECORD, TEXTURES, Written
 from svu_mi.export.images import write_exr_images, write_png_images
 from svu_mi.export.options import ExportOptions
 from svu_mi.export.reading import load_asset
-from svu_mi.files import prepare_folder, read_json
+from svu_mi.files import prepare_folder, read_json, remove
 from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.recovery.textures import NAMES
 
@@ -60,10 +60,10 @@ def export_asset(
     folder = prepare_folder(folder)
     prepare_folder(folder / TEXTURES)
     older = _named(folder / RECORD)
-    (folder / RECORD).unlink(missing_ok=True)
+    remove(folder / RECORD)
     files = _write(asset, folder, options)
     for name in older - {each.file for each in files}:
-        (folder / name).unlink(missing_ok=True)
+        remove(folder / name)
     write_manifest(folder / RECORD, _record(asset, options, files))
     return folder / RECORD
 
