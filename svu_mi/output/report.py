@@ -14,7 +14,7 @@ import numpy as np
 import svu_mi
 from svu_mi.output import findings, report_pictures, report_plots
 from svu_mi.output.manifest import environment_record
-from svu_mi.output.overview import Result, known
+from svu_mi.output.overview import Result, known, open_axes, words
 from svu_mi.output.page import NARROW_SPACE, grouped, percent, write_page
 from svu_mi.output.relit import DIFFERENCE_COLORMAP, WORST
 from svu_mi.output.turntable import Turntable
@@ -126,7 +126,7 @@ def _summary(capture: Any, estimate: Any, result: Result, table: Turntable) -> d
              f"of {grouped(total)} at a typical point"),
         ],
         "left": f"{left:.0f}", "total": grouped(total),
-        "parameters": [findings.words(name) for name in findings.open_axes(estimate)],
+        "parameters": [words(name) for name in open_axes(estimate)],
     }  # fmt: skip
 
 
@@ -134,14 +134,13 @@ def _record(capture: Any, estimate: Any, settings: Mapping[str, Any] | None) -> 
     """Settings, times and versions as rows of words."""
     preset = dataclasses.asdict(estimate.preset)
     width, height = estimate.texels.resolution
-    axes = estimate.posterior.axes.items()
-    grid = " × ".join(f"{len(v)} {findings.words(n)}" for n, v in axes if len(v) > 1)
+    grid = " × ".join(f"{len(v)} {words(n)}" for n, v in open_axes(estimate).items())
     sizes = sorted({f"{image.shape[1]} × {image.shape[0]}" for image in capture.images})
     rows = [
         ("Method", estimate.method),
         ("Preset", preset.pop("name")),
         ("Materials tried at each point", grid),
-        *((f"Known {findings.words(n)}", f"{value:g}") for n, value in known(estimate).items()),
+        *((f"Known {words(n)}", f"{value:g}") for n, value in known(estimate).items()),
         ("Texture", f"{width} × {height}"),
         ("Photographs", f"{', '.join(sizes[:4])}{', …' if len(sizes) > 4 else ''} pixels"),
     ]
