@@ -44,6 +44,20 @@ def prepare_folder(folder: str | Path) -> Path:
     return folder
 
 
+def remove(path: Path) -> None:
+    """Remove a file of an older run, if there is one.
+
+    Raises:
+        OutputError: it cannot be removed, or is a folder.
+    """
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be removed ({error.strerror}); choose another folder."
+        ) from error
+
+
 @contextlib.contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
     """Give a new, empty temporary file that becomes ``path`` when the block succeeds.

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import shutil
 import struct
 from dataclasses import replace
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import MaterialX as mx
 import MaterialX.PyMaterialXGenGlsl as gen_glsl
@@ -27,6 +29,7 @@ from svu_mi.export.mesh import front_faces
 from svu_mi.export.options import FORMATS
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.metrics.images import srgb
+from svu_mi.recovery.textures import Textures
 
 RNG_SEED = 2061455329
 WIDTH, HEIGHT = 56, 40
@@ -123,6 +126,12 @@ def test_a_failed_export_has_no_record(exported, asset, tmp_path):
         svu.export_asset(asset, tmp_path, svu.ExportOptions(formats=("glb",)))
     assert not (tmp_path / "asset.json").exists()
     assert not [name for name in files(tmp_path) if ".tmp" in name]
+
+
+def test_a_record_that_cannot_be_removed_is_one_sentence(asset, tmp_path):
+    (tmp_path / "asset.json").mkdir()
+    with pytest.raises(OutputError, match=r"asset\.json: cannot be removed \(Is a directory\)"):
+        svu.export_asset(asset, tmp_path)
 
 
 # --- Images -------------------------------------------------------------------------------
@@ -286,6 +295,56 @@ def test_a_world_with_z_up_is_turned_in_the_glb(asset, tmp_path):
     assert np.array(camera.world_transform().matrix).reshape(4, 4)[2, 1] > 0.9  # its top is +Z
 
 
+def test_up_is_where_the_cameras_of_a_recovery_have_it(result, tmp_path):
+    assert svu.load_asset(result.folder).up == "y"
+    folder = shutil.copytree(result.folder, tmp_path / "result")
+    path = folder / "recovered.xml"
+    tree = ElementTree.parse(path)
+    to_z = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
+    for matrix in tree.findall("sensor/transform/matrix"):
+        pose = to_z @ np.array(matrix.get("value").split(), float).reshape(4, 4)
+        matrix.set("value", " ".join(map(str, pose.ravel())))
+    tree.write(path)
+    assert svu.load_asset(folder).up == "z"
+    svu.export_asset(folder, tmp_path / "asset", svu.ExportOptions(formats=("glb",)))
+    assert json.loads((tmp_path / "asset" / "asset.json").read_text())["mesh"]["up"] == "z"
+    low, high = trimesh.load_scene(tmp_path / "asset" / "asset.glb").bounds
+    mesh = svu.load_asset(folder).mesh.positions
+    np.testing.assert_allclose(high[1], mesh[:, 2].max(), atol=1e-5)
+    for broken in ("1 2", "x " * 16):  # says nothing, and is no reason to refuse the textures
+        for matrix in tree.findall("sensor/transform/matrix"):
+            matrix.set("value", broken)
+        tree.write(path)
+        assert svu.load_asset(folder).up == "y"
+
+
+@pytest.mark.parametrize("name", ["lamp", "camera", "room", "roughness"])
+def test_an_object_may_be_called_what_the_preview_calls_its_own(asset, tmp_path, name):
+    options = svu.ExportOptions(formats=("xml",))
+    svu.export_asset(replace(asset, name=name), tmp_path, options)
+    scene = mi.load_file(str(tmp_path / "preview.xml"), optimize=False)
+    assert name in [shape.id() for shape in scene.shapes()]
+
+
+def test_objects_of_several_exports_fit_into_one_scene(asset, tmp_path):
+    included = ""
+    for name, value in (("left", 0.25), ("right", 0.5)):
+        textures = {n: np.full_like(np.array(t), value) for n, t in asset.textures.items()}
+        other = replace(asset, name=name, textures=Textures.of(textures))
+        svu.export_asset(other, tmp_path / name, svu.ExportOptions(formats=("xml",)))
+        path = tmp_path / name / "object.xml"
+        lines = path.read_text()  # as its comment says
+        for file in ("textures/", "mesh.ply"):
+            lines = lines.replace(f'value="{file}', f'value="{tmp_path / name}/{file}')
+        path.write_text(lines)
+        included += f'<include filename="{path}"/>'
+    scene = mi.load_string(f'<scene version="3.0.0">{included}</scene>', optimize=False)
+    found = {s.id(): mi.traverse(s.bsdf())["base_color.data"] for s in scene.shapes()}
+    assert {name: float(np.mean(data)) for name, data in found.items()} == {
+        "left": 0.25, "right": 0.5,
+    }  # fmt: skip
+
+
 # --- MaterialX ----------------------------------------------------------------------------
 
 
@@ -400,8 +459,6 @@ def test_a_folder_of_entropy_alone_says_what_is_missing(tmp_path):
     ("metallic.exr", {"Y": np.ones((8, 8))}, CaptureError, "differ in size"),
 ])  # fmt: skip
 def test_damaged_results_are_refused(result, tmp_path, file, content, error, sentence):
-    import shutil
-
     folder = tmp_path / "result"
     shutil.copytree(result.folder, folder)
     if isinstance(content, str):

@@ -347,6 +347,21 @@ def test_ids_that_mitsuba_refuses_are_changed():
     assert nodes.plugin("shape", "ply", id="").get("id") == "node"
 
 
+def test_ids_that_meet_are_told_apart(tmp_path):
+    """The light has no name and is called light, as is the object; another is named as a camera."""
+    extra = """<shape type="disk" id="view_0000"><bsdf type="diffuse"/></shape>
+      <shape type="disk" id="light_material"><bsdf type="diffuse"/></shape>"""
+    path = write_scene(tmp_path, sensors=sensor_xml(2), extra=extra)
+    text = path.read_text().replace(' id="light"', "").replace('id="ball"', 'id="light"')
+    path.write_text(text)
+    capture = svu.render_capture(path, spp=1, shape="light")
+    written = write_recovered(capture, any_textures(), tmp_path / "out")
+    scene = mi.load_file(str(written), optimize=False)
+    shapes = {shape.id() for shape in scene.shapes()}
+    assert shapes == {"light", "view_0000", "light_material"}
+    assert [sensor.id() for sensor in scene.sensors()] == ["view_0000_2", "view_0001"]
+
+
 # --- Another light ------------------------------------------------------------------------
 
 

@@ -17,7 +17,8 @@ from svu_mi.cli.main import main
 from svu_mi.exr import write_exr
 from svu_mi.output import findings, report, report_pictures, report_plots
 from svu_mi.output.overview import Result
-from svu_mi.output.turntable import Turntable, upright
+from svu_mi.output.turntable import Turntable
+from svu_mi.output.upright import front_and_right, upright
 from svu_mi.recovery.textures import uniform
 
 VIEWS = 5
@@ -133,6 +134,17 @@ def test_parts_are_of_the_area_and_sum_to_1(estimate):
     assert parts.unseen == pytest.approx(area[~result.seen].sum() / area.sum(), abs=0.02)
 
 
+def test_all_of_the_surface_is_exactly_all(estimate):
+    """Else it would be called over 99 %, and a page would miss that nothing is seen."""
+    for count in range(60, 160):
+        footprint = mi.Float(np.array(estimate.texels.footprint)[:count])
+        some = SimpleNamespace(texels=SimpleNamespace(footprint=footprint))
+        for seen in (True, False):
+            result = SimpleNamespace(entropy=np.zeros(count), seen=np.full(count, seen))
+            parts = findings.Parts.of(some, result)
+            assert (parts.certain, parts.unseen) == ((1, 0) if seen else (0, 1))
+
+
 def test_an_entropy_is_a_number_of_materials(estimate):
     left = [findings.candidates(estimate, h) for h in (0, 1 / 3, 1)]
     assert left == pytest.approx([1, 8, 512])
@@ -154,6 +166,18 @@ def test_photographs_say_what_is_wrong_with_them(text):
 
 def test_a_page_for_others_names_no_folder(text, written):
     assert str(written.parent) not in text and written.name in section(text, "record")
+
+
+def test_neither_options_nor_warnings_name_a_folder(capture, estimate, tmp_path, monkeypatch):
+    monkeypatch.setattr(report.report_plots, "errors", lambda *_: None)
+    secret = tmp_path / "client = no 7"
+    told = replace(capture, source=secret, warnings=(f"{secret / 'a.png'}: an 8-bit image.",))
+    given = {"define": (f"map={secret / 'sky.exr'}", "spp=4", "a="), "title": "now/then"}
+    svu.write_report(told, estimate, tmp_path / "page.html", settings=given)
+    text = (tmp_path / "page.html").read_text()
+    assert str(tmp_path) not in text
+    assert ">a.png: an 8-bit image." in text
+    assert "map=sky.exr, spp=4, a=" in text and "now/then" in text
 
 
 def test_all_that_is_skipped_is_said_in_sentences(estimate):
@@ -209,6 +233,20 @@ def test_up_is_where_cameras_have_it(capture):
     table = Turntable.around(turned(to_z), 4, side=16)
     heights = [np.array(s.world_transform().matrix).reshape(4, 4)[2, 3] for s in table.sensors]
     assert np.ptp(heights) < 1e-4 and min(heights) > 0.5
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1, 1e3])
+def test_the_front_is_the_same_in_any_unit(capture, unit):
+    """Also if the first photograph is from above, and so does not say where it is."""
+    records = [describe(sensor) for sensor in capture.sensors]
+    above = mi.ScalarTransform4f().look_at([0, 4, 0], [0, 0, 0], [0, 0, 1])
+    records[0]["to_world"] = np.array(above.matrix)
+    for record in records:
+        record["to_world"] = np.array(record["to_world"])
+        record["to_world"][:3, 3] *= unit
+    moved = replace(capture, sensors=tuple(make_sensor(r, "moved") for r in records))
+    front, right = front_and_right(moved, np.zeros(3), np.array([0.0, 1, 0]))
+    np.testing.assert_allclose([front, right], [[0, 0, 1], [1, 0, 0]], atol=1e-6)
 
 
 def test_frames_are_free_of_their_background(capture, estimate):

@@ -251,6 +251,6 @@ def test_pictures_and_record_of_what_is_known(grey, tmp_path):
     assert (np.array(result.posterior.map()["metallic"]) == 0.25).all()
     figure, (left, right) = plt.subplots(1, 2)
     figures.draw_posterior(left, result.posterior, 700)
-    assert {left.get_xlabel(), left.get_ylabel()} == {"roughness", "base color"}
+    assert {left.get_xlabel(), left.get_ylabel()} == {"roughness", "base colour"}
     figures.draw_marginal(right, result.posterior, 700, "metallic")
     plt.close(figure)

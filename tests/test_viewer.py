@@ -17,6 +17,7 @@ from svu_mi.capture import mesh as meshes
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.main import main
+from svu_mi.cli.viewing import View
 from svu_mi.errors import OptionError, ShapeError, SvuEnvironmentError
 from svu_mi.output import views
 from svu_mi.output.browser_model import GAIN, before_tone_mapping, tone_mapped
@@ -31,6 +32,7 @@ from svu_mi.surface import texels
 
 SIZE = (40, 24)  # texels: not square, so that rows cannot pass for columns
 FILM = (48, 36)
+TO_Z_UP = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
 SIDEWAYS = 4  # the view that is least from above
 
 
@@ -151,7 +153,7 @@ def test_an_unseen_texel_is_grey_and_nothing_is_known_of_it(capture, known, pick
     assert found.most_probable is None
     assert "seen by none of 4 views" in says(capture, found)
     assert "nothing is known" in says(capture, found)
-    for name in ("entropy", "coverage", "most probable base color", "entropy of metallic"):
+    for name in ("entropy", "coverage", "most probable base colour", "entropy of metallic"):
         colors = surface_maps(known)[name]().colors
         assert np.allclose(colors[found.row, found.column], (0.55, 0.55, 0.58))
 
@@ -163,7 +165,7 @@ def test_maps_reach_over_all_that_is_outside_the_charts(known, quarters):
     colors = surface_maps(known)["entropy"]().colors
     own = colors.reshape(-1, 3)[known.texels.index.numpy()]
     assert np.array_equal(colors, own[table])
-    shown = surface_maps(known, quarters)["recovered base color"]()
+    shown = surface_maps(known, quarters)["recovered base colour"]()
     assert shown.scale is None
     assert np.allclose(shown.colors, views.srgb(np.array(quarters.base_color)))
     with pytest.raises(ShapeError, match="textures have"):
@@ -228,6 +230,26 @@ def test_a_page_is_served_here_alone_until_interrupted(capture, known, quarters,
     assert capfd.readouterr().out == ""
 
 
+def test_a_world_with_z_up_of_which_nothing_is_seen(capture, known):
+    records = [describe(sensor) for sensor in capture.sensors]
+    for record in records:
+        record["to_world"] = TO_Z_UP @ np.array(record["to_world"])
+    turned = replace(capture, sensors=tuple(make_sensor(record, "z") for record in records))
+    count = known.texels.count
+    blind = replace(
+        known, posterior=replace(known.posterior, observed=np.zeros(count, bool)),
+        coverage=mi.UInt32(np.zeros(count, np.uint32)),
+    )  # fmt: skip
+    viewer = Viewer(turned, blind, port=0)
+    try:
+        np.testing.assert_array_equal(viewer._up, [0, 0, 1])
+        heading = viewer._status.content
+        assert "mean entropy 1.00" in heading and "0\u202f% seen" in heading
+        assert viewer._server.initial_camera.position[2] > 0.5  # from above
+    finally:
+        viewer.stop()
+
+
 def _interrupt():
     raise KeyboardInterrupt
 
@@ -249,6 +271,10 @@ def test_command_line(tmp_path, monkeypatch, capsys, variant):
     assert "Open http://127.0.0.1:" in capsys.readouterr().out
     assert main([*words, "--recovered", str(tmp_path / "nowhere")]) == 2
     assert "no such folder" in capsys.readouterr().err
+    with monkeypatch.context() as patch:
+        patch.setattr(View, "load", None)  # refused before any work
+        assert main(["view", str(scene), "--port", "65536"]) == 2
+    assert "--port must be" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "viser", None)
     assert main(words) == 2
     assert "svu: The viewer needs viser" in capsys.readouterr().err
@@ -261,7 +287,7 @@ def test_a_browser_shows_what_mitsuba_renders(capture, known, quarters, tmp_path
     viewer = Viewer(capture, known, quarters, port=0)
     browser = Browser(tmp_path, "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
     try:
-        viewer.show("recovered base color")
+        viewer.show("recovered base colour")
         page = browser.open(viewer.url, 760, 240)  # the panel is on the right
         shown = _shown(viewer, frustum(capture, SIDEWAYS, 8))
         eye = _click_the_middle(viewer, page)

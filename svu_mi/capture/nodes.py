@@ -85,14 +85,26 @@ def bitmap(
 
 
 def write_document(root: Element, path: Path) -> None:
-    """Write a scene file, indented, atomically.
+    """Write a scene file, indented, atomically; ids that occur twice are told apart.
 
     Raises:
         OutputError: it cannot be written.
     """
+    _tell_apart(root)
     ElementTree.indent(root)
     with replacing(path) as temporary:
         temporary.write_text(ElementTree.tostring(root, "unicode") + "\n", encoding="utf-8")
+
+
+def _tell_apart(root: Element) -> None:
+    """Number ids that are taken: Mitsuba wants each once. Shapes keep theirs, the first best."""
+    taken: set[str] = set()
+    for node in sorted(root.iterfind(".//*[@id]"), key=lambda node: node.tag != "shape"):
+        name, number = node.attrib["id"], 1
+        while node.attrib["id"] in taken:
+            number += 1
+            node.set("id", f"{name}_{number}")
+        taken.add(node.attrib["id"])
 
 
 def _property(value: Any) -> tuple[str, str]:

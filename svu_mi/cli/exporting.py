@@ -44,8 +44,9 @@ class Export(Common):
     """EXR in half precision."""
     gutter: Gutter = None
     """Width of the gutter around charts; by default everything between them is filled."""
-    up: Literal["y", "z"] = "y"
-    """Axis of the capture's world that points upwards; glTF wants y, so z is turned in the GLB."""
+    up: Literal["y", "z"] | None = None
+    """Axis of the capture's world that points upwards, by default as its cameras have it; glTF
+    wants y, so z is turned in the GLB."""
 
     def run(self, console: Console) -> int:
         """Read the result, and write the asset."""

@@ -31,17 +31,18 @@ class View(Photographed):
     """Folder that svu recover has written; its size is taken for --resolution."""
     port: int = 8080
     """Of the page on this machine; the next free one if it is taken."""
-    up: Literal["y", "z"] = "y"
-    """Axis of the world that points upwards."""
+    up: Literal["y", "z"] | None = None
+    """Axis of the world that points upwards; by default as the cameras have it."""
 
     def run(self, console: Console) -> int:
         """Estimate, open the page, and serve it until Ctrl-C."""
-        from svu_mi.output.serving import require_viser
+        from svu_mi.output.serving import require_port, require_viser
         from svu_mi.output.viewer import Viewer
         from svu_mi.pipeline import estimate
 
         pair(self.resolution, "--resolution")  # refused before any work
         defines, known = parse_defines(self.define), parse_known(self.known)
+        require_port(self.port)
         require_viser()
         self.start()
         progress = Progress(console)

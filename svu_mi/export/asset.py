@@ -11,6 +11,7 @@ from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.repaint import is_two_sided
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.output.maps import padded
+from svu_mi.output.upright import Axis, nearest_axis, upright
 from svu_mi.recovery.textures import Textures
 
 
@@ -26,6 +27,7 @@ class Asset:
             or None.
         coverage: (H, W) float32 number of views, of the same resolution as ``entropy``, or None.
         two_sided: whether the surface reflects on its back, too.
+        up: axis of the world that points upwards.
         source: where all this comes from, for the record.
     """
 
@@ -35,6 +37,7 @@ class Asset:
     entropy: np.ndarray | None = None
     coverage: np.ndarray | None = None
     two_sided: bool = False
+    up: Axis = "y"
     source: str | None = None
 
     def __post_init__(self) -> None:
@@ -77,6 +80,7 @@ class Asset:
             entropy=entropy,
             coverage=padded(seen, np.asarray(seen.coverage).astype(np.float32), fill=0),
             two_sided=is_two_sided(capture.shape.bsdf()),
+            up=nearest_axis(upright(capture)),
             source=capture.source,
         )
 

@@ -17,7 +17,7 @@ from svu_mi.export.files import RECORD, TEXTURES, Written
 from svu_mi.export.images import write_exr_images, write_png_images
 from svu_mi.export.options import ExportOptions
 from svu_mi.export.reading import load_asset
-from svu_mi.files import prepare_folder, read_json
+from svu_mi.files import prepare_folder, read_json, remove
 from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.recovery.textures import NAMES
 
@@ -60,10 +60,10 @@ def export_asset(
     folder = prepare_folder(folder)
     prepare_folder(folder / TEXTURES)
     older = _named(folder / RECORD)
-    (folder / RECORD).unlink(missing_ok=True)
+    remove(folder / RECORD)
     files = _write(asset, folder, options)
     for name in older - {each.file for each in files}:
-        (folder / name).unlink(missing_ok=True)
+        remove(folder / name)
     write_manifest(folder / RECORD, _record(asset, options, files))
     return folder / RECORD
 
@@ -78,18 +78,18 @@ def _named(record: Path) -> set[str]:
 
 
 def _write(asset: Asset, folder: Path, options: ExportOptions) -> list[Written]:
-    files = []
+    files, up = [], options.up or asset.up
     if "exr" in options.written:
         files += write_exr_images(asset, folder, half=options.half)
     if "png" in options.written:
         files += write_png_images(asset, folder, bits=options.bits)
     if "glb" in options.written:
         found = {name: at_vertices(asset.mesh, image) for name, image in asset.maps.items()}
-        files.append(glb.write_asset_glb(asset, folder, found, up=options.up))
+        files.append(glb.write_asset_glb(asset, folder, found, up=up))
         if "entropy" in found:
-            files.append(glb.write_entropy_glb(asset, folder, found["entropy"], up=options.up))
+            files.append(glb.write_entropy_glb(asset, folder, found["entropy"], up=up))
     if "xml" in options.written:
-        files += mitsuba_xml.write_mitsuba(asset, folder, up=options.up)
+        files += mitsuba_xml.write_mitsuba(asset, folder, up=up)
     if "materialx" in options.written:
         files += materialx.write_materialx(asset, folder)
     return files
@@ -110,7 +110,7 @@ def _record(asset: Asset, options: ExportOptions, files: list[Written]) -> dict[
             "normals": asset.mesh.normals is not None,
             "two_sided": asset.two_sided,
             "bounds": [low, high],
-            "up": options.up,
+            "up": options.up or asset.up,
         },
         "textures": {"resolution": asset.textures.resolution, "model": MODEL},
         "settings": options,

@@ -14,10 +14,10 @@ from svu_mi.export.asset import Asset
 from svu_mi.export.files import Written
 from svu_mi.export.images import packed, quantized
 from svu_mi.export.mesh import as_trimesh, upward_uvs
-from svu_mi.export.options import Axis
 from svu_mi.files import replacing
 from svu_mi.metrics.images import srgb
 from svu_mi.output.overview import COLORMAP
+from svu_mi.output.upright import Axis
 
 ASSET, ENTROPY = "asset.glb", "entropy.glb"
 # glTF 2.0, Sec. 3.4: right-handed, +Y up.

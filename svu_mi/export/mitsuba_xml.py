@@ -15,16 +15,17 @@ from svu_mi.capture.mesh import make
 from svu_mi.capture.poses import bounding_sphere, sphere_sensors
 from svu_mi.export.asset import Asset
 from svu_mi.export.files import TEXTURES, Written
-from svu_mi.export.options import DIRECTION, Axis
 from svu_mi.output.scene_xml import object_node
 from svu_mi.output.textures import FILES
+from svu_mi.output.upright import DIRECTION, Axis
 
 OBJECT, PREVIEW, MESH = "object.xml", "preview.xml", "mesh.ply"
 FILM = (512, 512)
 ROOM, LAMP = 0.5, 16.0  # radiance
 USE = """ Written by svu_mi {version}. To use the object in another scene:
        <path value="this folder"/>
-       <include filename="object.xml"/> """
+       <include filename="object.xml"/>
+     In a scene with two such objects, write its folder before each filename below. """
 
 
 def write_mitsuba(asset: Asset, folder: Path, *, up: Axis) -> list[Written]:
@@ -59,17 +60,19 @@ def _preview(asset: Asset, up: Axis) -> list[Element]:
     center, radius = bounding_sphere(shape)
     left, above, forward = pose[:3, :3].T
     samples = Element("default", name="spp", value=str(nodes.SAMPLES))
-    room = nodes.put(nodes.plugin("emitter", "constant", id="room"), radiance=[ROOM] * 3)
-    lamp = nodes.plugin("shape", "rectangle", id="lamp")
+    # The object may itself be called lamp, or camera.
+    room, lamp, view = (f"{asset.name}_{what}" for what in ("room", "lamp", "camera"))
+    around = nodes.put(nodes.plugin("emitter", "constant", id=room), radiance=[ROOM] * 3)
+    square = nodes.plugin("shape", "rectangle", id=lamp)
     place = center + 3 * radius * (0.8 * left + above - 0.8 * forward)
     turn = mi.ScalarTransform4f().look_at(
         list(map(float, place)), list(map(float, center)), list(map(float, above))
     ).scale(float(radius))  # fmt: skip
-    nodes.put(lamp, to_world=np.array(turn.matrix, np.float64))
-    lamp.append(nodes.put(nodes.plugin("emitter", "area"), radiance=[LAMP] * 3))
+    nodes.put(square, to_world=np.array(turn.matrix, np.float64))
+    square.append(nodes.put(nodes.plugin("emitter", "area"), radiance=[LAMP] * 3))
     include = Element("include", filename=OBJECT)
     integrator = nodes.put(nodes.plugin("integrator", "path"), max_depth=8)
-    return [samples, integrator, nodes.sensor(camera, "camera"), room, lamp, include]
+    return [samples, integrator, nodes.sensor(camera, view), around, square, include]
 
 
 def _write(path: Path, children: list[Any]) -> None:

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from svu_mi.output.upright import Axis
 from svu_mi.settings import require, require_one_of, require_types
 
 Format = Literal["exr", "png", "glb", "xml", "materialx"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 NEEDS: dict[Format, Format] = {"xml": "exr", "materialx": "png"}
 """Formats that refer to textures in another, which is then written, too."""
-
-Axis = Literal["y", "z"]
-DIRECTION: dict[Axis, tuple[float, float, float]] = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,9 +33,9 @@ class ExportOptions:
     """Texels that charts are carried on over their borders; None fills everything between them,
     which no reduction of the textures (mip-mapping) can look beyond."""
 
-    up: Axis = "y"
-    """Axis of the world that points upwards. glTF has +Y up: a +Z-up world is turned in the GLB,
-    and there alone."""
+    up: Axis | None = None
+    """Axis of the world that points upwards; None is the asset's own, as its cameras have it. glTF
+    has +Y up: a +Z-up world is turned in the GLB, and there alone."""
 
     def __post_init__(self) -> None:
         require_types(self)
@@ -47,7 +45,8 @@ class ExportOptions:
         whole = isinstance(self.gutter, int) and not isinstance(self.gutter, bool)
         fits = self.gutter is None or (whole and self.gutter >= 0)
         require(self, fits, "gutter", "None or a whole number, at least 0")
-        require_one_of(self, "up", Axis)
+        if self.up is not None:
+            require_one_of(self, "up", Axis)
 
     @property
     def written(self) -> tuple[Format, ...]:

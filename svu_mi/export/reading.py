@@ -17,6 +17,7 @@ from svu_mi.exr import read_exr
 from svu_mi.output.maps import COVERAGE, ENTROPY
 from svu_mi.output.scene_xml import MESH, SCENE
 from svu_mi.output.textures import FILES, read_textures
+from svu_mi.output.upright import nearest_axis, up_of
 
 HEADER = 4096  # bytes that hold the header of a PLY file
 
@@ -39,7 +40,8 @@ def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
     maps = Path(folder if entropy is None else entropy)
     if entropy is not None and not (maps / ENTROPY).is_file():
         raise CaptureError(f"{maps}: has no {ENTROPY}; give the folder that svu entropy wrote.")
-    shape = _shape(folder / SCENE)
+    scene = _parsed(folder / SCENE)
+    shape = _shape(scene, folder / SCENE)
     smooth = shape.find("boolean[@name='face_normals']") is None
     return Asset(
         name=shape.get("id") or "object",
@@ -48,6 +50,7 @@ def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
         entropy=_map(maps / ENTROPY, 1),
         coverage=_map(maps / COVERAGE, np.inf),
         two_sided=shape.find("bsdf[@type='twosided']") is not None,
+        up=nearest_axis(up_of(_poses(scene))),
         source=str(folder),
     )
 
@@ -67,16 +70,28 @@ def _require_recovery(folder: Path) -> None:
     raise CaptureError(f"{words}; run that first, or give the folder that it wrote.")
 
 
-def _shape(path: Path) -> ElementTree.Element:
-    """Return the node of the object."""
+def _parsed(path: Path) -> ElementTree.Element:
     try:
-        root = ElementTree.parse(path).getroot()
+        return ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError) as error:
         raise CaptureError(f"{path}: cannot be read ({error}); run svu recover again.") from error
-    for shape in root.findall("shape"):
+
+
+def _shape(scene: ElementTree.Element, path: Path) -> ElementTree.Element:
+    """Return the node of the object."""
+    for shape in scene.findall("shape"):
         if shape.find(f"string[@value='{MESH}']") is not None:
             return shape
     raise CaptureError(f"{path}: no shape has the mesh {MESH}; run svu recover again.")
+
+
+def _poses(scene: ElementTree.Element) -> np.ndarray:
+    """Return (V, 4, 4): the cameras as they were written; others, put in by hand, do not count."""
+    rows = [matrix.get("value", "").split() for matrix in scene.findall("sensor/transform/matrix")]
+    try:
+        return np.array([row for row in rows if len(row) == 16], np.float64).reshape(-1, 4, 4)
+    except ValueError:
+        return np.zeros((0, 4, 4))
 
 
 def _mesh(path: Path, smooth: bool) -> MeshArrays:

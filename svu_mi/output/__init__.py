@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from svu_mi.files import prepare_folder as prepare_folder
+from svu_mi.files import remove
 from svu_mi.output.manifest import environment_record as environment_record
 from svu_mi.output.manifest import run_record as run_record
 from svu_mi.output.manifest import write_manifest as write_manifest
@@ -38,7 +39,7 @@ def write_outputs(
         OutputError: the folder or a file cannot be written.
     """
     folder = prepare_folder(folder)
-    (folder / "run.json").unlink(missing_ok=True)  # of an older run
+    remove(folder / "run.json")  # of an older run
     write_maps(estimate, folder)
     write_overview(capture, estimate, folder / "overview.png")
     record = run_record(capture, estimate)

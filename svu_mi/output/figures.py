@@ -15,7 +15,7 @@ import numpy as np
 
 from svu_mi.errors import OptionError
 from svu_mi.output import views
-from svu_mi.output.overview import COLORMAP, INK, OUTSIDE, RULE, UNSEEN
+from svu_mi.output.overview import COLORMAP, INK, OUTSIDE, RULE, UNSEEN, words
 from svu_mi.surface.gutter import dilate
 
 if TYPE_CHECKING:
@@ -235,4 +235,4 @@ def cell_edges(nodes: np.ndarray) -> np.ndarray:
 
 
 def _words(name: str) -> str:
-    return "specular (Ks)" if name == "specular" else name.replace("_", " ")
+    return "specular (Ks)" if name == "specular" else words(name)

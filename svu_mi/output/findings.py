@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.output.overview import Result, known
+from svu_mi.output.overview import Result, known, words
 from svu_mi.output.page import grouped
 
 CERTAIN, OPEN = 1 / 3, 2 / 3  # entropies that bound what is certain, and what is open
@@ -35,14 +35,17 @@ class Parts:
     def of(cls, estimate: Any, result: Result) -> Parts:
         """Measure the parts of an estimate."""
         area = estimate.texels.footprint.numpy().astype(np.float64) ** 2
-        area /= area.sum()
         entropy, seen = result.entropy, result.seen
         certain, uncertain = entropy < CERTAIN, entropy >= OPEN
+
+        def part(chosen: np.ndarray) -> float:
+            return float(area[chosen].sum() / area.sum())  # exactly 1 if all are chosen
+
         return cls(
-            certain=float(area[seen & certain].sum()),
-            partly=float(area[seen & ~certain & ~uncertain].sum()),
-            uncertain=float(area[seen & uncertain].sum()),
-            unseen=float(area[~seen].sum()),
+            certain=part(seen & certain),
+            partly=part(seen & ~certain & ~uncertain),
+            uncertain=part(seen & uncertain),
+            unseen=part(~seen),
         )
 
 
@@ -52,11 +55,6 @@ def candidates(estimate: Any, entropy: float = 1.0) -> float:
     n^H equally probable ones, of the n that there are, have the normalised entropy H.
     """
     return float(np.prod(estimate.posterior.grid.shape)) ** entropy
-
-
-def open_axes(estimate: Any) -> dict[str, np.ndarray]:
-    """Return the nodes of the parameters that are in question, by name."""
-    return {name: nodes for name, nodes in estimate.posterior.axes.items() if len(nodes) > 1}
 
 
 def facing(estimate: Any, chosen: np.ndarray, up: np.ndarray) -> str | None:
@@ -121,11 +119,6 @@ def skipped(estimate: Any) -> list[str]:
         one, many = sentences.get(name, (f"{name}: 1.", f"{name}: {{n}}."))
         lines.append(one if number == 1 and one else many.format(n=grouped(number)))
     return lines
-
-
-def words(name: str) -> str:
-    """Return a parameter's name as it is said: base colour, roughness, ..."""
-    return name.replace("_", " ").replace("color", "colour")
 
 
 def why_left_out(photograph: np.ndarray) -> str:

@@ -13,7 +13,7 @@ import svu_mi
 from svu_mi.capture import nodes
 from svu_mi.capture.poses import describe
 from svu_mi.exr import write_exr
-from svu_mi.files import prepare_folder, replacing
+from svu_mi.files import prepare_folder, remove, replacing
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.options import UNITS
@@ -186,10 +186,10 @@ def _write_thumbnails(pictures: Sequence[np.ndarray], folder: Path) -> None:
 
 
 def _remove_stale(folder: Path) -> None:
-    (folder / RECORD).unlink(missing_ok=True)
+    remove(folder / RECORD)
     for old in (*folder.glob("gain_*.exr"), *(folder / THUMBNAILS).glob("proposal_*.png")):
         if old.stem.rpartition("_")[2].isdigit():
-            old.unlink()
+            remove(old)
 
 
 def _say_nothing(done: int, total: int) -> None:

@@ -80,7 +80,7 @@ def write_overview(capture: Any, estimate: Any, path: str | Path) -> None:
     _heading(figure, capture, estimate, result)
     objects = figure.add_gridspec(1, 4, left=LEFT, right=RIGHT, top=0.86, bottom=0.455, wspace=0.03)
     maps = figure.add_gridspec(1, 2, left=LEFT, right=0.485, top=0.405, bottom=0.075, wspace=0.09)
-    parameters = [name for name, nodes in estimate.posterior.axes.items() if len(nodes) > 1]
+    parameters = list(open_axes(estimate))
     plots = figure.add_gridspec(
         2, len(parameters), left=0.535, right=RIGHT, top=0.405, bottom=0.04, hspace=0.6, wspace=0.2
     )
@@ -98,10 +98,10 @@ def _heading(figure: Figure, capture: Any, estimate: Any, result: Result) -> Non
     texels, seen = len(result.seen), int(result.seen.sum())
     width, height = estimate.texels.resolution
     mean = f"mean entropy {result.entropy[result.seen].mean():.2f}" if seen else "nothing seen"
-    words = (
+    notes = (
         f"method {estimate.method}",
         f"preset {estimate.preset.name}",
-        *(f"known {name} {value:g}" for name, value in known(estimate).items()),
+        *(f"known {words(name)} {value:g}" for name, value in known(estimate).items()),
         f"{sum(capture.used)} of {capture.count} views",
         f"{width} × {height} texels, {texels:_} in charts".replace("_", THIN_SPACE),
         f"{seen:_} seen ({100 * seen / max(texels, 1):.0f} %)".replace("_", THIN_SPACE),
@@ -112,7 +112,17 @@ def _heading(figure: Figure, capture: Any, estimate: Any, result: Result) -> Non
         LEFT, 0.962, "What the photographs say about the reflectance",
         size=19, weight="bold", color=INK, va="center",
     )  # fmt: skip
-    figure.text(LEFT, 0.922, "   ·   ".join(words), size=11.5, color=FAINT, va="center")
+    figure.text(LEFT, 0.922, "   ·   ".join(notes), size=11.5, color=FAINT, va="center")
+
+
+def words(name: str) -> str:
+    """Return a parameter's name as it is said: base colour, roughness, ..."""
+    return name.replace("_", " ").replace("color", "colour")
+
+
+def open_axes(estimate: Any) -> dict[str, np.ndarray]:
+    """Return the nodes of the parameters that are in question, by name."""
+    return {name: nodes for name, nodes in estimate.posterior.axes.items() if len(nodes) > 1}
 
 
 def known(estimate: Any) -> dict[str, float]:
@@ -240,8 +250,7 @@ def _histogram(axes: Axes, result: Result) -> None:
 
 def _marginal(axes: Axes, estimate: Any, result: Result, name: str) -> None:
     """Mean marginal over the texels seen, and over the most certain of them."""
-    words = name.replace("_", " ")
-    _title(axes, f"Posterior of {words}")
+    _title(axes, f"Posterior of {words(name)}")
     _plain(axes)
     if not result.seen.any():
         _nothing(axes)
@@ -263,7 +272,7 @@ def _marginal(axes: Axes, estimate: Any, result: Result, name: str) -> None:
         handlelength=1.6, labelspacing=0.2,
     )  # fmt: skip
     if channels == 3:
-        _title(axes, f"Posterior of {words}: R, G, B")
+        _title(axes, f"Posterior of {words(name)}: R, G, B")
 
 
 def mean_marginals(estimate: Any, result: Result, name: str) -> dict[bool, np.ndarray]:

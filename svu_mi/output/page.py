@@ -94,7 +94,7 @@ def grouped(number: float) -> str:
 
 def percent(part: float) -> str:
     """Write a part in [0, 1] in percent; what is not quite nothing, or all, is not called so."""
-    if 0 < part < 0.005:
+    if 0 < part <= 0.005:  # 0.5 is rounded to the even 0
         return f"under 1{NARROW_SPACE}%"
     if 0.995 <= part < 1:
         return f"over 99{NARROW_SPACE}%"

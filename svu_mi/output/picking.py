@@ -9,9 +9,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture import mesh as meshes
 from svu_mi.errors import OptionError
 from svu_mi.interop import owned
+from svu_mi.output import views
 from svu_mi.surface.gutter import dilate
 
 if TYPE_CHECKING:
@@ -54,11 +54,7 @@ class Picker:
     def __init__(self, capture: Capture, estimate: Estimate) -> None:
         self._capture, self._estimate = capture, estimate
         self._nearest = nearest_texel(estimate.texels)
-        self._scene = mi.load_dict(
-            # A copy: a live shape belongs to one scene, and the capture's may have no UVs.
-            {"type": "scene", "object": meshes.make("object", meshes.arrays(capture.mesh))},
-            optimize=False,
-        )
+        self._scene = views.alone(capture)
 
     def pick(self, origin: Any, direction: Any) -> Pick | None:
         """Return the texel that a ray hits first, None if it misses the object.

@@ -11,7 +11,7 @@ import numpy as np
 
 import svu_mi
 from svu_mi.exr import write_exr
-from svu_mi.files import prepare_folder, replacing
+from svu_mi.files import prepare_folder, remove, replacing
 from svu_mi.output import views
 from svu_mi.output.manifest import environment_record, recovery_record, write_manifest
 from svu_mi.output.maps import COVERAGE, ENTROPY, padded, write_maps
@@ -55,7 +55,7 @@ def write_recovery(
     folder = prepare_folder(folder)
     report = progress or _say_nothing
     for name in (RECORD, ENTROPY):  # of an older run
-        (folder / name).unlink(missing_ok=True)
+        remove(folder / name)
     record = recovery_record(capture, recovery)
     record["settings"]["given"] = settings
     record["kernels_compiled"] = kernels

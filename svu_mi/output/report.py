@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ import numpy as np
 import svu_mi
 from svu_mi.output import findings, report_pictures, report_plots
 from svu_mi.output.manifest import environment_record
-from svu_mi.output.overview import Result, known
+from svu_mi.output.overview import Result, known, open_axes, words
 from svu_mi.output.page import NARROW_SPACE, grouped, percent, write_page
 from svu_mi.output.relit import DIFFERENCE_COLORMAP, WORST
 from svu_mi.output.turntable import Turntable
@@ -62,6 +63,7 @@ def write_report(
         if progress is not None:
             progress(next(done), 5)
 
+    warnings = [_within(capture.source, sentence) for sentence in capture.warnings]
     result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
     shown, left_out = report_pictures.thumbnails(capture, estimate)
     step()
@@ -85,7 +87,7 @@ def write_report(
         error_colors=report_pictures.gradient(DIFFERENCE_COLORMAP),
         error_end=percent(WORST), textured=textures is not None,
         color=estimate.posterior.groups == 3, skipped=findings.skipped(estimate),
-        warnings=capture.warnings[:WARNINGS], more_warnings=capture.warnings[WARNINGS:],
+        warnings=warnings[:WARNINGS], more_warnings=warnings[WARNINGS:],
         **_record(capture, estimate, settings),
     )  # fmt: skip
     step()
@@ -124,7 +126,7 @@ def _summary(capture: Any, estimate: Any, result: Result, table: Turntable) -> d
              f"of {grouped(total)} at a typical point"),
         ],
         "left": f"{left:.0f}", "total": grouped(total),
-        "parameters": [findings.words(name) for name in findings.open_axes(estimate)],
+        "parameters": [words(name) for name in open_axes(estimate)],
     }  # fmt: skip
 
 
@@ -132,14 +134,13 @@ def _record(capture: Any, estimate: Any, settings: Mapping[str, Any] | None) -> 
     """Settings, times and versions as rows of words."""
     preset = dataclasses.asdict(estimate.preset)
     width, height = estimate.texels.resolution
-    axes = estimate.posterior.axes.items()
-    grid = " × ".join(f"{len(v)} {findings.words(n)}" for n, v in axes if len(v) > 1)
+    grid = " × ".join(f"{len(v)} {words(n)}" for n, v in open_axes(estimate).items())
     sizes = sorted({f"{image.shape[1]} × {image.shape[0]}" for image in capture.images})
     rows = [
         ("Method", estimate.method),
         ("Preset", preset.pop("name")),
         ("Materials tried at each point", grid),
-        *((f"Known {findings.words(n)}", f"{value:g}") for n, value in known(estimate).items()),
+        *((f"Known {words(n)}", f"{value:g}") for n, value in known(estimate).items()),
         ("Texture", f"{width} × {height}"),
         ("Photographs", f"{', '.join(sizes[:4])}{', …' if len(sizes) > 4 else ''} pixels"),
     ]
@@ -170,7 +171,15 @@ def _plain(value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, tuple | list):
         return ", ".join(map(_plain, value)) or "–"
+    if isinstance(value, str) and "=" in value:  # of -D
+        key, _, text = value.partition("=")
+        return f"{key}={_plain(Path(text)) if text else ''}"
     return "–" if value is None else str(value)
+
+
+def _within(folder: Path | None, sentence: str) -> str:
+    """Leave a folder out of the names of its files, which is the sender's own affair."""
+    return sentence if folder is None else sentence.replace(f"{folder}{os.sep}", "")
 
 
 def _name(capture: Any) -> str:

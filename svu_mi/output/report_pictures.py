@@ -10,8 +10,8 @@ import numpy as np
 
 from svu_mi.output import views
 from svu_mi.output.figures import GUTTER, map_colors
-from svu_mi.output.findings import open_axes, why_left_out, words
-from svu_mi.output.overview import COLORMAP, VIEWS_COLORMAP, Result
+from svu_mi.output.findings import why_left_out
+from svu_mi.output.overview import COLORMAP, VIEWS_COLORMAP, Result, open_axes, words
 from svu_mi.output.page import THUMBNAIL, Picture, drawing, grouped, percent
 from svu_mi.output.page import photograph as embedded
 from svu_mi.output.turntable import Turntable

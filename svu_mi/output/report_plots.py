@@ -9,8 +9,7 @@ import numpy as np
 
 from svu_mi.output import views
 from svu_mi.output.figures import cell_edges
-from svu_mi.output.findings import open_axes, words
-from svu_mi.output.overview import Result, mean_marginals
+from svu_mi.output.overview import Result, mean_marginals, open_axes, words
 from svu_mi.output.page import NARROW_SPACE, Picture, drawing, grouped
 from svu_mi.output.page import photograph as embedded
 from svu_mi.output.plots import Plot, plot

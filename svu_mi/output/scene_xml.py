@@ -96,7 +96,7 @@ def object_node(
     node = _mesh(mesh, folder, file, name)
     material = nodes.plugin("bsdf", "principled", id=f"{name}_material")
     for texture, path in textures.items():
-        material.append(nodes.bitmap(texture, path, wrap=WRAP, id=texture))
+        material.append(nodes.bitmap(texture, path, wrap=WRAP, id=f"{name}_{texture}"))
     nodes.put(material, specular=SPECULAR)
     if two_sided:
         sides = nodes.plugin("bsdf", "twosided", id=f"{name}_sides")

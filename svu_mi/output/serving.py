@@ -28,6 +28,16 @@ def require_viser() -> Any:
     return viser
 
 
+def require_port(port: int) -> None:
+    """Refuse what is no port.
+
+    Raises:
+        OptionError: it is none.
+    """
+    if not 0 <= port < 65536:
+        raise OptionError(f"--port must be 0 to 65535, got {port}.")
+
+
 def serve(port: int) -> tuple[Any, str]:
     """Start a ``ViserServer`` for this machine alone, and return it and the page's address.
 
@@ -38,8 +48,7 @@ def serve(port: int) -> tuple[Any, str]:
         SvuEnvironmentError: viser is not installed.
         OptionError: no port.
     """
-    if not 0 <= port < 65536:
-        raise OptionError(f"--port must be 0 to 65535, got {port}.")
+    require_port(port)
     # A browser that goes away in the middle is nothing to log.
     logging.getLogger("websockets").setLevel(logging.CRITICAL)
     with _silence():

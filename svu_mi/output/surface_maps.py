@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.output import views
-from svu_mi.output.overview import COLORMAP, UNSEEN, VIEWS_COLORMAP
+from svu_mi.output.overview import COLORMAP, UNSEEN, VIEWS_COLORMAP, open_axes, words
 from svu_mi.surface.gutter import dilate
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def surface_maps(
         "entropy": partial(_numbers, estimate, lambda: estimate.entropy, entropy),
         "coverage": partial(_numbers, estimate, lambda: coverage, count),
     }
-    unknown = [name for name, nodes in estimate.posterior.axes.items() if len(nodes) > 1]
+    unknown = open_axes(estimate)
     for name in unknown:
         # Not in greys: these are for what nobody sees.
         best = Scale(colormap=VIEWS_COLORMAP, high=1, label=words(name))
@@ -87,11 +87,6 @@ def surface_maps(
         for name, tensor in recovered.items():
             maps[f"recovered {words(name)}"] = partial(_recovered, name, tensor)
     return maps
-
-
-def words(name: str) -> str:
-    """Return a parameter's name in words."""
-    return name.replace("_", " ")
 
 
 def _best(estimate: Estimate, name: str, scale: Scale) -> SurfaceMap:

@@ -13,14 +13,12 @@ from svu_mi.capture.mesh import arrays
 from svu_mi.capture.poses import bounding_sphere, film_size, make_sensor
 from svu_mi.capture.scene import to_world
 from svu_mi.output import views
-from svu_mi.output.directions import UP
+from svu_mi.output.upright import front_and_right, upright
 from svu_mi.surface import Texels
 from svu_mi.surface.gutter import dilate
 
 ELEVATION = 20.0  # degrees
 FOV, ROOM = 30.0, 1.02  # degrees; distance, relative to where the bounding sphere just fits
-STEEP = 0.3  # length of the cameras' mean upward direction below which they say nothing
-NEAR_AXIS = 0.9  # cosine from which an axis of the world is meant
 BORDER = 0.01  # left around the object, in parts of the film
 EMPTY = 0.02  # coverage of a pixel below which its colour means nothing
 EDGE = 2  # pixels of the silhouette that take their colour from within
@@ -54,7 +52,7 @@ class Turntable:
         center, radius = bounding_sphere(capture.mesh)
         distance = ROOM * radius / np.sin(np.radians(FOV) / 2)
         up = upright(capture)
-        front, right = _level(capture, center, up)
+        front, right = front_and_right(capture, center, up)
         high = np.radians(ELEVATION)
         sensors = []
         for k in range(count):
@@ -145,32 +143,3 @@ def _places(points: np.ndarray, sensor: Any) -> np.ndarray:
     interaction.p = mi.Point3f(*np.ascontiguousarray(points.T, np.float32))
     sample, _ = sensor.sample_direction(interaction, mi.Point2f(0.5))
     return np.array(sample.uv, np.float64).T / film_size(sensor)
-
-
-def upright(capture: Any) -> np.ndarray:
-    """Return the direction (3,) that is up in a capture, as far as its cameras tell.
-
-    It is their mean upward direction, or the world's axis next to it; +Y if they are turned
-    in all ways.
-    """
-    sensors = capture.used_sensors or capture.sensors
-    mean = np.mean([to_world(sensor)[:3, 1] for sensor in sensors], axis=0)
-    length = np.linalg.norm(mean)
-    if length < STEEP:
-        return np.array(UP)
-    axis = np.zeros(3)
-    largest = int(np.argmax(np.abs(mean)))
-    axis[largest] = np.sign(mean[largest])
-    return axis if mean @ axis > NEAR_AXIS * length else mean / length
-
-
-def _level(capture: Any, center: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return directions (3,) to the front, where the first photograph is from, and to the right."""
-    sensors = capture.used_sensors or capture.sensors
-    for front in (to_world(sensors[0])[:3, 3] - center, np.eye(3)[2], np.eye(3)[0]):
-        front = front - (front @ up) * up
-        length = np.linalg.norm(front)
-        if length > 1e-3 * np.linalg.norm(to_world(sensors[0])[:3, 3] - center):
-            break
-    front = front / length
-    return front, np.cross(up, front)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import queue
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,9 +16,11 @@ from svu_mi.capture.poses import bounding_sphere
 from svu_mi.metrics.images import srgb
 from svu_mi.output.browser_model import GAIN, material_colors, model
 from svu_mi.output.frusta import Frustum, frustum
+from svu_mi.output.page import percent
 from svu_mi.output.picking import Pick, Picker
 from svu_mi.output.serving import require_viser, serve, stop
 from svu_mi.output.surface_maps import SurfaceMap, surface_maps
+from svu_mi.output.upright import DIRECTION, Axis, front_and_right, upright
 from svu_mi.output.viewer_panels import draw_pick, draw_scale, says
 
 if TYPE_CHECKING:
@@ -26,8 +28,7 @@ if TYPE_CHECKING:
     from svu_mi.pipeline import Estimate
     from svu_mi.recovery.textures import Textures
 
-# By the axis that is up: its direction, and from where the object is first looked at, in radii.
-UP = {"y": ((0.0, 1.0, 0.0), (1.2, 0.8, 2.2)), "z": ((0.0, 0.0, 1.0), (1.2, -2.2, 0.8))}
+HOME = (2.2, 1.2, 0.8)  # in front, to the right and above, in radii: the first look at the object
 NOWHERE = "anywhere"
 THUMBNAIL, PHOTOGRAPH = 160, 1024  # pixels of the longer side
 CAMERA, SEEING = (70, 70, 80), (232, 69, 60)  # colours of frusta
@@ -48,7 +49,7 @@ class Viewer:
         estimate: its ``Estimate``, as ``svu.estimate`` returns it.
         recovered: textures to look at, of the same resolution.
         port: of the page; the next free one if it is taken, any free one if it is 0.
-        up: axis of the world that points upwards.
+        up: axis of the world that points upwards; None is as the cameras have it.
 
     Raises:
         SvuEnvironmentError: viser is not installed.
@@ -63,7 +64,7 @@ class Viewer:
         recovered: Textures | None = None,
         *,
         port: int = 8080,
-        up: Literal["y", "z"] = "y",
+        up: Axis | None = None,
     ) -> None:
         require_viser()  # before any work
         self._capture, self._estimate, self._recovered = capture, estimate, recovered
@@ -72,7 +73,9 @@ class Viewer:
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._shown: dict[str, tuple[Any, SurfaceMap]] = {}
         self._center, self._radius = bounding_sphere(capture.mesh)
-        self._up, self._home = np.array(UP[up])
+        self._up = upright(capture) if up is None else np.array(DIRECTION[up])
+        front, right = front_and_right(capture, self._center, self._up)
+        self._home = np.array(HOME) @ [front, right, self._up]
         self._picker.pick(self._center, self._up)  # compiled now, not at the first click
         self.picked: Pick | None = None
         self._view: int | None = None
@@ -193,10 +196,10 @@ class Viewer:
 
     def _heading(self) -> str:
         seen = np.array(self._estimate.coverage) > 0
-        mean = np.array(self._estimate.entropy)[seen].mean()
+        mean = np.array(self._estimate.entropy)[seen].mean() if seen.any() else 1
         return (
             f"**{self._capture.shape.id() or 'object'}**: {sum(self._capture.used)} views, "
-            f"{self._estimate.texels.count} texels, {100 * seen.mean():.0f} % seen, mean entropy "
+            f"{self._estimate.texels.count} texels, {percent(seen.mean())} seen, mean entropy "
             f"{mean:.2f}. Grey: never seen."
         )
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.output.figures import TRUTH, draw_marginal
-from svu_mi.output.overview import INK
-from svu_mi.output.surface_maps import Scale, words
+from svu_mi.output.overview import INK, open_axes, words
+from svu_mi.output.surface_maps import Scale
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
@@ -52,7 +52,7 @@ def draw_pick(estimate: Estimate, pick: Pick, recovered: Textures | None = None)
     Returns:
         (h, w, 3) uint8.
     """
-    names = [name for name, nodes in estimate.posterior.axes.items() if len(nodes) > 1]
+    names = list(open_axes(estimate))
     figure = _figure(1.25 * len(names))
     for row, name in enumerate(names, 1):
         axes = figure.add_subplot(len(names), 1, row)
