@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+import trimesh
+from PIL import Image
 
-from svu_mi.errors import OutputError
+from svu_mi.errors import CaptureError, OutputError
+from svu_mi.exr import read_exr, write_exr
 from svu_mi.files import read_json, replacing_folder
+from svu_mi.formats.importing import import_capture
+from svu_mi.formats.photographs import convert
+from svu_mi.formats.resampling import squared
+from svu_mi.formats.source import Frame, Light, Source
 
 # --- folders ------------------------------------------------------------------------------
 
@@ -43,3 +53,97 @@ def test_the_folder_that_a_link_points_to_is_replaced(tmp_path):
 def test_json_with_a_mark_of_its_encoding(tmp_path):
     (tmp_path / "t.json").write_text(json.dumps({"name": "Schüssel"}), encoding="utf-8-sig")
     assert read_json(tmp_path / "t.json") == {"name": "Schüssel"}
+
+
+# --- photographs and masks ----------------------------------------------------------------
+
+SIZE = (40, 20)  # width, height
+LEFT = np.zeros(SIZE[::-1], bool)  # the object of all masks here
+LEFT[:, :17] = True
+
+
+def photograph(path: Path, pixels: np.ndarray | None = None, **fields: object) -> Frame:
+    """Write a picture, and return it as a frame."""
+    if pixels is None:
+        pixels = np.full((*SIZE[::-1], 3), 90, np.uint8)
+    Image.fromarray(pixels).save(path)
+    return Frame(**{
+        "label": "frame 0", "image": path, "to_world": np.eye(4), "focal": (50.0, 50.0),
+        "center": (20.0, 10.0), "size": SIZE, **fields,
+    })  # fmt: skip
+
+
+def palette(path: Path) -> None:
+    picture = Image.fromarray(LEFT.astype(np.uint8), "P")
+    picture.putpalette([0, 0, 0, 0, 128, 0])  # label 1 is green
+    picture.save(path)
+
+
+def cut_out(path: Path) -> None:
+    color = np.full((*LEFT.shape, 4), 10, np.uint8)  # the object is dark
+    color[..., 3] = np.where(LEFT, 255, 0)
+    Image.fromarray(color).save(path)
+
+
+MASKS = {
+    "bits": lambda path: Image.fromarray(LEFT).save(path),
+    "labels": lambda path: Image.fromarray(LEFT.astype(np.uint8)).save(path),
+    "palette": palette,
+    "cut-out": cut_out,
+}
+
+
+@pytest.mark.parametrize("kind", MASKS)
+def test_masks_of_all_kinds(tmp_path, kind):
+    MASKS[kind](tmp_path / "mask.png")
+    frame = photograph(tmp_path / "photo.png", mask=tmp_path / "mask.png")
+    assert not convert(frame, tmp_path / "view.exr", (1, 1)).empty
+    assert np.array_equal(read_exr(tmp_path / "view.exr")["A"] == 1, LEFT)
+
+
+def test_clipped_pixels_of_the_background_are_not_counted(tmp_path):
+    cut_out(tmp_path / "mask.png")
+    white = np.full((*SIZE[::-1], 3), 255, np.uint8)
+    white[:, 1:17] = 90
+    frame = photograph(tmp_path / "photo.png", white, mask=tmp_path / "mask.png")
+    assert convert(frame, tmp_path / "view.exr", (1, 1)).saturated == SIZE[1]
+
+
+def test_masks_that_show_nothing(tmp_path):
+    source = complete(tmp_path, count=2)
+    black = np.zeros(SIZE[::-1], np.uint8)
+    frames = []
+    for k, frame in enumerate(source.frames):
+        Image.fromarray(black).save(tmp_path / f"mask{k}.png")
+        frames.append(replace(frame, mask=tmp_path / f"mask{k}.png"))
+    with pytest.raises(CaptureError, match="mask0.png: as all others, its mask shows nothing"):
+        import_capture(replace(source, frames=frames), tmp_path / "capture")
+    cut_out(tmp_path / "mask0.png")
+    notes = import_capture(replace(source, frames=frames), tmp_path / "capture")
+    assert any("1 of 2 photographs, 1.png first, have an empty mask" in note for note in notes)
+
+
+def complete(folder: Path, count: int) -> Source:
+    """Photographs, a triangle and a light."""
+    triangle = trimesh.Trimesh(np.eye(3), [[0, 1, 2]], process=False)
+    triangle.export(folder / "mesh.ply")
+    write_exr(folder / "light.exr", {"RGB": np.ones((4, 8, 3))})
+    frames = [photograph(folder / f"{k}.png") for k in range(count)]
+    light = Light(path=folder / "light.exr")
+    return Source(
+        format="test", root=folder, frames=frames, mesh=folder / "mesh.ply", light=light
+    )
+
+
+@pytest.mark.parametrize("shrink", [1.0, 1.9])
+def test_memory_of_a_photograph_is_bounded(tmp_path, shrink):
+    side = 768
+    pixels = np.full((side, side, 3), 90, np.uint8)
+    frame = photograph(
+        tmp_path / "photo.png", pixels, size=(side, side), focal=(900.0, 900.0), center=(384, 384)
+    )
+    tracemalloc.start()
+    convert(frame, tmp_path / "view.exr", squared(frame, shrink)[1])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 48 * side * side

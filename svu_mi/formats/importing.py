@@ -32,6 +32,7 @@ from svu_mi.formats.textures import write_pictures
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
 MAX_DEPTH = 6  # of the paths that a scene without a say of its own is rendered with
+PIXELS_AT_A_TIME = 2**26  # of the photographs in memory, some 40 bytes each
 
 Up = Literal["y", "z"]
 
@@ -109,6 +110,11 @@ def import_capture(
         found = _write_photographs(frames, made, options.shrink, progress)
         sensors = [frame.sensor(_clip(frame, geometry.mesh)) for frame, _ in found]
         geometry = _with_uvs(geometry, str(mesh))
+        if all(converted.empty for _, converted in found):
+            raise CaptureError(
+                f"{frames[0].mask or frames[0].image}: as all others, its mask shows nothing of "
+                "the object; in a mask, white is the object."
+            )
         notes = [*source.notes, *geometry.notes, *_about(frames, [c for _, c in found])]
         notes += _write_scene(made, geometry, _turned(light, fixes), sensors)
         description = Description(
@@ -223,7 +229,9 @@ def _write_photographs(
         return convert(frames[index], folder / f"view_{index:04d}.exr", squares[index][1])
 
     found = []
-    with ThreadPoolExecutor(max(1, dr.thread_count())) as threads:
+    largest = max(frame.size[0] * frame.size[1] for frame in frames)
+    workers = max(1, min(dr.thread_count(), PIXELS_AT_A_TIME // largest))
+    with ThreadPoolExecutor(workers) as threads:
         for converted in threads.map(write, range(len(frames))):
             found.append(converted)
             if progress is not None:
@@ -271,6 +279,12 @@ def _about(frames: Sequence[Frame], found: Sequence[Converted]) -> list[str]:
         notes.append(
             f"{len(bad)} of {count} photographs, {bad[0]} first, have {pixels} pixels that are "
             "NaN, infinite or negative; left out."
+        )
+    empty = [f.image.name for f, c in zip(frames, found, strict=True) if c.empty]
+    if empty:
+        notes.append(
+            f"{len(empty)} of {count} photographs, {empty[0]} first, have an empty mask: nothing "
+            "of them is used."
         )
     bare = count - sum(c.masked for c in found)
     if bare:
