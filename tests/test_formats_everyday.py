@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from trimesh.visual.material import PBRMaterial
 
-from svu_mi.errors import CaptureError, OutputError
+from svu_mi.errors import CaptureError, MeshError, OutputError
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.files import read_json, replacing_folder
+from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.importing import import_capture
 from svu_mi.formats.photographs import convert
 from svu_mi.formats.resampling import squared
@@ -147,3 +149,92 @@ def test_memory_of_a_photograph_is_bounded(tmp_path, shrink):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 48 * side * side
+
+
+# --- meshes -------------------------------------------------------------------------------
+
+UVS = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+
+
+def square(**changes: object) -> trimesh.Trimesh:
+    """A square with UVs and a picture, white above."""
+    picture = np.zeros((8, 8, 3), np.uint8)
+    picture[:4] = 255
+    fields = {"baseColorTexture": Image.fromarray(picture), **changes}
+    visual = trimesh.visual.TextureVisuals(UVS, PBRMaterial(**fields))
+    points = np.pad(2 * UVS - 1, ((0, 0), (0, 1)))
+    return trimesh.Trimesh(points, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False)
+
+
+def accessor_of(record: dict, name: str) -> dict:
+    return record["accessors"][record["meshes"][0]["primitives"][0]["attributes"][name]]
+
+
+def quantised(record: dict) -> None:
+    accessor_of(record, "TEXCOORD_0").update(componentType=5123, normalized=True)
+
+
+def sparse(record: dict) -> None:
+    accessor_of(record, "POSITION")["sparse"] = {"count": 1}
+
+
+def compressed(record: dict) -> None:
+    record["extensionsRequired"] = ["KHR_draco_mesh_compression"]
+
+
+def moved(record: dict) -> None:
+    texture = record["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
+    texture["extensions"] = {"KHR_texture_transform": {"scale": [0.5, 0.5]}}
+
+
+GLTF = {
+    quantised: "its TEXCOORD_0 is quantised", sparse: "its POSITION is quantised or sparse",
+    compressed: "is compressed .KHR_draco", moved: "moved or scaled by KHR_texture",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", GLTF)
+def test_gltf_that_would_be_read_as_something_else(tmp_path, change):
+    square().export(tmp_path / "mesh.gltf")
+    read_geometry(tmp_path / "mesh.gltf")
+    record = json.loads((tmp_path / "mesh.gltf").read_text())
+    change(record)
+    (tmp_path / "mesh.gltf").write_text(json.dumps(record))
+    with pytest.raises(MeshError, match=GLTF[change]):
+        read_geometry(tmp_path / "mesh.gltf")
+    if change in (quantised, moved):
+        read_geometry(tmp_path / "mesh.gltf", geometry_only=True)
+
+
+def test_gltf_with_its_numbers_in_a_folder(tmp_path):
+    trimesh.creation.icosphere(2).export(tmp_path / "mesh.gltf")
+    record = json.loads((tmp_path / "mesh.gltf").read_text())
+    (tmp_path / "data").mkdir()
+    for buffer in record["buffers"]:
+        (tmp_path / buffer["uri"]).rename(tmp_path / "data" / f"my {buffer['uri']}")
+        buffer["uri"] = f"data/my%20{buffer['uri']}"
+    (tmp_path / "mesh.gltf").write_text(json.dumps(record))
+    assert len(read_geometry(tmp_path / "mesh.gltf").mesh.faces) == 320
+
+
+def test_materials_without_a_picture_do_not_matter(tmp_path):
+    plain = [
+        square(baseColorTexture=None, baseColorFactor=color)
+        for color in ([255, 0, 0, 255], [0, 0, 255, 255])
+    ]
+    trimesh.Scene(plain).export(tmp_path / "mesh.glb")
+    geometry = read_geometry(tmp_path / "mesh.glb")
+    assert geometry.mesh.uvs is not None and not geometry.textures
+
+
+def test_ply_with_a_texture_has_v_upwards(tmp_path):
+    mesh = square()
+    mesh.visual = trimesh.visual.TextureVisuals(UVS)
+    mesh.export(tmp_path / "mesh.ply", vertex_normal=True, encoding="ascii")
+    text = (tmp_path / "mesh.ply").read_text()
+    Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(tmp_path / "paint.png")
+    text = text.replace("element vertex", "comment TextureFile paint.png\nelement vertex")
+    (tmp_path / "mesh.ply").write_text(text)
+    geometry = read_geometry(tmp_path / "mesh.ply")
+    assert set(geometry.textures) == {"base_color"}
+    np.testing.assert_allclose(geometry.mesh.uvs, [0, 1] + UVS * [1, -1])

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import trimesh
 
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.errors import MeshError, OutputError
+from svu_mi.formats import gltf
 from svu_mi.formats.normals import repaired
 from svu_mi.formats.paths import inside
 from svu_mi.formats.textures import Textures, is_textured, textures_of
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
-V_DOWN = (".ply",)  # as Mitsuba's plugin takes it; trimesh hands on V upwards for the others
+# As Mitsuba's plugin takes it, unless a comment names a texture, as MeshLab and scanners write it;
+# trimesh hands on V upwards for the others.
+V_DOWN = (".ply",)
 MAX_BYTES = 2**31
 MAX_NUMBER = 1e9  # units or UV tiles
 
@@ -45,7 +47,7 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
     Args:
         path: GLB, glTF, OBJ, PLY or STL. Parts are placed by the file's own transformations and
             merged; V of GLB, glTF and OBJ runs upwards or downwards as their formats say, that of
-            PLY is Mitsuba's.
+            PLY is Mitsuba's, or upwards if the file names a texture.
         geometry_only: leave UVs and textures out, so that several materials do not matter.
 
     Raises:
@@ -53,9 +55,10 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
             materials with textures.
     """
     path = Path(path)
-    parts = _parts(path)
+    parts = _parts(path, geometry_only)
     painted = {hash(part.visual.material): part for part in parts if part.visual.kind == "texture"}
-    if len(painted) > 1 and not geometry_only:
+    several = len(painted) > 1
+    if several and not geometry_only and any(is_textured(part.visual) for part in parts):
         raise MeshError(
             f"{path}: has {len(painted)} materials; bake them into one, or import the geometry "
             "alone with --geometry-only."
@@ -65,9 +68,9 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
         mesh = replace(mesh, uvs=None)
     textures: Textures = {}
     if mesh.uvs is not None:
-        textures = textures_of(next(iter(painted.values()), parts[0]).visual, path)
+        textures = {} if several else textures_of(parts[0].visual, path)
         uvs = mesh.uvs
-        if path.suffix.lower() not in V_DOWN:
+        if textures or path.suffix.lower() not in V_DOWN:
             uvs = np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=-1)
         mesh = replace(mesh, uvs=uvs - _tile(uvs))
     mesh, notes = repaired(mesh, str(path))
@@ -132,7 +135,7 @@ class _Part:
         )
 
 
-def _parts(path: Path) -> list[_Part]:
+def _parts(path: Path, geometry_only: bool) -> list[_Part]:
     """Return the triangle meshes of a file."""
     if path.suffix.lower() not in SUFFIXES:
         raise MeshError(f"{path}: not a kind of mesh known here ({', '.join(SUFFIXES)}).")
@@ -141,7 +144,8 @@ def _parts(path: Path) -> list[_Part]:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise MeshError(f"{path}: larger than {MAX_BYTES // 2**20} MiB; simplify the mesh.")
-        _refuse_bombs(path)
+        if path.suffix.lower() in gltf.SUFFIXES:
+            gltf.check_gltf(path, geometry_only=geometry_only)
         scene = trimesh.load_scene(path, resolver=_Inside(path.parent), process=False)
         parts = [_Part.of(scene, node) for node in scene.graph.nodes_geometry]
         parts = [part for part in parts if len(part.mesh.faces) > 0]
@@ -155,21 +159,6 @@ def _parts(path: Path) -> list[_Part]:
     return parts
 
 
-def _refuse_bombs(path: Path) -> None:
-    """Refuse a glTF that asks for more numbers than its files hold: they would all be made."""
-    if path.suffix.lower() not in (".glb", ".gltf"):
-        return
-    content = path.read_bytes()
-    if path.suffix.lower() == ".glb":
-        (length,) = struct.unpack_from("<I", content, 12)
-        content = content[20 : 20 + length]
-    held = sum(file.stat().st_size for file in (path, *path.parent.glob("*.bin")))
-    accessors = json.loads(content).get("accessors", ())
-    counts = [int(accessor.get("count", 0)) for accessor in accessors]
-    if not all(0 <= count <= held for count in counts):
-        raise MeshError(f"{path}: asks for more numbers than the file holds; export it again.")
-
-
 class _Inside(trimesh.resolvers.Resolver):
     """Read files that a mesh refers to, if they lie in its folder (a trimesh resolver)."""
 
@@ -177,8 +166,11 @@ class _Inside(trimesh.resolvers.Resolver):
         self.root = root
 
     def get(self, name: str) -> bytes:
-        """Return the bytes of a file."""
-        return inside(self.root, str(name).strip(), f"{self.root}").read_bytes()
+        """Return the bytes of a file, whose name glTF writes with %20 for a space."""
+        file, decoded = (
+            inside(self.root, text.strip(), f"{self.root}") for text in (str(name), unquote(name))
+        )
+        return (file if file.is_file() else decoded).read_bytes()
 
     def keys(self) -> list[str]:
         """Return the names of the files there."""
