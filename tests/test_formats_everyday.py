@@ -8,17 +8,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 import trimesh
 from PIL import Image
 from trimesh.visual.material import PBRMaterial
 
-from svu_mi.errors import CaptureError, MeshError, OutputError
+from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.files import read_json, replacing_folder
+from svu_mi.formats.colmap import write_colmap
 from svu_mi.formats.geometry import read_geometry
-from svu_mi.formats.importing import import_capture
+from svu_mi.formats.importing import ImportOptions, import_capture
 from svu_mi.formats.photographs import convert
+from svu_mi.formats.reading import read_source
 from svu_mi.formats.resampling import squared
 from svu_mi.formats.source import Frame, Light, Source
 
@@ -151,6 +154,16 @@ def test_memory_of_a_photograph_is_bounded(tmp_path, shrink):
     assert peak < 48 * side * side
 
 
+def test_what_somebody_put_beside_a_capture_is_kept(tmp_path):
+    source = complete(tmp_path, count=1)
+    for _ in range(2):
+        import_capture(source, tmp_path / "capture")
+    (tmp_path / "capture" / "recovered").mkdir()
+    with pytest.raises(OutputError, match="holds other files"):
+        import_capture(source, tmp_path / "capture")
+    assert (tmp_path / "capture" / "recovered").exists()
+
+
 # --- meshes -------------------------------------------------------------------------------
 
 UVS = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
@@ -238,3 +251,100 @@ def test_ply_with_a_texture_has_v_upwards(tmp_path):
     geometry = read_geometry(tmp_path / "mesh.ply")
     assert set(geometry.textures) == {"base_color"}
     np.testing.assert_allclose(geometry.mesh.uvs, [0, 1] + UVS * [1, -1])
+
+
+# --- poses --------------------------------------------------------------------------------
+
+NERF = {"camera_angle_x": 0.7, "frames": [
+    {"file_path": "./train/r_0", "transform_matrix": np.eye(4).tolist()},
+]}  # fmt: skip
+
+
+def transforms(folder: Path, **changes: object) -> Path:
+    """Write a data set as NeRF's synthetic ones are, with its one photograph."""
+    (folder / "train").mkdir(exist_ok=True)
+    photograph(folder / "train" / "r_0.PNG")
+    (folder / "transforms_train.json").write_text(json.dumps({**NERF, **changes}))
+    return folder
+
+
+def test_nerf_synthetic_with_shouted_suffixes(tmp_path):
+    (frame,) = read_source(transforms(tmp_path)).frames
+    assert frame.image.name == "r_0.PNG" and frame.size == SIZE
+    assert frame.focal == pytest.approx([20 / np.tan(0.35)] * 2)
+    (frame,) = read_source(transforms(tmp_path, camera_angle_y=0.5)).frames
+    assert frame.focal == pytest.approx([20 / np.tan(0.35), 10 / np.tan(0.25)])
+    frame.image.unlink()
+    with pytest.raises(CaptureError, match="r_0: no such photograph"):
+        read_source(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"camera_model": "EQUIRECTANGULAR"}, "equirectangular is no pinhole"),
+        ({"is_fisheye": True}, "a fisheye is no pinhole"),
+        ({"distortion_params": [0.1, 0, 0, 0]}, "distorted.*--undistort"),
+        ({"k1": 1e-3}, "distorted.*--undistort"),
+    ],
+)
+def test_lenses_that_are_not_straight(tmp_path, changes, sentence):
+    with pytest.raises(CaptureError, match=sentence):
+        read_source(transforms(tmp_path, **changes))
+
+
+def test_the_model_that_nerfstudio_keeps(tmp_path):
+    frame = photograph(tmp_path / "a.png")
+    source = Source(format="test", root=tmp_path, frames=[frame])
+    write_colmap(tmp_path / "data" / "colmap", source)
+    (tmp_path / "data" / "colmap" / "images").rename(tmp_path / "data" / "images")
+    (found,) = read_source(tmp_path / "data").frames
+    assert found.image == tmp_path / "data" / "images" / "view_0000.png"
+
+
+def test_a_photograph_that_is_stored_on_its_side(tmp_path):
+    source = complete(tmp_path, count=1)
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.new("RGB", SIZE).save(tmp_path / "0.jpg", exif=exif)
+    frame = replace(source.frames[0], image=tmp_path / "0.jpg")
+    notes = import_capture(replace(source, frames=[frame]), tmp_path / "capture")
+    assert any("0.jpg first, are stored turned" in note for note in notes)
+    frame = replace(frame, size=SIZE[::-1])
+    with pytest.raises(CaptureError, match="0.jpg.*stored on its side"):
+        import_capture(replace(source, frames=[frame]), tmp_path / "capture")
+
+
+def test_an_exr_that_is_a_crop_of_its_photograph(tmp_path):
+    corners = {"dataWindow": ((10, 5), (49, 24)), "displayWindow": ((0, 0), (79, 39))}
+    header = {key: tuple(np.array(c, np.int32) for c in box) for key, box in corners.items()}
+    plane = np.ones(SIZE[::-1], np.float32)
+    with OpenEXR.File({**header, "type": OpenEXR.scanlineimage}, dict.fromkeys("RGB", plane)) as f:
+        f.write(str(tmp_path / "0.exr"))
+    source = complete(tmp_path, count=1)
+    frame = replace(source.frames[0], image=tmp_path / "0.exr")
+    with pytest.raises(CaptureError, match="0.exr: its data window"):
+        import_capture(replace(source, frames=[frame]), tmp_path / "capture")
+
+
+def test_one_axis_alone_says_nothing(tmp_path):
+    with pytest.raises(OptionError, match="give both"):
+        import_capture(complete(tmp_path, 1), tmp_path / "capture", ImportOptions(world_up="z"))
+
+
+def test_photographs_of_one_name_in_two_folders(tmp_path):
+    source = complete(tmp_path, count=1)
+    frames = []
+    for name in ("left", "right"):
+        (tmp_path / name).mkdir()
+        frames.append(photograph(tmp_path / name / "1.png"))
+    source = replace(source, frames=frames)
+    gains = ImportOptions(exposures=tmp_path / "gains.txt")
+    (tmp_path / "gains.txt").write_text("1.png 2\n")
+    with pytest.raises(CaptureError, match="2 photographs are called 1.png.*left/1.png"):
+        import_capture(source, tmp_path / "capture", gains)
+    (tmp_path / "gains.txt").write_text("left/1.png 2\nright/1.png 4\n")
+    import_capture(source, tmp_path / "capture", gains)
+    record = json.loads((tmp_path / "capture" / "capture.json").read_text())
+    assert record["exposure"] == [2, 4]
+    assert record["import"]["photographs"] == ["left/1.png", "right/1.png"]

@@ -14,6 +14,7 @@ from svu_mi.exr import exr_size, read_exr
 
 SUFFIXES = (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg")
 MAX_PIXELS = 2**28  # 16384 x 16384; a damaged header may promise any number
+ORIENTATION = 0x0112  # tag of EXIF
 HEADER = 4096  # bytes of an HDR or PFM file that its size must stand in
 
 Transfer = Literal["srgb", "gamma 2.2", "linear"]
@@ -41,6 +42,25 @@ def image_size(path: Path) -> tuple[int, int]:
             f"{path}: {size[0]} x {size[1]} pixels are too many, or the file is damaged."
         )
     return size
+
+
+def is_turned(path: Path) -> bool:
+    """Return whether EXIF data say that a picture is to be shown turned or mirrored.
+
+    Nothing here does that: pixels are those that are stored.
+
+    Raises:
+        CaptureError: the file is damaged.
+    """
+    from PIL import Image
+
+    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        return False
+    try:
+        with Image.open(path) as image:
+            return int(image.getexif().get(ORIENTATION, 1)) > 1
+    except Exception as error:  # whatever its parsers meet
+        raise CaptureError(f"{path}: not a readable image; write it again as EXR.") from error
 
 
 def read_planes(path: Path) -> tuple[list[np.ndarray], bool]:

@@ -34,6 +34,12 @@ def fitted(frame: Frame, size: tuple[int, int]) -> Frame:
         return frame
     scale = size[0] / frame.size[0], size[1] / frame.size[1]
     if abs(frame.size[1] * scale[0] - size[1]) > SAME_ASPECT:
+        if abs(frame.size[0] * size[0] / frame.size[1] - size[1]) <= SAME_ASPECT:
+            raise CaptureError(
+                f"{frame.image}: has {size[0]} x {size[1]} pixels, but {frame.label} is of "
+                f"{frame.size[0]} x {frame.size[1]}: the photograph is stored on its side; write "
+                "it upright, as EXIF data may say, in its pixels."
+            )
         raise CaptureError(
             f"{frame.image}: has {size[0]} x {size[1]} pixels, but {frame.label} is of "
             f"{frame.size[0]} x {frame.size[1]}, which is another shape; give the photograph that "
