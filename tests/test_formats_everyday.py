@@ -21,7 +21,7 @@ from svu_mi.formats.colmap import write_colmap
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.importing import ImportOptions, import_capture
 from svu_mi.formats.photographs import convert
-from svu_mi.formats.reading import read_source
+from svu_mi.formats.reading import ReadOptions, read_source
 from svu_mi.formats.resampling import squared
 from svu_mi.formats.source import Frame, Light, Source
 
@@ -126,6 +126,21 @@ def test_masks_that_show_nothing(tmp_path):
     cut_out(tmp_path / "mask0.png")
     notes = import_capture(replace(source, frames=frames), tmp_path / "capture")
     assert any("1 of 2 photographs, 1.png first, have an empty mask" in note for note in notes)
+
+
+def test_masks_that_say_nothing_or_the_opposite(tmp_path):
+    source = complete(tmp_path, count=2)
+    opaque = np.full((*SIZE[::-1], 4), 255, np.uint8)
+    opaque[..., :3] = 90
+    frames = [photograph(tmp_path / f"opaque{k}.png", opaque) for k in range(2)]
+    notes = import_capture(replace(source, frames=frames), tmp_path / "capture")
+    assert any("2 of 2 photographs have no mask" in note for note in notes)
+    around = np.full(SIZE[::-1], 255, np.uint8)
+    around[5:15, 5:30] = 0
+    Image.fromarray(around).save(tmp_path / "mask.png")
+    frames = [replace(frame, mask=tmp_path / "mask.png") for frame in source.frames]
+    notes = import_capture(replace(source, frames=frames), tmp_path / "capture")
+    assert any("2 of 2 masks have the border" in note for note in notes)
 
 
 def complete(folder: Path, count: int) -> Source:
@@ -240,6 +255,15 @@ def test_materials_without_a_picture_do_not_matter(tmp_path):
     assert geometry.mesh.uvs is not None and not geometry.textures
 
 
+def test_vertices_of_no_triangle_are_left_out(tmp_path):
+    points = np.vstack([[1e6, 0, 0], np.pad(UVS, ((0, 0), (0, 1)))])
+    faces = [[1, 2, 3], [1, 3, 4]]
+    trimesh.Trimesh(points, faces, process=False).export(tmp_path / "mesh.ply")
+    mesh = read_geometry(tmp_path / "mesh.ply").mesh
+    assert np.array_equal(mesh.positions, points[1:])
+    assert np.array_equal(mesh.faces, [[0, 1, 2], [0, 2, 3]])
+
+
 def test_ply_with_a_texture_has_v_upwards(tmp_path):
     mesh = square()
     mesh.visual = trimesh.visual.TextureVisuals(UVS)
@@ -291,6 +315,11 @@ def test_nerf_synthetic_with_shouted_suffixes(tmp_path):
 def test_lenses_that_are_not_straight(tmp_path, changes, sentence):
     with pytest.raises(CaptureError, match=sentence):
         read_source(transforms(tmp_path, **changes))
+
+
+def test_folders_that_a_format_has_no_use_for(tmp_path):
+    with pytest.raises(OptionError, match="for COLMAP.*read as transforms"):
+        read_source(transforms(tmp_path), ReadOptions(masks=tmp_path))
 
 
 def test_the_model_that_nerfstudio_keeps(tmp_path):

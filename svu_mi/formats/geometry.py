@@ -94,7 +94,16 @@ def _buffers(parts: Sequence[_Part], path: Path) -> MeshArrays:
             raise MeshError(f"{path}: some {name} are NaN, infinite or absurd; export it again.")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.positions):
         raise MeshError(f"{path}: a triangle has a corner that there is not; export it again.")
-    return mesh
+    return _without_strays(mesh)
+
+
+def _without_strays(mesh: MeshArrays) -> MeshArrays:
+    """Leave out vertices that no triangle has: scans keep some far away."""
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    if len(used) == len(mesh.positions):
+        return mesh
+    normals, uvs = (None if a is None else a[used] for a in (mesh.normals, mesh.uvs))
+    return MeshArrays(mesh.positions[used], faces.reshape(mesh.faces.shape), normals, uvs)
 
 
 def _joined(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:

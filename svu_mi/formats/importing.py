@@ -316,6 +316,12 @@ def _about(frames: Sequence[Frame], found: Sequence[Converted]) -> list[str]:
             f"{len(empty)} of {count} photographs, {empty[0]} first, have an empty mask: nothing "
             "of them is used."
         )
+    inverted = sum(c.inverted for c in found)
+    if inverted > count / 2:
+        notes.append(
+            f"{inverted} of {count} masks have the border of the photograph; if the object is "
+            "black in them, invert them: white is the object."
+        )
     bare = count - sum(c.masked for c in found)
     if bare:
         notes.append(

@@ -13,6 +13,7 @@ from svu_mi.exr import write_exr
 from svu_mi.formats.resampling import resampled
 from svu_mi.formats.source import Frame
 
+BORDER = 0.9  # part of a photograph's border that no object covers
 PART = 1e-6  # of a new pixel that an unusable one may cover, which is rounding
 
 
@@ -24,8 +25,9 @@ class Converted:
         low_range: it holds 8- or 16-bit integers.
         saturated: number of its pixels that are clipped, on the object if there is a mask.
         invalid: number of its pixels that are NaN, infinite or negative.
-        masked: whether it has a mask.
+        masked: whether it has a mask; an alpha channel that is opaque everywhere is none.
         empty: whether nothing of the object is in its mask.
+        inverted: whether its mask has the border of the photograph, and leaves something out.
     """
 
     low_range: bool
@@ -33,6 +35,7 @@ class Converted:
     invalid: int
     masked: bool
     empty: bool
+    inverted: bool
 
 
 def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
@@ -77,7 +80,13 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
         invalid=int(invalid.sum()),
         masked=mask is not None,
         empty=mask is not None and not mask.any(),
+        inverted=mask is not None and _is_inverted(mask),
     )
+
+
+def _is_inverted(mask: np.ndarray) -> bool:
+    border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
+    return bool(border.mean() > BORDER and not mask.all())
 
 
 def _resampled(plane: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
@@ -87,7 +96,7 @@ def _resampled(plane: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
 def _mask(frame: Frame, planes: list[np.ndarray], low_range: bool) -> np.ndarray | None:
     """Return (H, W) bool from the alpha channel, the mask's file, or both; None without any."""
     found = None
-    if len(planes) > 3:
+    if len(planes) > 3 and planes[3].min() < 1:
         found = planes[3] >= (IN_MASK if low_range else ON_OBJECT)
     if frame.mask is None:
         return found
