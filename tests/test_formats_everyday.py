@@ -14,6 +14,7 @@ import trimesh
 from PIL import Image
 from trimesh.visual.material import PBRMaterial
 
+from svu_mi.capture.poses import film_size, focal_length
 from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.files import read_json, replacing_folder
@@ -24,6 +25,7 @@ from svu_mi.formats.photographs import convert
 from svu_mi.formats.reading import ReadOptions, read_source
 from svu_mi.formats.resampling import squared
 from svu_mi.formats.source import Frame, Light, Source
+from svu_mi.guidance.candidates import Candidates
 
 # --- folders ------------------------------------------------------------------------------
 
@@ -301,6 +303,14 @@ def test_nerf_synthetic_with_shouted_suffixes(tmp_path):
     frame.image.unlink()
     with pytest.raises(CaptureError, match="r_0: no such photograph"):
         read_source(tmp_path)
+
+
+def test_poses_of_pixels_that_are_not_square_are_candidates(tmp_path):
+    record = {"w": 64, "h": 48, "fl_x": 60.0, "fl_y": 80.0, "file_path": "elsewhere/1.jpg"}
+    frame = {**record, "transform_matrix": np.eye(4).tolist()}
+    (tmp_path / "poses.json").write_text(json.dumps({"frames": [frame]}))
+    (sensor,) = Candidates.read(tmp_path / "poses.json").sensors
+    assert film_size(sensor) == (64, 36) and focal_length(sensor) == pytest.approx(60)
 
 
 @pytest.mark.parametrize(

@@ -17,13 +17,14 @@ from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture import nodes
 from svu_mi.capture.folder import Description
 from svu_mi.capture.mesh import MeshArrays
-from svu_mi.capture.picture import image_size, is_turned
+from svu_mi.capture.picture import image_size
 from svu_mi.capture.scene import require_variant
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.exr import is_cropped
 from svu_mi.files import replacing, replacing_folder
 from svu_mi.formats.exposures import with_exif_exposures, with_exposures
+from svu_mi.formats.findings import about
 from svu_mi.formats.fixes import FIXES, Fix, fixes_named
 from svu_mi.formats.geometry import Geometry, read_geometry
 from svu_mi.formats.light import write_environment
@@ -123,7 +124,7 @@ def import_capture(
                 f"{frames[0].mask or frames[0].image}: as all others, its mask shows nothing of "
                 "the object; in a mask, white is the object."
             )
-        notes = [*source.notes, *geometry.notes, *_about(frames, [c for _, c in found])]
+        notes = [*source.notes, *geometry.notes, *about(frames, [c for _, c in found])]
         notes += _write_scene(made, geometry, _turned(light, fixes), sensors)
         description = Description(
             scene=made / SCENE,
@@ -283,49 +284,4 @@ def _write_scene(
     root.append(shape)
     root.extend(nodes.sensor(sensor, f"view_{k:04d}") for k, sensor in enumerate(sensors))
     nodes.write_document(root, folder / SCENE)
-    return notes
-
-
-def _about(frames: Sequence[Frame], found: Sequence[Converted]) -> list[str]:
-    """Say what the photographs are not good for."""
-    notes = []
-    count, low = len(found), sum(c.low_range for c in found)
-    if low:
-        saturated = sum(c.saturated for c in found)
-        notes.append(
-            f"{low} of {count} photographs are not HDR: decoded as {frames[0].transfer}, "
-            f"{saturated} clipped pixels left out. Clipped highlights hide what gloss says."
-        )
-    turned = [frame.image.name for frame in frames if is_turned(frame.image)]
-    if turned:
-        notes.append(
-            f"{len(turned)} of {count} photographs, {turned[0]} first, are stored turned, and "
-            "upright by their EXIF data alone, which are left out: poses must be of the pixels as "
-            "stored. If svu check shows them turned, write them upright and import again."
-        )
-    bad = [f.image.name for f, c in zip(frames, found, strict=True) if c.invalid]
-    if bad:
-        pixels = sum(c.invalid for c in found)
-        notes.append(
-            f"{len(bad)} of {count} photographs, {bad[0]} first, have {pixels} pixels that are "
-            "NaN, infinite or negative; left out."
-        )
-    empty = [f.image.name for f, c in zip(frames, found, strict=True) if c.empty]
-    if empty:
-        notes.append(
-            f"{len(empty)} of {count} photographs, {empty[0]} first, have an empty mask: nothing "
-            "of them is used."
-        )
-    inverted = sum(c.inverted for c in found)
-    if inverted > count / 2:
-        notes.append(
-            f"{inverted} of {count} masks have the border of the photograph; if the object is "
-            "black in them, invert them: white is the object."
-        )
-    bare = count - sum(c.masked for c in found)
-    if bare:
-        notes.append(
-            f"{bare} of {count} photographs have no mask: what stands before the object is taken "
-            "for it."
-        )
     return notes
