@@ -14,6 +14,7 @@ import trimesh
 from PIL import Image
 from trimesh.visual.material import PBRMaterial
 
+from svu_mi.capture.picture import read_planes
 from svu_mi.capture.poses import film_size, focal_length
 from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError
 from svu_mi.exr import read_exr, write_exr
@@ -106,6 +107,19 @@ def test_masks_of_all_kinds(tmp_path, kind):
     frame = photograph(tmp_path / "photo.png", mask=tmp_path / "mask.png")
     assert not convert(frame, tmp_path / "view.exr", (1, 1)).empty
     assert np.array_equal(read_exr(tmp_path / "view.exr")["A"] == 1, LEFT)
+
+
+def test_blenders_layers(tmp_path):
+    planes = {c: np.full((4, 6), k / 4, np.float32) for k, c in enumerate("RGBA", 1)}
+    passes = {f"ViewLayer.Combined.{c}": plane for c, plane in planes.items()}
+    others = {f"ViewLayer.DiffCol.{c}": np.ones((4, 6), np.float32) for c in "RGB"}
+    write_exr(tmp_path / "1.exr", {**passes, **others, "ViewLayer.Depth.Z": planes["R"]})
+    found, low_range = read_planes(tmp_path / "1.exr")
+    np.testing.assert_array_equal(found, list(planes.values()))
+    assert not low_range
+    write_exr(tmp_path / "1.exr", {**others, "ViewLayer.Emit.R": planes["R"]})
+    with pytest.raises(CaptureError, match="found ViewLayer.*export it as plain RGB"):
+        read_planes(tmp_path / "1.exr")
 
 
 def test_clipped_pixels_of_the_background_are_not_counted(tmp_path):

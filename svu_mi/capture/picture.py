@@ -15,6 +15,7 @@ from svu_mi.exr import exr_size, read_exr
 SUFFIXES = (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg")
 MAX_PIXELS = 2**28  # 16384 x 16384; a damaged header may promise any number
 ORIENTATION = 0x0112  # tag of EXIF
+LONGEST = 200  # letters of a list of channels, in a message
 HEADER = 4096  # bytes of an HDR or PFM file that its size must stand in
 
 Transfer = Literal["srgb", "gamma 2.2", "linear"]
@@ -109,15 +110,31 @@ def srgb(linear: np.ndarray) -> np.ndarray:
 
 
 def _exr_planes(path: Path) -> list[np.ndarray]:
-    channels = read_exr(path)
+    channels = _of_one_layer(read_exr(path))
     grey = channels.get("Y")
     found = [channels.get(name, grey) for name in "RGB"]
     planes = [plane for plane in found if plane is not None]
     if len(planes) < 3:
         raise CaptureError(
-            f"{path}: expected the channels R, G, B (or Y), found {', '.join(channels)}."
+            f"{path}: expected the channels R, G, B (or Y), found "
+            f"{', '.join(channels)[:LONGEST]}; export it as plain RGB or RGBA."
         )
     return planes + ([channels["A"]] if "A" in channels else [])
+
+
+def _of_one_layer(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return channels without a layer; else those of the only layer of colours, or Blender's."""
+    if "R" in channels or "Y" in channels:
+        return channels
+    layers = [name.removesuffix("R") for name in channels if name.endswith(".R")]
+    whole = [layer for layer in layers if layer.endswith("Combined.")]  # of all its passes
+    for found in (layers, whole):
+        if len(found) == 1:
+            return {
+                name.removeprefix(found[0]): plane
+                for name, plane in channels.items() if name.startswith(found[0])
+            }  # fmt: skip
+    return channels
 
 
 def _integer_size(path: Path) -> tuple[int, int]:
