@@ -128,6 +128,18 @@ def exr_size(path: str | Path) -> tuple[int, int]:
     return width, height
 
 
+def is_cropped(path: str | Path) -> bool:
+    """Return whether the pixels of the first part are others than those that are to be shown.
+
+    Raises:
+        CaptureError: as ``read_exr``.
+    """
+    exr_size(path)
+    with _quiet, OpenEXR.File(str(path), header_only=True) as file:
+        header = dict(file.parts[0].header)
+    return not np.array_equal(header["dataWindow"], header["displayWindow"])
+
+
 def _planes(
     path: Path, channels: Mapping[str, Any], dtype: type[np.floating]
 ) -> dict[str, np.ndarray]:

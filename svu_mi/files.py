@@ -97,7 +97,7 @@ def replacing_folder(folder: str | Path, may_replace: Callable[[Path], bool]) ->
     Raises:
         OutputError: it cannot be made, or one is there that must not be replaced.
     """
-    folder = Path(folder).absolute()
+    folder = Path(folder).resolve()  # what a link points to is replaced, not the link
     prepare_folder(folder.parent)
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file, not a folder; choose another folder.")
@@ -115,6 +115,8 @@ def replacing_folder(folder: str | Path, may_replace: Callable[[Path], bool]) ->
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written ({_reason(folder, error)}).") from error
     finally:
+        if old.exists() and not folder.exists():  # stopped between the two steps
+            old.rename(folder)
         shutil.rmtree(made, ignore_errors=True)
         shutil.rmtree(old, ignore_errors=True)
 
@@ -153,6 +155,6 @@ def read_json(path: Path) -> Any:
         CaptureError: it cannot be read, or is no JSON.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8-sig"))  # Windows' tools write a mark first
     except (OSError, ValueError, RecursionError) as error:
         raise CaptureError(f"{path}: not a readable JSON file ({excerpt(error)}).") from error

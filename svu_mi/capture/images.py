@@ -167,16 +167,42 @@ def _mark(color: np.ndarray, exposure: float) -> tuple[int, int, bool]:
     return int(bad.sum()), marked, not np.fmax.reduce(color, axis=None, initial=0) > 0
 
 
+def read_mask(path: Path, shape: tuple[int, ...]) -> np.ndarray:
+    """Read a mask of any kind.
+
+    An alpha channel that is anywhere transparent is the mask, as in a cut-out; otherwise the
+    object is white, or of any bright colour. Integers of which none is bright are labels: the
+    object is everything but 0.
+
+    Args:
+        path: the file.
+        shape: (H, W) of the photograph.
+
+    Returns:
+        (H, W) bool, True on the object.
+
+    Raises:
+        CaptureError: it cannot be read, or has another size.
+    """
+    planes, low_range = read_planes(path)
+    values = planes[0]
+    if values.shape != tuple(shape):
+        raise CaptureError(
+            f"{path}: the mask has {values.shape[1]} x {values.shape[0]} pixels but its photograph "
+            f"has {shape[1]} x {shape[0]}; resize it."
+        )
+    if planes[3:] and planes[3].min() < 1:
+        values = planes[3]
+    else:
+        values = np.maximum(np.maximum(values, planes[1]), planes[2])
+    if low_range and 0 < values.max() < IN_MASK:
+        return values > 0
+    return values >= (IN_MASK if low_range else ON_OBJECT)
+
+
 def _mask_beside(path: Path, shape: tuple[int, ...]) -> np.ndarray | None:
     for suffix in SUFFIXES:
         candidate = path.with_name(path.stem.replace("view_", "mask_") + suffix)
         if candidate.is_file():
-            planes, low_range = read_planes(candidate)
-            values = planes[0]
-            if values.shape != shape:
-                raise CaptureError(
-                    f"{candidate}: the mask has {values.shape[1]} x {values.shape[0]} pixels but "
-                    f"its photograph has {shape[1]} x {shape[0]}."
-                )
-            return values >= (IN_MASK if low_range else ON_OBJECT)
+            return read_mask(candidate, shape)
     return None

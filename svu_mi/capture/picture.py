@@ -20,6 +20,7 @@ from svu_mi.files import may_hold
 
 SUFFIXES = (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg")
 MAX_PIXELS = 2**28  # 16384 x 16384; a damaged header may promise any number
+ORIENTATION = 0x0112  # tag of EXIF
 PNG = b"\x89PNG\r\n\x1a\n"  # how its files begin
 PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # by the kind of colour that it says
 
@@ -49,6 +50,25 @@ def image_size(path: Path) -> tuple[int, int]:
             f"{path}: {size[0]} x {size[1]} pixels are too many, or the file is damaged."
         )
     return size
+
+
+def is_turned(path: Path) -> bool:
+    """Return whether EXIF data say that a picture is to be shown turned or mirrored.
+
+    Nothing here does that: pixels are those that are stored.
+
+    Raises:
+        CaptureError: the file is damaged.
+    """
+    from PIL import Image
+
+    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        return False
+    try:
+        with Image.open(path) as image:
+            return int(image.getexif().get(ORIENTATION, 1)) > 1
+    except Exception as error:  # whatever its parsers meet
+        raise CaptureError(f"{path}: not a readable image; write it again as EXR.") from error
 
 
 def read_planes(path: Path) -> tuple[list[np.ndarray], bool]:
@@ -95,15 +115,31 @@ def srgb(linear: np.ndarray) -> np.ndarray:
 
 
 def _exr_planes(path: Path) -> list[np.ndarray]:
-    channels = read_exr(path)
+    channels = _of_one_layer(read_exr(path))
     grey = channels.get("Y")
     found = [channels.get(name, grey) for name in "RGB"]
     planes = [plane for plane in found if plane is not None]
     if len(planes) < 3:
         raise CaptureError(
-            f"{path}: expected the channels R, G, B (or Y), found {excerpt(', '.join(channels))}."
+            f"{path}: expected the channels R, G, B (or Y), found {excerpt(', '.join(channels))}; "
+            "export it as plain RGB or RGBA."
         )
     return planes + ([channels["A"]] if "A" in channels else [])
+
+
+def _of_one_layer(channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return channels without a layer; else those of the only layer of colours, or Blender's."""
+    if "R" in channels or "Y" in channels:
+        return channels
+    layers = [name.removesuffix("R") for name in channels if name.endswith(".R")]
+    whole = [layer for layer in layers if layer.endswith("Combined.")]  # of all its passes
+    for found in (layers, whole):
+        if len(found) == 1:
+            return {
+                name.removeprefix(found[0]): plane
+                for name, plane in channels.items() if name.startswith(found[0])
+            }  # fmt: skip
+    return channels
 
 
 @contextlib.contextmanager

@@ -13,7 +13,8 @@ from svu_mi.formats.colmap_model import Camera, View, is_model, read_model
 from svu_mi.formats.paths import inside
 
 # Undistorted models go before those they were made from: both have the same world.
-PLACES = ("dense/sparse", "dense/0/sparse", "sparse/0", "sparse", ".")
+# nerfstudio keeps the project in colmap/, with the photographs beside it.
+PLACES = ("dense/sparse", "dense/0/sparse", "sparse/0", "sparse", "colmap/sparse/0", ".")
 IMAGES, MASKS = "images", "masks"
 
 
@@ -91,8 +92,9 @@ def _label(model: Path, view: View) -> str:
 
 
 def _beside(model: Path, name: str) -> Path | None:
-    """Return a folder in the model's own or one of the two above, as far as projects nest it."""
-    folders = [Path(os.path.normpath(model / up / name)) for up in (".", "..", "../..")]
+    """Return a folder in the model's own or one above, as far as projects nest it."""
+    ways = (".", "..", "../..", *(["../../.."] if model.parts[-3:-2] == ("colmap",) else []))
+    folders = [Path(os.path.normpath(model / up / name)) for up in ways]
     return next((folder for folder in folders if folder.is_dir()), None)
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -22,26 +23,39 @@ def with_exposures(frames: Sequence[Frame], path: Path) -> list[Frame]:
     Args:
         frames: V of them.
         path: a text file with one line ``NAME GAIN`` for each photograph, such as
-            ``IMG_0012.jpg 0.25``; empty lines and what follows a ``#`` are left out.
+            ``IMG_0012.jpg 0.25`` or ``left/IMG_0012.jpg 0.25``; empty lines and what follows a
+            ``#`` are left out.
 
     Raises:
-        CaptureError: it cannot be read, a line is none, or a photograph is not named.
+        CaptureError: it cannot be read, a line is none, or a photograph is not named, or by a name
+            that several have.
     """
     gains = {}
     try:
         if path.stat().st_size > MAX_BYTES:
             raise CaptureError(f"{path}: too large for a list of exposures.")
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
         raise CaptureError(f"{path}: no readable list of exposures ({excerpt(error)}).") from error
     for number, line in enumerate(lines, 1):
         words = line.partition("#")[0].rsplit(maxsplit=1)
         if words:
             gains[words[0].strip()] = _gain(words, f"{path}: line {number}")
-    missing = [frame.image.name for frame in frames if frame.image.name not in gains]
-    if missing:
-        raise CaptureError(f"{path}: has no exposure of {missing[0]}; add a line NAME GAIN.")
-    return [replace(frame, exposure=gains[frame.image.name]) for frame in frames]
+    counts = Counter(frame.image.name for frame in frames)
+    exposed = []
+    for frame in frames:
+        key = next((name for name in _names(frame.image) if name in gains), None)
+        if key is None:
+            raise CaptureError(
+                f"{path}: has no exposure of {frame.image.name}; add a line NAME GAIN."
+            )
+        if key == frame.image.name and counts[key] > 1:
+            raise CaptureError(
+                f"{path}: {counts[key]} photographs are called {key}; name them with their "
+                f"folder, as {frame.image.parent.name}/{key}."
+            )
+        exposed.append(replace(frame, exposure=gains[key]))
+    return exposed
 
 
 def with_exif_exposures(frames: Sequence[Frame]) -> list[Frame]:
@@ -57,6 +71,12 @@ def with_exif_exposures(frames: Sequence[Frame]) -> list[Frame]:
     gains = [_exif_gain(frame.image) for frame in frames]
     middle = median(gains)
     return [replace(frame, exposure=g / middle) for frame, g in zip(frames, gains, strict=True)]
+
+
+def _names(path: Path) -> Iterator[str]:
+    """Return what a list may call a photograph: its path, or any end of it, longest first."""
+    parts = path.parts
+    return ("/".join(parts[first:]) for first in range(len(parts)))
 
 
 def _gain(words: Sequence[str], label: str) -> float:

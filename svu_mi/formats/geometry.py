@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import struct
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import trimesh
@@ -17,15 +16,17 @@ from PIL import Image, UnidentifiedImageError
 
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
+from svu_mi.formats import gltf
 from svu_mi.formats.normals import repaired
 from svu_mi.formats.paths import inside
 from svu_mi.formats.textures import Textures, is_textured, load_pictures, textures_of
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tga", ".bmp", ".tif", ".tiff")
-V_DOWN = (".ply",)  # as Mitsuba's plugin takes it; trimesh hands on V upwards for the others
+# As Mitsuba's plugin takes it, unless a comment names a texture, as MeshLab and scanners write it;
+# trimesh hands on V upwards for the others.
+V_DOWN = (".ply",)
 MAX_BYTES = 2**31
-FREE = 2**20  # numbers that any file may ask for; more must be in it, not repeated
 MAX_NUMBER = 1e9  # units or UV tiles
 
 
@@ -50,7 +51,7 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
     Args:
         path: GLB, glTF, OBJ, PLY or STL. Parts are placed by the file's own transformations and
             merged; V of GLB, glTF and OBJ runs upwards or downwards as their formats say, that of
-            PLY is Mitsuba's.
+            PLY is Mitsuba's, or upwards if the file names a texture.
         geometry_only: leave UVs and textures out, so that several materials do not matter.
 
     Raises:
@@ -59,9 +60,10 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
     """
     path = Path(path)
     files = _Inside(path.parent)
-    parts = _parts(path, files)
+    parts = _parts(path, files, geometry_only)
     painted = {part.paint: part for part in parts if part.paint is not None}
-    if len(painted) > 1 and not geometry_only:
+    several = len(painted) > 1
+    if several and not geometry_only and any(is_textured(part.visual) for part in parts):
         raise MeshError(
             f"{path}: has {len(painted)} materials; bake them into one, or import the geometry "
             "alone with --geometry-only."
@@ -71,9 +73,9 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
         mesh = replace(mesh, uvs=None)
     textures: Textures = {}
     if mesh.uvs is not None:
-        textures = textures_of(next(iter(painted.values()), parts[0]).visual, path)
+        textures = {} if several else textures_of(parts[0].visual, path)
         uvs = mesh.uvs
-        if path.suffix.lower() not in V_DOWN:
+        if textures or path.suffix.lower() not in V_DOWN:
             uvs = np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=-1)
         mesh = replace(mesh, uvs=uvs - _tile(uvs))
     mesh, notes = repaired(mesh, str(path))
@@ -101,7 +103,16 @@ def _buffers(parts: Sequence[_Part], path: Path) -> MeshArrays:
             raise MeshError(f"{path}: some {name} are NaN, infinite or absurd; export it again.")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.positions):
         raise MeshError(f"{path}: a triangle has a corner that there is not; export it again.")
-    return mesh
+    return _without_strays(mesh)
+
+
+def _without_strays(mesh: MeshArrays) -> MeshArrays:
+    """Leave out vertices that no triangle has: scans keep some far away."""
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    if len(used) == len(mesh.positions):
+        return mesh
+    normals, uvs = (None if a is None else a[used] for a in (mesh.normals, mesh.uvs))
+    return MeshArrays(mesh.positions[used], faces.reshape(mesh.faces.shape), normals, uvs)
 
 
 def _joined(arrays: Sequence[np.ndarray | None]) -> np.ndarray | None:
@@ -151,19 +162,21 @@ class _Part:
         )
 
 
-def _parts(path: Path, files: _Inside) -> list[_Part]:
+def _parts(path: Path, files: _Inside, geometry_only: bool) -> list[_Part]:
     """Return the triangle meshes of a file."""
     if path.suffix.lower() not in SUFFIXES:
         raise MeshError(f"{path}: not a kind of mesh known here ({', '.join(SUFFIXES)}).")
     if not path.is_file():
         raise MeshError(f"{path}: no such mesh.")
-    if path.stat().st_size > MAX_BYTES:
+    held = path.stat().st_size
+    if held > MAX_BYTES:
         raise MeshError(f"{path}: larger than {MAX_BYTES // 2**20} MiB; simplify the mesh.")
     with _damage_of(path):
-        _refuse_bombs(path)
+        if path.suffix.lower() in gltf.SUFFIXES:
+            held = gltf.check_gltf(path, geometry_only=geometry_only)
         scene = trimesh.load_scene(path, resolver=files, process=False)
         placed = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
-        if sum(len(part.vertices) for part in placed) > _held(path):
+        if sum(len(part.vertices) for part in placed) > max(gltf.FREE, held):
             raise MeshError(f"{path}: places too many copies of its parts; bake them into one.")
         parts = [_Part.of(scene, node) for node in scene.graph.nodes_geometry]
         parts = [part for part in parts if len(part.mesh.faces) > 0]
@@ -191,31 +204,6 @@ def _damage_of(path: Path) -> Iterator[None]:
         trimesh.util.log.disabled = spoken
 
 
-def _refuse_bombs(path: Path) -> None:
-    """Refuse a glTF that asks for more numbers than its files hold: they would all be made."""
-    if path.suffix.lower() not in (".glb", ".gltf"):
-        return
-    content = path.read_bytes()
-    if path.suffix.lower() == ".glb":
-        (length,) = struct.unpack_from("<I", content, 12)
-        content = content[20 : 20 + length]
-    record = json.loads(content)
-    counts = [int(accessor.get("count", 0)) for accessor in record.get("accessors", ())]
-    used = [
-        counts[index]
-        for mesh in record.get("meshes", ())
-        for primitive in mesh["primitives"]
-        for index in primitive["attributes"].values()
-    ]
-    if min(counts, default=0) < 0 or max(sum(counts), sum(used)) > _held(path):
-        raise MeshError(f"{path}: asks for more numbers than the file holds; export it again.")
-
-
-def _held(path: Path) -> int:
-    """Return how many numbers, at most, a mesh and the buffers beside it hold; some are free."""
-    return max(FREE, sum(file.stat().st_size for file in (path, *path.parent.glob("*.bin"))))
-
-
 class _Inside(trimesh.resolvers.Resolver):
     """Read files that a mesh refers to, if they lie in its folder (a trimesh resolver).
 
@@ -233,9 +221,11 @@ class _Inside(trimesh.resolvers.Resolver):
         self.missing: list[str] = []
 
     def get(self, name: str) -> bytes:
-        """Return the bytes of a file."""
+        """Return the bytes of a file, whose name glTF writes with %20 for a space."""
         try:
             path = inside(self.root, str(name).strip(), str(self.root))
+            if not path.is_file():
+                path = inside(self.root, unquote(str(name).strip()), str(self.root))
             if not path.is_file():  # a folder, a pipe or a device neither
                 self.missing.append(path.name)
                 raise FileNotFoundError(f"no file {path.name}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -18,20 +19,28 @@ from svu_mi.capture.folder import Description
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.capture.picture import image_size
 from svu_mi.capture.scene import require_variant
-from svu_mi.capture.unwrap import unwrap
+from svu_mi.capture.unwrap import UNWRAPPED, unwrap
 from svu_mi.errors import CaptureError, OptionError
+from svu_mi.exr import is_cropped
 from svu_mi.files import replacing, replacing_folder
 from svu_mi.formats.exposures import with_exif_exposures, with_exposures
+from svu_mi.formats.findings import about
 from svu_mi.formats.fixes import FIXES, Fix, fixes_named
 from svu_mi.formats.geometry import Geometry, read_geometry
 from svu_mi.formats.light import write_environment
 from svu_mi.formats.photographs import Converted, convert
 from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Light, Source
-from svu_mi.formats.textures import write_pictures
+from svu_mi.formats.textures import PARAMETERS, write_pictures
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
+OWN = {
+    SCENE, MESH, ENVIRONMENT, capture_folder.FILE, UNWRAPPED,
+    *(f"{name}.png" for name in PARAMETERS), ".DS_Store", "Thumbs.db",
+}  # fmt: skip
+VIEW = re.compile(r"view_\d{4,}\.exr")
 MAX_DEPTH = 6  # of the paths that a scene without a say of its own is rendered with
+PIXELS_AT_A_TIME = 2**26  # of the photographs in memory, some 40 bytes each
 
 Up = Literal["y", "z"]
 
@@ -43,7 +52,7 @@ class ImportOptions:
     Attributes:
         mesh: the object's file, if the source names none or another is meant.
         mesh_up: axis that is up in the mesh's file; None = that of the poses.
-        world_up: axis that is up in the world of the poses; None = that of the mesh.
+        world_up: axis that is up in the world of the poses; given if ``mesh_up`` is.
         mesh_scale: units of the poses per unit of the mesh (0.001: mm to m).
         geometry_only: leave the mesh's UVs and textures out, and lay out new UVs.
         environment: the light, if the source names none or another is meant.
@@ -79,7 +88,8 @@ def import_capture(
 
     Args:
         source: what a reader has found.
-        folder: made if missing. A capture that was imported earlier is replaced.
+        folder: made if missing. A capture that was imported earlier is replaced, unless it holds
+            other files, too.
         options: see there.
         progress: called with (photographs done, photographs in all).
 
@@ -109,7 +119,12 @@ def import_capture(
         found = _write_photographs(frames, made, options.shrink, progress)
         sensors = [frame.sensor(_clip(frame, geometry.mesh)) for frame, _ in found]
         geometry = _with_uvs(geometry, str(mesh))
-        notes = [*source.notes, *geometry.notes, *_about(frames, [c for _, c in found])]
+        if all(converted.empty for _, converted in found):
+            raise CaptureError(
+                f"{frames[0].mask or frames[0].image}: as all others, its mask shows nothing of "
+                "the object; in a mask, white is the object."
+            )
+        notes = [*source.notes, *geometry.notes, *about(frames, [c for _, c in found])]
         notes += _write_scene(made, geometry, _turned(light, fixes), sensors)
         description = Description(
             scene=made / SCENE,
@@ -117,17 +132,24 @@ def import_capture(
             exposures=[frame.exposure for frame, _ in found],
             imported={
                 "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
-                "photographs": [frame.image.name for frame, _ in found], "notes": notes,
+                "photographs": [_named(frame.image, source.root) for frame, _ in found],
+                "notes": notes,
             },
         )  # fmt: skip
         capture_folder.write(made, description, sensors)
     return notes
 
 
+def _named(file: Path, root: Path) -> str:
+    return file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
+
+
 def _was_imported(folder: Path) -> bool:
-    """Return whether a folder holds an earlier import."""
+    """Return whether a folder holds an earlier import, and nothing that somebody added."""
     description = capture_folder.read(folder)
-    return description is not None and bool(description.imported)
+    if description is None or not description.imported:
+        return False
+    return all(path.name in OWN or VIEW.fullmatch(path.name) for path in folder.iterdir())
 
 
 def _fixes(options: ImportOptions) -> tuple[Fix, ...]:
@@ -135,6 +157,8 @@ def _fixes(options: ImportOptions) -> tuple[Fix, ...]:
         raise OptionError(f"--every takes 1 (all photographs) or more, got {options.every}.")
     if not (np.isfinite(options.mesh_scale) and options.mesh_scale > 0):
         raise OptionError(f"A mesh is scaled by a positive factor, got {options.mesh_scale}.")
+    if (options.mesh_up is None) != (options.world_up is None):
+        raise OptionError("--mesh-up and --world-up say something together alone; give both.")
     up = {("y", "z"): "mesh-x90", ("z", "y"): "mesh-x270"}
     between = up.get((options.mesh_up or "", options.world_up or ""))
     return (*([] if between is None else [FIXES[between]]), *fixes_named(options.fixes))
@@ -148,7 +172,13 @@ def _frames(source: Source, options: ImportOptions, fixes: Sequence[Fix]) -> lis
         for fix in fixes:
             if fix.kind == "camera":
                 pose = _moved(pose, fix, source.camera_axes)
-        frames.append(fitted(replace(frame, to_world=pose), image_size(frame.image)))
+        size = image_size(frame.image)
+        if frame.image.suffix.lower() == ".exr" and is_cropped(frame.image):
+            raise CaptureError(
+                f"{frame.image}: its data window is not its display window, so its pixels are "
+                "others than the camera's; write it again without crop or overscan."
+            )
+        frames.append(fitted(replace(frame, to_world=pose), size))
     if not frames:
         raise CaptureError(f"{source.root}: holds no photograph.")
     return frames
@@ -223,7 +253,9 @@ def _write_photographs(
         return convert(frames[index], folder / f"view_{index:04d}.exr", squares[index][1])
 
     found = []
-    with ThreadPoolExecutor(max(1, dr.thread_count())) as threads:
+    largest = max(frame.size[0] * frame.size[1] for frame in frames)
+    workers = max(1, min(dr.thread_count(), PIXELS_AT_A_TIME // largest))
+    with ThreadPoolExecutor(workers) as threads:
         for converted in threads.map(write, range(len(frames))):
             found.append(converted)
             if progress is not None:
@@ -252,30 +284,4 @@ def _write_scene(
     root.append(shape)
     root.extend(nodes.sensor(sensor, f"view_{k:04d}") for k, sensor in enumerate(sensors))
     nodes.write_document(root, folder / SCENE)
-    return notes
-
-
-def _about(frames: Sequence[Frame], found: Sequence[Converted]) -> list[str]:
-    """Say what the photographs are not good for."""
-    notes = []
-    count, low = len(found), sum(c.low_range for c in found)
-    if low:
-        saturated = sum(c.saturated for c in found)
-        notes.append(
-            f"{low} of {count} photographs are not HDR: decoded as {frames[0].transfer}, "
-            f"{saturated} clipped pixels left out. Clipped highlights hide what gloss says."
-        )
-    bad = [f.image.name for f, c in zip(frames, found, strict=True) if c.invalid]
-    if bad:
-        pixels = sum(c.invalid for c in found)
-        notes.append(
-            f"{len(bad)} of {count} photographs, {bad[0]} first, have {pixels} pixels that are "
-            "NaN, infinite or negative; left out."
-        )
-    bare = count - sum(c.masked for c in found)
-    if bare:
-        notes.append(
-            f"{bare} of {count} photographs have no mask: what stands before the object is taken "
-            "for it."
-        )
     return notes

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from svu_mi.capture.images import IN_MASK, ON_OBJECT, SATURATED, UNUSABLE
+from svu_mi.capture.images import IN_MASK, ON_OBJECT, SATURATED, UNUSABLE, read_mask
 from svu_mi.capture.picture import decoded, read_planes
-from svu_mi.errors import CaptureError
 from svu_mi.exr import write_exr
 from svu_mi.formats.resampling import resampled
 from svu_mi.formats.source import Frame
+
+BORDER = 0.9  # part of a photograph's border that no object covers
+PART = 1e-6  # of a new pixel that an unusable one may cover, which is rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,15 +23,19 @@ class Converted:
 
     Attributes:
         low_range: it holds 8- or 16-bit integers.
-        saturated: number of its pixels that are clipped.
+        saturated: number of its pixels that are clipped, on the object if there is a mask.
         invalid: number of its pixels that are NaN, infinite or negative.
-        masked: whether it has a mask.
+        masked: whether it has a mask; an alpha channel that is opaque everywhere is none.
+        empty: whether nothing of the object is in its mask.
+        inverted: whether its mask has the border of the photograph, and leaves something out.
     """
 
     low_range: bool
     saturated: int
     invalid: int
     masked: bool
+    empty: bool
+    inverted: bool
 
 
 def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
@@ -48,42 +54,51 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
         OutputError: the file cannot be written.
     """
     planes, low_range = read_planes(frame.image)
-    color = np.stack(planes[:3], axis=-1)
-    with np.errstate(invalid="ignore"):
-        clipped = (color > SATURATED).any(axis=-1) if low_range else np.zeros(color.shape[:2], bool)
-        color = decoded(color, frame.transfer) if low_range else color
-        invalid = ~(np.isfinite(color) & (color >= 0)).all(axis=-1)
     mask = _mask(frame, planes, low_range)
+    del planes[3:]
+    clipped, invalid = np.zeros((2, *planes[0].shape), bool)
+    for channel, plane in enumerate(planes):  # one at a time: photographs may be huge
+        if low_range:
+            clipped |= plane > SATURATED
+            planes[channel] = decoded(plane, frame.transfer)
+        invalid |= ~(np.isfinite(plane) & (plane >= 0))
     bad = clipped | invalid
-    color[bad] = 0
-    layers = [color, bad[..., None], *([] if mask is None else [mask[..., None]])]
-    image = resampled(np.concatenate(layers, axis=-1, dtype=np.float32), scale)
-    image[image[..., 3] > 1e-6, :3] = UNUSABLE
-    channels = {"R": image[..., 0], "G": image[..., 1], "B": image[..., 2]}
+    for channel, plane in enumerate(planes):
+        plane[bad] = 0
+        planes[channel] = _resampled(plane, scale)
+    touched = _resampled(bad, scale) > PART
+    for plane in planes:
+        plane[touched] = UNUSABLE
+    channels = dict(zip("RGB", planes, strict=True))
     if mask is not None:
-        channels["A"] = image[..., 4]
+        channels["A"] = _resampled(mask, scale)
+        clipped &= mask
     write_exr(path, channels, half=low_range)  # eight bits lose nothing there
     return Converted(
         low_range=low_range,
         saturated=int(clipped.sum()),
         invalid=int(invalid.sum()),
         masked=mask is not None,
+        empty=mask is not None and not mask.any(),
+        inverted=mask is not None and _is_inverted(mask),
     )
+
+
+def _is_inverted(mask: np.ndarray) -> bool:
+    border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
+    return bool(border.mean() > BORDER and not mask.all())
+
+
+def _resampled(plane: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
+    return resampled(np.asarray(plane, np.float32)[..., None], scale)[..., 0]
 
 
 def _mask(frame: Frame, planes: list[np.ndarray], low_range: bool) -> np.ndarray | None:
     """Return (H, W) bool from the alpha channel, the mask's file, or both; None without any."""
     found = None
-    if len(planes) > 3:
+    if len(planes) > 3 and planes[3].min() < 1:
         found = planes[3] >= (IN_MASK if low_range else ON_OBJECT)
     if frame.mask is None:
         return found
-    given, integers = read_planes(frame.mask)
-    if given[0].shape != planes[0].shape:
-        size, wanted = given[0].shape[::-1], planes[0].shape[::-1]
-        raise CaptureError(
-            f"{frame.mask}: the mask has {size[0]} x {size[1]} pixels but its photograph "
-            f"{wanted[0]} x {wanted[1]}; resize it."
-        )
-    inside = given[0] >= (IN_MASK if integers else ON_OBJECT)
+    inside = read_mask(frame.mask, planes[0].shape)
     return inside if found is None else inside & found

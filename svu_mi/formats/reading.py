@@ -48,7 +48,7 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
 
     Raises:
         CaptureError: it is missing, damaged, or none of these.
-        OptionError: an unknown format.
+        OptionError: an unknown format, or folders that it has no use for.
     """
     path, options = Path(path), options or ReadOptions()
     if options.format is not None and options.format not in get_args(Format):
@@ -58,6 +58,11 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
     if not path.exists():
         raise CaptureError(f"{path}: no such file or folder; give a capture to import.")
     kind = options.format or _guess(path, options.split)
+    if kind != "colmap" and (options.images or options.masks):
+        raise OptionError(
+            f"--images and --masks are for COLMAP, but {path} is read as {kind}, which names its "
+            "photographs and masks itself."
+        )
     if kind == "colmap":
         return read_colmap(path, images=options.images, masks=options.masks)
     if kind == "stanford-orb":

@@ -16,6 +16,7 @@ from svu_mi.formats.source import Frame
 
 NEARLY_SQUARE = 0.05  # pixels that nothing may be displaced by, for pixels to pass as square
 WHOLE = 1e-6  # of a pixel that may be missing from the last one
+STRIP = 128  # lines that are averaged at a time
 SAME_ASPECT = 2.0  # pixels by which a resized photograph may miss the ratio of its sides
 
 
@@ -33,6 +34,12 @@ def fitted(frame: Frame, size: tuple[int, int]) -> Frame:
         return frame
     scale = size[0] / frame.size[0], size[1] / frame.size[1]
     if abs(frame.size[1] * scale[0] - size[1]) > SAME_ASPECT:
+        if abs(frame.size[0] * size[0] / frame.size[1] - size[1]) <= SAME_ASPECT:
+            raise CaptureError(
+                f"{frame.image}: has {size[0]} x {size[1]} pixels, but {frame.label} is of "
+                f"{frame.size[0]} x {frame.size[1]}: the photograph is stored on its side; write "
+                "it upright, as EXIF data may say, in its pixels."
+            )
         raise CaptureError(
             f"{frame.image}: has {size[0]} x {size[1]} pixels, but {frame.label} is of "
             f"{frame.size[0]} x {frame.size[1]}, which is another shape; give the photograph that "
@@ -82,15 +89,24 @@ def resampled(image: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
 
 
 def _averaged(image: np.ndarray, factor: float, axis: int) -> np.ndarray:
-    """Average along one axis: differences of the integral of a piecewise constant function."""
-    lines = np.moveaxis(np.asarray(image, np.float64), axis, 0)
+    """Average along one axis, a strip at a time, as double precision takes much memory."""
+    lines = np.moveaxis(image, axis, 0)
+    count = int(len(lines) * factor + WHOLE)
+    made = np.empty((count, *lines.shape[1:]), np.float32)
+    for k in range(0, lines.shape[1], STRIP):
+        made[:, k : k + STRIP] = _integrated(lines[:, k : k + STRIP], count, factor)
+    return np.ascontiguousarray(np.moveaxis(made, 0, axis))
+
+
+def _integrated(lines: np.ndarray, count: int, factor: float) -> np.ndarray:
+    """Return averages: differences of the integral of a piecewise constant function."""
+    lines = np.asarray(lines, np.float64)
     integral = np.concatenate([np.zeros_like(lines[:1]), np.cumsum(lines, axis=0)])
-    edges = np.arange(int(len(lines) * factor + WHOLE) + 1) / factor
-    edges = np.minimum(edges, len(lines))
+    edges = np.minimum(np.arange(count + 1) / factor, len(lines))
     below = np.minimum(edges.astype(int), len(lines) - 1)
     part = (edges - below).reshape(-1, *[1] * (lines.ndim - 1))
     at_edges = integral[below] + part * lines[below]
-    return np.moveaxis(np.diff(at_edges, axis=0) * factor, 0, axis).astype(np.float32)
+    return np.diff(at_edges, axis=0) * factor
 
 
 def _scaled(frame: Frame, scale: tuple[float, float]) -> Frame:

@@ -22,7 +22,8 @@ from svu_mi.formats.paths import inside
 from svu_mi.formats.source import OPENGL, Frame, Source
 
 FILE = "transforms.json"
-DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+BENT = ("FISHEYE", "EQUIRECTANGULAR", "ORTHO", "VR180", "OMNIDIRECTIONAL")  # parts of models' names
 
 
 def read_transforms(path: str | Path, *, original_world: bool = False) -> Source:
@@ -147,7 +148,7 @@ def parse_frame(
         mask = None if masked is None else inside(root, masked, label)
         size = _size(known, image)
         fl_x = _focal(known, size)
-        fl_y = float(known.get("fl_y", fl_x))
+        fl_y = _focal_y(known, size, fl_x)
         center = (float(known.get("cx", size[0] / 2)), float(known.get("cy", size[1] / 2)))
         exposure = float(known.get("exposure", 1.0))
     except (KeyError, TypeError, ValueError, OverflowError, ZeroDivisionError) as error:
@@ -155,10 +156,7 @@ def parse_frame(
             f"{label}: {excerpt(repr(error))}; a frame needs transform_matrix, w, h, and fl_x or "
             "camera_angle_x."
         ) from error
-    if "FISHEYE" in str(known.get("camera_model", "")).upper():
-        raise CaptureError(f"{label}: a fisheye is no pinhole; undistort the photographs first.")
-    if any(known.get(key) for key in DISTORTION):
-        raise CaptureError(f"{label}: the lens is distorted; undistort the photographs first.")
+    _refuse_bent(known, label)
     with np.errstate(all="ignore"):  # what is not finite is refused by the frame
         to_world = before @ matrix @ OPENGL
     return Frame(
@@ -173,8 +171,23 @@ def parse_frame(
     )
 
 
+def _refuse_bent(known: Mapping[str, Any], label: str) -> None:
+    model = str(known.get("camera_model", "")).upper()
+    if any(name in model for name in BENT) or known.get("is_fisheye"):
+        raise CaptureError(
+            f"{label}: {model.lower()[:40] or 'a fisheye'} is no pinhole; undistort the "
+            "photographs first."
+        )
+    listed = known.get("distortion_params") or ()
+    if any(known.get(key) for key in DISTORTION) or (isinstance(listed, list) and any(listed)):
+        raise CaptureError(
+            f"{label}: the lens is distorted; svu import straightens COLMAP's photographs with "
+            "--undistort (nerfstudio keeps that model in colmap/sparse/0); others undistort first."
+        )
+
+
 def _size(known: Mapping[str, Any], image: Path) -> tuple[int, int]:
-    if "w" not in known and "h" not in known and image.is_file():
+    if "w" not in known and "h" not in known and known.get("file_path") is not None:
         return image_size(image)
     return int(known["w"]), int(known["h"])
 
@@ -185,6 +198,15 @@ def _focal(known: Mapping[str, Any], size: tuple[int, int]) -> float:
     return size[0] / 2 / math.tan(float(known["camera_angle_x"]) / 2)
 
 
+def _focal_y(known: Mapping[str, Any], size: tuple[int, int], fl_x: float) -> float:
+    """Return fl_y: instant-ngp may say camera_angle_y instead."""
+    if "fl_y" in known:
+        return float(known["fl_y"])
+    if "camera_angle_y" in known:
+        return size[1] / 2 / math.tan(float(known["camera_angle_y"]) / 2)
+    return fl_x
+
+
 def _image(root: Path, given: Any, label: str) -> Path:
     """Return the photograph of a frame; poses alone name none."""
     if given is None:
@@ -192,5 +214,6 @@ def _image(root: Path, given: Any, label: str) -> Path:
     path = inside(root, given, label)
     if path.suffix.lower() in SUFFIXES:
         return path
-    found = (path.with_name(path.name + suffix) for suffix in SUFFIXES)
+    suffixes = (*SUFFIXES, *map(str.upper, SUFFIXES))
+    found = (path.with_name(path.name + suffix) for suffix in suffixes)
     return next((file for file in found if file.is_file()), path)

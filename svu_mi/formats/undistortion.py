@@ -18,6 +18,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from PIL import Image
 
+from svu_mi.capture.images import read_mask
 from svu_mi.capture.picture import read_planes
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 from svu_mi.files import prepare_folder, replacing_folder
@@ -87,13 +88,15 @@ def _checked(camera: Camera, file: Path, mask: Path | None) -> np.ndarray | None
             f"{file}: COLMAP undistorts {', '.join(KINDS)} alone; undistort the photographs first."
         )
     planes, _ = read_planes(file)
-    given = read_planes(mask)[0][0] if mask is not None else planes[3] if planes[3:] else None
-    for name, plane in ((file, planes[0]), (mask, given)):
-        if plane is not None and plane.shape != (camera.height, camera.width):
-            raise CaptureError(
-                f"{name}: has {plane.shape[1]} x {plane.shape[0]} pixels, but its camera "
-                f"{camera.width} x {camera.height}; give the photographs that COLMAP was run on."
-            )
+    given = planes[3] if planes[3:] else None
+    height, width = planes[0].shape
+    if (width, height) != (camera.width, camera.height):
+        raise CaptureError(
+            f"{file}: has {width} x {height} pixels, but its camera {camera.width} x "
+            f"{camera.height}; give the photographs that COLMAP was run on."
+        )
+    if mask is not None:
+        given = read_mask(mask, (height, width)).astype(np.float32)
     return None if given is None else np.round(255 * np.clip(given, 0, 1)).astype(np.uint8)
 
 

@@ -15,6 +15,7 @@ from svu_mi.capture.poses import bounding_sphere, cropped_fov, film_size, sphere
 from svu_mi.capture.scene import check_sensor, find_sensors, load_scene, to_world
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.files import read_json
+from svu_mi.formats.resampling import squared
 from svu_mi.formats.transforms import read_transforms
 
 
@@ -136,7 +137,8 @@ class Candidates:
             description = capture_folder.read(path.parent)
             assert description is not None
             return Candidates.of(description.make_sensors(path))
-        return Candidates.of([frame.sensor() for frame in read_transforms(path).frames])
+        frames = (squared(frame)[0] for frame in read_transforms(path).frames)
+        return Candidates.of([frame.sensor() for frame in frames])
 
     def restricted(self, reachable: Any) -> Candidates:
         """Return the candidates with some out of reach.
