@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from svu_mi.frequency import fit_sh, power_spectrum
     from svu_mi.guidance import Candidates, Guidance, GuidanceOptions, next_best_view
     from svu_mi.options import AngularPreset, Preset, Skip, preset
-    from svu_mi.output.report import write_report
+    from svu_mi.output.report.report import write_report
     from svu_mi.pipeline import Estimate, estimate
     from svu_mi.posterior import (
         ParameterGrid,
@@ -51,7 +51,7 @@ _HOME = {
     "Candidates": "guidance", "Guidance": "guidance", "GuidanceOptions": "guidance",
     "next_best_view": "guidance",
     "Estimate": "pipeline", "estimate": "pipeline",
-    "write_report": "output.report",
+    "write_report": "output.report.report",
     "Reference": "reference", "reference_posterior": "reference",
     "Recovery": "recovery.recover", "recover": "recovery.recover",
     "GlobalSharing": "regularization", "TotalVariation": "regularization",

@@ -17,10 +17,9 @@ from helpers import foreign_source, projected
 from PIL import Image
 
 from svu_mi.errors import CaptureError, OutputError, SvuEnvironmentError
-from svu_mi.formats import undistortion
-from svu_mi.formats.colmap import read_colmap, write_colmap
-from svu_mi.formats.colmap_model import Camera, View, read_model, write_model
-from svu_mi.formats.colmap_project import find_model
+from svu_mi.formats.colmap import read_colmap, undistortion, write_colmap
+from svu_mi.formats.colmap.model import Camera, View, read_model, write_model
+from svu_mi.formats.colmap.project import find_model
 from svu_mi.formats.source import OPENCV
 
 POINTS = np.random.default_rng(4401).uniform(-0.4, 0.4, (6, 3))

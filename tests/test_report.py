@@ -15,9 +15,9 @@ import svu_mi as svu
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.cli.main import main
 from svu_mi.exr import write_exr
-from svu_mi.output import findings, report, report_pictures, report_plots
 from svu_mi.output.overview import Result
-from svu_mi.output.turntable import Turntable
+from svu_mi.output.report import findings, pictures, plots, report
+from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.upright import front_and_right, upright
 from svu_mi.recovery.textures import uniform
 
@@ -169,7 +169,7 @@ def test_a_page_for_others_names_no_folder(text, written):
 
 
 def test_neither_options_nor_warnings_name_a_folder(capture, estimate, tmp_path, monkeypatch):
-    monkeypatch.setattr(report.report_plots, "errors", lambda *_: None)
+    monkeypatch.setattr(report.plots, "errors", lambda *_: None)
     secret = tmp_path / "client = no 7"
     told = replace(capture, source=secret, warnings=(f"{secret / 'a.png'}: an 8-bit image.",))
     given = {"define": (f"map={secret / 'sky.exr'}", "spp=4", "a="), "title": "now/then"}
@@ -293,11 +293,11 @@ def test_one_view_of_the_method_as_printed(capture, estimate, tmp_path):
 def test_channels_have_lines_of_their_own(capture, estimate):
     switches = svu.preset("default", method="angular", channels="joint")
     found = svu.estimate(capture, estimate.texels, preset=switches, known={"metallic": 0.0})
-    plots = dict(report_plots.marginals(found, Result.of(found)))
-    assert list(plots) == ["roughness", "base colour"]
-    assert {style for style, _ in plots["base colour"].lines} >= {"red", "green", "blue"}
+    drawn = dict(plots.marginals(found, Result.of(found)))
+    assert list(drawn) == ["roughness", "base colour"]
+    assert {style for style, _ in drawn["base colour"].lines} >= {"red", "green", "blue"}
     assert len(plots["roughness"].bars) == 8 and not plots["base colour"].bars
-    assert report_plots.most_probable(found).resolution == (48, 24)
+    assert plots.most_probable(found).resolution == (48, 24)
     assert "metallic = 0" in " ".join(findings.skipped(found))
 
 
@@ -308,16 +308,16 @@ def test_many_photographs_are_thinned_out(capture, estimate):
                                         "exposures")}
     )  # fmt: skip
     many.count = len(many.sensors)
-    shown, left_out = report_pictures.thumbnails(many, estimate)
+    shown, left_out = pictures.thumbnails(many, estimate)
     assert (len(shown), len(left_out)) == (60, 12)
     assert sum(thumbnail.first for thumbnail in shown) == 12
-    assert report_pictures.spread(range(200), 5) == [0, 50, 100, 149, 199]
+    assert pictures.spread(range(200), 5) == [0, 50, 100, 149, 199]
 
 
 def test_errors_tell_good_textures_from_bad(capture, estimate, monkeypatch):
-    monkeypatch.setattr(report_plots, "COMPARED", 2)
-    good = report_plots.errors(capture, report_plots.most_probable(estimate), grey=True)
-    bad = report_plots.errors(capture, uniform(estimate.texels, 0.02), grey=False)
+    monkeypatch.setattr(plots, "COMPARED", 2)
+    good = plots.errors(capture, plots.most_probable(estimate), grey=True)
+    bad = plots.errors(capture, uniform(estimate.texels, 0.02), grey=False)
     assert [name for name, _ in good.rows] == [capture.names[0], capture.names[3]]
     assert good.views == 4 and len(good.shown) == 2
 
@@ -328,7 +328,7 @@ def test_errors_tell_good_textures_from_bad(capture, estimate, monkeypatch):
 
 
 def test_recovered_textures_of_any_size_are_shown(capture, estimate, tmp_path, monkeypatch):
-    monkeypatch.setattr(report_plots, "COMPARED", 1)
+    monkeypatch.setattr(plots, "COMPARED", 1)
     textures = uniform(svu.texels(capture.mesh, 16), 0.4)
     svu.write_report(capture, estimate, tmp_path / "page.html", textures=textures)
     text = (tmp_path / "page.html").read_text()

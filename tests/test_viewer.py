@@ -20,12 +20,12 @@ from svu_mi.cli.main import main
 from svu_mi.cli.viewing import View
 from svu_mi.errors import OptionError, ShapeError, SvuEnvironmentError
 from svu_mi.output import views
-from svu_mi.output.browser_model import GAIN, before_tone_mapping, tone_mapped
-from svu_mi.output.frusta import frustum
-from svu_mi.output.picking import Picker, nearest_texel
-from svu_mi.output.surface_maps import surface_maps
-from svu_mi.output.viewer import Viewer
-from svu_mi.output.viewer_panels import says
+from svu_mi.output.viewer.frusta import frustum
+from svu_mi.output.viewer.model import GAIN, before_tone_mapping, tone_mapped
+from svu_mi.output.viewer.panels import says
+from svu_mi.output.viewer.picking import Picker, nearest_texel
+from svu_mi.output.viewer.surface_maps import surface_maps
+from svu_mi.output.viewer.viewer import Viewer
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.textures import Textures
 from svu_mi.surface import texels

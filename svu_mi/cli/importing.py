@@ -76,9 +76,9 @@ class Import(Common):
 
     def run(self, console: Console) -> int:
         """Import the capture and say what was found."""
+        from svu_mi.formats.colmap.undistortion import undistort
         from svu_mi.formats.importing import import_capture
         from svu_mi.formats.reading import ReadOptions, read_source
-        from svu_mi.formats.undistortion import undistort
 
         self.start()
         kind = None if self.format == "auto" else self.format

@@ -41,7 +41,7 @@ class Report(Photographed):
     def run(self, console: Console) -> int:
         """Estimate, and write the page."""
         from svu_mi.files import prepare_folder
-        from svu_mi.output.report import write_report
+        from svu_mi.output.report.report import write_report
         from svu_mi.output.textures import read_textures
         from svu_mi.pipeline import estimate
 

@@ -36,8 +36,8 @@ class View(Photographed):
 
     def run(self, console: Console) -> int:
         """Estimate, open the page, and serve it until Ctrl-C."""
-        from svu_mi.output.serving import require_port, require_viser
-        from svu_mi.output.viewer import Viewer
+        from svu_mi.output.viewer.serving import require_port, require_viser
+        from svu_mi.output.viewer.viewer import Viewer
         from svu_mi.pipeline import estimate
 
         pair(self.resolution, "--resolution")  # refused before any work

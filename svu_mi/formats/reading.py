@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.formats.colmap import read_colmap
-from svu_mi.formats.colmap_project import find_model
+from svu_mi.formats.colmap.project import find_model
 from svu_mi.formats.objects_with_lighting import find_inputs, read_owl
 from svu_mi.formats.source import Source
 from svu_mi.formats.stanford_orb import is_orb, read_orb

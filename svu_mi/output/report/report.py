@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import svu_mi
-from svu_mi.output import findings, report_pictures, report_plots
 from svu_mi.output.manifest import environment_record
 from svu_mi.output.overview import Result, known, open_axes, words
 from svu_mi.output.page import NARROW_SPACE, grouped, percent, write_page
 from svu_mi.output.relit import DIFFERENCE_COLORMAP, WORST
-from svu_mi.output.turntable import Turntable
+from svu_mi.output.report import findings, pictures, plots
+from svu_mi.output.report.turntable import Turntable
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
@@ -65,16 +65,16 @@ def write_report(
 
     warnings = [_within(capture.source, sentence) for sentence in capture.warnings]
     result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
-    shown, left_out = report_pictures.thumbnails(capture, estimate)
+    shown, left_out = pictures.thumbnails(capture, estimate)
     step()
-    frames = report_pictures.turning(table, estimate)
+    frames = pictures.turning(table, estimate)
     step()
-    maps = report_pictures.entropy_maps(table, estimate, result)
+    maps = pictures.entropy_maps(table, estimate, result)
     if result.seen.any():
-        maps += report_pictures.parameter_maps(table, estimate)
-    recovered = [] if textures is None else report_pictures.texture_maps(table, estimate, textures)
+        maps += pictures.parameter_maps(table, estimate)
+    recovered = [] if textures is None else pictures.texture_maps(table, estimate, textures)
     step()
-    examples = report_plots.examples(table, estimate, result, [frame[0] for frame in frames])
+    examples = plots.examples(table, estimate, result, [frame[0] for frame in frames])
     step()
     errors = _errors(capture, estimate, result, textures)
     write_page(
@@ -82,9 +82,9 @@ def write_report(
         title=title or _name(capture), version=svu_mi.__version__, date=_today(),
         summary=_summary(capture, estimate, result, table), thumbnails=shown, left_out=left_out,
         count=capture.count, used=sum(capture.used), frames=frames, maps=maps, recovered=recovered,
-        histogram=report_plots.histogram(result),
-        marginals=report_plots.marginals(estimate, result), examples=examples, errors=errors,
-        error_colors=report_pictures.gradient(DIFFERENCE_COLORMAP),
+        histogram=plots.histogram(result),
+        marginals=plots.marginals(estimate, result), examples=examples, errors=errors,
+        error_colors=pictures.gradient(DIFFERENCE_COLORMAP),
         error_end=percent(WORST), textured=textures is not None,
         color=estimate.posterior.groups == 3, skipped=findings.skipped(estimate),
         warnings=warnings[:WARNINGS], more_warnings=warnings[WARNINGS:],
@@ -95,11 +95,11 @@ def write_report(
 
 def _errors(
     capture: Capture, estimate: Estimate, result: Result, textures: Textures | None
-) -> report_plots.Errors | None:
+) -> plots.Errors | None:
     grey = textures is None and estimate.posterior.groups == 1
     if textures is None and result.seen.any():
-        textures = report_plots.most_probable(estimate)
-    return None if textures is None else report_plots.errors(capture, textures, grey)
+        textures = plots.most_probable(estimate)
+    return None if textures is None else plots.errors(capture, textures, grey)
 
 
 def _summary(capture: Any, estimate: Any, result: Result, table: Turntable) -> dict[str, Any]:

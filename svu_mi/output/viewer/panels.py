@@ -8,11 +8,11 @@ import numpy as np
 
 from svu_mi.output.figures import TRUTH, draw_marginal
 from svu_mi.output.overview import INK, open_axes, words
-from svu_mi.output.surface_maps import Scale
+from svu_mi.output.viewer.surface_maps import Scale
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
-    from svu_mi.output.picking import Pick
+    from svu_mi.output.viewer.picking import Pick
     from svu_mi.pipeline import Estimate
     from svu_mi.recovery.textures import Textures
 

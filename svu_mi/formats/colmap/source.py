@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from svu_mi.errors import CaptureError, OutputError
 from svu_mi.files import copy_file, prepare_folder
-from svu_mi.formats.colmap_model import Camera, View, is_model, write_model
-from svu_mi.formats.colmap_project import IMAGES, MASKS, Project, read_project
+from svu_mi.formats.colmap.model import Camera, View, is_model, write_model
+from svu_mi.formats.colmap.project import IMAGES, MASKS, Project, read_project
 from svu_mi.formats.source import OPENCV, Frame, Source
 
 

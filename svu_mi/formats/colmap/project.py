@@ -9,7 +9,7 @@ from pathlib import Path
 
 from svu_mi.capture.picture import SUFFIXES
 from svu_mi.errors import CaptureError, excerpt
-from svu_mi.formats.colmap_model import Camera, View, is_model, read_model
+from svu_mi.formats.colmap.model import Camera, View, is_model, read_model
 from svu_mi.formats.paths import inside
 
 # Undistorted models go before those they were made from: both have the same world.

@@ -22,8 +22,8 @@ from svu_mi.capture.images import read_mask
 from svu_mi.capture.picture import read_planes
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 from svu_mi.files import prepare_folder, replacing_folder
-from svu_mi.formats.colmap_model import Camera, View, read_model, write_model
-from svu_mi.formats.colmap_project import IMAGES, MASKS, read_project
+from svu_mi.formats.colmap.model import Camera, View, read_model, write_model
+from svu_mi.formats.colmap.project import IMAGES, MASKS, read_project
 
 KINDS = (".png", ".jpg", ".jpeg")  # COLMAP resamples eight bits
 # A JPEG file is compressed a second time.

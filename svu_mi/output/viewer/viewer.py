@@ -14,14 +14,14 @@ import numpy as np
 
 from svu_mi.capture.poses import bounding_sphere
 from svu_mi.metrics.images import srgb
-from svu_mi.output.browser_model import GAIN, material_colors, model
-from svu_mi.output.frusta import Frustum, frustum
 from svu_mi.output.page import percent
-from svu_mi.output.picking import Pick, Picker
-from svu_mi.output.serving import require_viser, serve, stop
-from svu_mi.output.surface_maps import SurfaceMap, surface_maps
 from svu_mi.output.upright import DIRECTION, Axis, front_and_right, upright
-from svu_mi.output.viewer_panels import draw_pick, draw_scale, says
+from svu_mi.output.viewer.frusta import Frustum, frustum
+from svu_mi.output.viewer.model import GAIN, material_colors, model
+from svu_mi.output.viewer.panels import draw_pick, draw_scale, says
+from svu_mi.output.viewer.picking import Pick, Picker
+from svu_mi.output.viewer.serving import require_viser, serve, stop
+from svu_mi.output.viewer.surface_maps import SurfaceMap, surface_maps
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture

@@ -15,8 +15,8 @@ from svu_mi.output.page import photograph as embedded
 from svu_mi.output.plots import Plot, plot
 from svu_mi.output.relit import SIDE as LARGE
 from svu_mi.output.relit import Comparison, explain
-from svu_mi.output.report_pictures import hexadecimal, spread
-from svu_mi.output.turntable import Turntable
+from svu_mi.output.report.pictures import hexadecimal, spread
+from svu_mi.output.report.turntable import Turntable
 from svu_mi.recovery.textures import CHANNELS, NAMES, Textures, lay_out
 
 if TYPE_CHECKING:

@@ -1,0 +1,1 @@
+"""``svu view``: entropy, textures and cameras in a browser (extra ``viewer``)."""
