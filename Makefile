@@ -16,7 +16,7 @@ demo: .venv/installed
 	.venv/bin/svu demo -o out/demo
 
 test: lint
-	$(PY) -m pytest -n 2
+	$(PY) -m pytest -n 2 --dist loadfile
 
 lint: .venv/installed-test
 	$(PY) -m ruff check .

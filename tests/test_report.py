@@ -296,7 +296,7 @@ def test_channels_have_lines_of_their_own(capture, estimate):
     drawn = dict(plots.marginals(found, Result.of(found)))
     assert list(drawn) == ["roughness", "base colour"]
     assert {style for style, _ in drawn["base colour"].lines} >= {"red", "green", "blue"}
-    assert len(plots["roughness"].bars) == 8 and not plots["base colour"].bars
+    assert len(drawn["roughness"].bars) == 8 and not drawn["base colour"].bars
     assert plots.most_probable(found).resolution == (48, 24)
     assert "metallic = 0" in " ".join(findings.skipped(found))
 
