@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from svu_mi.export.export import export_asset
     from svu_mi.export.options import ExportOptions
     from svu_mi.export.reading import load_asset
+    from svu_mi.formats.importing import ImportOptions, import_capture
+    from svu_mi.formats.reading import read_source
+    from svu_mi.formats.source import Light
     from svu_mi.frequency import fit_sh, power_spectrum
     from svu_mi.guidance import Candidates, Guidance, GuidanceOptions, next_best_view
     from svu_mi.options import AngularPreset, Preset, Skip, preset
@@ -42,6 +45,8 @@ __version__ = "0.1.0"
 _HOME = {
     "Capture": "capture", "load_capture": "capture", "render_capture": "capture",
     "Texels": "surface", "texels": "surface",
+    "ImportOptions": "formats.importing", "import_capture": "formats.importing",
+    "read_source": "formats.reading", "Light": "formats.source",
     "fit_sh": "frequency", "power_spectrum": "frequency",
     "ParameterGrid": "posterior", "PrincipledGrid": "posterior", "Posterior": "posterior",
     "angular_posterior": "posterior", "spectrum_posterior": "posterior",
@@ -62,11 +67,12 @@ _HOME = {
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "AngularPreset", "Asset", "Candidates", "Capture", "Check", "Estimate", "ExportOptions",
-    "GlobalSharing", "Guidance", "GuidanceOptions", "ParameterGrid", "Posterior", "Preset",
-    "PrincipledGrid", "Recovery", "Reference", "Skip", "SvuError", "SvuWarning", "Texels",
-    "TotalVariation", "angular_posterior", "check", "estimate", "export_asset", "fit_sh",
-    "load_asset", "load_capture", "next_best_view", "power_spectrum", "preset", "recover",
-    "reference_posterior", "render_capture", "spectrum_posterior", "texels", "write_report",
+    "GlobalSharing", "Guidance", "GuidanceOptions", "ImportOptions", "Light", "ParameterGrid",
+    "Posterior", "Preset", "PrincipledGrid", "Recovery", "Reference", "Skip", "SvuError", "SvuWarning",
+    "Texels", "TotalVariation", "angular_posterior", "check", "estimate", "export_asset", "fit_sh",
+    "import_capture", "load_asset", "load_capture", "next_best_view", "power_spectrum", "preset",
+    "read_source", "recover", "reference_posterior", "render_capture", "spectrum_posterior",
+    "texels", "write_report",
 ]  # fmt: skip
 
 _llvm.bootstrap()

@@ -63,7 +63,7 @@ class ImportOptions:
         fixes: names of corrections (``formats.fixes``).
     """
 
-    mesh: Path | None = None
+    mesh: str | Path | None = None
     mesh_up: Up | None = None
     world_up: Up | None = None
     mesh_scale: float = 1.0

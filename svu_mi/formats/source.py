@@ -169,7 +169,7 @@ class Light:
     """An environment map.
 
     Attributes:
-        path: an HDR or EXR lat-long map.
+        path: an HDR or EXR lat-long map (text becomes a path).
         to_world: (3, 3) float64, from the frame of Mitsuba's envmap to the world: a rotation,
             such as one of ``ENVIRONMENT_AXES``.
         scale: factor of its radiance.
@@ -178,6 +178,9 @@ class Light:
     path: Path
     to_world: np.ndarray = field(default_factory=lambda: np.eye(3))
     scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", Path(self.path))
 
 
 @dataclass(frozen=True, kw_only=True)
