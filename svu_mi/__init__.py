@@ -68,9 +68,9 @@ _HOME = {
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "AngularPreset", "Asset", "Candidates", "Capture", "Check", "Estimate", "ExportOptions",
     "GlobalSharing", "Guidance", "GuidanceOptions", "ImportOptions", "Light", "ParameterGrid",
-    "Posterior", "Preset", "PrincipledGrid", "Recovery", "Reference", "Skip", "SvuError", "SvuWarning",
-    "Texels", "TotalVariation", "angular_posterior", "check", "estimate", "export_asset", "fit_sh",
-    "import_capture", "load_asset", "load_capture", "next_best_view", "power_spectrum", "preset",
+    "Posterior", "Preset", "PrincipledGrid", "Recovery", "Reference", "Skip", "SvuError",
+    "SvuWarning", "Texels", "TotalVariation", "angular_posterior", "check", "estimate",
+    "export_asset", "fit_sh", "import_capture", "load_asset", "load_capture", "next_best_view", "power_spectrum", "preset",
     "read_source", "recover", "reference_posterior", "render_capture", "spectrum_posterior",
     "texels", "write_report",
 ]  # fmt: skip
