@@ -70,8 +70,8 @@ __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "GlobalSharing", "Guidance", "GuidanceOptions", "ImportOptions", "Light", "ParameterGrid",
     "Posterior", "Preset", "PrincipledGrid", "Recovery", "Reference", "Skip", "SvuError",
     "SvuWarning", "Texels", "TotalVariation", "angular_posterior", "check", "estimate",
-    "export_asset", "fit_sh", "import_capture", "load_asset", "load_capture", "next_best_view", "power_spectrum", "preset",
-    "read_source", "recover", "reference_posterior", "render_capture", "spectrum_posterior",
+    "export_asset", "fit_sh", "import_capture", "load_asset", "load_capture", "next_best_view",
+    "power_spectrum", "preset", "read_source", "recover", "reference_posterior", "render_capture", "spectrum_posterior",
     "texels", "write_report",
 ]  # fmt: skip
 
