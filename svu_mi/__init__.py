@@ -71,8 +71,8 @@ __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "Posterior", "Preset", "PrincipledGrid", "Recovery", "Reference", "Skip", "SvuError",
     "SvuWarning", "Texels", "TotalVariation", "angular_posterior", "check", "estimate",
     "export_asset", "fit_sh", "import_capture", "load_asset", "load_capture", "next_best_view",
-    "power_spectrum", "preset", "read_source", "recover", "reference_posterior", "render_capture", "spectrum_posterior",
-    "texels", "write_report",
+    "power_spectrum", "preset", "read_source", "recover", "reference_posterior",
+    "render_capture", "spectrum_posterior", "texels", "write_report",
 ]  # fmt: skip
 
 _llvm.bootstrap()
