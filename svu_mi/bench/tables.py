@@ -64,7 +64,7 @@ def _heading(record: Record) -> str:
         f"{versions['mitsuba']}, Dr.Jit {versions['drjit']}, {place['variant']}, "
         f"{place['threads']} threads, {place['platform']}."
     )
-    if record["orb"]:  # has sizes of its own
+    if record["orb"] or record["conventions"]:  # have sizes of their own
         return how
     return (
         f"{how}\n\n{len(record['cells'])} cells (object / light); {size.views} photographs of "
