@@ -43,7 +43,7 @@ from svu_mi.radiance.environment import read_environment
 from svu_mi.scenes import lights, meshes
 from tests.helpers import ball, memory_capture
 
-VIEWS, FILM, SPP, POINTS = 10, (48, 36), 16, 450
+VIEWS, FILM, SPP, POINTS = 8, (48, 36), 16, 400
 SEED = 40913
 
 
@@ -251,7 +251,7 @@ def test_of_one_plane_the_light_is_not_told():
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     plane = capture_mesh.make("plane", capture_mesh.MeshArrays(points, faces, None, points[:, :2]))
     bsdf = {"type": "principled", "base_color": {"type": "rgb", "value": 0.3}, "roughness": 0.3}
-    taken = photographed(plane, sky(lights.window()), bsdf, count=8)
+    taken = photographed(plane, sky(lights.window()), bsdf, count=6)
     points = scatter_points(taken.shape, POINTS)
     lit = points, look(taken, points, reduced(taken, 48)), open_cosines(taken.scene, points), None
     assert light_finding(taken, lit).verdict == "fits"
