@@ -80,9 +80,7 @@ def _checked(capture: Capture, name: str) -> dict[str, Any]:
     return {"checks": checked(capture, name)}
 
 
-def checked(
-    capture: Capture, name: str, cases: Sequence[Case] = CASES
-) -> list[dict[str, Any]]:
+def checked(capture: Capture, name: str, cases: Sequence[Case] = CASES) -> list[dict[str, Any]]:
     """Write a right capture, import it with every mistake, and check what comes out.
 
     Args:

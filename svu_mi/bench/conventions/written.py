@@ -168,9 +168,7 @@ def as_orb(root: Path, source: Source) -> Path:
     for frame in source.frames:
         channels = read_exr(frame.image)
         image = np.stack([channels[name] for name in "RGB"], axis=-1)
-        records.append(
-            OrbPhotograph(image=image, mask=channels["A"], to_world=frame.to_world)
-        )
+        records.append(OrbPhotograph(image=image, mask=channels["A"], to_world=frame.to_world))
     light = np.stack([read_exr(source.light.path)[name] for name in "RGB"], axis=-1)
     test = replace(
         records[0], to_world=in_4d(source.light.to_world), environment=light,
