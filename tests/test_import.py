@@ -9,24 +9,18 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
-import trimesh
-from PIL import Image
-from trimesh.visual.material import PBRMaterial
 
 import svu_mi as svu
 from svu_mi import scenes
+from svu_mi.bench.conventions.written import WRITERS, as_orb, in_4d, write_glb
 from svu_mi.capture import nodes
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import to_world
 from svu_mi.exr import read_exr, write_exr
-from svu_mi.formats.colmap import write_colmap
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.importing import ImportOptions, import_capture
-from svu_mi.formats.objects_with_lighting import write_owl
 from svu_mi.formats.reading import read_source
 from svu_mi.formats.source import ENVIRONMENT_AXES, Light, Source, frame_of
-from svu_mi.formats.stanford_orb_writer import OrbCapture, OrbPhotograph, write_orb
-from svu_mi.formats.transforms import write_transforms
 
 POSE = 1e-5  # the bar; a matrix goes through single precision once
 SAME = 0.999  # Pearson correlation of entropy: the bar
@@ -85,12 +79,6 @@ def photographed(folder: Path, shift: tuple[float, float]) -> Original:
     return Original(capture, entropy_of(capture), source)
 
 
-def in_4d(rotation: np.ndarray) -> np.ndarray:
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation
-    return matrix
-
-
 def entropy_of(capture: svu.Capture) -> np.ndarray:
     estimate = svu.estimate(capture, svu.texels(capture.mesh, resolution=RESOLUTION))
     return np.array(estimate.entropy)
@@ -101,12 +89,7 @@ def in_z_up_world(source: Source, folder: Path) -> Source:
     frames = [replace(frame, to_world=in_4d(Z_UP) @ frame.to_world) for frame in source.frames]
     given = read_geometry(source.mesh).mesh
     # glTF has +Y up whatever the world: the importer is told.
-    uvs = np.stack([given.uvs[:, 0], 1 - given.uvs[:, 1]], axis=-1)  # trimesh has V upwards
-    picture = Image.fromarray(np.full((4, 4, 3), 128, np.uint8))
-    visual = trimesh.visual.TextureVisuals(uvs, PBRMaterial(baseColorTexture=picture))
-    trimesh.Trimesh(
-        given.positions, given.faces, vertex_normals=given.normals, visual=visual, process=False
-    ).export(folder / "mesh.glb")
+    write_glb(folder / "mesh.glb", given, np.full((4, 4, 3), 128, np.uint8))
     light = replace(source.light, to_world=ENVIRONMENT_AXES["blender"])
     return replace(source, frames=frames, mesh=folder / "mesh.glb", light=light)
 
@@ -125,49 +108,7 @@ def with_long_pixels(source: Source, folder: Path) -> Source:
     return replace(source, frames=frames)
 
 
-def as_transforms(root: Path, source: Source) -> Path:
-    """Write transforms.json with the photographs beside it."""
-    frames = []
-    for frame in source.frames:
-        shutil.copy(frame.image, root / frame.image.name)
-        frames.append(replace(frame, image=root / frame.image.name))
-    write_transforms(root / "transforms.json", frames)
-    return root
-
-
-def as_colmap(root: Path, source: Source) -> Path:
-    write_colmap(root, source)
-    return root
-
-
-def as_owl(root: Path, source: Source) -> Path:
-    write_owl(root, source)
-    return root
-
-
-def as_orb(root: Path, source: Source) -> Path:
-    """Write one capture; its test camera stands in the frame of the light."""
-    records = []
-    for frame in source.frames:
-        channels = read_exr(frame.image)
-        image = np.stack([channels[name] for name in "RGB"], axis=-1)
-        records.append(
-            OrbPhotograph(image=image, mask=channels["A"], to_world=frame.to_world)
-        )
-    light = np.stack([read_exr(source.light.path)[name] for name in "RGB"], axis=-1)
-    test = replace(
-        records[0], to_world=in_4d(source.light.to_world), environment=light,
-        albedo=records[0].image,
-    )  # fmt: skip
-    x_fov = 2 * np.degrees(np.arctan(SIZE[0] / 2 / source.frames[0].focal[0]))
-    capture = OrbCapture(
-        name="knot_scene001", x_fov=float(x_fov), world=np.eye(4), train=records, test=[test]
-    )
-    write_orb(root, read_geometry(source.mesh).mesh, [capture])
-    return root / "blender_HDR" / "knot_scene001"
-
-
-WRITERS = {"transforms": as_transforms, "colmap": as_colmap, "owl": as_owl}
+FORMS = ("transforms", "colmap", "owl")  # and Stanford-ORB, below
 OWN_FILES = ("owl", "stanford-orb")  # formats with a place for mesh and light
 VARIANTS = {
     "as it is": (lambda source, _: source, {}),
@@ -177,7 +118,7 @@ VARIANTS = {
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize("form", WRITERS)
+@pytest.mark.parametrize("form", FORMS)
 def test_a_capture_comes_back(original, tmp_path, form, variant):
     change, options = VARIANTS[variant]
     for name in ("changed", "written"):

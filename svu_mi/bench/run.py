@@ -41,6 +41,7 @@ def run_bench(
     variants: Sequence[Variant] | None = None,
     recovery: Options | None = None,
     orb: OrbOptions | None = None,
+    ways: Sequence[str] = (),
     command: str = "",
 ) -> dict[str, Any]:
     """Run cells, then run times, and write bench.json, bench.md and the plots.
@@ -55,6 +56,7 @@ def run_bench(
         variants: estimators; all that this version knows by default.
         recovery: what of the recovery benchmark is run.
         orb: where Stanford-ORB is, and what of it is run, for ``orb``, which needs no cells.
+        ways: that photographs come, for ``conventions``; all by default.
         command: as the user gave it, for the record.
 
     Returns:
@@ -116,7 +118,7 @@ def run_bench(
     if what == "guidance":
         run_guidance(bench, cells, finished=partial(finished, what))
     if what == "conventions":
-        finished(what, run_conventions(bench, cells))
+        finished(what, run_conventions(bench, cells, ways))
     if what == "orb":
         run_orb(bench, orb or OrbOptions(), finished=partial(finished, what))
     return record

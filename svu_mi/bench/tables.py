@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from svu_mi.bench.conventions import conventions_table
+from svu_mi.bench.conventions import conventions_tables
 from svu_mi.bench.guidance import guidance_tables
 from svu_mi.bench.kernels import kernel_tables
 from svu_mi.bench.orb import orb_tables
@@ -51,7 +51,7 @@ def write_tables(path: Path, record: Record) -> None:
     if record["orb"]:
         parts += ["# Stanford-ORB", orb_tables(record["orb"])]
     if record["conventions"]:
-        parts += ["# Mistakes about axes", conventions_table(record["conventions"])]
+        parts += ["# Mistakes about axes", conventions_tables(record["conventions"])]
     with replacing(path) as temporary:
         temporary.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
 
@@ -64,7 +64,7 @@ def _heading(record: Record) -> str:
         f"{versions['mitsuba']}, Dr.Jit {versions['drjit']}, {place['variant']}, "
         f"{place['threads']} threads, {place['platform']}."
     )
-    if record["orb"]:  # has sizes of its own
+    if record["orb"] or record["conventions"]:  # have sizes of their own
         return how
     return (
         f"{how}\n\n{len(record['cells'])} cells (object / light); {size.views} photographs of "

@@ -75,13 +75,13 @@ def read_texture(capture: Capture, points: Points) -> Texture | None:
     """Return the object's texture, or None where it has none that one could recognise."""
     if points.uv is None or capture.shape.bsdf() is None:
         return None
-    albedo = _base_color(capture.shape, points.uv)
+    albedo = base_color(capture.shape, points.uv)
     if not np.isfinite(albedo).all() or albedo.std(axis=0).mean() < PLAIN:
         return None
-    return Texture(albedo, _base_color(capture.shape, points.uv * [1, -1] + [0, 1]))
+    return Texture(albedo, base_color(capture.shape, points.uv * [1, -1] + [0, 1]))
 
 
-def _base_color(shape: Any, uv: np.ndarray) -> np.ndarray:
+def base_color(shape: Any, uv: np.ndarray) -> np.ndarray:
     """Return the diffuse reflectance (N, 3) of a shape's material at texture coordinates."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(uv))
     si.uv = owned(mi.Point2f, uv.T.astype(np.float32))

@@ -133,7 +133,12 @@ def judge_light(scores: Sequence[LightScore]) -> Finding:
     figures = _light_figures(current)
     if best.total - min(score.total for score in scores) < LIGHT_RANGE:
         return light_unknown("it is even, or the object shows too little of it", table)
-    if gain <= LIGHT_GAIN or _support(best, current) < 2:
+    is_supported = _support(best, current) >= 2
+    if gain > LIGHT_RANGE and not is_supported:
+        # What faces one way only is as bright under any light of that side.
+        reason = f"{_either((best.hypothesis.names, *alternatives))} would fit better, but by one "
+        return light_unknown(f"{reason}sign of three alone", table)
+    if gain <= LIGHT_GAIN or not is_supported:
         as_good = indistinguishable(scores, current, LIGHT_MARGIN)
         others = tuple(s.hypothesis.names for s in as_good if len(s.hypothesis.fixes) == 1)
         also = f"; {_either(others)} would fit as well" if others else ""

@@ -61,7 +61,7 @@ class Bench(Common):
     """Compute finished cells anew."""
     rows: Names = ""
     """recovery, orb: ways of recovery to run; without it all, or (orb) those that trace no
-    paths."""
+    paths. conventions: ways that photographs come, such as COLMAP."""
     groups: Names = ""
     """recovery: even (photographs from everywhere), repeated, varied (from one side mostly, of
     materials that repeat or do not), costs (single steps); without it all."""
@@ -92,7 +92,7 @@ class Bench(Common):
         chosen = tuple(v for v in available() if v.main or not (self.main or self.quick))
         record = run_bench(
             bench, self._cells(), self.what, variants=chosen, recovery=self._recovery(),
-            orb=self._orb(), command=shlex.join(words),
+            orb=self._orb(), ways=self._ways(), command=shlex.join(words),
         )  # fmt: skip
         for row in record["summary"]:
             if row["kind"] != "switch" and row["pearson"] is not None:
@@ -126,6 +126,9 @@ class Bench(Common):
             data=self.data, captures=names(self.objects, "--objects"),
             rows=names(self.rows, "--rows"), environment_view=self.environment_view,
         )  # fmt: skip
+
+    def _ways(self) -> tuple[str, ...]:
+        return names(self.rows, "--rows") if self.what == "conventions" else ()
 
     def _cells(self) -> tuple[Cell, ...]:
         from svu_mi.bench.cells import data_cells, own_cells

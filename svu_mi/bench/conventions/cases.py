@@ -1,0 +1,99 @@
+"""Mistakes about axes, and what a check has made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.checking.apply import spoil
+from svu_mi.checking.record import Finding
+from svu_mi.formats.fixes import FIXES, Fix, fixes_named
+
+OUTCOMES = ("right", "among several", "silent", "misled")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A mistake.
+
+    Attributes:
+        fixes: that put it right, in this order.
+        camera_axes: of the file, for ``camera-inverse``.
+    """
+
+    fixes: tuple[str, ...] = ()
+    camera_axes: np.ndarray = field(default_factory=lambda: np.eye(4))
+
+    @property
+    def group(self) -> str:
+        """Kind of the mistake, as the tables have it."""
+        kinds = list(dict.fromkeys(FIXES[name].kind for name in self.fixes))
+        return " and ".join(kinds) if kinds else "nothing wrong"
+
+    @property
+    def mistakes(self) -> tuple[str, ...]:
+        """Names of the corrections that make this mistake, when nothing asks for them."""
+        return tuple(_inverse(fix).name for fix in reversed(fixes_named(self.fixes)))
+
+    def made(self, capture: Capture) -> Capture:
+        """Return a right capture with this mistake in it."""
+        for fix in reversed(fixes_named(self.fixes)):
+            capture = spoil(capture, fix, self.camera_axes)
+        return capture
+
+
+def _inverse(fix: Fix) -> Fix:
+    if fix.matrix is None:
+        return fix  # done twice, these change nothing
+    return next(
+        other
+        for other in FIXES.values()
+        if other.kind == fix.kind
+        and other.matrix is not None
+        and np.array_equal(other.matrix, fix.matrix.T)
+    )
+
+
+CASES = (
+    Case(),
+    *(Case((name,)) for name in FIXES),
+    Case(("light-x90", "light-turn-90")),  # a Blender map read as Mitsuba's
+    Case(("light-turn-270", "light-x270")),  # the other way round
+    Case(("camera-x180", "light-x90", "light-turn-90")),
+    Case(("mesh-x90", "light-turn-180")),
+)
+
+
+def outcome(findings: Sequence[Finding], case: Case) -> str:
+    """Return one of ``OUTCOMES`` for what a check has said about a case."""
+    said = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
+    unsure = [one for one in findings if one.verdict == "unclear"]
+    if not unsure:
+        if same(said, case.fixes):
+            return "right"
+        return "misled" if said else "silent"
+    for one in unsure:
+        if any(same([*said, *words], case.fixes) for words in (one.fixes, *one.alternatives)):
+            return "among several"
+    return "misled" if any(name not in case.fixes for name in said) else "silent"
+
+
+def same(names: Sequence[str], others: Sequence[str]) -> bool:
+    """Return whether corrections come to the same, whatever they are called."""
+    return all(np.allclose(_product(names, kind), _product(others, kind)) for kind in
+               ("light", "mesh")) and _rest(names) == _rest(others)  # fmt: skip
+
+
+def _product(names: Sequence[str], kind: str) -> np.ndarray:
+    result = np.eye(3)
+    for fix in fixes_named(names):
+        if fix.kind == kind and fix.matrix is not None:
+            result = result @ fix.matrix
+    return result
+
+
+def _rest(names: Sequence[str]) -> set[str]:
+    return {name for name in names if FIXES[name].kind in ("camera", "texture")}

@@ -1,0 +1,120 @@
+"""Write right captures, import them wrongly, and check them."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from svu_mi.bench.accuracy import Bench
+from svu_mi.bench.cells import Cell
+from svu_mi.bench.conventions.cases import CASES, Case, outcome
+from svu_mi.bench.conventions.photographs import IMPORTERS, WAYS, Way
+from svu_mi.bench.conventions.visible import SEED, VIEWS, looks, shows
+from svu_mi.bench.conventions.written import Written, write
+from svu_mi.bench.store import Store
+from svu_mi.capture import Capture, load_capture
+from svu_mi.checking.run import find_mistakes
+from svu_mi.errors import OptionError
+from svu_mi.formats.importing import import_capture
+from svu_mi.formats.reading import ReadOptions, read_source
+
+# Of the photographs: views, pixels per side, samples per pixel; --quick has fewer.
+SIZES = {"views": 24, "film": 128, "spp": 64}
+QUICK = {"views": 16, "film": 96, "spp": 32}
+
+
+def run_conventions(
+    bench: Bench, cells: Sequence[Cell], ways: Sequence[str] = ()
+) -> list[dict[str, Any]]:
+    """Check captures of every cell that were imported wrongly; what is finished is kept.
+
+    Args:
+        bench: where, and how large; ``quick`` takes the photographs as the importers give them.
+        cells: objects x lights.
+        ways: names among ``WAYS``; all by default.
+
+    Returns:
+        All records of ``checked``.
+
+    Raises:
+        OptionError: an unknown way.
+    """
+    for way in ways:
+        if way not in WAYS:
+            raise OptionError(f"There is no row {way!r}; there are {', '.join(WAYS)}.")
+    chosen = tuple(ways) or (IMPORTERS if bench.quick else tuple(WAYS))
+    store, rows = Store(bench.folder / "conventions"), []
+    settings = replace(bench.settings, **(QUICK if bench.quick else SIZES))
+    for cell in cells:
+        capture = bench.capture(cell, settings, "conventions")
+        key = bench.key(cell, ())
+        visible = partial(_visible, capture)
+        shown = store.recall(f"{cell.name}__visible", key, visible, fresh=bench.fresh)["visible"]
+        for name in chosen:
+            with bench.progress.stage(f"Importing {cell.title}: {name}"):
+                compute = partial(_checked, capture, name)
+                stem = f"{cell.name}__{name.replace(' ', '_')}"
+                found = store.recall(stem, key, compute, fresh=bench.fresh)["checks"]
+            rows += [
+                {"cell": cell.title, **row, "visible": seen}
+                for row, seen in zip(found, shown, strict=True)
+            ]
+    return rows
+
+
+def _visible(capture: Capture) -> dict[str, Any]:
+    """Say of each case whether it shows, of a matt object with the base colour that is given."""
+    with tempfile.TemporaryDirectory(prefix="svu-conventions-") as temporary:
+        form = Way("transforms")
+        written = write(capture, form.format, Path(temporary))
+        plain = imported_with(written, Case(), form, Path(temporary) / "imported")
+    right, again = looks(plain), looks(plain, SEED + VIEWS)
+    return {"visible": [shows(right, again, looks(case.made(plain))) for case in CASES]}
+
+
+def _checked(capture: Capture, name: str) -> dict[str, Any]:
+    return {"checks": checked(capture, name)}
+
+
+def checked(capture: Capture, name: str, cases: Sequence[Case] = CASES) -> list[dict[str, Any]]:
+    """Write a right capture, import it with every mistake, and check what comes out.
+
+    Args:
+        capture: with masks, in a folder of its own.
+        name: how the photographs come, one of ``WAYS``.
+        cases: mistakes.
+
+    Returns:
+        A record per check: ``photographs``, ``group``, ``fixes``, ``outcome`` and ``said``, the
+        sentences.
+    """
+    way, found = WAYS[name], []
+    with tempfile.TemporaryDirectory(prefix="svu-conventions-") as temporary:
+        folder = Path(temporary)
+        written = write(capture, way.format, folder)
+        for case in cases:
+            imported = imported_with(written, case, way, folder / "imported")
+            findings, _ = find_mistakes(imported)
+            found.append({
+                "photographs": name, "group": case.group, "fixes": case.fixes,
+                "outcome": outcome(findings, case), "said": [one.sentence for one in findings],
+            })  # fmt: skip
+    return found
+
+
+def imported_with(written: Written, case: Case, way: Way, folder: Path) -> Capture:
+    """Import a capture with a mistake, and load it.
+
+    Args:
+        written: the files.
+        case: the mistake.
+        way: how the photographs come.
+        folder: of the import; an earlier one is replaced.
+    """
+    source = read_source(written.path, ReadOptions(format=way.format))
+    import_capture(source, folder, replace(written.options, fixes=case.mistakes))
+    return way.changed(load_capture(folder))
