@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from svu_mi.capture import mesh as capture_mesh
+from svu_mi.capture.material import PRINCIPLED
 from svu_mi.errors import MeshError
 from svu_mi.files import prepare_folder, replacing
 from svu_mi.formats.geometry import read_geometry
@@ -30,6 +31,11 @@ def convert_glb(path: Path, folder: Path) -> Path:
     geometry = read_geometry(path)
     if geometry.mesh.uvs is None:
         raise MeshError(f"{path}: a mesh has no UVs, so its textures have no place.")
+    if set(geometry.textures) != set(PRINCIPLED):
+        raise MeshError(
+            f"{path}: has not one material with base colour, roughness and metallic; bake its "
+            "materials into one, the benchmark takes one per object."
+        )
     prepare_folder(folder)
     points = geometry.mesh.positions
     points = points - (points.min(axis=0) + points.max(axis=0)) / 2
