@@ -58,6 +58,11 @@ def arrays(mesh: Any) -> MeshArrays:
     )
 
 
+def flipped_v(uvs: np.ndarray) -> np.ndarray:
+    """Return UVs (N, 2) whose V runs the other way: OBJ and trimesh count it upwards."""
+    return np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=-1)
+
+
 def face_normals(mesh: Any, face: Any, active: Any) -> Any:
     """Return unit normals (Normal3f) of triangles, by index; the sign is that of the winding."""
     corners = dr.gather(mi.Vector3u, mesh.faces_buffer(), face, active)

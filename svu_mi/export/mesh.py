@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.capture.mesh import MeshArrays
+from svu_mi.capture.mesh import MeshArrays, flipped_v
 
 
 def as_trimesh(
@@ -44,4 +44,4 @@ def front_faces(mesh: MeshArrays) -> np.ndarray:
 def upward_uvs(mesh: MeshArrays) -> np.ndarray:
     """Return (N, 2) UVs with v = 0 at the bottom of an image, as trimesh and OBJ have them."""
     assert mesh.uvs is not None
-    return np.stack([mesh.uvs[:, 0], 1 - mesh.uvs[:, 1]], axis=-1)
+    return flipped_v(mesh.uvs)

@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 from PIL import Image, UnidentifiedImageError
 
-from svu_mi.capture.mesh import MeshArrays
+from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
 from svu_mi.formats import gltf
 from svu_mi.formats.normals import repaired
@@ -76,7 +76,7 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
         textures = {} if several else textures_of(parts[0].visual, path)
         uvs = mesh.uvs
         if textures or path.suffix.lower() not in V_DOWN:
-            uvs = np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=-1)
+            uvs = flipped_v(uvs)
         mesh = replace(mesh, uvs=uvs - _tile(uvs))
     mesh, notes = repaired(mesh, str(path))
     if files.missing:

@@ -210,7 +210,7 @@ def _placed(geometry: Geometry, options: ImportOptions, fixes: Sequence[Fix]) ->
     faces = mesh.faces if np.linalg.det(matrix) > 0 else mesh.faces[:, ::-1]
     uvs = mesh.uvs
     if uvs is not None and any(fix.kind == "texture" for fix in fixes):
-        uvs = np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=-1)
+        uvs = capture_mesh.flipped_v(uvs)
     normals = None if mesh.normals is None else mesh.normals @ matrix.T
     placed = MeshArrays(mesh.positions @ matrix.T * options.mesh_scale, faces, normals, uvs)
     return replace(geometry, mesh=placed)

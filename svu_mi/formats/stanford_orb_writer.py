@@ -14,7 +14,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.mesh import MeshArrays
+from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.errors import MeshError
 from svu_mi.exr import write_exr
 from svu_mi.files import prepare_folder, replacing
@@ -138,7 +138,7 @@ def _write_truth(place: Path, capture: OrbCapture, mesh: MeshArrays) -> None:
     assert mesh.normals is not None and mesh.uvs is not None  # write_orb has looked
     columns = {
         "v": mesh.positions @ rotation.T + shift,
-        "vt": np.stack([mesh.uvs[:, 0], 1 - mesh.uvs[:, 1]], axis=-1),  # OBJ counts V upwards
+        "vt": flipped_v(mesh.uvs),  # OBJ counts V upwards
         "vn": mesh.normals @ rotation.T @ NORMALS_AS_PUBLISHED.T,
     }
     lines = [

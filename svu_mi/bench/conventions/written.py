@@ -15,7 +15,7 @@ from trimesh.visual.material import PBRMaterial
 
 from svu_mi.bench.conventions.photographs import white_of
 from svu_mi.capture import Capture
-from svu_mi.capture.mesh import MeshArrays, arrays
+from svu_mi.capture.mesh import MeshArrays, arrays, flipped_v
 from svu_mi.capture.picture import srgb
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.checking.appearance import base_color
@@ -105,7 +105,7 @@ def _texture(capture: Capture) -> np.ndarray:
 def write_glb(path: Path, mesh: MeshArrays, base_color: np.ndarray) -> None:
     """Write a mesh with UVs and a texture, (H, W, 3) bytes."""
     assert mesh.uvs is not None
-    uvs = np.stack([mesh.uvs[:, 0], 1 - mesh.uvs[:, 1]], axis=-1)  # trimesh has V upwards
+    uvs = flipped_v(mesh.uvs)  # trimesh has V upwards
     picture = Image.fromarray(base_color)
     material = PBRMaterial(baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0)
     visual = trimesh.visual.TextureVisuals(uvs, material)

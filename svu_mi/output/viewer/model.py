@@ -46,7 +46,7 @@ def model(mesh: Any, colors: np.ndarray) -> bytes:
         roughnessFactor=1.0, doubleSided=True,
     )  # fmt: skip
     # trimesh turns V over when it writes glTF, whose v = 0 is the image's top row.
-    uvs = np.stack([source.uvs[:, 0], 1 - source.uvs[:, 1]], axis=-1)
+    uvs = meshes.flipped_v(source.uvs)
     visual = trimesh.visual.TextureVisuals(uv=uvs, material=material)
     made = trimesh.Trimesh(source.positions, source.faces, visual=visual, process=False)
     buffer = io.BytesIO()
