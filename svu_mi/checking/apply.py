@@ -10,11 +10,11 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.mesh import MeshArrays, arrays, make
+from svu_mi.capture.mesh import arrays, make
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.repaint import is_same, scene_of
 from svu_mi.capture.scene import find_environment, to_world
-from svu_mi.formats.fixes import Fix
+from svu_mi.formats.fixes import Fix, corrected_mesh, corrected_poses
 from svu_mi.radiance.environment import read_environment
 from svu_mi.radiance.levels import resolved
 
@@ -59,15 +59,6 @@ def _applied(capture: Capture, fix: Fix, camera_axes: np.ndarray) -> Capture:
     return _shaped(capture, fix)
 
 
-def corrected_poses(poses: np.ndarray, fix: Fix, camera_axes: np.ndarray) -> np.ndarray:
-    """Return camera-to-world matrices (V, 4, 4) after a correction of cameras."""
-    if fix.matrix is None:
-        return np.linalg.inv(poses @ np.linalg.inv(camera_axes)) @ camera_axes
-    result = poses.copy()
-    result[:, :3, :3] = poses[:, :3, :3] @ fix.matrix
-    return result
-
-
 def _poses(capture: Capture) -> np.ndarray:
     return np.array([to_world(sensor) for sensor in capture.sensors]).reshape(-1, 4, 4)
 
@@ -78,27 +69,14 @@ def _moved(sensor: Any, pose: np.ndarray) -> Any:
 
 def _shaped(capture: Capture, fix: Fix) -> Capture:
     """Replace the object by one that is turned, mirrored, or textured the other way round."""
-    shape = make(capture.shape.id(), _changed(arrays(capture.shape), fix))
+    shape = make(capture.shape.id(), corrected_mesh(arrays(capture.shape), fix))
     shape.set_bsdf(capture.shape.bsdf())
     mesh = shape
     if capture.mesh is not capture.shape:
-        mesh = make(capture.mesh.id(), _changed(arrays(capture.mesh), fix))
+        mesh = make(capture.mesh.id(), corrected_mesh(arrays(capture.mesh), fix))
     others = [s for s in capture.scene.shapes() if not is_same(s, capture.shape)]
     return replace(
         capture, shape=shape, mesh=mesh, scene=scene_of([shape, *capture.scene.emitters(), *others])
-    )
-
-
-def _changed(mesh: MeshArrays, fix: Fix) -> MeshArrays:
-    if fix.matrix is None:
-        uvs = None if mesh.uvs is None else mesh.uvs * [1, -1] + [0, 1]
-        return replace(mesh, uvs=uvs)
-    mirrored = np.linalg.det(fix.matrix) < 0
-    return replace(
-        mesh,
-        positions=mesh.positions @ fix.matrix.T,
-        normals=None if mesh.normals is None else mesh.normals @ fix.matrix.T,
-        faces=mesh.faces[:, ::-1] if mirrored else mesh.faces,
     )
 
 

@@ -8,8 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from svu_mi.checking.apply import corrected_poses
-from svu_mi.formats.fixes import FIXES, Fix
+from svu_mi.formats.fixes import FIXES, Fix, corrected_poses
 from svu_mi.formats.source import OPENCV, OPENGL
 
 CAMERA_AXES = (np.eye(4), OPENGL, OPENCV)  # that a file may have had before it was imported

@@ -7,11 +7,12 @@ applies it; the names are the same. Each is relative to how the capture was read
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.errors import OptionError
 
 Kind = Literal["camera", "mesh", "light", "texture"]
@@ -95,3 +96,37 @@ def fixes_named(names: Sequence[str]) -> tuple[Fix, ...]:
         if name not in FIXES:
             raise OptionError(f"There is no fix {name!r}; known are {', '.join(FIXES)}.")
     return tuple(FIXES[name] for name in names)
+
+
+def corrected_poses(poses: np.ndarray, fix: Fix, camera_axes: np.ndarray) -> np.ndarray:
+    """Return camera-to-world matrices after a correction of cameras.
+
+    Args:
+        poses: (V, 4, 4).
+        fix: of kind ``camera``.
+        camera_axes: (4, 4), what the importer multiplied camera-to-world matrices by from the
+            right; ``camera-inverse`` alone depends on it.
+    """
+    if fix.matrix is None:
+        return np.linalg.inv(poses @ np.linalg.inv(camera_axes)) @ camera_axes
+    result = poses.copy()
+    result[:, :3, :3] = poses[:, :3, :3] @ fix.matrix
+    return result
+
+
+def corrected_mesh(mesh: MeshArrays, fix: Fix) -> MeshArrays:
+    """Return a mesh turned or mirrored, or textured the other way round.
+
+    Args:
+        mesh: its buffers.
+        fix: of kind ``mesh`` or ``texture``.
+    """
+    if fix.matrix is None:
+        return replace(mesh, uvs=None if mesh.uvs is None else flipped_v(mesh.uvs))
+    mirrored = np.linalg.det(fix.matrix) < 0
+    return replace(
+        mesh,
+        positions=mesh.positions @ fix.matrix.T,
+        normals=None if mesh.normals is None else mesh.normals @ fix.matrix.T,
+        faces=mesh.faces[:, ::-1] if mirrored else mesh.faces,
+    )

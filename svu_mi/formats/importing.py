@@ -25,7 +25,7 @@ from svu_mi.exr import is_cropped
 from svu_mi.files import replacing, replacing_folder
 from svu_mi.formats.exposures import with_exif_exposures, with_exposures
 from svu_mi.formats.findings import about
-from svu_mi.formats.fixes import FIXES, Fix, fixes_named
+from svu_mi.formats.fixes import FIXES, Fix, corrected_mesh, corrected_poses, fixes_named
 from svu_mi.formats.geometry import Geometry, read_geometry
 from svu_mi.formats.light import write_environment
 from svu_mi.formats.photographs import Converted, convert
@@ -168,17 +168,17 @@ def _frames(source: Source, options: ImportOptions, fixes: Sequence[Fix]) -> lis
     """Return the frames that are asked for, as large as their photographs, with fixed cameras."""
     frames = []
     for frame in _exposed(source.frames[:: options.every], options):
-        pose = frame.to_world
+        poses = frame.to_world[None]
         for fix in fixes:
             if fix.kind == "camera":
-                pose = _moved(pose, fix, source.camera_axes)
+                poses = corrected_poses(poses, fix, source.camera_axes)
         size = image_size(frame.image)
         if frame.image.suffix.lower() == ".exr" and is_cropped(frame.image):
             raise CaptureError(
                 f"{frame.image}: its data window is not its display window, so its pixels are "
                 "others than the camera's; write it again without crop or overscan."
             )
-        frames.append(fitted(replace(frame, to_world=pose), size))
+        frames.append(fitted(replace(frame, to_world=poses[0]), size))
     if not frames:
         raise CaptureError(f"{source.root}: holds no photograph.")
     return frames
@@ -192,28 +192,13 @@ def _exposed(frames: Sequence[Frame], options: ImportOptions) -> Sequence[Frame]
     return with_exposures(frames, Path(options.exposures))
 
 
-def _moved(pose: np.ndarray, fix: Fix, axes: np.ndarray) -> np.ndarray:
-    if fix.matrix is None:  # the only one without: camera-inverse
-        return np.linalg.inv(pose @ axes) @ axes
-    turn = np.eye(4)
-    turn[:3, :3] = fix.matrix
-    return pose @ turn
-
-
 def _placed(geometry: Geometry, options: ImportOptions, fixes: Sequence[Fix]) -> Geometry:
-    """Scale the mesh, apply its fixes, and turn V over if asked."""
+    """Apply the fixes of mesh and texture, and scale the mesh."""
     mesh = geometry.mesh
-    matrix = np.eye(3)
     for fix in fixes:
-        if fix.kind == "mesh" and fix.matrix is not None:
-            matrix = fix.matrix @ matrix
-    faces = mesh.faces if np.linalg.det(matrix) > 0 else mesh.faces[:, ::-1]
-    uvs = mesh.uvs
-    if uvs is not None and any(fix.kind == "texture" for fix in fixes):
-        uvs = capture_mesh.flipped_v(uvs)
-    normals = None if mesh.normals is None else mesh.normals @ matrix.T
-    placed = MeshArrays(mesh.positions @ matrix.T * options.mesh_scale, faces, normals, uvs)
-    return replace(geometry, mesh=placed)
+        if fix.kind in ("mesh", "texture"):
+            mesh = corrected_mesh(mesh, fix)
+    return replace(geometry, mesh=replace(mesh, positions=mesh.positions * options.mesh_scale))
 
 
 def _turned(light: Light, fixes: Sequence[Fix]) -> Light:
