@@ -1,0 +1,239 @@
+"""Record what this version of svu_mi reaches, so that later ones can be held against it.
+
+    python tests/records/record.py --data DATA -o tests/records/NAME.json [--work FOLDER]
+
+For every cell (object and light; those of BENCHMARKS.md, 6 x 4 of DATA and 12 of our own):
+
+* rho, Pearson's and Spearman's correlation of the entropy with that of the path-traced posterior of
+  1000 texels, noise of 8 % of the mean radiance;
+* the closed-form means of recovery, before any smoothing: PSNR of each parameter over 1500 texels
+  that some view sees (seed 0), against the mean of the true texture over the texel.
+
+And run times, on the bottle: files to entropy.exr, 512 x 512 texels and 60 photographs of 512 x 512
+by preset; recovery of 256 x 256 texels from 40 photographs. Photographs and references are kept in
+the working folder and used again. Takes about 40 minutes on two cores, the second time 10.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import time
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import svu_mi as svu  # first: it chooses LLVM
+import mitsuba as mi  # isort: skip
+
+TEXELS, JUDGED, REFERENCE, FINER = 256, 1500, 1000, 4
+PHOTOGRAPHS: dict[str, Any] = {"views": 60, "film": 256, "spp": 32}
+OBJECTS = "water_bottle chess_king_black chess_rook_white flight_helmet lantern barrel".split()
+LIGHTS = "photo_studio_01 rural_asphalt_road potsdamer_platz st_fagans_interior".split()
+TIMED, RUNS = ("water_bottle", "rural_asphalt_road"), 5
+
+
+def main() -> None:
+    """Record all cells, then times; finished cells of the same version are kept."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--work", type=Path, default=Path("out/records"))
+    parser.add_argument("--only", default="", help="cells whose name contains this")
+    parser.add_argument("--times", action="store_true", help="run times alone")
+    asked = parser.parse_args()
+    mi.set_variant("llvm_ad_rgb")
+    record = json.loads(asked.output.read_text()) if asked.output.exists() else {"cells": {}}
+    record |= {"commit": commit(), "date": str(date.today()), "photographs": PHOTOGRAPHS}
+    cells = cells_of(asked.data, asked.work)
+    if asked.times:
+        timed = [cell for cell in cells if (cell.object, cell.light) == TIMED] or cells[:1]
+        record["seconds"] = seconds(timed[0], asked.work)
+    else:
+        for cell in cells:
+            if asked.only in cell.name and cell.name not in record["cells"]:
+                record["cells"][cell.name] = judge(cell, asked.work)
+                print(cell.title, record["cells"][cell.name], flush=True)
+                save(asked.output, record)
+        record["means"] = means(record["cells"])
+    save(asked.output, record)
+
+
+def cells_of(data: Path | None, work: Path) -> list[Any]:
+    """Return our own 12 cells, and the 24 of a folder of data."""
+    from svu_mi.bench.cells import data_cells, own_cells
+
+    theirs = data_cells(data, work, OBJECTS, LIGHTS) if data else ()
+    return [*own_cells(), *theirs]
+
+
+def photographs(cell: Any, work: Path, film: int) -> Path:
+    """Render a cell's photographs, once; return their folder."""
+    folder = work / f"{cell.name}_{film}"
+    if not (folder / "capture.json").exists():
+        svu.render_capture(
+            cell.scene, PHOTOGRAPHS["spp"], 0, folder=folder, views=PHOTOGRAPHS["views"],
+            resolution=(film, film), defines=cell.defines,
+        )  # fmt: skip
+    return folder
+
+
+def judge(cell: Any, work: Path) -> dict[str, Any]:
+    """Return the figures of one cell."""
+    from scipy.stats import spearmanr
+
+    capture = svu.load_capture(photographs(cell, work, PHOTOGRAPHS["film"]))
+    layout = svu.texels(capture.mesh, TEXELS)
+    subset, traced, halves = reference(cell, work, capture, layout)
+    found = svu.estimate(capture, layout, preset=noise_of_8_percent())
+    entropy = np.array(found.entropy, np.float64)[subset]
+    result: dict[str, Any] = {
+        "rho": float(np.corrcoef(entropy, traced)[0, 1]),
+        "spearman": float(spearmanr(entropy, traced)[0]),
+        "rho of reference's halves": halves,
+    }
+    seen = np.flatnonzero(np.array(found.coverage))
+    chosen = np.sort(np.random.default_rng(0).choice(seen, min(JUDGED, len(seen)), replace=False))
+    truth, values = true_means(capture, layout, work / f"{cell.object}.npz"), closed_form(found)
+    for name, true in truth.items():
+        error = np.mean((values[name][chosen] - true[chosen]) ** 2)
+        result[name] = float(-10 * np.log10(error))
+    return result
+
+
+def reference(
+    cell: Any, work: Path, capture: Any, layout: Any
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return texels, their path-traced entropy, and how well its halves correlate; kept."""
+    file = work / f"{cell.name}_reference.npz"
+    if not file.exists():
+        found = svu.reference_posterior(capture, layout, REFERENCE, 128)
+        seen = found.coverage > 0
+        np.savez(file, subset=found.subset[seen], entropy=found.entropy[seen],
+                 halves=found.split_half().correlation)  # fmt: skip
+    with np.load(file) as kept:
+        return kept["subset"], kept["entropy"], float(kept["halves"])
+
+
+def noise_of_8_percent() -> str:
+    """Return the preset whose likelihood is the reference's."""
+    return "default"
+
+
+def closed_form(found: Any) -> dict[str, np.ndarray]:
+    """Return the means of every texel's posterior that recovery starts from, by name."""
+    from svu_mi.recovery.options import ShOptions
+    from svu_mi.recovery.sh.prepare import prepare
+
+    prepared = prepare(found.observed.capture, found.texels)
+    table = np.full((5, found.texels.count), np.nan)
+    table[:, prepared.seen] = prepared.fit(ShOptions()).start.table()
+    return {"base_color": table[:3].T, "roughness": table[3], "metallic": table[4]}
+
+
+def true_means(capture: Any, layout: Any, file: Path) -> dict[str, np.ndarray]:
+    """Return the true textures' means over the texels, (T, ...) by parameter; kept."""
+    from svu_mi.surface.material import parameters_at
+
+    if not file.exists():
+        fine = svu.texels(capture.mesh, TEXELS * FINER)
+        width = layout.resolution[0]
+        x, y = fine.index.numpy() % (width * FINER), fine.index.numpy() // (width * FINER)
+        place = np.full(width * width, -1)
+        place[layout.index.numpy()] = np.arange(layout.count)
+        parent = place[(y // FINER) * width + x // FINER]
+        inside = parent >= 0
+        count = np.bincount(parent[inside], minlength=layout.count)
+        result = {}
+        for name, values in parameters_at(capture, fine).items():
+            columns = np.atleast_2d(np.asarray(values, np.float64).T)[:, inside]
+            sums = [np.bincount(parent[inside], column, layout.count) for column in columns]
+            own = np.atleast_2d(np.asarray(parameters_at(capture, layout)[name], np.float64).T)
+            mean = np.where(count > 0, np.array(sums) / np.maximum(count, 1), own).T
+            result[name] = mean if mean.shape[1] > 1 else mean[:, 0]
+        np.savez(file, **result)
+    with np.load(file) as kept:
+        return dict(kept)
+
+
+def seconds(cell: Any, work: Path) -> dict[str, float]:
+    """Return median seconds of warm runs, by what is run."""
+    from svu_mi.bench.fresh import in_new_process
+    from svu_mi.bench.kernels.end_to_end import run_once
+
+    folder = str(photographs(cell, work, 512))
+    found: dict[str, float] = {}
+    for preset in ("default", "fast"):
+        run = lambda: to_map(folder, preset)  # noqa: B023, E731
+        found[f"files to entropy.exr, {preset}"] = median(run)
+    cold = in_new_process(run_once, source=folder, resolution=512, method="angular")
+    found["files to entropy.exr, default, cold"] = cold["result"]["seconds"]
+    found["files to entropy.exr, default, cold, with imports"] = cold["process_seconds"]
+    found["peak MiB, cold"] = cold["peak_mib"]
+    small = svu.load_capture(photographs(cell, work, 256))
+    from svu_mi.bench.captures import some_views
+
+    capture = some_views(small, 40)
+    layout = svu.texels(capture.mesh, 256)
+    found["recovery, 256 x 256, 40 photographs"] = median(lambda: svu.recover(capture, layout))
+    return found
+
+
+def to_map(folder: str, preset: str) -> None:
+    """Go from files to entropy.exr."""
+    import tempfile
+
+    from svu_mi.output import write_maps
+
+    with tempfile.TemporaryDirectory() as target:
+        capture = svu.load_capture(folder)
+        write_maps(svu.estimate(capture, svu.texels(capture.mesh, 512), preset=preset), target)
+
+
+def median(run: Any) -> float:
+    """Return the median time of ``RUNS`` warm runs."""
+    import drjit as dr
+
+    taken = []
+    for _ in range(RUNS + 1):
+        dr.sync_thread()
+        start = time.perf_counter()
+        run()
+        dr.sync_thread()
+        taken.append(time.perf_counter() - start)
+    return statistics.median(taken[1:])
+
+
+def means(cells: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    """Return the mean of every figure over our own cells, and over the others."""
+    own = ("vase__", "knot__", "spheres__")
+    groups = {
+        "own": [value for name, value in cells.items() if name.startswith(own)],
+        "data": [value for name, value in cells.items() if not name.startswith(own)],
+    }
+    return {
+        group: {key: float(np.mean([one[key] for one in found])) for key in found[0]}
+        | {"worst rho": min(one["rho"] for one in found)}
+        for group, found in groups.items()
+        if found
+    }
+
+
+def commit() -> str:
+    """Return the commit that is recorded."""
+    asked = ["git", "rev-parse", "--short", "HEAD"]
+    return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def save(file: Path, record: dict[str, Any]) -> None:
+    """Write the record; figures to four digits."""
+    digits = json.loads(json.dumps(record), parse_float=lambda text: round(float(text), 4))
+    file.write_text(json.dumps(digits, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
