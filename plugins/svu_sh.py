@@ -9,18 +9,18 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.angular.continuous import Continuous, continuous, shade
-from svu_mi.angular.shadow import Side, open_to_light
-from svu_mi.brdf.principled import alpha_from_roughness
 from svu_mi.capture.material import PRINCIPLED, is_principled
 from svu_mi.capture.repaint import is_two_sided
 from svu_mi.capture.scene import find_environment
 from svu_mi.errors import OptionError, SceneError, SvuWarning
+from svu_mi.light.environment import read_environment
+from svu_mi.light.lighting import band_limit
+from svu_mi.light.moments import MomentMap, moment_map
 from svu_mi.options import ANGULAR_PRESETS, preset
 from svu_mi.plugins.registry import require_variant
-from svu_mi.radiance.environment import read_environment
-from svu_mi.radiance.lighting import band_limit
-from svu_mi.radiance.moments import MomentMap, moment_map
+from svu_mi.reflection.continuous import Continuous, continuous, shade
+from svu_mi.reflection.principled import alpha_from_roughness
+from svu_mi.reflection.shadow import Side, open_to_light
 
 REMEMBERED = 4  # lights that are kept filtered
 

@@ -125,26 +125,25 @@ class AngularPreset(_Channels):
     name: str = "default"
 
     fresnel: Fresnel = "split_sum"
-    """``none``: R0; ``schlick`` at theta_o, as Eq. 6 has it; ``split_sum``: averaged over the
-    lobe."""
+    """Of lobes that are looked up; ``none``: R0; ``schlick`` at theta_o, as Eq. 6 has it;
+    ``split_sum``: averaged over the lobe."""
 
     lobe: Lobe = "ggx"
-    """``gaussian``: degrees fall off as exp(-(alpha l)^2) (Eq. 6); ``ggx``: Mitsuba's."""
+    """Of lobes that are looked up; ``gaussian``: degrees fall off as exp(-(alpha l)^2) (Eq. 6);
+    ``ggx``: Mitsuba's."""
 
     off_specular: bool = True
-    """Rough lobes lean from the mirror direction towards the normal."""
+    """Lobes that are looked up lean from the mirror direction towards the normal."""
 
-    occluded_specular: bool = True
-    """Light that the object itself hides is missing from the specular lobe."""
+    cells: int = 1024
+    """Fine cells of the light, whose visibility is traced and which wide lobes are summed over;
+    0: nothing is traced, light is hidden from nowhere, and all lobes look filtered light up."""
 
-    occluded_diffuse: bool = True
-    """Light that the object itself hides is missing from the irradiance."""
+    occluded: bool = True
+    """Light that the object itself hides is missing, from the irradiance and from lobes."""
 
     diffuse: Diffuse = "disney"
     """``disney``: Mitsuba's diffuse lobe, with retro-reflection; ``lambert``: constant."""
-
-    rays: int = 64
-    """Cells of the light that visibility is traced for; half of them are above a texel."""
 
     parameters: Parameters = "principled"
     """``principled``: a posterior over (roughness, metallic, base colour); ``specular``: over
@@ -172,7 +171,13 @@ class AngularPreset(_Channels):
         require_one_of(self, "channels", AngularChannels)
         require_one_of(self, "noise", AngularNoise)
         require(self, 1e-12 <= self.sigma <= 1e12, "sigma", "positive, in [1e-12, 1e12]")
-        require(self, 16 <= self.rays <= 65536, "rays", "in [16, 65536]")
+        traced = self.cells == 0 or 256 <= self.cells <= 4096
+        require(self, traced, "cells", "in [256, 4096], or 0 to trace none")
+
+    @property
+    def traced(self) -> bool:
+        """Whether anything is traced that light arrives from."""
+        return self.cells > 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,10 +222,10 @@ PRESETS: dict[str, Preset] = {
 ANGULAR_PRESETS: dict[str, AngularPreset] = {
     "default": AngularPreset(),
     "calibrated": AngularPreset(name="calibrated", noise="heteroscedastic", sigma=0.16),
-    "fast": AngularPreset(name="fast", occluded_specular=False, occluded_diffuse=False),
+    "fast": AngularPreset(name="fast", cells=0),
     "paper": AngularPreset(
-        name="paper", fresnel="schlick", lobe="gaussian", off_specular=False,
-        occluded_specular=False, occluded_diffuse=False, diffuse="lambert",
+        name="paper", fresnel="schlick", lobe="gaussian", off_specular=False, cells=0,
+        diffuse="lambert",
     ),
 }  # fmt: skip
 

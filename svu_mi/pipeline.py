@@ -1,17 +1,15 @@
 """The pipeline, capture to posterior: the file to read first.
 
-    capture -> texels -> who sees whom -> plan -> angular statistics       -> posterior
-                                               -> SH fit -> power spectra  -> posterior
+    capture -> texels -> observed: who sees whom -> plan -> statistics of all views   -> posterior
+                                                         -> SH fit -> power spectra   -> posterior
 
-Memory at its peak, measured (BENCHMARKS.md): 20 bytes per pixel of all photographs (float32
-RGB as read, their mean, two flags), 560 bytes per texel (most of it double-precision
-temporaries of the texel layout; 800 with angular statistics and what reaches each texel), and
-one bit per texel and view.
+Memory at its peak, measured (BENCHMARKS.md): 16 bytes per pixel of all photographs (float32
+RGB as read, two flags), 560 bytes per texel (most of it double-precision temporaries of the
+texel layout; 1900 with statistics and what reaches each texel), and one bit per texel and view.
 """
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,10 +19,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.angular import gather, reflection
 from svu_mi.capture import Capture
-from svu_mi.errors import CaptureError, OptionError
+from svu_mi.errors import OptionError
 from svu_mi.frequency.gather import fit_spectra
+from svu_mi.observed import Observed, observe
 from svu_mi.options import AngularPreset, AnyPreset, Method, Preset, Skip
 from svu_mi.options import preset as find_preset
 from svu_mi.posterior import (
@@ -38,41 +36,8 @@ from svu_mi.posterior import (
 )
 from svu_mi.posterior.streaming import log_prior
 from svu_mi.progress import Progress
-from svu_mi.radiance import Lighting, Surface, Survey, Views, light, pack_views, survey
-from svu_mi.radiance.cells import light_cells
-from svu_mi.radiance.hemisphere import hemisphere
 from svu_mi.skipping import Plan, make_plan, with_known
 from svu_mi.surface import Texels
-
-log = logging.getLogger(__name__)
-
-BRIGHTEST = 1e12  # mean radiance; what is in range loses nothing to exposure
-DARK = 1e-2  # part of the light that counts as the unit of radiance when all is black
-
-
-@dataclass(frozen=True)
-class Observed:
-    """What the photographs of a capture show, and of what.
-
-    Attributes:
-        capture: scene, photographs and light.
-        views: the photographs that are used, packed.
-        lighting: the light.
-        texels: the T texels.
-        found: who sees whom.
-    """
-
-    capture: Capture
-    views: Views
-    lighting: Lighting
-    texels: Texels
-    found: Survey
-
-    @cached_property
-    def unit(self) -> float:
-        """Radiance that sigma is a part of: the photographs' mean, or if that is 0, some of the
-        light's, since black under a known light is an observation too."""
-        return self.found.scale or DARK * float(self.lighting.environment.coefficients(0).mean())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,9 +88,41 @@ class Estimate:
         raise OptionError(f"Estimate.image(): there is no map {name!r}; use entropy or coverage.")
 
 
+def observed_of(
+    source: Capture | Observed | Estimate, texels: Texels | None, progress: Progress | None = None
+) -> Observed:
+    """Return what is known of a capture's photographs: made now, or gone on from.
+
+    Args:
+        source: a capture; or what was made from one, and knows who sees whom.
+        texels: of the capture's mesh; may be left out with the other two.
+        progress: shows what is going on.
+
+    Raises:
+        OptionError: a capture without texels, other texels than those observed, or an estimate
+            that was not made from a capture.
+        CaptureError: no texel is seen in any photograph, or radiance is out of range.
+    """
+    if isinstance(source, Estimate):
+        if source.observed is None:
+            raise OptionError(
+                "The estimate does not know its capture; use what svu.estimate() returns."
+            )
+        source = source.observed
+    if isinstance(source, Observed):
+        if texels is not None and texels is not source.texels:
+            raise OptionError(
+                "The texels are not those that were observed; leave them out, or give the capture."
+            )
+        return source
+    if texels is None:
+        raise OptionError("A capture needs texels: svu.texels(capture.mesh, resolution).")
+    return observe(source, texels, progress)
+
+
 def estimate(
-    capture: Capture,
-    texels: Texels,
+    source: Capture | Observed | Estimate,
+    texels: Texels | None = None,
     method: Method = "angular",
     preset: str | AnyPreset = "default",
     *,
@@ -138,8 +135,9 @@ def estimate(
     """Estimate how much a capture says about the reflectance of every texel.
 
     Args:
-        capture: scene, photographs and light.
-        texels: texels of ``capture.mesh``.
+        source: a capture (scene, photographs and light); or an estimate of one, whose rays need
+            not be traced again.
+        texels: texels of ``capture.mesh``; those of the estimate if there is one.
         method: the estimator. ``angular`` compares photographs with what the reflection model
             predicts for them, by statistics of all views; ``spectrum`` compares their power
             spectra (Sec. 3.3 of the paper).
@@ -153,12 +151,13 @@ def estimate(
             the grid, and the entropy is that of the others. ``"scene"`` takes what the scene's
             own ``principled`` material does not vary. Nothing by default: in a scene made for
             photographs, a constant is more often a placeholder than a fact.
-        skip: work to leave out where it changes nothing; all of it by default.
+        skip: work to leave out where it changes nothing; all of it by default. What is gone on
+            from has left out what it has.
         progress: shows what is going on and collects timings.
 
     Raises:
         OptionError: an unknown method or preset, a grid of other parameters, a bad prior, a
-            known value that is none.
+            known value that is none, or texels that do not belong to the source.
         ShapeError: a prior that does not fit the grid.
         CaptureError: no texel is seen in any photograph.
     """
@@ -166,32 +165,30 @@ def estimate(
     progress, skip = progress or Progress(), skip or Skip()
     angular = isinstance(switches, AngularPreset)
     chosen = angular_grid(grid, switches) if angular else spectrum_grid(grid, switches)
+    capture = source if isinstance(source, Capture) else observed_of(source, texels).capture
     chosen = with_known(chosen, known, capture.shape)
     tables = log_prior(prior, chosen.shape, "estimate()")  # refused before any work
-    with progress.stage("Reading the light"):
-        lighting = light(capture, sum(capture.used))
-    with progress.stage("Finding silhouettes"):
-        views = pack_views(capture, switches.colors)
-    with progress.stage("Tracing visibility"):
-        surface = Surface.of(texels)
-        found = survey(views, surface, skip_blind=skip.blind, skip_pairs=skip.pairs)
-    _require_seen(found.per_view, capture)
-    _require_range(found.scale)
-    plan = make_plan(skip, switches, views, lighting, found, chosen, tables)
-    observed = Observed(capture, views, lighting, texels, found)
-    run = _Run(observed, chosen, prior, plan, progress)
+    if isinstance(source, Capture) and texels is not None:
+        seen = observe(
+            source, texels, progress,
+            skip_unseen=skip.unseen, skip_blind=skip.blind, skip_pairs=skip.pairs,
+        )  # fmt: skip
+    else:
+        seen = observed_of(source, texels)
+    plan = make_plan(skip, switches, seen, chosen, tables)
+    run = _Run(seen, chosen, prior, plan, progress)
     posterior = (_from_angles if angular else _from_spectra)(run, switches)
     with progress.stage("Computing entropy"):
         result = Estimate(
             method=method,
             preset=switches,
-            texels=texels,
+            texels=seen.texels,
             posterior=posterior,
-            coverage=found.coverage,
-            seen_per_view=found.per_view,
-            skipped=_skipped(capture, texels, found) | plan.skipped,
+            coverage=seen.found.coverage,
+            seen_per_view=seen.found.per_view,
+            skipped=_skipped(seen) | plan.skipped,
             timings=progress.timings,
-            observed=observed,
+            observed=seen,
         )
         dr.eval(result.entropy)
     return result
@@ -207,40 +204,41 @@ class _Run:
     plan: Plan
     progress: Progress
 
-    @cached_property
-    def surface(self) -> Surface:
-        """The texels that are worth any work."""
-        return Surface.of(self.observed.texels, self.plan.texels)
-
 
 def _from_angles(run: _Run, switches: AngularPreset) -> Posterior:
     plan, seen = run.plan, run.observed
-    with run.progress.stage("Tracing occlusion"):
-        levels = run.grid.roughness_nodes[plan.levels]
-        model = reflection(
-            seen.views.scene, run.surface, seen.lighting, levels, switches, plan.light_channels
-        )
+    if switches.traced:
+        with run.progress.stage("Tracing occlusion"):
+            seen.reach(switches.cells, occluded=switches.occluded)
+            _ = seen.mirrors
     with run.progress.stage("Gathering statistics"):
-        scale = dr.opaque(mi.Float, seen.unit)
-        statistics = gather(seen.views, run.surface, seen.found, model, scale, plan.channels)
+        statistics = seen.statistics(
+            run.grid.roughness_nodes[plan.levels], switches, plan.channels,
+            light_channels=plan.light_channels,
+            kappa=seen.unit if switches.noise == "heteroscedastic" else np.inf,
+        )  # fmt: skip
+        factors = statistics.factor()
     return angular_posterior(
-        statistics, run.grid, seen.unit, switches,
-        prior=run.prior, copies=plan.copies, levels=plan.levels,
+        factors, run.grid, seen.unit, switches,
+        prior=run.prior, copies=plan.copies, levels=plan.levels, texels=seen.texels.count,
     )  # fmt: skip
 
 
 def _from_spectra(run: _Run, switches: Preset) -> Posterior:
     plan, seen = run.plan, run.observed
+    irradiance = None
+    with run.progress.stage("Tracing occlusion"):
+        if isinstance(run.grid, PrincipledGrid):
+            irradiance = _irradiance(run, switches)
+        if switches.occluded:
+            _ = seen.mirrors
     with run.progress.stage("Fitting spectra"):
         spectra = fit_spectra(
-            seen.views, seen.lighting, seen.texels, seen.found, switches,
+            seen.views, seen.lighting, seen.texels, seen.found,
+            seen.mirrors if switches.occluded else None, switches,
             channels=plan.channels, light_channels=plan.light_channels,
-            skip_unseen=plan.texels is not None,
+            skip_unseen=len(seen.seen) < seen.texels.count,
         )  # fmt: skip
-    irradiance = None
-    if isinstance(run.grid, PrincipledGrid):
-        with run.progress.stage("Tracing occlusion"):
-            irradiance = _irradiance(run, switches)
     with run.progress.stage("Computing entropy"):
         return spectrum_posterior(
             spectra.incoming,
@@ -257,46 +255,21 @@ def _from_spectra(run: _Run, switches: Preset) -> Posterior:
 
 
 def _irradiance(run: _Run, switches: Preset) -> np.ndarray:
-    """(T, C) irradiance; if the preset says so, less what the object itself hides."""
-    seen = run.observed
-    cells = light_cells(seen.lighting.environment, switches.rays)
-    arriving = hemisphere(
-        seen.views.scene, run.surface, seen.lighting, cells,
-        channels=run.plan.light_channels, occluded=switches.occluded, lobes=None,
-    )  # fmt: skip
+    """(T, C) irradiance of texels that may be seen; 0 for others."""
+    seen, channels = run.observed, run.plan.light_channels
     result = np.zeros((seen.texels.count, run.plan.channels), np.float32)
-    light = np.stack([moments[0].numpy() for moments in arriving.diffuse], axis=-1)
-    result[run.surface.index.numpy()] = light  # one channel of grey light is all of them
-    return result
+    light = seen.irradiance(switches, channels)
+    result[seen.seen] = np.stack([value.numpy() for value in light], axis=-1)
+    return result  # one channel of grey light is all of them
 
 
-def _require_seen(counts: np.ndarray, capture: Capture) -> None:
-    if not counts.any():
-        raise CaptureError(
-            f"No texel of '{capture.shape.id()}' is seen in any of {len(counts)} photographs; "
-            "check the poses (camera space is +X left, +Y up, +Z forward), masks and normals."
-        )
-    used = [name for name, used in zip(capture.names, capture.used, strict=True) if used]
-    blind = [name for name, count in zip(used, counts, strict=True) if count == 0]
-    if blind:
-        log.warning("%d photographs show no texel: %s", len(blind), ", ".join(blind[:5]))
-
-
-def _require_range(radiance: float) -> None:
-    """Squares of radiance must fit in single precision: black is an observation, 1e-30 is not."""
-    if radiance and not 1 / BRIGHTEST <= radiance <= BRIGHTEST:
-        raise CaptureError(
-            f"The photographs' mean radiance is {radiance:g}; scale them and the light so that it "
-            f"is between {1 / BRIGHTEST:g} and {BRIGHTEST:g}, or mask pixels that are no radiance."
-        )
-
-
-def _skipped(capture: Capture, texels: Texels, found: Survey) -> dict[str, int]:
+def _skipped(seen: Observed) -> dict[str, int]:
+    texels, capture = seen.texels, seen.capture
     width, height = texels.resolution
     return {
         "texels outside the charts": width * height - texels.count - texels.overlapping,
         "texels on overlapping charts": texels.overlapping,
-        "texels never seen": int((found.coverage.numpy() == 0).sum()),
+        "texels never seen": int((seen.coverage == 0).sum()),
         "views left out": capture.count - sum(capture.used),
-        "views that show no texel": int((found.per_view == 0).sum()),
+        "views that show no texel": int((seen.found.per_view == 0).sum()),
     }

@@ -13,16 +13,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.material import constant_parameters
 from svu_mi.errors import OptionError
-from svu_mi.interop import owned
+from svu_mi.observed import Observed
 from svu_mi.options import AnyPreset, Skip
 from svu_mi.posterior import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.streaming import IMPOSSIBLE
-from svu_mi.radiance import Lighting, Survey, Views
 
 log = logging.getLogger(__name__)
 
@@ -32,7 +30,6 @@ class Plan:
     """What is left to do.
 
     Attributes:
-        texels: UInt32 indices of the texels to work on; None for all.
         channels: number of colour channels of the photographs to work on.
         light_channels: of the light; 1 for all when it is grey.
         copies: how many equal channels each of the photographs' stands for.
@@ -40,7 +37,6 @@ class Plan:
         skipped: what is left out, by reason, as counts.
     """
 
-    texels: Any | None
     channels: int
     light_channels: int
     copies: int
@@ -51,9 +47,7 @@ class Plan:
 def make_plan(
     skip: Skip,
     switches: AnyPreset,
-    views: Views,
-    lighting: Lighting,
-    found: Survey,
+    observed: Observed,
     grid: ParameterGrid | PrincipledGrid,
     prior: tuple[np.ndarray, np.ndarray] | None,
 ) -> Plan:
@@ -62,21 +56,16 @@ def make_plan(
     Args:
         skip: what may be.
         switches: the preset.
-        views: the packed capture.
-        lighting: its light.
-        found: who sees whom.
+        observed: the photographs, their light, and who sees whom.
         grid: of parameters.
         prior: its tables, as ``streaming.log_prior`` has them.
     """
-    seen = found.coverage.numpy() > 0
-    some = skip.unseen and not seen.all()
-    grey_light = skip.channels and switches.colors == 3 and lighting.environment.grey
-    grey = grey_light and views.grey  # grey photographs of coloured light are no less work
+    grey_light = skip.channels and switches.colors == 3 and observed.lighting.environment.grey
+    grey = grey_light and observed.views.grey  # grey photographs of coloured light: no less work
     levels = np.ones(grid.shape[0], bool)
     if skip.levels and prior is not None:
         levels = np.any(prior[0].reshape(grid.shape[0], -1) < IMPOSSIBLE, axis=1)
     plan = Plan(
-        texels=owned(mi.UInt32, np.flatnonzero(seen).astype(np.uint32)) if some else None,
         channels=1 if grey else switches.colors,
         light_channels=1 if grey_light else switches.colors,
         copies=3 if grey else 1,
@@ -88,7 +77,7 @@ def make_plan(
             "parameters known": len(grid.known),
         },
     )
-    _say(plan, found, int(seen.size - seen.sum()) if some else 0, grid)
+    _say(plan, observed, grid)
     return plan
 
 
@@ -122,11 +111,11 @@ def with_known(
     return replace(grid, known={**grid.known, **known}) if known else grid
 
 
-def _say(plan: Plan, found: Survey, unseen: int, grid: ParameterGrid | PrincipledGrid) -> None:
+def _say(plan: Plan, observed: Observed, grid: ParameterGrid | PrincipledGrid) -> None:
     """Tell the log what is skipped, and which part of the work that is."""
-    total = len(found.coverage)
+    total, found = observed.texels.count, observed.found
     lines = []
-    if unseen:
+    if unseen := total - len(observed.seen):
         part = 100 * unseen / total
         lines.append(f"{unseen} texels that no photograph shows: {part:.0f} % of fits and rays")
     if blind := len(found.per_view) - int(found.count[0]):

@@ -34,7 +34,7 @@ def _light_is_filtered_once() -> None:
 
     What is kept is what ``convolve`` has returned for exactly these arguments.
     """
-    from svu_mi.radiance import levels
+    from svu_mi.light import levels
 
     convolve, kept = levels.convolve, {}
 

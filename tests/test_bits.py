@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from svu_mi.interop import owned
-from svu_mi.radiance.bits import Bits
+from svu_mi.visibility.bits import Bits
 
 LANES = 21
 

@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from svu_mi.brdf import principled
+from svu_mi.reflection import principled
 
 
 def test_conversion_to_specular_and_back_is_the_identity():

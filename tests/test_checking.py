@@ -39,7 +39,7 @@ from svu_mi.formats.fixes import FIXES, fixes_named
 from svu_mi.formats.importing import import_capture
 from svu_mi.formats.reading import read_source
 from svu_mi.formats.source import ENVIRONMENT_AXES, OPENCV, OPENGL
-from svu_mi.radiance.environment import read_environment
+from svu_mi.light.environment import read_environment
 from svu_mi.scenes import lights, meshes
 from tests.helpers import ball, memory_capture
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from svu_mi.errors import SceneError
-from svu_mi.radiance.environment import (
+from svu_mi.light.environment import (
     analyze,
     basis_at,
     directions,
@@ -17,7 +17,7 @@ from svu_mi.radiance.environment import (
     read_environment,
     synthesize,
 )
-from svu_mi.radiance.lighting import band_limit, clamped_cosine, degrees
+from svu_mi.light.lighting import band_limit, clamped_cosine, degrees
 
 
 def unit_vectors(rng, count):

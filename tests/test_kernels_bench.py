@@ -26,7 +26,7 @@ from svu_mi.bench.kernels.tables import kernel_tables
 from svu_mi.errors import SvuEnvironmentError
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.progress import Progress
-from svu_mi.radiance import Surface, pack_views, survey
+from svu_mi.visibility import Surface, pack_views, survey
 
 FITS = (fit.Case(20, 8, 100.0, "default"), fit.Case(20, 8, None, "paper"))
 TINY = Sizes(

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from oracle import angular as oracle
 
-from svu_mi.brdf.diffuse import diffuse_shading
-from svu_mi.brdf.lobes import ALBEDO_NODES, dominance, smith_g1, split_sum, zonal_profile
+from svu_mi.reflection.diffuse import diffuse_shading
+from svu_mi.reflection.lobes import ALBEDO_NODES, dominance, smith_g1, split_sum, zonal_profile
 
 WIDTHS = [1e-3, 0.02, 0.1, 0.3, 0.6, 1.0]
 COSINES = (np.arange(ALBEDO_NODES) + 0.5) / ALBEDO_NODES

@@ -38,7 +38,7 @@ from svu_mi.formats.stanford_orb_writer import OrbCapture, OrbPhotograph, write_
 from svu_mi.metrics import lpips as lpips_module
 from svu_mi.metrics.orb import orb_albedo_error, orb_error
 from svu_mi.progress import Progress
-from svu_mi.radiance.environment import radiance_from
+from svu_mi.light.environment import radiance_from
 from svu_mi.recovery.textures import Textures
 
 LIGHTS = ("window", "studio")

@@ -15,7 +15,7 @@ from svu_mi.capture.poses import describe, film_size, make_sensor, sphere_sensor
 from svu_mi.capture.repaint import is_same, repaint
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.interop import owned
-from svu_mi.radiance import pack_views
+from svu_mi.visibility import pack_views
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import descend
 from svu_mi.recovery.options import DescentOptions, PathOptions

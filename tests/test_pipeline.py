@@ -20,7 +20,8 @@ from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.gather import Samples, fit_spectra
 from svu_mi.options import preset
 from svu_mi.pipeline import estimate
-from svu_mi.radiance import Surface, light, pack_views, survey
+from svu_mi.light import light
+from svu_mi.visibility import Surface, pack_views, survey
 
 DIFFUSE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.5, 0.3]}}
 GLOSSY = {"type": "principled", "base_color": {"type": "rgb", "value": [0.9, 0.7, 0.4]},

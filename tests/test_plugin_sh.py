@@ -273,7 +273,7 @@ def test_changes_of_the_light_are_seen():
 def test_an_unchanged_light_is_filtered_once(monkeypatch):
     scene, integrator = ball(paint()), load()
     picture(scene, integrator, sensor=0)
-    monkeypatch.setattr("svu_mi.radiance.levels.convolve", None)
+    monkeypatch.setattr("svu_mi.light.levels.convolve", None)
     picture(scene, integrator, sensor=0, seed=1)
     params = mi.traverse(scene)
     params["ball.bsdf.roughness.data"] = 0.5 * params["ball.bsdf.roughness.data"]

@@ -16,8 +16,8 @@ from svu_mi.capture.block import allocate, in_one_block
 from svu_mi.capture.poses import describe, film_size, make_sensor, sphere_sensors
 from svu_mi.capture.scene import load_scene
 from svu_mi.errors import CaptureError
-from svu_mi.radiance import pack_views
-from svu_mi.radiance.silhouette import MIN_COSINE, SLOPE_MARGIN
+from svu_mi.visibility import pack_views
+from svu_mi.visibility.silhouette import MIN_COSINE, SLOPE_MARGIN
 
 WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
 

@@ -19,8 +19,8 @@ from svu_mi.bench.store import Store
 from svu_mi.bench.variants import Variant
 from svu_mi.capture import Capture
 from svu_mi.posterior import PrincipledGrid
-from svu_mi.radiance import Surface, pack_views, survey
 from svu_mi.surface import Texels, texels
+from svu_mi.visibility import Surface, pack_views, survey
 
 DEGREES = (2, 3, 4, 5, 6, 8)
 NODES = (4, 6, 8, 12, 16, 24, 32)

@@ -13,7 +13,7 @@ from svu_mi.capture import Capture
 from svu_mi.checking.frames import tone
 from svu_mi.checking.points import Points, Sightings
 from svu_mi.interop import owned
-from svu_mi.radiance.environment import basis_at
+from svu_mi.light.environment import basis_at
 
 ENOUGH = 2  # views that have to see a point before they can disagree
 FEWEST = 30  # points that a texture is compared at

@@ -15,8 +15,8 @@ from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.repaint import is_same, scene_of
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.formats.fixes import Fix, corrected_mesh, corrected_poses
-from svu_mi.radiance.environment import read_environment
-from svu_mi.radiance.levels import resolved
+from svu_mi.light.environment import read_environment
+from svu_mi.light.levels import resolved
 
 CONVENTION = np.eye(4)  # of the cameras' axes in the file, see ``formats.source``
 

@@ -12,7 +12,7 @@ from svu_mi.capture import Capture
 from svu_mi.capture.poses import describe
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError
-from svu_mi.radiance.rays import ray_floats
+from svu_mi.visibility.rays import ray_floats
 
 POSE = slice(8, 20)  # where ``ray_floats`` keeps three rows of to_world
 

@@ -25,8 +25,8 @@ from svu_mi.checking.verdicts import (
 )
 from svu_mi.checking.views import SIDE, check_views
 from svu_mi.formats.fixes import fixes_named
+from svu_mi.light.environment import read_environment
 from svu_mi.progress import Progress
-from svu_mi.radiance.environment import read_environment
 
 SMALL = 64  # pixels of the photographs that all hypotheses are tried on
 VIEWS = 40  # that colours are compared in

@@ -11,7 +11,7 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.checking.frames import Frames
 from svu_mi.interop import owned
-from svu_mi.radiance.rays import film_ray
+from svu_mi.visibility.rays import film_ray
 
 
 def silhouettes(capture: Capture, frames: Frames) -> list[np.ndarray]:

@@ -11,13 +11,13 @@ import mitsuba as mi
 import numpy as np
 from scipy.spatial import cKDTree
 
-from svu_mi.brdf.lobes import zonal_profile
 from svu_mi.checking.points import Points
 from svu_mi.interop import owned
-from svu_mi.radiance import environment as env
-from svu_mi.radiance.cells import fibonacci
-from svu_mi.radiance.environment import Environment
-from svu_mi.radiance.levels import convolve, resolved
+from svu_mi.light import environment as env
+from svu_mi.light.cells import fibonacci
+from svu_mi.light.environment import Environment
+from svu_mi.light.levels import convolve, resolved
+from svu_mi.reflection.lobes import zonal_profile
 
 CELLS = 256  # directions that visibility is traced in
 WIDTHS = (0.06, 0.18, 0.4)  # alpha of the lobes that highlights are compared with

@@ -13,7 +13,7 @@ from svu_mi.checking.poses import outline_contrast
 from svu_mi.checking.record import ViewCheck
 from svu_mi.checking.silhouettes import contrast, overlap, silhouettes
 from svu_mi.checking.sky import Sky, open_cosines
-from svu_mi.radiance.environment import read_environment
+from svu_mi.light.environment import read_environment
 
 SIDE = 128  # pixels of the photographs that are compared
 

@@ -68,8 +68,8 @@ def scatter_strided(target: Any, values: list[Any], start: Any, stride: Any) -> 
     """Write value k of every lane to ``start + k * stride``, within the kernel that computes it.
 
     Args:
-        target: flat Float array.
-        values: one number per lane each, converted to Float.
+        target: flat array of Float or Float64.
+        values: one number per lane each, converted to that.
         start: UInt32, per lane.
         stride: UInt32.
 
@@ -78,10 +78,10 @@ def scatter_strided(target: Any, values: list[Any], start: Any, stride: Any) -> 
     """
     # Scatters outside a symbolic loop would each become a kernel that computes all over
     # again, and dr.concat one per number of lanes.
-    count = len(values)
-    memory = dr.alloc_local(mi.Float, count)
+    count, kind = len(values), type(target)
+    memory = dr.alloc_local(kind, count)
     for k, value in enumerate(values):
-        memory[k] = mi.Float(value)
+        memory[k] = kind(value)
     k = mi.UInt32(0)
     while k < dr.opaque(mi.UInt32, count):
         dr.scatter(target, memory[k], start + k * stride)

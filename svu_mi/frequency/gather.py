@@ -14,10 +14,12 @@ from svu_mi.frequency.arrays import scatter_rows, scatter_strided
 from svu_mi.frequency.fit import fit_lanes
 from svu_mi.frequency.groups import SolverGroup, solver_groups
 from svu_mi.frequency.spectrum import power_lanes
+from svu_mi.light import Lighting
 from svu_mi.options import Preset
-from svu_mi.radiance import Lighting, Surface, Survey, Views
-from svu_mi.radiance.hemisphere import as_channels, mirror_free
 from svu_mi.surface import Texels
+from svu_mi.visibility import Surface, Survey, Views
+from svu_mi.visibility.observe import as_channels, mirror_direction
+from svu_mi.visibility.reach import Mirrors
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,8 @@ class Samples:
         lighting: its band-limited light.
         surface: the texels of the launch.
         found: who sees whom.
-        occluded: leave out light from where the object itself stands.
+        mirrors: where the object itself stands in the mirror direction, no light comes from
+            there; None: it does.
         channels: C of the photographs, 1 or 3.
         light_channels: of the light, the same or 1.
     """
@@ -46,7 +49,7 @@ class Samples:
     lighting: Lighting
     surface: Surface
     found: Survey
-    occluded: bool
+    mirrors: Mirrors | None
     channels: int
     light_channels: int
 
@@ -60,13 +63,12 @@ class Samples:
             slot: UInt32, which view: ``found.order[slot]``.
         """
         seen = self.found.look(self.views, self.surface, slot)
-        asked = self.found.asked(seen.seen)
-        lit = asked
-        if self.occluded:
-            lit = mirror_free(self.views.scene, self.surface, seen, asked)
+        lit = self.found.asked(seen.seen)
+        if self.mirrors is not None:
+            lit &= self.mirrors.test(slot, self.surface.index)
 
         def mirrored(direction: Any, normal: Any) -> Any:
-            return self.lighting.radiance(2 * dr.dot(normal, direction) * normal - direction)
+            return self.lighting.radiance(mirror_direction(normal, direction))
 
         incoming = dr.if_stmt(
             args=(seen.direction, mi.Vector3f(self.surface.normal)),
@@ -84,6 +86,7 @@ def fit_spectra(
     lighting: Lighting,
     texels: Texels,
     found: Survey,
+    mirrors: Mirrors | None,
     switches: Preset,
     *,
     channels: int | None = None,
@@ -97,7 +100,8 @@ def fit_spectra(
         lighting: its band-limited light.
         texels: the T texels.
         found: who sees whom.
-        switches: degree, regulariser, R_00 of Eq. 12 and occlusion.
+        mirrors: what the object itself hides; None for nothing.
+        switches: degree, regulariser and R_00 of Eq. 12.
         channels: C of the photographs to fit, 1 or 3; the preset's own by default.
         light_channels: of the light; 1 stands for all C of grey light.
         skip_unseen: False solves for texels that no view sees, too; they stay 0.
@@ -107,7 +111,7 @@ def fit_spectra(
     shape = (texels.count, switches.degree + 1, colors)
     outgoing, incoming = dr.zeros(mi.TensorXf, shape), dr.zeros(mi.TensorXf, shape)
     dr.eval(outgoing, incoming)
-    job = _Job(views, lighting, texels, found, switches, colors, light, skip_unseen)
+    job = _Job(views, lighting, texels, found, mirrors, switches, colors, light, skip_unseen)
     for group, coefficients in job.solutions():
         power = power_lanes(coefficients)
         copies = colors // light
@@ -154,6 +158,7 @@ def fit_coefficients(
     lighting: Lighting,
     texels: Texels,
     found: Survey,
+    mirrors: Mirrors | None,
     switches: Preset,
     *,
     light_channels: int = 3,
@@ -167,13 +172,14 @@ def fit_coefficients(
         lighting: its band-limited light.
         texels: the T texels.
         found: who sees whom.
-        switches: degree, regulariser, R_00 of Eq. 12 and occlusion.
+        mirrors: what the object itself hides; None for nothing.
+        switches: degree, regulariser and R_00 of Eq. 12.
         light_channels: of the light, 3, or 1 if it is grey.
     """
     rows = (switches.degree + 1) ** 2 * (3 + light_channels)
     values = dr.zeros(mi.Float, rows * texels.count)
     dr.eval(values)
-    job = _Job(views, lighting, texels, found, switches, 3, light_channels, True)
+    job = _Job(views, lighting, texels, found, mirrors, switches, 3, light_channels, True)
     for group, coefficients in job.solutions():
         flat = [value for row in coefficients for value in row]
         values = scatter_strided(values, flat, group.selection, dr.opaque(mi.UInt32, texels.count))
@@ -189,6 +195,7 @@ class _Job:
     lighting: Lighting
     texels: Texels
     found: Survey
+    mirrors: Mirrors | None
     switches: Preset
     channels: int
     light_channels: int
@@ -203,7 +210,7 @@ class _Job:
         for group in solver_groups(counts, switches.degree):
             samples = Samples(
                 self.views, self.lighting, Surface.of(self.texels, group.selection), self.found,
-                switches.occluded, self.channels, self.light_channels,
+                self.mirrors, self.channels, self.light_channels,
             )  # fmt: skip
             yield (
                 group,

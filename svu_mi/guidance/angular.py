@@ -14,8 +14,8 @@ radiance. Expected errors, which follow what recovery makes of photographs, also
 samples less, by the cos^2 theta of Eq. 12: they are stretched over few pixels, and models are
 worst there.
 
-No photograph takes part: r = Kd e + R0 p + q, and e, p, q of every roughness level are what
-``Responses`` hold, in units of sqrt(2) sigma.
+No photograph takes part: r = (1 - m) (c e + d) + m (c p + q), and e, p, q, d of every roughness
+level are what ``Responses`` hold, in units of sqrt(2) sigma.
 """
 
 from __future__ import annotations
@@ -27,40 +27,36 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.angular.model import Reflection, terms
-from svu_mi.brdf.principled import diffuse_from_principled, specular_from_principled
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.measures import FAR, Cell, Measure
 from svu_mi.guidance.responses import Respond
 from svu_mi.posterior import PrincipledGrid, streaming
-from svu_mi.radiance import Surface
-from svu_mi.radiance.hemisphere import mirror_free
-from svu_mi.radiance.observe import Observation
+from svu_mi.reflection.model import Model
+from svu_mi.statistics.sums import noise_weight
+from svu_mi.visibility import Observation
+from svu_mi.visibility.reach import mirror_free
 
 
 def columns(levels: int) -> int:
-    """Numbers per view and texel: cos theta, then e, p, q of every level."""
-    return 1 + 3 * levels
+    """Numbers per view and texel: cos theta, then e, p, q, d of every level."""
+    return 1 + 4 * levels
 
 
-def respond(scene: Any, surface: Surface, model: Reflection, sigma: Any) -> Respond:
+def respond(scene: Any, model: Model, sigma: Any) -> Respond:
     """Return what evaluates a view of texels.
 
     Args:
         scene: what occludes.
-        surface: the texels.
-        model: the light and the same texels, in grey.
+        model: the texels and the light, in grey.
         sigma: Float, opaque: standard deviation of radiance.
     """
-    normal, scale = mi.Vector3f(surface.normal), dr.rsqrt(mi.Float(2)) / sigma
+    surface, scale = model.surface, dr.rsqrt(mi.Float(2)) / sigma
+    occluded = model.wide is not None and model.switches.occluded
 
     def evaluate(seen: Observation) -> list[Any]:
-        free = mi.Bool(True)
-        if model.arriving.visible:
-            free = mirror_free(scene, surface, seen, seen.seen)
-        part = terms(model, normal, seen.direction, dr.maximum(seen.cosine, 1e-3), free)
-        levels = zip(part.diffuse, part.scaled, part.added, strict=True)
-        return [seen.cosine, *(scale * value for level in levels for (value,) in level)]
+        free = mirror_free(scene, surface, seen, seen.seen) if occluded else mi.Bool(True)
+        found = model.columns(seen.direction, dr.maximum(seen.cosine, 1e-3), free)
+        return [seen.cosine, *(scale * value for (level,) in found for value in level)]
 
     return evaluate
 
@@ -147,19 +143,17 @@ class _Launch:
     def predicted(self, view: Any, truth: tuple[Any, Cell, Any, Any]) -> Any:
         """r(psi_0) in a view."""
         level, (_, m, c), *_ = truth
-        e, p, q = self._lobe(view, level)
-        Kd, R0 = diffuse_from_principled(c, m), specular_from_principled(c, m)
-        return dr.fma(Kd, e, dr.fma(R0, p, q))
+        e, p, q, d = self._column(view, level)
+        return dr.lerp(dr.fma(c, e, d), dr.fma(c, p, q), m)
 
     def squares(self, view: Any, row: Any, predicted: Any) -> list[Any]:
         """w (r(psi_0) - r(psi))^2 in a view, for all cells psi of a row."""
         weight = dr.lerp(mi.Float(1), dr.square(self.sees(view)), self._grazing)
-        weight *= dr.rcp(1 + dr.square(self._growth * predicted))
+        weight *= noise_weight(self._growth * predicted, 1.0)
         level, m = self._row(row)
-        e, p, q = self._lobe(view, level)
-        # Kd = (1 - m) c and R0 = F0 (1 - m) + m c: radiance is linear in c.
-        rest = predicted - dr.fma(specular_from_principled(0.0, m), p, q)
-        slope = dr.fma(1 - m, e, m * p)
+        e, p, q, d = self._column(view, level)
+        # Radiance is linear in c.
+        rest, slope = predicted - dr.lerp(d, q, m), dr.lerp(e, p, m)
         return [weight * dr.square(dr.fma(-c, slope, rest)) for c in self.nodes]
 
     def add(
@@ -182,8 +176,8 @@ class _Launch:
         level = row // self._columns
         return level, streaming.node(mi.Float, self._metallic, row - level * self._columns)
 
-    def _lobe(self, view: Any, level: Any) -> list[Any]:
-        return [self._responses.read(view, 1 + 3 * level + k) for k in range(3)]
+    def _column(self, view: Any, level: Any) -> list[Any]:
+        return [self._responses.read(view, 1 + 4 * level + k) for k in range(4)]
 
 
 @dr.syntax

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.brdf.principled import F0
 from svu_mi.posterior import PrincipledGrid
+from svu_mi.reflection.principled import F0
 
 
 class Farthest:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.angular import reflection
-from svu_mi.angular.model import reaching
 from svu_mi.errors import OptionError
 from svu_mi.guidance import angular, spectral
 from svu_mi.guidance.angular import AngularForecast
@@ -22,12 +19,13 @@ from svu_mi.guidance.measures import Entropy
 from svu_mi.guidance.responses import Respond, collect
 from svu_mi.guidance.spectral import SpectrumForecast
 from svu_mi.interop import owned
+from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, AnyPreset, Preset
-from svu_mi.pipeline import Estimate, Observed
+from svu_mi.pipeline import Estimate
 from svu_mi.posterior import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.angular import AngularPosterior
 from svu_mi.posterior.spectrum import SpectrumPosterior
-from svu_mi.radiance import Surface, Views, pack_sensors
+from svu_mi.visibility import Surface, Views, pack_sensors
 
 
 class Forecaster(ABC):
@@ -55,9 +53,9 @@ class Forecaster(ABC):
             seed: of their draw.
         """
         seen = self.observed
-        surface = Surface.of(seen.texels, numbers(texels))
+        surface, respond = self._respond(texels)
         responses = collect(
-            surface, (seen.views, seen.found), candidates, self._respond(surface), self.columns
+            surface, (seen.views, seen.found), candidates, respond, self.columns
         )
         return self._forecast(
             responses=responses,
@@ -70,8 +68,8 @@ class Forecaster(ABC):
         )
 
     @abstractmethod
-    def _respond(self, surface: Surface) -> Respond:
-        """What evaluates a view of texels."""
+    def _respond(self, texels: np.ndarray) -> tuple[Surface, Respond]:
+        """Texels as a launch, and what evaluates a view of them."""
 
     @abstractmethod
     def _forecast(self, **parts: Any) -> Forecast:
@@ -97,20 +95,15 @@ class AngularForecaster(Forecaster):
                  channels=("grey",))  # fmt: skip
         self.grid = grid
         self.columns = angular.columns(grid.shape[0])
-        self._model: Any = None
 
-    def _respond(self, surface: Surface) -> Respond:
+    def _respond(self, texels: np.ndarray) -> tuple[Surface, Respond]:
         seen, switches = self.observed, self.estimate.preset
         assert isinstance(switches, AngularPreset)
-        scene = seen.views.scene
-        if self._model is None:
-            nodes = self.grid.roughness_nodes
-            self._model = reflection(scene, surface, seen.lighting, nodes, switches, 1)
-        else:
-            arriving = reaching(scene, surface, seen.lighting, switches, 1)
-            self._model = replace(self._model, arriving=arriving)
+        model = seen.model(self.grid.roughness_nodes, switches, 1, texels)
         sigma = switches.sigma * (1.0 if switches.noise == "fixed" else seen.unit)
-        return angular.respond(scene, surface, self._model, dr.opaque(mi.Float, sigma))
+        return model.surface, angular.respond(
+            seen.views.scene, model, dr.opaque(mi.Float, sigma)
+        )
 
     def _forecast(self, **parts: Any) -> Forecast:
         switches = self.estimate.preset
@@ -138,9 +131,10 @@ class SpectrumForecaster(Forecaster):
         self.switches = estimate.preset
         self.columns = spectral.columns(self.switches)
 
-    def _respond(self, surface: Surface) -> Respond:
+    def _respond(self, texels: np.ndarray) -> tuple[Surface, Respond]:
         seen = self.observed
-        return spectral.respond(seen.views.scene, surface, seen.lighting, self.switches)
+        surface = Surface.of(seen.texels, numbers(texels))
+        return surface, spectral.respond(seen.views.scene, surface, seen.lighting, self.switches)
 
     def _forecast(self, **parts: Any) -> Forecast:
         problem = self.estimate.posterior.problem  # type: ignore[attr-defined]

@@ -9,7 +9,7 @@ import numpy as np
 from svu_mi.guidance.forecast import Forecast
 from svu_mi.guidance.forecaster import Forecaster
 from svu_mi.guidance.options import GuidanceOptions
-from svu_mi.radiance import Views
+from svu_mi.visibility import Views
 
 
 class Strategy(Protocol):

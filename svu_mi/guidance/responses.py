@@ -16,8 +16,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError
-from svu_mi.radiance import Surface, Survey, Views, over_views
-from svu_mi.radiance.observe import Observation
+from svu_mi.visibility import Surface, Survey, Views, over_views
+from svu_mi.visibility.observe import Observation
 
 BLOCK = 16
 

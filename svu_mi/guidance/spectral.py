@@ -23,13 +23,14 @@ from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.measures import FAR, Entropy
 from svu_mi.guidance.responses import Respond, Responses
 from svu_mi.interop import owned
+from svu_mi.light import Lighting
 from svu_mi.options import Preset
 from svu_mi.posterior import ParameterGrid
 from svu_mi.posterior.spectrum import decay
 from svu_mi.posterior.spectrum_kernel import Products, falloff, row_distances
-from svu_mi.radiance import Lighting, Surface
-from svu_mi.radiance.hemisphere import as_channels, mirror_free
-from svu_mi.radiance.observe import Observation
+from svu_mi.visibility import Surface
+from svu_mi.visibility.observe import Observation, as_channels, mirror_direction
+from svu_mi.visibility.reach import mirror_free
 
 
 def columns(switches: Preset) -> int:
@@ -47,13 +48,12 @@ def respond(scene: Any, surface: Surface, lighting: Lighting, switches: Preset) 
         switches: of the estimator.
     """
     dr.eval(lighting.filtered.tensor())  # no texture may be made while a loop is recorded
-    normal = mi.Vector3f(surface.normal)
 
     def evaluate(seen: Observation) -> list[Any]:
         free = seen.seen
         if switches.occluded:
             free = mirror_free(scene, surface, seen, seen.seen)
-        mirrored = lighting.radiance(2 * seen.cosine * normal - seen.direction)
+        mirrored = lighting.radiance(mirror_direction(surface.normal, seen.direction))
         light = [dr.select(free, x, 0) for x in as_channels(mirrored, switches.colors)]
         return [seen.cosine, *seen.direction, *light]
 

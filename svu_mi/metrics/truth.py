@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from svu_mi.brdf.principled import specular_from_principled
+from svu_mi.reflection.principled import specular_from_principled
 from svu_mi.surface.material import parameters_at
 
 if TYPE_CHECKING:

@@ -16,11 +16,11 @@ from svu_mi.checking.record import Check, Finding, Summary
 from svu_mi.checking.silhouettes import outline, silhouettes
 from svu_mi.files import prepare_folder
 from svu_mi.formats.fixes import fixes_named
+from svu_mi.light.environment import read_environment
+from svu_mi.light.levels import resolved
 from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.output.page import THUMBNAIL, Picture, photograph, write_page
 from svu_mi.output.views import tone_mapped
-from svu_mi.radiance.environment import read_environment
-from svu_mi.radiance.levels import resolved
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.angular import Statistics
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
@@ -18,6 +18,7 @@ from svu_mi.posterior import angular_kernel as kernel
 from svu_mi.posterior import streaming
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.record import Posterior
+from svu_mi.statistics import Factors, Statistics
 
 UNLIKELY = 1e30  # energy, in single precision, of a cell that the prior excludes
 FITTED = 3  # roughness, Kd and Ks, which the marginal noise rule pays for
@@ -28,21 +29,32 @@ class AngularPosterior(Posterior):
     """p over (roughness, metallic, base_color), or over (roughness, specular).
 
     Attributes:
-        problem: statistics, noise and grid (see ``angular_kernel``).
+        problem: factors of S texels, noise and grid (see ``angular_kernel``).
     """
 
     problem: kernel.Problem
 
+    @cached_property
+    def _lane(self) -> np.ndarray:
+        """(T,) int64, which of the S texels each is; 0 for others."""
+        lanes = np.zeros(self.count, np.int64)
+        texel = self.problem.factors.texel.numpy()
+        lanes[texel] = np.arange(len(texel))
+        return lanes
+
     @property
     def groups(self) -> int:
         """3 when each colour channel has its own base colour or Ks, else 1."""
-        return self.problem.statistics.channels * self.problem.copies
+        return self.problem.factors.channels * self.problem.copies
 
     def _entropy_of_all(self) -> Any:
-        return kernel.entropy(self.problem)
+        everywhere = dr.full(mi.Float, 1, self.count)
+        dr.eval(everywhere)
+        dr.scatter(everywhere, kernel.entropy(self.problem), self.problem.factors.texel)
+        return everywhere
 
     def _tables(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        base, offsets = kernel.tables(self.problem, chosen)
+        base, offsets = kernel.tables(self.problem, self._lane[chosen])
         return streaming.probabilities(base, offsets, self.grid.shape)
 
 
@@ -69,7 +81,7 @@ def angular_grid(grid: Any | None, switches: AngularPreset) -> ParameterGrid | P
 
 
 def angular_posterior(
-    statistics: Statistics,
+    statistics: Statistics | Factors,
     grid: PrincipledGrid | ParameterGrid | None = None,
     scale: float = 1.0,
     preset: str | AngularPreset = "default",
@@ -77,6 +89,7 @@ def angular_posterior(
     prior: Any | None = None,
     copies: int = 1,
     levels: np.ndarray | None = None,
+    texels: int | None = None,
 ) -> AngularPosterior:
     """Compare photographs with what every cell of a grid predicts for them.
 
@@ -86,7 +99,7 @@ def angular_posterior(
     and must not be averaged away.
 
     Args:
-        statistics: what ``angular.gather`` collected; its levels are the grid's roughness.
+        statistics: of S texels, or their factors; the levels are the grid's roughness.
         grid: ``PrincipledGrid``, or ``ParameterGrid`` for (roughness, Ks); the preset's
             ``parameters`` say which, by default 8 nodes each.
         scale: radiance that sigma is a part of, unless the preset's noise is ``fixed``.
@@ -95,6 +108,7 @@ def angular_posterior(
         copies: how many equal colour channels each channel of the statistics stands for.
         levels: (R,) bool, the roughness nodes that the statistics have; all by default. The
             prior must exclude the others.
+        texels: T, how many there are in all, seen or not; S by default.
 
     Raises:
         ShapeError: the grid's roughness is not the statistics'.
@@ -103,20 +117,23 @@ def angular_posterior(
     switches = find_preset(preset, method="angular")
     grid = angular_grid(grid, switches)
     levels = np.ones(grid.shape[0], bool) if levels is None else levels
-    if levels.sum() != statistics.levels:
+    factors = statistics.factor() if isinstance(statistics, Statistics) else statistics
+    if not np.array_equal(grid.roughness_nodes[levels], factors.roughness):
         raise ShapeError(
-            f"angular_posterior(): the grid has {levels.sum()} roughness nodes, but the "
-            f"statistics {statistics.levels} levels."
+            f"angular_posterior(): the grid's roughness is {grid.roughness_nodes[levels]}, that of "
+            f"the statistics {factors.roughness}; gather them at the nodes of the grid."
         )
     if not (np.isfinite(scale) and scale > 0):
         raise OptionError(f"angular_posterior(): scale must be positive, got {scale!r}.")
     sigma = switches.sigma * (1.0 if switches.noise == "fixed" else scale)
-    views = np.array(statistics.views)
+    views = np.array(factors.views)
+    observed = np.zeros(factors.count if texels is None else texels, bool)
+    observed[factors.texel.numpy()] = views > 0
     power = np.maximum(views.astype(np.float64) - FITTED, 1) / 2
     *_, cells = grid.axes.values()
     tables = streaming.log_prior(prior, grid.shape, "angular_posterior()")
     problem = kernel.Problem(
-        statistics=statistics,
+        factors=factors,
         copies=copies,
         slots=owned(mi.UInt32, np.maximum(np.cumsum(levels) - 1, 0).astype(np.uint32)),
         rows=streaming.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
@@ -129,4 +146,4 @@ def angular_posterior(
             owned(mi.Float64, tables[0]), owned(mi.Float, np.minimum(tables[1], UNLIKELY))
         ),
     )
-    return AngularPosterior(grid=grid, observed=views > 0, problem=problem)
+    return AngularPosterior(grid=grid, observed=observed, problem=problem)

@@ -9,8 +9,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.brdf.lobes import split_sum
-from svu_mi.brdf.principled import alpha_from_roughness, unbounded_alpha
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.frequency import arrays
 from svu_mi.interop import owned
@@ -20,6 +18,8 @@ from svu_mi.posterior import spectrum_kernel as kernel
 from svu_mi.posterior import streaming
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.record import Posterior
+from svu_mi.reflection.lobes import split_sum
+from svu_mi.reflection.principled import alpha_from_roughness, unbounded_alpha
 
 DARK = 1e-4  # part of the incident power that counts when nothing at all is reflected
 FITTED = 2  # parameters per texel and channel that the marginal noise rule pays for

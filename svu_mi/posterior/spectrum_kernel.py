@@ -25,8 +25,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.brdf.principled import F0
 from svu_mi.posterior import streaming
+from svu_mi.reflection.principled import F0
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import to_world
-from svu_mi.radiance.environment import Environment
+from svu_mi.light.environment import Environment
 from svu_mi.recovery.textures import Textures
 from svu_mi.regularization import GlobalSharing
 from svu_mi.surface import Texels

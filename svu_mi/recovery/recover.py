@@ -16,11 +16,13 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
+from svu_mi.observed import Observed
+from svu_mi.pipeline import Estimate, observed_of
 from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.fingerprint import fingerprint
 from svu_mi.recovery.options import Method, Options, PathOptions, ShOptions
-from svu_mi.recovery.run import Run
+from svu_mi.recovery.run import Run, require_resolution
 from svu_mi.recovery.textures import NAMES, Textures
 from svu_mi.regularization import GlobalSharing
 from svu_mi.surface import Texels
@@ -68,8 +70,8 @@ class Recovery:
 
 
 def recover(
-    capture: Capture,
-    texels: Texels,
+    source: Capture | Observed | Estimate,
+    texels: Texels | None = None,
     method: Method = "sh",
     preset: str = "default",
     *,
@@ -87,8 +89,10 @@ def recover(
     """Recover the textures of an object from its photographs (Sec. 5.2 to 5.4 of the paper).
 
     Args:
-        capture: scene, photographs and light.
-        texels: texels of ``capture.mesh``; textures have their resolution.
+        source: a capture (scene, photographs and light); or an estimate of one, whose rays need
+            not be traced again.
+        texels: texels of ``capture.mesh``, textures have their resolution; those of the estimate
+            if there is one.
         method: ``sh`` compares photographs with a reflection model; ``path`` with renderings by
             Mitsuba's ``prb``; ``sh+path`` goes on from the result of the first with one epoch
             of the second.
@@ -121,19 +125,23 @@ def recover(
     names = _names(parameters)
     chosen = Options.of(method, preset, sh, path, tv)
     progress = progress or Progress()
-    run = Run(capture, texels, names, chosen, start, sharing, progress)
+    layout = texels if isinstance(source, Capture) else observed_of(source, texels).texels
+    if layout is not None:
+        require_resolution(layout, start)
+    observed = observed_of(source, texels, progress)
+    run = Run(observed, names, chosen, start, sharing, progress)
     settings = chosen.settings(method) | {"parameters": list(names), "sharing": bool(sharing)}
     saved = None
     if checkpoint is not None:
-        light = run.prepared.lighting.environment
-        owner = settings | fingerprint(capture, light, texels, start, sharing)
+        light = observed.lighting.environment
+        owner = settings | fingerprint(observed.capture, light, observed.texels, start, sharing)
         saved = Checkpoint(checkpoint, owner, resume=resume, every=checkpoint_seconds)
     textures, descent = run.run(method, saved)
     return Recovery(
         method=method,
-        texels=texels,
+        texels=observed.texels,
         textures=textures,
-        coverage=run.prepared.coverage,
+        coverage=observed.coverage,
         losses=descent.losses,
         stopped=descent.stopped,
         settings=settings,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
+from svu_mi.observed import Observed
 from svu_mi.pipeline import estimate
 from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
@@ -14,8 +14,8 @@ from svu_mi.recovery.options import Method, Options, PathOptions, ShOptions
 from svu_mi.recovery.path.objective import path_objective
 from svu_mi.recovery.regularized import Rule, each, regularized
 from svu_mi.recovery.relight import path_length
+from svu_mi.recovery.sh.fit import Fits
 from svu_mi.recovery.sh.materials import Materials, MaterialSharing
-from svu_mi.recovery.sh.prepare import Prepared, prepare
 from svu_mi.recovery.textures import NAMES, Textures, lay_out, scene_textures, uniform
 from svu_mi.regularization import GlobalSharing, TotalVariation
 from svu_mi.surface import Texels
@@ -26,18 +26,16 @@ class Run:
     """One recovery: its parts are made when they are first needed."""
 
     def __init__(
-        self, capture: Capture, texels: Texels, names: tuple[str, ...], options: Options,
+        self, observed: Observed, names: tuple[str, ...], options: Options,
         start: Textures | None, sharing: GlobalSharing | bool, progress: Progress,
     ) -> None:
-        self.capture, self.texels, self.names = capture, texels, names
+        self.observed, self.names = observed, names
+        self.capture, self.texels = observed.capture, observed.texels
         self.options, self.start, self.progress = options, start, progress
-        self._require_resolution()
-        with progress.stage("Tracing visibility"):
-            self.prepared: Prepared = prepare(capture, texels)
-            _ = self.prepared.lighting  # refused before any work: a black light shows nothing
+        self.fits = Fits(observed)
         with progress.stage("Finding neighbours"):
-            self.around = neighbors(texels, capture.mesh)
-            self.variation = each(TotalVariation(texels, self.around))
+            self.around = neighbors(self.texels, self.capture.mesh)
+            self.variation = each(TotalVariation(self.texels, self.around))
         self.sharing = sharing
         self.materials: Materials | None = None
 
@@ -53,13 +51,13 @@ class Run:
     def _sh(self, start: Textures, checkpoint: Checkpoint | None) -> tuple[Textures, Descent]:
         options = self.options.sh
         with self.progress.stage("Gathering statistics"):
-            data = self.prepared.objective(options)
+            data = self.fits.objective(options)
         rule = self._sharing(options)
         if options.loss == "statistics" and options.closed_form and self.start is None:
-            values = self.prepared.fit(options).start.table()
+            values = self.fits.fit(options).start.table()
             if self.materials is not None:
                 values = self.materials.blend(values)
-            found = self.prepared.textures(values)
+            found = self.fits.textures(values)
             start = replace(found, **{n: t for n, t in start.items() if n not in self.names})
         return self._descend("Descending (SH)", start, data, options, rule, checkpoint)
 
@@ -69,7 +67,7 @@ class Run:
             options = replace(options, max_depth=path_length(self.capture.scene))
         with self.progress.stage("Preparing rays"):
             data = path_objective(
-                self.capture, self.texels, options, fixed=start, views=self.prepared.views
+                self.capture, self.texels, options, fixed=start, views=self.observed.views
             )
         options = replace(options, descent=replace(options.descent, steps=data.steps))
         rule = self._sharing(options)
@@ -99,7 +97,7 @@ class Run:
         if isinstance(self.sharing, GlobalSharing):
             return each(self.sharing)
         if not options.materials:
-            certain = estimate(self.capture, self.texels, progress=self.progress)
+            certain = estimate(self.observed, progress=self.progress)
             with self.progress.stage("Finding seeds"):
                 return each(GlobalSharing(
                     certain, self.around, divergence="forward", anchored=False
@@ -107,8 +105,8 @@ class Run:
         with self.progress.stage("Finding materials"):
             sh = self.options.sh
             if self.materials is None:
-                self.materials = self.prepared.materials(sh, self.around)
-            return MaterialSharing.of(self.materials, self.prepared.fit(sh).loss.place)
+                self.materials = self.fits.materials(sh, self.around)
+            return MaterialSharing.of(self.materials, self.fits.fit(sh).loss.place)
 
     def _known(self) -> Textures:
         """Return textures to start from: 0.5, and what the scene says of other parameters."""
@@ -117,11 +115,18 @@ class Run:
         own = scene_textures(self.capture, self.texels)
         return replace(own, **{n: t for n, t in uniform(self.texels).items() if n in self.names})
 
-    def _require_resolution(self) -> None:
-        if min(self.texels.resolution) < 2:
-            width, height = self.texels.resolution
-            raise OptionError(
-                f"Textures need at least 2 texels per side, got {width} x {height}; lay out more."
-            )
-        if self.start is not None:
-            self.start.require_resolution(self.texels)
+
+def require_resolution(texels: Texels, start: Textures | None) -> None:
+    """Refuse texels that make no texture, or none like the one to start from.
+
+    Raises:
+        OptionError: fewer than 2 per side.
+        ShapeError: another resolution than that of ``start``.
+    """
+    if min(texels.resolution) < 2:
+        width, height = texels.resolution
+        raise OptionError(
+            f"Textures need at least 2 texels per side, got {width} x {height}; lay out more."
+        )
+    if start is not None:
+        start.require_resolution(texels)

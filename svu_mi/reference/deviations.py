@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from svu_mi.posterior import PrincipledGrid
+from svu_mi.statistics import Statistics
+from svu_mi.statistics.factors import PAIRS
 
 Render = Callable[[float, float, float], tuple[np.ndarray, np.ndarray]]
 """(roughness, metallic, base colour) to the radiances (P,) of halves A and B, float64."""
@@ -43,11 +45,14 @@ class PerTexel:
         """(n,) int64, number of pairs."""
         return np.bincount(self.texel, minlength=self.count)
 
+    def total(self, values: np.ndarray) -> np.ndarray:
+        """Sum (P,) values, times their weights, to (n,) float64."""
+        weighted = values if self.weight is None else self.weight * values
+        return np.bincount(self.texel, weights=weighted, minlength=self.count)
+
     def mean(self, values: np.ndarray) -> np.ndarray:
         """Average (P,) values to (n,) float64."""
-        weighted = values if self.weight is None else self.weight * values
-        total = np.bincount(self.texel, weights=weighted, minlength=self.count)
-        return total / np.maximum(self.pairs, 1)
+        return self.total(values) / np.maximum(self.pairs, 1)
 
 
 def brute(observed: np.ndarray, mean: PerTexel, grid: PrincipledGrid, render: Render) -> np.ndarray:
@@ -76,35 +81,24 @@ def linear(
 ) -> np.ndarray:
     """Render four psi per roughness, and derive all others; exact for direct light alone.
 
-    At fixed roughness, principled radiance is linear in (1-m) c, (1-m), m and m c: it is
-    bilinear in metallic m and base colour c, hence r = sum_k w_k(m, c) r_k over the four
-    corners. With q = (1, -w) and y = (b, r_1..r_4), (b - r)^2 = q' (y y') q: the mean over views
-    of the 5 x 5 moments y y' is all that the cells need.
+    At fixed roughness, principled radiance is bilinear in metallic m and base colour c,
+    r = (1 - m) (c e + d) + m (c p + q), so four renders give e, p, q and d, and the sums of
+    their products (``Statistics``) all cells.
 
     Args and result are those of ``brute``.
     """
-    _, metallic, base_color = np.meshgrid(
-        [0.0], grid.metallic_nodes, grid.base_color_nodes, indexing="ij"
-    )
-    m, c = metallic.ravel(), base_color.ravel()
-    q = np.stack([np.ones_like(m), -(1 - m) * (1 - c), -(1 - m) * c, -m * (1 - c), -m * c], axis=-1)
-    forms = np.einsum("gi,gj->gij", q, q)
-    result = np.empty((KINDS, mean.count, *grid.shape))
+    sums = np.empty((KINDS, grid.shape[0], 1, len(PAIRS), mean.count))
     for row, roughness in enumerate(grid.roughness_nodes):
         corners = [render(float(roughness), *corner) for corner in CORNERS]
-        a, b = ([observed, *(corner[half] for corner in corners)] for half in range(2))
+        a, b = ([corner[half] for corner in corners] for half in range(2))
         both = [(x + y) / 2 for x, y in zip(a, b, strict=True)]
-        for kind, values in enumerate((both, a, b)):
-            cells = np.einsum("nij,gij->ng", _moments(mean, values), forms, optimize=True)
-            result[kind, :, row] = cells.reshape(mean.count, *grid.shape[1:])
-    return result
-
-
-def _moments(mean: PerTexel, values: list[np.ndarray]) -> np.ndarray:
-    """Return (n, k, k) moments of k values per pair."""
-    size = len(values)
-    result = np.empty((mean.count, size, size))
-    for i in range(size):
-        for j in range(i + 1):
-            result[:, i, j] = result[:, j, i] = mean.mean(values[i] * values[j])
-    return result
+        for kind, (black, white, dark, bright) in enumerate((both, a, b)):
+            columns = (white - black, bright - dark, dark - black, black - observed)
+            sums[kind, row, 0] = [mean.total(columns[i] * columns[j]) for i, j in PAIRS]
+    found = [
+        Statistics.of(table, mean.pairs, mean.pairs, grid.roughness_nodes).errors(
+            grid.metallic_nodes, grid.base_color_nodes
+        )
+        for table in sums
+    ]
+    return np.stack(found)[:, :, :, 0]

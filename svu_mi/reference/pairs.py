@@ -9,11 +9,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.radiance import Surface, Views, observe
-from svu_mi.radiance.observe import RAY_OFFSET
-from svu_mi.radiance.views import CAMERA_FLOATS
+from svu_mi.observed import Observed
 from svu_mi.reference.uniform import UniformScene
-from svu_mi.surface import Texels
+from svu_mi.visibility import Surface, Views
+from svu_mi.visibility.observe import RAY_OFFSET, look
+from svu_mi.visibility.views import CAMERA_FLOATS
 
 TOLERANCE = 4e-5  # of the object's extent: how far from a texel's tangent plane a ray may land
 
@@ -45,35 +45,36 @@ def grey(radiance: Any) -> Any:
     return (radiance[0] + radiance[1] + radiance[2]) / 3
 
 
-def visible_pairs(views: Views, texels: Texels, batch: Any, target: UniformScene) -> Pairs:
+def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Pairs:
     """Find the pairs of a batch of texels that a camera ray confirms.
 
     Takes 100 bytes per texel of the batch and view.
 
     Args:
-        views: the packed capture.
-        texels: the T texels.
-        batch: (n,) UInt32, which of them.
+        observed: the photographs, and who sees whom.
+        batch: (n,) UInt32, which of the T texels.
         target: the scene that will be traced.
     """
+    views, texels = observed.views, observed.texels
     lane = dr.arange(mi.UInt32, dr.width(batch) * views.number)
     place = lane // views.count
     view = lane - place * views.count
-    seen = observe(views, Surface.of(texels, dr.gather(mi.UInt32, batch, place)), view)
-    observed = grey(seen.radiance)
-    dr.eval(place, view, observed, seen.seen)
-    visible = dr.compress(seen.seen)
-    place, view, observed = (
-        dr.gather(type(values), values, visible) for values in (place, view, observed)
+    surface = Surface.of(texels, dr.gather(mi.UInt32, batch, place))
+    known = observed.found.bits.test(view, surface.index)
+    radiance = grey(look(views, surface, view, known).radiance)
+    dr.eval(place, view, radiance, known)
+    visible = dr.compress(known)
+    place, view, radiance = (
+        dr.gather(type(values), values, visible) for values in (place, view, radiance)
     )
     rays, hit = _aim(views, Surface.of(texels, dr.gather(mi.UInt32, batch, place)), view, target)
-    dr.eval(place, observed, rays, hit)
+    dr.eval(place, radiance, rays, hit)
     kept = dr.compress(hit)
-    place, observed, rays = (dr.gather(type(x), x, kept) for x in (place, observed, rays))
-    dr.eval(place, observed, rays)
+    place, radiance, rays = (dr.gather(type(x), x, kept) for x in (place, radiance, rays))
+    dr.eval(place, radiance, rays)
     return Pairs(
         texel=place.numpy().astype(np.int64),
-        observed=observed.numpy().astype(np.float64),
+        observed=radiance.numpy().astype(np.float64),
         rays=rays,
         dropped=dr.width(visible) - dr.width(kept),
     )

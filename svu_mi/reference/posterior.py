@@ -12,11 +12,12 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, OptionError
 from svu_mi.interop import owned
+from svu_mi.observed import Observed
+from svu_mi.pipeline import Estimate, observed_of
 from svu_mi.posterior import PrincipledGrid, TabulatedPosterior
 from svu_mi.progress import Progress
-from svu_mi.radiance import Surface, Survey, Views, pack_views, survey
 from svu_mi.reference import cache as cached
 from svu_mi.reference.deviations import PerTexel, brute, linear
 from svu_mi.reference.options import Method, Noise, Options, check_subset
@@ -24,14 +25,16 @@ from svu_mi.reference.pairs import Pairs, visible_pairs
 from svu_mi.reference.record import Reference
 from svu_mi.reference.trace import path_integrator, trace
 from svu_mi.reference.uniform import UniformScene
+from svu_mi.statistics.sums import noise_weight
 from svu_mi.surface import Texels
+from svu_mi.visibility import Survey
 
 LANES = 1 << 20  # (texel, view) pairs in memory at a time, visible or not
 
 
 def reference_posterior(
-    capture: Capture,
-    texels: Texels,
+    source: Capture | Observed | Estimate,
+    texels: Texels | None = None,
     subset: int | np.ndarray = 1000,
     spp: int = 32,
     *,
@@ -55,8 +58,9 @@ def reference_posterior(
     entropy (RMSE against 1024 spp at 32 spp: .065 in place of .042).
 
     Args:
-        capture: scene, photographs and light; nothing of it is modified.
-        texels: texels of ``capture.mesh``.
+        source: a capture (scene, photographs and light; nothing of it is modified); or an
+            estimate of one, which knows who sees whom.
+        texels: texels of ``capture.mesh``; those of the estimate if there is one.
         subset: that many texels, drawn at random from those that some view sees (all if there
             are fewer), or an array of indices into the T texels.
         spp: paths per psi and pair; even.
@@ -77,42 +81,41 @@ def reference_posterior(
         OutputError: the cache cannot be written.
     """
     options = Options(spp, grid or PrincipledGrid(), sigma, max_depth, method, seed, noise)
-    wanted = check_subset(subset, texels.count)
+    known = None if isinstance(source, Capture) else observed_of(source, texels)
+    capture = source if isinstance(source, Capture) else known.capture  # type: ignore[union-attr]
+    layout = texels if known is None else known.texels
+    if layout is None:
+        raise OptionError("A capture needs texels: svu.texels(capture.mesh, resolution).")
+    wanted = check_subset(subset, layout.count)
     progress = progress or Progress()
-    path = cached.locate(cache, capture, texels, wanted, options) if cache is not None else None
-    if path is not None and (known := cached.load(path, options)) is not None:
-        return known
-    with progress.stage("Finding silhouettes"):
-        views = pack_views(capture)
-    with progress.stage("Tracing visibility"):
-        seen = survey(views, Surface.of(texels))
-    chosen = _choose(wanted, seen, capture, seed)
+    path = cached.locate(cache, capture, layout, wanted, options) if cache is not None else None
+    if path is not None and (found := cached.load(path, options)) is not None:
+        return found
+    seen = known or observed_of(capture, layout, progress)
+    chosen = _choose(wanted, seen.found, capture, seed)
     with progress.stage("Tracing the reference") as stage:
-        result = _trace(capture, views, texels, chosen, seen.scale, options, stage.update)
+        result = _trace(seen, chosen, options, stage.update)
     if path is not None:
         cached.store(path, result)
     return result
 
 
 def _trace(
-    capture: Capture,
-    views: Views,
-    texels: Texels,
+    observed: Observed,
     chosen: np.ndarray,
-    scale: float,
     options: Options,
     update: Callable[[int, int], None],
 ) -> Reference:
     """Work through the texels in batches of bounded memory."""
     dr.sync_thread()
     start = time.perf_counter()
-    target = UniformScene.of(capture)
+    target, views, scale = UniformScene.of(observed.capture), observed.views, observed.found.scale
     size = max(LANES // views.number, 1)
     batches = [chosen[first : first + size] for first in range(0, len(chosen), size)]
     rays = dropped = 0
     deviations, brightness, coverage = [], [], []
     for number, batch in enumerate(batches):
-        pairs = visible_pairs(views, texels, owned(mi.UInt32, batch.astype(np.uint32)), target)
+        pairs = visible_pairs(observed, owned(mi.UInt32, batch.astype(np.uint32)), target)
         renderer = _Renderer(target, pairs, options, number, len(batches), update)
         mean = PerTexel(pairs.texel, len(batch))
         weighted = replace(mean, weight=_weights(pairs.observed, scale, options.noise))
@@ -148,7 +151,7 @@ def _trace(
 
 def _weights(observed: np.ndarray, scale: float, noise: Noise) -> np.ndarray | None:
     """(P,) weights of the squared deviations; None is 1 for all."""
-    return None if noise == "relative" else 1 / (1 + (observed / scale) ** 2)
+    return None if noise == "relative" else noise_weight(observed, scale)
 
 
 class _Renderer:

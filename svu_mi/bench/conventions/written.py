@@ -31,8 +31,8 @@ from svu_mi.formats.stanford_orb import MESH, TRUTH
 from svu_mi.formats.stanford_orb_writer import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.formats.textures import write_pictures
 from svu_mi.formats.transforms import write_transforms
-from svu_mi.radiance.environment import directions, radiance_from, read_environment
-from svu_mi.radiance.levels import resolved
+from svu_mi.light.environment import directions, radiance_from, read_environment
+from svu_mi.light.levels import resolved
 
 PLACE = "object_scene001"  # name of a capture of Stanford-ORB
 TEXTURE = 512  # texels per side

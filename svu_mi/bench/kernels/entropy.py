@@ -19,7 +19,6 @@ from svu_mi.bench.kernels import exact
 from svu_mi.bench.kernels.bars import Bar
 from svu_mi.bench.kernels.clock import compile_record, measure, rescaled
 from svu_mi.bench.oracle import F0
-from svu_mi.brdf.lobes import split_sum
 from svu_mi.interop import owned
 from svu_mi.options import Preset, preset
 from svu_mi.posterior import (
@@ -28,6 +27,7 @@ from svu_mi.posterior import (
     angular_posterior,
     spectrum_posterior,
 )
+from svu_mi.reflection.lobes import split_sum
 
 DEGREE = 6
 CHECKED = 2000  # texels that are compared with double precision

@@ -22,9 +22,9 @@ from svu_mi.capture import Capture
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.poses import sphere_sensors
 from svu_mi.interop import owned
-from svu_mi.radiance import Surface, Views, observe, pack_views, survey
 from svu_mi.scenes import meshes
 from svu_mi.surface import texels
+from svu_mi.visibility import Surface, Views, observe, pack_views, survey
 
 MIN_TRIANGLES = 70_000
 RATIO_BAR = 0.6

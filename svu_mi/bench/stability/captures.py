@@ -13,19 +13,20 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.angular import reflection
-from svu_mi.angular.model import terms
 from svu_mi.bench import oracle
 from svu_mi.bench.stability.exact import SPECTRUM, Exact, angular_entropy, spectrum_entropy
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.poses import make_sensor
+from svu_mi.light import Lighting, light, light_cells
 from svu_mi.options import AngularPreset, Preset
 from svu_mi.pipeline import Estimate
-from svu_mi.radiance import Lighting, Surface, Views, light, light_cells, observe, pack_views
-from svu_mi.radiance.hemisphere import as_channels, hemisphere
-from svu_mi.radiance.observe import Observation
+from svu_mi.reflection.narrow import terms
 from svu_mi.scenes import meshes
 from svu_mi.surface import Texels
+from svu_mi.visibility import Surface, Views, observe, pack_views
+from svu_mi.visibility.hemisphere import as_channels, hemisphere
+from svu_mi.visibility.observe import Observation
 
 METAL = {"metallic": 1.0, "roughness": 0.3, "base_color": 0.8}
 DISTANCE = 4.0  # of a camera from the middle of the ball, in radii

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench import oracle
-from svu_mi.brdf.lobes import split_sum
-from svu_mi.brdf.principled import MIN_ALPHA
 from svu_mi.options import AngularPreset, Preset
 from svu_mi.posterior import ParameterGrid, PrincipledGrid
+from svu_mi.reflection.lobes import split_sum
+from svu_mi.reflection.principled import MIN_ALPHA
 
 U = 2.0**-24  # unit roundoff of single precision
 SPECTRUM = 1e-6  # of a texel's largest degree: what ``fit_sh`` promises

@@ -22,11 +22,11 @@ from svu_mi.bench.stability.estimates import (
     refused_run,
     same_entropy,
 )
-from svu_mi.brdf.lobes import zonal_profile
 from svu_mi.capture import Capture
+from svu_mi.light.environment import quadrature
+from svu_mi.light.levels import convolve
 from svu_mi.options import Method, preset
-from svu_mi.radiance.environment import quadrature
-from svu_mi.radiance.levels import convolve
+from svu_mi.reflection.lobes import zonal_profile
 
 MAPS = 24  # rows of the maps that the filter is tried on
 

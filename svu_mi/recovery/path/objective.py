@@ -12,7 +12,6 @@ import mitsuba as mi
 
 from svu_mi.capture import Capture
 from svu_mi.errors import ShapeError
-from svu_mi.radiance.views import Views
 from svu_mi.recovery.options import PathOptions
 from svu_mi.recovery.path.gradient import PathGradient
 from svu_mi.recovery.path.losses import LOSSES
@@ -21,6 +20,7 @@ from svu_mi.recovery.path.scene import PathScene
 from svu_mi.recovery.textures import Textures, uniform
 from svu_mi.regularization.gradients import known
 from svu_mi.surface import Texels
+from svu_mi.visibility.views import Views
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from svu_mi.capture import Capture
 from svu_mi.capture.poses import describe, film_size, make_sensor
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.interop import owned
-from svu_mi.radiance.rays import film_ray, ray_floats
-from svu_mi.radiance.views import Views, pack_views
+from svu_mi.visibility.rays import film_ray, ray_floats
+from svu_mi.visibility.views import Views, pack_views
 
 TILE = 4  # pixels per side that stay together when the order is shuffled
 

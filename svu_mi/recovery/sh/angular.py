@@ -1,7 +1,7 @@
-"""Mean absolute error between photographs and the reflection model, over all samples.
+"""Mean absolute error between photographs and filtered light, over all samples.
 
-The loss of the paper's recovery in the angular domain (Sec. 5.1): every step goes through all
-views of all texels. Loss and derivatives are summed in the same pass, in one kernel; derivatives
+The loss of the paper's recovery in the angular domain (Sec. 5.1), for models that look light up
+and trace nothing: every step goes through all views of all texels. Loss and derivatives are summed in the same pass, in one kernel; derivatives
 then reach the textures by one gather per texel, so that no addition is atomic.
 """
 
@@ -9,25 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.angular import Reflection, reflection
-from svu_mi.angular.continuous import Continuous, Shading, shade
-from svu_mi.angular.model import lost_light, visible_part
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.interop import owned
+from svu_mi.light.moments import moment_map
+from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset
-from svu_mi.radiance import Lighting, Surface, Survey, Views
-from svu_mi.radiance.bits import Bits
-from svu_mi.radiance.hemisphere import as_channels, mirror_free
-from svu_mi.radiance.observe import Observation
-from svu_mi.recovery.sh.gradient import Values, carry, look_up
-from svu_mi.surface import Texels
+from svu_mi.recovery.sh.gradient import carry, look_up
+from svu_mi.reflection.continuous import Continuous, continuous, shade
+from svu_mi.statistics.gather import Values
+from svu_mi.visibility import Observation, Surface, Survey, Views
+from svu_mi.visibility.observe import as_channels
 
 FEWEST_LEVELS = 2
 
@@ -41,10 +38,8 @@ class AngularObjective:
         surface: the S texels that some view sees.
         found: who sees whom.
         model: the light and the lobes.
-        arriving: ``Reflection`` of the same texels, for what reaches each of them.
+        moments: of the diffuse light that arrives, 8 Floats (S,) per channel.
         place: (S,) UInt32, where in a texture each of them is.
-        free: of N views and S texels: whether nothing stands in the mirror direction of the
-            view ``found.order[i]``; None if not traced.
         factor: opaque Float, 1 / (n C unit).
     """
 
@@ -52,9 +47,8 @@ class AngularObjective:
     surface: Surface
     found: Survey
     model: Continuous
-    arriving: Reflection
+    moments: list[list[Any]]
     place: Any
-    free: Bits | None
     factor: Any
 
     def __call__(self, textures: Mapping[str, Any], step: int = 0) -> Any:
@@ -75,9 +69,9 @@ class AngularObjective:
         """Loss and its derivatives for R, G, B, roughness and metallic, summed per texel."""
         normal = mi.Vector3f(self.surface.normal)
 
-        def consume(seen: Observation, slot: Any, *sums: Any) -> tuple[Any, ...]:
+        def consume(seen: Observation, _: Any, *sums: Any) -> tuple[Any, ...]:
             def add(values: Values, *sums: Any) -> tuple[Any, ...]:
-                return self._add(seen, slot, normal, values, sums)
+                return self._add(seen, normal, values, sums)
 
             asked = self.found.asked(seen.seen)
             found = dr.if_stmt(
@@ -89,14 +83,14 @@ class AngularObjective:
         return self.found.over_views(self.views, self.surface, consume, zeros)
 
     def _add(
-        self, seen: Observation, slot: Any, normal: Any, values: Values, sums: tuple[Any, ...]
+        self, seen: Observation, normal: Any, values: Values, sums: tuple[Any, ...]
     ) -> tuple[Any, ...]:
         """Add one sample of every texel to the sums."""
         base_color, metallic = [values.red, values.green, values.blue], values.metallic
         with dr.resume_grad():
             roughness = mi.Float(values.roughness)
             dr.enable_grad(roughness)
-            shading = self._shade(seen, slot, normal, roughness)
+            shading = shade(self.model, roughness, normal, seen.direction, self.moments)
             modelled = shading.radiance(base_color, metallic)
             dr.forward_from(roughness)
             rise = [dr.grad(value) for value in modelled]
@@ -114,77 +108,42 @@ class AngularObjective:
         added += [to_roughness, to_metallic]
         return tuple(old + new for old, new in zip(sums, added, strict=True))
 
-    def _shade(self, seen: Observation, slot: Any, normal: Any, roughness: Any) -> Shading:
-        visible = None
-        if self.free is not None:
-            visible = partial(self._visible, self.free.test(slot, self.surface.lane))
-        moments = self.arriving.arriving.diffuse
-        return shade(self.model, roughness, normal, seen.direction, moments, visible=visible)
-
-    def _visible(self, free: Any, mirror: Any, alpha: Any) -> Any:
-        lost = lost_light(self.arriving.arriving, mirror)
-        assert lost is not None
-        return visible_part(lost, alpha, self.arriving.cell_blur, free)
-
 
 def angular_objective(
-    views: Views,
-    texels: Texels,
-    found: Survey,
-    lighting: Lighting,
-    switches: AngularPreset,
-    levels: int = 16,
+    observed: Observed, switches: AngularPreset, levels: int = 16
 ) -> AngularObjective:
-    """Prepare the loss: filter the light, and trace what reaches every texel.
+    """Prepare the loss: filter the light.
 
     Args:
-        views: the packed capture, in three channels.
-        texels: all T texels.
-        found: who sees whom.
-        lighting: the capture's light.
+        observed: the photographs, and their light.
         switches: the reflection model; ``paper`` for the paper's.
         levels: of roughness that the light is filtered for.
 
     Raises:
-        OptionError: fewer than two levels, or photographs packed in grey.
-        CaptureError: no texel is seen, or all photographs are black where one is.
+        OptionError: fewer than two levels, or a model that traces what hides light.
+        CaptureError: all photographs are black where a texel is seen.
     """
+    found, texels = observed.found, observed.texels
     if levels < FEWEST_LEVELS:
         raise OptionError(f"Recovery needs {FEWEST_LEVELS} or more roughness levels, got {levels}.")
-    if views.channels != 3:
-        raise OptionError("Recovery needs photographs in colour; pack them in 3 channels.")
-    coverage = found.coverage.numpy()
+    if switches.traced:
+        raise OptionError(
+            f"The angular loss looks light up, but preset {switches.name!r} traces "
+            f"{switches.cells} cells; use cells=0."
+        )
     if not found.scale > 0:
         raise CaptureError("No texel is seen with any radiance; check poses, masks and exposures.")
-    selection = owned(mi.UInt32, np.flatnonzero(coverage).astype(np.uint32))
+    channels = 1 if observed.lighting.environment.grey else 3
+    selection = owned(mi.UInt32, np.flatnonzero(observed.coverage).astype(np.uint32))
     surface = Surface.of(texels, selection)
-    arriving = reflection(
-        views.scene, surface, lighting, np.linspace(0, 1, levels), switches,
-        channels=1 if lighting.environment.grey else 3,
-    )  # fmt: skip
-    samples = 3.0 * int(coverage.sum(dtype=np.int64))
+    light = moment_map(observed.lighting.environment, channels)
+    samples = 3.0 * int(observed.coverage.sum(dtype=np.int64))
     return AngularObjective(
-        views=views,
+        views=observed.views,
         surface=surface,
         found=found,
-        model=Continuous.of(arriving),
-        arriving=arriving,
+        model=continuous(observed.lighting, switches, levels, channels),
+        moments=light.in_world(surface.normal),
         place=dr.gather(mi.UInt32, texels.index, selection),
-        free=_mirrors(views, surface, found) if switches.occluded_specular else None,
         factor=dr.opaque(mi.Float, 1 / (samples * found.scale)),
     )
-
-
-def _mirrors(views: Views, surface: Surface, found: Survey) -> Bits:
-    """Trace the mirror direction of every sample once; returns the bits of ``free``."""
-    bits, lane = Bits.clear(int(found.count[0]), surface.count), surface.lane
-
-    def trace(seen: Observation, slot: Any, none: Any) -> tuple[Any]:
-        free = mirror_free(views.scene, surface, seen, found.asked(seen.seen))
-        bits.set(slot, lane, free)
-        return (none,)
-
-    # A value per lane, or the loop would have a single lane.
-    found.over_views(views, surface, trace, (dr.zeros(mi.UInt32, surface.count),))
-    dr.eval(bits)
-    return bits

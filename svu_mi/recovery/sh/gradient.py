@@ -3,20 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-
-class Values(NamedTuple):
-    """Parameters of S texels, a Float each."""
-
-    red: Any
-    green: Any
-    blue: Any
-    roughness: Any
-    metallic: Any
+from svu_mi.statistics.gather import Values
 
 
 def look_up(textures: Mapping[str, Any], place: Any) -> Values:

@@ -22,9 +22,10 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.recovery.sh.energy import energy
-from svu_mi.recovery.sh.gradient import Values, carry, look_up
+from svu_mi.recovery.sh.gradient import carry, look_up
 from svu_mi.recovery.sh.start import Start, closed_form
-from svu_mi.recovery.sh.statistics import PAIRS, ErrorFactors, factor, in_blocks
+from svu_mi.statistics import Factors, Statistics
+from svu_mi.statistics.gather import Values
 
 ROUNDS = 8
 SAMPLE = 12_000  # texels that materials are found with; weights are those of all
@@ -94,54 +95,54 @@ def values_of(table: np.ndarray) -> Values:
 
 
 def find_materials(
-    statistics: ErrorFactors, start: Start, own: np.ndarray, seeds: np.ndarray, seed: int = 0
+    factors: Factors, start: Start, own: np.ndarray, seeds: np.ndarray, seed: int = 0
 ) -> Materials:
     """Find the materials of an object.
 
     Args:
-        statistics: of S texels.
+        factors: of S texels.
         start: their least errors, and variances.
         own: (5, S) their parameters, as far as each knows for itself.
         seeds: (K,) numbers of texels, among S, whose parameters materials start from.
         seed: of the choice of ``SAMPLE`` texels.
     """
     if len(seeds) == 0:
-        none = np.zeros((0, statistics.count), np.float32)
+        none = np.zeros((0, factors.count), np.float32)
         return Materials(np.zeros((0, 5)), none, np.zeros(0))
     values = own[:, seeds].T.astype(np.float64)
     rng = np.random.default_rng(seed)
-    chosen = np.arange(statistics.count)
-    if statistics.count > SAMPLE:
-        chosen = np.sort(rng.choice(statistics.count, SAMPLE, replace=False))
-    sample = statistics.some(chosen)
+    chosen = np.arange(factors.count)
+    if factors.count > SAMPLE:
+        chosen = np.sort(rng.choice(factors.count, SAMPLE, replace=False))
+    sample = factors.some(chosen)
     least, variance = (x.numpy()[chosen] for x in (start.least, start.variance))
     products = sample.products()
     for _ in range(ROUNDS):
         share = _shares(_excess(sample, values, least, variance))
         values = _pooled(sample, products, share / variance, values)
-    excess = _excess(statistics, values, start.least.numpy(), start.variance.numpy())
+    excess = _excess(factors, values, start.least.numpy(), start.variance.numpy())
     # What does not explain its own texels is no material; they may be of another that is.
-    kept = _trust(excess, statistics.coverage) >= NO_MATERIAL
+    kept = _trust(excess, factors.views.numpy()) >= NO_MATERIAL
     values, excess = values[kept], excess[kept]
     if not kept.any():
         return Materials(values, excess.astype(np.float32), np.zeros(0))
-    trust = _trust(excess, statistics.coverage)
+    trust = _trust(excess, factors.views.numpy())
     weights = _shares(excess) * trust[:, None]
     return Materials(values, weights.astype(np.float32), trust)
 
 
 def _excess(
-    statistics: ErrorFactors, values: np.ndarray, least: np.ndarray, variance: np.ndarray
+    factors: Factors, values: np.ndarray, least: np.ndarray, variance: np.ndarray
 ) -> np.ndarray:
     """(K, S): how much less likely a material is than a texel's best parameters, in nats."""
     rows = owned(mi.Float, values.ravel())
-    count = statistics.count
+    count = factors.count
     result, stride = dr.zeros(mi.Float, len(values) * count), dr.opaque(mi.UInt32, count)
     lane, last = dr.arange(mi.UInt32, count), dr.opaque(mi.UInt32, len(values))
 
     def body(number: Any) -> tuple[Any]:
         row = Values(*(dr.gather(mi.Float, rows, 5 * number + k) for k in range(5)))
-        dr.scatter(result, energy(statistics, row)[0], number * stride + lane)
+        dr.scatter(result, energy(factors, row)[0], number * stride + lane)
         return (number + 1,)
 
     dr.while_loop(state=(dr.zeros(mi.UInt32, count),), cond=lambda n: n < last, body=body)
@@ -157,25 +158,15 @@ def _shares(excess: np.ndarray) -> np.ndarray:
 
 
 def _pooled(
-    sample: ErrorFactors, products: np.ndarray, weights: np.ndarray, values: np.ndarray
+    sample: Factors, products: np.ndarray, weights: np.ndarray, values: np.ndarray
 ) -> np.ndarray:
     """Return the parameters (K, 5) that explain the texels of each material best."""
     total = weights.sum(axis=1)
     used = total > 1e-6 * total.max()
-    pooled = products @ weights[used].T.astype(np.float32) / total[used].astype(np.float32)
-    rows = [owned(mi.Float64, row.ravel()) for row in np.moveaxis(
-        pooled.reshape(-1, len(PAIRS), used.sum()).astype(np.float64), 1, 0)]  # fmt: skip
-    entries = np.stack([entry.numpy() for entry in factor(rows)])
-    shape = (len(PAIRS), sample.levels * sample.channels, used.sum())
-    factors = np.moveaxis(entries.reshape(shape), 0, 1).reshape(sample.rows, -1)
-    merged = ErrorFactors(
-        values=in_blocks(factors),
-        roughness=sample.roughness,
-        texel=dr.arange(mi.UInt32, int(used.sum())), coverage=np.ones(used.sum()),
-        channels=sample.channels,
-    )  # fmt: skip
-    scale = float(np.sqrt(np.abs(pooled).max()))
-    found = closed_form(merged, dr.opaque(mi.Float, 1e-3 * scale), POOL).table().T
+    sums = products @ weights[used].T
+    pooled = Statistics.of(sums, total[used], np.ones(used.sum()), sample.roughness)
+    scale = float(np.sqrt(np.abs(sums / total[used]).max()))
+    found = closed_form(pooled.factor(), dr.opaque(mi.Float, 1e-3 * scale), POOL).table().T
     result = values.copy()
     result[used] = np.where(np.isfinite(found), found, values[used])
     return result

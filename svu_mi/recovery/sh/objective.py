@@ -10,8 +10,9 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.recovery.sh.energy import energy
-from svu_mi.recovery.sh.gradient import Values, carry, look_up
-from svu_mi.recovery.sh.statistics import ErrorFactors
+from svu_mi.recovery.sh.gradient import carry, look_up
+from svu_mi.statistics import Factors
+from svu_mi.statistics.gather import Values
 
 
 @dataclass(frozen=True)
@@ -23,13 +24,13 @@ class StatisticsLoss:
     depend on that number. Unseen texels have no gradient.
 
     Attributes:
-        statistics: of S seen texels.
+        factors: of S seen texels.
         place: (S,) UInt32, where in a texture each of them is.
         variance: (S,) Float, squared radiance, of each texel's error: that of ``Start``,
             times the mean number of views, over the texel's own.
     """
 
-    statistics: ErrorFactors
+    factors: Factors
     place: Any
     variance: Any
 
@@ -43,8 +44,8 @@ class StatisticsLoss:
         del step
         values = look_up(textures, self.place)
         with dr.suspend_grad():
-            error, slopes = energy(self.statistics, Values(*(dr.detach(v) for v in values)))
+            error, slopes = energy(self.factors, Values(*(dr.detach(v) for v in values)))
             weight = dr.rcp(2 * self.variance)
             error, slopes = weight * error, [weight * slope for slope in slopes]
             dr.eval(error, slopes)  # once: they are needed for the value and for the gradient
-        return carry(error, slopes, values, dr.opaque(mi.Float, 1 / self.statistics.count))
+        return carry(error, slopes, values, dr.opaque(mi.Float, 1 / self.factors.count))

@@ -22,19 +22,19 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.brdf.lobes import split_sum
-from svu_mi.brdf.principled import (
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.frequency.gather import Coefficients, fit_coefficients
+from svu_mi.interop import owned
+from svu_mi.observed import Observed
+from svu_mi.options import Preset
+from svu_mi.recovery.sh.gradient import look_up
+from svu_mi.reflection.lobes import split_sum
+from svu_mi.reflection.principled import (
     alpha_from_roughness,
     diffuse_from_principled,
     specular_from_principled,
 )
-from svu_mi.errors import CaptureError, OptionError
-from svu_mi.frequency.gather import Coefficients, fit_coefficients
-from svu_mi.interop import owned
-from svu_mi.options import Preset
-from svu_mi.radiance import Lighting, Surface, Survey, Views, hemisphere, light_cells
-from svu_mi.recovery.sh.gradient import Values, look_up
-from svu_mi.surface import Texels
+from svu_mi.statistics.gather import Values
 
 Domain = Literal["coefficients", "spectrum"]
 
@@ -124,46 +124,44 @@ class SpectralObjective:
 
 
 def spectral_objective(
-    views: Views,
-    texels: Texels,
-    found: Survey,
-    lighting: Lighting,
-    switches: Preset,
-    domain: Domain,
+    observed: Observed, switches: Preset, domain: Domain
 ) -> SpectralObjective:
     """Fit the photographs, and prepare the loss.
 
     Args:
-        views: the packed capture, in three channels.
-        texels: all T texels.
-        found: who sees whom.
-        lighting: the capture's light, band-limited.
+        observed: the photographs, and their light.
         switches: of the fit and of the model; ``paper`` for the paper's.
         domain: ``coefficients`` or ``spectrum``.
 
     Raises:
-        OptionError: an unknown domain, or photographs packed in grey.
+        OptionError: an unknown domain.
         CaptureError: no texel is seen with any radiance.
     """
     if domain not in get_args(Domain):
         raise OptionError(f"domain must be one of {', '.join(get_args(Domain))}, got {domain!r}.")
-    if views.channels != 3:
-        raise OptionError("Recovery needs photographs in colour; pack them in 3 channels.")
+    found, lighting, texels = observed.found, observed.lighting, observed.texels
     if not found.scale > 0:
         raise CaptureError("No texel is seen with any radiance; check poses, masks and exposures.")
     light = 1 if lighting.environment.grey else 3
-    texel = owned(mi.UInt32, np.flatnonzero(found.coverage.numpy()).astype(np.uint32))
-    fitted = fit_coefficients(views, lighting, texels, found, switches, light_channels=light)
+    seen = observed.coverage > 0
+    texel = owned(mi.UInt32, np.flatnonzero(seen).astype(np.uint32))
+    fitted = fit_coefficients(
+        observed.views, lighting, texels, found, observed.mirrors if switches.occluded else None,
+        switches, light_channels=light,
+    )  # fmt: skip
     power, mean_power = _powers(fitted, texel)
     unit = found.scale if domain == "coefficients" else mean_power
     if domain == "spectrum":
         fitted = replace(fitted, values=mi.Float())
     undone = lighting.prefilter**2 if switches.undo_prefilter else 0.0
+    lanes = owned(mi.UInt32, observed.lane[seen].astype(np.uint32))
     return SpectralObjective(
         domain=domain,
         coefficients=fitted,
         power=power,
-        irradiance=_irradiance(views, Surface.of(texels, texel), lighting, switches, light),
+        irradiance=[
+            dr.gather(mi.Float, E, lanes) for E in observed.irradiance(switches, light)
+        ],
         texel=texel,
         place=dr.gather(mi.UInt32, texels.index, texel),
         prefilter=dr.opaque(mi.Float, undone),
@@ -184,18 +182,6 @@ def _powers(fitted: Coefficients, texel: Any) -> tuple[Any, float]:
     dr.eval(rows)
     mean = sum(float(row.numpy().sum(dtype=np.float64)) for row in rows[::2]) / (3 * count)
     return dr.concat(rows), mean
-
-
-def _irradiance(
-    views: Views, surface: Surface, lighting: Lighting, switches: Preset, channels: int
-) -> list[Any]:
-    """E of every texel and channel of the light; less what the object hides, by the preset."""
-    cells = light_cells(lighting.environment, switches.rays)
-    arriving = hemisphere(
-        views.scene, surface, lighting, cells,
-        channels=channels, occluded=switches.occluded, lobes=None,
-    )  # fmt: skip
-    return [moments[0] for moments in arriving.diffuse]
 
 
 def _albedo_table(switches: Preset) -> Any:

@@ -16,8 +16,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.recovery.sh.energy import halves
-from svu_mi.recovery.sh.gradient import Values
-from svu_mi.recovery.sh.statistics import PAIRS, ErrorFactors, Reader
+from svu_mi.statistics import Factors
+from svu_mi.statistics.gather import Values
 
 METALLIC = 17  # nodes, uniform on [0, 1]
 SMALL = 1e-12  # squared radiance, in that of the photographs: a column that nothing lights
@@ -54,17 +54,17 @@ class Start:
         return np.stack([np.array(x) for x in self.values()])
 
 
-def closed_form(statistics: ErrorFactors, sigma: Any, samples: float = 1.0) -> Start:
+def closed_form(factors: Factors, sigma: Any, samples: float = 1.0) -> Start:
     """Return the posterior mean of every texel.
 
     Args:
-        statistics: of S texels.
+        factors: of S texels.
         sigma: Float, opaque: noise of a texel's root mean squared error, in radiance. It adds
             to the error that the best node leaves, since neither model nor photographs are
             better than that.
         samples: number of independent errors that the mean is over.
     """
-    least = _over_levels(statistics, _least, (mi.Float(dr.inf),))[0]
+    least = _over_levels(factors, _least, (mi.Float(dr.inf),))[0]
     variance = (dr.square(sigma) + least) / dr.opaque(mi.Float, samples)
     scale = dr.rcp(2 * variance)
 
@@ -74,10 +74,10 @@ def closed_form(statistics: ErrorFactors, sigma: Any, samples: float = 1.0) -> S
         values = (mi.Float(1), x, r, mi.Float(m), *color)
         return tuple(dr.fma(w, value, old) for value, old in zip(values, sums, strict=True))
 
-    zeros = tuple(mi.Float(0) for _ in range(4 + statistics.channels))
-    total, *sums = _over_levels(statistics, weigh, zeros)
+    zeros = tuple(mi.Float(0) for _ in range(4 + factors.channels))
+    total, *sums = _over_levels(factors, weigh, zeros)
     x, roughness, metallic, *color = (value / total for value in sums)
-    nodes = dr.opaque(mi.Float, statistics.levels * METALLIC)
+    nodes = dr.opaque(mi.Float, factors.levels * METALLIC)
     entropy = dr.clip((dr.log(total) + x) / dr.log(nodes), 0, 1)
     dr.eval(roughness, metallic, color, variance, least, entropy)
     return Start(color, roughness, metallic, variance, least, entropy)
@@ -88,21 +88,18 @@ def _least(error: Any, color: list[Any], r: Any, m: Any, least: Any) -> tuple[An
     return (dr.minimum(least, error),)
 
 
-def _over_levels(statistics: ErrorFactors, consume: Any, state: tuple[Any, ...]) -> tuple[Any, ...]:
+def _over_levels(factors: Factors, consume: Any, state: tuple[Any, ...]) -> tuple[Any, ...]:
     """Fold ``consume(error, base colour, roughness, metallic, *state)`` over all nodes."""
-    reader = Reader(statistics)
-    last = dr.opaque(mi.UInt32, statistics.levels - 1)
-    zero = dr.zeros(mi.Float, statistics.count)
+    reader = factors.at()
+    last = dr.opaque(mi.UInt32, factors.levels - 1)
+    zero = dr.zeros(mi.Float, factors.count)
 
     def body(level: Any, *state: Any) -> tuple[Any, ...]:
-        factors = []
-        for channel in range(statistics.channels):
-            row = (level * statistics.channels + channel) * len(PAIRS)
-            factors.append([reader.read(row + entry) for entry in range(len(PAIRS))])
+        of_channels = [reader.factor(level, channel) for channel in range(factors.channels)]
         roughness = mi.Float(level) / mi.Float(last)
         for node in range(METALLIC):
             metallic = node / (METALLIC - 1)
-            error, color = _profile(factors, metallic)
+            error, color = _profile(of_channels, metallic)
             state = consume(error, color, roughness, metallic, *state)
         return (level + 1, *state)
 

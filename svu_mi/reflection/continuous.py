@@ -1,6 +1,6 @@
 """The reflection model (Eq. 6) at any roughness, differentiable in it.
 
-``model.py`` evaluates a few levels of roughness for all lanes; here every lane has its own.
+``narrow.py`` looks a few levels of roughness up for all lanes; here every lane has its own.
 What it needs of a level is interpolated linearly in roughness between two levels: the light
 under the lobe, and how much a lobe reflects. Seen obliquely, a lobe is narrower across the plane
 of incidence, where turning the half vector turns the reflected direction by 2 cos theta_h of
@@ -23,21 +23,21 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.angular.model import Reflection
-from svu_mi.brdf.diffuse import diffuse_shading
-from svu_mi.brdf.lobes import (
+from svu_mi.interop import owned
+from svu_mi.light import Lighting
+from svu_mi.light.stack import LightStack, stack
+from svu_mi.options import AngularPreset
+from svu_mi.reflection.diffuse import diffuse_shading
+from svu_mi.reflection.lobes import (
     ALBEDO_NODES,
     dielectric_albedo,
     dominance,
-    profile_of,
     reflected_at_view,
     split_sum,
 )
-from svu_mi.brdf.principled import alpha_from_roughness
-from svu_mi.interop import owned
-from svu_mi.options import AngularPreset
-from svu_mi.radiance import Levels, Lighting, filter_light
-from svu_mi.radiance.stack import LightStack, stack
+from svu_mi.reflection.narrow import NarrowLobes
+from svu_mi.reflection.principled import alpha_from_roughness
+from svu_mi.visibility.observe import mirror_direction
 
 NARROWEST = 1e-3  # cosine: more grazing views are treated like this one
 
@@ -58,11 +58,6 @@ class Continuous:
     albedo: Any
     narrow: bool
 
-    @staticmethod
-    def of(model: Reflection) -> Continuous:
-        """Take the levels of a model that has them; they must be uniform in roughness."""
-        return _continuous(model.switches, model.levels, model.roughness)
-
     @property
     def channels(self) -> int:
         """Of the light, 3 or 1."""
@@ -80,19 +75,14 @@ def continuous(
         levels: R, at least 2, uniform in roughness on [0, 1].
         channels: 3, or 1 for the mean of the colour channels.
     """
-    roughness = np.linspace(0, 1, levels)
-    widths = alpha_from_roughness(roughness)
-    filtered = filter_light(lighting, widths, profile_of(switches.lobe), grey=channels == 1)
-    return _continuous(switches, filtered, roughness)
-
-
-def _continuous(switches: AngularPreset, levels: Levels, roughness: np.ndarray) -> Continuous:
-    alpha = alpha_from_roughness(roughness)
-    table = np.zeros((len(alpha), ALBEDO_NODES, 4))
+    lobes = NarrowLobes.of(
+        lighting, alpha_from_roughness(np.linspace(0, 1, levels)), switches, channels
+    )
+    table = np.zeros((levels, ALBEDO_NODES, 4))
     if switches.fresnel == "split_sum":
-        table[..., :2], table[..., 2] = split_sum(alpha), dielectric_albedo(alpha)
+        table[..., :2], table[..., 2] = split_sum(lobes.alpha), dielectric_albedo(lobes.alpha)
     narrow = switches.lobe == "ggx" and switches.off_specular
-    return Continuous(switches, stack(levels), owned(mi.Float, table.ravel()), narrow)
+    return Continuous(switches, stack(lobes.levels), owned(mi.Float, table.ravel()), narrow)
 
 
 @dataclass(frozen=True)
@@ -152,7 +142,7 @@ def shade(
     outgoing = direction if to_moments is None else to_moments @ mi.Vector3f(direction)
     shading = [diffuse_shading(rule, each, outgoing, cosine) for each in moments]
     alpha = alpha_from_roughness(roughness)
-    mirror = 2 * cosine * normal - direction
+    mirror = mirror_direction(normal, direction)
     center = mirror
     if model.switches.off_specular:
         center = dr.normalize(dr.lerp(normal, mirror, dominance(alpha)))

@@ -1,7 +1,7 @@
 """Specular lobes: their shape, where they point, and how much they reflect.
 
 A lobe of width alpha is treated as if it were symmetric around one direction: light is
-filtered once for every alpha (radiance/levels.py) and looked up there. What depends on the
+filtered once for every alpha (light/levels.py) and looked up there. What depends on the
 angle of view is left to the directional albedo, and to where the lobe points.
 """
 
@@ -14,8 +14,8 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from svu_mi.brdf.principled import F0
 from svu_mi.options import Fresnel, Lobe
+from svu_mi.reflection.principled import F0
 
 INDEX = 1.5  # of refraction of dielectrics: specular = 0.5
 ALBEDO_NODES = 32  # of cos theta_o, at (i + 0.5) / 32
@@ -60,6 +60,27 @@ def ggx(cosine: Any, alpha: Any) -> Any:
     return (alpha / (cosine * cosine * (alpha * alpha - 1) + 1)) ** 2 / np.pi
 
 
+def blurred_ggx(up: Any, incident: Any, alpha: float, square: Any) -> Any:
+    """D G1 of light that comes from a disk: ``ggx`` times ``smith_g1``, by two divisions.
+
+    Half vectors turn by half the angle. Averaged over a disk of radius rho, with
+    s = sin^2 theta_h + alpha^2 cos^2 theta_h, D is to first order in rho^2 / s that of a lobe
+    whose squared width is alpha^2 (1 + rho^2 / 4 s): lower at the peak, higher on the flanks.
+
+    Args:
+        up: cosine between normal and half vector.
+        incident: positive cosine between normal and the disk's centre.
+        alpha: width of the lobe.
+        square: rho^2.
+    """
+    a, up = alpha * alpha, up * up
+    s = dr.fma(up, a - 1, 1)
+    more = 0.25 * a * square * dr.rcp(s)
+    s = dr.fma(more, up, s)
+    root = _root(incident)(dr.fma(incident * (1 - a), incident, a))
+    return (2 / np.pi) * (a + more) * incident * dr.rcp(s * s * (incident + root))
+
+
 def dielectric_fresnel(cosine: Any) -> Any:
     """Unpolarised reflectance of a dielectric of index 1.5 [Fresnel's equations].
 
@@ -67,8 +88,9 @@ def dielectric_fresnel(cosine: Any) -> Any:
         cosine: of the angle between direction and (micro-)normal, in [0, 1].
     """
     inner = _root(cosine)(1 - (1 - cosine * cosine) / INDEX**2)
-    s = (cosine - INDEX * inner) / (cosine + INDEX * inner)
-    p = (INDEX * cosine - inner) / (INDEX * cosine + inner)
+    inverse = dr.rcp if dr.is_array_v(cosine) else np.reciprocal
+    s = (cosine - INDEX * inner) * inverse(cosine + INDEX * inner)
+    p = (INDEX * cosine - inner) * inverse(INDEX * cosine + inner)
     return (s * s + p * p) / 2
 
 
@@ -89,8 +111,9 @@ def reflected_at_view(rule: Fresnel, cosine: Any, alpha: Any) -> tuple[Any, Any,
 
 
 def _root(like: Any) -> Any:
-    """Return the square root for an array of this kind."""
-    return dr.sqrt if dr.is_array_v(like) else np.sqrt
+    """Return the square root of positive numbers for an array of this kind."""
+    # A processor's reciprocal roots, refined once, take a third of the time of its roots.
+    return (lambda x: x * dr.rsqrt(x)) if dr.is_array_v(like) else np.sqrt
 
 
 def dominance(alpha: Any) -> Any:

@@ -16,8 +16,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.radiance.views import CAMERA_FLOATS, Views
 from svu_mi.surface import Texels
+from svu_mi.visibility.views import CAMERA_FLOATS, Views
 
 RAY_OFFSET = 2e-5  # of the scene's extent: leaves the surface at every scale of the mesh
 RAY_END = 1e-4  # part of the way to the camera left out at its far end
@@ -79,8 +79,7 @@ class Observation:
     Attributes:
         direction: unit Vector3f from the texel to the camera, world space.
         cosine: Float, between direction and shading normal; 0 where not seen.
-        radiance: outgoing radiance, Color3f, or Color1f of photographs packed in grey; 0 where
-            not seen.
+        radiance: outgoing radiance, Color3f; 0 where not seen.
         seen: Bool.
     """
 
@@ -119,9 +118,20 @@ def observe(views: Views, surface: Surface, view: Any, *, dense: bool = False) -
               direction, distance, seen),
         cond=asked(seen, dense),
         true_fn=partial(_reach, views, surface.offset, dense),
-        false_fn=lambda *args: (_black(views), args[-1]),
+        false_fn=lambda *args: (_black(), args[-1]),
     )  # fmt: skip
     return Observation(direction, dr.select(seen, cosine, 0), radiance, seen)
+
+
+def as_channels(color: Any, channels: int) -> list[Any]:
+    """Return a colour of 3 channels, or of 1, as that many: one is the mean of three."""
+    found = list(color)
+    return found if len(found) == channels else [sum(found) / len(found)]
+
+
+def mirror_direction(normal: Any, direction: Any) -> Any:
+    """Reflect a unit direction to the camera at unit normals: Vector3f."""
+    return mi.reflect(mi.Vector3f(direction), mi.Normal3f(normal))
 
 
 def asked(seen: Any, dense: bool) -> Any:
@@ -153,7 +163,7 @@ def look(
         args=(surface.position, mi.Vector3f(surface.normal)),
         cond=asked(seen, dense),
         true_fn=read,
-        false_fn=lambda _, normal: (normal, mi.Float(0), _black(views)),
+        false_fn=lambda _, normal: (normal, mi.Float(0), _black()),
     )
     return Observation(direction, cosine, radiance, seen)
 
@@ -245,17 +255,17 @@ def _reach(
     return dr.select(seen, _radiance(views, pixels, weights, seen), 0), seen
 
 
-def _black(views: Views) -> Any:
-    return dr.zeros(mi.Color3f if views.channels == 3 else mi.Color1f)
+def _black() -> Any:
+    return dr.zeros(mi.Color3f)
 
 
 def _radiance(views: Views, pixels: list[Any], weights: list[Any], active: Any = True) -> Any:
     """Interpolate between four pixels; without any photograph there is no light."""
-    total = _black(views)
+    total = _black()
     if views.pixels is None:
         return total
     for pixel, weight in zip(pixels, weights, strict=True):
-        value = dr.gather(type(total), views.pixels, pixel, active)
+        value = dr.gather(mi.Color3f, views.pixels, pixel, active)
         # A kernel that rounds a position differently may touch a pixel that is not usable.
         total += weight * dr.select(dr.isfinite(value), value, 0)
     return total

@@ -12,9 +12,9 @@ import mitsuba as mi
 import numpy as np
 from scipy.sparse import csr_array
 
-from svu_mi.radiance import environment as env
-from svu_mi.radiance.environment import Environment
-from svu_mi.radiance.lighting import Lighting, lat_long_texture, look_up
+from svu_mi.light import environment as env
+from svu_mi.light.environment import Environment
+from svu_mi.light.lighting import Lighting, lat_long_texture, look_up
 
 DELTA = 2e-3  # lobes narrower than this [rad] are mirrors at the resolution of any map
 NEGLIGIBLE = 1e-5  # part of a lobe's peak below which it is cut off

@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
-from svu_mi.radiance.levels import Levels
+from svu_mi.light.levels import Levels
 
 PADDED = {1: 1, 3: 4}  # floats per node by channels: four are read at once
 

@@ -11,10 +11,9 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
-from svu_mi.radiance.bits import Bits
-from svu_mi.radiance.hemisphere import as_channels
-from svu_mi.radiance.observe import Observation, Surface, asked, look, over_views
-from svu_mi.radiance.views import Views
+from svu_mi.visibility.bits import Bits
+from svu_mi.visibility.observe import Observation, Surface, as_channels, asked, look, over_views
+from svu_mi.visibility.views import Views
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,7 @@
 
 Memory: 1 byte per pixel for the flag that says whether a pixel may be used. The photographs
 of a capture that was read from files lie in one block already (12 bytes per pixel) and are
-looked up there; others are copied. Grey ones take 4 bytes per pixel more. Nothing here
-depends on the number of texels.
+looked up there; others are copied. Nothing here depends on the number of texels.
 """
 
 from __future__ import annotations
@@ -21,9 +20,9 @@ from svu_mi.capture.block import in_one_block
 from svu_mi.capture.poses import describe, film_size, scaled_sensor
 from svu_mi.errors import CaptureError
 from svu_mi.interop import owned
-from svu_mi.radiance.rays import ray_floats
-from svu_mi.radiance.silhouette import Films, interior
-from svu_mi.radiance.tiles import find_tiles
+from svu_mi.visibility.rays import ray_floats
+from svu_mi.visibility.silhouette import Films, interior
+from svu_mi.visibility.tiles import find_tiles
 
 CAMERA_FLOATS = 16  # rows x, y, w of the projection (4 each), position (3), near clip
 LARGEST_FILM = 512  # pixels per side, of sensors without a photograph
@@ -39,14 +38,12 @@ class Views:
             depth), position in world space, near clip as a depth.
         width, height: (V,) UInt32, size of each photograph in pixels.
         offset: (V,) UInt32, index of each photograph's first pixel.
-        pixels: Float, radiance of all photographs. 3 channels: (3 P,), interleaved RGB, the
-            capture's own memory where its photographs lie in one block. 1 channel: (P,), the
-            mean of R, G and B, NaN where not usable. None where nothing was photographed.
+        pixels: (3 P,) Float, radiance of all photographs, interleaved RGB: the capture's own
+            memory where they lie in one block. None where nothing was photographed.
         usable: (P,) Bool, the pixel shows nothing but the object and holds a radiance.
         count: V, an opaque UInt32, so that its value is not part of a kernel.
         number: V as a Python int.
         scene: the ``mi.Scene`` that visibility is traced in.
-        channels: floats per pixel, 3 or 1.
         grey: R = G = B in every usable pixel of the photographs (to 1e-6 of the largest), so
             that one channel says what three do. True without any usable pixel.
     """
@@ -60,17 +57,15 @@ class Views:
     count: Any
     number: int
     scene: Any
-    channels: int
     grey: bool
 
 
-def pack_views(capture: Capture, channels: int = 3) -> Views:
+def pack_views(capture: Capture) -> Views:
     """Lay the used views of a capture out for the gather kernels.
 
     Args:
-        capture: the photographs and where they were taken.
-        channels: 3 to look up RGB, 1 to store and look up its mean. Of 3 channels, photographs
-            that lie in one block are used where they are: do not write to them meanwhile.
+        capture: the photographs and where they were taken. If they lie in one block they are used
+            where they are: do not write to them meanwhile.
 
     Raises:
         CaptureError: no photograph that may be used, one of another size than its film, or more
@@ -92,7 +87,7 @@ def pack_views(capture: Capture, channels: int = 3) -> Views:
     poses = [_Pose.of(capture.sensors[index]) for index in kept]
     films = _films(poses, offset)
     # The photographs stay where they are; they are only looked up, never streamed.
-    pixels = _Pixels(mi.Float(block), _allowed(capture, kept, offset, block.size // 3), channels)
+    pixels = _Pixels(mi.Float(block), _allowed(capture, kept, offset, block.size // 3))
     masks = [capture.masks[index] for index in kept]
     tiles = _tiles(capture.shape, poses, masks)
     for index, inside in interior(capture.scene, capture.shape, films, tiles):
@@ -102,12 +97,11 @@ def pack_views(capture: Capture, channels: int = 3) -> Views:
         width=films.width,
         height=films.height,
         offset=films.offset,
-        pixels=pixels.radiance if pixels.mean is None else pixels.mean,
+        pixels=pixels.radiance,
         usable=pixels.usable,
         count=dr.opaque(mi.UInt32, len(kept)),
         number=len(kept),
         scene=capture.scene,
-        channels=channels,
         grey=not pixels.coloured[0],
     )
 
@@ -143,7 +137,6 @@ def pack_sensors(scene: Any, target: Any, sensors: Sequence[Any]) -> Views:
         count=dr.opaque(mi.UInt32, len(poses)),
         number=len(poses),
         scene=scene,
-        channels=1,
         grey=True,
     )
 
@@ -154,15 +147,13 @@ class _Pixels:
     Attributes:
         radiance: (3 P,) Float, the photographs.
         usable: (P,) Bool.
-        mean: (P,) Float, NaN where not usable; None unless asked for.
         coloured: (1,) UInt32, 1 when a usable pixel is not grey.
     """
 
-    def __init__(self, radiance: Any, allowed: Any, channels: int) -> None:
+    def __init__(self, radiance: Any, allowed: Any) -> None:
         count = dr.width(radiance) // 3
         self.radiance = radiance
         self.usable = dr.zeros(mi.Bool, count)
-        self.mean = dr.full(mi.Float, dr.nan, count) if channels == 1 else None
         self.coloured = dr.zeros(mi.UInt32, 1)
         self._allowed = allowed
 
@@ -175,10 +166,7 @@ class _Pixels:
         dr.scatter(self.usable, mi.Bool(True), index, good)
         coloured = good & (most - dr.min(color) > GREY * most)
         dr.scatter(self.coloured, mi.UInt32(1), 0, coloured)
-        if self.mean is not None:
-            # dr.mean would write the number of lanes into the kernel.
-            dr.scatter(self.mean, dr.sum(color) / 3, index, good)
-        dr.eval(self.usable, self.coloured, self.mean)
+        dr.eval(self.usable, self.coloured)
 
 
 @dataclass(frozen=True)

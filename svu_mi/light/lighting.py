@@ -13,7 +13,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import find_environment
-from svu_mi.radiance.environment import Environment, read_environment, synthesize
+from svu_mi.light.environment import Environment, read_environment, synthesize
 
 MIN_DEGREE, MAX_DEGREE = 24, 64
 COSINE_DEGREE, COSINE_ROWS = 16, 97

@@ -1,8 +1,8 @@
 """Diffuse moments of light that nothing hides, by the normal of the surface.
 
-``hemisphere`` traces these moments for texels; here they are maps, for surfaces that are not
-known beforehand. All of them are convolutions of the light, times a component of its
-direction for the vectors, with a clamped cosine [Ramamoorthi and Hanrahan 2001].
+``visibility.reach`` has these moments of texels that light is hidden from; here they are maps by
+the normal. All of them are convolutions of the light, times a component of its direction for
+the vectors, with a clamped cosine [Ramamoorthi and Hanrahan 2001].
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.radiance import environment as env
-from svu_mi.radiance.environment import Environment
-from svu_mi.radiance.hemisphere import MOMENTS
-from svu_mi.radiance.lighting import (
+from svu_mi.light import environment as env
+from svu_mi.light.environment import Environment
+from svu_mi.light.lighting import (
     COSINE_DEGREE,
     COSINE_ROWS,
     degrees,
@@ -24,10 +24,12 @@ from svu_mi.radiance.lighting import (
     look_up,
 )
 
+MOMENTS = 8  # per channel: two scalars, two vectors
+
 
 @dataclass(frozen=True)
 class MomentMap:
-    """c0, m0 (3), c1, m1 (3) of ``Hemisphere.diffuse``, vectors in the light's local frame.
+    """c0, m0 (3), c1, m1 (3) (``Reach.diffuse``), vectors in the light's local frame.
 
     Attributes:
         texture: Texture2f of 8 C channels, those of one colour together.
@@ -43,6 +45,15 @@ class MomentMap:
         """Look the moments of a world normal up: 8 Floats per channel."""
         flat = look_up(self.texture, self.to_local @ mi.Vector3f(normal))
         return [flat[first : first + MOMENTS] for first in range(0, len(flat), MOMENTS)]
+
+    def in_world(self, normal: Any) -> list[list[Any]]:
+        """Look the moments of a world normal up, vectors in world space, evaluated."""
+        back, result = self.to_local.T, []
+        for c0, x0, y0, z0, c1, x1, y1, z1 in self.at(normal):
+            m0, m1 = back @ mi.Vector3f(x0, y0, z0), back @ mi.Vector3f(x1, y1, z1)
+            result.append([dr.maximum(c0, 0), *m0, dr.maximum(c1, 0), *m1])
+        dr.eval(result)
+        return result
 
 
 def moment_map(environment: Environment, channels: int = 3) -> MomentMap:

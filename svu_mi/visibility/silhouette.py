@@ -20,8 +20,8 @@ import numpy as np
 
 from svu_mi.capture.mesh import face_normals
 from svu_mi.interop import owned
-from svu_mi.radiance.rays import film_ray
-from svu_mi.radiance.tiles import TILE
+from svu_mi.visibility.rays import film_ray
+from svu_mi.visibility.tiles import TILE
 
 SLOPE_MARGIN = 3.0  # how much steeper than its tangent plane a smooth surface may look
 MIN_COSINE = 0.05  # grazing surfaces recede at most as fast as this cosine says

@@ -1,0 +1,237 @@
+"""The light as a tree of cells, that visibility is traced in and wide lobes are summed over.
+
+The sphere is split into even cells around a spherical Fibonacci lattice [Swinbank and Purser
+2006], the ``leaves``. They are merged into clusters that are small where the light is bright: of
+all clusters, that with the largest spread of its radiance, sum L |w - mean|^2, is split next
+[Wu 1991, for colours]. The first splits make ``coarse`` cells, all of them ``fine`` ones, so that
+a coarse cell is a union of fine ones, a fine one of leaves, and all sum up to the same light.
+
+A cell is looked at in the direction that its light comes from, the centroid of its radiance:
+a sun is in the shadow of whatever hides the sun, not of what hides the middle of its cell.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from scipy.spatial import cKDTree
+
+from svu_mi.interop import owned
+from svu_mi.light import environment as env
+from svu_mi.light.environment import Environment
+
+EVEN = (4096, 8192)  # leaves of the light of small and large maps; .06 and .04 rad apart
+FLOOR = 0.05  # weight of a cell without light, in that of the mean cell
+GROUP, LARGEST = 4, 32  # coarse cells that are judged together: on average, and at most
+DIM = 0.25  # part of the mean fine cell's flux below which a cell is not worth a ray of its own
+
+
+@dataclass(frozen=True)
+class Cells:
+    """N cells of one depth of the tree, in its order.
+
+    Attributes:
+        toward: (4 N,) Float: unit world direction from the surface to the light, and the radius
+            [rad] of an even disk whose light would be spread as far as the cell's.
+        flux: (4 N,) Float: radiance integrated over the cell's solid angle, R, G and B, and
+            their mean.
+        number: N.
+        count: N, an opaque UInt32.
+    """
+
+    toward: Any
+    flux: Any
+    number: int
+    count: Any
+
+    def at(self, cell: Any) -> tuple[Any, Any]:
+        """Return direction (Vector3f) and radius (Float) of a cell."""
+        found = dr.gather(mi.Vector4f, self.toward, cell)
+        return mi.Vector3f(found.x, found.y, found.z), found.w
+
+    def light(self, cell: Any, channels: int) -> list[Any]:
+        """Return the flux of a cell in R, G and B, or of one channel their mean."""
+        found = list(dr.gather(mi.Vector4f, self.flux, cell))
+        return found[3:] if channels == 1 else found[:3]
+
+
+@dataclass(frozen=True)
+class LightCells:
+    """The light in cells of three depths; those of one larger cell stand together.
+
+    Attributes:
+        coarse: N_c cells.
+        fine: N_f cells.
+        leaves: cells that are not worth a ray of their own.
+        first: (N_c + 1,) UInt32, the first fine cell of each coarse one.
+        first_leaf: (N_f + 1,) UInt32, the first leaf of each fine cell.
+        groups: (N_g + 1,) UInt32, the first coarse cell of each group of neighbours.
+        group_count: N_g, an opaque UInt32.
+        bright: (N_f,) UInt32, 1 for fine cells that are worth a ray of their own.
+    """
+
+    coarse: Cells
+    fine: Cells
+    leaves: Cells
+    first: Any
+    first_leaf: Any
+    groups: Any
+    group_count: Any
+    bright: Any
+
+
+def light_cells(environment: Environment, coarse: int, fine: int) -> LightCells:
+    """Gather an environment into cells.
+
+    Args:
+        environment: the light.
+        coarse: number N_c of coarse cells.
+        fine: number N_f of fine cells, at least as many, and at most 4096.
+    """
+    nodes = environment.radiance.shape[0] * environment.radiance.shape[1]
+    flux, pull = _gathered(environment, int(np.clip(nodes // 4, *EVEN)))
+    light = flux.sum(axis=1)
+    weight = light + FLOOR * light.mean() + 1e-300  # without any light, even cells
+    points = pull / np.maximum(np.linalg.norm(pull, axis=1, keepdims=True), 1e-300)
+    label, parent = _split(points, weight, fine)
+    numbers = np.arange(fine)
+    of_coarse = _ancestors(parent, coarse)
+    of_group = _ancestors(parent, max(coarse // GROUP, 1))
+    # The order of the tree: what has an ancestor in common stands together.
+    order = np.lexsort((numbers, of_coarse, of_group))
+    place = np.empty(fine, np.int64)
+    place[order] = numbers
+    label = place[label]
+    leaf = np.argsort(label, kind="stable")
+    label, flux, pull = label[leaf], flux[leaf], pull[leaf]
+    below = _cells(_sum(label, flux, fine), _sum(label, pull, fine), environment)
+    upper = np.cumsum(np.diff(of_coarse[order], prepend=-1) != 0) - 1  # of every fine cell
+    above = _cells(
+        _sum(upper[label], flux, coarse), _sum(upper[label], pull, coarse), environment
+    )
+    starts = np.searchsorted(upper, np.arange(coarse + 1))
+    edges = _edges(of_group[order][starts[:-1]])
+    grey = below.flux.numpy().reshape(-1, 4)[:, 3]
+    return LightCells(
+        coarse=above,
+        fine=below,
+        leaves=_cells(flux, pull, environment),
+        first=owned(mi.UInt32, starts.astype(np.uint32)),
+        first_leaf=owned(mi.UInt32, np.searchsorted(label, np.arange(fine + 1)).astype(np.uint32)),
+        groups=owned(mi.UInt32, edges.astype(np.uint32)),
+        group_count=dr.opaque(mi.UInt32, len(edges) - 1),
+        bright=owned(mi.UInt32, (grey > DIM * grey.mean()).astype(np.uint32)),
+    )
+
+
+def _edges(owner: np.ndarray) -> np.ndarray:
+    """Return where runs of equal numbers begin, and the end; long runs are cut."""
+    begins = np.flatnonzero(np.diff(owner, prepend=-1) != 0)
+    ends = np.append(begins[1:], len(owner))
+    cut = [np.arange(a, b, LARGEST) for a, b in zip(begins, ends, strict=True)]
+    return np.append(np.concatenate(cut), len(owner))
+
+
+def _gathered(environment: Environment, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return flux and radiance-weighted sum of directions of even cells: (N, 3) each."""
+    centers = fibonacci(count)
+    rows, columns = environment.radiance.shape[:2]
+    local = env.directions(columns, rows).reshape(-1, 3)
+    on_disk = cKDTree(centers).query(environment.disk_directions)[1]
+    nearest = np.concatenate([_nearest(columns, rows, count), on_disk])
+    solid = np.repeat(env.quadrature(rows) * (2 * np.pi / columns), columns)
+    nodes = np.concatenate([local, environment.disk_directions])
+    solid = np.concatenate([solid, environment.disk_weights])
+    radiance = np.concatenate([environment.radiance.reshape(-1, 3), environment.disk_radiance])
+    flux = _sum(nearest, radiance * solid[:, None], count)
+    pull = _sum(nearest, nodes * (radiance.sum(axis=1) * solid)[:, None], count)
+    length = np.linalg.norm(pull, axis=1, keepdims=True)
+    # A black cell has no centroid, and needs none for its light; its centre serves the shape.
+    return flux, np.where(length > 1e-12 * length.max(), pull, 1e-12 * centers)
+
+
+@lru_cache(maxsize=4)
+def _nearest(columns: int, rows: int, count: int) -> np.ndarray:
+    """(columns * rows,) the cell of every node of a map; kept, as all maps of a size share it."""
+    nodes = env.directions(columns, rows).reshape(-1, 3)
+    return cKDTree(fibonacci(count)).query(nodes, workers=-1)[1]
+
+
+def _cells(flux: np.ndarray, pull: np.ndarray, environment: Environment) -> Cells:
+    length = np.linalg.norm(pull, axis=1, keepdims=True)
+    # E|w - mean|^2 = 1 - |mean|^2 of unit directions; half the squared radius for a disk.
+    mean = np.minimum(length / np.maximum(flux.sum(axis=1, keepdims=True), 1e-300), 1)
+    radius = np.sqrt(2 * (1 - mean * mean))
+    world = pull / np.maximum(length, 1e-300) @ environment.to_local
+    return Cells(
+        toward=owned(mi.Float, np.hstack([world, radius]).ravel()),
+        flux=owned(mi.Float, np.hstack([flux, flux.mean(axis=1, keepdims=True)]).ravel()),
+        number=len(flux),
+        count=dr.opaque(mi.UInt32, len(flux)),
+    )
+
+
+def _split(
+    points: np.ndarray, weight: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Split the widest cluster of weighted points again and again.
+
+    Returns:
+        The cluster of each of the N points, and (count,) the cluster that each was split from.
+    """
+    label, parent = np.zeros(len(points), np.int64), np.zeros(count, np.int64)
+    heap = [(-np.inf, 0, np.arange(len(points)))]
+    for new in range(1, count):
+        _, old, members = heapq.heappop(heap)
+        axis, spread = _main_axis(points[members], weight[members])
+        far = spread > 0
+        label[members[far]], parent[new] = new, old
+        for number, part in ((old, members[~far]), (new, members[far])):
+            size = _variance(points[part], weight[part])
+            heapq.heappush(heap, (-size, number, part))
+    return label, parent
+
+
+def _ancestors(parent: np.ndarray, count: int) -> np.ndarray:
+    """Return which of the first ``count`` clusters each was split from."""
+    result = np.arange(len(parent))
+    for number in range(count, len(parent)):  # parents come before their children
+        result[number] = result[parent[number]]
+    return result
+
+
+def _main_axis(points: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the direction of largest variance, and where the points lie along it."""
+    offset = points - np.average(points, axis=0, weights=weight)
+    axis = np.linalg.eigh((offset * weight[:, None]).T @ offset)[1][:, -1]
+    along = offset @ axis
+    # Equal points would all fall on one side.
+    return axis, along if (along > 0).any() and (along <= 0).any() else np.arange(len(points)) - 0.5
+
+
+def _variance(points: np.ndarray, weight: np.ndarray) -> float:
+    if len(points) < 2:
+        return 0.0
+    offset = points - np.average(points, axis=0, weights=weight)
+    return float((offset**2).sum(axis=1) @ weight)
+
+
+def fibonacci(count: int) -> np.ndarray:
+    """Return (count, 3) unit directions, evenly spread over the sphere."""
+    i = np.arange(count)
+    z = 1 - (2 * i + 1) / count
+    azimuth = i * np.pi * (3 - np.sqrt(5))
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(azimuth), z, r * np.sin(azimuth)], axis=-1)
+
+
+def _sum(cell: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """Sum the columns of (N, K) values by cell: (count, K)."""
+    columns = [np.bincount(cell, weights=column, minlength=count) for column in values.T]
+    return np.stack(columns, axis=-1)

@@ -1,0 +1,119 @@
+"""The reflection model (Eq. 6): what texels reflect, at every level of roughness.
+
+Mitsuba's ``principled`` BSDF of base colour c and metallic m reflects
+
+    r = (1 - m) (c e + d) + m (c p + q)
+
+of the light: e is diffuse shading, d the lobe of a dielectric, and p and q are the two parts of
+a metal's, that which R0 = c scales and that which Fresnel adds. They are what photographs are
+compared with, in every part of svu_mi. Narrow lobes look filtered light up, wide ones sum cells
+of it; the presets ``fast`` and ``paper`` look all of them up, and trace nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.light.lighting import Lighting
+from svu_mi.light.moments import moment_map
+from svu_mi.options import AngularPreset
+from svu_mi.reflection.diffuse import diffuse_shading
+from svu_mi.reflection.narrow import NarrowLobes
+from svu_mi.reflection.principled import alpha_from_roughness
+from svu_mi.reflection.wide import WideLobes
+from svu_mi.visibility.observe import Surface
+from svu_mi.visibility.reach import Reach
+
+NARROW = 0.03  # widest lobe alpha that is looked up; leaves of the light are as far apart
+
+Column = tuple[Any, Any, Any, Any]
+"""(e, p, q, d) of one level and channel, Floats: radiance."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """What S texels reflect, at R levels of roughness.
+
+    Attributes:
+        roughness: (R,) float64 of the levels, ascending.
+        surface: the texels.
+        switches: which model.
+        narrow: the lobes of the first levels, or None.
+        wide: those of the others, or None.
+        moments: of the diffuse light that arrives, 8 Floats (S,) for each of C channels.
+    """
+
+    roughness: np.ndarray
+    surface: Surface
+    switches: AngularPreset
+    narrow: NarrowLobes | None
+    wide: WideLobes | None
+    moments: list[list[Any]]
+
+    @staticmethod
+    def of(
+        lighting: Lighting, surface: Surface, reach: Reach | None, roughness: np.ndarray,
+        switches: AngularPreset, channels: int,
+    ) -> Model:  # fmt: skip
+        """Filter the light, and put together what reaches every texel.
+
+        Args:
+            lighting: the light.
+            surface: S texels.
+            reach: what they see of it; None if nothing hides any, and all lobes look it up.
+            roughness: (R,) levels, ascending.
+            switches: which model.
+            channels: 3, or 1 for the mean of R, G and B.
+        """
+        alpha = alpha_from_roughness(roughness)
+        split = len(alpha) if reach is None else int(np.searchsorted(alpha, NARROW, "right"))
+        narrow, wide = None, None
+        if split > 0:
+            narrow = NarrowLobes.of(lighting, alpha[:split], switches, channels)
+        if reach is not None and split < len(alpha):
+            wide = WideLobes(reach, alpha[split:], channels)
+        if reach is None:
+            light = moment_map(lighting.environment, channels)
+            moments = light.in_world(surface.normal)
+        else:
+            moments = reach.diffuse(surface, lighting, channels)
+        return Model(roughness, surface, switches, narrow, wide, moments)
+
+    @property
+    def channels(self) -> int:
+        """C, of the light."""
+        return len(self.moments)
+
+    @property
+    def levels(self) -> int:
+        """R."""
+        return len(self.roughness)
+
+    def columns(self, direction: Any, cosine: Any, free: Any) -> list[list[Column]]:
+        """Evaluate the model for one view of every texel.
+
+        Args:
+            direction: unit Vector3f to the camera.
+            cosine: Float, between it and the shading normal, positive.
+            free: Bool, nothing stands in the mirror direction.
+
+        Returns:
+            For each level and channel (e, p, q, d).
+        """
+        normal, lobes = mi.Vector3f(self.surface.normal), []
+        if self.narrow is not None:
+            lobes += self.narrow.reflect(normal, direction, cosine, free)
+        if self.wide is not None:
+            lobes += self.wide.reflect(self.surface.lane, normal, direction, cosine)
+        shading = [
+            diffuse_shading(self.switches.diffuse, moments, direction, cosine)
+            for moments in self.moments
+        ]
+        return [
+            [(a + r * b, *lobe) for (a, b), lobe in zip(shading, lobes[k], strict=True)]
+            for k, r in enumerate(self.roughness.tolist())
+        ]

@@ -1,0 +1,108 @@
+"""Narrow lobes, by looking up light that was filtered for their width.
+
+A lobe is taken for round, and its Fresnel term for the lobe's mean (split sum) or that of the
+camera's angle (Eq. 6): close to exact where a lobe is as narrow as a mirror's. What hides its
+light is what stands in the mirror direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.interop import owned
+from svu_mi.light.levels import Levels, filter_light
+from svu_mi.light.lighting import Lighting
+from svu_mi.options import AngularPreset
+from svu_mi.reflection.lobes import (
+    ALBEDO_NODES,
+    dielectric_albedo,
+    dominance,
+    profile_of,
+    reflected_at_view,
+    split_sum,
+)
+from svu_mi.reflection.wide import Lobe
+from svu_mi.visibility.observe import mirror_direction
+
+
+@dataclass(frozen=True)
+class NarrowLobes:
+    """Light as lobes of a few widths see it.
+
+    Attributes:
+        switches: which model.
+        alpha: (K,) float64 lobe widths.
+        levels: light filtered for each.
+        albedo: (K * ALBEDO_NODES * 2,) Float, the split-sum pair.
+        dielectric: (K * ALBEDO_NODES,) Float, the albedo with exact dielectric reflectance.
+    """
+
+    switches: AngularPreset
+    alpha: np.ndarray
+    levels: Levels
+    albedo: Any
+    dielectric: Any
+
+    @staticmethod
+    def of(
+        lighting: Lighting, alpha: np.ndarray, switches: AngularPreset, channels: int
+    ) -> NarrowLobes:
+        """Filter the light.
+
+        Args:
+            lighting: the light.
+            alpha: (K,) lobe widths.
+            switches: which model.
+            channels: 3, or 1 for the mean of R, G and B.
+        """
+        profile = profile_of(switches.lobe)
+        return NarrowLobes(
+            switches=switches,
+            alpha=alpha,
+            levels=filter_light(lighting, alpha.tolist(), profile, grey=channels == 1),
+            albedo=owned(mi.Float, split_sum(alpha).ravel()),
+            dielectric=owned(mi.Float, dielectric_albedo(alpha).ravel()),
+        )
+
+    def reflect(self, normal: Any, direction: Any, cosine: Any, free: Any) -> list[Lobe]:
+        """Reflect light towards a camera.
+
+        Args:
+            normal: Vector3f, shading normals.
+            direction: unit Vector3f to the camera.
+            cosine: Float between the two, positive.
+            free: Bool, nothing stands in the mirror direction.
+
+        Returns:
+            The lobe of each width.
+        """
+        mirror = mirror_direction(normal, direction)
+        result = []
+        for level, alpha in enumerate(self.alpha.tolist()):
+            center = mirror
+            if self.switches.off_specular:
+                center = dr.normalize(dr.lerp(mi.Vector3f(normal), mirror, dominance(alpha)))
+            A, B, D = self._reflected(level, alpha, cosine)
+            light = self.levels.radiance(level, center)
+            light = [dr.select(free, value, 0) for value in light]
+            result.append([(A * value, B * value, D * value) for value in light])
+        return result
+
+    def _reflected(self, level: int, alpha: float, cosine: Any) -> tuple[Any, Any, Any]:
+        """(A, B, D): the lobe reflects R0 A + B, and that of a dielectric D."""
+        rule = self.switches.fresnel
+        if rule != "split_sum":
+            return reflected_at_view(rule, cosine, alpha)
+        place = dr.clip(cosine * ALBEDO_NODES - 0.5, 0, ALBEDO_NODES - 1.001)
+        first = mi.UInt32(place)
+        part = place - first
+        index = first + level * ALBEDO_NODES
+        here, after = (dr.gather(mi.Vector2f, self.albedo, index + step) for step in (0, 1))
+        pair = dr.lerp(here, after, part)
+        low, high = (dr.gather(mi.Float, self.dielectric, index + step) for step in (0, 1))
+        return pair.x, pair.y, dr.lerp(low, high, part)

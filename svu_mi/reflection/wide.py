@@ -1,0 +1,161 @@
+"""Wide lobes, by summing cells of the light.
+
+Pre-filtered light is exact for a mirror. The lobe of a rough surface is neither symmetric nor
+centred where a mirror's is, and part of its light is hidden: under a sun, brushed metal comes
+out wrong by half its radiance. A sum over cells of the light has the exact BRDF and traced
+visibility, and is as good as the light itself where cells are small against the lobe.
+
+They need not be small where the lobe is flat. Over a cell of radius rho the half vector turns
+by up to rho / (2 cos theta_d), with theta_d the angle between it and either direction, and GGX
+falls off as 1 / s^2 with s = sin^2 theta_h + alpha^2 cos^2 theta_h. So a cell is too large where
+rho^2 / (s cos^2 theta_d) is: near the mirror direction, the more so in grazing views. Such
+cells are replaced by the smaller ones that they are made of; all others are summed as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.light.cells import Cells
+from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
+from svu_mi.visibility.reach import Reach
+
+LARGE = 1.0  # rho^2 / s cos^2 from which a cell is too large
+
+Lobe = list[tuple[Any, Any, Any]]
+"""(p, q, d) per colour channel: a metal of base colour c reflects c p + q, a dielectric d."""
+
+
+@dataclass(frozen=True)
+class WideLobes:
+    """Lobes that are summed over what S texels see of the light.
+
+    Attributes:
+        reach: what they see, of which cells.
+        alpha: (K,) float64 lobe widths.
+        channels: 3, or 1 for the mean of R, G and B.
+    """
+
+    reach: Reach
+    alpha: np.ndarray
+    channels: int
+
+    def reflect(self, lane: Any, normal: Any, direction: Any, cosine: Any) -> list[Lobe]:
+        """Reflect the visible light towards a camera.
+
+        Args:
+            lane: UInt32, which of the S texels.
+            normal: Vector3f, shading normals.
+            direction: unit Vector3f to the camera.
+            cosine: Float between the two, positive.
+
+        Returns:
+            The lobe of each width.
+        """
+        view = _View(self, lane, normal, direction)
+        size, zero = 3 * self.channels, 0 * cosine
+        sums = _over(
+            mi.UInt32(0), self.reach.cells.coarse.count, view.coarse,
+            *[zero] * (size * len(self.alpha)),
+        )  # fmt: skip
+        result = []
+        for k, alpha in enumerate(self.alpha.tolist()):
+            scale = smith_g1(cosine, alpha) / (4 * cosine)
+            own = [scale * value for value in sums[size * k : size * (k + 1)]]
+            result.append([tuple(own[3 * c : 3 * c + 3]) for c in range(self.channels)])
+        return result
+
+
+class _View:
+    """Texels, and the direction to a camera; a plain class, so that loops leave it alone."""
+
+    def __init__(self, lobes: WideLobes, lane: Any, normal: Any, direction: Any) -> None:
+        self.lane, self.normal, self.direction = lane, normal, direction
+        self.alpha, self.channels, self.reach = lobes.alpha.tolist(), lobes.channels, lobes.reach
+        self.flat = 1 - self.alpha[0] ** 2
+        self.limit = dr.opaque(mi.Float, LARGE)
+
+    def coarse(self, cell: Any, *sums: Any) -> tuple[Any, ...]:
+        """Add a coarse cell, or the fine ones that it is made of."""
+        cells = self.reach.cells
+        free = self.reach.coarse.test(cell, self.lane)
+        return self._add(cells.coarse, cell, free, sums, cells.first, self.fine)
+
+    def fine(self, cell: Any, *sums: Any) -> tuple[Any, ...]:
+        """Add a fine cell, or its leaves, which are seen if it is."""
+        cells, free = self.reach.cells, self.reach.fine.test(cell, self.lane)
+
+        def leaf(below: Any, *sums: Any) -> tuple[Any, ...]:
+            toward, radius = cells.leaves.at(below)
+            incident, square = dr.dot(self.normal, toward), dr.square(radius)
+            return (
+                below + 1, *self._lit(cells.leaves, below, toward, incident, square, free, sums)
+            )  # fmt: skip
+
+        return self._add(cells.fine, cell, free, sums, cells.first_leaf, leaf, free)
+
+    def _add(
+        self, cells: Cells, cell: Any, free: Any, sums: tuple[Any, ...], first: Any,
+        below: Callable[..., Any], inside: Any = True,
+    ) -> tuple[Any, ...]:  # fmt: skip
+        """Add a cell, or what is below it where it is too large; only if ``inside`` is."""
+        toward, radius = cells.at(cell)
+        incident = dr.dot(self.normal, toward)
+
+        def above(*sums: Any) -> tuple[Any, ...]:
+            half = dr.normalize(toward + self.direction)
+            up, across = dr.dot(self.normal, half), dr.dot(toward, half)
+            square = dr.square(radius)
+            large = square > self.limit * across * across * dr.fma(-self.flat * up, up, 1)
+
+            def smaller(*sums: Any) -> tuple[Any, ...]:
+                start, end = (dr.gather(mi.UInt32, first, cell + k) for k in (0, 1))
+                return _over(start, end, below, *sums)
+
+            return dr.if_stmt(
+                args=sums, cond=large, true_fn=smaller,
+                false_fn=lambda *sums: self._lit(cells, cell, toward, incident, square, free, sums),
+            )  # fmt: skip
+
+        sums = dr.if_stmt(
+            args=sums, cond=(incident > -radius) & inside,
+            true_fn=above, false_fn=lambda *sums: sums,
+        )  # fmt: skip
+        return (cell + 1, *sums)
+
+    def _lit(
+        self, cells: Cells, cell: Any, toward: Any, incident: Any, square: Any, free: Any,
+        sums: tuple[Any, ...],
+    ) -> tuple[Any, ...]:  # fmt: skip
+        """Add what one cell contributes to the sums of every width, if it is seen."""
+
+        def reflected(*state: Any) -> tuple[Any, ...]:
+            half = dr.normalize(toward + self.direction)
+            up, across = dr.dot(self.normal, half), dr.dot(toward, half)
+            schlick, dielectric = (1 - across) ** 5, dielectric_fresnel(across)
+            parts = [
+                value * factor
+                for value in cells.light(cell, self.channels)
+                for factor in (1 - schlick, schlick, dielectric)
+            ]
+            lobes = [blurred_ggx(up, incident, alpha, square) for alpha in self.alpha]
+            added = [(lobe, part) for lobe in lobes for part in parts]
+            return tuple(
+                dr.fma(part, lobe, old) for old, (lobe, part) in zip(state, added, strict=True)
+            )
+
+        lit = mi.Bool(free & (incident > 0))
+        return dr.if_stmt(args=sums, cond=lit, true_fn=reflected, false_fn=lambda *s: s)
+
+
+def _over(start: Any, end: Any, body: Callable[..., Any], *sums: Any) -> tuple[Any, ...]:
+    """Fold a body over numbers from start to end."""
+    return dr.while_loop(
+        state=(start, *sums), cond=lambda number, *_: number < end, body=body
+    )[1:]

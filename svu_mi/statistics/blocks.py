@@ -1,0 +1,70 @@
+"""Values of texels in blocks of 16: a packet of lanes finds all it reads in a few pages.
+
+N rows of S values are laid out as (ceil(S / 16), N, 16). By rows of S values, a packet would
+read from N pages, which takes five times as long.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.frequency.arrays import scatter_strided
+from svu_mi.interop import owned
+
+BLOCK = 16
+
+
+def size(rows: int, count: int) -> int:
+    """Return how many values N rows of S texels take."""
+    return -(-count // BLOCK) * rows * BLOCK
+
+
+def start(lane: Any, rows: Any) -> Any:
+    """Return where the first of a texel's values is; the next is ``BLOCK`` further on."""
+    return (lane // BLOCK) * (rows * BLOCK) + lane % BLOCK
+
+
+def scattered(kind: Any, columns: list[Any], count: int) -> Any:
+    """Write the values of all lanes, in the kernel that computes them; returns them evaluated."""
+    target = dr.zeros(kind, size(len(columns), count))
+    dr.eval(target)
+    place = start(dr.arange(mi.UInt32, count), len(columns))
+    target = scatter_strided(target, columns, place, mi.UInt32(BLOCK))
+    dr.eval(target)
+    return target
+
+
+def in_blocks(kind: Any, table: np.ndarray) -> Any:
+    """Lay values (N, S) out as an array of ``kind``."""
+    padded = np.pad(table, ((0, 0), (0, -table.shape[1] % BLOCK)))
+    return owned(kind, np.moveaxis(padded.reshape(len(table), -1, BLOCK), 1, 0).ravel())
+
+
+def rows_of(values: Any, rows: int, count: int) -> np.ndarray:
+    """Return (N, S), the inverse of ``in_blocks``."""
+    blocks = values.numpy().reshape(-1, rows, BLOCK)
+    return np.moveaxis(blocks, 1, 0).reshape(rows, -1)[:, :count]
+
+
+class Reader:
+    """Reads values of the texels of a launch.
+
+    Args:
+        values: in blocks.
+        rows: N.
+        lane: UInt32, which texels; all in order by default.
+        count: S.
+    """
+
+    def __init__(self, values: Any, rows: int, count: int, lane: Any | None = None) -> None:
+        self._values = values
+        lane = dr.arange(mi.UInt32, count) if lane is None else lane
+        self._start = start(lane, dr.opaque(mi.UInt32, rows))
+
+    def read(self, row: Any) -> Any:
+        """Return a row's value of every texel."""
+        return dr.gather(type(self._values), self._values, self._start + row * BLOCK)

@@ -1,0 +1,170 @@
+"""The sums in square-root form, which single precision is enough for.
+
+The triangular factor U of a texel's sums, as a QR factorisation of its samples would give it:
+the weighted mean squared error of (c, m) at one roughness is
+
+    |U (c (1 - m), c m, m, 1)|^2,
+
+never negative, neither by rounding nor where factors of two levels are interpolated, and exact
+to rounding of *radiance*, where one taken from the sums would be to rounding of its square. The
+square of the last entry is what no c and m explain; what no roughness of a channel explains
+either is kept apart, in double precision until then: it would drown differences.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.interop import owned
+from svu_mi.statistics.blocks import Reader, in_blocks, rows_of, scattered
+
+COLUMNS = 4  # e, p, q - d, d - b
+PAIRS = tuple((i, j) for i in range(COLUMNS) for j in range(i, COLUMNS))
+FLOOR = len(PAIRS) - 1  # the entry that is kept as a square
+TINY = 2e-11  # part of its diagonal below which a pivot is nothing but rounding
+
+
+@dataclass(frozen=True)
+class Factors:
+    """The factors U of S texels at R levels of roughness and in C channels.
+
+    Attributes:
+        values: (ceil(S / 16) * (R * C * 10 + C + 1) * 16,) Float in blocks (see ``blocks``): for
+            level, channel and pair of columns an entry of U, in radiance; the last of them
+            ``floor``, squared radiance, U_44^2 less the ``least`` of its channel. Then least of
+            every channel, and the sum of the weights that U was divided by.
+        views: (S,) UInt32, how many views see each texel.
+        texel: (S,) UInt32, which of all texels each is.
+        roughness: (R,) float64 of the levels.
+        channels: C.
+    """
+
+    values: Any
+    views: Any
+    texel: Any
+    roughness: np.ndarray
+    channels: int
+
+    @property
+    def count(self) -> int:
+        """Number of texels S."""
+        return int(dr.width(self.texel))
+
+    @property
+    def levels(self) -> int:
+        """Number of roughness levels R."""
+        return len(self.roughness)
+
+    @property
+    def rows(self) -> int:
+        """Number of values per texel, R C 10 + C + 1."""
+        return self.entries + self.channels + 1
+
+    @property
+    def entries(self) -> int:
+        """Number of entries of U per texel, R C 10."""
+        return self.levels * self.channels * len(PAIRS)
+
+    def at(self, lane: Any | None = None) -> FactorReader:
+        """Return what reads the factors of texels, by default of all in order."""
+        return FactorReader(self, lane)
+
+    def some(self, chosen: np.ndarray) -> Factors:
+        """Return the factors of some texels, by their numbers among S."""
+        lanes = owned(mi.UInt32, chosen)
+        return replace(
+            self,
+            values=in_blocks(mi.Float, self._table()[:, chosen]),
+            views=dr.gather(mi.UInt32, self.views, lanes),
+            texel=dr.gather(mi.UInt32, self.texel, lanes),
+        )
+
+    def table(self) -> np.ndarray:
+        """Return U as (R, C, 10, S) float32, with U_44 itself."""
+        rows = self._table()
+        least = rows[self.entries : -1]
+        shape = (self.levels, self.channels, len(PAIRS), self.count)
+        entries = rows[: self.entries].reshape(shape).copy()
+        entries[:, :, FLOOR] = np.sqrt(entries[:, :, FLOOR] + least)
+        return entries
+
+    def products(self) -> np.ndarray:
+        """Return U^T U, which adds up over texels: (R, C, 10, S) float64."""
+        U = dict(zip(PAIRS, np.moveaxis(self.table().astype(np.float64), 2, 0), strict=True))
+        return np.stack([sum(U[k, i] * U[k, j] for k in range(i + 1)) for i, j in PAIRS], axis=2)
+
+    def _table(self) -> np.ndarray:
+        return rows_of(self.values, self.rows, self.count)
+
+
+class FactorReader:
+    """Reads factors of the texels of a launch; levels and channels may differ by lane."""
+
+    def __init__(self, factors: Factors, lane: Any | None) -> None:
+        self._read = Reader(factors.values, factors.rows, factors.count, lane).read
+        self._channels = factors.channels
+        self._least = dr.opaque(mi.UInt32, factors.entries)
+
+    def entries(self, level: Any, channel: int) -> list[Any]:
+        """Return the entries of U but the last, and ``floor``: Floats."""
+        row = (level * self._channels + channel) * len(PAIRS)
+        return [self._read(row + entry) for entry in range(len(PAIRS))]
+
+    def least(self, channel: int) -> Any:
+        """Return the squared error that nothing explains: Float."""
+        return self._read(self._least + channel)
+
+    def weight(self) -> Any:
+        """Return the sum of the weights: Float."""
+        return self._read(self._least + self._channels)
+
+    def factor(self, level: Any, channel: int) -> list[Any]:
+        """Return all entries of U, in the order of ``PAIRS``: Floats."""
+        *entries, floor = self.entries(level, channel)
+        return [*entries, dr.sqrt(floor + self.least(channel))]
+
+
+def factorize(
+    sums: Any, views: Any, texel: Any, roughness: np.ndarray, channels: int
+) -> Factors:
+    """Factorise sums, divided by their weight; arguments as ``Statistics`` has them."""
+    count, levels = int(dr.width(texel)), len(roughness)
+    last = levels * channels * len(PAIRS)
+    reader = Reader(sums, last + 1, count)
+    weight = reader.read(dr.opaque(mi.UInt32, last))
+    scale = dr.select(weight > 0, dr.rcp(dr.select(weight > 0, weight, 1)), 0)
+    columns, least = [], [mi.Float64(dr.inf)] * channels
+    for level in range(levels):
+        for channel in range(channels):
+            row = (level * channels + channel) * len(PAIRS)
+            U = _cholesky([scale * reader.read(row + entry) for entry in range(len(PAIRS))])
+            least[channel] = dr.minimum(least[channel], U[-1])
+            columns += U
+    # Channels take turns, level by level; the last of ten entries is the floor.
+    for place in range(FLOOR, len(columns), len(PAIRS)):
+        columns[place] = columns[place] - least[place // len(PAIRS) % channels]
+    values = scattered(mi.Float, [*columns, *least, weight], count)
+    return Factors(values, views, texel, roughness, channels)
+
+
+def _cholesky(sums: list[Any]) -> list[Any]:
+    """Return the entries of U row by row, the last squared, from those of U^T U; dependent
+    columns give zeros."""
+    products = dict(zip(PAIRS, sums, strict=True))
+    U: dict[tuple[int, int], Any] = {}
+    for i in range(COLUMNS):
+        pivot = products[i, i] - sum(dr.square(U[k, i]) for k in range(i))
+        if i == COLUMNS - 1:
+            U[i, i] = dr.maximum(pivot, 0)
+            break
+        good = pivot > TINY * products[i, i]
+        root = dr.select(good, dr.rsqrt(dr.select(good, pivot, 1)), 0)
+        for j in range(i, COLUMNS):
+            rest = products[i, j] - sum(U[k, i] * U[k, j] for k in range(i))
+            U[i, j] = rest * root
+    return [U[pair] for pair in PAIRS]

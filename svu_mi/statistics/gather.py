@@ -1,0 +1,109 @@
+"""From photographs to statistics: one kernel, one pass over the views."""
+
+from __future__ import annotations
+
+from math import inf
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+
+from svu_mi.reflection.model import Column, Model
+from svu_mi.statistics.blocks import scattered
+from svu_mi.statistics.factors import PAIRS
+from svu_mi.statistics.sums import Statistics, noise_weight
+from svu_mi.visibility import Observation, Survey, Views
+from svu_mi.visibility.observe import as_channels
+from svu_mi.visibility.reach import Mirrors
+
+GRAZING = 1e-3  # cosine: more grazing views are treated like this one
+SMALLEST = 0.05  # error, in units of kappa, from which a sample counts no more than others
+
+
+class Values(NamedTuple):
+    """Parameters of S texels, a Float each."""
+
+    red: Any
+    green: Any
+    blue: Any
+    roughness: Any
+    metallic: Any
+
+
+def gather(
+    views: Views, found: Survey, model: Model, mirrors: Mirrors | None, *,
+    channels: int | None = None, kappa: float = inf, current: Values | None = None,
+) -> Statistics:  # fmt: skip
+    """Collect the statistics of the texels of a model.
+
+    Args:
+        views: the packed capture.
+        found: who sees whom, of all texels.
+        model: the reflection model of S texels.
+        mirrors: what stands in the mirror direction of a sample; None if nothing does.
+        channels: C of the photographs, 3 or 1; the model's by default. A model of one channel,
+            under grey light, stands for all.
+        kappa: radiance around which samples begin to count less (see ``Statistics``).
+        current: parameters of the texels. Samples then also count less the more these are off,
+            by 1 / |r - b|: squares become absolute errors [Holland and Welsch 1977].
+    """
+    surface, levels = model.surface, model.levels
+    channels = channels or model.channels
+    knee, weighted = dr.opaque(mi.Float, kappa), kappa < inf
+
+    def consume(seen: Observation, slot: Any, *sums: Any) -> Any:
+        free = mi.Bool(True) if mirrors is None else mirrors.test(slot, surface.index)
+
+        def add(weight: Any, *state: Any) -> tuple[Any, ...]:
+            columns = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free)
+            radiance = as_channels(seen.radiance, channels)
+            w = dr.select(seen.seen, mi.Float(1), 0)
+            if weighted:
+                w *= noise_weight(sum(radiance) / channels, knee)
+            if current is not None:
+                off = sum(_errors(columns, radiance, current)) / channels
+                w *= knee / dr.maximum(off, SMALLEST * knee)
+            w = mi.Float64(w)
+            added = [x for level in columns for x in _products(level, radiance)]
+            return weight + w, *(
+                dr.fma(w, new, old) for old, new in zip(state, added, strict=True)
+            )
+
+        return dr.if_stmt(
+            args=sums, cond=found.asked(seen.seen),
+            true_fn=add, false_fn=lambda *state: state,
+        )  # fmt: skip
+
+    size = 1 + levels * channels * len(PAIRS)
+    zeros = tuple(dr.zeros(mi.Float64, surface.count) for _ in range(size))
+    weight, *sums = found.over_views(views, surface, consume, zeros)
+    coverage = dr.gather(mi.UInt32, found.coverage, surface.index)
+    dr.eval(coverage)
+    return Statistics(
+        scattered(mi.Float64, [*sums, weight], surface.count), coverage, surface.index,
+        model.roughness, channels, kappa,
+    )  # fmt: skip
+
+
+def _products(level: list[Column], radiance: list[Any]) -> list[Any]:
+    """Products of the columns (e, p, q - d, d - b) of every channel, in double precision."""
+    products = []
+    for c, b in enumerate(radiance):
+        e, p, q, d = level[c % len(level)]  # grey light has one channel for all
+        u = [mi.Float64(column) for column in (e, p, q - d, d - b)]
+        products += [u[i] * u[j] for i, j in PAIRS]
+    return products
+
+
+def _errors(columns: list[list[Column]], radiance: list[Any], current: Values) -> list[Any]:
+    """|r - b| of every channel; r between two levels is interpolated."""
+    place, m = current.roughness * (len(columns) - 1), current.metallic
+    result = []
+    for channel, (b, c) in enumerate(zip(radiance, current[:3], strict=True)):
+        r = mi.Float(0)
+        for k, level in enumerate(columns):
+            e, p, q, d = level[channel % len(level)]
+            share = dr.maximum(1 - dr.abs(place - k), 0)
+            r = dr.fma(share, dr.lerp(dr.fma(c, e, d), dr.fma(c, p, q), m), r)
+        result.append(dr.abs(r - b))
+    return result

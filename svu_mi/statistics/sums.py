@@ -1,0 +1,160 @@
+"""Statistics that add: sums over the views of a texel, ten per level of roughness and channel.
+
+At one roughness a photograph b is off what the reflection model says (reflection/model.py) by
+
+    r - b = c (1 - m) e + c m p + m (q - d) + (d - b),
+
+so the squared error of every base colour c and metallic m follows from the products of four
+columns, (e, p, q - d, d - b), summed over the views with their weights. Nothing is divided by,
+and nothing subtracted, so the sums of two sets of views are those of both together, in any
+order; after this pass no photograph is needed any more.
+
+In double precision: errors are small differences of these sums. ``Factors`` keep them in single.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.errors import OptionError, ShapeError
+from svu_mi.interop import owned
+from svu_mi.statistics.blocks import in_blocks, rows_of
+from svu_mi.statistics.factors import PAIRS, Factors, factorize
+
+
+def noise_weight(radiance: Any, kappa: Any) -> Any:
+    """w = 1 / (1 + (b / kappa)^2): the variance of an error grows with radiance b, as the errors
+    of model and photographs do. Floats, NumPy and Dr.Jit arrays alike."""
+    relative = radiance / kappa
+    return 1 / (1 + relative * relative)
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What the photographs say of S texels.
+
+    Attributes:
+        sums: (ceil(S / 16) * (R * C * 10 + 1) * 16,) Float64, squared radiance, in blocks (see
+            ``blocks``): for level, channel and pair of columns, sum w x y. Then sum w.
+        views: (S,) UInt32, how many views see each texel.
+        texel: (S,) UInt32, which of all texels each is.
+        roughness: (R,) float64 of the levels.
+        channels: C.
+        kappa: radiance around which samples begin to count less, w = 1 / (1 + (b / kappa)^2);
+            infinite if all count alike.
+    """
+
+    sums: Any
+    views: Any
+    texel: Any
+    roughness: np.ndarray
+    channels: int
+    kappa: float = inf
+
+    @property
+    def count(self) -> int:
+        """Number of texels S."""
+        return int(dr.width(self.texel))
+
+    @property
+    def levels(self) -> int:
+        """Number of roughness levels R."""
+        return len(self.roughness)
+
+    @property
+    def rows(self) -> int:
+        """Number of values per texel, R C 10 + 1."""
+        return self.levels * self.channels * len(PAIRS) + 1
+
+    def __add__(self, other: Statistics) -> Statistics:
+        """Return the statistics of both sets of views.
+
+        Raises:
+            ShapeError: other texels, levels or channels.
+            OptionError: another kappa: their samples were weighted differently.
+        """
+        if (
+            self.channels != other.channels
+            or not np.array_equal(self.roughness, other.roughness)
+            or not np.array_equal(self.texel.numpy(), other.texel.numpy())
+        ):
+            raise ShapeError(
+                "Statistics of different texels, roughness levels or channels do not add: "
+                f"{self._shape()} and {other._shape()}."
+            )
+        if self.kappa != other.kappa:
+            raise OptionError(
+                f"Statistics with kappa {self.kappa:g} and {other.kappa:g} do not add, as their "
+                "samples were weighted differently; gather both with the kappa of the first."
+            )
+        sums, views = self.sums + other.sums, self.views + other.views
+        dr.eval(sums, views)
+        return replace(self, sums=sums, views=views)
+
+    def _shape(self) -> str:
+        return f"{self.count} texels x {self.levels} levels x {self.channels} channels"
+
+    def factor(self) -> Factors:
+        """Return the square-root form, per unit of weight: what errors are taken from."""
+        return self._factors
+
+    @cached_property
+    def _factors(self) -> Factors:
+        return factorize(self.sums, self.views, self.texel, self.roughness, self.channels)
+
+    @property
+    def weight(self) -> np.ndarray:
+        """(S,) float64, the sum of the samples' weights."""
+        return rows_of(self.sums, self.rows, self.count)[-1]
+
+    def table(self) -> np.ndarray:
+        """Return the sums as (R, C, 10, S) float64."""
+        rows = rows_of(self.sums, self.rows, self.count)[:-1]
+        return rows.reshape(self.levels, self.channels, len(PAIRS), self.count)
+
+    def errors(self, metallic: np.ndarray, base_color: np.ndarray) -> np.ndarray:
+        """Return the weighted mean squared error of cells in double precision, for a few texels.
+
+        Args:
+            metallic: (M,) nodes.
+            base_color: (K,) nodes.
+
+        Returns:
+            (S, R, C, M, K); 0 for a texel that no view sees.
+        """
+        m, c = np.meshgrid(metallic, base_color, indexing="ij")
+        x = np.stack([c * (1 - m), c * m, m, np.ones_like(m)])
+        forms = np.stack([(2 - (i == j)) * x[i] * x[j] for i, j in PAIRS])
+        mean = self.table() / np.maximum(self.weight, 1e-300)
+        # Rounding may take a sum of squares below zero.
+        return np.maximum(np.einsum("rcps,pmk->srcmk", mean, forms, optimize=True), 0)
+
+    @staticmethod
+    def of(
+        table: np.ndarray, weight: np.ndarray, views: np.ndarray, roughness: np.ndarray,
+        kappa: float = inf,
+    ) -> Statistics:  # fmt: skip
+        """Take sums from NumPy: the inverse of ``table``.
+
+        Args:
+            table: (R, C, 10, S).
+            weight: (S,).
+            views: (S,).
+            roughness: (R,).
+            kappa: see the class.
+        """
+        channels, count = table.shape[1], table.shape[-1]
+        rows = np.concatenate([table.reshape(-1, count), np.reshape(weight, (1, count))])
+        return Statistics(
+            sums=in_blocks(mi.Float64, rows),
+            views=owned(mi.UInt32, np.asarray(views, np.uint32)),
+            texel=dr.arange(mi.UInt32, count),
+            roughness=np.asarray(roughness, np.float64), channels=channels, kappa=kappa,
+        )  # fmt: skip

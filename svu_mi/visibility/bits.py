@@ -1,0 +1,85 @@
+"""One bit per lane and number (view, cell), in words that lie next to each other by lane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.interop import owned
+
+WORD = 32
+
+
+@dataclass(frozen=True)
+class Bits:
+    """N bits for each of S lanes.
+
+    Attributes:
+        words: (ceil(N / 32) S,) UInt32: bit n % 32 of word (n // 32) S + s is that of number n
+            and lane s.
+        stride: S, an opaque UInt32.
+        last: N - 1, an opaque UInt32.
+    """
+
+    words: Any
+    stride: Any
+    last: Any
+
+    @staticmethod
+    def clear(numbers: int, lanes: int) -> Bits:
+        """Return bits that are all 0; room for at least one number."""
+        numbers = max(numbers, 1)
+        words = -(-numbers // WORD)
+        return Bits(
+            dr.zeros(mi.UInt32, words * lanes),
+            dr.opaque(mi.UInt32, lanes), dr.opaque(mi.UInt32, numbers - 1),
+        )  # fmt: skip
+
+    def set(self, number: Any, lane: Any, active: Any) -> None:
+        """Set bits that are 0, each of them once."""
+        bit, place = mi.UInt32(1) << (number % WORD), (number // WORD) * self.stride + lane
+        dr.scatter_add(self.words, bit, place, active, dr.ReduceMode.NoConflicts)
+
+    def push(self, word: Any, number: Any, lane: Any, value: Any) -> Any:
+        """Set the bits of numbers that come in order, each word when it is full.
+
+        Args:
+            word: UInt32, what the call for the number before returned; anything at first.
+            number: of the bit.
+            lane: of the bit.
+            value: Bool.
+        """
+        place = number % WORD
+        word = dr.select(place == 0, 0, word) | dr.select(value, mi.UInt32(1) << place, 0)
+        full = (place == WORD - 1) | (number == self.last)
+        target = (number // WORD) * self.stride + lane
+        dr.scatter(self.words, word, target, full, dr.ReduceMode.NoConflicts)
+        return word
+
+    def at(self, lanes: Any) -> Bits:
+        """Return the bits of some lanes, a UInt32 array of their numbers."""
+        words = dr.width(self.words) // max(int(self.stride[0]), 1)
+        count = dr.width(lanes)
+        place = dr.arange(mi.UInt32, words * count)
+        row, column = place // count, place % count
+        taken = dr.gather(mi.UInt32, lanes, column) + row * self.stride
+        return Bits(
+            dr.gather(mi.UInt32, self.words, taken), dr.opaque(mi.UInt32, count), self.last
+        )
+
+    def joined(self, other: Bits) -> Bits:
+        """Return the bits of both, lanes of the other after one's own; of equally many numbers."""
+        rows = [
+            bits.words.numpy().reshape(-1, max(int(bits.stride[0]), 1)) for bits in (self, other)
+        ]
+        words = np.concatenate(rows, axis=1)
+        return Bits(owned(mi.UInt32, words.ravel()), dr.opaque(mi.UInt32, words.shape[1]), self.last)
+
+    def test(self, number: Any, lane: Any) -> Any:
+        """Return whether bits are set, as a Bool."""
+        word = dr.gather(mi.UInt32, self.words, (number // WORD) * self.stride + lane)
+        return ((word >> (number % WORD)) & 1) != 0

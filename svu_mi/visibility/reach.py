@@ -1,0 +1,223 @@
+"""What of the light reaches every texel: rays to the cells of the light, traced once.
+
+All coarse cells are traced. A fine cell is seen if its coarse cell is, except where a group of
+neighbouring coarse cells is partly hidden: there, bright fine cells have rays of their own. What
+is found is kept as one bit per texel and cell, and everything that asks for hidden light reads it:
+diffuse light by four moments under the cosine, wide lobes cell by cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.interop import owned
+from svu_mi.light.cells import LightCells
+from svu_mi.light.lighting import Lighting
+from svu_mi.light.moments import MOMENTS
+from svu_mi.visibility.bits import Bits
+from svu_mi.visibility.observe import Observation, Surface, mirror_direction
+from svu_mi.visibility.survey import Survey
+from svu_mi.visibility.views import Views
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What S texels see of the light's cells.
+
+    Attributes:
+        cells: of the light.
+        coarse, fine: of the cells of either depth, and S lanes: whether nothing hides the one
+            from the other.
+        texel: (S,) UInt32, which of all texels each lane is.
+    """
+
+    cells: LightCells
+    coarse: Bits
+    fine: Bits
+    texel: Any
+
+    def at(self, lanes: np.ndarray) -> Reach:
+        """Return the same for some of the lanes."""
+        chosen = owned(mi.UInt32, lanes.astype(np.uint32))
+        return Reach(
+            self.cells, self.coarse.at(chosen), self.fine.at(chosen),
+            dr.gather(mi.UInt32, self.texel, chosen),
+        )  # fmt: skip
+
+    def joined(self, other: Reach) -> Reach:
+        """Return what the texels of both see of the same cells, one's own first."""
+        texel = dr.concat([self.texel, other.texel])
+        return Reach(
+            self.cells, self.coarse.joined(other.coarse), self.fine.joined(other.fine), texel
+        )
+
+    def diffuse(self, surface: Surface, lighting: Lighting, channels: int) -> list[list[Any]]:
+        """Return the diffuse moments of the light that arrives: 8 Floats (S,) per channel.
+
+        c0 = sum L V cos, m0 (3) = sum L V cos w, and the same with Schlick's (1 - cos)^5 of the
+        incident direction w as c1, m1. The sum over cells only says which part is hidden: the
+        irradiance of an open surface comes from the light's harmonics, which know it better.
+
+        Args:
+            surface: the texels of the lanes.
+            lighting: the light of the cells.
+            channels: 3, or 1 for the mean of R, G and B.
+        """
+        cells, lane = self.cells.fine, surface.lane
+
+        def add(cell: Any, *state: Any) -> tuple[Any, ...]:
+            direction, flux = cells.at(cell)[0], cells.light(cell, channels)
+            cosine = dr.maximum(dr.dot(surface.normal, direction), 0)
+            free, grazing = self.fine.test(cell, lane), (1 - cosine) ** 5
+            added = []
+            for value in flux:
+                whole = value * cosine
+                received = dr.select(free, whole, 0)
+                for part in (received, received * grazing):
+                    added += [part, *(part * direction)]
+                added.append(whole)
+            return (cell + 1, *(old + new for old, new in zip(state, added, strict=True)))
+
+        zero = dr.zeros(mi.Float, surface.count)
+        sums = dr.while_loop(
+            state=(mi.UInt32(0), *[zero] * (channels * (MOMENTS + 1))),
+            cond=lambda cell, *_: cell < cells.count,
+            body=add,
+        )[1:]
+        known, result = lighting.irradiance(surface.normal), []
+        known = list(known) if channels == 3 else [sum(known) / 3]
+        for channel, irradiance in enumerate(known):
+            first = channel * (MOMENTS + 1)
+            *moments, whole = sums[first : first + MOMENTS + 1]
+            scale = dr.select(whole > 0, dr.maximum(irradiance, 0) / whole, 0)
+            result.append([moment * scale for moment in moments])
+        dr.eval(result)
+        return result
+
+
+def trace_reach(
+    scene: Any, surface: Surface, cells: LightCells, *, occluded: bool = True
+) -> Reach:
+    """Trace the cells of the light from every texel of a launch.
+
+    Args:
+        scene: what occludes.
+        surface: S texels.
+        cells: of the light.
+        occluded: False takes everything above the horizon for open.
+    """
+    lane, count = surface.lane, surface.count
+    coarse = Bits.clear(cells.coarse.number, count)
+    fine = Bits.clear(cells.fine.number, count)
+
+    def look(direction: Any, active: Any) -> Any:
+        above = active & (dr.dot(surface.normal, direction) > 0) & (
+            dr.dot(surface.geometric_normal, direction) > 0
+        )
+        # Neighbouring texels look in one direction: packets stay together.
+        return is_open(scene, surface, direction, above, coherent=True) if occluded else above
+
+    def of_group(group: Any, word: Any, below_word: Any) -> tuple[Any, ...]:
+        start, end = (dr.gather(mi.UInt32, cells.groups, group + k) for k in (0, 1))
+
+        def trace(cell: Any, word: Any, free: Any, hidden: Any) -> tuple[Any, ...]:
+            found = look(cells.coarse.at(cell)[0], mi.Bool(True))
+            own = mi.UInt32(1) << (cell - start)  # groups have no more cells than a word bits
+            free, hidden = free | dr.select(found, own, 0), hidden | dr.select(found, 0, own)
+            return cell + 1, coarse.push(word, cell, lane, found), free, hidden
+
+        none = dr.zeros(mi.UInt32, count)
+        _, word, free, hidden = _loop(start, end, trace, word, none, none)
+        split = (free > 0) & (hidden > 0)
+
+        def inherit(cell: Any, below_word: Any) -> tuple[Any, ...]:
+            inherited = (free >> (cell - start)) & 1 != 0
+            first, last = (dr.gather(mi.UInt32, cells.first, cell + k) for k in (0, 1))
+
+            def refine(below: Any, below_word: Any) -> tuple[Any, ...]:
+                own = split & (dr.gather(mi.UInt32, cells.bright, below) > 0)
+                found = look(cells.fine.at(below)[0], own)
+                found = dr.select(own, found, inherited)
+                return below + 1, fine.push(below_word, below, lane, found)
+
+            return cell + 1, _loop(first, last, refine, below_word)[1]
+
+        return group + 1, word, _loop(start, end, inherit, below_word)[1]
+
+    none = dr.zeros(mi.UInt32, count)
+    _loop(mi.UInt32(0), cells.group_count, of_group, none, none)
+    dr.eval(coarse, fine)
+    return Reach(cells, coarse, fine, surface.index)
+
+
+def _loop(start: Any, end: Any, body: Callable[..., Any], *state: Any) -> tuple[Any, ...]:
+    """Run body(number, *state) for numbers from start to end, which all lanes have in common."""
+    return dr.while_loop(
+        state=(mi.UInt32(start), *state), cond=lambda number, *_: number < end, body=body
+    )
+
+
+@dataclass(frozen=True)
+class Mirrors:
+    """Whether nothing stands in the mirror direction of a sample.
+
+    Attributes:
+        bits: of N slots (``Survey.order``) and S lanes; below the horizon nothing is free.
+        lane: (T,) UInt32, the lane of every texel; any for texels that no view sees.
+    """
+
+    bits: Bits
+    lane: Any
+
+    def test(self, slot: Any, texel: Any) -> Any:
+        """Return which texels are free in the view ``order[slot]``: Bool."""
+        return self.bits.test(slot, dr.gather(mi.UInt32, self.lane, texel))
+
+
+def trace_mirrors(views: Views, surface: Surface, found: Survey, lane: Any) -> Mirrors:
+    """Trace the mirror direction of every sample.
+
+    Args:
+        views: the packed capture.
+        surface: S texels, among which all that are seen.
+        found: who sees whom.
+        lane: (T,) UInt32, which of them each texel is.
+    """
+    bits, place = Bits.clear(dr.width(found.order), surface.count), surface.lane
+
+    def trace(seen: Observation, slot: Any, word: Any) -> tuple[Any]:
+        free = mirror_free(views.scene, surface, seen, found.asked(seen.seen))
+        return (bits.push(word, slot, place, free),)
+
+    found.over_views(views, surface, trace, (dr.zeros(mi.UInt32, surface.count),))
+    dr.eval(bits)
+    return Mirrors(bits, lane)
+
+
+def mirror_free(scene: Any, surface: Surface, seen: Observation, asked: Any) -> Any:
+    """Trace the mirror direction of visible samples; below the horizon nothing is free.
+
+    Args:
+        scene: what occludes.
+        surface: the texels.
+        seen: the samples.
+        asked: Bool, for which to trace at all (``Survey.asked``).
+    """
+    mirror = mirror_direction(surface.normal, seen.direction)
+    free = asked & (dr.dot(surface.geometric_normal, mirror) > 0)
+    return seen.seen & is_open(scene, surface, mirror, free, coherent=False)
+
+
+def is_open(
+    scene: Any, surface: Surface, direction: Any, active: Any, *, coherent: bool
+) -> Any:
+    """Return which active texels see the sky in a direction."""
+    origin = surface.position + surface.offset * surface.geometric_normal
+    ray = mi.Ray3f(origin, direction, dr.largest(mi.Float), 0.0, [])
+    return active & ~scene.ray_test(ray, coherent=coherent, active=active)
