@@ -12,11 +12,12 @@ import mitsuba as mi
 from svu_mi.angular.continuous import Continuous, continuous, shade
 from svu_mi.angular.shadow import Side, open_to_light
 from svu_mi.brdf.principled import alpha_from_roughness
-from svu_mi.capture.material import PRINCIPLED, is_principled
+from svu_mi.capture.material import is_principled
 from svu_mi.capture.repaint import is_two_sided
 from svu_mi.capture.scene import find_environment
 from svu_mi.errors import OptionError, SceneError, SvuWarning
 from svu_mi.options import ANGULAR_PRESETS, preset
+from svu_mi.parameters import NAMES
 from svu_mi.plugins.registry import require_variant
 from svu_mi.radiance.environment import read_environment
 from svu_mi.radiance.lighting import band_limit
@@ -129,7 +130,7 @@ class ShIntegrator(mi.SamplingIntegrator):
             hit = active & si.is_valid()
             side, faces = _facing(scene, si, ray)
         bsdf, lit = si.bsdf(), hit & faces
-        for name in PRINCIPLED:
+        for name in NAMES:
             lit &= bsdf.has_attribute(name, hit)
         base_color = bsdf.eval_attribute("base_color", si, lit)
         roughness = dr.clip(bsdf.eval_attribute_1("roughness", si, lit), 0, 1)

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 LAYERS = (
-    "errors", "_llvm", "interop", "files", "exr", "progress", "settings", "options", "capture",
+    "errors", "_llvm", "interop", "files", "exr", "progress", "settings", "parameters", "options",
+    "capture",
     "formats", "surface", "radiance", "brdf", "frequency", "angular", "posterior", "skipping",
     "pipeline", "guidance", "regularization", "recovery", "reference", "metrics", "checking",
     "output", "export", "bench", "cli",

@@ -30,9 +30,10 @@ from svu_mi.output.recovery import write_losses, write_recovery
 from svu_mi.output.relit import Relit, compare, write_relit
 from svu_mi.output.scene_xml import write_scene as write_recovered
 from svu_mi.output.textures import read_textures, write_textures
+from svu_mi.parameters import NAMES
 from svu_mi.radiance.environment import read_environment
 from svu_mi.recovery.relight import novel_light, path_length, relight
-from svu_mi.recovery.textures import NAMES, Textures, lay_out
+from svu_mi.recovery.textures import Textures, lay_out
 
 RNG_SEED = 1186230517
 BETTER_THAN = 40.0  # dB; below what one differing texel of a hundred would leave

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from svu_mi.capture import mesh as capture_mesh
-from svu_mi.capture.material import PRINCIPLED
 from svu_mi.errors import MeshError
 from svu_mi.files import prepare_folder, replacing
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.textures import write_pictures
+from svu_mi.parameters import NAMES
 
 
 def convert_glb(path: Path, folder: Path) -> Path:
@@ -31,7 +31,7 @@ def convert_glb(path: Path, folder: Path) -> Path:
     geometry = read_geometry(path)
     if geometry.mesh.uvs is None:
         raise MeshError(f"{path}: a mesh has no UVs, so its textures have no place.")
-    if set(geometry.textures) != set(PRINCIPLED):
+    if set(geometry.textures) != set(NAMES):
         raise MeshError(
             f"{path}: has not one material with base colour, roughness and metallic; bake its "
             "materials into one, the benchmark takes one per object."

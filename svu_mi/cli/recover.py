@@ -10,6 +10,7 @@ import tyro
 
 from svu_mi.cli.inputs import Photographed, given, pair, parse_defines, was_interrupted
 from svu_mi.errors import OptionError
+from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
@@ -19,10 +20,8 @@ if TYPE_CHECKING:
     from svu_mi.surface import Texels
 
 CHECKPOINT = "checkpoint.npz"
-Parameter = Literal["base_color", "roughness", "metallic"]
-Parameters = Annotated[
-    tuple[Parameter, ...], tyro.conf.arg(metavar="{base_color,roughness,metallic} ...")
-]
+Name = Literal[NAMES]  # type: ignore[valid-type]
+Parameters = Annotated[tuple[Name, ...], tyro.conf.arg(metavar=f"{{{','.join(NAMES)}}} ...")]
 From = Annotated[Path | None, tyro.conf.arg(name="start", metavar="FOLDER")]
 
 
@@ -52,7 +51,7 @@ class Recover(Photographed):
     """Times that path looks at every pixel."""
     steps: int | None = None
     """Steps of descent of sh."""
-    parameters: Parameters = ("base_color", "roughness", "metallic")
+    parameters: Parameters = NAMES
     """Textures to recover; others stay as they start."""
     initial: From = None
     """Folder with base_color.exr, roughness.exr and metallic.exr to start from."""

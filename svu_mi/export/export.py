@@ -19,7 +19,7 @@ from svu_mi.export.options import ExportOptions
 from svu_mi.export.reading import load_asset
 from svu_mi.files import prepare_folder, read_json, remove
 from svu_mi.output.manifest import environment_record, write_manifest
-from svu_mi.recovery.textures import NAMES
+from svu_mi.parameters import NAMES
 
 FORMAT, VERSION = "svu-asset", 1
 MODEL = "principled, specular 0.5 (F0 = 0.04), alpha = roughness^2: glTF's metallic-roughness"

@@ -31,12 +31,13 @@ from svu_mi.formats.light import write_environment
 from svu_mi.formats.photographs import Converted, convert
 from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Light, Source
-from svu_mi.formats.textures import PARAMETERS, write_pictures
+from svu_mi.formats.textures import write_pictures
+from svu_mi.parameters import NAMES
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
 OWN = {
     SCENE, MESH, ENVIRONMENT, capture_folder.FILE, UNWRAPPED,
-    *(f"{name}.png" for name in PARAMETERS), ".DS_Store", "Thumbs.db",
+    *(f"{name}.png" for name in NAMES), ".DS_Store", "Thumbs.db",
 }  # fmt: skip
 VIEW = re.compile(r"view_\d{4,}\.exr")
 MAX_DEPTH = 6  # of the paths that a scene without a say of its own is rendered with

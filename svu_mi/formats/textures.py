@@ -16,7 +16,6 @@ from svu_mi.files import replacing
 MAX_PIXELS = 2**26  # 8192 x 8192
 CONSTANT = 4  # pixels per side of the texture that stands for a factor without a texture
 
-PARAMETERS = ("base_color", "roughness", "metallic")
 # By parameter: base_color (H, W, 3) bytes, sRGB; roughness and metallic (H, W) bytes, linear.
 Textures = Mapping[str, np.ndarray]
 

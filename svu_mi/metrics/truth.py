@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from svu_mi.capture import Capture
     from svu_mi.surface import Texels
 
-NAMES = ("base_color", "roughness", "metallic")
-
 
 @dataclass(frozen=True, kw_only=True)
 class GroundTruth:

@@ -22,7 +22,7 @@ from svu_mi.output.overview import (
     VIEWS_COLORMAP,
 )  # fmt: skip
 from svu_mi.output.relit import Relit, draw_comparison, draw_relit
-from svu_mi.recovery.textures import NAMES
+from svu_mi.parameters import NAMES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,12 +16,13 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
+from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.fingerprint import fingerprint
 from svu_mi.recovery.options import Method, Options, PathOptions, ShOptions
 from svu_mi.recovery.run import Run
-from svu_mi.recovery.textures import NAMES, Textures
+from svu_mi.recovery.textures import Textures
 from svu_mi.regularization import GlobalSharing
 from svu_mi.surface import Texels
 

@@ -10,8 +10,9 @@ import numpy as np
 from svu_mi import metrics
 from svu_mi.capture import Capture
 from svu_mi.errors import CaptureError
+from svu_mi.parameters import NAMES
 from svu_mi.pipeline import estimate
-from svu_mi.recovery.textures import NAMES, Textures
+from svu_mi.recovery.textures import Textures
 from svu_mi.surface import Texels
 
 

@@ -9,6 +9,7 @@ from PIL import Image
 
 from svu_mi.capture.picture import srgb
 from svu_mi.files import prepare_folder, replacing
+from svu_mi.parameters import NAMES
 from svu_mi.scenes import make_assets, meshes, textures
 
 REPEATED, CONTINUOUS = "mosaic", "drift"
@@ -37,8 +38,7 @@ def own_object(name: str, folder: Path) -> Path:
     paint = {REPEATED: mosaic, CONTINUOUS: drift}[name]
     if not (place / "mesh.ply").exists():
         color, rough, metal = paint()
-        for file, values in (("base_color", srgb(color)), ("roughness", rough),
-                             ("metallic", metal)):  # fmt: skip
+        for file, values in zip(NAMES, (srgb(color), rough, metal), strict=True):
             with replacing(place / f"{file}.png") as temporary:
                 pixels = np.clip(values * 255 + 0.5, 0, 255).astype(np.uint8)
                 Image.fromarray(np.ascontiguousarray(pixels)).save(temporary)

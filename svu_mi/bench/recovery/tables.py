@@ -11,7 +11,7 @@ from svu_mi.bench.kernels.bars import bar_table
 from svu_mi.bench.recovery.bars import gain, paired
 from svu_mi.bench.recovery.rows import PATH, PATH_SHARING, ROWS, SH, SH_SHARING, Row
 from svu_mi.bench.text import number, seconds, table
-from svu_mi.recovery.textures import NAMES
+from svu_mi.parameters import NAMES
 
 Record = dict[str, Any]
 TITLES = {

@@ -15,7 +15,7 @@ from svu_mi.output.page import THUMBNAIL, Picture, drawing, grouped, percent
 from svu_mi.output.page import photograph as embedded
 from svu_mi.output.report.findings import why_left_out
 from svu_mi.output.report.turntable import Turntable
-from svu_mi.recovery.textures import NAMES
+from svu_mi.parameters import NAMES
 from svu_mi.surface.gutter import dilate
 
 if TYPE_CHECKING:

@@ -17,7 +17,8 @@ from svu_mi.output.relit import SIDE as LARGE
 from svu_mi.output.relit import Comparison, explain
 from svu_mi.output.report.pictures import hexadecimal, spread
 from svu_mi.output.report.turntable import Turntable
-from svu_mi.recovery.textures import CHANNELS, NAMES, Textures, lay_out
+from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.recovery.textures import Textures, lay_out
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
