@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, flipped_v
+from svu_mi.capture.poses import affine
 from svu_mi.errors import OptionError
 
 Kind = Literal["camera", "mesh", "light", "texture"]
@@ -109,9 +110,7 @@ def corrected_poses(poses: np.ndarray, fix: Fix, camera_axes: np.ndarray) -> np.
     """
     if fix.matrix is None:
         return np.linalg.inv(poses @ np.linalg.inv(camera_axes)) @ camera_axes
-    result = poses.copy()
-    result[:, :3, :3] = poses[:, :3, :3] @ fix.matrix
-    return result
+    return poses @ affine(fix.matrix)
 
 
 def corrected_mesh(mesh: MeshArrays, fix: Fix) -> MeshArrays:

@@ -18,6 +18,7 @@ from PIL import Image
 
 from svu_mi.capture.images import IN_MASK, SATURATED
 from svu_mi.capture.picture import decoded, read_planes
+from svu_mi.capture.poses import affine
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.files import copy_file, prepare_folder, replacing
 from svu_mi.formats.geometry import read_geometry
@@ -117,9 +118,8 @@ def write_owl(root: Path, source: Source, *, exposure: float | None = None) -> N
         pixels = np.stack(planes[:3], axis=-1) * np.float32(source.light.scale)
         with replacing(test / ENVIRONMENT) as temporary:
             mi.Bitmap(np.ascontiguousarray(pixels)).write(str(temporary))
-        world_to_env = np.eye(4)
-        world_to_env[:3, :3] = ENVIRONMENT_AXES["blender"] @ source.light.to_world.T
-        _write_text(test / WORLD_TO_ENV, world_to_env)
+        world_to_env = ENVIRONMENT_AXES["blender"] @ source.light.to_world.T
+        _write_text(test / WORLD_TO_ENV, affine(world_to_env))
 
 
 def _frame(camera: Path, gain: float) -> Frame:
@@ -129,10 +129,8 @@ def _frame(camera: Path, gain: float) -> Frame:
         raise CaptureError(f"{camera}: the camera has skew; its K must be fx 0 cx 0 fy cy 0 0 1.")
     if (size != np.floor(size)).any():
         raise CaptureError(f"{camera}: {size[0]} x {size[1]} pixels is no size.")
-    world_to_camera = np.eye(4)
-    world_to_camera[:3, :3], world_to_camera[:3, 3] = rotation, translation
     try:
-        to_world = np.linalg.inv(world_to_camera) @ OPENCV
+        to_world = np.linalg.inv(affine(rotation, translation)) @ OPENCV
     except np.linalg.LinAlgError as error:
         raise CaptureError(f"{camera}: R is no rotation; copy the file again.") from error
     image = camera.with_name(camera.name.replace("camera_", "image_")).with_suffix(".png")

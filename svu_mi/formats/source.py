@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.picture import Transfer
-from svu_mi.capture.poses import film_size, focal_length, make_sensor, principal_point
+from svu_mi.capture.poses import affine, film_size, focal_length, make_sensor, principal_point
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError
 
@@ -159,9 +159,7 @@ def _rigid(matrix: np.ndarray, label: str) -> np.ndarray:
     left, _, right = np.linalg.svd(rotation)
     if not np.allclose(left @ right * scale, rotation, atol=RIGID * scale) or scale == 0:
         raise CaptureError(f"{label}: the pose is no rotation and translation; remove the shear.")
-    result = np.eye(4)
-    result[:3, :3], result[:3, 3] = left @ right, matrix[:3, 3]
-    return result
+    return affine(left @ right, matrix[:3, 3])
 
 
 @dataclass(frozen=True, kw_only=True)
