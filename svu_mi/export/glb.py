@@ -16,7 +16,7 @@ from svu_mi.export.images import packed, quantized
 from svu_mi.export.mesh import as_trimesh, upward_uvs
 from svu_mi.files import replacing
 from svu_mi.metrics.images import srgb
-from svu_mi.output.overview import COLORMAP
+from svu_mi.output.style import COLORMAP
 from svu_mi.output.upright import Axis
 
 ASSET, ENTROPY = "asset.glb", "entropy.glb"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture.poses import bounding_sphere, directions_of
-from svu_mi.output.overview import COLORMAP, FAINT, INK, RULE, UNSEEN
+from svu_mi.output.style import COLORMAP, FAINT, INK, RULE, UNSEEN
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,24 +9,28 @@ figure.colorbar(draw_map(axes[1], estimate), ax=axes[1], label="entropy")
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from svu_mi.errors import OptionError
 from svu_mi.output import views
-from svu_mi.output.overview import COLORMAP, INK, OUTSIDE, RULE, UNSEEN, words
+from svu_mi.output.result import words
+from svu_mi.output.style import COLORMAP, INK, OUTSIDE, UNSEEN, framed
 from svu_mi.surface.gutter import dilate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import QuadMesh
+    from matplotlib.colors import Colormap
     from matplotlib.image import AxesImage
 
     from svu_mi.capture import Capture
     from svu_mi.metrics import GroundTruth
     from svu_mi.pipeline import Estimate
     from svu_mi.posterior import Posterior
+    from svu_mi.surface import Texels
 
 GUTTER = 3  # texels that charts grow by on the object, so that their borders show no seam
 KNOWN_WIDTH = 0.05  # at which the only node of a known parameter is drawn
@@ -55,7 +59,7 @@ def draw_map(
     values: Any | None = None,
     *,
     limits: tuple[float, float] = (0, 1),
-    colormap: str = COLORMAP,
+    colormap: str | Colormap = COLORMAP,
 ) -> AxesImage:
     """Draw a value of every texel in the layout of the texture; row 0 is v = 0.
 
@@ -67,7 +71,7 @@ def draw_map(
         estimate: says which texels there are and which are seen.
         values: (T,) one value per texel; the entropy by default.
         limits: values at the two ends of the colormap.
-        colormap: a name of matplotlib's.
+        colormap: one of matplotlib's, or its name.
 
     Returns:
         What was drawn, to hand to ``figure.colorbar``.
@@ -78,8 +82,7 @@ def draw_map(
     cover = np.zeros((*image.shape, 4), np.float32)
     cover[~seen], cover[~inside] = (*UNSEEN, 1), (*OUTSIDE, 1)
     axes.imshow(cover, interpolation="nearest")
-    axes.set(xticks=[], yticks=[])
-    axes.spines[:].set_color(RULE)
+    framed(axes)
     return drawn
 
 
@@ -115,23 +118,32 @@ def map_colors(
     values: Any | None = None,
     *,
     limits: tuple[float, float] = (0, 1),
-    colormap: str = COLORMAP,
+    colormap: str | Colormap = COLORMAP,
+    gutter: float = GUTTER,
 ) -> np.ndarray:
-    """Return a value of every texel as screen colours (H, W, 3), with a gutter around charts.
+    """Return a value of every texel as screen colours (H, W, 3), nearly white outside the charts.
 
     Args:
         estimate: says which texels there are; those that no view sees are grey.
         values: (T,) one value per texel; the entropy by default.
         limits: values at the two ends of the colormap.
-        colormap: a name of matplotlib's.
+        colormap: one of matplotlib's, or its name.
+        gutter: texels that charts grow by.
     """
     from matplotlib import colormaps
     from matplotlib.colors import Normalize
 
     image = estimate.texels.to_image(_values(estimate, values), limits[0])
-    colors = colormaps[colormap](Normalize(*limits)(image))[..., :3].astype(np.float32)
+    colors = colormaps.get_cmap(colormap)(Normalize(*limits)(image))[..., :3].astype(np.float32)
+    inside = estimate.texels.inside()
     colors[~estimate.texels.to_image(_seen(estimate), True)] = UNSEEN
-    return dilate(colors, estimate.texels.inside(), GUTTER)
+    colors[~inside] = OUTSIDE
+    return dilate(colors, inside, gutter)
+
+
+def all_seen(texels: Texels) -> Any:
+    """Return what the functions here take for an estimate that has seen every texel."""
+    return SimpleNamespace(texels=texels, coverage=np.ones(texels.count, np.uint32))
 
 
 def draw_posterior(

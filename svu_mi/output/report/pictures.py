@@ -10,11 +10,12 @@ import numpy as np
 
 from svu_mi.output import views
 from svu_mi.output.figures import GUTTER, map_colors
-from svu_mi.output.overview import COLORMAP, VIEWS_COLORMAP, Result, open_axes, words
 from svu_mi.output.page import THUMBNAIL, Picture, drawing, grouped, percent
 from svu_mi.output.page import photograph as embedded
 from svu_mi.output.report.findings import why_left_out
 from svu_mi.output.report.turntable import Turntable
+from svu_mi.output.result import Result, open_axes, words
+from svu_mi.output.style import COLORMAP, VIEWS_COLORMAP
 from svu_mi.parameters import NAMES
 from svu_mi.surface.gutter import dilate
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from svu_mi.output import views
 from svu_mi.output.figures import cell_edges
-from svu_mi.output.overview import Result, mean_marginals, open_axes, words
 from svu_mi.output.page import NARROW_SPACE, Picture, drawing, grouped
 from svu_mi.output.page import photograph as embedded
 from svu_mi.output.plots import Plot, plot
@@ -17,6 +16,7 @@ from svu_mi.output.relit import SIDE as LARGE
 from svu_mi.output.relit import Comparison, explain
 from svu_mi.output.report.pictures import hexadecimal, spread
 from svu_mi.output.report.turntable import Turntable
+from svu_mi.output.result import Result, mean_marginals, open_axes, words
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.textures import Textures, lay_out
 

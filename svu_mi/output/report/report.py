@@ -13,11 +13,11 @@ import numpy as np
 
 import svu_mi
 from svu_mi.output.manifest import environment_record
-from svu_mi.output.overview import Result, known, open_axes, words
 from svu_mi.output.page import NARROW_SPACE, grouped, percent, write_page
 from svu_mi.output.relit import DIFFERENCE_COLORMAP, WORST
 from svu_mi.output.report import findings, pictures, plots
 from svu_mi.output.report.turntable import Turntable
+from svu_mi.output.result import Result, known, open_axes, words
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
