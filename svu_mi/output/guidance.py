@@ -17,10 +17,11 @@ from svu_mi.files import prepare_folder, remove, replacing
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.options import UNITS
-from svu_mi.output.directions import UP
 from svu_mi.output.guidance_page import gain_picture, write_guidance_overview
-from svu_mi.output.manifest import environment_record, guidance_record, write_manifest
+from svu_mi.output.manifest import guidance_record, write_manifest, write_run
 from svu_mi.output.maps import GUTTER, padded
+from svu_mi.output.upright import UP
+from svu_mi.progress import Stage
 
 RECORD, PLAN, PAGE = "run.json", "guidance.json", "guidance.png"
 POSES, SENSORS, THUMBNAILS = "transforms.json", "sensors.xml", "thumbnails"
@@ -58,7 +59,7 @@ def write_guidance(
     """
     folder = prepare_folder(folder)
     prepare_folder(folder / THUMBNAILS)
-    report = progress or _say_nothing
+    report = progress or Stage().update
     _remove_stale(folder)
     names, sensors = file_names(capture, guidance), [p.sensor for p in guidance.proposals]
     frames = [frame_of(s, Path(name)) for s, name in zip(sensors, names, strict=True)]
@@ -74,10 +75,7 @@ def write_guidance(
     report(3, 4)
     write_guidance_overview(capture, estimate, guidance, maps, pictures, folder / PAGE, up=up)
     report(4, 4)
-    record = guidance_record(capture, estimate, guidance)
-    record["settings"]["given"] = settings
-    record["kernels_compiled"] = kernels
-    write_manifest(folder / RECORD, {**record, "environment": environment_record()})
+    write_run(folder / RECORD, guidance_record(capture, estimate, guidance), settings, kernels)
 
 
 def plan(capture: Any, estimate: Any, guidance: Any) -> dict[str, Any]:
@@ -190,7 +188,3 @@ def _remove_stale(folder: Path) -> None:
     for old in (*folder.glob("gain_*.exr"), *(folder / THUMBNAILS).glob("proposal_*.png")):
         if old.stem.rpartition("_")[2].isdigit():
             remove(old)
-
-
-def _say_nothing(done: int, total: int) -> None:
-    del done, total

@@ -11,7 +11,7 @@ import numpy as np
 from svu_mi.capture.poses import film_size, resized_sensor
 from svu_mi.guidance.options import UNITS
 from svu_mi.output import views
-from svu_mi.output.directions import UP, color_range, draw_directions, numbered
+from svu_mi.output.directions import color_range, draw_directions, numbered
 from svu_mi.output.figures import all_seen, draw_map, map_colors
 from svu_mi.output.style import (
     COLORMAP,
@@ -28,6 +28,7 @@ from svu_mi.output.style import (
     spaced,
     title,
 )
+from svu_mi.output.upright import UP
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

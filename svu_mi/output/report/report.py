@@ -18,6 +18,7 @@ from svu_mi.output.relit import DIFFERENCE_COLORMAP, WORST
 from svu_mi.output.report import findings, pictures, plots
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import Result, known, open_axes, words
+from svu_mi.progress import Stage
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
@@ -57,25 +58,20 @@ def write_report(
     Raises:
         OutputError: the file cannot be written.
     """
-    done = iter(range(1, 6))
-
-    def step() -> None:
-        if progress is not None:
-            progress(next(done), 5)
-
+    report = progress or Stage().update
     warnings = [_within(capture.source, sentence) for sentence in capture.warnings]
     result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
     shown, left_out = pictures.thumbnails(capture, estimate)
-    step()
+    report(1, 5)
     frames = pictures.turning(table, estimate)
-    step()
+    report(2, 5)
     maps = pictures.entropy_maps(table, estimate, result)
     if result.seen.any():
         maps += pictures.parameter_maps(table, estimate)
     recovered = [] if textures is None else pictures.texture_maps(table, estimate, textures)
-    step()
+    report(3, 5)
     examples = plots.examples(table, estimate, result, [frame[0] for frame in frames])
-    step()
+    report(4, 5)
     errors = _errors(capture, estimate, result, textures)
     write_page(
         path, TEMPLATE,
@@ -90,7 +86,7 @@ def write_report(
         warnings=warnings[:WARNINGS], more_warnings=warnings[WARNINGS:],
         **_record(capture, estimate, settings),
     )  # fmt: skip
-    step()
+    report(5, 5)
 
 
 def _errors(
