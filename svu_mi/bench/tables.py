@@ -14,7 +14,7 @@ from svu_mi.bench.recovery import recovery_tables
 from svu_mi.bench.speed_tables import speed_tables
 from svu_mi.bench.stability import stability_table
 from svu_mi.bench.text import number, seconds, table
-from svu_mi.files import replacing
+from svu_mi.files import write_text
 
 Record = dict[str, Any]
 
@@ -52,8 +52,7 @@ def write_tables(path: Path, record: Record) -> None:
         parts += ["# Stanford-ORB", orb_tables(record["orb"])]
     if record["conventions"]:
         parts += ["# Mistakes about axes", conventions_tables(record["conventions"])]
-    with replacing(path) as temporary:
-        temporary.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    write_text(path, "\n\n".join(parts))
 
 
 def _heading(record: Record) -> str:

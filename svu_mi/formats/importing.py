@@ -22,12 +22,13 @@ from svu_mi.capture.scene import require_variant
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.exr import is_cropped
-from svu_mi.files import replacing, replacing_folder
+from svu_mi.files import replacing_folder
 from svu_mi.formats.exposures import with_exif_exposures, with_exposures
 from svu_mi.formats.findings import about
 from svu_mi.formats.fixes import FIXES, Fix, corrected_mesh, corrected_poses, fixes_named
 from svu_mi.formats.geometry import Geometry, read_geometry
 from svu_mi.formats.light import write_environment
+from svu_mi.formats.paths import name_in
 from svu_mi.formats.photographs import Converted, convert
 from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Light, Source
@@ -133,16 +134,12 @@ def import_capture(
             exposures=[frame.exposure for frame, _ in found],
             imported={
                 "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
-                "photographs": [_named(frame.image, source.root) for frame, _ in found],
+                "photographs": [name_in(source.root, frame.image) for frame, _ in found],
                 "notes": notes,
             },
         )  # fmt: skip
         capture_folder.write(made, description, sensors)
     return notes
-
-
-def _named(file: Path, root: Path) -> str:
-    return file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
 
 
 def _was_imported(folder: Path) -> bool:
@@ -253,8 +250,7 @@ def _write_scene(
     folder: Path, geometry: Geometry, light: Light, sensors: Sequence[Any]
 ) -> list[str]:
     """Write the scene and what it refers to; return sentences about the light."""
-    with replacing(folder / MESH) as temporary:
-        capture_mesh.make(OBJECT, geometry.mesh).write_ply(str(temporary))
+    capture_mesh.write_ply(folder / MESH, OBJECT, geometry.mesh)
     write_pictures(geometry.textures, folder)
     pose, notes = write_environment(light, folder / ENVIRONMENT)
     root = nodes.scene()

@@ -43,6 +43,11 @@ def inside(root: Path, name: Any, label: str) -> Path:
     return root.joinpath(*parts)
 
 
+def name_in(root: Path, file: Path) -> str:
+    """Return the name of a file relative to a folder; its name alone if it lies elsewhere."""
+    return file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
+
+
 def _is_usable(parts: tuple[str, ...]) -> bool:
     """Whether the operating system can be asked for a file of this name."""
     try:

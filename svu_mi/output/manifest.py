@@ -18,7 +18,7 @@ import numpy as np
 import svu_mi
 from svu_mi import _llvm
 from svu_mi.errors import OutputError
-from svu_mi.files import replacing
+from svu_mi.files import write_text
 
 PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "trimesh", "xatlas")
 
@@ -171,8 +171,7 @@ def write_manifest(path: str | Path, record: Mapping[str, Any]) -> None:
     """
     path = Path(path)
     text = json.dumps(_plain(record, path.name), indent=2, allow_nan=False, ensure_ascii=False)
-    with replacing(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_text(path, text)
 
 
 def _plain(value: Any, where: str) -> Any:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.errors import OutputError
-from svu_mi.files import replacing
+from svu_mi.files import write_text
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -83,8 +83,7 @@ def write_page(path: str | Path, template: str, **context: Any) -> None:
         OutputError: the file cannot be written.
     """
     page = _environment().get_template(template).render(context)
-    with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_text(path, page)
 
 
 def grouped(number: float) -> str:

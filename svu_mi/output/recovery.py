@@ -11,7 +11,7 @@ import numpy as np
 
 import svu_mi
 from svu_mi.exr import write_exr
-from svu_mi.files import prepare_folder, remove, replacing
+from svu_mi.files import prepare_folder, remove, write_text
 from svu_mi.output import views
 from svu_mi.output.manifest import recovery_record, write_run
 from svu_mi.output.maps import COVERAGE, ENTROPY, padded, write_maps
@@ -85,5 +85,4 @@ def write_losses(losses: Any, path: str | Path) -> None:
     """
     values = np.asarray(losses, np.float64)
     lines = ["step,loss", *(f"{step},{loss:.9g}" for step, loss in enumerate(values))]
-    with replacing(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines))
