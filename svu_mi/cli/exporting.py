@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from svu_mi.cli.inputs import Common, Output
+from svu_mi.cli.inputs import Common, Output, say
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
@@ -63,5 +63,5 @@ class Export(Common):
             asset = load_asset(self.result, self.entropy)
         with progress.stage("Writing the asset"):
             export_asset(asset, self.output, options)
-        console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
+        say(console, f"Wrote {self.output}")
         return 0

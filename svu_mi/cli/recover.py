@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from svu_mi.cli.inputs import Photographed, given, pair, parse_defines, was_interrupted
+from svu_mi.cli.inputs import Photographed, given, say, was_interrupted
 from svu_mi.errors import OptionError
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
@@ -66,22 +66,24 @@ class Recover(Photographed):
         """Recover, and write the results."""
         from svu_mi.files import prepare_folder
 
-        pair(self.resolution, "--resolution")  # refused before any work
-        defines, checkpoint = parse_defines(self.define), self.output / CHECKPOINT
-        self._check(checkpoint)
+        self.check()
+        checkpoint = self.output / CHECKPOINT
         prepare_folder(self.output)
         self.start()
         progress = Progress(console)
         try:
-            self._run(progress, defines, checkpoint)
+            self._run(progress, checkpoint)
         except BaseException as error:
             if was_interrupted(error):
                 raise Interrupted(self._advice(checkpoint)) from None
             raise
-        console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
+        say(console, f"Wrote {self.output}")
         return 0
 
-    def _check(self, checkpoint: Path) -> None:
+    def check(self) -> None:
+        """Refuse options that make no sense, before any work (see ``Photographed``)."""
+        super().check()
+        checkpoint = self.output / CHECKPOINT
         if not self.parameters:
             raise OptionError("--parameters names no texture; give at least one.")
         if self.seed < 0:
@@ -99,13 +101,13 @@ class Recover(Photographed):
                 f"{checkpoint}: an interrupted run has left it; go on with --resume, or remove it."
             )
 
-    def _run(self, progress: Progress, defines: dict[str, str], checkpoint: Path) -> None:
+    def _run(self, progress: Progress, checkpoint: Path) -> None:
         from svu_mi.output.recovery import write_recovery
         from svu_mi.pipeline import estimate
         from svu_mi.recovery.recover import recover
 
         options = self._options()  # refused before any work
-        capture, texels = self.load(progress, defines, again=self.resume)
+        capture, texels = self.load(progress, again=self.resume)
         initial = self._initial(texels)
         recovery = recover(
             capture, texels, self.method, self.preset, sharing=self.sharing, tv=self.tv,
