@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.capture.poses import bounding_sphere
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.checking.apply import apply_fixes
@@ -22,9 +23,6 @@ from svu_mi.output.upright import facing, up_of
 from svu_mi.output.views import tone_mapped
 from svu_mi.radiance.environment import read_environment
 from svu_mi.radiance.levels import resolved
-
-if TYPE_CHECKING:
-    from svu_mi.capture import Capture
 
 TEMPLATE = "check.html"
 MOST = 120  # thumbnails; the worst

@@ -14,10 +14,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
+from svu_mi.metrics import GroundTruth
 from svu_mi.output import views
 from svu_mi.output.result import words
 from svu_mi.output.style import COLORMAP, INK, OUTSIDE, UNSEEN, framed
+from svu_mi.pipeline import Estimate
+from svu_mi.posterior import Posterior
+from svu_mi.surface import Texels
 from svu_mi.surface.gutter import dilate
 
 if TYPE_CHECKING:
@@ -25,12 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.collections import QuadMesh
     from matplotlib.colors import Colormap
     from matplotlib.image import AxesImage
-
-    from svu_mi.capture import Capture
-    from svu_mi.metrics import GroundTruth
-    from svu_mi.pipeline import Estimate
-    from svu_mi.posterior import Posterior
-    from svu_mi.surface import Texels
 
 GUTTER = 3  # texels that charts grow by on the object, so that their borders show no seam
 KNOWN_WIDTH = 0.05  # at which the only node of a known parameter is drawn

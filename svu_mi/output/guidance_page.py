@@ -10,24 +10,10 @@ import numpy as np
 
 from svu_mi.capture.poses import film_size, resized_sensor
 from svu_mi.guidance.options import UNITS
-from svu_mi.output import views
+from svu_mi.output import style, views
 from svu_mi.output.directions import color_range, draw_directions, numbered
 from svu_mi.output.figures import all_seen, draw_map, map_colors
-from svu_mi.output.style import (
-    COLORMAP,
-    FAINT,
-    INK,
-    LEFT,
-    RIGHT,
-    RULE,
-    color_bar,
-    heading,
-    new_figure,
-    plain,
-    save_figure,
-    spaced,
-    title,
-)
+from svu_mi.output.style import COLORMAP, FAINT, INK, LEFT, RIGHT, RULE
 from svu_mi.output.upright import UP
 
 if TYPE_CHECKING:
@@ -66,25 +52,25 @@ def write_guidance_overview(
     Raises:
         OutputError: the file cannot be written.
     """
-    figure = new_figure(*SIZE)
+    figure = style.new_figure(*SIZE)
     _heading(figure, capture, estimate, guidance)
     place = figure.add_axes((LEFT, 0.51, 0.455, 0.355))
     drawn = draw_directions(place, capture, guidance, up=up)
-    title(place, "Directions from which the object can be photographed", pad=34)
+    style.title(place, "Directions from which the object can be photographed", pad=34)
     label = f"as the next photograph: {UNITS[guidance.options.strategy]}"
-    color_bar(figure, place, drawn, label, (0.2, -0.06, 0.6, 0.028))
+    style.color_bar(figure, place, drawn, label, (0.2, -0.06, 0.6, 0.028))
     line = figure.add_axes((0.535, 0.545, 0.195, 0.33))
     draw_expected(line, capture, guidance, estimate)
-    title(line, "Entropy to be expected")
+    style.title(line, "Entropy to be expected")
     ranked = figure.add_axes((0.79, 0.545, 0.195, 0.33))
     draw_ranking(ranked, guidance)
-    title(ranked, "All candidates as the next photograph")
+    style.title(ranked, "All candidates as the next photograph")
     rows = figure.add_gridspec(
         2, SHOWN + 1, left=LEFT + 0.012, right=RIGHT, top=0.42, bottom=0.01, hspace=0.2, wspace=0.1
     )
     _objects(figure, rows, capture, estimate, guidance, pictures)
     _maps(figure, rows, estimate, guidance, maps)
-    save_figure(figure, path)
+    style.save_figure(figure, path)
 
 
 def draw_expected(axes: Axes, capture: Any, guidance: Any, estimate: Any | None = None) -> None:
@@ -119,7 +105,7 @@ def draw_expected(axes: Axes, capture: Any, guidance: Any, estimate: Any | None 
     axes.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True))
     axes.set_xlabel("photographs", size=9.5, color=FAINT)
     axes.set_ylabel("mean entropy", size=9.5, color=FAINT)
-    plain(axes)
+    style.plain(axes)
 
 
 def draw_ranking(axes: Axes, guidance: Any) -> None:
@@ -149,7 +135,7 @@ def draw_ranking(axes: Axes, guidance: Any) -> None:
     axes.set_xlabel("candidates, the best first", size=9.5, color=FAINT)
     axes.set_ylabel("gain" if guidance.options.strategy == "entropy" else "worth", size=9.5,
                     color=FAINT)  # fmt: skip
-    plain(axes)
+    style.plain(axes)
 
 
 def gain_limit(maps: np.ndarray) -> float:
@@ -194,11 +180,11 @@ def _heading(figure: Figure, capture: Any, estimate: Any, guidance: Any) -> None
         f"by {options.strategy}",
         f"{sum(capture.used)} photographs",
         f"{reachable} of {guidance.candidates.count} candidates can be reached",
-        f"{width} × {height} texels, {spaced(looked_at)} of {spaced(guidance.texels.count)} "
-        "looked at",
+        f"{width} × {height} texels, {style.spaced(looked_at)} of "
+        f"{style.spaced(guidance.texels.count)} looked at",
         f"{np.nansum(list(guidance.timings.values())):.1f} s",
     )
-    heading(figure, "Which photograph to take next", words, (0.968, 0.936))
+    style.heading(figure, "Which photograph to take next", words, (0.968, 0.936))
 
 
 def _objects(
@@ -238,7 +224,7 @@ def _maps(figure: Figure, rows: Any, estimate: Any, guidance: Any, maps: np.ndar
         (above, draw_map(above, estimate), "entropy of every texel"),
         (below, drawn, "gain by proposal 1"),
     ):
-        color_bar(figure, axes, what, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
+        style.color_bar(figure, axes, what, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
         axes.set_title(words, loc="center", size=10, color=INK, pad=4)
         axes.set_anchor("NW")
 

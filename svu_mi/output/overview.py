@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.output import views
+from svu_mi.output import style, views
 from svu_mi.output.figures import map_colors
 from svu_mi.output.result import Result, known, mean_marginals, open_axes, words
 from svu_mi.output.style import (
@@ -20,14 +20,6 @@ from svu_mi.output.style import (
     RULE,
     UNSEEN,
     VIEWS_COLORMAP,
-    color_bar,
-    framed,
-    heading,
-    new_figure,
-    plain,
-    save_figure,
-    spaced,
-    title,
 )
 
 if TYPE_CHECKING:
@@ -48,7 +40,7 @@ def write_overview(capture: Any, estimate: Any, path: str | Path) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    figure = new_figure(*SIZE)
+    figure = style.new_figure(*SIZE)
     result = Result.of(estimate)
     _heading(figure, capture, estimate, result)
     objects = figure.add_gridspec(1, 4, left=LEFT, right=RIGHT, top=0.86, bottom=0.455, wspace=0.03)
@@ -63,7 +55,7 @@ def write_overview(capture: Any, estimate: Any, path: str | Path) -> None:
     _histogram(figure.add_subplot(plots[0, :]), result)
     for column, name in enumerate(parameters):
         _marginal(figure.add_subplot(plots[1, column]), estimate, result, name)
-    save_figure(figure, path)
+    style.save_figure(figure, path)
 
 
 def _heading(figure: Figure, capture: Any, estimate: Any, result: Result) -> None:
@@ -75,12 +67,12 @@ def _heading(figure: Figure, capture: Any, estimate: Any, result: Result) -> Non
         f"preset {estimate.preset.name}",
         *(f"known {words(name)} {value:g}" for name, value in known(estimate).items()),
         f"{sum(capture.used)} of {capture.count} views",
-        f"{width} × {height} texels, {spaced(texels)} in charts",
-        f"{spaced(seen)} seen ({100 * seen / max(texels, 1):.0f} %)",
+        f"{width} × {height} texels, {style.spaced(texels)} in charts",
+        f"{style.spaced(seen)} seen ({100 * seen / max(texels, 1):.0f} %)",
         mean,
         f"{np.nansum(list(estimate.timings.values())):.1f} s",
     )
-    heading(figure, "What the photographs say about the reflectance", notes, (0.962, 0.922))
+    style.heading(figure, "What the photographs say about the reflectance", notes, (0.962, 0.922))
 
 
 def _object_row(figure: Figure, cells: Any, capture: Any, estimate: Any) -> None:
@@ -101,13 +93,13 @@ def _object_row(figure: Figure, cells: Any, capture: Any, estimate: Any) -> None
         photograph = views.tone_mapped(capture.images[view], mask)
         left.imshow(views.crop(photograph, window))
         right.imshow(views.crop(shown[..., :3], window))
-        title(left, f"Photograph {view}")
-        title(right, "Entropy seen from there")
+        style.title(left, f"Photograph {view}")
+        style.title(right, "Entropy seen from there")
 
 
 def _entropy_map(figure: Figure, axes: Axes, estimate: Any, result: Result) -> None:
     _map(figure, axes, estimate, result, None, (0, 1), COLORMAP, "0 = certain,  1 = nothing known")
-    title(axes, "Entropy")
+    style.title(axes, "Entropy")
 
 
 def _coverage_map(figure: Figure, axes: Axes, capture: Any, estimate: Any, result: Result) -> None:
@@ -117,7 +109,7 @@ def _coverage_map(figure: Figure, axes: Axes, capture: Any, estimate: Any, resul
     label = f"views that see the texel, of {sum(capture.used)}"
     bar = _map(figure, axes, estimate, result, result.coverage, limits, VIEWS_COLORMAP, label)
     bar.ax.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
-    title(axes, "Coverage")
+    style.title(axes, "Coverage")
 
 
 def _map(
@@ -130,7 +122,7 @@ def _map(
     colors = map_colors(estimate, values, limits=limits, colormap=colormap, gutter=0)
     axes.imshow(colors, interpolation="nearest")
     _hatch(axes, result)
-    return color_bar(figure, axes, ScalarMappable(Normalize(*limits), colormap), label)
+    return style.color_bar(figure, axes, ScalarMappable(Normalize(*limits), colormap), label)
 
 
 def _hatch(axes: Axes, result: Result) -> None:
@@ -144,7 +136,7 @@ def _hatch(axes: Axes, result: Result) -> None:
             extent=(-0.5, width - 0.5, -0.5, height - 0.5),
         )  # fmt: skip
         stripes.set(edgecolor=RULE, linewidth=0)
-    framed(axes)
+    style.framed(axes)
     axes.set(anchor="N")
     key = []
     if result.unseen.any():
@@ -161,8 +153,8 @@ def _hatch(axes: Axes, result: Result) -> None:
 def _histogram(axes: Axes, result: Result) -> None:
     from matplotlib import colormaps
 
-    title(axes, "Entropy of the texels seen")
-    plain(axes)
+    style.title(axes, "Entropy of the texels seen")
+    style.plain(axes)
     edges = np.linspace(0, 1, 51)
     values = result.entropy[result.seen]
     if len(values) == 0:
@@ -185,8 +177,8 @@ def _histogram(axes: Axes, result: Result) -> None:
 
 def _marginal(axes: Axes, estimate: Any, result: Result, name: str) -> None:
     """Mean marginal over the texels seen, and over the most certain of them."""
-    title(axes, f"Posterior of {words(name)}")
-    plain(axes)
+    style.title(axes, f"Posterior of {words(name)}")
+    style.plain(axes)
     if not result.seen.any():
         _nothing(axes)
         return
@@ -200,14 +192,14 @@ def _marginal(axes: Axes, estimate: Any, result: Result, name: str) -> None:
     axes.axhline(1 / len(nodes), color=RULE, lw=1, zorder=0)
     highest = max(float(mean.max()) for mean in means.values())
     axes.set(xlim=(0, 1), ylim=(0, 1.6 * highest))  # room for the key
-    for style, label in (("o-", "mean of all seen"), ("--", "of the most certain 10 %")):
-        axes.plot([], [], style, color=INK, lw=1.4, ms=3, label=label)
+    for line, label in (("o-", "mean of all seen"), ("--", "of the most certain 10 %")):
+        axes.plot([], [], line, color=INK, lw=1.4, ms=3, label=label)
     axes.legend(
         fontsize=8, frameon=False, labelcolor=INK, loc="upper left", borderaxespad=0,
         handlelength=1.6, labelspacing=0.2,
     )  # fmt: skip
     if channels == 3:
-        title(axes, f"Posterior of {words(name)}: R, G, B")
+        style.title(axes, f"Posterior of {words(name)}: R, G, B")
 
 
 def _nothing(axes: Axes) -> None:

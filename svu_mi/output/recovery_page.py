@@ -8,28 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.output import views
+from svu_mi.output import style, views
 from svu_mi.output.figures import all_seen, draw_map, draw_on_object
 from svu_mi.output.relit import Relit, draw_comparison, draw_relit
 from svu_mi.output.result import words
-from svu_mi.output.style import (
-    FAINT,
-    GREY,
-    INK,
-    LEFT,
-    OUTSIDE,
-    RIGHT,
-    RULE,
-    VIEWS_COLORMAP,
-    color_bar,
-    framed,
-    heading,
-    new_figure,
-    plain,
-    save_figure,
-    spaced,
-    title,
-)
+from svu_mi.output.style import FAINT, GREY, INK, LEFT, OUTSIDE, RIGHT, RULE, VIEWS_COLORMAP
 from svu_mi.parameters import NAMES
 
 if TYPE_CHECKING:
@@ -60,7 +43,7 @@ def write_recovery_overview(
     Raises:
         OutputError: the file cannot be written.
     """
-    figure = new_figure(*SIZE)
+    figure = style.new_figure(*SIZE)
     _heading(figure, capture, recovery)
     maps = figure.add_gridspec(1, 5, left=LEFT, right=0.81, top=0.875, bottom=0.63, wspace=0.1)
     plot = figure.add_gridspec(1, 1, left=0.855, right=RIGHT, top=0.875, bottom=0.64)
@@ -75,14 +58,14 @@ def write_recovery_overview(
             axes.set_anchor("NW")
         draw_comparison(cells[:3], comparison)
         error = comparison.mean_difference
-        title(cells[0], f"Photograph {comparison.view}")
-        title(cells[1], "Rendered as recovered")
-        title(cells[2], "Difference" if error is None else f"Difference, mean {error:.3f}")
+        style.title(cells[0], f"Photograph {comparison.view}")
+        style.title(cells[1], "Rendered as recovered")
+        style.title(cells[2], "Difference" if error is None else f"Difference, mean {error:.3f}")
         if row == 0:
             _parameters(cells[3:], capture, recovery, comparison.view)
         else:
             _rest(cells[3:], capture, recovery, comparison, estimate)
-    save_figure(figure, path)
+    style.save_figure(figure, path)
 
 
 def _heading(figure: Figure, capture: Any, recovery: Any) -> None:
@@ -92,40 +75,40 @@ def _heading(figure: Figure, capture: Any, recovery: Any) -> None:
     notes = (
         f"method {recovery.method}",
         f"{sum(capture.used)} of {capture.count} views",
-        f"{width} × {height} texels, {spaced(len(coverage))} in charts",
+        f"{width} × {height} texels, {style.spaced(len(coverage))} in charts",
         f"{seen:.0f} % seen",
         f"{len(recovery.losses)} steps",
         f"{np.nansum(list(recovery.timings.values())):.1f} s",
     )
     text = "The reflectance that the photographs were taken of"
-    heading(figure, text, notes, (0.962, 0.925))
+    style.heading(figure, text, notes, (0.962, 0.925))
 
 
 def _maps(figure: Figure, cells: Sequence[Axes], recovery: Any, estimate: Any | None) -> None:
     inside = recovery.texels.inside()
     color = views.srgb(np.clip(recovery.image("base_color"), 0, 1))
     cells[0].imshow(np.where(inside[..., None], color, OUTSIDE))
-    framed(cells[0])
+    style.framed(cells[0])
     shown = all_seen(recovery.texels)
     for axes, name in zip(cells[1:], NAMES[1:], strict=False):
         values = recovery.textures.at(recovery.texels, name)
-        color_bar(figure, axes, draw_map(axes, shown, values, colormap=GREY))
+        style.color_bar(figure, axes, draw_map(axes, shown, values, colormap=GREY))
     if estimate is None:
         _nothing(cells[3], "not estimated")
     else:
         drawn = draw_map(cells[3], estimate)
-        color_bar(figure, cells[3], drawn, "0 = certain, 1 = nothing known")
+        style.color_bar(figure, cells[3], drawn, "0 = certain, 1 = nothing known")
     coverage = np.array(recovery.coverage)
     most = (0.0, max(float(coverage.max(initial=0)), 1.0))
     drawn = draw_map(cells[4], recovery, coverage, limits=most, colormap=VIEWS_COLORMAP)
-    color_bar(figure, cells[4], drawn, "views; grey: never seen")
+    style.color_bar(figure, cells[4], drawn, "views; grey: never seen")
     for axes, text in zip(cells, (*TITLES, "Entropy", "Coverage"), strict=True):
         axes.set_anchor("NW")
-        title(axes, text)
+        style.title(axes, text)
 
 
 def _losses(axes: Axes, recovery: Any) -> None:
-    title(axes, "Loss by step")
+    style.title(axes, "Loss by step")
     losses = np.array(recovery.losses, np.float64)
     if len(losses) < 2:
         _nothing(axes, "no descent")
@@ -136,7 +119,7 @@ def _losses(axes: Axes, recovery: Any) -> None:
     axes.plot(np.arange(len(mean)) + (width - 1) / 2, mean, color=INK, lw=1.6)
     if losses.min() > 0 and losses.max() > 20 * losses.min():
         axes.set_yscale("log")
-    plain(axes)
+    style.plain(axes)
 
 
 def _parameters(cells: Sequence[Axes], capture: Any, recovery: Any, view: int) -> None:
@@ -150,7 +133,7 @@ def _parameters(cells: Sequence[Axes], capture: Any, recovery: Any, view: int) -
         values = recovery.textures.at(recovery.texels, name)
         draw_on_object(axes, capture, shown, view, values, colormap=GREY)
     for axes, text in zip(cells, TITLES, strict=True):
-        title(axes, text)
+        style.title(axes, text)
 
 
 def _rest(
@@ -158,10 +141,10 @@ def _rest(
 ) -> None:
     """Draw the other light, and what is known of the object from there."""
     draw_relit(cells[0], comparison)
-    title(cells[0], "Under another light")
+    style.title(cells[0], "Under another light")
     if estimate is not None:
         draw_on_object(cells[1], capture, estimate, comparison.view)
-        title(cells[1], "Entropy")
+        style.title(cells[1], "Entropy")
     else:
         cells[1].set_axis_off()
     coverage = np.array(recovery.coverage)
@@ -170,11 +153,11 @@ def _rest(
         cells[2], capture, recovery, comparison.view, coverage, limits=most,
         colormap=VIEWS_COLORMAP,
     )  # fmt: skip
-    title(cells[2], "Coverage")
+    style.title(cells[2], "Coverage")
 
 
 def _nothing(axes: Axes, text: str) -> None:
-    framed(axes)
+    style.framed(axes)
     axes.set_box_aspect(1)
     axes.text(
         0.5, 0.5, text, color=FAINT, ha="center", va="center", size=11, transform=axes.transAxes

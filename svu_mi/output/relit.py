@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.capture.poses import film_size, scaled_sensor
 from svu_mi.capture.rendering import object_mask
 from svu_mi.output import views
 from svu_mi.output.style import FAINT, INK, new_figure, save_figure
 from svu_mi.recovery.relight import novel_light, relight
+from svu_mi.recovery.textures import Textures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from svu_mi.capture import Capture
-    from svu_mi.recovery.textures import Textures
 
 COLUMNS = ("Photograph", "Recovered", "Difference", "Under another light")
 CELL = 2.9  # inches

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.output import views
 from svu_mi.output.figures import cell_edges
 from svu_mi.output.page import NARROW_SPACE, Picture, drawing, grouped
@@ -19,9 +20,6 @@ from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import Result, mean_marginals, open_axes, words
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.textures import Textures, lay_out
-
-if TYPE_CHECKING:
-    from svu_mi.capture import Capture
 
 BINS = 25  # of the histogram
 TOPS = (0.2, 0.3, 0.5, 1.0)  # of axes of probability

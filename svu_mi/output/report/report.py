@@ -7,23 +7,21 @@ import datetime
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 import svu_mi
+from svu_mi.capture import Capture
 from svu_mi.output.manifest import environment_record
 from svu_mi.output.page import NARROW_SPACE, grouped, percent, write_page
 from svu_mi.output.relit import DIFFERENCE_COLORMAP, WORST
 from svu_mi.output.report import findings, pictures, plots
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import Result, known, open_axes, words
+from svu_mi.pipeline import Estimate
 from svu_mi.progress import Stage
-
-if TYPE_CHECKING:
-    from svu_mi.capture import Capture
-    from svu_mi.pipeline import Estimate
-    from svu_mi.recovery.textures import Textures
+from svu_mi.recovery.textures import Textures
 
 TEMPLATE = "report.html"
 FRAMES, SIDE = 12, 400  # of the turntable; pixels

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from svu_mi.capture import Capture
 from svu_mi.capture.poses import film_size, focal_length, principal_point
 from svu_mi.capture.scene import to_world
 from svu_mi.formats.source import OPENCV
 from svu_mi.output import views
-
-if TYPE_CHECKING:
-    from svu_mi.capture import Capture
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.output.figures import TRUTH, draw_marginal
 from svu_mi.output.result import open_axes, words
 from svu_mi.output.style import INK, new_figure
+from svu_mi.output.viewer.picking import Pick
 from svu_mi.output.viewer.surface_maps import Scale
-
-if TYPE_CHECKING:
-    from svu_mi.capture import Capture
-    from svu_mi.output.viewer.picking import Pick
-    from svu_mi.pipeline import Estimate
-    from svu_mi.recovery.textures import Textures
+from svu_mi.pipeline import Estimate
+from svu_mi.recovery.textures import Textures
 
 WIDTH, DPI = 3.6, 160  # inches
 NAMED = 4  # cameras that are named; the others are counted

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,12 +13,9 @@ from svu_mi.output import views
 from svu_mi.output.figures import map_colors
 from svu_mi.output.result import open_axes, words
 from svu_mi.output.style import COLORMAP, GREY, UNSEEN, VIEWS_COLORMAP
+from svu_mi.pipeline import Estimate
+from svu_mi.recovery.textures import Textures
 from svu_mi.surface.gutter import dilate
-
-if TYPE_CHECKING:
-    from svu_mi.pipeline import Estimate
-    from svu_mi.recovery.textures import Textures
-
 
 
 @dataclass(frozen=True, kw_only=True)
