@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from svu_mi.bench.conventions import conventions_tables
+from svu_mi.bench.failures import left_out
 from svu_mi.bench.guidance import guidance_tables
 from svu_mi.bench.kernels import kernel_tables
 from svu_mi.bench.orb import orb_tables
@@ -17,6 +18,14 @@ from svu_mi.bench.text import number, seconds, table
 from svu_mi.files import write_text
 
 Record = dict[str, Any]
+BENCHMARKS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
+    ("kernels", "Kernels", kernel_tables),
+    ("stability", "Numerical stability", stability_table),
+    ("recovery", "Recovery of textures", recovery_tables),
+    ("guidance", "Capture guidance", guidance_tables),
+    ("orb", "Stanford-ORB", orb_tables),
+    ("conventions", "Mistakes about axes", conventions_tables),
+)
 
 
 def write_tables(path: Path, record: Record) -> None:
@@ -33,25 +42,14 @@ def write_tables(path: Path, record: Record) -> None:
     if record["cells"]:
         parts += [*_agreement(record), *_calibration(record), *_parameters(record),
                   *_cells(record)]  # fmt: skip
-    if record["failed"]:
-        rows = [[failed["cell"], failed["reason"]] for failed in record["failed"]]
-        parts += ["## Left out", table(("cell", "reason"), rows)]
+    parts += left_out("Left out", record)
     if record["checks"]:
         parts += _checks(record["checks"])
     if record["speed"]:
         parts += speed_tables(record["speed"])
-    if record["kernels"]:
-        parts += ["# Kernels", kernel_tables(record["kernels"])]
-    if record["stability"]:
-        parts += ["# Numerical stability", stability_table(record["stability"])]
-    if record["recovery"]:
-        parts += ["# Recovery of textures", recovery_tables(record["recovery"])]
-    if record["guidance"]:
-        parts += ["# Capture guidance", guidance_tables(record["guidance"])]
-    if record["orb"]:
-        parts += ["# Stanford-ORB", orb_tables(record["orb"])]
-    if record["conventions"]:
-        parts += ["# Mistakes about axes", conventions_tables(record["conventions"])]
+    for part, title, tables in BENCHMARKS:
+        if record[part]:
+            parts += [f"# {title}", tables(record[part])]
     write_text(path, "\n\n".join(parts))
 
 

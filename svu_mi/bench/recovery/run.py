@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.cells import Cell
+from svu_mi.bench.failures import Failures
 from svu_mi.bench.recovery.bars import find_bars
 from svu_mi.bench.recovery.cells import Task, even_tasks, sharing_tasks
 from svu_mi.bench.recovery.costs import measure_costs
@@ -17,7 +17,6 @@ from svu_mi.bench.recovery.rows import Row, choose_rows
 from svu_mi.bench.recovery.setting import PLACE, Setting, code_now, take_up
 from svu_mi.bench.recovery.sizes import FULL, QUICK, Sizes
 from svu_mi.bench.store import Store, key_of
-from svu_mi.errors import SvuError, SvuWarning
 
 Record = dict[str, Any]
 
@@ -50,17 +49,16 @@ def run_recovery(
     options = options or Options()
     sizes = options.sizes or (QUICK if bench.quick else FULL)
     tasks = _tasks(bench, cells, options, sizes)
-    record: Record = {"cells": [], "costs": None, "bars": [], "failed": [], "sizes": sizes,
-                      "quick": bench.quick, "versions": 0}  # fmt: skip
-    run = Run(bench, sizes, options, record)
+    run = Run(bench, sizes, options)
+    record: Record = {"cells": run.cells, "costs": None, "bars": [], "failed": run.failures.found,
+                      "sizes": sizes, "quick": bench.quick, "versions": 0}  # fmt: skip
     traced: dict[str, int] = {}
     for task in tasks:
         allowed = task.group == "even" or traced.get(task.group, 0) < sizes.path_cells
         traced[task.group] = traced.get(task.group, 0) + 1
         run.add(task, choose_rows(options.rows or sizes.rows, task.group, traced=allowed))
         _tell(record, finished)
-    if not record["cells"] and run.first is not None:
-        raise run.first
+    run.failures.refuse_nothing(run.cells)
     if COSTS in options.groups:
         record["costs"] = _costs(bench, cells[0], sizes, options)
     _tell(record, finished)
@@ -91,46 +89,38 @@ class Run:
         bench: where and how.
         sizes: how large.
         options: what is run.
-        record: gets the cells, and the rows that failed.
-        first: what the first of these raised.
+        cells: their records so far.
+        failures: rows that could not be run.
     """
 
     bench: Bench
     sizes: Sizes
     options: Options
-    record: Record
-    first: SvuError | None = None
+    cells: list[Record] = field(default_factory=list)
+    failures: Failures = field(default_factory=Failures)
 
     def add(self, task: Task, rows: Iterable[Row]) -> None:
         """Add the record of a cell: the rows that are there, or that could be run."""
         setting = Setting(self.bench, task, self.sizes)
         found = {}
         for row in rows:
-            try:
-                record = self._row(setting, row)
-            except SvuError as error:
-                self._fail(f"{task.title} ({task.group}): {row.label}", error)
-                continue
-            if record is not None:
-                found[row.label] = record
+            title = f"{task.title} ({task.group}): {row.label}"
+            with self.failures.leave_out(title):
+                record = self._row(setting, row, title)
+                if record is not None:
+                    found[row.label] = record
         if found:
             head = next(iter(found.values()))["cell"]
-            self.record["cells"].append({**head, "rows": found})
+            self.cells.append({**head, "rows": found})
 
-    def _row(self, setting: Setting, row: Row) -> Record | None:
+    def _row(self, setting: Setting, row: Row, title: str) -> Record | None:
         record = None
         if not self.bench.fresh:
             record = setting.stored(row, any_version=self.options.any_version)
         if record is not None or self.options.stored:
             return record
-        title = f"{setting.task.title} ({setting.task.group}): {row.label}"
         with self.bench.progress.stage(title):
             return setting.measure(row)
-
-    def _fail(self, what: str, error: SvuError) -> None:
-        self.first = self.first or error
-        self.record["failed"].append({"cell": what, "reason": str(error)})
-        warnings.warn(f"{what} is left out: {error}", SvuWarning, stacklevel=2)
 
 
 def _costs(bench: Bench, cell: Cell, sizes: Sizes, options: Options) -> Record | None:
