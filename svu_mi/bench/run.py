@@ -28,6 +28,7 @@ from svu_mi.bench.variants import Variant, available
 from svu_mi.errors import OptionError
 from svu_mi.files import prepare_folder
 from svu_mi.output import environment_record, write_manifest
+from svu_mi.settings import require_known
 
 WHAT = ("accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance", "orb",
         "conventions", "all")  # fmt: skip
@@ -69,8 +70,7 @@ def run_bench(
         SvuError: that of the first cell, if every cell failed.
         OutputError: the folder cannot be written.
     """
-    if what not in WHAT:
-        raise OptionError(f"There is no benchmark {what!r}; there are {', '.join(WHAT)}.")
+    require_known([what], WHAT, "benchmark")
     if what != "orb" and not cells:
         raise OptionError("There is no object under any light to run.")
     prepare_folder(bench.folder)

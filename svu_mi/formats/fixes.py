@@ -14,7 +14,7 @@ import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.capture.poses import affine
-from svu_mi.errors import OptionError
+from svu_mi.settings import require_known
 
 Kind = Literal["camera", "mesh", "light", "texture"]
 
@@ -93,9 +93,7 @@ def fixes_named(names: Sequence[str]) -> tuple[Fix, ...]:
     Raises:
         OptionError: there is none of a name.
     """
-    for name in names:
-        if name not in FIXES:
-            raise OptionError(f"There is no fix {name!r}; known are {', '.join(FIXES)}.")
+    require_known(names, FIXES, "fix")
     return tuple(FIXES[name] for name in names)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -115,8 +115,8 @@ def recover(
         SvuError: the loss or a gradient is NaN or infinite.
         OutputError: the checkpoint cannot be read or written.
     """
-    if method not in ("sh", "path", "sh+path"):
-        raise OptionError(f"Unknown method {method!r}; there are sh, path and sh+path.")
+    if method not in get_args(Method):
+        raise OptionError(f"Unknown method {method!r}; there are {', '.join(get_args(Method))}.")
     if resume and checkpoint is None:
         raise OptionError("recover(): resume=True needs the checkpoint to go on from.")
     names = _names(parameters)

@@ -18,9 +18,9 @@ from svu_mi.bench.conventions.written import Written, write
 from svu_mi.bench.store import Store
 from svu_mi.capture import Capture, load_capture
 from svu_mi.checking.run import find_mistakes
-from svu_mi.errors import OptionError
 from svu_mi.formats.importing import import_capture
 from svu_mi.formats.reading import ReadOptions, read_source
+from svu_mi.settings import require_known
 
 # Of the photographs: views, pixels per side, samples per pixel; --quick has fewer.
 SIZES = {"views": 24, "film": 128, "spp": 64}
@@ -43,9 +43,7 @@ def run_conventions(
     Raises:
         OptionError: an unknown way.
     """
-    for way in ways:
-        if way not in WAYS:
-            raise OptionError(f"There is no row {way!r}; there are {', '.join(WAYS)}.")
+    require_known(ways, WAYS, "row")
     chosen = tuple(ways) or (IMPORTERS if bench.quick else tuple(WAYS))
     store, rows = Store(bench.folder / "conventions"), []
     settings = replace(bench.settings, **(QUICK if bench.quick else SIZES))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from svu_mi.bench.recovery.cells import GROUPS
 from svu_mi.bench.recovery.sizes import Sizes
-from svu_mi.errors import OptionError
+from svu_mi.settings import require_known
 
 COSTS = "costs"
 PARTS = (*GROUPS, COSTS)
@@ -38,11 +38,7 @@ class Options:
     sizes: Sizes | None = None
 
     def __post_init__(self) -> None:
-        for name in self.groups:
-            if name not in PARTS:
-                raise OptionError(
-                    f"There is no group of recovery cells {name!r}; there are {', '.join(PARTS)}."
-                )
+        require_known(self.groups, PARTS, "group of recovery cells")
 
     @property
     def any_version(self) -> bool:
