@@ -88,9 +88,7 @@ class Guide(Estimated):
         say(console, f"Wrote {self.output}")
         return 0
 
-    def _guide(
-        self, progress: Progress, options: GuidanceOptions
-    ) -> tuple[Any, Any, Guidance]:
+    def _guide(self, progress: Progress, options: GuidanceOptions) -> tuple[Any, Any, Guidance]:
         from svu_mi.guidance import Candidates, next_best_view
 
         # What a file says is refused before photographs are read.
@@ -114,9 +112,7 @@ class Guide(Estimated):
         if count is None:
             return Candidates.without_photograph(capture)
         lowest = -1.0 if self.lowest is None else float(np.sin(np.radians(self.lowest)))
-        return Candidates.around(
-            capture, count, up=self.up, lowest=lowest, distance=self.distance
-        )
+        return Candidates.around(capture, count, up=self.up, lowest=lowest, distance=self.distance)
 
     def _restricted(self, candidates: Candidates) -> Candidates:
         """Leave out what cannot be reached."""

@@ -39,7 +39,7 @@ def inside(root: Path, name: Any, label: str) -> Path:
             "relative to that folder."
         )
     if not name or not parts or not _is_usable(parts):
-        raise CaptureError(f"{label}: {_shown(name)} is no file's name.")
+        raise CaptureError(f"{label}: {_shown(name)} is no name of a file; rename it.")
     return root.joinpath(*parts)
 
 

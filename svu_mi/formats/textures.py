@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from trimesh.visual.material import empty_material
 
-from svu_mi.capture.picture import decoded, srgb
+from svu_mi.capture.picture import decoded, quantized, srgb
 from svu_mi.errors import MeshError, excerpt
 from svu_mi.files import replacing
 
@@ -95,9 +95,9 @@ def _of_gltf(material: Any) -> Textures:
         for value in (material.roughnessFactor, material.metallicFactor)
     )
     return {
-        "base_color": base if (factor == 1).all() else _bytes(srgb(decoded(base / 255) * factor)),
-        "roughness": _bytes(packed[..., 1] / 255 * rough),
-        "metallic": _bytes(packed[..., 2] / 255 * metal),
+        "base_color": base if (factor == 1).all() else quantized(srgb(decoded(base / 255) * factor)),
+        "roughness": quantized(packed[..., 1] / 255 * rough),
+        "metallic": quantized(packed[..., 2] / 255 * metal),
     }
 
 
@@ -106,7 +106,3 @@ def _rgb(picture: Any) -> np.ndarray:
     if picture is None:
         return np.full((CONSTANT, CONSTANT, 3), 255, np.uint8)
     return np.array(picture.convert("RGB"))
-
-
-def _bytes(values: np.ndarray) -> np.ndarray:
-    return np.clip(values * 255 + 0.5, 0, 255).astype(np.uint8)

@@ -95,10 +95,7 @@ def orb_albedo_error(found: Any, truth: Any, mask: Any) -> OrbError:
     a, b, inside = _prepared(found, truth, mask)
     a, b = np.clip(channel_scale(a[inside], b[inside]) * a, 0, 1), np.clip(b, 0, 1)
     return OrbError(
-        psnr_hdr=None,
-        psnr_ldr=_psnr(a, b, inside),
-        ssim=_ssim(a, b),
-        lpips=lpips(srgb(a), srgb(b)),
+        psnr_hdr=None, psnr_ldr=_psnr(a, b, inside), ssim=_ssim(a, b), lpips=lpips(srgb(a), srgb(b))
     )
 
 

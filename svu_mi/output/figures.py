@@ -191,12 +191,7 @@ def draw_posterior(
 
 
 def draw_marginal(
-    axes: Axes,
-    posterior: Posterior,
-    texel: int,
-    name: str,
-    *,
-    truth: GroundTruth | None = None,
+    axes: Axes, posterior: Posterior, texel: int, name: str, *, truth: GroundTruth | None = None
 ) -> None:
     """Draw the marginal of one parameter of one texel as bars, one per node of the grid.
 

@@ -11,6 +11,7 @@ from PIL import Image
 
 import svu_mi
 from svu_mi.capture import nodes
+from svu_mi.capture.picture import quantized
 from svu_mi.capture.poses import describe
 from svu_mi.exr import write_exr
 from svu_mi.files import prepare_folder, remove, replacing
@@ -180,7 +181,7 @@ def _write_thumbnails(pictures: Sequence[np.ndarray], folder: Path) -> None:
     """Write what the cameras will show, all of their film, coloured by gain."""
     for k, picture in enumerate(pictures):
         with replacing(folder / f"proposal_{k}.png") as temporary:
-            Image.fromarray(np.round(255 * picture[..., :3]).astype(np.uint8)).save(temporary)
+            Image.fromarray(quantized(picture[..., :3])).save(temporary)
 
 
 def _remove_stale(folder: Path) -> None:

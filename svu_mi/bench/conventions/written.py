@@ -16,7 +16,7 @@ from trimesh.visual.material import PBRMaterial
 from svu_mi.bench.conventions.photographs import white_of
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, arrays, flipped_v
-from svu_mi.capture.picture import srgb
+from svu_mi.capture.picture import quantized, srgb
 from svu_mi.capture.poses import affine
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.checking.appearance import base_color
@@ -100,7 +100,7 @@ def _texture(capture: Capture) -> np.ndarray:
     center = (np.arange(TEXTURE) + 0.5) / TEXTURE
     uv = np.stack(np.meshgrid(center, center), axis=-1).reshape(-1, 2)
     color = srgb(np.clip(base_color(capture.shape, uv), 0, 1))
-    return np.round(255 * color).astype(np.uint8).reshape(TEXTURE, TEXTURE, 3)
+    return quantized(color).reshape(TEXTURE, TEXTURE, 3)
 
 
 def write_glb(path: Path, mesh: MeshArrays, base_color: np.ndarray) -> None:

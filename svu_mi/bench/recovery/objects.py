@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
-from svu_mi.capture.picture import srgb
+from svu_mi.capture.picture import quantized, srgb
 from svu_mi.files import prepare_folder, replacing
+from svu_mi.formats.textures import write_pictures
 from svu_mi.parameters import NAMES
 from svu_mi.scenes import make_assets, meshes, textures
 
@@ -38,10 +38,8 @@ def own_object(name: str, folder: Path) -> Path:
     paint = {REPEATED: mosaic, CONTINUOUS: drift}[name]
     if not (place / "mesh.ply").exists():
         color, rough, metal = paint()
-        for file, values in zip(NAMES, (srgb(color), rough, metal), strict=True):
-            with replacing(place / f"{file}.png") as temporary:
-                pixels = np.clip(values * 255 + 0.5, 0, 255).astype(np.uint8)
-                Image.fromarray(np.ascontiguousarray(pixels)).save(temporary)
+        pictures = (quantized(values) for values in (srgb(color), rough, metal))
+        write_pictures(dict(zip(NAMES, pictures, strict=True)), place)
         with replacing(place / "mesh.ply") as temporary:  # last: a folder that has it is whole
             make_assets.write_mesh(temporary, meshes.vase())
     return place

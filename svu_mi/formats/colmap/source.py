@@ -50,11 +50,7 @@ def read_colmap(path: Path, *, images: Path | None = None, masks: Path | None = 
             size=(camera.width, camera.height),
         ))  # fmt: skip
     return Source(
-        format="colmap",
-        root=path,
-        frames=frames,
-        camera_axes=OPENCV,
-        notes=list(_notes(project)),
+        format="colmap", root=path, frames=frames, camera_axes=OPENCV, notes=list(_notes(project))
     )
 
 
