@@ -16,7 +16,7 @@ import numpy as np
 from svu_mi.capture.picture import Transfer
 from svu_mi.capture.poses import affine, film_size, focal_length, make_sensor, principal_point
 from svu_mi.capture.scene import to_world
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, excerpt
 
 # Columns of a camera-to-world rotation that change their sign on the way to Mitsuba's camera:
 # +X left, +Y up, +Z forward. Each matrix is its own inverse.
@@ -84,8 +84,8 @@ class Frame:
         width, height = self.size
         if not all(1 <= side <= MAX_SIDE for side in self.size):
             raise CaptureError(
-                f"{self.label}: a photograph of {width} x {height} pixels; width and height must "
-                f"be 1 to {MAX_SIDE}: correct those of the camera."
+                f"{self.label}: a photograph of {excerpt(width, 20)} x {excerpt(height, 20)} pixels; "
+                f"width and height must be 1 to {MAX_SIDE}: correct those of the camera."
             )
         low, high = (limit * max(self.size) for limit in FOCAL)
         if not all(low < length < high for length in self.focal):  # NaN fails, too

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from svu_mi.brdf.principled import specular_from_principled
+from svu_mi.capture import Capture
+from svu_mi.surface import Texels
 from svu_mi.surface.material import parameters_at
-
-if TYPE_CHECKING:
-    from svu_mi.capture import Capture
-    from svu_mi.surface import Texels
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -107,6 +107,11 @@ def draw_on_object(
         colormap: a name of matplotlib's.
     """
     colors = map_colors(estimate, values, limits=limits, colormap=colormap)
+    draw_texture(axes, capture, view, colors)
+
+
+def draw_texture(axes: Axes, capture: Capture, view: int, colors: np.ndarray) -> None:
+    """Draw screen colours (H, W, 3) on the object, as a camera of the capture sees it."""
     shown = views.picture(capture, colors, capture.sensors[view])
     axes.imshow(views.crop(shown[..., :3], views.object_window(shown[..., 3] > 0)))
     axes.set_axis_off()
@@ -172,7 +177,7 @@ def draw_posterior(
         OptionError: an unknown parameter, twice the same, or a texel that does not exist.
     """
     order = list(posterior.axes)
-    x, y = names or _open_first(posterior)[:2]
+    x, y = names or sorted(order, key=lambda name: len(posterior.axes[name]) == 1)[:2]
     if x == y or not {x, y} <= set(order):
         raise OptionError(f"draw_posterior(): expected two of {', '.join(order)}, got {x}, {y}.")
     p = np.array(posterior.probabilities_of([texel]), np.float64)[0]
@@ -225,11 +230,6 @@ def _seen(estimate: Estimate) -> np.ndarray:
 
 def _values(estimate: Estimate, values: Any | None) -> np.ndarray:
     return np.array(estimate.entropy if values is None else values).astype(np.float32)
-
-
-def _open_first(posterior: Posterior) -> list[str]:
-    """Names of the axes, those with one node last."""
-    return sorted(posterior.axes, key=lambda name: len(posterior.axes[name]) == 1)
 
 
 def cell_edges(nodes: np.ndarray) -> np.ndarray:

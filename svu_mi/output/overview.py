@@ -50,7 +50,10 @@ def write_overview(capture: Any, estimate: Any, path: str | Path) -> None:
         2, len(parameters), left=0.535, right=RIGHT, top=0.405, bottom=0.04, hspace=0.6, wspace=0.2
     )
     _object_row(figure, objects, capture, estimate)
-    _entropy_map(figure, figure.add_subplot(maps[0, 0]), estimate, result)
+    left = figure.add_subplot(maps[0, 0])
+    label = "0 = certain,  1 = nothing known"
+    _map(figure, left, estimate, result, result.entropy, (0, 1), COLORMAP, label)
+    style.title(left, "Entropy")
     _coverage_map(figure, figure.add_subplot(maps[0, 1]), capture, estimate, result)
     _histogram(figure.add_subplot(plots[0, :]), result)
     for column, name in enumerate(parameters):
@@ -97,11 +100,6 @@ def _object_row(figure: Figure, cells: Any, capture: Any, estimate: Any) -> None
         style.title(right, "Entropy seen from there")
 
 
-def _entropy_map(figure: Figure, axes: Axes, estimate: Any, result: Result) -> None:
-    _map(figure, axes, estimate, result, None, (0, 1), COLORMAP, "0 = certain,  1 = nothing known")
-    style.title(axes, "Entropy")
-
-
 def _coverage_map(figure: Figure, axes: Axes, capture: Any, estimate: Any, result: Result) -> None:
     from matplotlib.ticker import MaxNLocator
 
@@ -113,7 +111,7 @@ def _coverage_map(figure: Figure, axes: Axes, capture: Any, estimate: Any, resul
 
 
 def _map(
-    figure: Figure, axes: Axes, estimate: Any, result: Result, values: np.ndarray | None,
+    figure: Figure, axes: Axes, estimate: Any, result: Result, values: np.ndarray,
     limits: tuple[float, float], colormap: str, label: str,
 ) -> Any:  # fmt: skip
     from matplotlib.cm import ScalarMappable

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.output import style, views
-from svu_mi.output.figures import all_seen, draw_map, draw_on_object
+from svu_mi.output.figures import all_seen, draw_map, draw_on_object, draw_texture
 from svu_mi.output.relit import Relit, draw_comparison, draw_relit
 from svu_mi.output.result import words
 from svu_mi.output.style import FAINT, GREY, INK, LEFT, OUTSIDE, RIGHT, RULE, VIEWS_COLORMAP
@@ -126,9 +126,7 @@ def _parameters(cells: Sequence[Axes], capture: Any, recovery: Any, view: int) -
     """Draw the three parameters on the object."""
     shown = all_seen(recovery.texels)
     color = np.array(recovery.textures.base_color, np.float32)
-    picture = views.picture(capture, views.srgb(np.clip(color, 0, 1)), capture.sensors[view])
-    cells[0].imshow(views.crop(picture[..., :3], views.object_window(picture[..., 3] > 0)))
-    cells[0].set_axis_off()
+    draw_texture(cells[0], capture, view, views.srgb(np.clip(color, 0, 1)))
     for axes, name in zip(cells[1:], NAMES[1:], strict=True):
         values = recovery.textures.at(recovery.texels, name)
         draw_on_object(axes, capture, shown, view, values, colormap=GREY)

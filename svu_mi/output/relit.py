@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -122,21 +122,18 @@ def compare(
     capture: Capture,
     textures: Textures,
     chosen: Sequence[int],
-    environment: Any | None = None,
     spp: int = SAMPLES,
 ) -> list[Relit]:
-    """Render the recovered object as some of the cameras saw it, and under another light.
+    """Render the recovered object as some of the cameras saw it, and under ``novel_light``.
 
     Args:
         capture: the ``Capture``.
         textures: of the object.
         chosen: indices of its sensors.
-        environment: the other light; by default ``novel_light``.
         spp: samples per pixel.
     """
     sensors = [scaled_sensor(capture.sensors[view], SIDE) for view in chosen]
-    other = novel_light(capture) if environment is None else environment
-    relit = relight(capture, textures, other, sensors, spp)
+    relit = relight(capture, textures, novel_light(capture), sensors, spp)
     return [
         Relit(**vars(comparison), relit=image)
         for comparison, image in zip(explain(capture, textures, chosen, spp), relit, strict=True)

@@ -54,9 +54,9 @@ def spaced(number: int) -> str:
     return f"{number:_}".replace("_", THIN_SPACE)
 
 
-def title(axes: Axes, text: str, size: float = 11.5, pad: float = 6) -> None:
+def title(axes: Axes, text: str, pad: float = 6) -> None:
     """Write a title over the left end of axes."""
-    axes.set_title(text, loc="left", size=size, color=INK, pad=pad)
+    axes.set_title(text, loc="left", size=11.5, color=INK, pad=pad)
 
 
 def plain(axes: Axes) -> None:

@@ -57,6 +57,7 @@ def write_report(
         OutputError: the file cannot be written.
     """
     report = progress or Stage().update
+    today = datetime.date.today()
     warnings = [_within(capture.source, sentence) for sentence in capture.warnings]
     result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
     shown, left_out = pictures.thumbnails(capture, estimate)
@@ -73,7 +74,8 @@ def write_report(
     errors = _errors(capture, estimate, result, textures)
     write_page(
         path, TEMPLATE,
-        title=title or _name(capture), version=svu_mi.__version__, date=_today(),
+        title=title or _name(capture), version=svu_mi.__version__,
+        date=f"{today.day} {today:%B %Y}",
         summary=_summary(capture, estimate, result, table), thumbnails=shown, left_out=left_out,
         count=capture.count, used=sum(capture.used), frames=frames, maps=maps, recovered=recovered,
         histogram=plots.histogram(result),
@@ -178,8 +180,3 @@ def _within(folder: Path | None, sentence: str) -> str:
 
 def _name(capture: Any) -> str:
     return capture.source.resolve().name if capture.source else str(capture.shape.id())
-
-
-def _today() -> str:
-    today = datetime.date.today()
-    return f"{today.day} {today:%B %Y}"
