@@ -24,7 +24,7 @@ from svu_mi.bench.orb.options import ROWS, Options, Sizes
 from svu_mi.bench.orb.setting import Setting
 from svu_mi.bench.orb.tables import GREY
 from svu_mi.bench.orb.targets import Target, judge_pictures
-from svu_mi.bench.recovery.sizes import Sizes as RecoverySizes
+from svu_mi.bench.recovery.options import Sizes as RecoverySizes
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.picture import read_planes
 from svu_mi.capture.scene import find_environment, load_scene

@@ -10,7 +10,7 @@ import pytest
 
 from svu_mi import scenes
 from svu_mi.bench.accuracy import Bench
-from svu_mi.bench.captures import capture_of
+from svu_mi.bench.captures import FRONT, capture_of, uneven_views
 from svu_mi.bench.cells import Cell, Settings, own_cells
 from svu_mi.bench.recovery import draw_recovery, recovery_tables, run_recovery
 from svu_mi.bench.recovery import run as module
@@ -20,11 +20,9 @@ from svu_mi.bench.recovery.costs import describe_marks
 from svu_mi.bench.recovery.judge import Judge
 from svu_mi.bench.recovery.measure import Mark, step_seconds
 from svu_mi.bench.recovery.objects import TILES, drift, mosaic, own_object
-from svu_mi.bench.recovery.options import Options
+from svu_mi.bench.recovery.options import Options, Sizes
 from svu_mi.bench.recovery.relighting import Relit
 from svu_mi.bench.recovery.rows import PATH, ROWS, SH, SH_SHARING, choose_rows, find_row
-from svu_mi.bench.recovery.sizes import Sizes
-from svu_mi.bench.recovery.views import FRONT, uneven_views
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.main import main
 from svu_mi.errors import OptionError, ShapeError

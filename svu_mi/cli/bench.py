@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+from rich.console import Console
 
 from svu_mi.cli.inputs import Common, Output, say
 from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from svu_mi.bench.cells import Cell
     from svu_mi.bench.orb.options import Options as OrbOptions
     from svu_mi.bench.recovery.options import Options

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rich.console import Console
+
 from svu_mi.cli.inputs import Common, Defines, Output, Scene, given, parse_defines, say
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from svu_mi.checking.record import Check
 
 SHOWN = 5  # views that fit worst, in the table

@@ -6,15 +6,14 @@ import dataclasses
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
+
+from rich.console import Console
 
 from svu_mi.cli.inputs import (  # isort: skip
     Common, Defines, Estimated, Output, Resolution, Scene, given, pair, parse_defines, say,
 )  # fmt: skip
 from svu_mi.progress import Progress
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
+from rich.console import Console
 
 from svu_mi.cli.inputs import Estimated, given, say
 from svu_mi.errors import OptionError
@@ -17,8 +18,6 @@ from svu_mi.options import preset as find_preset
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from svu_mi.capture import Capture
     from svu_mi.guidance import Candidates, Guidance, GuidanceOptions
 

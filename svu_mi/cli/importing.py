@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+from rich.console import Console
 
 from svu_mi.cli.inputs import Common, Output, say
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from svu_mi.formats.importing import ImportOptions
 
 From = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]

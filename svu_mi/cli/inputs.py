@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
+from rich.console import Console
 
 from svu_mi import _llvm
 from svu_mi.errors import OptionError, SvuEnvironmentError
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from svu_mi.capture import Capture
     from svu_mi.capture.images import Missing
     from svu_mi.pipeline import Estimate

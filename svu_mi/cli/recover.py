@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
+from rich.console import Console
 
 from svu_mi.cli.inputs import Photographed, given, say, was_interrupted
 from svu_mi.errors import OptionError
@@ -14,8 +15,6 @@ from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from svu_mi.recovery.textures import Textures
     from svu_mi.surface import Texels
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
+from rich.console import Console
 
 from svu_mi.cli.inputs import Estimated, given, say
 from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 Page = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE.html", help="The page.")]
 

@@ -11,9 +11,8 @@ from typing import Any
 
 from svu_mi.errors import CaptureError
 from svu_mi.export import glb, materialx, mitsuba_xml
-from svu_mi.export.asset import Asset
+from svu_mi.export.asset import RECORD, TEXTURES, Asset, Written
 from svu_mi.export.charts import at_vertices, with_gutters
-from svu_mi.export.files import RECORD, TEXTURES, Written
 from svu_mi.export.images import write_exr_images, write_png_images
 from svu_mi.export.options import ExportOptions
 from svu_mi.export.reading import load_asset

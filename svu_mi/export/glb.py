@@ -10,8 +10,7 @@ import numpy as np
 
 import svu_mi
 from svu_mi.capture.picture import decoded, quantized, srgb
-from svu_mi.export.asset import Asset
-from svu_mi.export.files import Written
+from svu_mi.export.asset import Asset, Written
 from svu_mi.export.images import packed
 from svu_mi.export.mesh import as_trimesh, upward_uvs
 from svu_mi.files import replacing

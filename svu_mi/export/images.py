@@ -10,8 +10,7 @@ import numpy as np
 import svu_mi
 from svu_mi.capture.picture import quantized, srgb
 from svu_mi.errors import OutputError
-from svu_mi.export.asset import Asset
-from svu_mi.export.files import TEXTURES, Written
+from svu_mi.export.asset import TEXTURES, Asset, Written
 from svu_mi.exr import write_exr
 from svu_mi.files import replacing
 from svu_mi.output.textures import FILES, write_textures

@@ -11,8 +11,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
 from svu_mi.capture.nodes import write_document
-from svu_mi.export.asset import Asset
-from svu_mi.export.files import TEXTURES, Written
+from svu_mi.export.asset import TEXTURES, Asset, Written
 from svu_mi.export.mesh import as_trimesh, upward_uvs
 from svu_mi.files import write_text
 

@@ -84,8 +84,8 @@ class Frame:
         width, height = self.size
         if not all(1 <= side <= MAX_SIDE for side in self.size):
             raise CaptureError(
-                f"{self.label}: a photograph of {excerpt(width, 20)} x {excerpt(height, 20)} pixels; "
-                f"width and height must be 1 to {MAX_SIDE}: correct those of the camera."
+                f"{self.label}: a photograph of {excerpt(width, 20)} x {excerpt(height, 20)} "
+                f"pixels; both must be 1 to {MAX_SIDE}: correct width and height of the camera."
             )
         low, high = (limit * max(self.size) for limit in FOCAL)
         if not all(low < length < high for length in self.focal):  # NaN fails, too

@@ -94,8 +94,10 @@ def _of_gltf(material: Any) -> Textures:
         1.0 if value is None else float(value)
         for value in (material.roughnessFactor, material.metallicFactor)
     )
+    if (factor != 1).any():
+        base = quantized(srgb(decoded(base / 255) * factor))
     return {
-        "base_color": base if (factor == 1).all() else quantized(srgb(decoded(base / 255) * factor)),
+        "base_color": base,
         "roughness": quantized(packed[..., 1] / 255 * rough),
         "metallic": quantized(packed[..., 2] / 255 * metal),
     }

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.cells import Cell, own_cells
-from svu_mi.bench.orb.albedo import albedo_pictures
+from svu_mi.bench.orb.targets import albedo_pictures
 from svu_mi.bench.store import Store, key_of
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.poses import affine, describe, make_sensor, sphere_sensors

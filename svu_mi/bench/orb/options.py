@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from svu_mi.bench.recovery import rows as ways
+from svu_mi.bench.recovery.options import Sizes as RecoverySizes
 from svu_mi.bench.recovery.rows import Row
-from svu_mi.bench.recovery.sizes import Sizes as RecoverySizes
 from svu_mi.recovery.options import PathOptions, ShOptions
 from svu_mi.settings import require_known
 
@@ -39,7 +39,7 @@ class Sizes:
             512 is that of the data set's own evaluation.
         texels: texels per side.
         spp: samples per pixel of the pictures.
-        recovery: whether runs are warm, and how often they are timed (``bench.recovery.sizes``).
+        recovery: whether runs are warm, and how often they are timed (``bench.recovery.options``).
     """
 
     film: int = 512

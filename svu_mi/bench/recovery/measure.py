@@ -14,8 +14,8 @@ import drjit as dr
 import numpy as np
 
 from svu_mi.bench.fresh import in_new_process, memory_mib
+from svu_mi.bench.recovery.options import Sizes
 from svu_mi.bench.recovery.rows import Row, find_row
-from svu_mi.bench.recovery.sizes import Sizes
 from svu_mi.capture import Capture, load_capture
 from svu_mi.progress import Progress, Stage, compiled_kernels
 from svu_mi.surface import Texels, texels

@@ -12,10 +12,9 @@ from svu_mi.bench.failures import Failures
 from svu_mi.bench.recovery.bars import find_bars
 from svu_mi.bench.recovery.cells import Task, even_tasks, sharing_tasks
 from svu_mi.bench.recovery.costs import measure_costs
-from svu_mi.bench.recovery.options import COSTS, Options
+from svu_mi.bench.recovery.options import COSTS, FULL, QUICK, Options, Sizes
 from svu_mi.bench.recovery.rows import Row, choose_rows
 from svu_mi.bench.recovery.setting import PLACE, Setting, code_now, take_up
-from svu_mi.bench.recovery.sizes import FULL, QUICK, Sizes
 from svu_mi.bench.store import Store, key_of
 
 Record = dict[str, Any]

@@ -7,14 +7,13 @@ from functools import cached_property
 from typing import Any
 
 from svu_mi.bench.accuracy import Bench
-from svu_mi.bench.captures import some_views
+from svu_mi.bench.captures import some_views, uneven_views
 from svu_mi.bench.recovery.cells import Task
 from svu_mi.bench.recovery.judge import Judge
 from svu_mi.bench.recovery.measure import run_warm
+from svu_mi.bench.recovery.options import Sizes
 from svu_mi.bench.recovery.relighting import Relit
 from svu_mi.bench.recovery.rows import Row
-from svu_mi.bench.recovery.sizes import Sizes
-from svu_mi.bench.recovery.views import uneven_views
 from svu_mi.bench.store import Store, code_and_machine, key_of
 from svu_mi.capture import Capture
 from svu_mi.recovery.textures import lay_out
