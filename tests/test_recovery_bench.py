@@ -17,11 +17,10 @@ from svu_mi.bench.recovery import run as module
 from svu_mi.bench.recovery.bars import find_bars
 from svu_mi.bench.recovery.cells import even_tasks, sharing_tasks
 from svu_mi.bench.recovery.costs import describe_marks
-from svu_mi.bench.recovery.judge import Judge
+from svu_mi.bench.recovery.judge import Judge, Relit
 from svu_mi.bench.recovery.measure import Mark, step_seconds
 from svu_mi.bench.recovery.objects import TILES, drift, mosaic, own_object
 from svu_mi.bench.recovery.options import Options, Sizes
-from svu_mi.bench.recovery.relighting import Relit
 from svu_mi.bench.recovery.rows import PATH, ROWS, SH, SH_SHARING, choose_rows, find_row
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.main import main
@@ -304,7 +303,7 @@ def test_a_second_run_computes_nothing(finished, monkeypatch):
 def test_results_of_another_version_are_taken_up_only_if_asked_for(finished, monkeypatch):
     folder, record, _ = finished
     calls = []
-    monkeypatch.setattr("svu_mi.bench.recovery.setting.code_now", lambda: "other")
+    monkeypatch.setattr("svu_mi.bench.recovery.run.code_now", lambda: "other")
     same = record["cells"][0]["rows"][SH.label]
     monkeypatch.setattr(module.Setting, "measure", lambda _, row: calls.append(row) or same)
     one = Options(sizes=TINY, groups=("even",), rows=(SH.label,))

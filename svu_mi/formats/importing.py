@@ -24,12 +24,11 @@ from svu_mi.errors import CaptureError, OptionError
 from svu_mi.exr import is_cropped
 from svu_mi.files import replacing_folder
 from svu_mi.formats.exposures import with_exif_exposures, with_exposures
-from svu_mi.formats.findings import about
 from svu_mi.formats.fixes import FIXES, Fix, corrected_mesh, corrected_poses, fixes_named
 from svu_mi.formats.geometry import Geometry, read_geometry
 from svu_mi.formats.light import write_environment
 from svu_mi.formats.paths import name_in
-from svu_mi.formats.photographs import Converted, convert
+from svu_mi.formats.photographs import Converted, about, convert
 from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Light, Source
 from svu_mi.formats.textures import write_pictures

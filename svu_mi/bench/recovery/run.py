@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 from svu_mi.bench.accuracy import Bench
@@ -14,8 +15,8 @@ from svu_mi.bench.recovery.cells import Task, even_tasks, sharing_tasks
 from svu_mi.bench.recovery.costs import measure_costs
 from svu_mi.bench.recovery.options import COSTS, FULL, QUICK, Options, Sizes
 from svu_mi.bench.recovery.rows import Row, choose_rows
-from svu_mi.bench.recovery.setting import PLACE, Setting, code_now, take_up
-from svu_mi.bench.store import Store, key_of
+from svu_mi.bench.recovery.setting import PLACE, Setting
+from svu_mi.bench.store import Store, code_and_machine, key_of
 
 Record = dict[str, Any]
 
@@ -59,7 +60,9 @@ def run_recovery(
         _tell(record, finished)
     run.failures.refuse_nothing(run.cells)
     if COSTS in options.groups:
-        record["costs"] = _costs(bench, cells[0], sizes, options)
+        store, key = Store(bench.folder / PLACE), key_of(cells[0].name, asdict(sizes))
+        measure = partial(measure_costs, bench, cells[0], sizes)
+        record["costs"] = run.recall(store, "costs", key, "Timing single steps", measure)
     _tell(record, finished)
     return record
 
@@ -105,30 +108,35 @@ class Run:
         for row in rows:
             title = f"{task.title} ({task.group}): {row.label}"
             with self.failures.leave_out(title):
-                record = self._row(setting, row, title)
+                measure = partial(setting.measure, row)
+                record = self.recall(setting.store, row.slug, setting.key(row), title, measure)
                 if record is not None:
                     found[row.label] = record
         if found:
             head = next(iter(found.values()))["cell"]
             self.cells.append({**head, "rows": found})
 
-    def _row(self, setting: Setting, row: Row, title: str) -> Record | None:
-        record = None
-        if not self.bench.fresh:
-            record = setting.stored(row, any_version=self.options.any_version)
-        if record is not None or self.options.stored:
+    def recall(
+        self, store: Store, name: str, key: str, title: str, measure: Callable[[], Record]
+    ) -> Record | None:
+        """Return a finished record that may be taken up, or measure; None if that is not asked for.
+
+        Args:
+            store: where records are kept.
+            name: of the record.
+            key: of its settings, whatever the version of the code.
+            title: of what is done.
+            measure: what is done.
+        """
+        record = None if self.bench.fresh else store.load(name, key)
+        if record is not None and (self.options.any_version or record["code"] == code_now()):
             return record
+        if self.options.stored:
+            return None
         with self.bench.progress.stage(title):
-            return setting.measure(row)
+            return store.save(name, key, {"code": code_now(), **measure()})
 
 
-def _costs(bench: Bench, cell: Cell, sizes: Sizes, options: Options) -> Record | None:
-    store, key = Store(bench.folder / PLACE), key_of(cell.name, asdict(sizes))
-    record = None
-    if not bench.fresh:
-        record = take_up(store, "costs", key, any_version=options.any_version)
-    if record is not None or options.stored:
-        return record
-    with bench.progress.stage("Timing single steps"):
-        found = measure_costs(bench, cell, sizes)
-        return store.save("costs", key, {"code": code_now(), **found})
+def code_now() -> str:
+    """Return a digest of the code and the machine."""
+    return key_of(*code_and_machine())
