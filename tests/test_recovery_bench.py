@@ -15,11 +15,10 @@ from svu_mi.bench.cells import Cell, Settings, own_cells
 from svu_mi.bench.recovery import draw_recovery, recovery_tables, run_recovery
 from svu_mi.bench.recovery import run as module
 from svu_mi.bench.recovery.bars import find_bars
-from svu_mi.bench.recovery.cells import even_tasks, sharing_tasks
+from svu_mi.bench.recovery.cells import TILES, drift, even_tasks, mosaic, own_object, sharing_tasks
 from svu_mi.bench.recovery.costs import describe_marks
 from svu_mi.bench.recovery.judge import Judge, Relit
 from svu_mi.bench.recovery.measure import Mark, step_seconds
-from svu_mi.bench.recovery.objects import TILES, drift, mosaic, own_object
 from svu_mi.bench.recovery.options import Options, Sizes
 from svu_mi.bench.recovery.rows import PATH, ROWS, SH, SH_SHARING, choose_rows, find_row
 from svu_mi.capture.scene import to_world
