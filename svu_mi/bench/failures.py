@@ -34,8 +34,8 @@ class Failures:
             self.found.append({"cell": what, "reason": str(error)})
             warnings.warn(f"{what} is left out: {error}", SvuWarning, stacklevel=4)
 
-    def refuse_nothing(self, done: Any) -> None:
-        """Raise the first error if nothing could be run."""
+    def raise_unless(self, done: Any) -> None:
+        """Raise the first error unless anything could be run."""
         if not done and self.first is not None:
             raise self.first
 

@@ -59,7 +59,7 @@ def run_guidance(
         with failures.leave_out(cell.title):
             record["runs"].append(_run(bench, cell, sizes, seed))
         _tell(record, sizes, finished)
-    failures.refuse_nothing(record["runs"])
+    failures.raise_unless(record["runs"])
     return record
 
 

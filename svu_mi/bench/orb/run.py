@@ -54,5 +54,5 @@ def run_orb(
             record["captures"].append({**head, "rows": found})
         if finished is not None and record["captures"]:
             finished(record)
-    failures.refuse_nothing(record["captures"])
+    failures.raise_unless(record["captures"])
     return record

@@ -19,6 +19,8 @@ from svu_mi.parameters import NAMES
 from svu_mi.scenes import make_assets, meshes, textures
 
 Group = Literal["even", "repeated", "varied"]
+GROUPS: tuple[Group, ...] = ("even", "repeated", "varied")
+
 # Objects of our own for sharing: one whose few materials repeat, one where nothing does.
 REPEATED, CONTINUOUS = "mosaic", "drift"
 # Base colour, roughness, metallic: far apart, none a perfect mirror.
@@ -30,7 +32,6 @@ TILES = (
     ((0.45, 0.46, 0.50), 0.55, 1.0),  # steel
 )
 COLUMNS, ROWS, SEED = 14, 10, 91640277
-GROUPS: tuple[Group, ...] = ("even", "repeated", "varied")
 
 OWN_LIGHTS = ("window", "overcast", "studio")  # those that are images
 SHARING_LIGHT = "window"  # of our own objects in the sharing groups

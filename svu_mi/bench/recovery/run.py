@@ -58,7 +58,7 @@ def run_recovery(
         traced[task.group] = traced.get(task.group, 0) + 1
         run.add(task, choose_rows(options.rows or sizes.rows, task.group, traced=allowed))
         _tell(record, finished)
-    run.failures.refuse_nothing(run.cells)
+    run.failures.raise_unless(run.cells)
     if COSTS in options.groups:
         store, key = Store(bench.folder / PLACE), key_of(cells[0].name, asdict(sizes))
         measure = partial(measure_costs, bench, cells[0], sizes)
