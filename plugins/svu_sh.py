@@ -9,7 +9,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.capture.material import PRINCIPLED, is_principled
+from svu_mi.capture.material import is_principled
 from svu_mi.capture.repaint import is_two_sided
 from svu_mi.capture.scene import find_environment
 from svu_mi.errors import OptionError, SceneError, SvuWarning
@@ -17,6 +17,7 @@ from svu_mi.light.environment import read_environment
 from svu_mi.light.lighting import band_limit
 from svu_mi.light.moments import MomentMap, moment_map
 from svu_mi.options import ANGULAR_PRESETS, preset
+from svu_mi.parameters import NAMES
 from svu_mi.plugins.registry import require_variant
 from svu_mi.reflection.continuous import Continuous, continuous, shade
 from svu_mi.reflection.principled import alpha_from_roughness
@@ -129,7 +130,7 @@ class ShIntegrator(mi.SamplingIntegrator):
             hit = active & si.is_valid()
             side, faces = _facing(scene, si, ray)
         bsdf, lit = si.bsdf(), hit & faces
-        for name in PRINCIPLED:
+        for name in NAMES:
             lit &= bsdf.has_attribute(name, hit)
         base_color = bsdf.eval_attribute("base_color", si, lit)
         roughness = dr.clip(bsdf.eval_attribute_1("roughness", si, lit), 0, 1)

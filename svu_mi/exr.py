@@ -12,7 +12,7 @@ import contextlib
 import os
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -93,14 +93,8 @@ def read_attributes(path: str | Path) -> dict[str, str | int | float]:
     Raises:
         CaptureError: as ``read_exr``.
     """
-    path = Path(path)
-    _check_magic(path)
-    try:
-        with _quiet, OpenEXR.File(str(path), header_only=True) as file:
-            header = dict(file.parts[0].header)
-    except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
-        raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
-    return {name: value for name, value in header.items() if isinstance(value, str | int | float)}
+    with _header(Path(path)) as header:
+        return {key: value for key, value in header.items() if isinstance(value, str | int | float)}
 
 
 def exr_size(path: str | Path) -> tuple[int, int]:
@@ -110,15 +104,10 @@ def exr_size(path: str | Path) -> tuple[int, int]:
         CaptureError: as ``read_exr``, or the header promises more pixels than the file can hold.
     """
     path = Path(path)
-    _check_magic(path)
-    try:
-        with _quiet, OpenEXR.File(str(path), header_only=True) as file:
-            header = dict(file.parts[0].header)
+    with _header(path) as header:
         low, high = (np.array(corner, np.int64) for corner in header["dataWindow"])
         width, height = (int(side) for side in high - low + 1)
         channels = len(header["channels"])
-    except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
-        raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
     is_size = 0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE
     if not (is_size and may_hold(path, width * height * channels * 2)):
         raise CaptureError(
@@ -134,10 +123,8 @@ def is_cropped(path: str | Path) -> bool:
     Raises:
         CaptureError: as ``read_exr``.
     """
-    exr_size(path)
-    with _quiet, OpenEXR.File(str(path), header_only=True) as file:
-        header = dict(file.parts[0].header)
-    return not np.array_equal(header["dataWindow"], header["displayWindow"])
+    with _header(Path(path)) as header:
+        return not np.array_equal(header["dataWindow"], header["displayWindow"])
 
 
 def _planes(
@@ -196,6 +183,17 @@ def _attributes(path: Path, given: Mapping[str, Any]) -> dict[str, str | int | f
             raise OutputError(f"{path}: attribute {name} = {plain} does not fit in 32 bits.")
         kept[name] = plain
     return kept
+
+
+@contextlib.contextmanager
+def _header(path: Path) -> Iterator[dict[str, Any]]:
+    """Give the header of the first part; what fails in the block is a damage of the file."""
+    _check_magic(path)
+    try:
+        with _quiet, OpenEXR.File(str(path), header_only=True) as file:
+            yield dict(file.parts[0].header)
+    except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
+        raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
 
 
 def _check_magic(path: Path) -> None:

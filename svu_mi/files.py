@@ -86,6 +86,21 @@ def replacing(path: str | Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text file with a line break at its end, whole or not at all.
+
+    Raises:
+        OutputError: as ``replacing``.
+    """
+    with replacing(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def write_json(path: str | Path, record: Any, indent: int = 1) -> None:
+    """Write a JSON file (errors as ``write_text``)."""
+    write_text(path, json.dumps(record, indent=indent))
+
+
 @contextlib.contextmanager
 def replacing_folder(folder: str | Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]:
     """Give a new, empty folder that becomes ``folder`` when the block succeeds.

@@ -76,7 +76,7 @@ class Progress:
         """
         # Dr.Jit runs ahead: without this, a stage would pay for its predecessor.
         _synchronize()
-        compiled, start = _compiled(), time.perf_counter()
+        compiled, start = compiled_kernels(), time.perf_counter()
         try:
             with self._shown(name, total) as stage:
                 yield stage
@@ -84,7 +84,7 @@ class Progress:
         except BaseException:
             self._say(f"{name}: failed after {time.perf_counter() - start:.2f} s")
             raise
-        seconds, built = time.perf_counter() - start, _compiled() - compiled
+        seconds, built = time.perf_counter() - start, compiled_kernels() - compiled
         self.timings[name] = self.timings.get(name, 0.0) + seconds
         self.kernels[name] = self.kernels.get(name, 0) + built
         note = f", {built} kernel{'s' if built > 1 else ''} compiled" if built else ""
@@ -144,8 +144,8 @@ def _synchronize() -> None:
         drjit.sync_thread()
 
 
-def _compiled() -> int:
-    """Number of kernels this process has compiled: launches found in no cache."""
+def compiled_kernels() -> int:
+    """Return the number of kernels this process has compiled: launches found in no cache."""
     drjit = sys.modules.get("drjit")
     if drjit is None:
         return 0

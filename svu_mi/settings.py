@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import fields
 from numbers import Integral, Real
 from typing import Any, get_args
@@ -19,6 +20,23 @@ def require(options: Any, condition: bool, name: str, expected: str) -> None:
         raise OptionError(
             f"{type(options).__name__}: {name} must be {expected}, got {getattr(options, name)!r}."
         )
+
+
+def require_known(names: Iterable[str], known: Iterable[str], what: str) -> None:
+    """Refuse names that nothing has.
+
+    Args:
+        names: as they were given.
+        known: all that there are.
+        what: they name, such as ``fix``.
+
+    Raises:
+        OptionError: there is nothing of a name.
+    """
+    there = tuple(known)
+    for name in names:
+        if name not in there:
+            raise OptionError(f"There is no {what} {name!r}; there are {', '.join(there)}.")
 
 
 def require_types(options: Any) -> None:

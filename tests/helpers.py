@@ -20,7 +20,8 @@ from svu_mi.formats import fixes
 from svu_mi.formats.resampling import squared
 from svu_mi.formats.source import Frame, Source
 from svu_mi.output.scene_xml import write_scene as write_recovered
-from svu_mi.recovery.textures import NAMES, Textures, lay_out
+from svu_mi.parameters import NAMES
+from svu_mi.recovery.textures import Textures, lay_out
 from svu_mi.scenes import meshes
 from svu_mi.surface import texels
 

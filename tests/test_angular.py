@@ -15,14 +15,14 @@ from oracle import posterior as oracle_posterior
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.angular import Statistics, gather, reflection
-from svu_mi.reflection.narrow import terms
 from svu_mi.capture.poses import sphere_sensors
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
+from svu_mi.light import light
 from svu_mi.options import preset
 from svu_mi.pipeline import estimate
 from svu_mi.posterior import ParameterGrid, PrincipledGrid, angular_posterior
-from svu_mi.light import light
+from svu_mi.reflection.narrow import terms
 from svu_mi.visibility import Surface, pack_views, survey
 from svu_mi.visibility.hemisphere import as_channels
 

@@ -214,9 +214,9 @@ def test_the_cells_of_svu_mi():
         "vase__window", "vase__overcast", "knot__window", "knot__overcast"
     ]  # fmt: skip
     assert own_cells(["planes"], ["clear"])[0].defines == {"light": "clear", "max_depth": "2"}
-    with pytest.raises(OptionError, match="no object called 'teapot'; there are planes"):
+    with pytest.raises(OptionError, match="no object 'teapot'; there are planes"):
         own_cells(["teapot"])
-    with pytest.raises(OptionError, match="no light called 'moon'"):
+    with pytest.raises(OptionError, match="no light 'moon'"):
         own_cells(lights=["moon"])
 
 
@@ -375,7 +375,7 @@ def test_objects_and_environments_of_a_folder(tmp_path):
     assert (tmp_path / "work" / "objects" / "thing" / "roughness.png").is_file()
     (only,) = data_cells(data, tmp_path / "work", ["cup"], ["sky"])
     assert Path(only.defines["object"]) == (data / "objects" / "cup").resolve()
-    with pytest.raises(OptionError, match="called 'jug'; there are cup, thing"):
+    with pytest.raises(OptionError, match="'jug'; there are cup, thing"):
         data_cells(data, tmp_path / "work", ["jug"])
     (data / "objects" / "cup" / "metallic.png").unlink()
     with pytest.raises(OptionError, match="cup: an object's folder needs .* no metallic.png"):

@@ -20,7 +20,7 @@ from svu_mi.output.figures import (
     draw_photograph,
     draw_posterior,
 )
-from svu_mi.output.overview import OUTSIDE, UNSEEN
+from svu_mi.output.style import OUTSIDE, UNSEEN
 from svu_mi.posterior import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.tabulated import TabulatedPosterior
 from svu_mi.surface import texels

@@ -19,7 +19,7 @@ BROKEN = {
     "words in the matrix": ({"transform_matrix": [["a"] * 4] * 4}, "a frame needs"),
     "no focal length": ({"fl_x": "drop"}, "camera_angle_x"),
     "no width": ({"w": "drop"}, "'w'.*a frame needs"),
-    "a width of none": ({"w": 0}, "is no size"),
+    "a width of none": ({"w": 0}, "0 x 6 pixels; both must be 1 to 65536: correct"),
     "a focal length of 0": ({"fl_x": 0}, "focal length"),
     "a focal length of nan": ({"fl_x": float("nan")}, "focal length"),
     "a height of nan": ({"fl_y": float("nan")}, "focal length"),

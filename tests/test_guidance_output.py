@@ -25,6 +25,7 @@ from svu_mi.guidance.options import UNITS
 from svu_mi.output import directions as sky
 from svu_mi.output import guidance_page
 from svu_mi.output.guidance import file_names, write_guidance, write_sensors
+from svu_mi.output.upright import facing
 
 RNG_SEED = 1630517742
 FILES = [
@@ -202,7 +203,7 @@ def test_directions_are_on_the_map_where_they_should_be(up):
     """Up is above, the first photograph in the middle, and right is where it is from outside."""
     up = np.array(up, float)
     first = np.array([0.4, 0.3, 0.8])
-    frame = sky._frame(up, first)
+    frame = facing(up, first)
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(frame @ up / np.linalg.norm(up), [0, 1, 0], atol=1e-12)
     assert frame[2] @ first > 0 and abs(frame[0] @ first) < 1e-12

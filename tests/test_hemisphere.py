@@ -10,13 +10,13 @@ from helpers import write_ball
 from oracle import angular as oracle
 
 import svu_mi as svu
-from svu_mi.reflection.diffuse import diffuse_shading
 from svu_mi.interop import owned
 from svu_mi.light import light_cells
-from svu_mi.visibility import Surface, hemisphere
 from svu_mi.light.cells import fibonacci
 from svu_mi.light.environment import Environment, directions, quadrature
 from svu_mi.light.lighting import band_limit
+from svu_mi.reflection.diffuse import diffuse_shading
+from svu_mi.visibility import Surface, hemisphere
 
 UP = np.array([0.0, 0, 1])
 LAMPS = np.array([[0.3, 0.2, 0.9], [-0.8, 0.5, 0.3], [0.6, -0.7, 0.4], [0.1, 0.2, -1.0]])

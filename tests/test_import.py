@@ -12,9 +12,9 @@ import pytest
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.bench.conventions.written import WRITERS, as_orb, in_4d, write_glb
+from svu_mi.bench.conventions.written import WRITERS, as_orb, write_glb
 from svu_mi.capture import nodes
-from svu_mi.capture.poses import describe, make_sensor
+from svu_mi.capture.poses import affine, describe, make_sensor
 from svu_mi.capture.scene import to_world
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.formats.geometry import read_geometry
@@ -58,7 +58,7 @@ def photographed(folder: Path, shift: tuple[float, float]) -> Original:
     scene = mi.load_file(str(folder / "knot" / "knot.xml"), optimize=False)
     changes = {"film": SIZE, "crop_size": SIZE, "principal_point_offset": shift}
     light = nodes.plugin("emitter", "envmap", id="light")
-    nodes.put(light, filename="../lights/window.exr", to_world=in_4d(LIGHT))
+    nodes.put(light, filename="../lights/window.exr", to_world=affine(LIGHT))
     root = nodes.scene()
     root.append(light)
     nodes.write_document(root, folder / "lights" / "window.xml")
@@ -86,7 +86,7 @@ def entropy_of(capture: svu.Capture) -> np.ndarray:
 
 def in_z_up_world(source: Source, folder: Path) -> Source:
     """The same capture in a world whose +Z is up, with Blender's environment and a GLB."""
-    frames = [replace(frame, to_world=in_4d(Z_UP) @ frame.to_world) for frame in source.frames]
+    frames = [replace(frame, to_world=affine(Z_UP) @ frame.to_world) for frame in source.frames]
     given = read_geometry(source.mesh).mesh
     # glTF has +Y up whatever the world: the importer is told.
     write_glb(folder / "mesh.glb", given, np.full((4, 4, 3), 128, np.uint8))

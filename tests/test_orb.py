@@ -24,7 +24,7 @@ from svu_mi.bench.orb.options import ROWS, Options, Sizes
 from svu_mi.bench.orb.setting import Setting
 from svu_mi.bench.orb.tables import GREY
 from svu_mi.bench.orb.targets import Target, judge_pictures
-from svu_mi.bench.recovery.sizes import Sizes as RecoverySizes
+from svu_mi.bench.recovery.options import Sizes as RecoverySizes
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.picture import read_planes
 from svu_mi.capture.scene import find_environment, load_scene
@@ -35,10 +35,10 @@ from svu_mi.formats.light import read_environment_map
 from svu_mi.formats.reading import read_source
 from svu_mi.formats.stanford_orb import find_captures, is_orb, read_orb, read_views
 from svu_mi.formats.stanford_orb_writer import OrbCapture, OrbPhotograph, write_orb
+from svu_mi.light.environment import radiance_from
 from svu_mi.metrics import lpips as lpips_module
 from svu_mi.metrics.orb import orb_albedo_error, orb_error
 from svu_mi.progress import Progress
-from svu_mi.light.environment import radiance_from
 from svu_mi.recovery.textures import Textures
 
 LIGHTS = ("window", "studio")

@@ -15,7 +15,7 @@ from svu_mi.capture.poses import describe, film_size, make_sensor, sphere_sensor
 from svu_mi.capture.repaint import is_same, repaint
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.interop import owned
-from svu_mi.visibility import pack_views
+from svu_mi.parameters import NAMES
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import descend
 from svu_mi.recovery.options import DescentOptions, PathOptions
@@ -24,8 +24,9 @@ from svu_mi.recovery.path.losses import FLOOR, LOSSES
 from svu_mi.recovery.path.objective import path_objective
 from svu_mi.recovery.path.rays import PixelBatches, proxy_sensor
 from svu_mi.recovery.path.scene import PathScene
-from svu_mi.recovery.textures import NAMES, Textures, uniform
+from svu_mi.recovery.textures import Textures, uniform
 from svu_mi.surface import texels as lay_texels
+from svu_mi.visibility import pack_views
 
 
 def light():

@@ -18,9 +18,9 @@ from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.scene import load_scene
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.gather import Samples, fit_spectra
+from svu_mi.light import light
 from svu_mi.options import preset
 from svu_mi.pipeline import estimate
-from svu_mi.light import light
 from svu_mi.visibility import Surface, pack_views, survey
 
 DIFFUSE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.5, 0.3]}}

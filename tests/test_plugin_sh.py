@@ -12,8 +12,8 @@ import pytest
 import svu_mi.plugins  # noqa: F401 - registers
 from svu_mi import scenes
 from svu_mi.errors import SvuWarning
+from svu_mi.parameters import NAMES
 
-NAMES = ("base_color", "roughness", "metallic")
 SIZE = 32
 LIGHT = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "window.exr")}
 

@@ -16,10 +16,10 @@ from oracle import posterior as oracle
 
 from svu_mi.bench.stability.spectra import L
 from svu_mi.bench.stability.spectra import metals as spectra
-from svu_mi.reflection.lobes import split_sum
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.options import preset
 from svu_mi.posterior import ParameterGrid, PrincipledGrid, spectrum_posterior
+from svu_mi.reflection.lobes import split_sum
 
 GRID = ParameterGrid(roughness=5, specular=4)
 RULES = [

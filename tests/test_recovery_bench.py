@@ -10,21 +10,17 @@ import pytest
 
 from svu_mi import scenes
 from svu_mi.bench.accuracy import Bench
-from svu_mi.bench.captures import capture_of
+from svu_mi.bench.captures import FRONT, capture_of, uneven_views
 from svu_mi.bench.cells import Cell, Settings, own_cells
 from svu_mi.bench.recovery import draw_recovery, recovery_tables, run_recovery
 from svu_mi.bench.recovery import run as module
 from svu_mi.bench.recovery.bars import find_bars
-from svu_mi.bench.recovery.cells import even_tasks, sharing_tasks
+from svu_mi.bench.recovery.cells import TILES, drift, even_tasks, mosaic, own_object, sharing_tasks
 from svu_mi.bench.recovery.costs import describe_marks
-from svu_mi.bench.recovery.judge import Judge
+from svu_mi.bench.recovery.judge import Judge, Relit
 from svu_mi.bench.recovery.measure import Mark, step_seconds
-from svu_mi.bench.recovery.objects import TILES, drift, mosaic, own_object
-from svu_mi.bench.recovery.options import Options
-from svu_mi.bench.recovery.relighting import Relit
+from svu_mi.bench.recovery.options import Options, Sizes
 from svu_mi.bench.recovery.rows import PATH, ROWS, SH, SH_SHARING, choose_rows, find_row
-from svu_mi.bench.recovery.sizes import Sizes
-from svu_mi.bench.recovery.views import FRONT, uneven_views
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.main import main
 from svu_mi.errors import OptionError, ShapeError
@@ -306,7 +302,7 @@ def test_a_second_run_computes_nothing(finished, monkeypatch):
 def test_results_of_another_version_are_taken_up_only_if_asked_for(finished, monkeypatch):
     folder, record, _ = finished
     calls = []
-    monkeypatch.setattr("svu_mi.bench.recovery.setting.code_now", lambda: "other")
+    monkeypatch.setattr("svu_mi.bench.recovery.run.code_now", lambda: "other")
     same = record["cells"][0]["rows"][SH.label]
     monkeypatch.setattr(module.Setting, "measure", lambda _, row: calls.append(row) or same)
     one = Options(sizes=TINY, groups=("even",), rows=(SH.label,))

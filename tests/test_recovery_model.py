@@ -14,21 +14,21 @@ from oracle import continuous as oracle
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.angular import reflection
-from svu_mi.reflection.continuous import Continuous, continuous, shade
-from svu_mi.reflection.narrow import lost_light, visible_part
-from svu_mi.reflection.lobes import dielectric_albedo, split_sum
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.gather import fit_coefficients, fit_spectra
 from svu_mi.interop import owned
-from svu_mi.options import preset
-from svu_mi.light import light
-from svu_mi.visibility import Surface, pack_views, survey
 from svu_mi.light import environment as env
+from svu_mi.light import light
 from svu_mi.light.moments import moment_map
+from svu_mi.options import preset
+from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.sh.angular import angular_objective
 from svu_mi.recovery.sh.gradient import look_up
 from svu_mi.recovery.sh.spectral import spectral_objective
-from svu_mi.recovery.textures import CHANNELS, NAMES
+from svu_mi.reflection.continuous import Continuous, continuous, shade
+from svu_mi.reflection.lobes import dielectric_albedo, split_sum
+from svu_mi.reflection.narrow import lost_light, visible_part
+from svu_mi.visibility import Surface, pack_views, survey
 
 STUDIO = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr")}
 TRUTH = {"base_color": [0.7, 0.4, 0.2], "roughness": [0.45], "metallic": [0.6]}

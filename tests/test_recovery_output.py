@@ -24,15 +24,16 @@ from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.repaint import scene_of
 from svu_mi.errors import CaptureError, OptionError, OutputError, SvuWarning
 from svu_mi.exr import read_attributes, read_exr, write_exr
+from svu_mi.light.environment import read_environment
 from svu_mi.metrics import ground_truth
 from svu_mi.output import scene_nodes, views
 from svu_mi.output.recovery import write_losses, write_recovery
 from svu_mi.output.relit import Relit, compare, write_relit
 from svu_mi.output.scene_xml import write_scene as write_recovered
 from svu_mi.output.textures import read_textures, write_textures
-from svu_mi.light.environment import read_environment
+from svu_mi.parameters import NAMES
 from svu_mi.recovery.relight import novel_light, path_length, relight
-from svu_mi.recovery.textures import NAMES, Textures, lay_out
+from svu_mi.recovery.textures import Textures, lay_out
 
 RNG_SEED = 1186230517
 BETTER_THAN = 40.0  # dB; below what one differing texel of a hundred would leave

@@ -9,12 +9,12 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from svu_mi.reflection.lobes import dielectric_albedo, dielectric_fresnel, split_sum
 from svu_mi.interop import owned
 from svu_mi.recovery.sh.energy import energy
 from svu_mi.recovery.sh.gradient import Values
 from svu_mi.recovery.sh.objective import StatisticsLoss
 from svu_mi.recovery.sh.start import METALLIC, closed_form
+from svu_mi.reflection.lobes import dielectric_albedo, dielectric_fresnel, split_sum
 from svu_mi.statistics.gather import PAIRS, ErrorFactors, Reader, factor, in_blocks
 
 LEVELS, TEXELS, VIEWS = 6, 7, 9

@@ -15,9 +15,9 @@ import svu_mi as svu
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.cli.main import main
 from svu_mi.exr import write_exr
-from svu_mi.output.overview import Result
 from svu_mi.output.report import findings, pictures, plots, report
 from svu_mi.output.report.turntable import Turntable
+from svu_mi.output.result import Result
 from svu_mi.output.upright import front_and_right, upright
 from svu_mi.recovery.textures import uniform
 

@@ -9,14 +9,14 @@ import pytest
 from helpers import ball
 from oracle import angular as oracle
 
-from svu_mi.reflection.lobes import dielectric_fresnel
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.interop import owned
 from svu_mi.light.cells import LightCells, adaptive_cells, light_cells
 from svu_mi.light.environment import read_environment
-from svu_mi.visibility.observe import Surface
+from svu_mi.reflection.lobes import dielectric_fresnel
 from svu_mi.reflection.wide import WideLobes
 from svu_mi.surface import texels
+from svu_mi.visibility.observe import Surface
 
 ALPHA = np.array([0.15, 0.5, 1.0])
 SEED = 77123

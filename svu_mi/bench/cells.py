@@ -9,6 +9,7 @@ from pathlib import Path
 from svu_mi import scenes
 from svu_mi.bench.glb import convert_glb
 from svu_mi.errors import OptionError
+from svu_mi.settings import require_known
 
 MESH_FILES = ("mesh.ply", "base_color.png", "roughness.png", "metallic.png")
 IMAGES = (".exr", ".hdr")
@@ -189,7 +190,5 @@ def _folder(path: Path, converted: Path) -> Path:
 def _chosen(
     given: Sequence[str], known: Sequence[str] | dict[str, Path], default: Sequence[str], what: str
 ) -> tuple[str, ...]:
-    for name in given:
-        if name not in known:
-            raise OptionError(f"There is no {what} called {name!r}; there are {', '.join(known)}.")
+    require_known(given, known, what)
     return tuple(dict.fromkeys(given)) or tuple(default)

@@ -63,16 +63,18 @@ def in_new_process(function: Callable[..., dict[str, Any]], **arguments: Any) ->
 def child(module: str, name: str, arguments: str) -> None:
     """Call the function and write what it returns to standard output, as one line of JSON."""
     function = getattr(importlib.import_module(module), name)
-    record = {"result": function(**json.loads(arguments)), "peak_mib": peak_mib()}
+    record = {"result": function(**json.loads(arguments)), "peak_mib": memory_mib("VmHWM")}
     sys.stdout.write(json.dumps(record) + "\n")
 
 
-def peak_mib() -> float | None:
-    """Return the most memory that this process had resident, in MiB; None if not known.
+def memory_mib(kind: str) -> float | None:
+    """Return memory of this process in MiB; None where the system does not tell.
 
-    Not ``getrusage``: its peak of a new process is at least what the parent's was.
+    Args:
+        kind: ``VmRSS``, what is resident, or ``VmHWM``, the most that was. Not by ``getrusage``:
+            its peak of a new process is at least what the parent's was.
     """
     if not STATUS.exists():
         return None
     fields = dict(line.split(":", 1) for line in STATUS.read_text().splitlines() if ":" in line)
-    return int(fields["VmHWM"].split()[0]) / 1024
+    return int(fields[kind].split()[0]) / 1024

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from svu_mi.capture import mesh as capture_mesh
-from svu_mi.capture.material import PRINCIPLED
+from svu_mi.capture.mesh import write_ply
 from svu_mi.errors import MeshError
-from svu_mi.files import prepare_folder, replacing
+from svu_mi.files import prepare_folder
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.textures import write_pictures
+from svu_mi.parameters import NAMES
 
 
 def convert_glb(path: Path, folder: Path) -> Path:
@@ -31,7 +31,7 @@ def convert_glb(path: Path, folder: Path) -> Path:
     geometry = read_geometry(path)
     if geometry.mesh.uvs is None:
         raise MeshError(f"{path}: a mesh has no UVs, so its textures have no place.")
-    if set(geometry.textures) != set(PRINCIPLED):
+    if set(geometry.textures) != set(NAMES):
         raise MeshError(
             f"{path}: has not one material with base colour, roughness and metallic; bake its "
             "materials into one, the benchmark takes one per object."
@@ -41,7 +41,6 @@ def convert_glb(path: Path, folder: Path) -> Path:
     points = points - (points.min(axis=0) + points.max(axis=0)) / 2
     points /= np.linalg.norm(points, axis=1).max()
     mesh = replace(geometry.mesh, positions=points)
-    with replacing(folder / "mesh.ply") as temporary:
-        capture_mesh.make(path.stem, mesh).write_ply(str(temporary))
+    write_ply(folder / "mesh.ply", path.stem, mesh)
     write_pictures(geometry.textures, folder)
     return folder

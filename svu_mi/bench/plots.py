@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.bench.text import seconds
-from svu_mi.files import replacing
+from svu_mi.output.style import new_figure, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,20 +57,13 @@ def save(figure: Figure, folder: Path, name: str) -> Path:
         OutputError: the file cannot be written.
     """
     path = folder / f"{name}.png"
-    with replacing(path) as temporary:
-        figure.savefig(temporary)
+    save_figure(figure, path)
     return path
 
 
 def page(width: float, height: float) -> Figure:
     """Return an empty figure of so many inches."""
-    # pyplot, with its global state and its windows, is not used.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), dpi=DPI, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    return new_figure(width, height, DPI, layout="constrained")
 
 
 def tidy(axes: Axes) -> None:

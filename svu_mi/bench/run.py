@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -12,6 +11,7 @@ from svu_mi.bench.accuracy import Bench, run_cell
 from svu_mi.bench.cells import Cell
 from svu_mi.bench.checks import run_checks
 from svu_mi.bench.conventions import run_conventions
+from svu_mi.bench.failures import Failures
 from svu_mi.bench.guidance import draw_guidance, run_guidance
 from svu_mi.bench.kernels import run_kernels
 from svu_mi.bench.orb import run_orb, write_csv
@@ -25,9 +25,10 @@ from svu_mi.bench.store import Store, code_and_machine, key_of
 from svu_mi.bench.summary import summarize
 from svu_mi.bench.tables import write_tables
 from svu_mi.bench.variants import Variant, available
-from svu_mi.errors import OptionError, SvuError, SvuWarning
+from svu_mi.errors import OptionError
 from svu_mi.files import prepare_folder
 from svu_mi.output import environment_record, write_manifest
+from svu_mi.settings import require_known
 
 WHAT = ("accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance", "orb",
         "conventions", "all")  # fmt: skip
@@ -69,8 +70,7 @@ def run_bench(
         SvuError: that of the first cell, if every cell failed.
         OutputError: the folder cannot be written.
     """
-    if what not in WHAT:
-        raise OptionError(f"There is no benchmark {what!r}; there are {', '.join(WHAT)}.")
+    require_known([what], WHAT, "benchmark")
     if what != "orb" and not cells:
         raise OptionError("There is no object under any light to run.")
     prepare_folder(bench.folder)
@@ -80,16 +80,8 @@ def run_bench(
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "environment": environment_record(),
         "settings": bench.settings,
-        "cells": [],
-        "failed": [],
-        "checks": [],
-        "speed": None,
-        "kernels": None,
-        "stability": None,
-        "recovery": None,
-        "guidance": None,
-        "orb": None,
-        "conventions": None,
+        **{part: [] for part in ("cells", "failed", "checks")},
+        **dict.fromkeys(WHAT[2:-1]),  # from speed on
     }
     if what in ("accuracy", "all"):
         record["cells"], record["failed"] = _all_cells(bench, cells, variants)
@@ -156,14 +148,9 @@ def _write(bench: Bench, record: dict[str, Any]) -> None:
 def _all_cells(
     bench: Bench, cells: Sequence[Cell], variants: Sequence[Variant]
 ) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
-    done, failed, first = [], [], None
+    done, failures = [], Failures()
     for cell in cells:
-        try:
+        with failures.leave_out(cell.title):
             done.append(run_cell(bench, cell, variants))
-        except SvuError as error:
-            first = first or error
-            failed.append({"cell": cell.title, "reason": str(error)})
-            warnings.warn(f"{cell.title} is left out: {error}", SvuWarning, stacklevel=2)
-    if not done and first is not None:
-        raise first
-    return done, failed
+    failures.raise_unless(done)
+    return done, failures.found

@@ -2,21 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from svu_mi.bench.conventions import conventions_tables
+from svu_mi.bench.failures import left_out
 from svu_mi.bench.guidance import guidance_tables
 from svu_mi.bench.kernels import kernel_tables
 from svu_mi.bench.orb import orb_tables
 from svu_mi.bench.recovery import recovery_tables
-from svu_mi.bench.speed_tables import speed_tables
 from svu_mi.bench.stability import stability_table
 from svu_mi.bench.text import number, seconds, table
-from svu_mi.files import replacing
+from svu_mi.files import write_text
 
 Record = dict[str, Any]
+SCALED = {
+    "degree": "degree l*",
+    "grid": "nodes per axis",
+    "views": "views",
+    "reference_spp": "samples of the reference",
+}
+BENCHMARKS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
+    ("kernels", "Kernels", kernel_tables),
+    ("stability", "Numerical stability", stability_table),
+    ("recovery", "Recovery of textures", recovery_tables),
+    ("guidance", "Capture guidance", guidance_tables),
+    ("orb", "Stanford-ORB", orb_tables),
+    ("conventions", "Mistakes about axes", conventions_tables),
+)
 
 
 def write_tables(path: Path, record: Record) -> None:
@@ -33,27 +47,15 @@ def write_tables(path: Path, record: Record) -> None:
     if record["cells"]:
         parts += [*_agreement(record), *_calibration(record), *_parameters(record),
                   *_cells(record)]  # fmt: skip
-    if record["failed"]:
-        rows = [[failed["cell"], failed["reason"]] for failed in record["failed"]]
-        parts += ["## Left out", table(("cell", "reason"), rows)]
+    parts += left_out("Left out", record)
     if record["checks"]:
         parts += _checks(record["checks"])
     if record["speed"]:
         parts += speed_tables(record["speed"])
-    if record["kernels"]:
-        parts += ["# Kernels", kernel_tables(record["kernels"])]
-    if record["stability"]:
-        parts += ["# Numerical stability", stability_table(record["stability"])]
-    if record["recovery"]:
-        parts += ["# Recovery of textures", recovery_tables(record["recovery"])]
-    if record["guidance"]:
-        parts += ["# Capture guidance", guidance_tables(record["guidance"])]
-    if record["orb"]:
-        parts += ["# Stanford-ORB", orb_tables(record["orb"])]
-    if record["conventions"]:
-        parts += ["# Mistakes about axes", conventions_tables(record["conventions"])]
-    with replacing(path) as temporary:
-        temporary.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    for part, title, tables in BENCHMARKS:
+        if record[part]:
+            parts += [f"# {title}", tables(record[part])]
+    write_text(path, "\n\n".join(parts))
 
 
 def _heading(record: Record) -> str:
@@ -189,3 +191,78 @@ def _interval(found: Record | None) -> str:
 
 def _mean(found: Record | None) -> str:
     return "" if found is None else number(found["mean"])
+
+
+# --- run times ------------------------------------------------------------------------------
+
+
+def speed_tables(speed: Record) -> list[str]:
+    """Return the parts of bench.md that tell run times.
+
+    Args:
+        speed: what ``run_speed`` returns.
+    """
+    return [*_speed(speed), *_scaling(speed), *_brute(speed["brute"])]
+
+
+def _speed(speed: Record) -> list[str]:
+    found = speed["estimators"]
+    variants = found["variants"]
+    stages = list(dict.fromkeys(stage for v in variants.values() for stage in v["warm"]))
+    rows = [
+        [stage]
+        + [
+            seconds(v[how][stage] if how == "warm" else v["cold"]["timings"][stage])
+            if stage in v["warm"] else ""
+            for v in variants.values()
+            for how in ("warm", "cold")
+        ]
+        for stage in stages
+    ]  # fmt: skip
+    rows.append(
+        ["all"]
+        + [
+            seconds(value)
+            for v in variants.values()
+            for value in (v["warm_seconds"], v["cold"]["seconds"])
+        ]
+    )
+    rows.append(
+        ["kernels compiled"]
+        + [count for v in variants.values() for count in (0, v["cold"]["kernels"])]
+    )
+    heads = [f"{label}, {how}" for label in variants for how in ("warm", "cold")]
+    repeats = next(iter(variants.values()))["repeats"]
+    return [
+        f"## Run time: {speed['cell']}, {found['texels']} texels of {found['resolution']} x "
+        f"{found['resolution']}, {found['views']} photographs of {found['film']} x "
+        f"{found['film']}",
+        f"Warm: median of {repeats}. Cold: one new process with an empty kernel cache.",
+        table(("stage", *heads), rows),
+    ]
+
+
+def _scaling(speed: Record) -> list[str]:
+    rows = [
+        [SCALED[what], label, row["value"], seconds(row["seconds"]), number(row["pearson"], 3)]
+        for what, curves in speed["scaling"].items()
+        for label, curve in curves.items()
+        for row in curve
+    ]
+    return [
+        f"## Run time against agreement: {speed['cell']}",
+        "Pearson correlation with the reference posterior of the same photographs; for the "
+        "reference itself, with its largest number of samples.",
+        table(("what", "estimator", "value", "time", "Pearson"), rows),
+    ]
+
+
+def _brute(brute: Record) -> list[str]:
+    return [
+        "## Path-traced posterior of all texels (extrapolated)",
+        f"{brute['pairs']:,} visible (texel, view) pairs x {brute['psi']} psi x {brute['spp']} "
+        f"samples / {brute['rays_per_second']:.3g} rays per second = "
+        f"**{seconds(brute['seconds'])}**, or {seconds(brute['linear_seconds'])} with the 32 psi "
+        f"that are enough for direct light. The rate is measured, warm: "
+        f"{brute['sample_rays']:,} rays in {seconds(brute['sample_seconds'])}.",
+    ]

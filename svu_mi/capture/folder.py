@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +11,7 @@ from typing import Any
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import check_sensor
 from svu_mi.errors import CaptureError, excerpt
-from svu_mi.files import read_json, replacing
+from svu_mi.files import read_json, write_json
 
 FILE = "capture.json"
 FORMAT = "svu-capture"
@@ -95,5 +94,4 @@ def write(folder: Path, description: Description, sensors: Sequence[Any]) -> Non
         "sensors": [describe(sensor) for sensor in sensors],
         **({"import": description.imported} if description.imported else {}),
     }
-    with replacing(folder / FILE) as temporary:
-        temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    write_json(folder / FILE, record)

@@ -8,18 +8,18 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-PRINCIPLED = ("base_color", "roughness", "metallic")
+from svu_mi.parameters import NAMES, PARAMETERS
 
 
 def is_principled(bsdf: Any) -> bool:
     """Return whether a BSDF, or None, has the parameters of ``principled``."""
-    return bsdf is not None and all(dr.all(bsdf.has_attribute(name)) for name in PRINCIPLED)
+    return bsdf is not None and all(dr.all(bsdf.has_attribute(name)) for name in NAMES)
 
 
 def constant_parameters(shape: Any) -> dict[str, float]:
     """Return the ``principled`` parameters of a shape that are no textures, by name.
 
-    A grey value each, in [0, 1]; a constant colour is left out unless it is grey. Empty for
+    A grey value each, within its range; a constant colour is left out unless it is grey. Empty for
     another BSDF, and when nothing varies: a material without any texture is a placeholder.
 
     Args:
@@ -31,8 +31,8 @@ def constant_parameters(shape: Any) -> dict[str, float]:
         return found
     for key, value in mi.traverse(bsdf):
         name, _, kind = key.removeprefix("brdf_0.").partition(".")
-        if name in PRINCIPLED and kind == "value":
+        if name in NAMES and kind == "value":
             values = np.array(value, np.float64).ravel()
-            if np.ptp(values) == 0 and 0 <= values[0] <= 1:
+            if np.ptp(values) == 0 and PARAMETERS[name].holds(values[0]):
                 found[name] = float(values[0])
-    return found if len(found) < len(PRINCIPLED) else {}
+    return found if len(found) < len(NAMES) else {}

@@ -8,11 +8,14 @@ UVs are Mitsuba's: v = 0 is the first row of a bitmap.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+
+from svu_mi.files import replacing
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,16 @@ def face_normals(mesh: Any, face: Any, active: Any) -> Any:
         dr.gather(mi.Point3f, mesh.vertex_positions_buffer(), corner, active) for corner in corners
     )
     return dr.normalize(mi.Normal3f(dr.cross(b - a, c - a)))
+
+
+def write_ply(path: Path, name: str, mesh: MeshArrays) -> None:
+    """Write a mesh as PLY, atomically.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    with replacing(path) as temporary:
+        make(name, mesh).write_ply(str(temporary))
 
 
 def make(name: str, mesh: MeshArrays) -> Any:

@@ -17,7 +17,7 @@ import numpy as np
 
 import svu_mi
 from svu_mi.capture.poses import describe
-from svu_mi.files import replacing
+from svu_mi.files import write_text
 
 FILTERS = {
     "BoxFilter": "box", "TentFilter": "tent", "GaussianFilter": "gaussian",
@@ -92,8 +92,7 @@ def write_document(root: Element, path: Path) -> None:
     """
     _tell_apart(root)
     ElementTree.indent(root)
-    with replacing(path) as temporary:
-        temporary.write_text(ElementTree.tostring(root, "unicode") + "\n", encoding="utf-8")
+    write_text(path, ElementTree.tostring(root, "unicode"))
 
 
 def _tell_apart(root: Element) -> None:

@@ -114,6 +114,12 @@ def srgb(linear: np.ndarray) -> np.ndarray:
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
+def quantized(image: np.ndarray, bits: int = 8) -> np.ndarray:
+    """Round values in [0, 1] to unsigned integers of 8 or 16 bits."""
+    most = 2**bits - 1
+    return (np.clip(image, 0, 1) * most + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
+
+
 def _exr_planes(path: Path) -> list[np.ndarray]:
     channels = _of_one_layer(read_exr(path))
     grey = channels.get("Y")

@@ -17,6 +17,18 @@ MAX_SIDE = 2**16  # pixels of a film
 LARGEST = 1e30  # of any number of a sensor; single precision ends soon after
 
 
+def affine(linear: Any, offset: Any = 0.0) -> np.ndarray:
+    """Return the map x -> linear x + offset, such as a pose, as a (4, 4) float64 matrix.
+
+    Args:
+        linear: (3, 3), such as a rotation.
+        offset: (3,), such as a position.
+    """
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = linear, offset
+    return matrix
+
+
 def film_size(sensor: Any) -> tuple[int, int]:
     """Return (width, height) of the sensor's crop window: the size of its photograph."""
     size = sensor.film().crop_size()
@@ -245,7 +257,4 @@ def _look_at(origin: np.ndarray, target: np.ndarray, up: Sequence[float]) -> np.
         above = np.roll(above, 1) if abs(forward @ np.roll(above, 1)) < 0.999 else above[[0, 2, 1]]
     left = np.cross(above, forward)
     left /= np.linalg.norm(left)
-    matrix = np.eye(4)
-    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2] = left, np.cross(forward, left), forward
-    matrix[:3, 3] = origin
-    return matrix
+    return affine(np.stack([left, np.cross(forward, left), forward], axis=-1), origin)

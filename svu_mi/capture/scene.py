@@ -149,9 +149,7 @@ def find_shape(scene: Any, name: str | None, path: str) -> Any:
     if name is not None:
         chosen = [shape for shape in shapes if shape.id() == name]
         if not chosen:
-            raise SceneError(
-                f"{path}: there is no shape '{name}'; the scene has {_ids(shapes)}."
-            )
+            raise SceneError(f"{path}: there is no shape '{name}'; the scene has {_ids(shapes)}.")
     else:
         chosen = _candidates(shapes, path)
     shape = chosen[0]

@@ -11,7 +11,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import arrays, make
-from svu_mi.capture.poses import describe, make_sensor
+from svu_mi.capture.poses import affine, describe, make_sensor
 from svu_mi.capture.repaint import is_same, scene_of
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.formats.fixes import Fix, corrected_mesh, corrected_poses
@@ -85,8 +85,7 @@ def _lit(capture: Capture, fix: Fix) -> Capture:
     emitter = find_environment(capture.scene, str(capture.source or "scene"))
     if emitter.class_name() == "ConstantBackgroundEmitter":
         return capture
-    turned = to_world(emitter)
-    turned[:3, :3] = turned[:3, :3] @ fix.matrix
+    turned = to_world(emitter) @ affine(fix.matrix)
     if emitter.class_name() == "EnvironmentMapEmitter":
         params = mi.traverse(emitter)
         bitmap = params["data"].numpy()[:, 1:-1]  # Mitsuba 3.9 keeps a halo column on each side

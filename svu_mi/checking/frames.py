@@ -137,15 +137,16 @@ def _edges(length: int, longest: int, side: int) -> np.ndarray:
 
 def _mean(image: np.ndarray, edges: Sequence[np.ndarray]) -> np.ndarray:
     usable = np.isfinite(image).all(axis=2)
-    total = _sums(np.where(usable[..., None], image, 0), edges)
-    count = _sums(usable.astype(np.float32), edges)[..., None]
+    total = block_sums(np.where(usable[..., None], image, 0), edges)
+    count = block_sums(usable.astype(np.float32), edges)[..., None]
     return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
 
 
 def _share(mask: np.ndarray, edges: Sequence[np.ndarray]) -> np.ndarray:
-    whole = _sums(np.ones(mask.shape, np.float32), edges)
-    return _sums(mask.astype(np.float32), edges) / whole
+    whole = block_sums(np.ones(mask.shape, np.float32), edges)
+    return block_sums(mask.astype(np.float32), edges) / whole
 
 
-def _sums(values: np.ndarray, edges: Sequence[np.ndarray]) -> np.ndarray:
+def block_sums(values: np.ndarray, edges: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the sums over blocks of an image (H, W, ...), which begin at rows and columns."""
     return np.add.reduceat(np.add.reduceat(values, edges[0], axis=0), edges[1], axis=1)

@@ -8,6 +8,7 @@ from itertools import product
 
 import numpy as np
 
+from svu_mi.capture.poses import affine
 from svu_mi.formats.fixes import FIXES, Fix, corrected_poses
 from svu_mi.formats.source import OPENCV, OPENGL
 
@@ -44,9 +45,7 @@ class PoseHypothesis:
             if fix.kind == "camera":
                 poses = corrected_poses(poses, fix, self.camera_axes)
             elif fix.matrix is not None:
-                back = np.eye(4)
-                back[:3, :3] = fix.matrix.T
-                poses = back @ poses
+                poses = affine(fix.matrix.T) @ poses
         return poses
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import find_environment, require_variant
+from svu_mi.checking import verdicts
 from svu_mi.checking.appearance import Texture, read_texture, texture_fit
 from svu_mi.checking.apply import apply_fixes
 from svu_mi.checking.frames import Frames, reduced
@@ -16,13 +17,6 @@ from svu_mi.checking.points import Points, look, scatter_points
 from svu_mi.checking.poses import PoseScore, evenly, score_poses
 from svu_mi.checking.record import Check, Finding
 from svu_mi.checking.sky import Sky, open_cosines
-from svu_mi.checking.verdicts import (
-    judge_light,
-    judge_poses,
-    judge_texture,
-    light_unknown,
-    texture_unknown,
-)
 from svu_mi.checking.views import SIDE, check_views
 from svu_mi.formats.fixes import fixes_named
 from svu_mi.light.environment import read_environment
@@ -81,12 +75,13 @@ def find_mistakes(
     texture = read_texture(capture, points)
     with progress.stage("Trying poses") as stage:
         scores = score_poses(capture, frames, small, points, texture, stage.update)
-        poses, chosen = judge_poses(scores)
+        poses, chosen = verdicts.judge_poses(scores)
     frames = frames.posed(chosen.hypothesis.relative_poses(frames.poses))
     if poses.verdict == "unclear" and not poses.fixes:
         reason = "cameras and mesh have to fit first"
-        unknown = light_unknown(reason), texture_unknown(f"Nothing can be said of V: {reason}")
-        return (poses, *unknown), chosen.hypothesis.camera_axes
+        light = verdicts.light_unknown(reason)
+        flip = verdicts.texture_unknown(f"Nothing can be said of V: {reason}")
+        return (poses, light, flip), chosen.hypothesis.camera_axes
     with progress.stage("Trying textures"):
         flip, texture = _texture(capture, frames, points, texture)
     with progress.stage("Trying lights") as stage:
@@ -99,10 +94,11 @@ def _texture(
 ) -> tuple[Finding, Texture | None]:
     """Decide on the V axis; return the texture the way it fits."""
     if texture is None:
-        return texture_unknown("The object has no texture, so nothing depends on the V axis"), None
+        reason = "The object has no texture, so nothing depends on the V axis"
+        return verdicts.texture_unknown(reason), None
     seen = look(capture, points, frames)
     fits = [texture_fit(seen, points, albedo) for albedo in (texture.albedo, texture.flipped)]
-    found = judge_texture(*fits)
+    found = verdicts.judge_texture(*fits)
     return found, texture.turned() if found.verdict == "wrong" else texture
 
 
@@ -112,7 +108,7 @@ def _light(
 ) -> Finding:  # fmt: skip
     emitter = find_environment(capture.scene, str(capture.source or "scene"))
     if emitter.class_name() == "ConstantBackgroundEmitter":
-        return light_unknown("it is the same from everywhere")
+        return verdicts.light_unknown("it is the same from everywhere")
     turn = np.eye(3)
     for fix in chosen.hypothesis.fixes:
         if fix.kind == "mesh" and fix.matrix is not None:
@@ -120,4 +116,4 @@ def _light(
     sky = Sky.of(read_environment(emitter), turn)
     seen = look(capture, points, frames)
     arriving = open_cosines(capture.scene, points)
-    return judge_light(score_light(sky, points, seen, arriving, texture, step))
+    return verdicts.judge_light(score_light(sky, points, seen, arriving, texture, step))

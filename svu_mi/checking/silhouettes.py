@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -31,12 +29,9 @@ def silhouettes(capture: Capture, frames: Frames) -> list[np.ndarray]:
     # Opaque: as a literal, every scene would get a kernel of its own.
     seen = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, capture.shape))
     shapes = [image.shape[:2] for image in frames.radiance]
-    parts = np.split(_as_bool(seen, len(view)), np.cumsum([h * w for h, w in shapes])[:-1])
+    everywhere = np.broadcast_to(np.array(seen, bool), len(view))
+    parts = np.split(everywhere, np.cumsum([h * w for h, w in shapes])[:-1])
     return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
-
-
-def _as_bool(seen: Any, count: int) -> np.ndarray:
-    return np.broadcast_to(np.array(seen, bool), count)
 
 
 def _pixels(frames: Frames) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

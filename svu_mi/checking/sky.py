@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 from scipy.spatial import cKDTree
 
+from svu_mi.checking.frames import block_sums
 from svu_mi.checking.points import Points
 from svu_mi.interop import owned
 from svu_mi.light import environment as env
@@ -55,11 +56,8 @@ class Sky:
         local = env.directions(columns, rows)
         weight = grid.sum(axis=2, keepdims=True) * solid
         edges = [np.arange(n) * size // n for n, size in ((COARSE, rows), (2 * COARSE, columns))]
-        flux, pull = (
-            np.add.reduceat(np.add.reduceat(values, edges[0], axis=0), edges[1], axis=1)
-            for values in (grid * solid, local * (weight + 1e-9 * weight.max() * solid))
-        )
-        pull = pull.reshape(-1, 3)
+        flux = block_sums(grid * solid, edges)
+        pull = block_sums(local * (weight + 1e-9 * weight.max() * solid), edges).reshape(-1, 3)
         profile = partial(zonal_profile, "ggx")
         filtered = (convolve(grid, width, partial(profile, width)) for width in WIDTHS)
         return Sky(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -31,47 +32,37 @@ def judge_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
     """
     current = next(score for score in scores if not score.hypothesis.fixes)
     chosen, others = simplest(scores)
-    names, table = chosen.hypothesis.names, _pose_table(scores)
+    names, current_fit = chosen.hypothesis.names, _fit(current)
+    table = tuple(Hypothesis(
+        fixes=score.hypothesis.names,
+        score=score.total,
+        cues={
+            "silhouettes" if score.masked else "edges": score.silhouette,
+            "views agree": score.agreement,
+            "texture": score.texture,
+        },
+    ) for score in scores)  # fmt: skip
+    found = partial(Finding, question="poses", hypotheses=table)
     alternatives = tuple(dict.fromkeys(other.hypothesis.names for other in others))
     if _is_poor(chosen):
-        return Finding(
-            question="poses", verdict="unclear", hypotheses=table,
-            sentence=f"Mesh and photographs do not fit ({_fit(current)}), and no known mistake "
+        return found(
+            verdict="unclear",
+            sentence=f"Mesh and photographs do not fit ({current_fit}), and no known mistake "
             "explains it: check the scale of mesh and poses, and whether they belong together.",
         ), current  # fmt: skip
     if chosen is current:
         also = f"; {_either(alternatives)} would fit as well" if alternatives else ""
-        return Finding(
-            question="poses", verdict="fits", hypotheses=table, alternatives=alternatives,
-            sentence=f"Cameras and mesh fit the photographs ({_fit(current)}{also}).",
-        ), current  # fmt: skip
+        sentence = f"Cameras and mesh fit the photographs ({current_fit}{also})."
+        return found(verdict="fits", alternatives=alternatives, sentence=sentence), current
     if alternatives:
-        return Finding(
-            question="poses", verdict="unclear", hypotheses=table, fixes=names,
-            alternatives=alternatives,
-            sentence=f"Cameras and mesh do not fit the photographs ({_fit(current)}); "
+        return found(
+            verdict="unclear", fixes=names, alternatives=alternatives,
+            sentence=f"Cameras and mesh do not fit the photographs ({current_fit}); "
             f"{_either((names, *alternatives))} explains them equally well ({_fit(chosen)}): the "
             "object is too symmetric to tell.",
         ), chosen  # fmt: skip
-    return Finding(
-        question="poses", verdict="wrong", hypotheses=table, fixes=names,
-        sentence=f"{_causes(names)}: {_fit(chosen)} instead of {_fit(current)}.",
-    ), chosen  # fmt: skip
-
-
-def _pose_table(scores: Sequence[PoseScore]) -> tuple[Hypothesis, ...]:
-    return tuple(
-        Hypothesis(
-            fixes=score.hypothesis.names,
-            score=score.total,
-            cues={
-                "silhouettes" if score.masked else "edges": score.silhouette,
-                "views agree": score.agreement,
-                "texture": score.texture,
-            },
-        )
-        for score in scores
-    )
+    sentence = f"{_causes(names)}: {_fit(chosen)} instead of {current_fit}."
+    return found(verdict="wrong", fixes=names, sentence=sentence), chosen
 
 
 def _is_poor(score: PoseScore) -> bool:
@@ -97,25 +88,22 @@ def judge_texture(as_it_is: tuple[float, np.ndarray], turned: tuple[float, np.nd
         Hypothesis(fixes=fixes, score=fit, cues={"texture": fit})
         for fixes, fit in (((), plain), (("texture-flip-v",), flipped))
     ]
-    hypotheses = tuple(sorted(table, key=lambda one: -one.score))
+    found = partial(
+        Finding, question="texture", hypotheses=tuple(sorted(table, key=lambda one: -one.score))
+    )
     known = np.isfinite(misfit) & np.isfinite(misfit_flipped)
     difference = (misfit - misfit_flipped)[known]
     figures = f"correlation with the photographs {plain:.2f}, flipped {flipped:.2f}"
     if max(plain, flipped) < 0.1:
-        verdict, words = "unknown", "The texture resembles the photographs neither way"
+        words = "The texture resembles the photographs neither way"
     elif flipped - plain > FLIP_GAIN and certain(difference):
-        return Finding(
-            question="texture", verdict="wrong", hypotheses=hypotheses, fixes=("texture-flip-v",),
-            sentence=f"{_causes(('texture-flip-v',))}: {figures}.",
-        )  # fmt: skip
+        sentence = f"{_causes(('texture-flip-v',))}: {figures}."
+        return found(verdict="wrong", fixes=("texture-flip-v",), sentence=sentence)
     elif plain - flipped > FLIP_GAIN and certain(-difference):
-        verdict, words = "fits", "The texture fits the photographs"
+        return found(verdict="fits", sentence=f"The texture fits the photographs ({figures}).")
     else:
-        verdict, words = "unknown", "Which way V of the texture runs cannot be told"
-    return Finding(
-        question="texture", verdict=verdict, hypotheses=hypotheses,  # type: ignore[arg-type]
-        sentence=f"{words} ({figures}).",
-    )  # fmt: skip
+        words = "Which way V of the texture runs cannot be told"
+    return found(verdict="unknown", sentence=f"{words} ({figures}).")
 
 
 def judge_light(scores: Sequence[LightScore]) -> Finding:
@@ -127,7 +115,13 @@ def judge_light(scores: Sequence[LightScore]) -> Finding:
     if not scores:
         return light_unknown("too little of the object is seen")
     best, current = scores[0], next(s for s in scores if not s.hypothesis.fixes)
-    table, gain = _light_table(scores), best.total - current.total
+    table = tuple(Hypothesis(
+        fixes=score.hypothesis.names, score=score.total,
+        cues={"shading": score.shading, "shading alone": score.bare,
+              "highlights": score.highlights},
+    ) for score in scores)  # fmt: skip
+    found = partial(Finding, question="light", hypotheses=table)
+    gain = best.total - current.total
     near = indistinguishable(scores, best, LIGHT_MARGIN)
     alternatives = tuple(score.hypothesis.names for score in near)
     figures = _light_figures(current)
@@ -142,22 +136,17 @@ def judge_light(scores: Sequence[LightScore]) -> Finding:
         as_good = indistinguishable(scores, current, LIGHT_MARGIN)
         others = tuple(s.hypothesis.names for s in as_good if len(s.hypothesis.fixes) == 1)
         also = f"; {_either(others)} would fit as well" if others else ""
-        return Finding(
-            question="light", verdict="fits", hypotheses=table, alternatives=others,
-            sentence=f"The light fits the photographs ({figures}{also}).",
-        )  # fmt: skip
+        sentence = f"The light fits the photographs ({figures}{also})."
+        return found(verdict="fits", alternatives=others, sentence=sentence)
     names = best.hypothesis.names
     if alternatives:
-        return Finding(
-            question="light", verdict="unclear", hypotheses=table, fixes=names,
-            alternatives=alternatives,
+        return found(
+            verdict="unclear", fixes=names, alternatives=alternatives,
             sentence=f"The light does not fit the photographs ({figures}); "
             f"{_either((names, *alternatives))} would, and which of them cannot be told.",
         )  # fmt: skip
-    return Finding(
-        question="light", verdict="wrong", hypotheses=table, fixes=names,
-        sentence=f"{_causes(names)}: {_light_figures(best)} instead of {figures}.",
-    )  # fmt: skip
+    sentence = f"{_causes(names)}: {_light_figures(best)} instead of {figures}."
+    return found(verdict="wrong", fixes=names, sentence=sentence)
 
 
 def light_unknown(reason: str, table: tuple[Hypothesis, ...] = ()) -> Finding:
@@ -173,21 +162,6 @@ def _support(one: LightScore, other: LightScore) -> int:
     pairs = ((one.shading, other.shading), (one.bare, other.bare),
              (one.highlights, other.highlights))  # fmt: skip
     return sum(a > max(b + 0.01, SPEAKING) for a, b in pairs)
-
-
-def _light_table(scores: Sequence[LightScore]) -> tuple[Hypothesis, ...]:
-    return tuple(
-        Hypothesis(
-            fixes=score.hypothesis.names,
-            score=score.total,
-            cues={
-                "shading": score.shading,
-                "shading alone": score.bare,
-                "highlights": score.highlights,
-            },
-        )
-        for score in scores
-    )
 
 
 def _light_figures(score: LightScore) -> str:

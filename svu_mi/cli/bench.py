@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+from rich.console import Console
 
-from svu_mi.cli.inputs import Common, Output
+from svu_mi.cli.inputs import Common, Output, say
 from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from svu_mi.bench.cells import Cell
     from svu_mi.bench.orb.options import Options as OrbOptions
     from svu_mi.bench.recovery.options import Options
@@ -97,15 +96,15 @@ class Bench(Common):
         for row in record["summary"]:
             if row["kind"] != "switch" and row["pearson"] is not None:
                 line = f"{row['label']}: Pearson {row['pearson']['mean']:.2f}"
-                console.print(line, markup=False, highlight=False, soft_wrap=True)
+                say(console, line)
         for line in orb_lines(record["orb"]) if record["orb"] else ():
-            console.print(line, markup=False, highlight=False, soft_wrap=True)
+            say(console, line)
         parts = [record[name] or {} for name in ("kernels", "recovery", "guidance")]
         for bar in (bar for part in parts for bar in part.get("bars", ())):
             if not (bar["holds"] or self.quick):
                 line = f"Missed: {bar['what']}: {bar['value']:.3g} {bar['unit']}"
-                console.print(line, markup=False, highlight=False, soft_wrap=True)
-        console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
+                say(console, line)
+        say(console, f"Wrote {self.output}")
         return 0
 
     def _recovery(self) -> Options:

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from svu_mi.cli.inputs import Common, Defines, Output, Scene, given, parse_defines
+from rich.console import Console
+
+from svu_mi.cli.inputs import Common, Defines, Output, Scene, given, parse_defines, say
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from svu_mi.checking.record import Check
 
 SHOWN = 5  # views that fit worst, in the table
@@ -55,9 +55,7 @@ class CheckCapture(Common):
         with progress.stage("Writing the page"):
             write_check(capture, found, self.output, settings=given(self))
         _print(console, found)
-        console.print(
-            f"Wrote {self.output / 'check.html'}", markup=False, highlight=False, soft_wrap=True
-        )
+        say(console, f"Wrote {self.output / 'check.html'}")
         return WRONG if self.strict and not found.fits else 0
 
 
@@ -67,10 +65,10 @@ def _print(console: Console, found: Check) -> None:
     console.print(_views(found))
     for one in found.findings:
         line = f"{one.question} ({MARKS[one.verdict]}): {one.sentence}"
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        say(console, line)
     for line in (verdict(found), remedy(found)):
         if line:
-            console.print(line, markup=False, highlight=False, soft_wrap=True)
+            say(console, line)
 
 
 def _views(found: Check) -> Any:

@@ -6,32 +6,24 @@ import dataclasses
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
+
+from rich.console import Console
 
 from svu_mi.cli.inputs import (  # isort: skip
-    Common, Defines, Known, Output, Photographed, Resolution, Scene, given, pair, parse_defines,
-    parse_known,
+    Common, Defines, Estimated, Output, Resolution, Scene, given, pair, parse_defines, say,
 )  # fmt: skip
 from svu_mi.progress import Progress
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
 
 @dataclass(frozen=True, kw_only=True)
-class Entropy(Photographed):
+class Entropy(Estimated):
     """Compute how much photographs say about every texel.
 
     Writes entropy.exr (1 = nothing known), coverage.exr (number of views), overview.png and
     run.json.
     """
 
-    method: Literal["angular", "spectrum"] = "angular"
-    """angular compares radiance by statistics of all views; spectrum, power spectra (the paper)."""
-    preset: Literal["default", "calibrated", "fast", "paper"] = "default"
-    known: Known = ()
-    """Parameters that are not in question, such as metallic=0: they leave the grid. "scene" stands
-    for those that the scene's own material does not vary."""
     skip: bool = True
     """Leave out work that changes nothing (unseen texels, blind views, equal channels, ...)."""
 
@@ -39,23 +31,18 @@ class Entropy(Photographed):
         """Run the pipeline and write the four files."""
         from svu_mi.options import NOTHING, Skip
         from svu_mi.output import prepare_folder, write_outputs
-        from svu_mi.pipeline import estimate
 
-        pair(self.resolution, "--resolution")  # refused before any work
-        defines, known = parse_defines(self.define), parse_known(self.known)
+        self.check()
         prepare_folder(self.output)
         self.start()
         progress = Progress(console)
-        capture, grid = self.load(progress, defines)
-        result = estimate(
-            capture, grid, self.method, self.preset, known=known,
-            skip=Skip() if self.skip else NOTHING, progress=progress,
-        )  # fmt: skip
+        capture, grid = self.load(progress)
+        result = self.estimate(progress, capture, grid, skip=Skip() if self.skip else NOTHING)
         with progress.stage("Writing the results"):
             write_outputs(
                 capture, result, self.output, settings=given(self), kernels=progress.kernels
             )
-        console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
+        say(console, f"Wrote {self.output}")
         return 0
 
 
@@ -91,10 +78,7 @@ class Render(Common):
                 views=self.views, resolution=pair(self.resolution, "--resolution"),
                 defines=parse_defines(self.define), progress=stage.update,
             )  # fmt: skip
-        console.print(
-            f"Wrote {capture.count} photographs to {self.output}",
-            markup=False, highlight=False, soft_wrap=True,
-        )  # fmt: skip
+        say(console, f"Wrote {capture.count} photographs to {self.output}")
         return 0
 
 

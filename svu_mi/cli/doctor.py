@@ -17,12 +17,11 @@ import sys
 import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rich.console import Console
 
 from svu_mi import _llvm
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 PACKAGES = ("svu_mi", "mitsuba", "drjit", "OpenEXR", "trimesh", "xatlas", "numpy", "scipy")
 SUPPORTED = ("cuda_ad_rgb", "metal_ad_rgb", "llvm_ad_rgb")  # what entropy runs on

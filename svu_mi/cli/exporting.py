@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import tyro
+from rich.console import Console
 
-from svu_mi.cli.inputs import Common, Output
+from svu_mi.cli.inputs import Common, Output, say
 from svu_mi.progress import Progress
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 Result = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")]
 Format = Literal["exr", "png", "glb", "xml", "materialx"]
@@ -63,5 +61,5 @@ class Export(Common):
             asset = load_asset(self.result, self.entropy)
         with progress.stage("Writing the asset"):
             export_asset(asset, self.output, options)
-        console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
+        say(console, f"Wrote {self.output}")
         return 0

@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
+from rich.console import Console
 
-from svu_mi.cli.inputs import Known, Photographed, given, pair, parse_defines, parse_known
+from svu_mi.cli.inputs import Estimated, given, say
 from svu_mi.errors import OptionError
 from svu_mi.options import Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from svu_mi.capture import Capture
     from svu_mi.guidance import Candidates, Guidance, GuidanceOptions
 
@@ -30,7 +29,7 @@ Up = Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Guide(Photographed):
+class Guide(Estimated):
     """Propose where to take the next photographs from.
 
     Writes guidance.json and guidance.png, the poses as transforms.json and sensors.xml, gain_0.exr,
@@ -54,13 +53,8 @@ class Guide(Photographed):
     JSON list; or with a JSON list of true and false, one for each candidate."""
     unreachable: Numbers = ()
     """Numbers of candidates that cannot be reached."""
-    method: Literal["angular", "spectrum"] = "angular"
-    """angular compares radiance by statistics of all views; spectrum, power spectra (the paper)."""
     preset: Literal["default", "calibrated", "fast", "paper"] = "default"
     """Spectrum needs paper."""
-    known: Known = ()
-    """Parameters that are not in question, such as metallic=0: they leave the grid. "scene" stands
-    for those that the scene's own material does not vary."""
     strategy: Strategy = "entropy"
     """entropy: lowest expected entropy; error: lowest expected squared error of the parameters; the
     others are what these are compared with."""
@@ -78,36 +72,30 @@ class Guide(Photographed):
         from svu_mi.files import prepare_folder
         from svu_mi.output.guidance import write_guidance
 
-        pair(self.resolution, "--resolution")  # refused before any work
-        defines, options = parse_defines(self.define), self._check()
+        self.check()
+        options = self._options()
         prepare_folder(self.output)
         self.start()
         progress = Progress(console)
-        capture, estimate, guidance = self._guide(progress, defines, options)
+        capture, estimate, guidance = self._guide(progress, options)
         with progress.stage("Writing the results") as stage:
             write_guidance(
                 capture, estimate, guidance, self.output, up=self.up, settings=given(self),
                 kernels=progress.kernels, progress=stage.update,
             )  # fmt: skip
         _print(console, guidance)
-        console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
+        say(console, f"Wrote {self.output}")
         return 0
 
-    def _guide(
-        self, progress: Progress, defines: dict[str, str], options: GuidanceOptions
-    ) -> tuple[Any, Any, Guidance]:
+    def _guide(self, progress: Progress, options: GuidanceOptions) -> tuple[Any, Any, Guidance]:
         from svu_mi.guidance import Candidates, next_best_view
-        from svu_mi.pipeline import estimate
 
         # What a file says is refused before photographs are read.
         fixed = None if self._placed else self._restricted(Candidates.read(self.candidates))
         missing: Any = "leave out" if self.candidates == SCENE else "refuse"
-        capture, texels = self.load(progress, defines, missing=missing)
+        capture, texels = self.load(progress, missing=missing)
         candidates = fixed or self._restricted(self._place(capture))
-        known = estimate(
-            capture, texels, self.method, self.preset, known=parse_known(self.known),
-            progress=progress,
-        )  # fmt: skip
+        known = self.estimate(progress, capture, texels)
         guidance = next_best_view(known, candidates, self.add, options=options, progress=progress)
         return capture, known, guidance
 
@@ -123,9 +111,7 @@ class Guide(Photographed):
         if count is None:
             return Candidates.without_photograph(capture)
         lowest = -1.0 if self.lowest is None else float(np.sin(np.radians(self.lowest)))
-        return Candidates.around(
-            capture, count, up=self.up, lowest=lowest, distance=self.distance
-        )
+        return Candidates.around(capture, count, up=self.up, lowest=lowest, distance=self.distance)
 
     def _restricted(self, candidates: Candidates) -> Candidates:
         """Leave out what cannot be reached."""
@@ -148,23 +134,27 @@ class Guide(Photographed):
             )
         return flags
 
-    def _check(self) -> GuidanceOptions:
-        """Refuse options that make no sense, before any work.
+    def _options(self) -> GuidanceOptions:
+        """Return how candidates are judged."""
+        from svu_mi.guidance import GuidanceOptions
 
-        Returns:
-            How candidates are judged.
+        return GuidanceOptions(
+            strategy=self.strategy, texels=self.texels, hypotheses=self.hypotheses,
+            lazy=self.lazy, seed=self.seed,
+        )  # fmt: skip
+
+    def check(self) -> None:
+        """Refuse options that make no sense, before any work.
 
         Raises:
             OptionError: a number out of range, or an option of no use.
             CaptureError: a file that does not exist, or is not to be read.
         """
-        from svu_mi.guidance import GuidanceOptions
-
+        super().check()
         if self.add < 1:
             raise OptionError(f"--add must be at least 1, got {self.add}.")
         self._check_sphere()
         self._check_method()
-        parse_known(self.known)
         if self.reachable is not None:
             _read_numbers(self.reachable)
         if not self._placed and not Path(self.candidates).exists():
@@ -174,10 +164,6 @@ class Guide(Photographed):
             )
         if (count := _number(self.candidates)) is not None:
             self._within_reach(count)
-        return GuidanceOptions(
-            strategy=self.strategy, texels=self.texels, hypotheses=self.hypotheses,
-            lazy=self.lazy, seed=self.seed,
-        )  # fmt: skip
 
     def _check_sphere(self) -> None:
         count = _number(self.candidates)

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+from rich.console import Console
 
-from svu_mi.cli.inputs import Common, Output
+from svu_mi.cli.inputs import Common, Output, say
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from svu_mi.formats.importing import ImportOptions
 
 From = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
@@ -102,11 +101,8 @@ class Import(Common):
             with progress.stage("Converting photographs") as stage:
                 notes = import_capture(source, self.output, self._options(), progress=stage.update)
         for note in notes:
-            console.print(note, markup=False, highlight=False, soft_wrap=True)
-        console.print(
-            f"Wrote {self.output}; look at it with: svu check {self.output}",
-            markup=False, highlight=False, soft_wrap=True,
-        )  # fmt: skip
+            say(console, note)
+        say(console, f"Wrote {self.output}; look at it with: svu check {self.output}")
         return 0
 
     def _options(self) -> ImportOptions:

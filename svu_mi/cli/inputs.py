@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
+from rich.console import Console
 
 from svu_mi import _llvm
 from svu_mi.errors import OptionError, SvuEnvironmentError
@@ -17,6 +18,7 @@ from svu_mi.progress import Progress
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
     from svu_mi.capture.images import Missing
+    from svu_mi.pipeline import Estimate
     from svu_mi.surface import Texels
 
 VARIANTS = ("cuda_ad_rgb", "metal_ad_rgb", "llvm_ad_rgb")  # the first that this machine can run
@@ -105,15 +107,22 @@ class Photographed(Common):
         """Where a scene without photographs is rendered to."""
         return self.output / "capture"
 
+    def check(self) -> None:
+        """Refuse options that make no sense, before any work.
+
+        Raises:
+            OptionError: there is one.
+        """
+        pair(self.resolution, "--resolution")
+        parse_defines(self.define)
+
     def load(
-        self, progress: Progress, defines: dict[str, str], *, again: bool = False,
-        missing: Missing = "refuse",
-    ) -> tuple[Capture, Texels]:  # fmt: skip
+        self, progress: Progress, *, again: bool = False, missing: Missing = "refuse"
+    ) -> tuple[Capture, Texels]:
         """Load the photographs, or render them, and lay out texels.
 
         Args:
             progress: shows what is going on.
-            defines: the scene's parameters.
             again: take photographs that an earlier run has rendered into the output folder.
             missing: what to do with sensors that have no photograph (see ``load_capture``).
 
@@ -125,16 +134,14 @@ class Photographed(Common):
         from svu_mi.surface import texels
 
         size = pair(self.resolution, "--resolution")
-        capture = self._capture(progress, defines, again, missing)
+        capture = self._capture(progress, again, missing)
         with progress.stage("Laying out texels"):
             return capture, texels(capture.mesh, size)
 
-    def _capture(
-        self, progress: Progress, defines: dict[str, str], again: bool, missing: Missing
-    ) -> Capture:
+    def _capture(self, progress: Progress, again: bool, missing: Missing) -> Capture:
         from svu_mi.capture import has_photographs, load_capture, photographs_of, render_capture
 
-        images = self.images
+        images, defines = self.images, parse_defines(self.define)
         live = images is None and self.scene.suffix.lower() == ".xml" and missing == "refuse"
         if live and not has_photographs(photographs_of(self.scene)):
             images = self.rendered
@@ -155,6 +162,39 @@ class Photographed(Common):
                 self.scene, images, shape=self.shape, defines=defines, unwrap=self.unwrap,
                 missing=missing,
             )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimated(Photographed):
+    """Options of every command that estimates what photographs say."""
+
+    method: Literal["angular", "spectrum"] = "angular"
+    """angular compares radiance by statistics of all views; spectrum, power spectra (the paper)."""
+    preset: Literal["default", "calibrated", "fast", "paper"] = "default"
+    known: Known = ()
+    """Parameters that are not in question, such as metallic=0: they leave the grid. "scene" stands
+    for those that the scene's own material does not vary."""
+
+    def check(self) -> None:
+        """Refuse options that make no sense, before any work (see ``Photographed``)."""
+        super().check()
+        parse_known(self.known)
+
+    def estimate(
+        self, progress: Progress, capture: Capture, texels: Texels, **options: Any
+    ) -> Estimate:
+        """Return what the photographs say; ``options`` are others of ``pipeline.estimate``."""
+        from svu_mi.pipeline import estimate
+
+        return estimate(
+            capture, texels, self.method, self.preset, known=parse_known(self.known),
+            progress=progress, **options,
+        )  # fmt: skip
+
+
+def say(console: Console, text: str) -> None:
+    """Print a line as it is: a log has no width, and a name may hold [brackets]."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def pair(size: tuple[int, ...], option: str) -> tuple[int, int]:

@@ -86,13 +86,5 @@ def _fail(sentence: str, status: int) -> int:
     return status
 
 
-def _show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: object = None,
-    line: str | None = None,
-) -> None:
-    del category, filename, lineno, file, line
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
     sys.stderr.write(f"svu: warning: {' '.join(str(message).split())}\n")

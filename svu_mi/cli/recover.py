@@ -7,22 +7,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
+from rich.console import Console
 
-from svu_mi.cli.inputs import Photographed, given, pair, parse_defines, was_interrupted
+from svu_mi.cli.inputs import Photographed, given, say, was_interrupted
 from svu_mi.errors import OptionError
+from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from svu_mi.recovery.textures import Textures
     from svu_mi.surface import Texels
 
 CHECKPOINT = "checkpoint.npz"
-Parameter = Literal["base_color", "roughness", "metallic"]
-Parameters = Annotated[
-    tuple[Parameter, ...], tyro.conf.arg(metavar="{base_color,roughness,metallic} ...")
-]
+Name = Literal[NAMES]  # type: ignore[valid-type]
+Parameters = Annotated[tuple[Name, ...], tyro.conf.arg(metavar=f"{{{','.join(NAMES)}}} ...")]
 From = Annotated[Path | None, tyro.conf.arg(name="start", metavar="FOLDER")]
 
 
@@ -52,7 +50,7 @@ class Recover(Photographed):
     """Times that path looks at every pixel."""
     steps: int | None = None
     """Steps of descent of sh."""
-    parameters: Parameters = ("base_color", "roughness", "metallic")
+    parameters: Parameters = NAMES
     """Textures to recover; others stay as they start."""
     initial: From = None
     """Folder with base_color.exr, roughness.exr and metallic.exr to start from."""
@@ -67,22 +65,24 @@ class Recover(Photographed):
         """Recover, and write the results."""
         from svu_mi.files import prepare_folder
 
-        pair(self.resolution, "--resolution")  # refused before any work
-        defines, checkpoint = parse_defines(self.define), self.output / CHECKPOINT
-        self._check(checkpoint)
+        self.check()
+        checkpoint = self.output / CHECKPOINT
         prepare_folder(self.output)
         self.start()
         progress = Progress(console)
         try:
-            self._run(progress, defines, checkpoint)
+            self._run(progress, checkpoint)
         except BaseException as error:
             if was_interrupted(error):
                 raise Interrupted(self._advice(checkpoint)) from None
             raise
-        console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
+        say(console, f"Wrote {self.output}")
         return 0
 
-    def _check(self, checkpoint: Path) -> None:
+    def check(self) -> None:
+        """Refuse options that make no sense, before any work (see ``Photographed``)."""
+        super().check()
+        checkpoint = self.output / CHECKPOINT
         if not self.parameters:
             raise OptionError("--parameters names no texture; give at least one.")
         if self.seed < 0:
@@ -100,13 +100,13 @@ class Recover(Photographed):
                 f"{checkpoint}: an interrupted run has left it; go on with --resume, or remove it."
             )
 
-    def _run(self, progress: Progress, defines: dict[str, str], checkpoint: Path) -> None:
+    def _run(self, progress: Progress, checkpoint: Path) -> None:
         from svu_mi.output.recovery import write_recovery
         from svu_mi.pipeline import estimate
         from svu_mi.recovery.recover import recover
 
         options = self._options()  # refused before any work
-        capture, texels = self.load(progress, defines, again=self.resume)
+        capture, texels = self.load(progress, again=self.resume)
         initial = self._initial(texels)
         recovery = recover(
             capture, texels, self.method, self.preset, sharing=self.sharing, tv=self.tv,

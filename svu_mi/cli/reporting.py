@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated
 
 import tyro
+from rich.console import Console
 
-from svu_mi.cli.inputs import Known, Photographed, given, pair, parse_defines, parse_known
+from svu_mi.cli.inputs import Estimated, given, say
 from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 Page = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE.html", help="The page.")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report(Photographed):
+class Report(Estimated):
     """Write what photographs say as one HTML file, with all pictures inside.
 
     Photographs, entropy on a turntable, maps, probabilities, errors of views, settings, times and
@@ -31,36 +29,28 @@ class Report(Photographed):
     """Folder of svu recover; its textures are shown, and compared with the photographs."""
     title: str | None = None
     """Of the page; by default the name of the photographs' folder."""
-    method: Literal["angular", "spectrum"] = "angular"
-    """angular compares radiance by statistics of all views; spectrum, power spectra (the paper)."""
-    preset: Literal["default", "calibrated", "fast", "paper"] = "default"
-    known: Known = ()
-    """Parameters that are not in question, such as metallic=0. "scene" stands for those that the
-    scene's own material does not vary."""
 
     def run(self, console: Console) -> int:
         """Estimate, and write the page."""
         from svu_mi.files import prepare_folder
         from svu_mi.output.report.report import write_report
         from svu_mi.output.textures import read_textures
-        from svu_mi.pipeline import estimate
 
-        pair(self.resolution, "--resolution")  # refused before any work
-        defines, known = parse_defines(self.define), parse_known(self.known)
+        self.check()
         if self.output.is_dir():
             raise OptionError(f"{self.output}: is a folder; -o takes a file, such as report.html.")
         prepare_folder(self.output.parent)
         self.start()
         textures = None if self.recovered is None else read_textures(self.recovered)
         progress = Progress(console)
-        capture, texels = self.load(progress, defines)
-        found = estimate(capture, texels, self.method, self.preset, known=known, progress=progress)
+        capture, texels = self.load(progress)
+        found = self.estimate(progress, capture, texels)
         with progress.stage("Writing the report") as stage:
             write_report(
                 capture, found, self.output, textures=textures, title=self.title,
                 settings=given(self), progress=stage.update,
             )  # fmt: skip
-        console.print(f"Wrote {self.output}", markup=False, highlight=False, soft_wrap=True)
+        say(console, f"Wrote {self.output}")
         return 0
 
     @property

@@ -6,27 +6,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from svu_mi.cli.inputs import Known, Photographed, pair, parse_defines, parse_known
+from rich.console import Console
+
+from svu_mi.cli.inputs import Estimated, say
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from svu_mi.recovery.textures import Textures
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(Photographed):
+class View(Estimated):
     """Look at entropy, textures and photographs on the object, in a browser.
 
     Click a texel for its posterior and a camera to look through it; Ctrl-C ends. Needs
     pip install 'svu_mi[viewer]'.
     """
 
-    method: Literal["angular", "spectrum"] = "angular"
-    preset: Literal["default", "calibrated", "fast", "paper"] = "default"
-    known: Known = ()
-    """Parameters that are not in question, such as metallic=0."""
     recovered: Path | None = None
     """Folder that svu recover has written; its size is taken for --resolution."""
     port: int = 8080
@@ -38,24 +34,19 @@ class View(Photographed):
         """Estimate, open the page, and serve it until Ctrl-C."""
         from svu_mi.output.viewer.serving import require_port, require_viser
         from svu_mi.output.viewer.viewer import Viewer
-        from svu_mi.pipeline import estimate
 
-        pair(self.resolution, "--resolution")  # refused before any work
-        defines, known = parse_defines(self.define), parse_known(self.known)
+        self.check()
         require_port(self.port)
         require_viser()
         self.start()
         progress = Progress(console)
         recovered = self._recovered()
         sized = self if recovered is None else replace(self, resolution=recovered.resolution)
-        capture, texels = sized.load(progress, defines)
-        result = estimate(capture, texels, self.method, self.preset, known=known, progress=progress)
+        capture, texels = sized.load(progress)
+        result = self.estimate(progress, capture, texels)
         with progress.stage("Opening the viewer"):
             viewer = Viewer(capture, result, recovered, port=self.port, up=self.up)
-        console.print(
-            f"Open {viewer.url} in a browser; Ctrl-C ends.",
-            markup=False, highlight=False, soft_wrap=True,
-        )  # fmt: skip
+        say(console, f"Open {viewer.url} in a browser; Ctrl-C ends.")
         viewer.run()
         return 0
 

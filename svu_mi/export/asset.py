@@ -14,6 +14,8 @@ from svu_mi.output.maps import padded
 from svu_mi.output.upright import Axis, nearest_axis, upright
 from svu_mi.recovery.textures import Textures
 
+TEXTURES, RECORD = "textures", "asset.json"  # in an exported folder
+
 
 @dataclass(frozen=True, kw_only=True)
 class Asset:
@@ -83,6 +85,23 @@ class Asset:
             up=nearest_axis(upright(capture)),
             source=capture.source,
         )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Written:
+    """A file of an asset.
+
+    Attributes:
+        file: path, relative to the asset's folder.
+        format: what kind of file.
+        holds: what is in it.
+        values: how its numbers are to be read.
+    """
+
+    file: str
+    format: str
+    holds: str
+    values: str
 
 
 def _check_mesh(name: str, mesh: MeshArrays) -> None:

@@ -11,15 +11,14 @@ from typing import Any
 
 from svu_mi.errors import CaptureError
 from svu_mi.export import glb, materialx, mitsuba_xml
-from svu_mi.export.asset import Asset
+from svu_mi.export.asset import RECORD, TEXTURES, Asset, Written
 from svu_mi.export.charts import at_vertices, with_gutters
-from svu_mi.export.files import RECORD, TEXTURES, Written
 from svu_mi.export.images import write_exr_images, write_png_images
 from svu_mi.export.options import ExportOptions
 from svu_mi.export.reading import load_asset
 from svu_mi.files import prepare_folder, read_json, remove
 from svu_mi.output.manifest import environment_record, write_manifest
-from svu_mi.recovery.textures import NAMES
+from svu_mi.parameters import NAMES
 
 FORMAT, VERSION = "svu-asset", 1
 MODEL = "principled, specular 0.5 (F0 = 0.04), alpha = roughness^2: glTF's metallic-roughness"

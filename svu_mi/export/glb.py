@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 
 import svu_mi
-from svu_mi.capture.picture import decoded
-from svu_mi.export.asset import Asset
-from svu_mi.export.files import Written
-from svu_mi.export.images import packed, quantized
+from svu_mi.capture.picture import decoded, quantized, srgb
+from svu_mi.export.asset import Asset, Written
+from svu_mi.export.images import packed
 from svu_mi.export.mesh import as_trimesh, upward_uvs
 from svu_mi.files import replacing
-from svu_mi.metrics.images import srgb
-from svu_mi.output.overview import COLORMAP
+from svu_mi.output.style import COLORMAP
 from svu_mi.output.upright import Axis
 
 ASSET, ENTROPY = "asset.glb", "entropy.glb"
@@ -47,8 +45,8 @@ def write_asset_glb(
     base_color = np.array(asset.textures.base_color)
     material = PBRMaterial(
         name=asset.name,
-        baseColorTexture=Image.fromarray(quantized(srgb(base_color), 8)),
-        metallicRoughnessTexture=Image.fromarray(quantized(packed(asset), 8)),
+        baseColorTexture=Image.fromarray(quantized(srgb(base_color))),
+        metallicRoughnessTexture=Image.fromarray(quantized(packed(asset))),
         baseColorFactor=[255, 255, 255, 255],
         metallicFactor=1.0,
         roughnessFactor=1.0,
@@ -81,7 +79,7 @@ def write_entropy_glb(asset: Asset, folder: Path, entropy: np.ndarray, *, up: Ax
     from trimesh.visual import ColorVisuals
 
     shown = colormaps[COLORMAP](entropy)[:, :3].astype(np.float32)
-    colors = quantized(decoded(shown), 8)  # COLOR_0 is linear (Sec. 3.7.2.1)
+    colors = quantized(decoded(shown))  # COLOR_0 is linear (Sec. 3.7.2.1)
     visual = ColorVisuals(vertex_colors=np.insert(colors, 3, 255, axis=1))
 
     def unlit(tree: dict[str, Any]) -> None:

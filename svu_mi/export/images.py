@@ -8,12 +8,11 @@ import mitsuba as mi
 import numpy as np
 
 import svu_mi
+from svu_mi.capture.picture import quantized, srgb
 from svu_mi.errors import OutputError
-from svu_mi.export.asset import Asset
-from svu_mi.export.files import TEXTURES, Written
+from svu_mi.export.asset import TEXTURES, Asset, Written
 from svu_mi.exr import write_exr
 from svu_mi.files import replacing
-from svu_mi.metrics.images import srgb
 from svu_mi.output.textures import FILES, write_textures
 
 LINEAR = "linear"
@@ -74,12 +73,6 @@ def packed(asset: Asset) -> np.ndarray:
     """
     rough, metal = np.array(asset.textures.roughness), np.array(asset.textures.metallic)
     return np.concatenate([np.ones_like(rough), rough, metal], axis=-1)
-
-
-def quantized(image: np.ndarray, bits: int) -> np.ndarray:
-    """Round values in [0, 1] to unsigned integers of 8 or 16 bits."""
-    most = 2**bits - 1
-    return (np.clip(image, 0, 1) * most + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
 
 
 def write_png(path: Path, pixels: np.ndarray, *, color: bool) -> None:

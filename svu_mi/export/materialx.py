@@ -11,10 +11,9 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
 from svu_mi.capture.nodes import write_document
-from svu_mi.export.asset import Asset
-from svu_mi.export.files import TEXTURES, Written
+from svu_mi.export.asset import TEXTURES, Asset, Written
 from svu_mi.export.mesh import as_trimesh, upward_uvs
-from svu_mi.files import replacing
+from svu_mi.files import write_text
 
 MATERIAL, MESH = "material.mtlx", "mesh.obj"
 DIGITS = 10  # after the point: objects of a millimetre in metres keep single precision
@@ -83,5 +82,4 @@ def _write_obj(asset: Asset, path: Path) -> None:
     # trimesh names a material of its own, which is grey; ours is in the other file.
     left_out = ("mtllib", "usemtl")
     kept = [line for line in text.splitlines() if line and not line.startswith(left_out)]
-    with replacing(path) as temporary:
-        temporary.write_text("\n".join([f"o {asset.name}", *kept]) + "\n", encoding="utf-8")
+    write_text(path, "\n".join([f"o {asset.name}", *kept]))

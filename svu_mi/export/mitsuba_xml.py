@@ -13,8 +13,7 @@ import svu_mi
 from svu_mi.capture import nodes
 from svu_mi.capture.mesh import make
 from svu_mi.capture.poses import bounding_sphere, sphere_sensors
-from svu_mi.export.asset import Asset
-from svu_mi.export.files import TEXTURES, Written
+from svu_mi.export.asset import TEXTURES, Asset, Written
 from svu_mi.output.scene_xml import object_node
 from svu_mi.output.textures import FILES
 from svu_mi.output.upright import DIRECTION, Axis

@@ -84,8 +84,15 @@ def _gain(words: Sequence[str], label: str) -> float:
         gain = float(words[1])
     except (IndexError, ValueError) as error:
         raise CaptureError(f"{label}: expected NAME GAIN, got {' '.join(words)!r:.60}.") from error
-    if not (math.isfinite(gain) and gain > 0):
-        raise CaptureError(f"{label}: an exposure of {gain} is not positive.")
+    return _positive(gain, label)
+
+
+def _positive(gain: float, label: str) -> float:
+    if not 0 < gain < math.inf:
+        raise CaptureError(
+            f"{label}: an exposure of {gain:g} is not positive; give the factor that radiance was "
+            "multiplied by."
+        )
     return gain
 
 
@@ -104,6 +111,4 @@ def _exif_gain(path: Path) -> float:
         raise CaptureError(
             f"{path}: no exposure time in its EXIF data; give exposures as a list with --exposures."
         ) from error
-    if not (math.isfinite(gain) and gain > 0):
-        raise CaptureError(f"{path}: an exposure of {gain} in its EXIF data is not positive.")
-    return gain
+    return _positive(gain, f"{path}: its EXIF data")

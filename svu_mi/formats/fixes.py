@@ -13,7 +13,8 @@ from typing import Literal
 import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, flipped_v
-from svu_mi.errors import OptionError
+from svu_mi.capture.poses import affine
+from svu_mi.settings import require_known
 
 Kind = Literal["camera", "mesh", "light", "texture"]
 
@@ -92,9 +93,7 @@ def fixes_named(names: Sequence[str]) -> tuple[Fix, ...]:
     Raises:
         OptionError: there is none of a name.
     """
-    for name in names:
-        if name not in FIXES:
-            raise OptionError(f"There is no fix {name!r}; known are {', '.join(FIXES)}.")
+    require_known(names, FIXES, "fix")
     return tuple(FIXES[name] for name in names)
 
 
@@ -109,9 +108,7 @@ def corrected_poses(poses: np.ndarray, fix: Fix, camera_axes: np.ndarray) -> np.
     """
     if fix.matrix is None:
         return np.linalg.inv(poses @ np.linalg.inv(camera_axes)) @ camera_axes
-    result = poses.copy()
-    result[:, :3, :3] = poses[:, :3, :3] @ fix.matrix
-    return result
+    return poses @ affine(fix.matrix)
 
 
 def corrected_mesh(mesh: MeshArrays, fix: Fix) -> MeshArrays:

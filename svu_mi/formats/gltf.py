@@ -106,6 +106,4 @@ def _within(value: Any) -> Iterator[Mapping[str, Any]]:
 
 def _moves(record: Mapping[str, Any]) -> bool:
     given = record.get(TRANSFORM)
-    return given is not None and any(
-        given.get(key, same) != same for key, same in HARMLESS.items()
-    )
+    return given is not None and any(given.get(key, same) != same for key, same in HARMLESS.items())

@@ -22,21 +22,22 @@ from svu_mi.capture.scene import require_variant
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.exr import is_cropped
-from svu_mi.files import replacing, replacing_folder
+from svu_mi.files import replacing_folder
 from svu_mi.formats.exposures import with_exif_exposures, with_exposures
-from svu_mi.formats.findings import about
 from svu_mi.formats.fixes import FIXES, Fix, corrected_mesh, corrected_poses, fixes_named
 from svu_mi.formats.geometry import Geometry, read_geometry
 from svu_mi.formats.light import write_environment
-from svu_mi.formats.photographs import Converted, convert
+from svu_mi.formats.paths import name_in
+from svu_mi.formats.photographs import Converted, about, convert
 from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Light, Source
-from svu_mi.formats.textures import PARAMETERS, write_pictures
+from svu_mi.formats.textures import write_pictures
+from svu_mi.parameters import NAMES
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
 OWN = {
     SCENE, MESH, ENVIRONMENT, capture_folder.FILE, UNWRAPPED,
-    *(f"{name}.png" for name in PARAMETERS), ".DS_Store", "Thumbs.db",
+    *(f"{name}.png" for name in NAMES), ".DS_Store", "Thumbs.db",
 }  # fmt: skip
 VIEW = re.compile(r"view_\d{4,}\.exr")
 MAX_DEPTH = 6  # of the paths that a scene without a say of its own is rendered with
@@ -132,16 +133,12 @@ def import_capture(
             exposures=[frame.exposure for frame, _ in found],
             imported={
                 "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
-                "photographs": [_named(frame.image, source.root) for frame, _ in found],
+                "photographs": [name_in(source.root, frame.image) for frame, _ in found],
                 "notes": notes,
             },
         )  # fmt: skip
         capture_folder.write(made, description, sensors)
     return notes
-
-
-def _named(file: Path, root: Path) -> str:
-    return file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
 
 
 def _was_imported(folder: Path) -> bool:
@@ -252,8 +249,7 @@ def _write_scene(
     folder: Path, geometry: Geometry, light: Light, sensors: Sequence[Any]
 ) -> list[str]:
     """Write the scene and what it refers to; return sentences about the light."""
-    with replacing(folder / MESH) as temporary:
-        capture_mesh.make(OBJECT, geometry.mesh).write_ply(str(temporary))
+    capture_mesh.write_ply(folder / MESH, OBJECT, geometry.mesh)
     write_pictures(geometry.textures, folder)
     pose, notes = write_environment(light, folder / ENVIRONMENT)
     root = nodes.scene()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from svu_mi.capture.picture import read_planes
+from svu_mi.capture.poses import affine
 from svu_mi.errors import CaptureError
 from svu_mi.exr import write_exr
 from svu_mi.formats.source import Light
@@ -69,6 +70,4 @@ def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str
     rotation = light.to_world
     if np.linalg.det(rotation) < 0:
         pixels, rotation = pixels[:, ::-1], rotation @ MIRROR
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation
-    return pixels * np.float32(light.scale), matrix, notes
+    return pixels * np.float32(light.scale), affine(rotation), notes

@@ -22,9 +22,7 @@ def repaired(mesh: MeshArrays, label: str) -> tuple[MeshArrays, list[str]]:
     Returns:
         The mesh, with unit normals, and sentences about what was changed.
     """
-    _, unique, inverse = np.unique(
-        mesh.positions, axis=0, return_index=True, return_inverse=True
-    )
+    _, unique, inverse = np.unique(mesh.positions, axis=0, return_index=True, return_inverse=True)
     inverse = inverse.ravel()
     # Without the cuts that UV seams are.
     welded = trimesh.Trimesh(mesh.positions[unique], inverse[mesh.faces], process=False)

@@ -17,7 +17,8 @@ import numpy as np
 from PIL import Image
 
 from svu_mi.capture.images import IN_MASK, SATURATED
-from svu_mi.capture.picture import decoded, read_planes
+from svu_mi.capture.picture import decoded, quantized, read_planes
+from svu_mi.capture.poses import affine
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.files import copy_file, prepare_folder, replacing
 from svu_mi.formats.geometry import read_geometry
@@ -66,7 +67,10 @@ def read_owl(path: Path) -> Source:
         raise CaptureError(f"{inputs}: no camera_0000.txt, ...; copy the object again.")
     (stops,) = _numbers(inputs / EXPOSURE, 1)
     if abs(stops) > STOPS:
-        raise CaptureError(f"{inputs / EXPOSURE}: {stops} stops are no exposure.")
+        raise CaptureError(
+            f"{inputs / EXPOSURE}: an exposure of {stops:g} stops; it must be within {STOPS}: copy "
+            "the file again."
+        )
     test = Path(os.path.normpath(inputs / ".."))
     names = [test / f"{stem}{suffix}" for stem in MESHES for suffix in MESH_SUFFIXES]
     return Source(
@@ -117,9 +121,8 @@ def write_owl(root: Path, source: Source, *, exposure: float | None = None) -> N
         pixels = np.stack(planes[:3], axis=-1) * np.float32(source.light.scale)
         with replacing(test / ENVIRONMENT) as temporary:
             mi.Bitmap(np.ascontiguousarray(pixels)).write(str(temporary))
-        world_to_env = np.eye(4)
-        world_to_env[:3, :3] = ENVIRONMENT_AXES["blender"] @ source.light.to_world.T
-        _write_text(test / WORLD_TO_ENV, world_to_env)
+        world_to_env = ENVIRONMENT_AXES["blender"] @ source.light.to_world.T
+        _write_text(test / WORLD_TO_ENV, affine(world_to_env))
 
 
 def _frame(camera: Path, gain: float) -> Frame:
@@ -128,11 +131,12 @@ def _frame(camera: Path, gain: float) -> Frame:
     if np.abs(K[[0, 1, 2, 2], [1, 0, 0, 1]]).max() > 0 or K[2, 2] != 1:
         raise CaptureError(f"{camera}: the camera has skew; its K must be fx 0 cx 0 fy cy 0 0 1.")
     if (size != np.floor(size)).any():
-        raise CaptureError(f"{camera}: {size[0]} x {size[1]} pixels is no size.")
-    world_to_camera = np.eye(4)
-    world_to_camera[:3, :3], world_to_camera[:3, 3] = rotation, translation
+        raise CaptureError(
+            f"{camera}: a photograph of {size[0]:g} x {size[1]:g} pixels; width and height must be "
+            "whole numbers: copy the file again."
+        )
     try:
-        to_world = np.linalg.inv(world_to_camera) @ OPENCV
+        to_world = np.linalg.inv(affine(rotation, translation)) @ OPENCV
     except np.linalg.LinAlgError as error:
         raise CaptureError(f"{camera}: R is no rotation; copy the file again.") from error
     image = camera.with_name(camera.name.replace("camera_", "image_")).with_suffix(".png")
@@ -202,7 +206,7 @@ def _write_frame(inputs: Path, index: int, frame: Frame, exposure: float) -> Non
 
 def _write_png(path: Path, values: np.ndarray) -> None:
     with replacing(path) as temporary:
-        Image.fromarray(np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)).save(temporary)
+        Image.fromarray(quantized(values)).save(temporary)
 
 
 def _write_text(path: Path, rows: Sequence[Sequence[float]] | np.ndarray) -> None:

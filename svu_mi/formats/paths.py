@@ -39,8 +39,13 @@ def inside(root: Path, name: Any, label: str) -> Path:
             "relative to that folder."
         )
     if not name or not parts or not _is_usable(parts):
-        raise CaptureError(f"{label}: {_shown(name)} is no file's name.")
+        raise CaptureError(f"{label}: {_shown(name)} is no name of a file; rename it.")
     return root.joinpath(*parts)
+
+
+def name_in(root: Path, file: Path) -> str:
+    """Return the name of a file relative to a folder; its name alone if it lies elsewhere."""
+    return file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
 
 
 def _is_usable(parts: tuple[str, ...]) -> bool:

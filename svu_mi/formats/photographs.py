@@ -1,14 +1,15 @@
-"""Photographs of any kind as those of a capture: linear EXR with the mask as alpha."""
+"""Photographs of any kind as linear EXR with the mask as alpha, and what was found in them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from svu_mi.capture.images import IN_MASK, ON_OBJECT, SATURATED, UNUSABLE, read_mask
-from svu_mi.capture.picture import decoded, read_planes
+from svu_mi.capture.picture import decoded, is_turned, read_planes
 from svu_mi.exr import write_exr
 from svu_mi.formats.resampling import resampled
 from svu_mi.formats.source import Frame
@@ -102,3 +103,53 @@ def _mask(frame: Frame, planes: list[np.ndarray], low_range: bool) -> np.ndarray
         return found
     inside = read_mask(frame.mask, planes[0].shape)
     return inside if found is None else inside & found
+
+
+def about(frames: Sequence[Frame], found: Sequence[Converted]) -> list[str]:
+    """Say what the photographs are not good for.
+
+    Args:
+        frames: V photographs.
+        found: V times what was found in them.
+    """
+    notes = []
+    count, low = len(found), sum(c.low_range for c in found)
+    if low:
+        saturated = sum(c.saturated for c in found)
+        notes.append(
+            f"{low} of {count} photographs are not HDR: decoded as {frames[0].transfer}, "
+            f"{saturated} clipped pixels left out. Clipped highlights hide what gloss says."
+        )
+    turned = [frame.image.name for frame in frames if is_turned(frame.image)]
+    if turned:
+        notes.append(
+            f"{len(turned)} of {count} photographs, {turned[0]} first, are stored turned, and "
+            "upright by their EXIF data alone, which are left out: poses must be of the pixels as "
+            "stored. If svu check shows them turned, write them upright and import again."
+        )
+    bad = [f.image.name for f, c in zip(frames, found, strict=True) if c.invalid]
+    if bad:
+        pixels = sum(c.invalid for c in found)
+        notes.append(
+            f"{len(bad)} of {count} photographs, {bad[0]} first, have {pixels} pixels that are "
+            "NaN, infinite or negative; left out."
+        )
+    empty = [f.image.name for f, c in zip(frames, found, strict=True) if c.empty]
+    if empty:
+        notes.append(
+            f"{len(empty)} of {count} photographs, {empty[0]} first, have an empty mask: nothing "
+            "of them is used."
+        )
+    inverted = sum(c.inverted for c in found)
+    if inverted > count / 2:
+        notes.append(
+            f"{inverted} of {count} masks have the border of the photograph; if the object is "
+            "black in them, invert them: white is the object."
+        )
+    bare = count - sum(c.masked for c in found)
+    if bare:
+        notes.append(
+            f"{bare} of {count} photographs have no mask: what stands before the object is taken "
+            "for it."
+        )
+    return notes

@@ -13,6 +13,7 @@ from svu_mi.formats.objects_with_lighting import find_inputs, read_owl
 from svu_mi.formats.source import Source
 from svu_mi.formats.stanford_orb import is_orb, read_orb
 from svu_mi.formats.transforms import FILE, read_transforms
+from svu_mi.settings import require_known
 
 Format = Literal["transforms", "colmap", "stanford-orb", "owl"]
 
@@ -51,10 +52,8 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
         OptionError: an unknown format, or folders that it has no use for.
     """
     path, options = Path(path), options or ReadOptions()
-    if options.format is not None and options.format not in get_args(Format):
-        raise OptionError(
-            f"There is no format {options.format!r}; known are {', '.join(get_args(Format))}."
-        )
+    if options.format is not None:
+        require_known([options.format], get_args(Format), "format")
     if not path.exists():
         raise CaptureError(f"{path}: no such file or folder; give a capture to import.")
     kind = options.format or _guess(path, options.split)

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.picture import Transfer
-from svu_mi.capture.poses import film_size, focal_length, make_sensor, principal_point
+from svu_mi.capture.poses import affine, film_size, focal_length, make_sensor, principal_point
 from svu_mi.capture.scene import to_world
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, excerpt
 
 # Columns of a camera-to-world rotation that change their sign on the way to Mitsuba's camera:
 # +X left, +Y up, +Z forward. Each matrix is its own inverse.
@@ -35,6 +35,8 @@ ENVIRONMENT_AXES = {
 
 MAX_DISTANCE = 1e9  # units; single precision is long lost there
 MAX_SIDE = 2**16  # pixels; no camera has more, a damaged file easily
+FOCAL = 1e-3, 1e6  # focal length, in parts of the photograph's longer side
+CENTER = 1e3  # principal point, likewise
 LARGEST = 1e30  # number in a pose: products of three of them are finite
 RIGID = 1e-3  # part by which the axes of a pose may fail to be orthogonal and of one length
 SQUARE = 1e-6  # part by which the focal lengths of square pixels may differ
@@ -79,14 +81,28 @@ class Frame:
                 mirrored or not rigid.
         """
         object.__setattr__(self, "to_world", _rigid(self.to_world, self.label))
+        width, height = self.size
         if not all(1 <= side <= MAX_SIDE for side in self.size):
-            raise CaptureError(f"{self.label}: {self.size[0]} x {self.size[1]} pixels is no size.")
-        if not all(np.isfinite(f) and 1e-3 < f / max(self.size) < 1e6 for f in self.focal):
-            raise CaptureError(f"{self.label}: a focal length of {self.focal} pixels is none.")
-        if not all(abs(c) <= 1e3 * n for c, n in zip(self.center, self.size, strict=True)):
-            raise CaptureError(f"{self.label}: the principal point {self.center} is nowhere near.")
-        if not (np.isfinite(self.exposure) and self.exposure > 0):
-            raise CaptureError(f"{self.label}: an exposure of {self.exposure} is not positive.")
+            raise CaptureError(
+                f"{self.label}: a photograph of {excerpt(width, 20)} x {excerpt(height, 20)} "
+                f"pixels; both must be 1 to {MAX_SIDE}: correct width and height of the camera."
+            )
+        low, high = (limit * max(self.size) for limit in FOCAL)
+        if not all(low < length < high for length in self.focal):  # NaN fails, too
+            raise CaptureError(
+                f"{self.label}: the focal length is {self.focal[0]:g}, {self.focal[1]:g} pixels; "
+                f"it must be {low:g} to {high:g} for {width} x {height} pixels: give it in pixels."
+            )
+        if not all(abs(c) <= CENTER * n for c, n in zip(self.center, self.size, strict=True)):
+            raise CaptureError(
+                f"{self.label}: the principal point is {self.center[0]:g}, {self.center[1]:g}; it "
+                f"must be within {CENTER:g} times {width} x {height} pixels: give it in pixels."
+            )
+        if not 0 < self.exposure < np.inf:
+            raise CaptureError(
+                f"{self.label}: the exposure is {self.exposure:g}, but must be positive: give the "
+                "factor that radiance was multiplied by."
+            )
 
     @property
     def has_square_pixels(self) -> bool:
@@ -146,9 +162,15 @@ def _rigid(matrix: np.ndarray, label: str) -> np.ndarray:
     if np.shape(matrix) != (4, 4) or not (np.abs(matrix) < LARGEST).all():  # NaN fails, too
         raise CaptureError(f"{label}: the pose is not a 4 x 4 matrix without NaN; export it again.")
     if not np.allclose(matrix[3], [0, 0, 0, 1]):
-        raise CaptureError(f"{label}: the last row of the pose must be 0 0 0 1.")
+        raise CaptureError(
+            f"{label}: the last row of the pose must be 0 0 0 1; export it as camera to world, "
+            "row by row."
+        )
     if max(abs(matrix[:3, 3])) > MAX_DISTANCE:
-        raise CaptureError(f"{label}: the camera is {max(abs(matrix[:3, 3])):.2g} units away.")
+        raise CaptureError(
+            f"{label}: the camera is {max(abs(matrix[:3, 3])):.2g} units away from the origin, "
+            f"farther than {MAX_DISTANCE:g}; use a larger unit, or move the origin to the object."
+        )
     rotation = np.array(matrix[:3, :3], np.float64)
     scale = np.cbrt(np.linalg.det(rotation))
     if scale < 0:
@@ -159,9 +181,7 @@ def _rigid(matrix: np.ndarray, label: str) -> np.ndarray:
     left, _, right = np.linalg.svd(rotation)
     if not np.allclose(left @ right * scale, rotation, atol=RIGID * scale) or scale == 0:
         raise CaptureError(f"{label}: the pose is no rotation and translation; remove the shear.")
-    result = np.eye(4)
-    result[:3, :3], result[:3, 3] = left @ right, matrix[:3, 3]
-    return result
+    return affine(left @ right, matrix[:3, 3])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -67,16 +67,16 @@ def is_orb(path: str | Path) -> bool:
     return path.absolute().parent.name in SUFFIXES and (path / _file("train")).is_file()
 
 
-def find_captures(data: str | Path, kind: str = "blender_HDR") -> tuple[Path, ...]:
+def find_captures(data: str | Path) -> tuple[Path, ...]:
     """Return the folders of all captures of a data set, by name.
 
     Args:
         data: its folder.
-        kind: ``blender_HDR`` or ``blender_LDR``.
 
     Raises:
         OptionError: there is none.
     """
+    kind = next(iter(SUFFIXES))  # with high range
     folder = Path(data) / kind
     found = sorted(path.parent for path in folder.glob(f"*/{_file('train')}"))
     if not found:

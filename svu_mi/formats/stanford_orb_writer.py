@@ -5,7 +5,6 @@ Of ``ground_truth``, surface_normal and z_depth are left out: geometry is given 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ import numpy as np
 from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.errors import MeshError
 from svu_mi.exr import write_exr
-from svu_mi.files import prepare_folder, replacing
+from svu_mi.files import prepare_folder, replacing, write_json, write_text
 from svu_mi.formats.source import OPENGL
 from svu_mi.formats.stanford_orb import ALBEDO, ENVIRONMENTS, MESH, SUFFIXES, TRUTH
 
@@ -109,7 +108,7 @@ def _write_photographs(folder: Path, capture: OrbCapture, others: Sequence[OrbCa
                 _write_png(path, shot.image)
             _write_png(masks / f"{name}.png", shot.mask, encoded=True)
         frames = [_frame(split, name, shot.to_world) for name, shot in shots]
-        _write_json(place / f"transforms_{split}.json", {**angle, "frames": frames})
+        write_json(place / f"transforms_{split}.json", {**angle, "frames": frames})
     novel = [
         {
             **_frame("test", name, capture.world @ np.linalg.inv(other.world) @ shot.to_world),
@@ -119,7 +118,7 @@ def _write_photographs(folder: Path, capture: OrbCapture, others: Sequence[OrbCa
         for other in others
         for name, shot in _names(other)["test"]
     ]
-    _write_json(place / "transforms_novel.json", {"frames": novel})
+    write_json(place / "transforms_novel.json", {"frames": novel})
 
 
 def _frame(split: str, name: str, to_world: np.ndarray) -> dict[str, Any]:
@@ -147,8 +146,7 @@ def _write_truth(place: Path, capture: OrbCapture, mesh: MeshArrays) -> None:
         for row in rows
     ]
     lines += [f"f {' '.join(f'{i}/{i}/{i}' for i in face)}" for face in mesh.faces + 1]
-    with replacing(place / MESH) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(place / MESH, "\n".join(lines))
 
 
 def _write_png(path: Path, values: np.ndarray, *, encoded: bool = False) -> None:
@@ -157,8 +155,3 @@ def _write_png(path: Path, values: np.ndarray, *, encoded: bool = False) -> None
     bitmap = bitmap.convert(component_format=mi.Struct.Type.UInt8, srgb_gamma=not encoded)
     with replacing(path) as temporary:
         bitmap.write(str(temporary))
-
-
-def _write_json(path: Path, record: dict[str, Any]) -> None:
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")

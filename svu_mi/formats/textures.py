@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from trimesh.visual.material import empty_material
 
-from svu_mi.capture.picture import decoded, srgb
+from svu_mi.capture.picture import decoded, quantized, srgb
 from svu_mi.errors import MeshError, excerpt
 from svu_mi.files import replacing
 
 MAX_PIXELS = 2**26  # 8192 x 8192
 CONSTANT = 4  # pixels per side of the texture that stands for a factor without a texture
 
-PARAMETERS = ("base_color", "roughness", "metallic")
 # By parameter: base_color (H, W, 3) bytes, sRGB; roughness and metallic (H, W) bytes, linear.
 Textures = Mapping[str, np.ndarray]
 
@@ -95,10 +94,12 @@ def _of_gltf(material: Any) -> Textures:
         1.0 if value is None else float(value)
         for value in (material.roughnessFactor, material.metallicFactor)
     )
+    if (factor != 1).any():
+        base = quantized(srgb(decoded(base / 255) * factor))
     return {
-        "base_color": base if (factor == 1).all() else _bytes(srgb(decoded(base / 255) * factor)),
-        "roughness": _bytes(packed[..., 1] / 255 * rough),
-        "metallic": _bytes(packed[..., 2] / 255 * metal),
+        "base_color": base,
+        "roughness": quantized(packed[..., 1] / 255 * rough),
+        "metallic": quantized(packed[..., 2] / 255 * metal),
     }
 
 
@@ -107,7 +108,3 @@ def _rgb(picture: Any) -> np.ndarray:
     if picture is None:
         return np.full((CONSTANT, CONSTANT, 3), 255, np.uint8)
     return np.array(picture.convert("RGB"))
-
-
-def _bytes(values: np.ndarray) -> np.ndarray:
-    return np.clip(values * 255 + 0.5, 0, 255).astype(np.uint8)

@@ -7,7 +7,6 @@ https://docs.nerf.studio/quickstart/data_conventions.html
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,8 +16,8 @@ import numpy as np
 
 from svu_mi.capture.picture import SUFFIXES, image_size
 from svu_mi.errors import CaptureError, excerpt
-from svu_mi.files import read_json, replacing
-from svu_mi.formats.paths import inside
+from svu_mi.files import read_json, write_json
+from svu_mi.formats.paths import inside, name_in
 from svu_mi.formats.source import OPENGL, Frame, Source
 
 FILE = "transforms.json"
@@ -90,17 +89,13 @@ def write_transforms(path: str | Path, frames: Sequence[Frame]) -> None:
     """
     root = Path(path).parent
     records = [_record(frame, root) for frame in frames]
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps({"frames": records}, indent=1) + "\n", encoding="utf-8")
+    write_json(path, {"frames": records})
 
 
 def _record(frame: Frame, root: Path) -> dict[str, Any]:
-    def name(file: Path) -> str:
-        return file.relative_to(root).as_posix() if file.is_relative_to(root) else file.name
-
     return {
-        "file_path": name(frame.image),
-        **({} if frame.mask is None else {"mask_path": name(frame.mask)}),
+        "file_path": name_in(root, frame.image),
+        **({} if frame.mask is None else {"mask_path": name_in(root, frame.mask)}),
         **({} if frame.exposure == 1 else {"exposure": frame.exposure}),
         "fl_x": frame.focal[0], "fl_y": frame.focal[1],
         "cx": frame.center[0], "cy": frame.center[1],

@@ -36,6 +36,23 @@ def pair(x: Any, y: Any, names: tuple[str, str]) -> tuple[np.ndarray, np.ndarray
     return first, vector(y, names[1], len(first))
 
 
+def pictures(
+    found: Any, truth: Any, mask: np.ndarray, caller: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return two (H, W, 3) float64 pictures of a mask's size.
+
+    Raises:
+        ShapeError: the shapes differ.
+    """
+    a, b = np.array(found, np.float64), np.array(truth, np.float64)
+    if a.shape != b.shape or a.shape != (*mask.shape, 3):
+        raise ShapeError(
+            f"{caller} needs two (H, W, 3) pictures and an (H, W) mask, got {a.shape}, {b.shape} "
+            f"and {mask.shape}."
+        )
+    return a, b
+
+
 def require_finite(values: np.ndarray, name: str) -> None:
     """Refuse NaN and infinity.
 

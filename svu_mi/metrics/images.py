@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter
 
 from svu_mi.capture.picture import srgb
 from svu_mi.errors import ShapeError
-from svu_mi.metrics.checks import require_finite
+from svu_mi.metrics.checks import pictures, require_finite
 from svu_mi.metrics.textures import psnr
 
 HDR_LIMIT = 4.0  # brighter pixels, such as a sun's highlight, would be all that counts
@@ -53,13 +53,8 @@ def image_error(found: Any, truth: Any, mask: Any) -> ImageError:
         ShapeError: the shapes differ, or the mask is empty.
         OptionError: NaN or infinite values on the object.
     """
-    a, b = np.array(found, np.float64), np.array(truth, np.float64)
     inside = np.array(mask, bool)
-    if a.shape != b.shape or a.shape != (*inside.shape, 3):
-        raise ShapeError(
-            f"image_error() needs two (H, W, 3) pictures and an (H, W) mask, got {a.shape}, "
-            f"{b.shape} and {inside.shape}."
-        )
+    a, b = pictures(found, truth, inside, "image_error()")
     if not inside.any():
         raise ShapeError("image_error(): the mask is empty; the object is not in this picture.")
     require_finite(a[inside], "the picture")

@@ -23,7 +23,7 @@ from scipy.ndimage import binary_erosion
 
 from svu_mi.capture.picture import srgb
 from svu_mi.errors import ShapeError
-from svu_mi.metrics.checks import require_finite
+from svu_mi.metrics.checks import pictures, require_finite
 from svu_mi.metrics.images import ssim_map
 from svu_mi.metrics.lpips import lpips
 from svu_mi.metrics.textures import psnr
@@ -95,10 +95,7 @@ def orb_albedo_error(found: Any, truth: Any, mask: Any) -> OrbError:
     a, b, inside = _prepared(found, truth, mask)
     a, b = np.clip(channel_scale(a[inside], b[inside]) * a, 0, 1), np.clip(b, 0, 1)
     return OrbError(
-        psnr_hdr=None,
-        psnr_ldr=_psnr(a, b, inside),
-        ssim=_ssim(a, b),
-        lpips=lpips(srgb(a), srgb(b)),
+        psnr_hdr=None, psnr_ldr=_psnr(a, b, inside), ssim=_ssim(a, b), lpips=lpips(srgb(a), srgb(b))
     )
 
 
@@ -117,14 +114,9 @@ def channel_scale(found: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 def _prepared(found: Any, truth: Any, mask: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return both pictures, black outside the eroded mask, and that mask."""
-    a, b = np.array(found, np.float64), np.array(truth, np.float64)
     # Beyond the picture's border there may be more of the object: it erodes nothing.
     inside = binary_erosion(np.array(mask, bool), np.ones((ERODED, ERODED)), border_value=1)
-    if a.shape != b.shape or a.shape != (*inside.shape, 3):
-        raise ShapeError(
-            f"orb_error() needs two (H, W, 3) pictures and an (H, W) mask, got {a.shape}, "
-            f"{b.shape} and {inside.shape}."
-        )
+    a, b = pictures(found, truth, inside, "orb_error()")
     if not inside.any():
         raise ShapeError(
             f"orb_error(): nothing is left of the mask after erosion by {ERODED} x {ERODED} "

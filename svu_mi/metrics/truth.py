@@ -1,20 +1,17 @@
-"""Ground truth of a synthetic capture: the textures of the scene that was rendered."""
+"""Ground truth of a synthetic capture, the textures of its scene, and errors against it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
+from svu_mi.capture import Capture
+from svu_mi.metrics.checks import pair
 from svu_mi.reflection.principled import specular_from_principled
+from svu_mi.surface import Texels
 from svu_mi.surface.material import parameters_at
-
-if TYPE_CHECKING:
-    from svu_mi.capture import Capture
-    from svu_mi.surface import Texels
-
-NAMES = ("base_color", "roughness", "metallic")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,3 +52,34 @@ def ground_truth(capture: Capture, texels: Texels) -> GroundTruth:
         SceneError: another BSDF, or a mesh that was unwrapped anew.
     """
     return GroundTruth(**parameters_at(capture, texels))
+
+
+@dataclass(frozen=True)
+class ErrorSummary:
+    """Estimate minus truth, in the parameter's own unit.
+
+    Attributes:
+        bias: mean signed error; positive when the estimate is too large.
+        mae: mean absolute error.
+        rmse: root mean square error.
+    """
+
+    bias: float
+    mae: float
+    rmse: float
+
+
+def error_summary(estimate: Any, truth: Any) -> ErrorSummary:
+    """Return bias, MAE and RMSE of (n,) estimates.
+
+    Raises:
+        ShapeError: the arrays are empty or their lengths differ.
+        OptionError: NaN or infinite values.
+    """
+    found, true = pair(estimate, truth, ("estimate", "truth"))
+    error = found - true
+    return ErrorSummary(
+        bias=float(error.mean()),
+        mae=float(np.abs(error).mean()),
+        rmse=float(np.sqrt((error * error).mean())),
+    )

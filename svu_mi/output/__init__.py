@@ -11,6 +11,7 @@ from svu_mi.files import remove
 from svu_mi.output.manifest import environment_record as environment_record
 from svu_mi.output.manifest import run_record as run_record
 from svu_mi.output.manifest import write_manifest as write_manifest
+from svu_mi.output.manifest import write_run as write_run
 from svu_mi.output.maps import write_maps as write_maps
 from svu_mi.output.overview import write_overview as write_overview
 
@@ -42,7 +43,4 @@ def write_outputs(
     remove(folder / "run.json")  # of an older run
     write_maps(estimate, folder)
     write_overview(capture, estimate, folder / "overview.png")
-    record = run_record(capture, estimate)
-    record["settings"]["given"] = settings
-    record["kernels_compiled"] = kernels
-    write_manifest(folder / "run.json", {**record, "environment": environment_record()})
+    write_run(folder / "run.json", run_record(capture, estimate), settings, kernels)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.capture.poses import bounding_sphere
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.checking.apply import apply_fixes
@@ -20,10 +21,8 @@ from svu_mi.light.environment import read_environment
 from svu_mi.light.levels import resolved
 from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.output.page import THUMBNAIL, Picture, photograph, write_page
+from svu_mi.output.upright import facing, up_of
 from svu_mi.output.views import tone_mapped
-
-if TYPE_CHECKING:
-    from svu_mi.capture import Capture
 
 TEMPLATE = "check.html"
 MOST = 120  # thumbnails; the worst
@@ -62,7 +61,7 @@ def write_check(
         findings=[_finding(one) for one in found.findings],
         views=_views(capture, corrected, found),
         total=len(found.views),
-        panoramas=_panoramas(capture, corrected, found),
+        panoramas=_panoramas(capture, corrected),
         source=str(capture.source or ""),
         is_corrected=bool(fixes),
     )
@@ -180,13 +179,10 @@ def _draw(picture: np.ndarray, seen: np.ndarray, color: tuple[float, float, floa
     picture[outline(seen) | outline(~seen)] = color
 
 
-def _panoramas(capture: Capture, corrected: Capture, found: Check) -> list[tuple[Picture, str]]:
+def _panoramas(capture: Capture, corrected: Capture) -> list[tuple[Picture, str]]:
     """The light as it is and, if that differs, corrected, around the object."""
-    if found.finding("light").verdict == "unknown" and not found.fixes:
-        return [(_panorama(capture), "as the capture says")]
-    if corrected is capture:
-        return [(_panorama(capture), "as the capture says")]
-    return [(_panorama(capture), "as the capture says"), (_panorama(corrected), "corrected")]
+    shown = [(_panorama(capture), "as the capture says")]
+    return shown if corrected is capture else [*shown, (_panorama(corrected), "corrected")]
 
 
 def _panorama(capture: Capture) -> Picture:
@@ -199,12 +195,12 @@ def _panorama(capture: Capture) -> Picture:
     environment = read_environment(emitter)
     grid = resolved(environment)
     poses = np.array([to_world(sensor) for sensor in capture.used_sensors])
-    frame = _frame(poses)
+    # Seen from within, right is where it is left of somebody in front.
+    frame = facing(up_of(poses), poses[0, :3, 2]) * [[-1], [1], [1]]
     width, height = LIGHT
     azimuth = 2 * np.pi * ((np.arange(width) + 0.5) / width - 0.5)
     elevation = np.pi * (0.5 - (np.arange(height) + 0.5) / height)
     flat = np.cos(elevation)[:, None]
-    # Seen from inside: what is right of the centre is to the right of the first camera.
     local = np.stack([
         flat * np.sin(azimuth), np.broadcast_to(np.sin(elevation)[:, None], (height, width)),
         flat * np.cos(azimuth),
@@ -222,15 +218,3 @@ def _panorama(capture: Capture) -> Picture:
         for size, color in ((4, (0, 0, 0)), (3, (1.0, 0.85, 0.1))):
             picture[max(i - size, 0) : i + size, max(j - size, 0) : j + size] = color
     return photograph(picture, None)
-
-
-def _frame(poses: np.ndarray) -> np.ndarray:
-    """Return (3, 3), rows right, up and ahead: the world's axis that cameras have above them."""
-    mean = poses[:, :3, 1].mean(axis=0)
-    axis = int(np.argmax(np.abs(mean)))
-    up = np.sign(mean[axis] or 1.0) * np.eye(3)[axis]
-    ahead = poses[0, :3, 2] - (poses[0, :3, 2] @ up) * up
-    if np.linalg.norm(ahead) < 1e-3:  # it looks straight down
-        ahead = np.roll(up, 1)
-    ahead /= np.linalg.norm(ahead)
-    return np.stack([np.cross(ahead, up), up, ahead])

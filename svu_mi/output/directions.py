@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture.poses import bounding_sphere, directions_of
-from svu_mi.output.overview import COLORMAP, FAINT, INK, RULE, UNSEEN
+from svu_mi.output.style import COLORMAP, FAINT, INK, RULE, UNSEEN
+from svu_mi.output.upright import UP, facing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
 
 WORST = 0.02  # part of the candidates' gains that colours clip below
 LUMINANCE, DARK = (0.2126, 0.7152, 0.0722), 0.45  # numbers on darker discs are white
-UP = (0.0, 1.0, 0.0)
 
 
 def draw_directions(
@@ -41,7 +41,7 @@ def draw_directions(
 
     used = capture.used_sensors
     center, _ = bounding_sphere(capture.shape)
-    frame = _frame(np.array(up, np.float64), directions_of(used, center)[0])
+    frame = facing(np.array(up, np.float64), directions_of(used, center)[0])
     x, y = _hammer(directions_of(guidance.candidates.sensors, center) @ frame.T)
     gains, reachable = guidance.gains, guidance.candidates.reachable
     drawn = ScalarMappable(Normalize(*color_range(gains[reachable])), COLORMAP)
@@ -58,17 +58,6 @@ def draw_directions(
         numbered(axes, x[k], y[k], rank, drawn.to_rgba(gains[k]), max(size, 230))
     _key(axes, bool((~reachable).any()))
     return drawn
-
-
-def _frame(up: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Rows right, up, front (3, 3); ``first`` is in front, or above it."""
-    up = up / np.linalg.norm(up)
-    for front in (first, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])):
-        front = front - (front @ up) * up
-        if np.linalg.norm(front) > 1e-3:
-            break
-    front = front / np.linalg.norm(front)
-    return np.stack([np.cross(up, front), up, front])
 
 
 def _hammer(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

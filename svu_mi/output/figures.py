@@ -9,24 +9,27 @@ figure.colorbar(draw_map(axes[1], estimate), ax=axes[1], label="entropy")
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
+from svu_mi.metrics import GroundTruth
 from svu_mi.output import views
-from svu_mi.output.overview import COLORMAP, INK, OUTSIDE, RULE, UNSEEN, words
+from svu_mi.output.result import words
+from svu_mi.output.style import COLORMAP, INK, OUTSIDE, UNSEEN, framed
+from svu_mi.pipeline import Estimate
+from svu_mi.posterior import Posterior
+from svu_mi.surface import Texels
 from svu_mi.surface.gutter import dilate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import QuadMesh
+    from matplotlib.colors import Colormap
     from matplotlib.image import AxesImage
-
-    from svu_mi.capture import Capture
-    from svu_mi.metrics import GroundTruth
-    from svu_mi.pipeline import Estimate
-    from svu_mi.posterior import Posterior
 
 GUTTER = 3  # texels that charts grow by on the object, so that their borders show no seam
 KNOWN_WIDTH = 0.05  # at which the only node of a known parameter is drawn
@@ -55,7 +58,7 @@ def draw_map(
     values: Any | None = None,
     *,
     limits: tuple[float, float] = (0, 1),
-    colormap: str = COLORMAP,
+    colormap: str | Colormap = COLORMAP,
 ) -> AxesImage:
     """Draw a value of every texel in the layout of the texture; row 0 is v = 0.
 
@@ -67,7 +70,7 @@ def draw_map(
         estimate: says which texels there are and which are seen.
         values: (T,) one value per texel; the entropy by default.
         limits: values at the two ends of the colormap.
-        colormap: a name of matplotlib's.
+        colormap: one of matplotlib's, or its name.
 
     Returns:
         What was drawn, to hand to ``figure.colorbar``.
@@ -78,8 +81,7 @@ def draw_map(
     cover = np.zeros((*image.shape, 4), np.float32)
     cover[~seen], cover[~inside] = (*UNSEEN, 1), (*OUTSIDE, 1)
     axes.imshow(cover, interpolation="nearest")
-    axes.set(xticks=[], yticks=[])
-    axes.spines[:].set_color(RULE)
+    framed(axes)
     return drawn
 
 
@@ -105,6 +107,11 @@ def draw_on_object(
         colormap: a name of matplotlib's.
     """
     colors = map_colors(estimate, values, limits=limits, colormap=colormap)
+    draw_texture(axes, capture, view, colors)
+
+
+def draw_texture(axes: Axes, capture: Capture, view: int, colors: np.ndarray) -> None:
+    """Draw screen colours (H, W, 3) on the object, as a camera of the capture sees it."""
     shown = views.picture(capture, colors, capture.sensors[view])
     axes.imshow(views.crop(shown[..., :3], views.object_window(shown[..., 3] > 0)))
     axes.set_axis_off()
@@ -115,23 +122,32 @@ def map_colors(
     values: Any | None = None,
     *,
     limits: tuple[float, float] = (0, 1),
-    colormap: str = COLORMAP,
+    colormap: str | Colormap = COLORMAP,
+    gutter: float = GUTTER,
 ) -> np.ndarray:
-    """Return a value of every texel as screen colours (H, W, 3), with a gutter around charts.
+    """Return a value of every texel as screen colours (H, W, 3), nearly white outside the charts.
 
     Args:
         estimate: says which texels there are; those that no view sees are grey.
         values: (T,) one value per texel; the entropy by default.
         limits: values at the two ends of the colormap.
-        colormap: a name of matplotlib's.
+        colormap: one of matplotlib's, or its name.
+        gutter: texels that charts grow by.
     """
     from matplotlib import colormaps
     from matplotlib.colors import Normalize
 
     image = estimate.texels.to_image(_values(estimate, values), limits[0])
-    colors = colormaps[colormap](Normalize(*limits)(image))[..., :3].astype(np.float32)
+    colors = colormaps.get_cmap(colormap)(Normalize(*limits)(image))[..., :3].astype(np.float32)
+    inside = estimate.texels.inside()
     colors[~estimate.texels.to_image(_seen(estimate), True)] = UNSEEN
-    return dilate(colors, estimate.texels.inside(), GUTTER)
+    colors[~inside] = OUTSIDE
+    return dilate(colors, inside, gutter)
+
+
+def all_seen(texels: Texels) -> Any:
+    """Return what the functions here take for an estimate that has seen every texel."""
+    return SimpleNamespace(texels=texels, coverage=np.ones(texels.count, np.uint32))
 
 
 def draw_posterior(
@@ -161,7 +177,7 @@ def draw_posterior(
         OptionError: an unknown parameter, twice the same, or a texel that does not exist.
     """
     order = list(posterior.axes)
-    x, y = names or _open_first(posterior)[:2]
+    x, y = names or sorted(order, key=lambda name: len(posterior.axes[name]) == 1)[:2]
     if x == y or not {x, y} <= set(order):
         raise OptionError(f"draw_posterior(): expected two of {', '.join(order)}, got {x}, {y}.")
     p = np.array(posterior.probabilities_of([texel]), np.float64)[0]
@@ -180,12 +196,7 @@ def draw_posterior(
 
 
 def draw_marginal(
-    axes: Axes,
-    posterior: Posterior,
-    texel: int,
-    name: str,
-    *,
-    truth: GroundTruth | None = None,
+    axes: Axes, posterior: Posterior, texel: int, name: str, *, truth: GroundTruth | None = None
 ) -> None:
     """Draw the marginal of one parameter of one texel as bars, one per node of the grid.
 
@@ -219,11 +230,6 @@ def _seen(estimate: Estimate) -> np.ndarray:
 
 def _values(estimate: Estimate, values: Any | None) -> np.ndarray:
     return np.array(estimate.entropy if values is None else values).astype(np.float32)
-
-
-def _open_first(posterior: Posterior) -> list[str]:
-    """Names of the axes, those with one node last."""
-    return sorted(posterior.axes, key=lambda name: len(posterior.axes[name]) == 1)
 
 
 def cell_edges(nodes: np.ndarray) -> np.ndarray:

@@ -11,16 +11,18 @@ from PIL import Image
 
 import svu_mi
 from svu_mi.capture import nodes
+from svu_mi.capture.picture import quantized
 from svu_mi.capture.poses import describe
 from svu_mi.exr import write_exr
 from svu_mi.files import prepare_folder, remove, replacing
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.options import UNITS
-from svu_mi.output.directions import UP
 from svu_mi.output.guidance_page import gain_picture, write_guidance_overview
-from svu_mi.output.manifest import environment_record, guidance_record, write_manifest
+from svu_mi.output.manifest import guidance_record, write_manifest, write_run
 from svu_mi.output.maps import GUTTER, padded
+from svu_mi.output.upright import UP
+from svu_mi.progress import Stage
 
 RECORD, PLAN, PAGE = "run.json", "guidance.json", "guidance.png"
 POSES, SENSORS, THUMBNAILS = "transforms.json", "sensors.xml", "thumbnails"
@@ -58,7 +60,7 @@ def write_guidance(
     """
     folder = prepare_folder(folder)
     prepare_folder(folder / THUMBNAILS)
-    report = progress or _say_nothing
+    report = progress or Stage().update
     _remove_stale(folder)
     names, sensors = file_names(capture, guidance), [p.sensor for p in guidance.proposals]
     frames = [frame_of(s, Path(name)) for s, name in zip(sensors, names, strict=True)]
@@ -74,10 +76,7 @@ def write_guidance(
     report(3, 4)
     write_guidance_overview(capture, estimate, guidance, maps, pictures, folder / PAGE, up=up)
     report(4, 4)
-    record = guidance_record(capture, estimate, guidance)
-    record["settings"]["given"] = settings
-    record["kernels_compiled"] = kernels
-    write_manifest(folder / RECORD, {**record, "environment": environment_record()})
+    write_run(folder / RECORD, guidance_record(capture, estimate, guidance), settings, kernels)
 
 
 def plan(capture: Any, estimate: Any, guidance: Any) -> dict[str, Any]:
@@ -182,7 +181,7 @@ def _write_thumbnails(pictures: Sequence[np.ndarray], folder: Path) -> None:
     """Write what the cameras will show, all of their film, coloured by gain."""
     for k, picture in enumerate(pictures):
         with replacing(folder / f"proposal_{k}.png") as temporary:
-            Image.fromarray(np.round(255 * picture[..., :3]).astype(np.uint8)).save(temporary)
+            Image.fromarray(quantized(picture[..., :3])).save(temporary)
 
 
 def _remove_stale(folder: Path) -> None:
@@ -190,7 +189,3 @@ def _remove_stale(folder: Path) -> None:
     for old in (*folder.glob("gain_*.exr"), *(folder / THUMBNAILS).glob("proposal_*.png")):
         if old.stem.rpartition("_")[2].isdigit():
             remove(old)
-
-
-def _say_nothing(done: int, total: int) -> None:
-    del done, total

@@ -9,30 +9,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture.poses import film_size, resized_sensor
-from svu_mi.files import replacing
 from svu_mi.guidance.options import UNITS
-from svu_mi.output import views
-from svu_mi.output.directions import UP, color_range, draw_directions, numbered
-from svu_mi.output.figures import GUTTER, draw_map
-from svu_mi.output.overview import (
-    COLORMAP,
-    FAINT,
-    INK,
-    LEFT,
-    OUTSIDE,
-    RIGHT,
-    RULE,
-    THIN_SPACE,
-    UNSEEN,
-)  # fmt: skip
-from svu_mi.surface.gutter import dilate
+from svu_mi.output import style, views
+from svu_mi.output.directions import color_range, draw_directions, numbered
+from svu_mi.output.figures import all_seen, draw_map, map_colors
+from svu_mi.output.style import COLORMAP, FAINT, INK, LEFT, RIGHT, RULE
+from svu_mi.output.upright import UP
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
-DPI = 100
 SIZE = (18.0, 11.2)  # inches
 SHOWN = 5  # proposals that are drawn on the object
 WHITE = 0.99  # part of the positive gains of texels that colours do not clip
@@ -64,29 +52,25 @@ def write_guidance_overview(
     Raises:
         OutputError: the file cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = style.new_figure(*SIZE)
     _heading(figure, capture, estimate, guidance)
     place = figure.add_axes((LEFT, 0.51, 0.455, 0.355))
     drawn = draw_directions(place, capture, guidance, up=up)
-    _title(place, "Directions from which the object can be photographed", pad=34)
-    _bar_below(figure, place, drawn, f"as the next photograph: {UNITS[guidance.options.strategy]}")
+    style.title(place, "Directions from which the object can be photographed", pad=34)
+    label = f"as the next photograph: {UNITS[guidance.options.strategy]}"
+    style.color_bar(figure, place, drawn, label, (0.2, -0.06, 0.6, 0.028))
     line = figure.add_axes((0.535, 0.545, 0.195, 0.33))
     draw_expected(line, capture, guidance, estimate)
-    _title(line, "Entropy to be expected")
+    style.title(line, "Entropy to be expected")
     ranked = figure.add_axes((0.79, 0.545, 0.195, 0.33))
     draw_ranking(ranked, guidance)
-    _title(ranked, "All candidates as the next photograph")
+    style.title(ranked, "All candidates as the next photograph")
     rows = figure.add_gridspec(
         2, SHOWN + 1, left=LEFT + 0.012, right=RIGHT, top=0.42, bottom=0.01, hspace=0.2, wspace=0.1
     )
     _objects(figure, rows, capture, estimate, guidance, pictures)
     _maps(figure, rows, estimate, guidance, maps)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png")
+    style.save_figure(figure, path)
 
 
 def draw_expected(axes: Axes, capture: Any, guidance: Any, estimate: Any | None = None) -> None:
@@ -121,7 +105,7 @@ def draw_expected(axes: Axes, capture: Any, guidance: Any, estimate: Any | None 
     axes.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True))
     axes.set_xlabel("photographs", size=9.5, color=FAINT)
     axes.set_ylabel("mean entropy", size=9.5, color=FAINT)
-    _plain(axes)
+    style.plain(axes)
 
 
 def draw_ranking(axes: Axes, guidance: Any) -> None:
@@ -151,7 +135,7 @@ def draw_ranking(axes: Axes, guidance: Any) -> None:
     axes.set_xlabel("candidates, the best first", size=9.5, color=FAINT)
     axes.set_ylabel("gain" if guidance.options.strategy == "entropy" else "worth", size=9.5,
                     color=FAINT)  # fmt: skip
-    _plain(axes)
+    style.plain(axes)
 
 
 def gain_limit(maps: np.ndarray) -> float:
@@ -172,11 +156,11 @@ def gain_picture(capture: Any, guidance: Any, proposal: int, maps: np.ndarray) -
     Returns:
         (h, w, 4) float32 as of ``views.picture``.
     """
-    texels, sensor = guidance.texels, guidance.proposals[proposal].sensor
-    image = texels.to_image(np.clip(maps[proposal] / gain_limit(maps), 0, 1))
-    colors = np.asarray(gain_colors()(image)[..., :3], np.float32)
-    colors[~texels.inside()] = OUTSIDE
-    return views.picture(capture, dilate(colors, texels.inside(), GUTTER), _large(sensor))
+    limits = (0, gain_limit(maps))
+    colors = map_colors(
+        all_seen(guidance.texels), maps[proposal], limits=limits, colormap=gain_colors()
+    )
+    return views.picture(capture, colors, _large(guidance.proposals[proposal].sensor))
 
 
 def gain_colors() -> Colormap:
@@ -196,15 +180,11 @@ def _heading(figure: Figure, capture: Any, estimate: Any, guidance: Any) -> None
         f"by {options.strategy}",
         f"{sum(capture.used)} photographs",
         f"{reachable} of {guidance.candidates.count} candidates can be reached",
-        f"{width} × {height} texels, {looked_at:_} of {guidance.texels.count:_} looked at".replace(
-            "_", THIN_SPACE
-        ),
+        f"{width} × {height} texels, {style.spaced(looked_at)} of "
+        f"{style.spaced(guidance.texels.count)} looked at",
         f"{np.nansum(list(guidance.timings.values())):.1f} s",
     )
-    figure.text(
-        LEFT, 0.968, "Which photograph to take next", size=19, weight="bold", color=INK, va="center"
-    )
-    figure.text(LEFT, 0.936, "   ·   ".join(words), size=11.5, color=FAINT, va="center")
+    style.heading(figure, "Which photograph to take next", words, (0.968, 0.936))
 
 
 def _objects(
@@ -212,7 +192,7 @@ def _objects(
     pictures: Sequence[np.ndarray],
 ) -> None:  # fmt: skip
     """What the proposed cameras will see: entropy so far, and what each is expected to change."""
-    entropy = _entropy_texture(estimate)
+    entropy = map_colors(estimate)
     shown = zip(guidance.proposals[:SHOWN], pictures, strict=False)
     for column, (proposal, gain) in enumerate(shown):
         before = views.picture(capture, entropy, _large(proposal.sensor))
@@ -236,19 +216,16 @@ def _maps(figure: Figure, rows: Any, estimate: Any, guidance: Any, maps: np.ndar
     """Both in the layout of the texture, with the scales of the pictures beside them."""
     column = min(len(guidance.proposals), SHOWN)
     above, below = (figure.add_subplot(rows[row, column]) for row in (0, 1))
-    _bar_beside(figure, above, draw_map(above, estimate))
-    above.set_title("entropy of every texel", loc="center", size=10, color=INK, pad=4)
     gains = maps[0] if len(maps) else np.zeros(guidance.texels.count, np.float32)
-    image = np.clip(guidance.texels.to_image(gains, 0.0), 0, None)
-    drawn = below.imshow(image, cmap=gain_colors(), vmin=0, vmax=gain_limit(maps))
-    cover = np.zeros((*image.shape, 4), np.float32)
-    cover[~guidance.texels.inside()] = (*OUTSIDE, 1)
-    below.imshow(cover, interpolation="nearest")
-    below.set(xticks=[], yticks=[])
-    below.spines[:].set_color(RULE)
-    _bar_beside(figure, below, drawn)
-    below.set_title("gain by proposal 1", loc="center", size=10, color=INK, pad=4)
-    for axes in (above, below):
+    limits = (0, gain_limit(maps))
+    seen = all_seen(guidance.texels)
+    drawn = draw_map(below, seen, gains, limits=limits, colormap=gain_colors())
+    for axes, what, words in (
+        (above, draw_map(above, estimate), "entropy of every texel"),
+        (below, drawn, "gain by proposal 1"),
+    ):
+        style.color_bar(figure, axes, what, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
+        axes.set_title(words, loc="center", size=10, color=INK, pad=4)
         axes.set_anchor("NW")
 
 
@@ -270,18 +247,6 @@ def _labels(
         last = place
 
 
-def _entropy_texture(estimate: Any) -> np.ndarray:
-    """(H, W, 3) colours of the entropy so far, unseen texels grey."""
-    from matplotlib import colormaps
-
-    inside = estimate.texels.inside()
-    image = estimate.texels.to_image(np.array(estimate.entropy, np.float32), 1.0)
-    colors = np.asarray(colormaps[COLORMAP](image)[..., :3], np.float32)
-    colors[estimate.texels.to_image(np.array(estimate.coverage) == 0, False)] = UNSEEN
-    colors[~inside] = OUTSIDE
-    return dilate(colors, inside, GUTTER)
-
-
 def _large(sensor: Any) -> Any:
     """Return the sensor with a film that pictures need not be smaller than."""
     return resized_sensor(sensor, -(-views.SIDE // max(film_size(sensor))))
@@ -295,29 +260,3 @@ def _worth(proposal: Any) -> str:
 
 def _short(name: str) -> str:
     return name if len(name) <= 24 else f"{name[:11]}…{name[-12:]}"
-
-
-def _bar_below(figure: Figure, axes: Axes, drawn: Any, label: str) -> None:
-    place = axes.inset_axes((0.2, -0.06, 0.6, 0.028))
-    _style(figure.colorbar(drawn, cax=place, orientation="horizontal"), label)
-
-
-def _bar_beside(figure: Figure, axes: Axes, drawn: Any) -> None:
-    place = axes.inset_axes((1.03, 0.0, 0.04, 1.0))
-    _style(figure.colorbar(drawn, cax=place), "")
-
-
-def _style(bar: Any, label: str) -> None:
-    bar.outline.set_visible(False)
-    bar.set_label(label, size=9.5, color=FAINT)
-    bar.ax.tick_params(labelsize=8.5, color=FAINT, labelcolor=INK, length=3)
-
-
-def _title(axes: Axes, text: str, pad: float = 8) -> None:
-    axes.set_title(text, loc="left", size=11.5, color=INK, pad=pad)
-
-
-def _plain(axes: Axes) -> None:
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(RULE)
-    axes.tick_params(labelsize=9, color=RULE, labelcolor=INK, length=3)

@@ -18,7 +18,7 @@ import numpy as np
 import svu_mi
 from svu_mi import _llvm
 from svu_mi.errors import OutputError
-from svu_mi.files import replacing
+from svu_mi.files import write_text
 
 PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "trimesh", "xatlas")
 
@@ -56,23 +56,18 @@ def run_record(capture: Any, estimate: Any) -> dict[str, Any]:
     """
     entropy, coverage = np.asarray(estimate.entropy), np.asarray(estimate.coverage)
     seen = coverage > 0
-    return {
-        "inputs": _inputs(capture),
-        "settings": {
-            "method": estimate.method,
-            "preset": estimate.preset,
-            "grid": getattr(estimate.posterior, "grid", None),
-            "resolution": estimate.texels.resolution,
-        },
-        "result": {
-            "texels": estimate.texels.count,
-            "texels_seen": int(seen.sum()),
-            "mean_entropy_of_seen": float(entropy[seen].mean()) if seen.any() else None,
-        },
-        "skipped": estimate.skipped,
-        "timings_s": estimate.timings,
-        "warnings": capture.warnings,
+    settings = {
+        "method": estimate.method,
+        "preset": estimate.preset,
+        "grid": getattr(estimate.posterior, "grid", None),
+        "resolution": estimate.texels.resolution,
     }
+    result = {
+        "texels": estimate.texels.count,
+        "texels_seen": int(seen.sum()),
+        "mean_entropy_of_seen": float(entropy[seen].mean()) if seen.any() else None,
+    }
+    return _record(capture, settings, result, skipped=estimate.skipped, timings_s=estimate.timings)
 
 
 def recovery_record(capture: Any, recovery: Any) -> dict[str, Any]:
@@ -83,23 +78,19 @@ def recovery_record(capture: Any, recovery: Any) -> dict[str, Any]:
         recovery: its ``Recovery``.
     """
     losses = np.asarray(recovery.losses, np.float64)
-    return {
-        "inputs": _inputs(capture),
-        "settings": {
-            "method": recovery.method,
-            "resolution": recovery.texels.resolution,
-            "used": recovery.settings,
-        },
-        "result": {
-            "texels": recovery.texels.count,
-            "texels_seen": int((np.asarray(recovery.coverage) > 0).sum()),
-            "steps": len(losses),
-            "first_loss": float(losses[0]) if len(losses) else None,
-            "last_loss": float(losses[-1]) if len(losses) else None,
-        },
-        "timings_s": recovery.timings,
-        "warnings": capture.warnings,
+    settings = {
+        "method": recovery.method,
+        "resolution": recovery.texels.resolution,
+        "used": recovery.settings,
     }
+    result = {
+        "texels": recovery.texels.count,
+        "texels_seen": int((np.asarray(recovery.coverage) > 0).sum()),
+        "steps": len(losses),
+        "first_loss": float(losses[0]) if len(losses) else None,
+        "last_loss": float(losses[-1]) if len(losses) else None,
+    }
+    return _record(capture, settings, result, timings_s=recovery.timings)
 
 
 def guidance_record(capture: Any, estimate: Any, guidance: Any) -> dict[str, Any]:
@@ -110,38 +101,59 @@ def guidance_record(capture: Any, estimate: Any, guidance: Any) -> dict[str, Any
         estimate: what its photographs say.
         guidance: the ``Guidance``.
     """
-    entropy = np.asarray(estimate.entropy)
-    return {
-        "inputs": _inputs(capture),
-        "settings": {
-            "method": guidance.method,
-            "preset": estimate.preset,
-            "grid": getattr(estimate.posterior, "grid", None),
-            "resolution": guidance.texels.resolution,
-            "used": guidance.options,
-        },
-        "result": {
-            "texels": guidance.texels.count,
-            "texels_seen": int((np.asarray(estimate.coverage) > 0).sum()),
-            "mean_entropy": float(entropy.mean()),
-            "mean_expected_entropy": guidance.entropy,
-            "candidates": guidance.candidates.count,
-            "proposals": [proposal.name for proposal in guidance.proposals],
-        },
-        "skipped": {**estimate.skipped, **guidance.skipped},
-        "timings_s": {**estimate.timings, **guidance.timings},
-        "warnings": capture.warnings,
+    known = run_record(capture, estimate)
+    settings = {**known["settings"], "used": guidance.options}
+    result = {
+        "texels": guidance.texels.count,
+        "texels_seen": known["result"]["texels_seen"],
+        "mean_entropy": float(np.asarray(estimate.entropy).mean()),
+        "mean_expected_entropy": guidance.entropy,
+        "candidates": guidance.candidates.count,
+        "proposals": [proposal.name for proposal in guidance.proposals],
     }
+    skipped = {**estimate.skipped, **guidance.skipped}
+    timings = {**estimate.timings, **guidance.timings}
+    return _record(capture, settings, result, skipped=skipped, timings_s=timings)
 
 
-def _inputs(capture: Any) -> dict[str, Any]:
-    return {
+def _record(
+    capture: Any, settings: dict[str, Any], result: dict[str, Any], **more: Any
+) -> dict[str, Any]:
+    """Return what the records of all runs have, in their order."""
+    inputs = {
         "source": capture.source,
         "views": capture.count,
         "photographs": capture.names,
         "exposures": capture.exposures,
         "left_out": [n for n, u in zip(capture.names, capture.used, strict=True) if not u],
     }
+    return {
+        "inputs": inputs, "settings": settings, "result": result, **more,
+        "warnings": capture.warnings,
+    }  # fmt: skip
+
+
+def write_run(
+    path: str | Path,
+    record: Mapping[str, Any],
+    settings: Mapping[str, Any] | None = None,
+    kernels: Mapping[str, int] | None = None,
+) -> None:
+    """Write ``run.json``: a record of this module, and where the run took place.
+
+    Args:
+        path: the file.
+        record: of the run.
+        settings: what the caller was asked for (command-line options, seeds).
+        kernels: number of kernels compiled per stage, ``Progress.kernels``.
+
+    Raises:
+        OutputError: as ``write_manifest``.
+    """
+    write_manifest(path, {
+        **record, "settings": {**record["settings"], "given": settings},
+        "kernels_compiled": kernels, "environment": environment_record(),
+    })  # fmt: skip
 
 
 def write_manifest(path: str | Path, record: Mapping[str, Any]) -> None:
@@ -159,8 +171,7 @@ def write_manifest(path: str | Path, record: Mapping[str, Any]) -> None:
     """
     path = Path(path)
     text = json.dumps(_plain(record, path.name), indent=2, allow_nan=False, ensure_ascii=False)
-    with replacing(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_text(path, text)
 
 
 def _plain(value: Any, where: str) -> Any:

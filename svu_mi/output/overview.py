@@ -2,61 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.files import replacing
-from svu_mi.output import views
+from svu_mi.output import style, views
+from svu_mi.output.figures import map_colors
+from svu_mi.output.result import Result, known, mean_marginals, open_axes, words
+from svu_mi.output.style import (
+    COLORMAP,
+    FAINT,
+    INK,
+    LEFT,
+    OUTSIDE,
+    RIGHT,
+    RULE,
+    UNSEEN,
+    VIEWS_COLORMAP,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-DPI = 100
 SIZE = (16.0, 9.4)  # inches
-LEFT, RIGHT = 0.018, 0.985  # margins of the page
-COLORMAP, VIEWS_COLORMAP = "viridis", "magma"
-UNSEEN = (0.55, 0.55, 0.58)  # grey: in no colormap, and darker than the page
-OUTSIDE = (0.95, 0.95, 0.96)
-INK, FAINT, RULE = "#26262b", "#6f6f78", "#c4c4cb"
-THIN_SPACE = "\u2009"
-CERTAIN_PART = 0.1  # the most certain texels, whose marginals are shown beside the mean
-SAMPLE = 4_000  # texels that a mean marginal is taken over
-
-
-@dataclass(frozen=True)
-class Result:
-    """NumPy copies of what is drawn.
-
-    Attributes:
-        entropy: (T,) in [0, 1].
-        coverage: (T,) number of views.
-        seen: (T,) bool.
-        inside: (H, W) bool, True in the charts.
-        unseen: (H, W) bool, True in texels that no view sees.
-    """
-
-    entropy: np.ndarray
-    coverage: np.ndarray
-    seen: np.ndarray
-    inside: np.ndarray
-    unseen: np.ndarray
-
-    @classmethod
-    def of(cls, estimate: Any) -> Result:
-        """Copy what an estimate says."""
-        coverage = np.array(estimate.coverage).astype(np.int64)
-        texels, seen = estimate.texels, coverage > 0
-        return cls(
-            entropy=np.array(estimate.entropy, np.float32),
-            coverage=coverage,
-            seen=seen,
-            inside=texels.to_image(np.ones(texels.count, bool), False),
-            unseen=texels.to_image(~seen, False),
-        )
 
 
 def write_overview(capture: Any, estimate: Any, path: str | Path) -> None:
@@ -70,12 +40,7 @@ def write_overview(capture: Any, estimate: Any, path: str | Path) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    # matplotlib takes half a second to import; and pyplot, with its global state, is not used.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = style.new_figure(*SIZE)
     result = Result.of(estimate)
     _heading(figure, capture, estimate, result)
     objects = figure.add_gridspec(1, 4, left=LEFT, right=RIGHT, top=0.86, bottom=0.455, wspace=0.03)
@@ -84,14 +49,16 @@ def write_overview(capture: Any, estimate: Any, path: str | Path) -> None:
     plots = figure.add_gridspec(
         2, len(parameters), left=0.535, right=RIGHT, top=0.405, bottom=0.04, hspace=0.6, wspace=0.2
     )
-    _object_row(figure, objects, capture, estimate, result)
-    _entropy_map(figure, figure.add_subplot(maps[0, 0]), estimate, result)
+    _object_row(figure, objects, capture, estimate)
+    left = figure.add_subplot(maps[0, 0])
+    label = "0 = certain,  1 = nothing known"
+    _map(figure, left, estimate, result, result.entropy, (0, 1), COLORMAP, label)
+    style.title(left, "Entropy")
     _coverage_map(figure, figure.add_subplot(maps[0, 1]), capture, estimate, result)
     _histogram(figure.add_subplot(plots[0, :]), result)
     for column, name in enumerate(parameters):
         _marginal(figure.add_subplot(plots[1, column]), estimate, result, name)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png")
+    style.save_figure(figure, path)
 
 
 def _heading(figure: Figure, capture: Any, estimate: Any, result: Result) -> None:
@@ -103,38 +70,18 @@ def _heading(figure: Figure, capture: Any, estimate: Any, result: Result) -> Non
         f"preset {estimate.preset.name}",
         *(f"known {words(name)} {value:g}" for name, value in known(estimate).items()),
         f"{sum(capture.used)} of {capture.count} views",
-        f"{width} × {height} texels, {texels:_} in charts".replace("_", THIN_SPACE),
-        f"{seen:_} seen ({100 * seen / max(texels, 1):.0f} %)".replace("_", THIN_SPACE),
+        f"{width} × {height} texels, {style.spaced(texels)} in charts",
+        f"{style.spaced(seen)} seen ({100 * seen / max(texels, 1):.0f} %)",
         mean,
         f"{np.nansum(list(estimate.timings.values())):.1f} s",
     )
-    figure.text(
-        LEFT, 0.962, "What the photographs say about the reflectance",
-        size=19, weight="bold", color=INK, va="center",
-    )  # fmt: skip
-    figure.text(LEFT, 0.922, "   ·   ".join(notes), size=11.5, color=FAINT, va="center")
+    style.heading(figure, "What the photographs say about the reflectance", notes, (0.962, 0.922))
 
 
-def words(name: str) -> str:
-    """Return a parameter's name as it is said: base colour, roughness, ..."""
-    return name.replace("_", " ").replace("color", "colour")
-
-
-def open_axes(estimate: Any) -> dict[str, np.ndarray]:
-    """Return the nodes of the parameters that are in question, by name."""
-    return {name: nodes for name, nodes in estimate.posterior.axes.items() if len(nodes) > 1}
-
-
-def known(estimate: Any) -> dict[str, float]:
-    """Return the parameters of an estimate that were not in question, by name."""
-    axes = estimate.posterior.axes.items()
-    return {name: float(nodes[0]) for name, nodes in axes if len(nodes) == 1}
-
-
-def _object_row(figure: Figure, cells: Any, capture: Any, estimate: Any, result: Result) -> None:
+def _object_row(figure: Figure, cells: Any, capture: Any, estimate: Any) -> None:
     """Photograph and entropy side by side, for two views far apart."""
     chosen = views.far_apart(capture, getattr(estimate, "seen_per_view", None))
-    texture = _entropy_colors(estimate, result, gutter=True)
+    texture = map_colors(estimate)
     for pair in range(2):
         left, right = (figure.add_subplot(cells[0, 2 * pair + k]) for k in (0, 1))
         for axes in (left, right):
@@ -149,52 +96,31 @@ def _object_row(figure: Figure, cells: Any, capture: Any, estimate: Any, result:
         photograph = views.tone_mapped(capture.images[view], mask)
         left.imshow(views.crop(photograph, window))
         right.imshow(views.crop(shown[..., :3], window))
-        _title(left, f"Photograph {view}")
-        _title(right, "Entropy seen from there")
-
-
-def _entropy_map(figure: Figure, axes: Axes, estimate: Any, result: Result) -> None:
-    from matplotlib.colors import Normalize
-
-    axes.imshow(_entropy_colors(estimate, result), interpolation="nearest")
-    _hatch(axes, result)
-    _title(axes, "Entropy")
-    _colorbar(figure, axes, COLORMAP, Normalize(0, 1), "0 = certain,  1 = nothing known")
+        style.title(left, f"Photograph {view}")
+        style.title(right, "Entropy seen from there")
 
 
 def _coverage_map(figure: Figure, axes: Axes, capture: Any, estimate: Any, result: Result) -> None:
-    from matplotlib import colormaps
-    from matplotlib.colors import Normalize
     from matplotlib.ticker import MaxNLocator
 
-    most = max(int(result.coverage.max(initial=0)), 1)
-    scale = Normalize(0, most)
-    image = estimate.texels.to_image(result.coverage, 0)
-    colors = colormaps[VIEWS_COLORMAP](scale(image))[..., :3]
-    axes.imshow(_marked(colors, result), interpolation="nearest")
-    _hatch(axes, result)
-    _title(axes, "Coverage")
+    limits = (0, max(int(result.coverage.max(initial=0)), 1))
     label = f"views that see the texel, of {sum(capture.used)}"
-    bar = _colorbar(figure, axes, VIEWS_COLORMAP, scale, label)
+    bar = _map(figure, axes, estimate, result, result.coverage, limits, VIEWS_COLORMAP, label)
     bar.ax.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
+    style.title(axes, "Coverage")
 
 
-def _entropy_colors(estimate: Any, result: Result, *, gutter: bool = False) -> np.ndarray:
-    """Return (H, W, 3) screen colours; with a gutter, charts grow over what is outside."""
-    from matplotlib import colormaps
+def _map(
+    figure: Figure, axes: Axes, estimate: Any, result: Result, values: np.ndarray,
+    limits: tuple[float, float], colormap: str, label: str,
+) -> Any:  # fmt: skip
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
 
-    from svu_mi.surface.gutter import dilate
-
-    image = estimate.texels.to_image(result.entropy, 1)
-    colors = _marked(colormaps[COLORMAP](image)[..., :3], result)
-    return dilate(colors, result.inside, 3) if gutter else colors
-
-
-def _marked(colors: np.ndarray, result: Result) -> np.ndarray:
-    colors = np.array(colors, np.float32)
-    colors[result.unseen] = UNSEEN
-    colors[~result.inside] = OUTSIDE
-    return colors
+    colors = map_colors(estimate, values, limits=limits, colormap=colormap, gutter=0)
+    axes.imshow(colors, interpolation="nearest")
+    _hatch(axes, result)
+    return style.color_bar(figure, axes, ScalarMappable(Normalize(*limits), colormap), label)
 
 
 def _hatch(axes: Axes, result: Result) -> None:
@@ -208,9 +134,8 @@ def _hatch(axes: Axes, result: Result) -> None:
             extent=(-0.5, width - 0.5, -0.5, height - 0.5),
         )  # fmt: skip
         stripes.set(edgecolor=RULE, linewidth=0)
-    axes.set(xticks=[], yticks=[], anchor="N")
-    for spine in axes.spines.values():
-        spine.set_color(RULE)
+    style.framed(axes)
+    axes.set(anchor="N")
     key = []
     if result.unseen.any():
         key.append(Patch(facecolor=UNSEEN, label="never seen"))
@@ -226,8 +151,8 @@ def _hatch(axes: Axes, result: Result) -> None:
 def _histogram(axes: Axes, result: Result) -> None:
     from matplotlib import colormaps
 
-    _title(axes, "Entropy of the texels seen")
-    _plain(axes)
+    style.title(axes, "Entropy of the texels seen")
+    style.plain(axes)
     edges = np.linspace(0, 1, 51)
     values = result.entropy[result.seen]
     if len(values) == 0:
@@ -250,8 +175,8 @@ def _histogram(axes: Axes, result: Result) -> None:
 
 def _marginal(axes: Axes, estimate: Any, result: Result, name: str) -> None:
     """Mean marginal over the texels seen, and over the most certain of them."""
-    _title(axes, f"Posterior of {words(name)}")
-    _plain(axes)
+    style.title(axes, f"Posterior of {words(name)}")
+    style.plain(axes)
     if not result.seen.any():
         _nothing(axes)
         return
@@ -265,58 +190,14 @@ def _marginal(axes: Axes, estimate: Any, result: Result, name: str) -> None:
     axes.axhline(1 / len(nodes), color=RULE, lw=1, zorder=0)
     highest = max(float(mean.max()) for mean in means.values())
     axes.set(xlim=(0, 1), ylim=(0, 1.6 * highest))  # room for the key
-    for style, label in (("o-", "mean of all seen"), ("--", "of the most certain 10 %")):
-        axes.plot([], [], style, color=INK, lw=1.4, ms=3, label=label)
+    for line, label in (("o-", "mean of all seen"), ("--", "of the most certain 10 %")):
+        axes.plot([], [], line, color=INK, lw=1.4, ms=3, label=label)
     axes.legend(
         fontsize=8, frameon=False, labelcolor=INK, loc="upper left", borderaxespad=0,
         handlelength=1.6, labelspacing=0.2,
     )  # fmt: skip
     if channels == 3:
-        _title(axes, f"Posterior of {words(name)}: R, G, B")
-
-
-def mean_marginals(estimate: Any, result: Result, name: str) -> dict[bool, np.ndarray]:
-    """Return mean marginals of a parameter, if any texel is seen.
-
-    Args:
-        estimate: the ``Estimate``.
-        result: what it says.
-        name: of the parameter.
-
-    Returns:
-        (nodes, 1), or (nodes, 3) where channels differ: over all texels seen (False), and over
-        the most certain of them (True).
-    """
-    limit = np.quantile(result.entropy[result.seen], CERTAIN_PART)
-
-    def mean(of: np.ndarray) -> np.ndarray:
-        every = np.flatnonzero(of)
-        some = every[:: max(len(every) // SAMPLE, 1)]
-        p = np.array(estimate.posterior.marginal(name, some), np.float64)
-        return p.reshape(len(some), p.shape[1], -1).mean(axis=0)
-
-    return {True: mean(result.seen & (result.entropy <= limit)), False: mean(result.seen)}
-
-
-def _colorbar(figure: Figure, axes: Axes, name: str, scale: Any, label: str) -> Any:
-    from matplotlib.cm import ScalarMappable
-
-    place = axes.inset_axes((0.0, -0.075, 1.0, 0.035))
-    bar = figure.colorbar(ScalarMappable(scale, name), cax=place, orientation="horizontal")
-    bar.outline.set_visible(False)
-    bar.set_label(label, size=9, color=FAINT)
-    bar.ax.tick_params(labelsize=9, color=FAINT, labelcolor=INK, length=3)
-    return bar
-
-
-def _title(axes: Axes, text: str) -> None:
-    axes.set_title(text, loc="left", size=11.5, color=INK, pad=6)
-
-
-def _plain(axes: Axes) -> None:
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(RULE)
-    axes.tick_params(labelsize=9, color=RULE, labelcolor=INK, length=3)
+        style.title(axes, f"Posterior of {words(name)}: R, G, B")
 
 
 def _nothing(axes: Axes) -> None:

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from svu_mi.capture.picture import quantized
 from svu_mi.errors import OutputError
-from svu_mi.files import replacing
+from svu_mi.files import write_text
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -83,8 +84,7 @@ def write_page(path: str | Path, template: str, **context: Any) -> None:
         OutputError: the file cannot be written.
     """
     page = _environment().get_template(template).render(context)
-    with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_text(path, page)
 
 
 def grouped(number: float) -> str:
@@ -107,7 +107,7 @@ def _embedded(image: np.ndarray, side: int | None, kind: str, **options: Any) ->
 
     if not (image.size and np.isfinite(image).all()):
         raise OutputError(f"A picture of a page has NaN, or no pixels: {image.shape}.")
-    picture = Image.fromarray(np.round(255 * np.clip(image, 0, 1)).astype(np.uint8))
+    picture = Image.fromarray(quantized(image))
     if side is not None:
         picture.thumbnail((side, side), Image.Resampling.LANCZOS)
     file = io.BytesIO()

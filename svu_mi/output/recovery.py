@@ -11,13 +11,14 @@ import numpy as np
 
 import svu_mi
 from svu_mi.exr import write_exr
-from svu_mi.files import prepare_folder, remove, replacing
+from svu_mi.files import prepare_folder, remove, write_text
 from svu_mi.output import views
-from svu_mi.output.manifest import environment_record, recovery_record, write_manifest
+from svu_mi.output.manifest import recovery_record, write_run
 from svu_mi.output.maps import COVERAGE, ENTROPY, padded, write_maps
 from svu_mi.output.recovery_page import write_recovery_overview
 from svu_mi.output.relit import compare, write_relit
 from svu_mi.output.scene_xml import write_scene
+from svu_mi.progress import Stage
 
 RECORD = "run.json"
 LOSSES = "losses.csv"
@@ -53,12 +54,9 @@ def write_recovery(
         OutputError: the folder or a file cannot be written.
     """
     folder = prepare_folder(folder)
-    report = progress or _say_nothing
+    report = progress or Stage().update
     for name in (RECORD, ENTROPY):  # of an older run
         remove(folder / name)
-    record = recovery_record(capture, recovery)
-    record["settings"]["given"] = settings
-    record["kernels_compiled"] = kernels
     attributes = {"svu:version": svu_mi.__version__, "svu:method": recovery.method}
     used = json.dumps(recovery.settings, default=str)
     write_scene(capture, recovery.textures, folder, attributes={**attributes, "svu:settings": used})
@@ -76,7 +74,7 @@ def write_recovery(
     report(3, 4)
     write_recovery_overview(capture, recovery, comparisons, folder / PAGE, estimate)
     report(4, 4)
-    write_manifest(folder / RECORD, {**record, "environment": environment_record()})
+    write_run(folder / RECORD, recovery_record(capture, recovery), settings, kernels)
 
 
 def write_losses(losses: Any, path: str | Path) -> None:
@@ -87,9 +85,4 @@ def write_losses(losses: Any, path: str | Path) -> None:
     """
     values = np.asarray(losses, np.float64)
     lines = ["step,loss", *(f"{step},{loss:.9g}" for step, loss in enumerate(values))]
-    with replacing(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _say_nothing(done: int, total: int) -> None:
-    del done, total
+    write_text(path, "\n".join(lines))

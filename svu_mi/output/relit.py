@@ -5,24 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.capture.poses import film_size, scaled_sensor
 from svu_mi.capture.rendering import object_mask
-from svu_mi.files import replacing
 from svu_mi.output import views
-from svu_mi.output.overview import FAINT, INK
+from svu_mi.output.style import FAINT, INK, new_figure, save_figure
 from svu_mi.recovery.relight import novel_light, relight
+from svu_mi.recovery.textures import Textures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from svu_mi.capture import Capture
-    from svu_mi.recovery.textures import Textures
-
-DPI = 100
 COLUMNS = ("Photograph", "Recovered", "Difference", "Under another light")
 CELL = 2.9  # inches
 SIDE = 320  # pixels of the longer side: renders are what takes time
@@ -125,21 +122,18 @@ def compare(
     capture: Capture,
     textures: Textures,
     chosen: Sequence[int],
-    environment: Any | None = None,
     spp: int = SAMPLES,
 ) -> list[Relit]:
-    """Render the recovered object as some of the cameras saw it, and under another light.
+    """Render the recovered object as some of the cameras saw it, and under ``novel_light``.
 
     Args:
         capture: the ``Capture``.
         textures: of the object.
         chosen: indices of its sensors.
-        environment: the other light; by default ``novel_light``.
         spp: samples per pixel.
     """
     sensors = [scaled_sensor(capture.sensors[view], SIDE) for view in chosen]
-    other = novel_light(capture) if environment is None else environment
-    relit = relight(capture, textures, other, sensors, spp)
+    relit = relight(capture, textures, novel_light(capture), sensors, spp)
     return [
         Relit(**vars(comparison), relit=image)
         for comparison, image in zip(explain(capture, textures, chosen, spp), relit, strict=True)
@@ -156,13 +150,8 @@ def write_relit(comparisons: Sequence[Relit], path: str | Path) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     rows = len(comparisons)
-    size = (CELL * len(COLUMNS), CELL * rows + 0.4)
-    figure = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(CELL * len(COLUMNS), CELL * rows + 0.4, layout="constrained")
     cells = figure.subplots(rows, len(COLUMNS), squeeze=False)
     for row, comparison in zip(cells, comparisons, strict=True):
         draw_comparison(row[:3], comparison)
@@ -176,8 +165,7 @@ def write_relit(comparisons: Sequence[Relit], path: str | Path) -> None:
             )  # fmt: skip
     for axes, title in zip(cells[0], COLUMNS, strict=True):
         axes.set_title(title, size=12, color=INK)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png")
+    save_figure(figure, path)
 
 
 def draw_comparison(axes: Sequence[Axes], comparison: Comparison) -> None:

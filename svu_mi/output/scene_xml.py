@@ -12,10 +12,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture, nodes
-from svu_mi.capture.mesh import MeshArrays, arrays, make
+from svu_mi.capture.mesh import MeshArrays, arrays, write_ply
 from svu_mi.capture.repaint import is_same, is_two_sided
 from svu_mi.errors import SvuWarning
-from svu_mi.files import prepare_folder, replacing
+from svu_mi.files import prepare_folder
 from svu_mi.output import scene_nodes
 from svu_mi.output.textures import FILES, write_textures
 from svu_mi.recovery.textures import Textures
@@ -129,9 +129,7 @@ def _other(shape: Any, folder: Path, stem: str) -> Any:
 
 
 def _mesh(mesh: MeshArrays, folder: Path, file: str, name: str) -> Element:
-    with replacing(folder / file) as temporary:
-        # A copy: in it, world space and flipped normals are baked.
-        make(name, mesh).write_ply(str(temporary))
+    write_ply(folder / file, name, mesh)
     node = nodes.put(nodes.plugin("shape", "ply", id=name), filename=file)
     # Mitsuba would compute smooth normals where the file has none.
     return node if mesh.normals is not None else nodes.put(node, face_normals=True)

@@ -10,7 +10,8 @@ import numpy as np
 import svu_mi
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr, write_exr
-from svu_mi.recovery.textures import CHANNELS, NAMES, Textures
+from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.recovery.textures import Textures
 
 FILES = {name: f"{name}.exr" for name in NAMES}
 

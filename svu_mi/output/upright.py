@@ -6,14 +6,15 @@ from typing import Any, Literal
 
 import numpy as np
 
+from svu_mi.capture.poses import directions_of
 from svu_mi.capture.scene import to_world
-from svu_mi.output.directions import UP
 
+UP = (0.0, 1.0, 0.0)
 STEEP = 0.3  # length of the cameras' mean upward direction below which they say nothing
 NEAR_AXIS = 0.9  # cosine from which an axis of the world is meant
 
 Axis = Literal["y", "z"]
-DIRECTION: dict[Axis, tuple[float, float, float]] = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+DIRECTION: dict[Axis, tuple[float, float, float]] = {"y": UP, "z": (0.0, 0.0, 1.0)}
 
 
 def upright(capture: Any) -> np.ndarray:
@@ -27,14 +28,25 @@ def front_and_right(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return directions (3,) to the front, where the first photograph is from, and to the right."""
     sensors = capture.used_sensors or capture.sensors
-    taken = to_world(sensors[0])[:3, 3] - center
-    for front in (taken / np.linalg.norm(taken), np.eye(3)[2], np.eye(3)[0]):
+    right, _, front = facing(up, directions_of(sensors[:1], center)[0])
+    return front, right
+
+
+def facing(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
+    """Return the unit directions right, up and front (3, 3) of whoever is looked at from the front.
+
+    Args:
+        up: (3,), of any length but 0.
+        ahead: (3,) unit vector, which is in front, or above or below that.
+    """
+    up = up / np.linalg.norm(up)
+    for front in (ahead, np.eye(3)[2], np.eye(3)[0]):
         front = front - (front @ up) * up
         length = np.linalg.norm(front)
         if length > 1e-3:  # else it is up, or down
             break
     front = front / length
-    return front, np.cross(up, front)
+    return np.stack([np.cross(up, front), up, front])
 
 
 def up_of(poses: np.ndarray) -> np.ndarray:

@@ -10,20 +10,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
 from svu_mi.observed import Observed
+from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, observed_of
 from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.fingerprint import fingerprint
 from svu_mi.recovery.options import Method, Options, PathOptions, ShOptions
 from svu_mi.recovery.run import Run, require_resolution
-from svu_mi.recovery.textures import NAMES, Textures
+from svu_mi.recovery.textures import Textures
 from svu_mi.regularization import GlobalSharing
 from svu_mi.surface import Texels
 
@@ -118,8 +119,8 @@ def recover(
         SvuError: the loss or a gradient is NaN or infinite.
         OutputError: the checkpoint cannot be read or written.
     """
-    if method not in ("sh", "path", "sh+path"):
-        raise OptionError(f"Unknown method {method!r}; there are sh, path and sh+path.")
+    if method not in get_args(Method):
+        raise OptionError(f"Unknown method {method!r}; there are {', '.join(get_args(Method))}.")
     if resume and checkpoint is None:
         raise OptionError("recover(): resume=True needs the checkpoint to go on from.")
     names = _names(parameters)

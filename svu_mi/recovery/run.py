@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from svu_mi.errors import OptionError
 from svu_mi.observed import Observed
+from svu_mi.parameters import NAMES
 from svu_mi.pipeline import estimate
 from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
@@ -16,7 +17,7 @@ from svu_mi.recovery.regularized import Rule, each, regularized
 from svu_mi.recovery.relight import path_length
 from svu_mi.recovery.sh.fit import Fits
 from svu_mi.recovery.sh.materials import Materials, MaterialSharing
-from svu_mi.recovery.textures import NAMES, Textures, lay_out, scene_textures, uniform
+from svu_mi.recovery.textures import Textures, lay_out, scene_textures, uniform
 from svu_mi.regularization import GlobalSharing, TotalVariation
 from svu_mi.surface import Texels
 from svu_mi.surface.neighbors import neighbors

@@ -12,12 +12,10 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
+from svu_mi.parameters import CHANNELS, NAMES, PARAMETERS
 from svu_mi.surface import Texels
 from svu_mi.surface.gutter import dilate
 from svu_mi.surface.material import parameters_at
-
-NAMES = ("base_color", "roughness", "metallic")
-CHANNELS = {"base_color": 3, "roughness": 1, "metallic": 1}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,12 +92,12 @@ def lay_out(texels: Texels, values: Mapping[str, Any]) -> Textures:
     return Textures.of({name: _texture(texels, values, name) for name in NAMES})
 
 
-def uniform(texels: Texels, value: float = 0.5) -> Textures:
-    """Return textures of one value, on the grid of the texels."""
+def uniform(texels: Texels, value: float | None = None) -> Textures:
+    """Return textures of one value, on the grid of the texels; by default each has its own."""
     width, height = texels.resolution
     return Textures.of({
-        name: np.full((height, width, count), value, np.float32)
-        for name, count in CHANNELS.items()
+        p.name: np.full((height, width, p.channels), p.default if value is None else value, "f4")
+        for p in PARAMETERS.values()
     })  # fmt: skip
 
 
@@ -120,12 +118,13 @@ def scene_textures(capture: Capture, texels: Texels) -> Textures:
 def _texture(texels: Texels, values: Mapping[str, Any], name: str) -> np.ndarray:
     if name not in values:
         raise OptionError(f"lay_out(): {name} is missing; textures need {', '.join(NAMES)}.")
+    parameter = PARAMETERS[name]
     flat = np.array(values[name], np.float32).reshape(texels.count, -1)
-    if flat.shape[1] != CHANNELS[name]:
+    if flat.shape[1] != parameter.channels:
         raise ShapeError(
-            f"lay_out(): {name} needs {CHANNELS[name]} values per texel, got {flat.shape[1]}."
+            f"lay_out(): {name} needs {parameter.channels} values per texel, got {flat.shape[1]}."
         )
     if not np.isfinite(flat).all():
         raise OptionError(f"lay_out(): {name} is NaN or infinite in some texels.")
-    image = texels.to_image(np.clip(flat, 0, 1))
+    image = texels.to_image(np.clip(flat, parameter.low, parameter.high))
     return dilate(image, texels.inside(), float(np.hypot(*image.shape[:2])))

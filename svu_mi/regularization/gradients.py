@@ -8,6 +8,8 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.errors import OptionError, ShapeError
+from svu_mi.surface import Texels
+from svu_mi.surface.neighbors import Neighbors, neighbors
 
 
 class _Known(dr.CustomOp):  # type: ignore[misc]
@@ -46,23 +48,51 @@ def known(texture: Any, value: Any, gradient: Any) -> Any:
     return dr.custom(_Known, texture, value, gradient)
 
 
-def check_texture(name: str, texture: Any, resolution: tuple[int, int]) -> int:
-    """Return the number of channels of a texture (H, W) or (H, W, C).
+class Regularizer:
+    """A loss of one texture, whose value and gradient are computed together by ``_of``."""
 
-    Raises:
-        OptionError: not a float tensor of the active variant.
-        ShapeError: another resolution.
-    """
-    width, height = resolution
-    if not isinstance(texture, mi.TensorXf):
-        raise OptionError(
-            f"{name}: expected a texture as mi.TensorXf, got {type(texture).__name__}; "
-            "wrap it in mi.TensorXf."
-        )
-    shape = tuple(texture.shape)
-    if len(shape) not in (2, 3) or shape[:2] != (height, width) or 0 in shape:
-        raise ShapeError(
-            f"{name}: expected a texture of shape ({height}, {width}) or ({height}, {width}, C), "
-            f"got {shape}; lay out svu.texels at the resolution of the textures."
-        )
-    return int(shape[2]) if len(shape) == 3 else 1
+    def __call__(self, texture: Any) -> Any:
+        """Return the loss of a texture.
+
+        Args:
+            texture: (H, W) or (H, W, C) TensorXf, at the resolution of the texels.
+
+        Returns:
+            A Float of one value, differentiable in the texture.
+
+        Raises:
+            OptionError: not a float tensor of the active variant.
+            ShapeError: another resolution.
+        """
+        name, (width, height) = type(self).__name__, self._texels().resolution
+        if not isinstance(texture, mi.TensorXf):
+            raise OptionError(
+                f"{name}: expected a texture as mi.TensorXf, got {type(texture).__name__}; "
+                "wrap it in mi.TensorXf."
+            )
+        shape = tuple(texture.shape)
+        if len(shape) not in (2, 3) or shape[:2] != (height, width) or 0 in shape:
+            raise ShapeError(
+                f"{name}: expected a texture of shape ({height}, {width}) or ({height}, {width}, "
+                f"C), got {shape}; lay out svu.texels at the resolution of the textures."
+            )
+        channels = int(shape[2]) if len(shape) == 3 else 1
+        return known(texture, *self._of(dr.detach(texture.array), channels))
+
+    def _texels(self) -> Texels:
+        raise NotImplementedError
+
+    def _of(self, values: Any, channels: int) -> tuple[Any, Any]:
+        """Return the value, and the gradient by all values."""
+        raise NotImplementedError
+
+    def _neighbors(self, mesh: Any) -> Neighbors:
+        """Return the neighbours of the texels on a mesh, which may be given instead of it."""
+        texels = self._texels()
+        around = mesh if isinstance(mesh, Neighbors) else neighbors(texels, mesh)
+        if around.count != texels.count:
+            raise ShapeError(
+                f"{type(self).__name__}: expected the neighbours of {texels.count} texels, got "
+                f"those of {around.count}."
+            )
+        return around

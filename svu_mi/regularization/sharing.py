@@ -10,13 +10,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.errors import OptionError, ShapeError
+from svu_mi.errors import OptionError
 from svu_mi.interop import owned
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import Posterior
-from svu_mi.regularization.gradients import check_texture, known
+from svu_mi.regularization.gradients import Regularizer
 from svu_mi.regularization.seeds import find_seeds
-from svu_mi.surface.neighbors import Neighbors, neighbors
+from svu_mi.surface import Texels
 
 Divergence = Literal["forward", "reverse"]
 
@@ -25,7 +25,7 @@ LEAST = 1e-30  # probability that stands for 0 in a logarithm
 
 
 @dataclass(frozen=True, eq=False)
-class GlobalSharing:
+class GlobalSharing(Regularizer):
     """Squared distance to seeds: the most certain texels of the surface.
 
         L_S(psi) = 1/T sum over texels p, sum over seeds q of w_pq |psi_p - psi_q|^2   (Eq. 14)
@@ -74,25 +74,8 @@ class GlobalSharing:
         object.__setattr__(self, "weights", owned(mi.Float, weights.ravel()))
         object.__setattr__(self, "_seeds", owned(mi.UInt32, chosen.astype(np.uint32)))
 
-    def __call__(self, texture: Any) -> Any:
-        """Return the loss L_S of a texture.
-
-        Args:
-            texture: (H, W) or (H, W, C) TensorXf, at the resolution of the texels.
-
-        Returns:
-            A Float of one value, differentiable in the texture.
-
-        Raises:
-            OptionError: not a tensor.
-            ShapeError: another resolution.
-        """
-        channels = check_texture("GlobalSharing", texture, self.estimate.texels.resolution)
-        values = dr.detach(texture.array)
-        if len(self.seeds) == 0:
-            return known(texture, mi.Float(0), dr.zeros(mi.Float, dr.width(values)))
-        value, gradient = self._of(values, channels)
-        return known(texture, value, gradient)
+    def _texels(self) -> Texels:
+        return self.estimate.texels
 
     def pull(self) -> np.ndarray:
         """Return W_p = sum over seeds of w_pq, (T,) float32: how much each texel is pulled."""
@@ -111,18 +94,12 @@ class GlobalSharing:
             return chosen[np.sort(np.unique(chosen, return_index=True)[1])]
         if self.seeds < 1:
             raise OptionError(f"GlobalSharing: it takes at least one seed, got {self.seeds}.")
-        around = self.mesh
-        if not isinstance(around, Neighbors):
-            around = neighbors(self.estimate.texels, self.mesh)
-        if around.count != self.estimate.texels.count:
-            raise ShapeError(
-                f"GlobalSharing: expected the neighbours of {self.estimate.texels.count} texels, "
-                f"got those of {around.count}."
-            )
-        return find_seeds(self.estimate, around, int(self.seeds))
+        return find_seeds(self.estimate, self._neighbors(self.mesh), int(self.seeds))
 
     def _of(self, values: Any, channels: int) -> tuple[Any, Any]:
         """Value and gradient: every lane is a texel that reads from all seeds."""
+        if len(self.seeds) == 0:
+            return mi.Float(0), dr.zeros(mi.Float, dr.width(values))
         index = self.estimate.texels.index
         psi = [dr.gather(mi.Float, values, index * channels + c) for c in range(channels)]
         seeds = [dr.gather(mi.Float, column, self._seeds) for column in psi]

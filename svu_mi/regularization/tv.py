@@ -11,15 +11,15 @@ import numpy as np
 
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
-from svu_mi.regularization.gradients import check_texture, known
+from svu_mi.regularization.gradients import Regularizer
 from svu_mi.surface import Texels
-from svu_mi.surface.neighbors import Neighbors, neighbors
+from svu_mi.surface.neighbors import Neighbors
 
 EPSILON = 1e-2  # in units of the parameters, all in [0, 1]
 
 
 @dataclass(frozen=True, eq=False)
-class TotalVariation:
+class TotalVariation(Regularizer):
     """Mean absolute difference of neighbouring texels.
 
         TV(psi) = 1/P sum over pairs (i, j), sum over channels of
@@ -54,28 +54,14 @@ class TotalVariation:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.epsilon) and self.epsilon > 0):
             raise OptionError(f"TotalVariation: epsilon must be positive, got {self.epsilon}.")
-        around, pairs = _table(self.texels, self.mesh, self.valid)
+        around, pairs = _table(self.texels, self._neighbors(self.mesh), self.valid)
         columns = tuple(owned(mi.UInt32, column) for column in around)
         object.__setattr__(self, "_around", columns)
         object.__setattr__(self, "_scale", dr.opaque(mi.Float, 1 / max(pairs, 1)))
         object.__setattr__(self, "_epsilon", dr.opaque(mi.Float, self.epsilon))
 
-    def __call__(self, texture: Any) -> Any:
-        """Return the total variation of a texture.
-
-        Args:
-            texture: (H, W) or (H, W, C) TensorXf, at the resolution of the texels.
-
-        Returns:
-            A Float of one value, differentiable in the texture.
-
-        Raises:
-            OptionError: not a tensor.
-            ShapeError: another resolution.
-        """
-        channels = check_texture("TotalVariation", texture, self.texels.resolution)
-        value, gradient = self._of(dr.detach(texture.array), channels)
-        return known(texture, value, gradient)
+    def _texels(self) -> Texels:
+        return self.texels
 
     def _of(self, values: Any, channels: int) -> tuple[Any, Any]:
         """Value and gradient; every lane, a texel's channel, only reads from its neighbours."""
@@ -97,17 +83,11 @@ class TotalVariation:
         return dr.sum(total) * (0.5 * self._scale), gradient  # every pair was seen from both ends
 
 
-def _table(texels: Texels, mesh: Any, valid: Any) -> tuple[np.ndarray, int]:
+def _table(texels: Texels, around: Neighbors, valid: Any) -> tuple[np.ndarray, int]:
     """Return the flat index of the neighbours of all H W texels, (K, H W), and P.
 
     One that has none is its own neighbour: the difference is 0.
     """
-    around = mesh if isinstance(mesh, Neighbors) else neighbors(texels, mesh)
-    if around.count != texels.count:
-        raise ShapeError(
-            f"TotalVariation: expected the neighbours of {texels.count} texels, "
-            f"got those of {around.count}."
-        )
     table = around.table()
     own = np.arange(texels.count)
     if valid is not None:

@@ -149,7 +149,8 @@ def _across_seams(surface: _Surface, right: np.ndarray, down: np.ndarray) -> np.
     here = np.broadcast_to(start[:, None], other.shape)
     gap = surface.position[other] - surface.position[here]
     # The texel over there may be wider than the one here.
-    scale = np.maximum(_length(way)[:, None], _largest_step(surface)[other])
+    longest = np.maximum(*map(_length, surface.steps))
+    scale = np.maximum(_length(way)[:, None], longest[other])
     usable = surface.alike(here, other) & ((gap * way[:, None]).sum(axis=-1) > 0)
     usable &= (_length(gap) <= REACH * scale) & (distance <= scale)
     usable &= ~_reached(count, np.concatenate([right, down]), border, here, other)
@@ -160,10 +161,6 @@ def _across_seams(surface: _Surface, right: np.ndarray, down: np.ndarray) -> np.
     kept = np.isfinite(nearest)
     inside = np.bincount(np.concatenate([right, down]).ravel(), minlength=count)
     return _thinned(np.sort(pairs[kept], axis=1), nearest[kept], MOST - inside)
-
-
-def _largest_step(surface: _Surface) -> np.ndarray:
-    return np.maximum(_length(surface.steps[0]), _length(surface.steps[1]))
 
 
 def _loose_ends(

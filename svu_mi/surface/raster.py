@@ -39,10 +39,7 @@ def rasterize(uvs: np.ndarray, resolution: tuple[int, int]) -> tuple[np.ndarray,
     owner = dr.zeros(mi.UInt32, width * height)
     count = dr.zeros(mi.UInt32, width * height)
     _walk(corners, dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height), owner, count)
-    return (
-        owner.numpy().astype(np.int64) - 1,
-        count.numpy().astype(np.int64),
-    )
+    return (owner.numpy().astype(np.int64) - 1, count.numpy().astype(np.int64))
 
 
 @dr.syntax

@@ -28,12 +28,14 @@ from typing import Any
 import numpy as np
 
 import svu_mi as svu  # first: it chooses LLVM
+
 import mitsuba as mi  # isort: skip
 
 TEXELS, JUDGED, REFERENCE, FINER = 256, 1500, 1000, 4
 PHOTOGRAPHS: dict[str, Any] = {"views": 60, "film": 256, "spp": 32}
-OBJECTS = "water_bottle chess_king_black chess_rook_white flight_helmet lantern barrel".split()
-LIGHTS = "photo_studio_01 rural_asphalt_road potsdamer_platz st_fagans_interior".split()
+OBJECTS = ["water_bottle", "chess_king_black", "chess_rook_white", "flight_helmet", "lantern",
+           "barrel"]  # fmt: skip
+LIGHTS = ["photo_studio_01", "rural_asphalt_road", "potsdamer_platz", "st_fagans_interior"]
 TIMED, RUNS = ("water_bottle", "rural_asphalt_road"), 5
 
 
@@ -127,11 +129,11 @@ def noise_of_8_percent() -> str:
 def closed_form(found: Any) -> dict[str, np.ndarray]:
     """Return the means of every texel's posterior that recovery starts from, by name."""
     from svu_mi.recovery.options import ShOptions
-    from svu_mi.recovery.sh.prepare import prepare
+    from svu_mi.recovery.sh.fit import Fits
 
-    prepared = prepare(found.observed.capture, found.texels)
+    fits = Fits(found.observed)
     table = np.full((5, found.texels.count), np.nan)
-    table[:, prepared.seen] = prepared.fit(ShOptions()).start.table()
+    table[:, fits.seen] = fits.fit(ShOptions()).start.table()
     return {"base_color": table[:3].T, "roughness": table[3], "metallic": table[4]}
 
 

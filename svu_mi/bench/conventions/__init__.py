@@ -4,5 +4,5 @@
 imported with, ``photographs`` how it was taken, ``visible`` whether a mistake shows at all.
 """
 
+from svu_mi.bench.conventions.run import conventions_tables as conventions_tables
 from svu_mi.bench.conventions.run import run_conventions as run_conventions
-from svu_mi.bench.conventions.tables import conventions_tables as conventions_tables

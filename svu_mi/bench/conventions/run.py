@@ -1,8 +1,9 @@
-"""Write right captures, import them wrongly, and check them."""
+"""Write right captures, import them wrongly, check them, and count how often that was found."""
 
 from __future__ import annotations
 
 import tempfile
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -11,16 +12,17 @@ from typing import Any
 
 from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.cells import Cell
-from svu_mi.bench.conventions.cases import CASES, Case, outcome
+from svu_mi.bench.conventions.cases import CASES, OUTCOMES, Case, outcome
 from svu_mi.bench.conventions.photographs import IMPORTERS, WAYS, Way
 from svu_mi.bench.conventions.visible import SEED, VIEWS, looks, shows
 from svu_mi.bench.conventions.written import Written, write
 from svu_mi.bench.store import Store
+from svu_mi.bench.text import table
 from svu_mi.capture import Capture, load_capture
 from svu_mi.checking.run import find_mistakes
-from svu_mi.errors import OptionError
 from svu_mi.formats.importing import import_capture
 from svu_mi.formats.reading import ReadOptions, read_source
+from svu_mi.settings import require_known
 
 # Of the photographs: views, pixels per side, samples per pixel; --quick has fewer.
 SIZES = {"views": 24, "film": 128, "spp": 64}
@@ -43,9 +45,7 @@ def run_conventions(
     Raises:
         OptionError: an unknown way.
     """
-    for way in ways:
-        if way not in WAYS:
-            raise OptionError(f"There is no row {way!r}; there are {', '.join(WAYS)}.")
+    require_known(ways, WAYS, "row")
     chosen = tuple(ways) or (IMPORTERS if bench.quick else tuple(WAYS))
     store, rows = Store(bench.folder / "conventions"), []
     settings = replace(bench.settings, **(QUICK if bench.quick else SIZES))
@@ -118,3 +118,37 @@ def imported_with(written: Written, case: Case, way: Way, folder: Path) -> Captu
     source = read_source(written.path, ReadOptions(format=way.format))
     import_capture(source, folder, replace(written.options, fixes=case.mistakes))
     return way.changed(load_capture(folder))
+
+
+def conventions_tables(rows: Sequence[dict[str, Any]]) -> str:
+    """Return Markdown tables: kinds of mistakes, and objects, x ways that photographs come.
+
+    Args:
+        rows: records of ``run_conventions``.
+    """
+    told = [row for row in rows if row["visible"] or row["group"] == "nothing wrong"]
+    wrong = [row for row in rows if row["group"] != "nothing wrong"]
+    return (
+        f"Captures that were imported wrongly, and checked, in percent: {' / '.join(OUTCOMES)}.\n\n"
+        + _counts(told, "group")
+        + "\n\nMistakes by object and light.\n\n"
+        + _counts([row for row in wrong if row["visible"]], "cell")
+        + "\n\nMistakes that change no picture of the object; silence is right.\n\n"
+        + _counts([row for row in wrong if not row["visible"]], "cell")
+    )
+
+
+def _counts(rows: Sequence[dict[str, Any]], heading: str) -> str:
+    """Return a table of outcomes with a line per value of a field."""
+    columns = list(dict.fromkeys(row["photographs"] for row in rows))
+    lines = []
+    for value in dict.fromkeys(row[heading] for row in rows):
+        of = [row for row in rows if row[heading] == value]
+        shares = (_share([row for row in of if row["photographs"] == one]) for one in columns)
+        lines.append([value, *shares, len(of)])
+    return table([heading, *columns, "checks"], lines)
+
+
+def _share(rows: Sequence[dict[str, Any]]) -> str:
+    counted = Counter(row["outcome"] for row in rows)
+    return " / ".join(f"{100 * counted[one] / len(rows):.0f}" for one in OUTCOMES) if rows else ""

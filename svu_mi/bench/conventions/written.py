@@ -16,7 +16,8 @@ from trimesh.visual.material import PBRMaterial
 from svu_mi.bench.conventions.photographs import white_of
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, arrays, flipped_v
-from svu_mi.capture.picture import srgb
+from svu_mi.capture.picture import quantized, srgb
+from svu_mi.capture.poses import affine
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.checking.appearance import base_color
 from svu_mi.exr import read_exr, write_exr
@@ -99,7 +100,7 @@ def _texture(capture: Capture) -> np.ndarray:
     center = (np.arange(TEXTURE) + 0.5) / TEXTURE
     uv = np.stack(np.meshgrid(center, center), axis=-1).reshape(-1, 2)
     color = srgb(np.clip(base_color(capture.shape, uv), 0, 1))
-    return np.round(255 * color).astype(np.uint8).reshape(TEXTURE, TEXTURE, 3)
+    return quantized(color).reshape(TEXTURE, TEXTURE, 3)
 
 
 def write_glb(path: Path, mesh: MeshArrays, base_color: np.ndarray) -> None:
@@ -120,20 +121,13 @@ def in_camera_frame(source: Source, folder: Path) -> Source:
     emitter = mi.load_dict({
         "type": "envmap",
         "filename": str(source.light.path),
-        "to_world": mi.ScalarTransform4f(in_4d(source.light.to_world)),
+        "to_world": mi.ScalarTransform4f(affine(source.light.to_world)),
     })  # fmt: skip
     pose = source.frames[0].to_world[:3, :3]
     grid = directions(2 * ROWS, ROWS)
     light = radiance_from(emitter, grid.reshape(-1, 3) @ pose.T).reshape(grid.shape)
     write_exr(folder / "camera.exr", {"RGB": light})
     return replace(source, light=Light(path=folder / "camera.exr", to_world=pose))
-
-
-def in_4d(rotation: np.ndarray) -> np.ndarray:
-    """Return a rotation as a (4, 4) matrix."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation
-    return matrix
 
 
 def as_transforms(root: Path, source: Source) -> Path:
@@ -171,7 +165,7 @@ def as_orb(root: Path, source: Source) -> Path:
         records.append(OrbPhotograph(image=image, mask=channels["A"], to_world=frame.to_world))
     light = np.stack([read_exr(source.light.path)[name] for name in "RGB"], axis=-1)
     test = replace(
-        records[0], to_world=in_4d(source.light.to_world), environment=light,
+        records[0], to_world=affine(source.light.to_world), environment=light,
         albedo=records[0].image,
     )  # fmt: skip
     first = source.frames[0]

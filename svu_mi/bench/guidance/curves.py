@@ -18,9 +18,9 @@ from svu_mi.guidance.baselines import farthest
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.next_view import next_best_view
 from svu_mi.guidance.options import Strategy
+from svu_mi.parameters import NAMES
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.recover import recover
-from svu_mi.recovery.textures import NAMES
 from svu_mi.surface import Texels
 
 Record = dict[str, Any]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import warnings
 import zlib
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,12 +10,12 @@ from typing import Any
 from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.captures import some_views
 from svu_mi.bench.cells import Cell
+from svu_mi.bench.failures import Failures
 from svu_mi.bench.guidance.curves import Shoot
 from svu_mi.bench.guidance.sizes import FULL, QUICK, Sizes
 from svu_mi.bench.guidance.speed import measure_speed
 from svu_mi.bench.guidance.verdict import find_bars
 from svu_mi.bench.store import Store, code_and_machine, key_of
-from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.surface import texels
 
 Record = dict[str, Any]
@@ -45,10 +44,9 @@ def run_guidance(
         OutputError: the folder cannot be written.
     """
     sizes = sizes or (QUICK if bench.quick else FULL)
-    record: Record = {"runs": [], "speed": None, "bars": [], "failed": [], "sizes": sizes,
-                      "quick": bench.quick}  # fmt: skip
-    first: SvuError | None = None
-    failed: set[str] = set()
+    failures = Failures()
+    record: Record = {"runs": [], "speed": None, "bars": [], "failed": failures.found,
+                      "sizes": sizes, "quick": bench.quick}  # fmt: skip
     chosen = few_lights(cells, sizes.lights)
     with bench.progress.stage("Timing steps of guidance"):
         capture = some_views(bench.capture(chosen[0]), PHOTOGRAPHS)
@@ -56,18 +54,12 @@ def run_guidance(
     _tell(record, sizes, finished)
     # Every cell once before any twice: an interrupted run has seen them all.
     for seed, cell in itertools.product(range(sizes.starts), chosen):
-        if cell.name in failed:
+        if any(failed["cell"] == cell.title for failed in failures.found):
             continue
-        try:
+        with failures.leave_out(cell.title):
             record["runs"].append(_run(bench, cell, sizes, seed))
-        except SvuError as error:
-            first = first or error
-            failed.add(cell.name)
-            record["failed"].append({"cell": cell.title, "reason": str(error)})
-            warnings.warn(f"{cell.title} is left out: {error}", SvuWarning, stacklevel=2)
         _tell(record, sizes, finished)
-    if not record["runs"] and first is not None:
-        raise first
+    failures.raise_unless(record["runs"])
     return record
 
 

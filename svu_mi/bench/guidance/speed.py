@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import statistics
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
 import numpy as np
 
 from svu_mi.bench.guidance.sizes import Sizes
+from svu_mi.bench.kernels import clock
 from svu_mi.capture import Capture
 from svu_mi.frequency import fit_sh, power_spectrum
 from svu_mi.guidance.candidates import Candidates
@@ -207,12 +206,8 @@ def _refit(forecast: SpectrumForecast, table: np.ndarray, cell: int) -> tuple[fl
 
 
 def seconds(function: Callable[[], Any]) -> float:
-    """Return how long a function takes, the device synchronised at both ends."""
-    dr.sync_thread()
-    start = time.perf_counter()
-    dr.eval(function())
-    dr.sync_thread()
-    return time.perf_counter() - start
+    """Return how long a function takes by the clock."""
+    return clock.run(function).wall
 
 
 def _exponent(sizes: list[int], points: list[Record]) -> float:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.bench.failures import left_out
 from svu_mi.bench.guidance.verdict import compare, mean_curve, mean_gain, views_needed
 from svu_mi.bench.kernels.bars import bar_table
 from svu_mi.bench.text import number, seconds, table
@@ -28,9 +29,7 @@ def guidance_tables(record: Record) -> str:
         parts += _curves(record["runs"], record["sizes"])
     if record["speed"]:
         parts += _speed(record["speed"])
-    if record["failed"]:
-        rows = [[failed["cell"], failed["reason"]] for failed in record["failed"]]
-        parts += ["## Left out of guidance", table(("cell", "reason"), rows)]
+    parts += left_out("Left out of guidance", record)
     return "\n\n".join(parts)
 
 

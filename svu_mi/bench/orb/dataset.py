@@ -19,10 +19,10 @@ from scipy.spatial.transform import Rotation
 
 from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.cells import Cell, own_cells
-from svu_mi.bench.orb.albedo import albedo_pictures
+from svu_mi.bench.orb.targets import albedo_pictures
 from svu_mi.bench.store import Store, key_of
 from svu_mi.capture.mesh import arrays
-from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
+from svu_mi.capture.poses import affine, describe, make_sensor, sphere_sensors
 from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.scene import find_environment, find_shape, load_scene, to_world
 from svu_mi.errors import OptionError
@@ -117,9 +117,8 @@ def render_dataset(
 def _capture(name: str, scene: Any, shape: Any, sizes: DatasetSizes) -> OrbCapture:
     seed = zlib.crc32(name.encode())
     rng = np.random.default_rng(seed)
-    world = np.eye(4)
-    world[:3, :3] = Rotation.random(random_state=rng).as_matrix()
-    world[:3, 3] = SHIFT * rng.normal(size=3)
+    rotation = Rotation.random(random_state=rng).as_matrix()
+    world = affine(rotation, SHIFT * rng.normal(size=3))
     film = (sizes.film, sizes.film)
     placed = sphere_sensors(shape, sizes.train + sizes.test, film, lowest=LOWEST)
     sensors = [_rolled(sensor, rng.normal(scale=ROLL)) for sensor in placed]
@@ -139,8 +138,7 @@ def _capture(name: str, scene: Any, shape: Any, sizes: DatasetSizes) -> OrbCaptu
 
 def _rolled(sensor: Any, degrees: float) -> Any:
     record = describe(sensor)
-    roll = np.eye(4)
-    roll[:3, :3] = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    roll = affine(Rotation.from_euler("z", degrees, degrees=True).as_matrix())
     return make_sensor({**record, "to_world": np.array(record["to_world"]) @ roll}, sensor.id())
 
 

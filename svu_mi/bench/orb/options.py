@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from svu_mi.bench.recovery import rows as ways
+from svu_mi.bench.recovery.options import Sizes as RecoverySizes
 from svu_mi.bench.recovery.rows import Row
-from svu_mi.bench.recovery.sizes import Sizes as RecoverySizes
-from svu_mi.errors import OptionError
 from svu_mi.recovery.options import PathOptions, ShOptions
+from svu_mi.settings import require_known
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Sizes:
             512 is that of the data set's own evaluation.
         texels: texels per side.
         spp: samples per pixel of the pictures.
-        recovery: whether runs are warm, and how often they are timed (``bench.recovery.sizes``).
+        recovery: whether runs are warm, and how often they are timed (``bench.recovery.options``).
     """
 
     film: int = 512
@@ -78,10 +78,7 @@ class Options:
         Raises:
             OptionError: there is none of a name.
         """
-        known = [row.label for row in ROWS]
-        for label in self.rows:
-            if label not in known:
-                raise OptionError(f"There is no row {label!r}; there are {', '.join(known)}.")
+        require_known(self.rows, [row.label for row in ROWS], "row")
         return tuple(row for row in ROWS if row.label in self.rows or not (self.rows or row.traced))
 
     def chosen_captures(self, found: Sequence[Path]) -> tuple[Path, ...]:
@@ -90,17 +87,11 @@ class Options:
         Raises:
             OptionError: there is none of a name.
         """
-        for name in self.captures:
-            if not any(name in (path.name, object_of(path.name)) for path in found):
-                raise OptionError(
-                    f"There is no capture or object {name!r}; there are "
-                    f"{', '.join(path.name for path in found)}."
-                )
-        return tuple(
-            path
-            for path in found
-            if not self.captures or {path.name, object_of(path.name)} & set(self.captures)
-        )
+        names = {path: (path.name, object_of(path.name)) for path in found}
+        known = dict.fromkeys(name for both in zip(*names.values(), strict=True) for name in both)
+        require_known(self.captures, known, "capture or object")
+        asked = set(self.captures)
+        return tuple(path for path in found if not asked or asked & set(names[path]))
 
 
 def object_of(capture: str) -> str:

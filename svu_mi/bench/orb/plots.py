@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from svu_mi.bench.orb.targets import Target
-from svu_mi.bench.plots import DPI, FAINT, INK
+from svu_mi.bench.plots import FAINT, INK, page
 from svu_mi.capture.picture import srgb
-from svu_mi.files import replacing
 from svu_mi.metrics.orb import channel_scale
+from svu_mi.output.style import save_figure
 
 Shown = tuple[str, Target, np.ndarray, dict[str, Any], bool]
 WHITE = 0.98  # part of the object's pixels that are not clipped
@@ -31,12 +31,7 @@ def draw_pictures(path: Path, label: str, shown: Sequence[Shown]) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    size = (7.2, 2.6 * len(shown))
-    figure = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = page(7.2, 2.6 * len(shown))
     for axes, (title, target, picture, found, scaled) in zip(
         figure.subplots(len(shown), 3, squeeze=False), shown, strict=True
     ):
@@ -51,8 +46,7 @@ def draw_pictures(path: Path, label: str, shown: Sequence[Shown]) -> None:
         axes[2].set_title(f"difference; PSNR-L {first['psnr_ldr']:.1f} dB", fontsize=9, color=FAINT)
         for one in axes:
             one.set_axis_off()
-    with replacing(path) as temporary:
-        figure.savefig(temporary)
+    save_figure(figure, path)
 
 
 def _comparable(

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from typing import Any
 
 from svu_mi.bench.accuracy import Bench
+from svu_mi.bench.failures import Failures
 from svu_mi.bench.orb.dataset import own_dataset
 from svu_mi.bench.orb.options import FULL, QUICK, Options
 from svu_mi.bench.orb.setting import Setting
-from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.formats.stanford_orb import find_captures
 
 Record = dict[str, Any]
@@ -41,25 +40,19 @@ def run_orb(
     rows = options.chosen_rows()
     sizes = options.sizes or (QUICK if bench.quick else FULL)
     data = own_dataset(bench) if options.data is None else options.data
-    record: Record = {"captures": [], "failed": [], "sizes": sizes, "quick": bench.quick,
-                      "rendered": options.data is None}  # fmt: skip
-    first: SvuError | None = None
+    failures = Failures()
+    record: Record = {"captures": [], "failed": failures.found, "sizes": sizes,
+                      "quick": bench.quick, "rendered": options.data is None}  # fmt: skip
     for path in options.chosen_captures(find_captures(data)):
         setting = Setting(bench, path, options, sizes)
-        try:
+        with failures.leave_out(path.name):
             found = {}
             for row in rows:
                 with bench.progress.stage(f"{path.name}: {row.label}"):
                     found[row.label] = setting.recall(row)
-        except SvuError as error:
-            first = first or error
-            record["failed"].append({"cell": path.name, "reason": str(error)})
-            warnings.warn(f"{path.name} is left out: {error}", SvuWarning, stacklevel=2)
-        else:
             head = next(iter(found.values()))["capture"]
             record["captures"].append({**head, "rows": found})
         if finished is not None and record["captures"]:
             finished(record)
-    if not record["captures"] and first is not None:
-        raise first
+    failures.raise_unless(record["captures"])
     return record

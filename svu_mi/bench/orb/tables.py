@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.bench.failures import left_out
 from svu_mi.bench.orb.targets import FIGURES
 from svu_mi.bench.text import number, seconds, table
 from svu_mi.files import replacing
@@ -49,9 +50,7 @@ def orb_tables(record: Record) -> str:
         "an RTX 4090.",
         _published(),
     ]
-    if record["failed"]:
-        rows = [[failed["cell"], failed["reason"]] for failed in record["failed"]]
-        parts += ["## Captures left out", table(("capture", "reason"), rows)]
+    parts += left_out("Captures left out", record, "capture")
     return "\n\n".join(parts)
 
 

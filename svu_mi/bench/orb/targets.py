@@ -9,7 +9,6 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.bench.orb.albedo import albedo_pictures
 from svu_mi.capture import Capture
 from svu_mi.capture.picture import decoded, read_planes
 from svu_mi.errors import CaptureError
@@ -22,6 +21,7 @@ from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import Textures
 
 IN_MASK = 0.5  # of a pixel's area
+ALBEDO_SAMPLES = 16  # per pixel, of pictures of the base colour
 FIGURES = ("psnr_hdr", "psnr_ldr", "ssim", "lpips")
 
 
@@ -115,6 +115,21 @@ def judge_albedo(
         orb_albedo_error(picture, target.albedo, target.mask)
         for target, picture in zip(known, pictures, strict=True)
     ])  # fmt: skip
+
+
+def albedo_pictures(scene: Any, sensors: Sequence[Any]) -> list[np.ndarray]:
+    """Render the base colour of a scene's objects: one (H, W, 3) per sensor, linear.
+
+    Args:
+        scene: of ``principled`` objects.
+        sensors: where from.
+    """
+    integrator = mi.load_dict({"type": "aov", "aovs": "base_color:albedo"})
+    spp = ALBEDO_SAMPLES
+    return [
+        np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=spp), np.float32)
+        for sensor in sensors
+    ]
 
 
 def _gathered(targets: Sequence[Target], errors: Sequence[OrbError]) -> dict[str, Any]:

@@ -15,8 +15,8 @@ from svu_mi.bench.captures import some_views
 from svu_mi.bench.cells import Cell
 from svu_mi.bench.kernels import clock
 from svu_mi.bench.recovery.measure import Mark, Watch, run_cold, step_seconds
+from svu_mi.bench.recovery.options import Sizes
 from svu_mi.bench.recovery.rows import COLD, PATH, SH, Row
-from svu_mi.bench.recovery.sizes import Sizes
 from svu_mi.capture import Capture
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.options import ShOptions

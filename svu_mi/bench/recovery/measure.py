@@ -13,14 +13,13 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from svu_mi.bench.fresh import in_new_process
+from svu_mi.bench.fresh import in_new_process, memory_mib
+from svu_mi.bench.recovery.options import Sizes
 from svu_mi.bench.recovery.rows import Row, find_row
-from svu_mi.bench.recovery.sizes import Sizes
 from svu_mi.capture import Capture, load_capture
-from svu_mi.progress import Progress, Stage
+from svu_mi.progress import Progress, Stage, compiled_kernels
 from svu_mi.surface import Texels, texels
 
-STATUS = Path("/proc/self/status")
 BRIEF = 4  # steps after which all kernels are compiled
 
 
@@ -139,7 +138,7 @@ class _Watching(Stage):
     def update(self, done: int, total: int) -> None:
         del total
         dr.sync_thread()
-        self._marks.append(Mark(done, time.perf_counter(), compiled_kernels(), resident_mib()))
+        self._marks.append(Mark(done, time.perf_counter(), compiled_kernels(), memory_mib("VmRSS")))
 
 
 class Watch(Progress):
@@ -171,17 +170,3 @@ def step_seconds(marks: list[Mark]) -> float:
     if not pairs:
         return float("nan")
     return float(np.median([(b.seconds - a.seconds) / (b.step - a.step) for a, b in pairs]))
-
-
-def compiled_kernels() -> int:
-    """Return the number of kernels this process has compiled: launches found in no cache."""
-    _launches, _from_disk, compiled = dr.detail.launch_stats()
-    return int(compiled)
-
-
-def resident_mib() -> float | None:
-    """Return the memory that this process has resident, in MiB; None if not known."""
-    if not STATUS.exists():
-        return None
-    fields = dict(line.split(":", 1) for line in STATUS.read_text().splitlines() if ":" in line)
-    return int(fields["VmRSS"].split()[0]) / 1024

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from svu_mi.capture import Capture
-from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
 from svu_mi.recovery.options import PathOptions, ShOptions, path_preset, sh_preset
 from svu_mi.recovery.path.objective import path_objective
 from svu_mi.recovery.recover import Method, Recovery, recover
+from svu_mi.settings import require_known
 from svu_mi.surface import Texels
 
 DEPTH = 2  # light straight from the environment, as in the photographs (bench.cells.DIRECT)
@@ -111,11 +111,9 @@ def find_row(label: str) -> Row:
     Raises:
         OptionError: there is none.
     """
-    found = [row for row in ROWS if row.label == label]
-    if not found:
-        names = ", ".join(row.label for row in ROWS)
-        raise OptionError(f"There is no row {label!r}; there are {names}.")
-    return found[0]
+    rows = {row.label: row for row in ROWS}
+    require_known([label], rows, "row")
+    return rows[label]
 
 
 def choose_rows(labels: Sequence[str], group: str, *, traced: bool = True) -> tuple[Row, ...]:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.cells import Cell
+from svu_mi.bench.failures import Failures
 from svu_mi.bench.recovery.bars import find_bars
 from svu_mi.bench.recovery.cells import Task, even_tasks, sharing_tasks
 from svu_mi.bench.recovery.costs import measure_costs
-from svu_mi.bench.recovery.options import COSTS, Options
+from svu_mi.bench.recovery.options import COSTS, FULL, QUICK, Options, Sizes
 from svu_mi.bench.recovery.rows import Row, choose_rows
-from svu_mi.bench.recovery.setting import PLACE, Setting, code_now, take_up
-from svu_mi.bench.recovery.sizes import FULL, QUICK, Sizes
-from svu_mi.bench.store import Store, key_of
-from svu_mi.errors import SvuError, SvuWarning
+from svu_mi.bench.recovery.setting import PLACE, Setting
+from svu_mi.bench.store import Store, code_and_machine, key_of
 
 Record = dict[str, Any]
 
@@ -50,19 +49,20 @@ def run_recovery(
     options = options or Options()
     sizes = options.sizes or (QUICK if bench.quick else FULL)
     tasks = _tasks(bench, cells, options, sizes)
-    record: Record = {"cells": [], "costs": None, "bars": [], "failed": [], "sizes": sizes,
-                      "quick": bench.quick, "versions": 0}  # fmt: skip
-    run = Run(bench, sizes, options, record)
+    run = Run(bench, sizes, options)
+    record: Record = {"cells": run.cells, "costs": None, "bars": [], "failed": run.failures.found,
+                      "sizes": sizes, "quick": bench.quick, "versions": 0}  # fmt: skip
     traced: dict[str, int] = {}
     for task in tasks:
         allowed = task.group == "even" or traced.get(task.group, 0) < sizes.path_cells
         traced[task.group] = traced.get(task.group, 0) + 1
         run.add(task, choose_rows(options.rows or sizes.rows, task.group, traced=allowed))
         _tell(record, finished)
-    if not record["cells"] and run.first is not None:
-        raise run.first
+    run.failures.raise_unless(run.cells)
     if COSTS in options.groups:
-        record["costs"] = _costs(bench, cells[0], sizes, options)
+        store, key = Store(bench.folder / PLACE), key_of(cells[0].name, asdict(sizes))
+        measure = partial(measure_costs, bench, cells[0], sizes)
+        record["costs"] = run.recall(store, "costs", key, "Timing single steps", measure)
     _tell(record, finished)
     return record
 
@@ -91,55 +91,52 @@ class Run:
         bench: where and how.
         sizes: how large.
         options: what is run.
-        record: gets the cells, and the rows that failed.
-        first: what the first of these raised.
+        cells: their records so far.
+        failures: rows that could not be run.
     """
 
     bench: Bench
     sizes: Sizes
     options: Options
-    record: Record
-    first: SvuError | None = None
+    cells: list[Record] = field(default_factory=list)
+    failures: Failures = field(default_factory=Failures)
 
     def add(self, task: Task, rows: Iterable[Row]) -> None:
         """Add the record of a cell: the rows that are there, or that could be run."""
         setting = Setting(self.bench, task, self.sizes)
         found = {}
         for row in rows:
-            try:
-                record = self._row(setting, row)
-            except SvuError as error:
-                self._fail(f"{task.title} ({task.group}): {row.label}", error)
-                continue
-            if record is not None:
-                found[row.label] = record
+            title = f"{task.title} ({task.group}): {row.label}"
+            with self.failures.leave_out(title):
+                measure = partial(setting.measure, row)
+                record = self.recall(setting.store, row.slug, setting.key(row), title, measure)
+                if record is not None:
+                    found[row.label] = record
         if found:
             head = next(iter(found.values()))["cell"]
-            self.record["cells"].append({**head, "rows": found})
+            self.cells.append({**head, "rows": found})
 
-    def _row(self, setting: Setting, row: Row) -> Record | None:
-        record = None
-        if not self.bench.fresh:
-            record = setting.stored(row, any_version=self.options.any_version)
-        if record is not None or self.options.stored:
+    def recall(
+        self, store: Store, name: str, key: str, title: str, measure: Callable[[], Record]
+    ) -> Record | None:
+        """Return a finished record that may be taken up, or measure; None if that is not asked for.
+
+        Args:
+            store: where records are kept.
+            name: of the record.
+            key: of its settings, whatever the version of the code.
+            title: of what is done.
+            measure: what is done.
+        """
+        record = None if self.bench.fresh else store.load(name, key)
+        if record is not None and (self.options.any_version or record["code"] == code_now()):
             return record
-        title = f"{setting.task.title} ({setting.task.group}): {row.label}"
+        if self.options.stored:
+            return None
         with self.bench.progress.stage(title):
-            return setting.measure(row)
-
-    def _fail(self, what: str, error: SvuError) -> None:
-        self.first = self.first or error
-        self.record["failed"].append({"cell": what, "reason": str(error)})
-        warnings.warn(f"{what} is left out: {error}", SvuWarning, stacklevel=2)
+            return store.save(name, key, {"code": code_now(), **measure()})
 
 
-def _costs(bench: Bench, cell: Cell, sizes: Sizes, options: Options) -> Record | None:
-    store, key = Store(bench.folder / PLACE), key_of(cell.name, asdict(sizes))
-    record = None
-    if not bench.fresh:
-        record = take_up(store, "costs", key, any_version=options.any_version)
-    if record is not None or options.stored:
-        return record
-    with bench.progress.stage("Timing single steps"):
-        found = measure_costs(bench, cell, sizes)
-        return store.save("costs", key, {"code": code_now(), **found})
+def code_now() -> str:
+    """Return a digest of the code and the machine."""
+    return key_of(*code_and_machine())

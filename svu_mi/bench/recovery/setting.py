@@ -7,15 +7,13 @@ from functools import cached_property
 from typing import Any
 
 from svu_mi.bench.accuracy import Bench
-from svu_mi.bench.captures import some_views
+from svu_mi.bench.captures import some_views, uneven_views
 from svu_mi.bench.recovery.cells import Task
-from svu_mi.bench.recovery.judge import Judge
+from svu_mi.bench.recovery.judge import Judge, Relit
 from svu_mi.bench.recovery.measure import run_warm
-from svu_mi.bench.recovery.relighting import Relit
+from svu_mi.bench.recovery.options import Sizes
 from svu_mi.bench.recovery.rows import Row
-from svu_mi.bench.recovery.sizes import Sizes
-from svu_mi.bench.recovery.views import uneven_views
-from svu_mi.bench.store import Store, code_and_machine, key_of
+from svu_mi.bench.store import Store, key_of
 from svu_mi.capture import Capture
 from svu_mi.recovery.textures import lay_out
 from svu_mi.surface import Texels, texels
@@ -44,22 +42,16 @@ class Setting:
         photographs = (size.views, size.film, size.spp, size.texels, size.seed)
         return key_of(task.group, cell, photographs, asdict(self.sizes), asdict(row))
 
-    def stored(self, row: Row, *, any_version: bool) -> Record | None:
-        """Return a finished record, None if there is none that may be taken up."""
-        return take_up(self.store, row.slug, self.key(row), any_version=any_version)
-
     def measure(self, row: Row) -> Record:
-        """Recover, judge, relight, and keep the figures."""
+        """Recover, judge and relight; return the figures."""
         timed = run_warm(row, self.capture, self.grid, self.sizes)
         textures = timed.recovery.textures
-        record = {
-            "code": code_now(),
+        return {
             "cell": self.head,
             **timed.figures(),
             **self.judge.judge(textures),
             "relit": self.relit.judge(textures),
         }
-        return self.store.save(row.slug, self.key(row), record)
 
     @cached_property
     def capture(self) -> Capture:
@@ -94,16 +86,3 @@ class Setting:
             "relit": task.relit.light, "views": self.capture.count, **self.judge.figures(),
             "truth_relit": self.relit.judge(lay_out(self.grid, self.judge.truth)),
         }  # fmt: skip
-
-
-def code_now() -> str:
-    """Return a digest of the code and the machine."""
-    return key_of(*code_and_machine())
-
-
-def take_up(store: Store, name: str, key: str, *, any_version: bool) -> Record | None:
-    """Return a finished record, of this version of the code or of any; None if there is none."""
-    record = store.load(name, key)
-    if record is None or any_version or record["code"] == code_now():
-        return record
-    return None

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.bench.failures import left_out
 from svu_mi.bench.kernels.bars import bar_table
 from svu_mi.bench.recovery.bars import gain, paired
 from svu_mi.bench.recovery.rows import PATH, PATH_SHARING, ROWS, SH, SH_SHARING, Row
 from svu_mi.bench.text import number, seconds, table
-from svu_mi.recovery.textures import NAMES
+from svu_mi.parameters import NAMES
 
 Record = dict[str, Any]
 TITLES = {
@@ -36,9 +37,7 @@ def recovery_tables(record: Record) -> str:
             parts += [f"## {title}", *_group(group, cells)]
     if record["costs"]:
         parts += ["## Steps", *_costs(record["costs"])]
-    if record["failed"]:
-        rows = [[failed["cell"], failed["reason"]] for failed in record["failed"]]
-        parts += ["## Left out of recovery", table(("cell", "reason"), rows)]
+    parts += left_out("Left out of recovery", record)
     return "\n\n".join(parts)
 
 

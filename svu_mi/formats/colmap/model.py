@@ -231,9 +231,7 @@ def _read_views(path: Path) -> list[View]:
 def _parse_cameras(path: Path) -> dict[int, Camera]:
     cameras = {}
     with _damage_of(path), path.open(encoding="utf-8") as lines:
-        for line in lines:
-            if _is_empty(line):
-                continue
+        for line in filter(_is_told, lines):
             number, model, width, height, *values = _fields(line, CAMERA_FIELDS, -1)
             if model not in PARAMETERS:
                 raise ValueError(f"there is no camera model {model!r}")
@@ -245,9 +243,7 @@ def _parse_cameras(path: Path) -> dict[int, Camera]:
 def _parse_views(path: Path) -> list[View]:
     views = []
     with _damage_of(path), path.open(encoding="utf-8") as lines:
-        for line in lines:
-            if _is_empty(line):
-                continue
+        for line in filter(_is_told, lines):
             _, *fields, camera, name = _fields(line.strip(), VIEW_FIELDS, len(VIEW_FIELDS) - 1)
             if len(name) > LONGEST_NAME:
                 raise ValueError("a name has no end")
@@ -259,8 +255,8 @@ def _parse_views(path: Path) -> list[View]:
     return views
 
 
-def _is_empty(line: str) -> bool:
-    return not line.strip() or line.lstrip().startswith("#")
+def _is_told(line: str) -> bool:
+    return not line.lstrip().startswith("#") and not line.isspace()
 
 
 def _fields(line: str, names: Sequence[str], splits: int) -> list[str]:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from svu_mi.capture.poses import affine
 from svu_mi.errors import CaptureError, OutputError
 from svu_mi.files import copy_file, prepare_folder
 from svu_mi.formats.colmap.model import Camera, View, is_model, write_model
@@ -49,11 +50,7 @@ def read_colmap(path: Path, *, images: Path | None = None, masks: Path | None = 
             size=(camera.width, camera.height),
         ))  # fmt: skip
     return Source(
-        format="colmap",
-        root=path,
-        frames=frames,
-        camera_axes=OPENCV,
-        notes=list(_notes(project)),
+        format="colmap", root=path, frames=frames, camera_axes=OPENCV, notes=list(_notes(project))
     )
 
 
@@ -107,10 +104,7 @@ def _pinhole(camera: Camera, label: str) -> tuple[tuple[float, float], tuple[flo
 def _to_world(view: View) -> np.ndarray:
     w, x, y, z = view.rotation
     rotation = Rotation.from_quat([x, y, z, w]).as_matrix()
-    camera_to_world = np.eye(4)
-    camera_to_world[:3, :3] = rotation.T
-    camera_to_world[:3, 3] = -rotation.T @ view.translation
-    return camera_to_world @ OPENCV
+    return affine(rotation.T, -rotation.T @ view.translation) @ OPENCV
 
 
 def _view(name: str, camera: int, to_world: np.ndarray) -> View:

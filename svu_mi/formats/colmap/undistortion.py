@@ -19,7 +19,7 @@ import numpy as np
 from PIL import Image
 
 from svu_mi.capture.images import read_mask
-from svu_mi.capture.picture import read_planes
+from svu_mi.capture.picture import quantized, read_planes
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 from svu_mi.files import prepare_folder, replacing_folder
 from svu_mi.formats.colmap.model import Camera, View, read_model, write_model
@@ -97,7 +97,7 @@ def _checked(camera: Camera, file: Path, mask: Path | None) -> np.ndarray | None
         )
     if mask is not None:
         given = read_mask(mask, (height, width)).astype(np.float32)
-    return None if given is None else np.round(255 * np.clip(given, 0, 1)).astype(np.uint8)
+    return None if given is None else quantized(given)
 
 
 def _straightened(

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.output.overview import Result, known, words
 from svu_mi.output.page import grouped
+from svu_mi.output.result import Result, known, words
 
 CERTAIN, OPEN = 1 / 3, 2 / 3  # entropies that bound what is certain, and what is open
 STEEP = 0.5  # mean sine of elevation from which a part of the surface faces up, or down

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from svu_mi.output import views
 from svu_mi.output.figures import GUTTER, map_colors
-from svu_mi.output.overview import COLORMAP, VIEWS_COLORMAP, Result, open_axes, words
 from svu_mi.output.page import THUMBNAIL, Picture, drawing, grouped, percent
 from svu_mi.output.page import photograph as embedded
 from svu_mi.output.report.findings import why_left_out
 from svu_mi.output.report.turntable import Turntable
-from svu_mi.recovery.textures import NAMES
+from svu_mi.output.result import Result, open_axes, words
+from svu_mi.output.style import COLORMAP, VIEWS_COLORMAP
+from svu_mi.parameters import NAMES
+from svu_mi.recovery.textures import Textures
 from svu_mi.surface.gutter import dilate
-
-if TYPE_CHECKING:
-    from svu_mi.recovery.textures import Textures
 
 SHOWN = 60  # photographs in a report; of more, every other, or fewer
 FIRST = 12  # of them that are shown without asking

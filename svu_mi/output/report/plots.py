@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.output import views
 from svu_mi.output.figures import cell_edges
-from svu_mi.output.overview import Result, mean_marginals, open_axes, words
 from svu_mi.output.page import NARROW_SPACE, Picture, drawing, grouped
 from svu_mi.output.page import photograph as embedded
 from svu_mi.output.plots import Plot, plot
@@ -17,10 +17,9 @@ from svu_mi.output.relit import SIDE as LARGE
 from svu_mi.output.relit import Comparison, explain
 from svu_mi.output.report.pictures import hexadecimal, spread
 from svu_mi.output.report.turntable import Turntable
-from svu_mi.recovery.textures import CHANNELS, NAMES, Textures, lay_out
-
-if TYPE_CHECKING:
-    from svu_mi.capture import Capture
+from svu_mi.output.result import Result, mean_marginals, open_axes, words
+from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.recovery.textures import Textures, lay_out
 
 BINS = 25  # of the histogram
 TOPS = (0.2, 0.3, 0.5, 1.0)  # of axes of probability

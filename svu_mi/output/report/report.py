@@ -7,22 +7,21 @@ import datetime
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 import svu_mi
+from svu_mi.capture import Capture
 from svu_mi.output.manifest import environment_record
-from svu_mi.output.overview import Result, known, open_axes, words
 from svu_mi.output.page import NARROW_SPACE, grouped, percent, write_page
 from svu_mi.output.relit import DIFFERENCE_COLORMAP, WORST
 from svu_mi.output.report import findings, pictures, plots
 from svu_mi.output.report.turntable import Turntable
-
-if TYPE_CHECKING:
-    from svu_mi.capture import Capture
-    from svu_mi.pipeline import Estimate
-    from svu_mi.recovery.textures import Textures
+from svu_mi.output.result import Result, known, open_axes, words
+from svu_mi.pipeline import Estimate
+from svu_mi.progress import Stage
+from svu_mi.recovery.textures import Textures
 
 TEMPLATE = "report.html"
 FRAMES, SIDE = 12, 400  # of the turntable; pixels
@@ -57,29 +56,26 @@ def write_report(
     Raises:
         OutputError: the file cannot be written.
     """
-    done = iter(range(1, 6))
-
-    def step() -> None:
-        if progress is not None:
-            progress(next(done), 5)
-
+    report = progress or Stage().update
+    today = datetime.date.today()
     warnings = [_within(capture.source, sentence) for sentence in capture.warnings]
     result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
     shown, left_out = pictures.thumbnails(capture, estimate)
-    step()
+    report(1, 5)
     frames = pictures.turning(table, estimate)
-    step()
+    report(2, 5)
     maps = pictures.entropy_maps(table, estimate, result)
     if result.seen.any():
         maps += pictures.parameter_maps(table, estimate)
     recovered = [] if textures is None else pictures.texture_maps(table, estimate, textures)
-    step()
+    report(3, 5)
     examples = plots.examples(table, estimate, result, [frame[0] for frame in frames])
-    step()
+    report(4, 5)
     errors = _errors(capture, estimate, result, textures)
     write_page(
         path, TEMPLATE,
-        title=title or _name(capture), version=svu_mi.__version__, date=_today(),
+        title=title or _name(capture), version=svu_mi.__version__,
+        date=f"{today.day} {today:%B %Y}",
         summary=_summary(capture, estimate, result, table), thumbnails=shown, left_out=left_out,
         count=capture.count, used=sum(capture.used), frames=frames, maps=maps, recovered=recovered,
         histogram=plots.histogram(result),
@@ -90,7 +86,7 @@ def write_report(
         warnings=warnings[:WARNINGS], more_warnings=warnings[WARNINGS:],
         **_record(capture, estimate, settings),
     )  # fmt: skip
-    step()
+    report(5, 5)
 
 
 def _errors(
@@ -184,8 +180,3 @@ def _within(folder: Path | None, sentence: str) -> str:
 
 def _name(capture: Any) -> str:
     return capture.source.resolve().name if capture.source else str(capture.shape.id())
-
-
-def _today() -> str:
-    today = datetime.date.today()
-    return f"{today.day} {today:%B %Y}"

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from svu_mi.capture import Capture
+from svu_mi.capture.picture import quantized
 from svu_mi.capture.poses import film_size, focal_length, principal_point
 from svu_mi.capture.scene import to_world
 from svu_mi.formats.source import OPENCV
 from svu_mi.output import views
-
-if TYPE_CHECKING:
-    from svu_mi.capture import Capture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +55,7 @@ def frustum(capture: Capture, view: int, side: int) -> Frustum:
     x, y = principal_point(sensor)
     half = np.array([max(x, width - x), max(y, height - y)])  # of the widened picture
     screen = views.tone_mapped(capture.images[view], capture.masks[view])
-    small = Image.fromarray((255 * screen + 0.5).astype(np.uint8))
+    small = Image.fromarray(quantized(screen))
     small.thumbnail((side, side))
     scale = np.array(small.size) / (width, height)
     before = np.rint((half - (x, y)) * scale).astype(int)

@@ -14,8 +14,7 @@ import numpy as np
 from PIL import Image
 
 from svu_mi.capture import mesh as meshes
-from svu_mi.capture.picture import decoded
-from svu_mi.metrics.images import srgb
+from svu_mi.capture.picture import decoded, quantized, srgb
 
 GAIN = 4.0  # light by which a texture is multiplied: white needs more than a texture can hold
 EXPOSURE = 0.6
@@ -56,8 +55,7 @@ def model(mesh: Any, colors: np.ndarray) -> bytes:
 
 def material_colors(colors: np.ndarray) -> np.ndarray:
     """Return uint8 colours of a rough material that under the light appears in screen colours."""
-    stored = srgb(before_tone_mapping(decoded(colors)))
-    return np.rint(255 * stored).astype(np.uint8)
+    return quantized(srgb(before_tone_mapping(decoded(colors))))
 
 
 def before_tone_mapping(linear: np.ndarray) -> np.ndarray:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.output.figures import TRUTH, draw_marginal
-from svu_mi.output.overview import INK, open_axes, words
+from svu_mi.output.result import open_axes, words
+from svu_mi.output.style import INK, new_figure
+from svu_mi.output.viewer.picking import Pick
 from svu_mi.output.viewer.surface_maps import Scale
-
-if TYPE_CHECKING:
-    from svu_mi.capture import Capture
-    from svu_mi.output.viewer.picking import Pick
-    from svu_mi.pipeline import Estimate
-    from svu_mi.recovery.textures import Textures
+from svu_mi.pipeline import Estimate
+from svu_mi.recovery.textures import Textures
 
 WIDTH, DPI = 3.6, 160  # inches
 NAMED = 4  # cameras that are named; the others are counted
@@ -53,7 +52,7 @@ def draw_pick(estimate: Estimate, pick: Pick, recovered: Textures | None = None)
         (h, w, 3) uint8.
     """
     names = list(open_axes(estimate))
-    figure = _figure(1.25 * len(names))
+    figure = new_figure(WIDTH, 1.25 * len(names), DPI, layout="constrained")
     for row, name in enumerate(names, 1):
         axes = figure.add_subplot(len(names), 1, row)
         draw_marginal(axes, estimate.posterior, pick.texel, name)
@@ -75,7 +74,7 @@ def draw_scale(scale: Scale | None) -> np.ndarray:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
-    figure = _figure(0.55)
+    figure = new_figure(WIDTH, 0.55, DPI, layout="constrained")
     bar = figure.colorbar(
         ScalarMappable(Normalize(0, scale.high), scale.colormap),
         cax=figure.add_subplot(), orientation="horizontal",
@@ -84,15 +83,6 @@ def draw_scale(scale: Scale | None) -> np.ndarray:
     bar.set_label(scale.label, size=9, color=INK)
     bar.ax.tick_params(labelsize=8, labelcolor=INK, length=3)
     return _pixels(figure)
-
-
-def _figure(height: float) -> Any:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(WIDTH, height), dpi=DPI, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
 
 
 def _pixels(figure: Any) -> np.ndarray:

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
 from svu_mi.interop import owned
 from svu_mi.output import views
+from svu_mi.pipeline import Estimate
+from svu_mi.surface import Texels
 from svu_mi.surface.gutter import dilate
-
-if TYPE_CHECKING:
-    from svu_mi.capture import Capture
-    from svu_mi.pipeline import Estimate
-    from svu_mi.surface import Texels
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from svu_mi.output import views
-from svu_mi.output.overview import COLORMAP, UNSEEN, VIEWS_COLORMAP, open_axes, words
+from svu_mi.output.figures import map_colors
+from svu_mi.output.result import open_axes, words
+from svu_mi.output.style import COLORMAP, GREY, UNSEEN, VIEWS_COLORMAP
+from svu_mi.pipeline import Estimate
+from svu_mi.recovery.textures import Textures
 from svu_mi.surface.gutter import dilate
-
-if TYPE_CHECKING:
-    from svu_mi.pipeline import Estimate
-    from svu_mi.recovery.textures import Textures
-
-GREY = "gray"
-COLOR = "base_color"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,30 +90,24 @@ def _best(estimate: Estimate, name: str, scale: Scale) -> SurfaceMap:
     values = np.array(estimate.posterior.map()[name])
     if values.ndim == 1:
         return _numbers(estimate, lambda: values, scale)
-    return SurfaceMap(colors=_spread(estimate, views.srgb(values)), scale=None)  # R, G and B
+    colors = views.srgb(values)  # R, G and B
+    colors[np.array(estimate.coverage) == 0] = UNSEEN
+    image = dilate(estimate.texels.to_image(colors), estimate.texels.inside(), np.inf)
+    return SurfaceMap(colors=image, scale=None)
 
 
 def _numbers(estimate: Estimate, values: Callable[[], Any], scale: Scale) -> SurfaceMap:
     """One number per texel; of one per colour channel, the mean."""
-    from matplotlib import colormaps
-
     numbers = np.array(values(), np.float64)
     numbers = numbers.reshape(len(numbers), -1).mean(axis=1)
-    colors = colormaps[scale.colormap](numbers / scale.high)[:, :3]
-    return SurfaceMap(colors=_spread(estimate, colors), scale=scale)
-
-
-def _spread(estimate: Estimate, colors: np.ndarray) -> np.ndarray:
-    """Lay (T, 3) colours out, with what no view sees in grey, until they reach everywhere."""
-    colors = np.array(colors, np.float32)
-    colors[np.array(estimate.coverage) == 0] = UNSEEN
-    image = estimate.texels.to_image(colors)
-    return dilate(image, estimate.texels.inside(), float(np.hypot(*image.shape[:2])))
+    limits = (0, scale.high)
+    colors = map_colors(estimate, numbers, limits=limits, colormap=scale.colormap, gutter=np.inf)
+    return SurfaceMap(colors=colors, scale=scale)
 
 
 def _recovered(name: str, tensor: Any) -> SurfaceMap:
     image = np.clip(np.array(tensor, np.float32), 0, 1)
-    if name == COLOR:
+    if name == "base_color":
         return SurfaceMap(colors=views.srgb(image), scale=None)
     scale = Scale(colormap=GREY, high=1, label=words(name))
     return SurfaceMap(colors=np.repeat(image, 3, axis=2), scale=scale)

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import queue
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.capture.poses import bounding_sphere
 from svu_mi.metrics.images import srgb
 from svu_mi.output.page import percent
@@ -22,11 +23,8 @@ from svu_mi.output.viewer.panels import draw_pick, draw_scale, says
 from svu_mi.output.viewer.picking import Pick, Picker
 from svu_mi.output.viewer.serving import require_viser, serve, stop
 from svu_mi.output.viewer.surface_maps import SurfaceMap, surface_maps
-
-if TYPE_CHECKING:
-    from svu_mi.capture import Capture
-    from svu_mi.pipeline import Estimate
-    from svu_mi.recovery.textures import Textures
+from svu_mi.pipeline import Estimate
+from svu_mi.recovery.textures import Textures
 
 HOME = (2.2, 1.2, 0.8)  # in front, to the right and above, in radii: the first look at the object
 NOWHERE = "anywhere"

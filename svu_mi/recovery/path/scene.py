@@ -12,7 +12,8 @@ import mitsuba as mi
 from svu_mi.capture import Capture
 from svu_mi.capture.repaint import repaint
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.recovery.textures import CHANNELS, NAMES, Textures
+from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.recovery.textures import Textures
 
 
 @dataclass(frozen=True)

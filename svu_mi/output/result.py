@@ -1,0 +1,82 @@
+"""What an estimate says, as NumPy arrays and words for pages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+CERTAIN_PART = 0.1  # the most certain texels, whose marginals are shown beside the mean
+SAMPLE = 4_000  # texels that a mean marginal is taken over
+
+
+@dataclass(frozen=True)
+class Result:
+    """NumPy copies of what is drawn.
+
+    Attributes:
+        entropy: (T,) in [0, 1].
+        coverage: (T,) number of views.
+        seen: (T,) bool.
+        inside: (H, W) bool, True in the charts.
+        unseen: (H, W) bool, True in texels that no view sees.
+    """
+
+    entropy: np.ndarray
+    coverage: np.ndarray
+    seen: np.ndarray
+    inside: np.ndarray
+    unseen: np.ndarray
+
+    @classmethod
+    def of(cls, estimate: Any) -> Result:
+        """Copy what an estimate says."""
+        coverage = np.array(estimate.coverage).astype(np.int64)
+        texels, seen = estimate.texels, coverage > 0
+        return cls(
+            entropy=np.array(estimate.entropy, np.float32),
+            coverage=coverage,
+            seen=seen,
+            inside=texels.to_image(np.ones(texels.count, bool), False),
+            unseen=texels.to_image(~seen, False),
+        )
+
+
+def words(name: str) -> str:
+    """Return a parameter's name as it is said: base colour, roughness, ..."""
+    return name.replace("_", " ").replace("color", "colour")
+
+
+def open_axes(estimate: Any) -> dict[str, np.ndarray]:
+    """Return the nodes of the parameters that are in question, by name."""
+    return {name: nodes for name, nodes in estimate.posterior.axes.items() if len(nodes) > 1}
+
+
+def known(estimate: Any) -> dict[str, float]:
+    """Return the parameters of an estimate that were not in question, by name."""
+    axes = estimate.posterior.axes.items()
+    return {name: float(nodes[0]) for name, nodes in axes if len(nodes) == 1}
+
+
+def mean_marginals(estimate: Any, result: Result, name: str) -> dict[bool, np.ndarray]:
+    """Return mean marginals of a parameter, if any texel is seen.
+
+    Args:
+        estimate: the ``Estimate``.
+        result: what it says.
+        name: of the parameter.
+
+    Returns:
+        (nodes, 1), or (nodes, 3) where channels differ: over all texels seen (False), and over
+        the most certain of them (True).
+    """
+    limit = np.quantile(result.entropy[result.seen], CERTAIN_PART)
+
+    def mean(of: np.ndarray) -> np.ndarray:
+        every = np.flatnonzero(of)
+        some = every[:: max(len(every) // SAMPLE, 1)]
+        p = np.array(estimate.posterior.marginal(name, some), np.float64)
+        return p.reshape(len(some), p.shape[1], -1).mean(axis=0)
+
+    return {True: mean(result.seen & (result.entropy <= limit)), False: mean(result.seen)}
