@@ -57,7 +57,7 @@ def angular_forecast(
     growth: float = 0.0, prior: np.ndarray | None = None, hypotheses: int = 4096,
 ) -> tuple[AngularForecast, np.ndarray, np.ndarray]:  # fmt: skip
     """A forecast of random lobes; its table and posteriors."""
-    table = rng.gamma(1.0, 1.5, (views, count, 1 + 3 * grid.shape[0])).astype(np.float32)
+    table = rng.gamma(1.0, 1.5, (views, count, 1 + 4 * grid.shape[0])).astype(np.float32)
     table[..., 0] = rng.uniform(0.05, 1.0, (views, count))
     table *= rng.random((views, count, 1)) < 0.6
     p = posteriors(rng, count, int(np.prod(grid.shape)))
@@ -72,7 +72,7 @@ def angular_forecast(
 
 def angular_oracle(table, p, grid, views, texel, **options):
     seen = [v for v in views if table[v, texel, 0] > 0]
-    lobes = table[seen, texel, 1:].reshape(len(seen), -1, 3)
+    lobes = table[seen, texel, 1:].reshape(len(seen), -1, 4)
     r = oracle.radiances(lobes, grid.axes["metallic"], grid.axes["base_color"])
     prior = options.pop("prior", None)
     d = oracle.angular_distances(r, **options)
@@ -130,7 +130,7 @@ class TestAngular:
                 seen = [v for v in views if table[v, t, 0] > 0]
                 if np.isnan(got) or not seen:
                     continue
-                lobes = table[seen, t, 1:].reshape(len(seen), -1, 3)
+                lobes = table[seen, t, 1:].reshape(len(seen), -1, 4)
                 r = oracle.radiances(lobes, grid.axes["metallic"], grid.axes["base_color"])
                 d = oracle.angular_distances(r, cosines=table[seen, t, 0])
                 exact = oracle.expected_error(p[t], d, values, np.array(present))
@@ -142,7 +142,7 @@ class TestAngular:
         rng, grid = np.random.default_rng(3), GRIDS["cube"]
         forecast, table, p = angular_forecast(rng, 4, 5, grid)
         blinding = dataclasses.replace(forecast, responses=responses_of(
-            np.where(np.arange(13) > 0, 1e6, 1) * table.astype(np.float32)))  # fmt: skip
+            np.where(np.arange(17) > 0, 1e6, 1) * table.astype(np.float32)))  # fmt: skip
         found = blinding.expected(np.arange(3), np.array([3]), np.arange(5))
         seen = table[3, :, 0] > 0
         # Everything is told apart, but for cells that are the same whatever the light.
@@ -377,18 +377,18 @@ class TestBaselines:
 
     def test_jacobians_are_slopes_of_radiance(self):
         rng, grid = np.random.default_rng(2), PrincipledGrid(9, 5, 6)
-        table = np.empty((3, 4, 28), np.float32)
+        table = np.empty((3, 4, 37), np.float32)
         # Lobes that are linear in roughness: neighbouring levels tell the slope exactly.
-        start, slope = rng.random((3, 4, 3)), rng.random((3, 4, 3))
+        start, slope = rng.random((3, 4, 4)), rng.random((3, 4, 4))
         table[..., 0] = rng.random((3, 4))
         for k, roughness in enumerate(grid.roughness_nodes):
-            table[..., 1 + 3 * k : 4 + 3 * k] = start + roughness * slope
+            table[..., 1 + 4 * k : 5 + 4 * k] = start + roughness * slope
         cells = np.array([0, 77, 140, 269])
         found = baselines.jacobians(table, grid, cells)
 
         def radiance(t, roughness, m, c):
-            e, p, q = np.moveaxis(start[:, t] + roughness * slope[:, t], -1, 0)
-            return (1 - m) * c * e + (0.04 * (1 - m) + m * c) * p + q
+            e, p, q, d = np.moveaxis(start[:, t] + roughness * slope[:, t], -1, 0)
+            return (1 - m) * (c * e + d) + m * (c * p + q)
 
         for t, cell in enumerate(cells):
             x = np.array([n[i] for n, i in zip(grid.axes.values(),

@@ -16,7 +16,9 @@ from svu_mi.capture.block import allocate, in_one_block
 from svu_mi.capture.poses import describe, film_size, make_sensor, sphere_sensors
 from svu_mi.capture.scene import load_scene
 from svu_mi.errors import CaptureError
-from svu_mi.visibility import pack_views
+from svu_mi.surface import texels
+from svu_mi.visibility import Surface, observe, pack_views
+from svu_mi.visibility.observe import as_channels
 from svu_mi.visibility.silhouette import MIN_COSINE, SLOPE_MARGIN
 
 WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
@@ -139,19 +141,24 @@ def test_a_camera_that_looks_away_has_no_pixels(tmp_path):
     assert views.grey  # nothing says otherwise
 
 
-# --- one channel ----------------------------------------------------------------------------
+# --- colour ---------------------------------------------------------------------------------
 
 
-def test_one_channel_is_the_mean_where_a_pixel_is_usable(tmp_path):
+def test_photographs_are_packed_in_colour(tmp_path):
+    """Whoever needs one channel averages three; where a pixel is usable, it is finite."""
     scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
     capture = capture_of(scene, sphere_sensors(scene.shapes()[0], 3, (40, 30)))
-    three, one = pack_views(capture), pack_views(capture, channels=1)
-    usable = three.usable.numpy()
-    assert (three.channels, one.channels) == (3, 1)
-    np.testing.assert_array_equal(usable, one.usable.numpy())
-    np.testing.assert_array_equal(usable, np.isfinite(one.pixels.numpy()))
-    mean = three.pixels.numpy().reshape(-1, 3).mean(axis=1, dtype=np.float64)
-    np.testing.assert_allclose(one.pixels.numpy()[usable], mean[usable], rtol=3e-7)
+    views = pack_views(capture)
+    exact = np.concatenate([image.reshape(-1, 3) for image in capture.images])
+    np.testing.assert_array_equal(views.pixels.numpy().reshape(-1, 3), exact)
+    assert np.isfinite(exact[views.usable.numpy()]).all()
+    surface = Surface.of(texels(capture.mesh, 16))
+    seen = observe(views, surface, mi.UInt32(1))
+    (mean,) = as_channels(seen.radiance, 1)
+    assert seen.seen.numpy().any()
+    three = seen.radiance.numpy().mean(axis=0, dtype=np.float64)
+    np.testing.assert_allclose(mean.numpy(), three, rtol=3e-7)
+    assert all(x is y for x, y in zip(as_channels(seen.radiance, 3), seen.radiance, strict=True))
 
 
 @pytest.mark.parametrize(("change", "grey"), [(0.0, True), (5e-7, True), (3e-6, False)])
@@ -207,8 +214,7 @@ def test_one_photograph_for_two_cameras_is_judged_twice(tmp_path):
     np.testing.assert_array_equal(pack_views(capture).usable.numpy(), expected_usable(capture))
 
 
-@pytest.mark.parametrize("channels", [3, 1])
-def test_no_kernel_for_another_scene_film_or_number_of_views(tmp_path, channels):
+def test_no_kernel_for_another_scene_film_or_number_of_views(tmp_path):
     for run, (number, size) in enumerate(((3, (24, 24)), (7, (40, 31)), (2, (100, 8)))):
         path = tmp_path / str(run)
         path.mkdir()
@@ -217,7 +223,7 @@ def test_no_kernel_for_another_scene_film_or_number_of_views(tmp_path, channels)
         capture = capture_of(scene, sphere_sensors(scene.shapes()[0], number, size))
         dr.sync_thread()
         compiled = sum(dr.detail.launch_stats()[1:])  # looked for on disk, or compiled
-        pack_views(capture, channels)
+        pack_views(capture)
         if run:
             assert sum(dr.detail.launch_stats()[1:]) == compiled
 

@@ -2,17 +2,79 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from svu_mi.bench.oracle import energies as energies
 from svu_mi.bench.oracle import joint as joint
 from svu_mi.bench.oracle import mean_entropy as mean_entropy
-from svu_mi.bench.oracle import mean_squared_error as mean_squared_error
 from svu_mi.bench.oracle import of_channels as of_channels
-from svu_mi.bench.oracle import principled_errors as principled_errors
-from svu_mi.bench.oracle import specular_errors as specular_errors
+
+# --- the model, and its errors of every cell (e, p, q, d) -------------------------------------
+
+
+def modelled(columns: Sequence[np.ndarray], c, m) -> np.ndarray:
+    """Radiance of a dielectric and a metal, mixed: r = (1 - m) (c e + d) + m (c p + q)."""
+    e, p, q, d = columns
+    return (1 - m) * (c * e + d) + m * (c * p + q)
+
+
+def mean_squared_error(
+    w: np.ndarray, columns: Sequence[np.ndarray], b: np.ndarray, c: float, m: float
+) -> float:
+    """1/n sum w (b - r)^2 over n samples; 0 without any."""
+    return float((w * (b - modelled(columns, c, m)) ** 2).sum() / max(len(w), 1))
+
+
+def principled_errors(
+    w: np.ndarray, columns: Sequence[np.ndarray], b: np.ndarray,
+    metallic: np.ndarray, base_color: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """Errors on the (roughness, metallic, base_color) grid.
+
+    Args:
+        w: (V,) weights.
+        columns: e, p, q and d, (R, V) each.
+        b: (V,) radiance.
+        metallic: (M,) nodes.
+        base_color: (K,) nodes.
+    """
+    levels = len(columns[0])
+    result = np.zeros((levels, len(metallic), len(base_color)))
+    for r, j, k in np.ndindex(result.shape):
+        level = [column[r] for column in columns]
+        result[r, j, k] = mean_squared_error(w, level, b, base_color[k], metallic[j])
+    return result
+
+
+def specular_errors(
+    w: np.ndarray, columns: Sequence[np.ndarray], b: np.ndarray, specular: np.ndarray
+) -> np.ndarray:
+    """Errors on the (roughness, Ks) grid, each with the Kd in [0, 1] that fits best.
+
+    r = Kd e + Ks p + q: what a metal's lobe is for its base colour, any lobe is for R0 (Eq. 6).
+    """
+    e, p, q, _ = columns
+    result = np.zeros((len(e), len(specular)))
+    for r, j in np.ndindex(result.shape):
+        rest = b - specular[j] * p[r] - q[r]
+        square = (w * e[r] ** 2).sum()
+        # A parabola in Kd: its lowest point, or the end of [0, 1] that is nearer to it.
+        Kd = np.clip((w * e[r] * rest).sum() / square, 0, 1) if square > 0 else 0.0
+        result[r, j] = (w * (rest - Kd * e[r]) ** 2).sum() / max(len(w), 1)
+    return result
+
+
+# --- sums over views ------------------------------------------------------------------------
+
+
+def products(w: np.ndarray, columns: Sequence[np.ndarray], b: np.ndarray) -> np.ndarray:
+    """(10, ...) sums over the last axis of w x y of (e, p, q - d, d - b), pair by pair."""
+    e, p, q, d = columns
+    x = (e, p, q - d, d - b)
+    return np.stack([(w * x[i] * x[j]).sum(axis=-1) for i in range(4) for j in range(i, 4)])
+
 
 # --- lobes ----------------------------------------------------------------------------------
 
@@ -26,6 +88,46 @@ def g1(cosine, alpha):
 def ggx(cosine, alpha):
     """GGX's distribution of normals, normalised: its integral with the cosine is 1."""
     return alpha**2 / (np.pi * (cosine**2 * (alpha**2 - 1) + 1) ** 2)
+
+
+def fresnel(cosine, index: float = 1.5):
+    """Unpolarised reflectance of a dielectric, by Snell's law and the angles of both sides."""
+    outside = np.arccos(np.clip(cosine, 0, 1))
+    inside = np.arcsin(np.sin(outside) / index)
+    s = (cosine - index * np.cos(inside)) / (cosine + index * np.cos(inside))
+    p = (index * cosine - np.cos(inside)) / (index * cosine + np.cos(inside))
+    return (s**2 + p**2) / 2
+
+
+def blurred(cosine, alpha, square):
+    """GGX of a squared width that grows by alpha^2 rho^2 / (4 s), the first order of the average
+    over a disk of radius rho, s = sin^2 + alpha^2 cos^2."""
+    s = 1 - cosine**2 + alpha**2 * cosine**2
+    wider = alpha**2 * (1 + square / (4 * s))
+    return wider / (np.pi * (cosine**2 * (wider - 1) + 1) ** 2)
+
+
+def reflected(toward, flux, radius, o, n, alpha: float) -> np.ndarray:
+    """(3, C) p, q and d of light from small disks: D G1(i) G1(o) F / (4 cos_o), summed.
+
+    A metal of base colour c reflects c p + q, Schlick's Fresnel term; a dielectric d.
+
+    Args:
+        toward: (N, 3) unit directions to the light.
+        flux: (N, C), radiance times solid angle.
+        radius: (N,) of the disks.
+        o: unit direction to the camera.
+        n: unit normal.
+        alpha: width of the lobe.
+    """
+    above = toward @ n > 0
+    toward, flux, square = toward[above], flux[above], radius[above] ** 2
+    half = toward + o
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    along = np.clip(half @ o, 0, 1)
+    lobe = blurred(half @ n, alpha, square) * g1(toward @ n, alpha) * g1(o @ n, alpha) / (4 * o @ n)
+    schlick = (1 - along) ** 5
+    return np.stack([(lobe * part) @ flux for part in (1 - schlick, schlick, fresnel(along))])
 
 
 def lobe(kind: str, alpha: float, angle: np.ndarray) -> np.ndarray:

@@ -30,24 +30,21 @@ def expected(
     )
 
 
-def radiances(
-    lobes: np.ndarray, metallic: np.ndarray, base_color: np.ndarray, f0: float = 0.04
-) -> np.ndarray:
-    """r of every cell in every view, (V, R * M * C): Kd e + R0 p + q.
+def radiances(lobes: np.ndarray, metallic: np.ndarray, base_color: np.ndarray) -> np.ndarray:
+    """r of every cell in every view, (V, R * M * C): (1 - m) (c e + d) + m (c p + q).
 
     Args:
-        lobes: (V, R, 3) of e, p, q.
+        lobes: (V, R, 4) of e, p, q, d.
         metallic: (M,) nodes.
         base_color: (C,) nodes.
-        f0: reflectance of a dielectric.
     """
     views, levels, _ = lobes.shape
     cells = []
     for k in range(levels):
         for m in metallic:
             for c in base_color:
-                e, p, q = lobes[:, k].T
-                cells.append((1 - m) * c * e + (f0 * (1 - m) + m * c) * p + q)
+                e, p, q, d = lobes[:, k].T
+                cells.append((1 - m) * (c * e + d) + m * (c * p + q))
     return np.stack(cells, axis=1).reshape(views, -1)
 
 
