@@ -118,8 +118,8 @@ def test_work_is_really_left_out(grey):
         estimate(capture, texels, "angular", switches, prior=prior, skip=skip).posterior.problem
         for skip in (Skip(), NOTHING)
     )
-    assert (few.statistics.levels, few.statistics.channels) == (2, 1)
-    assert (all_of_it.statistics.levels, all_of_it.statistics.channels) == (8, 3)
+    assert (few.factors.levels, few.factors.channels) == (2, 1)
+    assert (all_of_it.factors.levels, all_of_it.factors.channels) == (8, 3)
     assert few.total == all_of_it.total == 512
 
 

@@ -156,26 +156,38 @@ def mean_squared_error(
     return float((w * (b - (Kd * e + R0 * p + q)) ** 2).sum() / max(len(w), 1))
 
 
+def model_error(
+    w: np.ndarray, e: np.ndarray, p: np.ndarray, q: np.ndarray, d: np.ndarray, b: np.ndarray,
+    metallic: float, base_color: float,
+) -> float:  # fmt: skip
+    """1/n sum w (b - r)^2, r = (1 - m) (c e + d) + m (c p + q), over n samples; 0 without any."""
+    w, e, p, q, d, b = (np.asarray(x, np.float64) for x in (w, e, p, q, d, b))
+    r = (1 - metallic) * (base_color * e + d) + metallic * (base_color * p + q)
+    return float((w * (b - r) ** 2).sum() / max(len(w), 1))
+
+
 def principled_errors(
-    w: np.ndarray, e: np.ndarray, p: np.ndarray, q: np.ndarray, b: np.ndarray,
+    w: np.ndarray, e: np.ndarray, p: np.ndarray, q: np.ndarray, d: np.ndarray, b: np.ndarray,
     metallic: np.ndarray, base_color: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
     """Errors on the (roughness, metallic, base_color) grid.
 
     Args:
         w: (V,) weights.
-        e: (R, V) diffuse shading by roughness; p and q alike.
-        p: part of the lobe that R0 scales.
+        e: (R, V) diffuse shading by roughness; p, q and d alike.
+        p: part of a metal's lobe that base colour scales.
         q: part that Fresnel adds.
+        d: lobe of a dielectric.
         b: (V,) radiance.
         metallic: (M,) nodes.
         base_color: (S,) nodes.
     """
-    d = np.zeros((len(e), len(metallic), len(base_color)))
-    for r, j, k in itertools.product(*(range(n) for n in d.shape)):
-        m, c = metallic[j], base_color[k]
-        d[r, j, k] = mean_squared_error(w, e[r], p[r], q[r], b, (1 - m) * c, F0 + (c - F0) * m)
-    return d
+    errors = np.zeros((len(e), len(metallic), len(base_color)))
+    for r, j, k in itertools.product(*(range(n) for n in errors.shape)):
+        errors[r, j, k] = model_error(
+            w, e[r], p[r], q[r], d[r], b, metallic[j], base_color[k]
+        )
+    return errors
 
 
 def specular_errors(

@@ -18,9 +18,9 @@ from svu_mi.bench.cold import run_cold
 from svu_mi.bench.store import Store
 from svu_mi.bench.variants import Variant
 from svu_mi.capture import Capture
+from svu_mi.observed import observe
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.surface import Texels, texels
-from svu_mi.visibility import Surface, pack_views, survey
 
 DEGREES = (2, 3, 4, 5, 6, 8)
 NODES = (4, 6, 8, 12, 16, 24, 32)
@@ -223,8 +223,7 @@ def brute_force(bench: Bench, cell: Cell) -> dict[str, Any]:
             sample = bench.reference(
                 capture, grid, method="brute", spp=spp, grid=few, seed=seed, cache=None
             )
-    found = survey(pack_views(capture), Surface.of(grid))
-    pairs = int(found.coverage.numpy().sum(dtype=np.int64))
+    pairs = int(observe(capture, grid).coverage.sum(dtype=np.int64))
     rate = sample.rays / sample.seconds
     return {
         "sample_rays": sample.rays,

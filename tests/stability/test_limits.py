@@ -70,8 +70,8 @@ def test_radiance_out_of_range_is_refused(method, power, capture, tmp_path):
 def test_no_radiance_makes_the_marginal_rule_nan(gain, scale):
     """What no roughness explains is a square: 0 times infinity, and infinity less infinity."""
     switches = svu.preset("default", method="angular", noise="marginal")
-    w, b, e, p, q = angular.samples(7, 1)
-    statistics = angular.statistics_of((w, gain * b, e, p, q))
+    w, b, *light = angular.samples(7, 1)
+    statistics = angular.statistics_of((w, gain * b, *light))
     H = np.array(svu.angular_posterior(statistics, None, scale, switches).entropy())
     assert ((H >= 0) & (H <= 1)).all()
 

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.angular import Statistics
 from svu_mi.bench.fresh import in_new_process
 from svu_mi.bench.kernels import exact
 from svu_mi.bench.kernels.bars import Bar
@@ -28,6 +28,9 @@ from svu_mi.posterior import (
     spectrum_posterior,
 )
 from svu_mi.reflection.lobes import split_sum
+from svu_mi.statistics import Factors
+from svu_mi.statistics.blocks import in_blocks
+from svu_mi.statistics.factors import FLOOR, PAIRS
 
 DEGREE = 6
 CHECKED = 2000  # texels that are compared with double precision
@@ -234,34 +237,39 @@ def _spectrum_truth(
 def _of_statistics(
     rng: np.random.Generator, case: Case, texels: int, checked: np.ndarray
 ) -> Problem:
-    """The quadratic of every roughness, as ``angular.gather`` leaves it; sigma counts as 1."""
-    levels, shape = case.grid.roughness, (case.grid.roughness, texels)
+    """The factors of every roughness, as ``Statistics`` leave them; sigma counts as 1."""
+    shape = case.grid.roughness, texels
     brightness = 10 ** rng.uniform(-1.5, 1, texels)
-    u_ee, u_pp = rng.uniform(0.3, 1, shape), rng.uniform(0.01, 0.5, shape)
-    u_ep = rng.uniform(0, 1, shape)
-    Kd, R0 = rng.random(texels), rng.random(texels)
-    z_e = u_ee * Kd + u_ep * R0 + 0.05 * rng.normal(size=shape)
-    z_p = u_pp * R0 + 0.05 * rng.normal(size=shape)
-    floor = (brightness * rng.uniform(0, 0.3, shape)) ** 2
-    roots = [brightness * field for field in (u_ee, u_ep, u_pp, z_e, z_p)]
-    fields = np.stack([*roots, floor], axis=1).astype(np.float32)
-    statistics = Statistics(
-        values=owned(mi.Float, np.concatenate([fields.ravel(), np.zeros(texels, np.float32)])),
-        views=owned(mi.UInt32, np.full(texels, 20)),
-        levels=levels, channels=1, count=texels,
+    u = dict.fromkeys(PAIRS, np.zeros(shape))
+    for column, smallest, largest in ((0, 0.3, 1), (1, 0.01, 0.5), (2, 0.01, 0.3)):
+        u[column, column] = rng.uniform(smallest, largest, shape)
+    u[0, 1], u[0, 2], u[1, 2] = rng.uniform(0, 1, shape), *rng.uniform(-0.3, 0.3, (2, *shape))
+    c, m = rng.random((2, texels))
+    for row in range(3):
+        model = sum(u[row, k] * x for k, x in enumerate(((1 - m) * c, m * c, m)) if k >= row)
+        u[row, 3] = 0.05 * rng.normal(size=shape) - model
+    u[3, 3] = rng.uniform(0, 0.3, shape)
+    fields = brightness * np.stack([u[pair] for pair in PAIRS], axis=1)
+    fields[:, FLOOR] **= 2
+    fields = fields.astype(np.float32)
+    views = np.full((1, texels), 20)
+    values = np.concatenate([fields.reshape(-1, texels), 0 * views, views])
+    factors = Factors(
+        values=in_blocks(mi.Float, values), views=owned(mi.UInt32, views[0]),
+        texel=dr.arange(mi.UInt32, texels), roughness=case.grid.roughness_nodes, channels=1,
     )  # fmt: skip
-    posterior = angular_posterior(statistics, case.grid, 1.0, case.switches)
+    posterior = angular_posterior(factors, case.grid, 1.0, case.switches)
     some = fields[:, :, checked].astype(np.float64)
     axes, sigma = posterior.axes, case.switches.sigma
     return Problem(posterior, checked, lambda: _angular_truth(axes, some, sigma))
 
 
 def _angular_truth(axes: dict[str, np.ndarray], fields: np.ndarray, sigma: float) -> np.ndarray:
-    """Entropy (T,) of |U (Kd, R0)^T - z|^2 + floor, fields (levels, 6, T)."""
-    # (levels, 6, T) -> 6 x (T, levels, 1, 1), for cells (metallic, base colour).
-    parts = fields.transpose(1, 2, 0)[..., None, None]
-    u_ee, u_ep, u_pp, z_e, z_p, floor = parts
+    """Entropy (T,) of |U (c (1 - m), c m, m, 1)|^2, fields (levels, 10, T)."""
+    # (levels, 10, T) -> 10 x (T, levels, 1, 1), for cells (metallic, base colour).
+    u = dict(zip(PAIRS, fields.transpose(1, 2, 0)[..., None, None], strict=True))
     m, c = axes["metallic"][:, None], axes["base_color"]
-    Kd, R0 = (1 - m) * c, F0 * (1 - m) + m * c
-    d = (u_ee * Kd + u_ep * R0 - z_e) ** 2 + (u_pp * R0 - z_p) ** 2 + floor
+    x = c * (1 - m), c * m, m, 1
+    rows = [sum(u[row, k] * x[k] for k in range(row, 4)) for row in range(3)]
+    d = sum(row**2 for row in rows) + u[3, 3]
     return exact.shared_entropy(d / (2 * sigma**2))

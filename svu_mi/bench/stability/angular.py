@@ -7,23 +7,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 
-from svu_mi.angular import Statistics
 from svu_mi.bench.stability.cases import Axis, Case, Found, entropies, exposures
 from svu_mi.bench.stability.exact import Grid, U, angular_entropy
-from svu_mi.interop import owned
 from svu_mi.options import AngularPreset, preset
 from svu_mi.posterior import ParameterGrid, PrincipledGrid, angular_posterior
+from svu_mi.statistics import Statistics
+from svu_mi.statistics.factors import PAIRS
 
 TEXELS = 4
 SCALE = 0.7
 KS = ParameterGrid(8, 8, "dielectric")
 PRINCIPLED = PrincipledGrid(8, 8, 8)
 
-Samples = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""w (T, V), b (T, C, V), and e, p, q (T, R, C, V)."""
+Samples = tuple[np.ndarray, ...]
+"""w (T, V), b (T, C, V), and e, p, q, d (T, R, C, V)."""
 
 
 def samples(
@@ -39,41 +38,37 @@ def samples(
         views: V.
         texels: T.
         noise: of the photographs, a part of their radiance.
-        truth: (level, Kd, R0) of all texels; random ones by default.
+        truth: (level, metallic, base colour) of all texels; random ones by default.
     """
     rng = np.random.default_rng(seed)
     e = rng.random((texels, 1, channels, 1)) * (0.8 + 0.4 * rng.random((texels, levels, 1, views)))
     s = rng.exponential(size=(texels, levels, channels, views))
     f = 0.3 * rng.random((texels, 1, 1, views))
-    p, q = s * (1 - f), s * f
-    level, (Kd, R0) = rng.integers(0, levels, texels), rng.random((2, texels, channels, 1))
+    p, q, d = s * (1 - f), s * f, s * (0.04 + f * rng.random((texels, 1, 1, views)))
+    level, m, c = rng.integers(0, levels, texels), *rng.random((2, texels, channels, 1))
+    m = m[:, :1]
     if truth is not None:
-        level[:], Kd[:], R0[:] = truth
+        level[:], m[:], c[:] = truth
     own = np.arange(texels), level
-    b = (Kd * e[own] + R0 * p[own] + q[own]) * np.exp(noise * rng.normal(size=(texels, 1, views)))
-    return np.ones((texels, views)), b, e, p, q
+    b = (1 - m) * (c * e[own] + d[own]) + m * (c * p[own] + q[own])
+    b *= np.exp(noise * rng.normal(size=(texels, 1, views)))
+    return np.ones((texels, views)), b, e, p, q, d
 
 
 def statistics_of(data: Samples, counts: np.ndarray | None = None) -> Statistics:
-    """What ``angular.gather`` keeps of samples, by a QR factorisation of each texel's."""
-    w, b, e, p, q = data
-    texels, levels, channels, views = e.shape
-    root = np.sqrt(w / max(views, 1))[:, None, None, :, None]
-    columns = np.stack([e, p, b[:, None] - q], axis=-1) * root
-    padded = np.concatenate([columns, np.zeros((texels, levels, channels, 3, 3))], axis=-2)
-    factor: Any = np.linalg.qr(padded, mode="r")
-    R = factor * np.where(np.diagonal(factor, axis1=-2, axis2=-1) < 0, -1, 1)[..., None]
-    fields = [R[..., 0, 0], R[..., 0, 1], R[..., 1, 1], R[..., 0, 2], R[..., 1, 2],
-              R[..., 2, 2] ** 2]  # fmt: skip
-    factors = np.moveaxis(np.stack(fields, axis=-1), 0, -1)  # (R, C, 6, T)
-    least = factors[:, :, 5].min(axis=0)
-    factors[:, :, 5] -= least
-    values = np.concatenate([factors.ravel(), least.ravel()]).astype(np.float32)
+    """What ``gather`` keeps of samples.
+
+    Args:
+        data: the samples.
+        counts: (T,) how many views each texel is to have that show the same as these on average.
+    """
+    w, b, e, p, q, d = data
+    texels, levels, _, views = e.shape
     seen = np.full(texels, views) if counts is None else counts
-    return Statistics(
-        values=owned(mi.Float, values), views=owned(mi.UInt32, seen.astype(np.uint32)),
-        levels=levels, channels=channels, count=texels,
-    )  # fmt: skip
+    w = w * seen[:, None] / max(views, 1)
+    columns = e, p, q - d, d - b[:, None]
+    sums = [np.einsum("tv,trcv,trcv->rct", w, columns[i], columns[j]) for i, j in PAIRS]
+    return Statistics.of(np.stack(sums, axis=2), w.sum(axis=1), seen, np.linspace(0, 1, levels))
 
 
 def posterior_error(
@@ -81,10 +76,10 @@ def posterior_error(
     prior: np.ndarray | None = None,
 ) -> Found:  # fmt: skip
     """Entropy of every texel against double precision from its samples."""
-    w, b, e, p, q = data
+    w, b, e, p, q, d = data
     found = angular_posterior(statistics_of(data), grid, scale, switches, prior=prior)
     truth = [
-        angular_entropy(w[t], e[t], p[t], q[t], b[t], switches, grid, scale, prior)
+        angular_entropy(w[t], e[t], p[t], q[t], d[t], b[t], switches, grid, scale, prior)
         for t in range(len(w))
     ]
     bounds = np.array([x.bound for x in truth])
@@ -126,24 +121,24 @@ def _rules(_: Path, quick: bool) -> Iterator[Case]:
 
 def _radiance(_: Path, quick: bool) -> Iterator[Case]:
     for name, switches, grid in rules(quick):
-        w, b, e, p, q = samples(20029, switches.colors)
+        w, b, e, p, q, d = samples(20029, switches.colors)
         bright, sun = b.copy(), one_bright_view(p)
         bright[..., 4] = 1e5
         changed: dict[str, Samples] = {
-            "black photographs": (w, 0 * b, e, p, q),
-            "a highlight of 1e5": (w, bright, e, p, q),
-            "a sun of 1e5": (w, b, e, sun * p, sun * q),
-            "a sun in light and photographs": (w, bright, e, sun * p, sun * q),
-            "no light": (w, b, 0 * e, 0 * p, 0 * q),
-            "no diffuse light": (w, b, 0 * e, p, q),
-            "no specular light": (w, b, e, 0 * p, 0 * q),
-            "constant light": (w, 0 * b + 0.5, 0 * e + 1, 0 * p + 1, 0 * q),
+            "black photographs": (w, 0 * b, e, p, q, d),
+            "a highlight of 1e5": (w, bright, e, p, q, d),
+            "a sun of 1e5": (w, b, e, sun * p, sun * q, sun * d),
+            "a sun in light and photographs": (w, bright, e, sun * p, sun * q, sun * d),
+            "no light": (w, b, 0 * e, 0 * p, 0 * q, 0 * d),
+            "no diffuse light": (w, b, 0 * e, p, q, d),
+            "no specular light": (w, b, e, 0 * p, 0 * q, 0 * d),
+            "constant light": (w, 0 * b + 0.5, 0 * e + 1, 0 * p + 1, 0 * q, 0 * d + 0.04),
         }
         for what, data in changed.items():
             yield f"{name}: {what}", partial(posterior_error, data, switches, grid)
         for power in (-6, 6) if quick else (-6, -3, 3, 6):
             gain = 10.0**power
-            data = (w, gain * b, gain * e, gain * p, gain * q)
+            data = exposed((w, b, e, p, q, d), gain)
             yield (
                 f"{name}: radiance times 1e{power}",
                 partial(posterior_error, data, switches, grid, SCALE * gain),
@@ -157,15 +152,20 @@ def one_bright_view(p: np.ndarray) -> np.ndarray:
     return gains
 
 
+def exposed(data: Samples, gain: float) -> Samples:
+    """Light and photographs times a gain."""
+    w, *radiance = data
+    return w, *(gain * x for x in radiance)
+
+
 def _exposure(_: Path, quick: bool) -> Iterator[Case]:
     return exposures(rules(quick), _exposed, quick)
 
 
 def _exposed(switches: AngularPreset, grid: Grid, power: int) -> Found:
-    w, b, e, p, q = samples(20047, switches.colors)
     H = []
     for gain in (1.0, 2.0**power):
-        data = (w, gain * b, gain * e, gain * p, gain * q)
+        data = exposed(samples(20047, switches.colors), gain)
         found = angular_posterior(statistics_of(data), grid, SCALE * gain, switches)
         H.append(np.array(found.entropy(), np.float64))
     return entropies(H[1], H[0], 4 * U)

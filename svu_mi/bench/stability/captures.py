@@ -12,21 +12,18 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.angular import reflection
 from svu_mi.bench import oracle
 from svu_mi.bench.stability.exact import SPECTRUM, Exact, angular_entropy, spectrum_entropy
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.poses import make_sensor
-from svu_mi.light import Lighting, light, light_cells
+from svu_mi.interop import owned
+from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, Preset
 from svu_mi.pipeline import Estimate
-from svu_mi.reflection.narrow import terms
 from svu_mi.scenes import meshes
-from svu_mi.surface import Texels
-from svu_mi.visibility import Surface, Views, observe, pack_views
-from svu_mi.visibility.hemisphere import as_channels, hemisphere
-from svu_mi.visibility.observe import Observation
+from svu_mi.visibility import Observation, Surface, Views, observe
+from svu_mi.visibility.observe import as_channels
 
 METAL = {"metallic": 1.0, "roughness": 0.3, "base_color": 0.8}
 DISTANCE = 4.0  # of a camera from the middle of the ball, in radii
@@ -149,94 +146,84 @@ def ball(**changes: Any) -> Ball:
 # --- the same estimate in double precision, from samples that are kept ----------------------
 
 
-@dataclass(frozen=True)
-class _Setting:
-    """What both methods look at."""
-
-    views: Views
-    surface: Surface
-    lighting: Lighting
-
-
-def exact(capture: Capture, texels: Texels, found: Estimate, chosen: np.ndarray) -> list[Exact]:
+def exact(found: Estimate, chosen: np.ndarray) -> list[Exact]:
     """What the entropy of chosen texels is, in double precision from single samples on.
 
     Args:
-        capture: the capture.
-        texels: its texels.
-        found: the estimate, for its switches and grid.
+        found: the estimate, which knows its capture.
         chosen: (t,) indices of texels that are seen.
     """
-    setting = _Setting(pack_views(capture), Surface.of(texels), light(capture, sum(capture.used)))
     if isinstance(found.preset, AngularPreset):
-        return _exact_angles(setting, found, chosen)
-    return _exact_spectra(setting, found, chosen)
+        return _exact_angles(found, chosen)
+    return _exact_spectra(found, chosen)
 
 
-def _exact_angles(setting: _Setting, found: Estimate, chosen: np.ndarray) -> list[Exact]:
+def _exact_angles(found: Estimate, chosen: np.ndarray) -> list[Exact]:
     grid: Any = found.posterior.grid
     switches: Any = found.preset
-    views, surface = setting.views, setting.surface
-    model = reflection(views.scene, surface, setting.lighting, grid.roughness_nodes, switches)
-    columns: list[Any] = []
-    for view in range(views.number):
-        seen = observe(views, surface, dr.opaque(mi.UInt32, view))
-        _, free = _mirror(views, surface, seen)
-        part = terms(model, mi.Vector3f(surface.normal), seen.direction,
-                     dr.maximum(seen.cosine, 1e-3), free)  # fmt: skip
+    observed: Any = found.observed
+    model = observed.model(grid.roughness_nodes, switches, switches.colors, chosen)
+    fields: list[Any] = []
+    for view in range(observed.views.number):
+        seen = observe(observed.views, model.surface, dr.opaque(mi.UInt32, view))
+        free = mi.Bool(True)
+        if switches.traced and switches.occluded:
+            free = _mirror(observed.views, model.surface, seen)[1]
+        columns = model.columns(seen.direction, dr.maximum(seen.cosine, 1e-3), free)
         radiance = as_channels(seen.radiance, model.channels)
-        dr.eval(seen, radiance, part.diffuse, part.scaled, part.added)
-        fields = [_table(table, surface.count)[..., chosen]
-                  for table in (part.diffuse, part.scaled, part.added)]  # fmt: skip
-        columns.append((seen.seen.numpy()[chosen], _table([radiance], surface.count)[0][:, chosen],
-                        *fields))  # fmt: skip
-    on, b, e, p, q = map(_last, zip(*columns, strict=True))
-    scale = _unit(found)
-    weights = np.ones((len(chosen), views.number))
+        dr.eval(seen, radiance, columns)
+        parts = np.stack([_table(level, len(chosen)) for level in columns])  # (R, C, 4, t)
+        fields.append((seen.seen.numpy(), _table([radiance], len(chosen))[0], parts))
+    on, b, parts = (np.stack(column, axis=-1) for column in zip(*fields, strict=True))
+    weights = np.ones(on.shape)
     if switches.noise == "heteroscedastic":
-        weights = 1 / (1 + (b.mean(axis=0) / scale) ** 2)
+        weights = 1 / (1 + (b.mean(axis=0) / observed.unit) ** 2)
     result = []
-    for t in range(len(chosen)):
-        seen = on[t]
-        e_t, p_t, q_t = (x[:, :, t, seen] for x in (e, p, q))
+    for t, seen in enumerate(on):
+        e, p, q, d = np.moveaxis(parts[:, :, :, t, seen], 2, 0)
         result.append(
-            angular_entropy(weights[t, seen], e_t, p_t, q_t, b[:, t, seen], switches, grid, scale)
+            angular_entropy(
+                weights[t, seen], e, p, q, d, b[:, t, seen], switches, grid, observed.unit
+            )
         )
     return result
 
 
-def _exact_spectra(setting: _Setting, found: Estimate, chosen: np.ndarray) -> list[Exact]:
+def _exact_spectra(found: Estimate, chosen: np.ndarray) -> list[Exact]:
     grid: Any = found.posterior.grid
     switches: Any = found.preset
-    views, lighting = setting.views, setting.lighting
-    columns = [
-        [field[chosen] for field in _sample(setting, switches, view)]
-        for view in range(views.number)
-    ]
+    observed: Any = found.observed
+    surface = Surface.of(observed.texels, owned(mi.UInt32, chosen.astype(np.uint32)))
+    columns = [_sample(observed, surface, switches, view) for view in range(observed.views.number)]
     d, w, f = (np.stack(column, axis=1) for column in zip(*columns, strict=True))
     fitted = partial(oracle.fit, lmax=switches.degree, regularizer=switches.regularizer,
                      penalize_constant=switches.penalize_constant)  # fmt: skip
     S = oracle.power(fitted(d, w, f))
     colors = switches.colors
-    E = _irradiance(setting, switches)[chosen] if switches.principled else None
-    unit = _unit(found)
+    E: Any = [None] * len(chosen)
+    if switches.principled:
+        light = observed.irradiance(switches, colors)
+        E = np.stack([value.numpy() for value in light], axis=-1)[observed.lane[chosen]]
+    problem: Any = getattr(found.posterior, "problem")  # noqa: B009 - not of every posterior
+    unit = float(np.array(problem.sigma).ravel()[0]) / switches.sigma  # a mean over all texels
     return [
         spectrum_entropy(
             S[t, :, colors:], S[t, :, :colors], switches, grid, unit,
-            samples=float((w[t] > 0).sum()), irradiance=None if E is None else E[t],
-            prefilter=lighting.prefilter, error=SPECTRUM,
+            samples=float((w[t] > 0).sum()), irradiance=E[t],
+            prefilter=observed.lighting.prefilter, error=SPECTRUM,
         )
         for t in range(len(chosen))
     ]  # fmt: skip
 
 
-def _sample(setting: _Setting, switches: Preset, view: int) -> tuple[np.ndarray, ...]:
-    """Directions (T, 3), cosines (T,), and values (T, 2 C): photographs, then mirrored light."""
-    views, surface = setting.views, setting.surface
-    seen = observe(views, surface, dr.opaque(mi.UInt32, view))
-    mirror, free = _mirror(views, surface, seen)
+def _sample(
+    observed: Observed, surface: Surface, switches: Preset, view: int
+) -> tuple[np.ndarray, ...]:
+    """Directions (t, 3), cosines (t,), and values (t, 2 C): photographs, then mirrored light."""
+    seen = observe(observed.views, surface, dr.opaque(mi.UInt32, view))
+    mirror, free = _mirror(observed.views, surface, seen)
     lit = free if switches.occluded else mi.Bool(True)
-    incoming = dr.select(seen.seen & lit, setting.lighting.radiance(mirror), 0)
+    incoming = dr.select(seen.seen & lit, observed.lighting.radiance(mirror), 0)
     both = [*as_channels(seen.radiance, switches.colors), *as_channels(incoming, switches.colors)]
     dr.eval(seen.direction, seen.cosine, both)
     return seen.direction.numpy().T, seen.cosine.numpy(), _table([both], surface.count)[0].T
@@ -249,25 +236,6 @@ def _mirror(views: Views, surface: Surface, seen: Observation) -> tuple[Any, Any
     origin = surface.position + surface.offset * surface.geometric_normal
     ray = mi.Ray3f(origin, mirror, dr.largest(mi.Float), 0.0, [])
     return mirror, (dr.dot(surface.geometric_normal, mirror) > 0) & ~views.scene.ray_test(ray)
-
-
-def _irradiance(setting: _Setting, switches: Preset) -> np.ndarray:
-    cells = light_cells(setting.lighting.environment, switches.rays)
-    arriving = hemisphere(
-        setting.views.scene, setting.surface, setting.lighting, cells,
-        channels=switches.colors, occluded=switches.occluded, lobes=None,
-    )  # fmt: skip
-    return np.stack([moments[0].numpy() for moments in arriving.diffuse], axis=-1)
-
-
-def _unit(found: Estimate) -> float:
-    """What the estimate took for the unit of a relative sigma: a mean over all its texels."""
-    problem: Any = getattr(found.posterior, "problem")  # noqa: B009 - not of every posterior
-    return float(np.array(problem.sigma).ravel()[0]) / found.preset.sigma
-
-
-def _last(column: tuple[np.ndarray, ...]) -> np.ndarray:
-    return np.stack(column, axis=-1)
 
 
 def _table(rows: Any, count: int) -> np.ndarray:

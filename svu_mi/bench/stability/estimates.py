@@ -32,10 +32,9 @@ def agrees(
     taken: Taken, method: Method, switches: str | AnyPreset = "default", every: int = 9
 ) -> Found:
     """Entropy of one in ``every`` texels against double precision from their samples on."""
-    capture = taken()
-    found = run(capture, method, switches)
+    found = run(taken(), method, switches)
     chosen = np.flatnonzero(np.array(found.coverage) > 0)[::every]
-    truth = exact(capture, found.texels, found, chosen)
+    truth = exact(found, chosen)
     H = np.array(found.entropy, np.float64)
     errors = np.abs(H[chosen] - [x.entropy for x in truth])
     return Found(errors, np.array([x.bound for x in truth]), H)

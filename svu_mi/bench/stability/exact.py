@@ -131,16 +131,17 @@ def spectrum_entropy(
 
 
 def angular_entropy(
-    w: np.ndarray, e: np.ndarray, p: np.ndarray, q: np.ndarray, b: np.ndarray,
+    w: np.ndarray, e: np.ndarray, p: np.ndarray, q: np.ndarray, d: np.ndarray, b: np.ndarray,
     switches: AngularPreset, grid: Grid, scale: float, prior: np.ndarray | None = None,
 ) -> Exact:  # fmt: skip
     """Entropy of one texel from its samples (Eq. 3 to 6).
 
     Args:
         w: (V,) weights of the views that see it.
-        e: (R, C, V) diffuse shading; p, q alike: what R0 scales, and what Fresnel adds.
-        p: see e.
-        q: see e.
+        e: (R, C, V) diffuse shading; p, q and d alike.
+        p: part of a metal's lobe that its colour, or Ks, scales.
+        q: part that Fresnel adds.
+        d: lobe of a dielectric.
         b: (C, V) radiance.
         switches: the preset.
         grid: (roughness, Ks), or principled parameters.
@@ -151,15 +152,16 @@ def angular_entropy(
     views = len(w) if switches.noise == "marginal" else None
     x, dx = [], []
     for c in range(b.shape[0]):
-        samples = (w, e[:, c], p[:, c], q[:, c], b[c])
+        samples = (w, e[:, c], p[:, c], q[:, c])
         if isinstance(grid, PrincipledGrid):
-            d = oracle.principled_errors(*samples, grid.metallic_nodes, grid.base_color_nodes)
+            nodes = grid.metallic_nodes, grid.base_color_nodes
+            errors = oracle.principled_errors(*samples, d[:, c], b[c], *nodes)
         else:
-            d = oracle.specular_errors(*samples, grid.specular_nodes)
-        size = np.sqrt((w * (b[c] ** 2 + (e[:, c] + p[:, c] + q[:, c]) ** 2)).mean(axis=1).max())
-        root = ROOT * size
-        dx.append(_of_energy(d, 2 * np.sqrt(d) * root + root**2, sigma, views))
-        x.append(oracle.energies(d, sigma, views))
+            errors = oracle.specular_errors(*samples, b[c], grid.specular_nodes)
+        columns = e[:, c] + p[:, c] + np.abs(q[:, c] - d[:, c])
+        root = ROOT * np.sqrt((w * (b[c] ** 2 + columns**2)).mean(axis=1).max())
+        dx.append(_of_energy(errors, 2 * np.sqrt(errors) * root + root**2, sigma, views))
+        x.append(oracle.energies(errors, sigma, views))
     return exact_entropy(x, dx, prior)
 
 
