@@ -101,6 +101,7 @@ class Recover(Photographed):
             )
 
     def _run(self, progress: Progress, checkpoint: Path) -> None:
+        from svu_mi.observed import observe
         from svu_mi.output.recovery import write_recovery
         from svu_mi.pipeline import estimate
         from svu_mi.recovery.recover import recover
@@ -108,12 +109,13 @@ class Recover(Photographed):
         options = self._options()  # refused before any work
         capture, texels = self.load(progress, again=self.resume)
         initial = self._initial(texels)
+        seen = observe(capture, texels, progress)
         recovery = recover(
-            capture, texels, self.method, self.preset, sharing=self.sharing, tv=self.tv,
+            seen, None, self.method, self.preset, sharing=self.sharing, tv=self.tv,
             parameters=self.parameters, start=initial, checkpoint=checkpoint, resume=self.resume,
             checkpoint_seconds=self.checkpoint_seconds, progress=progress, **options,
         )  # fmt: skip
-        known = estimate(capture, texels, progress=progress) if self.sharing else None
+        known = estimate(seen, progress=progress) if self.sharing else None
         with progress.stage("Writing the results") as stage:
             write_recovery(
                 capture, recovery, self.output, estimate=known, settings=given(self),

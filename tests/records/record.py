@@ -21,6 +21,7 @@ import json
 import statistics
 import subprocess
 import time
+from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -65,11 +66,12 @@ def main() -> None:
     save(asked.output, record)
 
 
-def cells_of(data: Path | None, work: Path) -> list[Any]:
-    """Return our own 12 cells, and the 24 of a folder of data."""
+def cells_of(data: Path | None, work: Path, objects: Sequence[str] = ()) -> list[Any]:
+    """Return our own 12 cells, and the 24 of a folder of data, or those of other objects there."""
     from svu_mi.bench.cells import data_cells, own_cells
 
-    theirs = data_cells(data, work, OBJECTS, LIGHTS) if data else ()
+    chosen = [name for name in objects or OBJECTS if name not in ("vase", "knot")]
+    theirs = data_cells(data, work, chosen, LIGHTS) if data else ()
     return [*own_cells(), *theirs]
 
 
