@@ -80,9 +80,8 @@ class Sky:
 
     def reflected(self, directions: np.ndarray, matrix: np.ndarray) -> np.ndarray:
         """Return (L, S, 3), the light under lobes around directions (S, 3) of the mesh's frame."""
-        x, y, z = (directions @ (matrix.T @ self.to_local).T).T
-        row = np.rint(np.arccos(np.clip(y, -1, 1)) / np.pi * (ROWS - 1)).astype(int)
-        column = (np.arctan2(x, -z) / (2 * np.pi) % 1 * 2 * ROWS).astype(int) % (2 * ROWS)
+        local = directions @ (matrix.T @ self.to_local).T
+        row, column = env.nearest_node(local, ROWS, 2 * ROWS)
         return self.maps[:, row, column]
 
 

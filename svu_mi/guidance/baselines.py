@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from svu_mi.posterior import PrincipledGrid
-from svu_mi.reflection.principled import F0
 
 
 class Farthest:
@@ -123,7 +122,7 @@ def jacobians(table: np.ndarray, grid: PrincipledGrid, cells: np.ndarray) -> np.
     """Differentiate radiance by roughness, metallic and base colour.
 
     Args:
-        table: (V, T, 1 + 3 R): cos theta, then e, p, q of every roughness level, in radiance
+        table: (V, T, 1 + 4 R): cos theta, then e, p, q, d of every roughness level, in radiance
             over sqrt(2) sigma (guidance/angular.py).
         grid: of the cells.
         cells: (T,) where to differentiate.
@@ -136,17 +135,20 @@ def jacobians(table: np.ndarray, grid: PrincipledGrid, cells: np.ndarray) -> np.
     nodes = list(grid.axes.values())
     level, m, c = cells // (columns * count), cells // count % columns, cells % count
     m, c = nodes[1][m], nodes[2][c]
-    columns_of = np.moveaxis(table[..., 1:].reshape(*table.shape[:2], levels, 3), 2, 0)
-    e, p, q = (columns_of[level, :, np.arange(len(cells)), k].T for k in range(3))
+    columns_of = np.moveaxis(table[..., 1:].reshape(*table.shape[:2], levels, 4), 2, 0)
 
-    def radiance(at: Any) -> np.ndarray:
-        e, p, q = (columns_of[at, :, np.arange(len(cells)), k].T for k in range(3))
-        return (1 - m) * c * e + (F0 * (1 - m) + m * c) * p + q
+    def at(level: Any) -> Any:
+        return (columns_of[level, :, np.arange(len(cells)), k].T for k in range(4))
+
+    def radiance(level: Any) -> np.ndarray:
+        e, p, q, d = at(level)
+        return (1 - m) * (c * e + d) + m * (c * p + q)
 
     low, high = np.maximum(level - 1, 0), np.minimum(level + 1, levels - 1)
     width = np.maximum(nodes[0][high] - nodes[0][low], 1e-6)
     by_roughness = (radiance(high) - radiance(low)) / width
-    by_metallic = (p - e) * c - F0 * p
+    e, p, q, d = at(level)
+    by_metallic = (p - e) * c + q - d
     by_color = (1 - m) * e + m * p
     slopes = np.stack([by_roughness, by_metallic, by_color], axis=-1)
     return np.sqrt(2) * np.where(np.array(grid.shape) > 1, slopes, 0)

@@ -116,6 +116,25 @@ def directions(columns: int, rows: int) -> np.ndarray:
     return np.stack([sin * np.sin(phi), y, -sin * np.cos(phi)], axis=-1)
 
 
+def lat_long(local: Any) -> tuple[Any, Any]:
+    """Return where a lat-long map holds a unit local direction: phi / 2 pi in [0, 1), theta / pi.
+
+    Args:
+        local: a Dr.Jit Vector3f, or NumPy (..., 3).
+    """
+    if dr.is_array_v(local):
+        u = dr.atan2(local.x, -local.z) * dr.inv_two_pi
+        return u - dr.floor(dr.detach(u)), dr.acos(dr.clip(local.y, -1, 1)) * dr.inv_pi
+    x, y, z = np.moveaxis(local, -1, 0)
+    return np.arctan2(x, -z) / (2 * np.pi) % 1, np.arccos(np.clip(y, -1, 1)) / np.pi
+
+
+def nearest_node(local: np.ndarray, rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return row and column of the node of a (rows, columns) map nearest to directions (..., 3)."""
+    u, v = lat_long(local)
+    return np.rint(v * (rows - 1)).astype(int), (u * columns).astype(int) % columns
+
+
 def radiance_from(emitter: Any, world: np.ndarray) -> np.ndarray:
     """Return (N, 3) float64 radiance that an environment emitter sends from directions.
 

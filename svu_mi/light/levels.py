@@ -80,10 +80,7 @@ def resolved(environment: Environment) -> np.ndarray:
         return grid
     rows, columns = grid.shape[:2]
     solid = env.quadrature(rows) * (2 * np.pi / columns)
-    x, y, z = environment.disk_directions.T
-    row = np.rint(np.arccos(np.clip(y, -1, 1)) / np.pi * (rows - 1)).astype(int)
-    azimuth = np.arctan2(x, -z) / (2 * np.pi) % 1
-    column = np.floor(azimuth * columns).astype(int) % columns
+    row, column = env.nearest_node(environment.disk_directions, rows, columns)
     flux = environment.disk_radiance * environment.disk_weights[:, None]
     grid = grid.copy()
     np.add.at(grid, (row, column), flux / solid[row, None])

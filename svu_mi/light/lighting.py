@@ -13,7 +13,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import find_environment
-from svu_mi.light.environment import Environment, read_environment, synthesize
+from svu_mi.light.environment import Environment, lat_long, read_environment, synthesize
 
 MIN_DEGREE, MAX_DEGREE = 24, 64
 COSINE_DEGREE, COSINE_ROWS = 16, 97
@@ -77,9 +77,7 @@ class Lighting:
 
 def look_up(texture: Any, local: Any) -> list[Any]:
     """Look a lat-long map up in a local direction: a Float per channel."""
-    u = dr.atan2(local.x, -local.z) * dr.inv_two_pi
-    u -= dr.floor(u)
-    v = dr.acos(dr.clip(local.y, -1, 1)) * dr.inv_pi
+    u, v = lat_long(local)
     # Rows are on the poles (align-corners), textures have theirs at (j + 0.5) / H.
     rows = dr.opaque(mi.Float, texture.shape[0])  # else a kernel for every size of map
     v = (v * (rows - 1) + 0.5) / rows

@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
+from svu_mi.light.environment import lat_long
 from svu_mi.light.levels import Levels
 
 PADDED = {1: 1, 3: 4}  # floats per node by channels: four are read at once
@@ -51,10 +52,7 @@ class LightStack:
         Returns:
             A Float per channel.
         """
-        local = self.to_local @ mi.Vector3f(direction)
-        u = dr.atan2(local.x, -local.z) * dr.inv_two_pi
-        u -= dr.floor(dr.detach(u))
-        v = dr.acos(dr.clip(local.y, -1, 1)) * dr.inv_pi
+        u, v = lat_long(self.to_local @ mi.Vector3f(direction))
         level = dr.clip(mi.Int32(dr.detach(place)), 0, self.count - 2)
         here, above = (self._at(mi.UInt32(level + step), u, v) for step in (0, 1))
         part = place - level

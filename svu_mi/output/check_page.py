@@ -17,7 +17,7 @@ from svu_mi.checking.record import Check, Finding, Summary
 from svu_mi.checking.silhouettes import outline, silhouettes
 from svu_mi.files import prepare_folder
 from svu_mi.formats.fixes import fixes_named
-from svu_mi.light.environment import read_environment
+from svu_mi.light.environment import nearest_node, read_environment
 from svu_mi.light.levels import resolved
 from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.output.page import THUMBNAIL, Picture, photograph, write_page
@@ -205,9 +205,7 @@ def _panorama(capture: Capture) -> Picture:
         flat * np.sin(azimuth), np.broadcast_to(np.sin(elevation)[:, None], (height, width)),
         flat * np.cos(azimuth),
     ], axis=-1)  # fmt: skip
-    x, y, z = np.moveaxis(local @ frame @ environment.to_local.T, -1, 0)
-    row = np.rint(np.arccos(np.clip(y, -1, 1)) / np.pi * (grid.shape[0] - 1)).astype(int)
-    column = (np.arctan2(x, -z) / (2 * np.pi) % 1 * grid.shape[1]).astype(int) % grid.shape[1]
+    row, column = nearest_node(local @ frame @ environment.to_local.T, *grid.shape[:2])
     picture = tone_mapped(grid[row, column])
     center, _ = bounding_sphere(capture.shape)
     toward = (poses[:, :3, 3] - center) @ frame.T

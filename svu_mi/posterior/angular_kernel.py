@@ -99,7 +99,7 @@ def _row_energies(problem: Problem, lane: Any) -> streaming.RowEnergies:
 
 
 def _cells(problem: Problem, column: Any, entries: list[Any], floor: Any) -> list[Any]:
-    """Mean squared error of every cell of a row, over 2 sigma^2: |U x|^2 (statistics/factors.py)."""
+    """Mean squared error of every cell of a row, over 2 sigma^2: |U x|^2 (``Factors``)."""
     ee, ep, eg, et, pp, pg, pt, gg, gt = entries
     nodes = [mi.Float(node) for node in streaming.cells(problem.cells)]
     if problem.metallic is None:

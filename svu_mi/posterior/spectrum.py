@@ -18,7 +18,7 @@ from svu_mi.posterior import spectrum_kernel as kernel
 from svu_mi.posterior import streaming
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.record import Posterior
-from svu_mi.reflection.lobes import split_sum
+from svu_mi.reflection.lobes import mean_albedo
 from svu_mi.reflection.principled import alpha_from_roughness, unbounded_alpha
 
 DARK = 1e-4  # part of the incident power that counts when nothing at all is reflected
@@ -202,7 +202,7 @@ def _albedo(switches: Preset, grid: ParameterGrid | PrincipledGrid) -> np.ndarra
     """
     if not switches.albedo or isinstance(grid, ParameterGrid):
         return np.ones(grid.shape[0])
-    return split_sum(alpha_from_roughness(grid.roughness_nodes)).sum(axis=2).mean(axis=1)
+    return mean_albedo(alpha_from_roughness(grid.roughness_nodes))
 
 
 def decay(

@@ -26,7 +26,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.posterior import streaming
-from svu_mi.reflection.principled import F0
+from svu_mi.reflection.principled import diffuse_from_principled, specular_from_principled
 
 
 @dataclass(frozen=True)
@@ -137,10 +137,10 @@ def _cells(
     m = streaming.node(mi.Float64, problem.constant.metallic, column)
     seen, diffuse, specular = read
     specular = specular * dr.gather(mi.Float64, problem.constant.albedo, level)
-    R0 = [dr.fma(c, m, F0 * (1 - m)) for c in cells]
+    R0 = [specular_from_principled(c, m) for c in cells]
     energies = []
     for c, R in zip(cells, R0, strict=True):
-        residual = seen - (1 - m) * c * diffuse - R * specular
+        residual = seen - diffuse_from_principled(c, m) * diffuse - R * specular
         energies.append(residual * residual)
     return R0, energies
 

@@ -68,7 +68,7 @@ def nats(z: Any, zx: Any) -> Any:
         z: Z, the sum of exp(-x).
         zx: the sum of exp(-x) x.
     """
-    return dr.log(z) + zx / z
+    return (dr.log if dr.is_array_v(z) else np.log)(z) + zx / z
 
 
 def _combine(groups: list[tuple[Any, list[Any]]]) -> tuple[Any, Any, Any]:

@@ -11,6 +11,7 @@ import numpy as np
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.posterior.record import Posterior, normalized
+from svu_mi.posterior.streaming import nats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,9 +45,9 @@ class TabulatedPosterior(Posterior):
         x = flat - flat.min(axis=1, keepdims=True)
         p = np.exp(-x)
         z = p.sum(axis=1)
-        # H = (log Z + sum p x) / log n; an infinitely unlikely cell adds nothing.
-        mean = np.einsum("tn,tn->t", p, np.minimum(x, 1e4)) / z
-        return owned(mi.Float, np.clip((np.log(z) + mean) / np.log(x.shape[1]), 0, 1))
+        # An infinitely unlikely cell adds nothing.
+        zx = np.einsum("tn,tn->t", p, np.minimum(x, 1e4))
+        return owned(mi.Float, np.clip(nats(z, zx) / np.log(x.shape[1]), 0, 1))
 
     def _tables(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         seen = self.observed[chosen].reshape(-1, *(1,) * len(self.grid.shape))

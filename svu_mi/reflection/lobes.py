@@ -156,6 +156,11 @@ def split_sum(alpha: np.ndarray) -> np.ndarray:
     return np.stack([_albedo(float(a))[:2].T for a in alpha])
 
 
+def mean_albedo(alpha: np.ndarray) -> np.ndarray:
+    """Part of constant light that lobes with R0 = 1 reflect, mean over cos theta_o: (R,)."""
+    return split_sum(alpha).sum(axis=2).mean(axis=1)
+
+
 def dielectric_albedo(alpha: np.ndarray) -> np.ndarray:
     """Directional albedo D of a dielectric's GGX lobe, with exact Fresnel reflectance.
 

@@ -77,7 +77,8 @@ class Bits:
             bits.words.numpy().reshape(-1, max(int(bits.stride[0]), 1)) for bits in (self, other)
         ]
         words = np.concatenate(rows, axis=1)
-        return Bits(owned(mi.UInt32, words.ravel()), dr.opaque(mi.UInt32, words.shape[1]), self.last)
+        stride = dr.opaque(mi.UInt32, words.shape[1])
+        return Bits(owned(mi.UInt32, words.ravel()), stride, self.last)
 
     def test(self, number: Any, lane: Any) -> Any:
         """Return whether bits are set, as a Bool."""

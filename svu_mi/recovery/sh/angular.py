@@ -1,8 +1,9 @@
 """Mean absolute error between photographs and filtered light, over all samples.
 
 The loss of the paper's recovery in the angular domain (Sec. 5.1), for models that look light up
-and trace nothing: every step goes through all views of all texels. Loss and derivatives are summed in the same pass, in one kernel; derivatives
-then reach the textures by one gather per texel, so that no addition is atomic.
+and trace nothing: every step goes through all views of all texels. Loss and derivatives are
+summed in the same pass, in one kernel; derivatives then reach the textures by one gather per
+texel, so that no addition is atomic.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ from svu_mi.interop import owned
 from svu_mi.observed import Observed
 from svu_mi.options import Preset
 from svu_mi.recovery.sh.gradient import look_up
-from svu_mi.reflection.lobes import split_sum
+from svu_mi.reflection.lobes import mean_albedo
 from svu_mi.reflection.principled import (
     alpha_from_roughness,
     diffuse_from_principled,
@@ -189,5 +189,5 @@ def _albedo_table(switches: Preset) -> Any:
     values = np.ones(ALBEDO_LEVELS)
     if switches.albedo:
         alpha = alpha_from_roughness(np.linspace(0, 1, ALBEDO_LEVELS))
-        values = split_sum(alpha).sum(axis=2).mean(axis=1)
+        values = mean_albedo(alpha)
     return owned(mi.Float, values)

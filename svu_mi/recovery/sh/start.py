@@ -15,6 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.posterior.streaming import nats
 from svu_mi.recovery.sh.energy import halves
 from svu_mi.statistics import Factors
 from svu_mi.statistics.gather import Values
@@ -76,9 +77,9 @@ def closed_form(factors: Factors, sigma: Any, samples: float = 1.0) -> Start:
 
     zeros = tuple(mi.Float(0) for _ in range(4 + factors.channels))
     total, *sums = _over_levels(factors, weigh, zeros)
-    x, roughness, metallic, *color = (value / total for value in sums)
     nodes = dr.opaque(mi.Float, factors.levels * METALLIC)
-    entropy = dr.clip((dr.log(total) + x) / dr.log(nodes), 0, 1)
+    entropy = dr.clip(nats(total, sums[0]) / dr.log(nodes), 0, 1)
+    _, roughness, metallic, *color = (value / total for value in sums)
     dr.eval(roughness, metallic, color, variance, least, entropy)
     return Start(color, roughness, metallic, variance, least, entropy)
 
