@@ -148,21 +148,8 @@ def constant_residual(
     return np.sqrt(S_B0) - 2 * Kd * irradiance / np.sqrt(np.pi) - Ks * np.sqrt(S_L0)
 
 
-def mean_squared_error(
-    w: np.ndarray, e: np.ndarray, p: np.ndarray, q: np.ndarray, b: np.ndarray, Kd: float, R0: float
-) -> float:
-    """1/n sum w (b - Kd e - R0 p - q)^2 over n samples; 0 without any."""
-    w, e, p, q, b = (np.asarray(x, np.float64) for x in (w, e, p, q, b))
-    return float((w * (b - (Kd * e + R0 * p + q)) ** 2).sum() / max(len(w), 1))
-
-
-def model_error(
-    w: np.ndarray, e: np.ndarray, p: np.ndarray, q: np.ndarray, d: np.ndarray, b: np.ndarray,
-    metallic: float, base_color: float,
-) -> float:  # fmt: skip
-    """1/n sum w (b - r)^2, r = (1 - m) (c e + d) + m (c p + q), over n samples; 0 without any."""
-    w, e, p, q, d, b = (np.asarray(x, np.float64) for x in (w, e, p, q, d, b))
-    r = (1 - metallic) * (base_color * e + d) + metallic * (base_color * p + q)
+def mean_squared_error(w: np.ndarray, r: np.ndarray, b: np.ndarray) -> float:
+    """1/n sum w (b - r)^2 of n samples; 0 without any."""
     return float((w * (b - r) ** 2).sum() / max(len(w), 1))
 
 
@@ -170,7 +157,7 @@ def principled_errors(
     w: np.ndarray, e: np.ndarray, p: np.ndarray, q: np.ndarray, d: np.ndarray, b: np.ndarray,
     metallic: np.ndarray, base_color: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """Errors on the (roughness, metallic, base_color) grid.
+    """Mean squared errors of r = (1 - m) (c e + d) + m (c p + q) (Eq. 6), in double precision.
 
     Args:
         w: (V,) weights.
@@ -181,12 +168,16 @@ def principled_errors(
         b: (V,) radiance.
         metallic: (M,) nodes.
         base_color: (S,) nodes.
+
+    Returns:
+        (R, M, S).
     """
+    w, e, p, q, d, b = (np.asarray(x, np.float64) for x in (w, e, p, q, d, b))
     errors = np.zeros((len(e), len(metallic), len(base_color)))
     for r, j, k in itertools.product(*(range(n) for n in errors.shape)):
-        errors[r, j, k] = model_error(
-            w, e[r], p[r], q[r], d[r], b, metallic[j], base_color[k]
-        )
+        m, c = metallic[j], base_color[k]
+        modelled = (1 - m) * (c * e[r] + d[r]) + m * (c * p[r] + q[r])
+        errors[r, j, k] = mean_squared_error(w, modelled, b)
     return errors
 
 
@@ -194,13 +185,14 @@ def specular_errors(
     w: np.ndarray, e: np.ndarray, p: np.ndarray, q: np.ndarray, b: np.ndarray, specular: np.ndarray
 ) -> np.ndarray:
     """Errors on the (roughness, Ks) grid, each with the Kd in [0, 1] that fits best."""
+    w, e, p, q, b = (np.asarray(x, np.float64) for x in (w, e, p, q, b))
     d = np.zeros((len(e), len(specular)))
     for r, j in itertools.product(*(range(n) for n in d.shape)):
         rest = b - specular[j] * p[r] - q[r]
         square = (w * e[r] ** 2).sum()
         # A parabola in Kd: its lowest point, or the end of [0, 1] that is nearer to it.
         Kd = np.clip((w * e[r] * rest).sum() / square, 0, 1) if square > 0 else 0.0
-        d[r, j] = mean_squared_error(w, e[r], p[r], q[r], b, Kd, specular[j])
+        d[r, j] = mean_squared_error(w, Kd * e[r], rest)
     return d
 
 

@@ -29,6 +29,7 @@ from svu_mi.light.environment import Environment
 EVEN = (4096, 8192)  # leaves of the light of small and large maps; .06 and .04 rad apart
 FLOOR = 0.05  # weight of a cell without light, in that of the mean cell
 GROUP, LARGEST = 4, 32  # coarse cells that are judged together: on average, and at most
+RING = 6  # cells around the middle of a sun's disk
 DIM = 0.25  # part of the mean fine cell's flux below which a cell is not worth a ray of its own
 
 
@@ -128,6 +129,23 @@ def light_cells(environment: Environment, coarse: int, fine: int) -> LightCells:
         group_count=dr.opaque(mi.UInt32, len(edges) - 1),
         bright=owned(mi.UInt32, (grey > DIM * grey.mean()).astype(np.uint32)),
     )
+
+
+def disk_cells(environment: Environment) -> Cells | None:
+    """Gather a sun's disk into a few cells, for lobes that are as narrow; None without one."""
+    if not len(environment.disk_weights):
+        return None
+    flux = environment.disk_radiance * environment.disk_weights[:, None]
+    light = flux.sum(axis=1, keepdims=True)
+    middle = environment.disk_directions.T @ environment.disk_weights
+    offset = environment.disk_directions - middle / np.linalg.norm(middle)
+    side = np.linalg.svd(offset, full_matrices=False)[2]
+    away, angle = np.linalg.norm(offset, axis=1), np.arctan2(offset @ side[1], offset @ side[0])
+    # One cell in the middle, and a ring around it, of equal areas.
+    ring = ((angle / (2 * np.pi) + 0.5) * RING).astype(int) % RING
+    label = np.where(away <= away.max() / np.sqrt(RING + 1), RING, ring)
+    pull = _sum(label, environment.disk_directions * light, RING + 1)
+    return _cells(_sum(label, flux, RING + 1), pull, environment)
 
 
 def _edges(owner: np.ndarray) -> np.ndarray:

@@ -48,7 +48,7 @@ class Levels:
 
 def filter_light(
     lighting: Lighting, widths: Sequence[float], profile: Callable[[float, np.ndarray], np.ndarray],
-    grey: bool = False,
+    grey: bool = False, disk: bool = True,
 ) -> Levels:
     """Convolve the light with a lobe of every width; what was asked for before is kept.
 
@@ -57,12 +57,14 @@ def filter_light(
         widths: R widths alpha.
         profile: weight of a lobe of width alpha by the cosine from its centre, any scale.
         grey: filter the mean of the channels only.
+        disk: with a sun's disk, which a map resolves no better than its nodes are apart.
     """
     kept = lighting.lobes
-    keys = [(float(width), profile, grey) for width in widths]
+    keys = [(float(width), profile, grey, disk) for width in widths]
     missing = [key for key in keys if key not in kept]
     if missing:
-        grid = resolved(lighting.environment)
+        environment = lighting.environment
+        grid = resolved(environment) if disk else environment.radiance
         grid = grid.mean(axis=2, keepdims=True) if grey else grid
         with ThreadPoolExecutor() as pool:  # NumPy lets go of the interpreter in what takes long
             maps = pool.map(lambda key: convolve(grid, key[0], partial(profile, key[0])), missing)

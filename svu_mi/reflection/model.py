@@ -73,7 +73,9 @@ class Model:
         split = len(alpha) if reach is None else int(np.searchsorted(alpha, NARROW, "right"))
         narrow, wide = None, None
         if split > 0:
-            narrow = NarrowLobes.of(lighting, alpha[:split], switches, channels)
+            narrow = NarrowLobes.of(
+                lighting, alpha[:split], switches, channels, disk=reach is None
+            )
         if reach is not None and split < len(alpha):
             wide = WideLobes(reach, alpha[split:], channels)
         if reach is None:

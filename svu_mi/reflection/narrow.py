@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
+from svu_mi.light.cells import Cells, disk_cells
 from svu_mi.light.levels import Levels, filter_light
 from svu_mi.light.lighting import Lighting
 from svu_mi.options import AngularPreset
@@ -26,7 +27,7 @@ from svu_mi.reflection.lobes import (
     reflected_at_view,
     split_sum,
 )
-from svu_mi.reflection.wide import Lobe
+from svu_mi.reflection.wide import Lobe, Sums
 from svu_mi.visibility.observe import mirror_direction
 
 
@@ -40,6 +41,7 @@ class NarrowLobes:
         levels: light filtered for each.
         albedo: (K * ALBEDO_NODES * 2,) Float, the split-sum pair.
         dielectric: (K * ALBEDO_NODES,) Float, the albedo with exact dielectric reflectance.
+        sun: cells of a sun's disk that is not part of the filtered light, or None.
     """
 
     switches: AngularPreset
@@ -47,11 +49,13 @@ class NarrowLobes:
     levels: Levels
     albedo: Any
     dielectric: Any
+    sun: Cells | None = None
 
     @staticmethod
     def of(
-        lighting: Lighting, alpha: np.ndarray, switches: AngularPreset, channels: int
-    ) -> NarrowLobes:
+        lighting: Lighting, alpha: np.ndarray, switches: AngularPreset, channels: int,
+        *, disk: bool = True,
+    ) -> NarrowLobes:  # fmt: skip
         """Filter the light.
 
         Args:
@@ -59,14 +63,18 @@ class NarrowLobes:
             alpha: (K,) lobe widths.
             switches: which model.
             channels: 3, or 1 for the mean of R, G and B.
+            disk: filter a sun's disk with the rest; else it is summed, cell by cell.
         """
         profile = profile_of(switches.lobe)
         return NarrowLobes(
             switches=switches,
             alpha=alpha,
-            levels=filter_light(lighting, alpha.tolist(), profile, grey=channels == 1),
+            levels=filter_light(
+                lighting, alpha.tolist(), profile, grey=channels == 1, disk=disk
+            ),
             albedo=owned(mi.Float, split_sum(alpha).ravel()),
             dielectric=owned(mi.Float, dielectric_albedo(alpha).ravel()),
+            sun=None if disk else disk_cells(lighting.environment),
         )
 
     def reflect(self, normal: Any, direction: Any, cosine: Any, free: Any) -> list[Lobe]:
@@ -91,7 +99,24 @@ class NarrowLobes:
             light = self.levels.radiance(level, center)
             light = [dr.select(free, value, 0) for value in light]
             result.append([(A * value, B * value, D * value) for value in light])
-        return result
+        if self.sun is None:
+            return result
+        return self._with_sun(result, normal, direction, cosine, free)
+
+    def _with_sun(
+        self, lobes: list[Lobe], normal: Any, direction: Any, cosine: Any, free: Any
+    ) -> list[Lobe]:
+        """Add a sun's disk; where a narrow lobe meets it, the mirror direction does."""
+        sun = self.sun
+        assert sun is not None
+        sums = Sums(self.alpha, len(lobes[0]), normal, direction)
+        found = sums.over(
+            sun.count, lambda cell, *state: (cell + 1, *sums.lit(sun, cell, free, state)), cosine
+        )
+        return [
+            [tuple(a + b for a, b in zip(*pair, strict=True)) for pair in zip(*both, strict=True)]
+            for both in zip(lobes, found, strict=True)
+        ]  # type: ignore[misc]
 
     def _reflected(self, level: int, alpha: float, cosine: Any) -> tuple[Any, Any, Any]:
         """(A, B, D): the lobe reflects R0 A + B, and that of a dielectric D."""

@@ -32,13 +32,63 @@ Lobe = list[tuple[Any, Any, Any]]
 """(p, q, d) per colour channel: a metal of base colour c reflects c p + q, a dielectric d."""
 
 
+class Sums:
+    """Sums of cells under lobes of K widths; a plain class, so that loops leave it alone.
+
+    Args:
+        alpha: (K,) lobe widths, ascending.
+        channels: C, 3, or 1 for the mean of R, G and B.
+        normal: Vector3f, shading normals.
+        direction: unit Vector3f to the camera.
+    """
+
+    def __init__(self, alpha: np.ndarray, channels: int, normal: Any, direction: Any) -> None:
+        self.alpha, self.channels = alpha.tolist(), channels
+        self.normal, self.direction = normal, direction
+
+    def over(self, count: Any, add: Callable[..., Any], cosine: Any) -> list[Lobe]:
+        """Return the lobes of all cells: ``add(cell, *sums)`` returns the next cell, and sums."""
+        size = 3 * self.channels
+        sums = _over(mi.UInt32(0), count, add, *[0 * cosine] * (size * len(self.alpha)))
+        result = []
+        for k, alpha in enumerate(self.alpha):
+            scale = smith_g1(cosine, alpha) / (4 * cosine)
+            own = [scale * value for value in sums[size * k : size * (k + 1)]]
+            result.append([tuple(own[3 * c : 3 * c + 3]) for c in range(self.channels)])
+        return result
+
+    def lit(self, cells: Cells, cell: Any, free: Any, sums: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Add what one cell contributes to every width, if it is seen."""
+        toward, radius = cells.at(cell)
+        incident = dr.dot(self.normal, toward)
+
+        def reflected(*state: Any) -> tuple[Any, ...]:
+            half = dr.normalize(toward + self.direction)
+            up, across = dr.dot(self.normal, half), dr.dot(toward, half)
+            schlick, dielectric = (1 - across) ** 5, dielectric_fresnel(across)
+            parts = [
+                value * factor
+                for value in cells.light(cell, self.channels)
+                for factor in (1 - schlick, schlick, dielectric)
+            ]
+            square = dr.square(radius)
+            lobes = [blurred_ggx(up, incident, alpha, square) for alpha in self.alpha]
+            added = [(lobe, part) for lobe in lobes for part in parts]
+            return tuple(
+                dr.fma(part, lobe, old) for old, (lobe, part) in zip(state, added, strict=True)
+            )
+
+        lit = mi.Bool(free & (incident > 0))
+        return dr.if_stmt(args=sums, cond=lit, true_fn=reflected, false_fn=lambda *s: s)
+
+
 @dataclass(frozen=True)
 class WideLobes:
     """Lobes that are summed over what S texels see of the light.
 
     Attributes:
         reach: what they see, of which cells.
-        alpha: (K,) float64 lobe widths.
+        alpha: (K,) float64 lobe widths, ascending.
         channels: 3, or 1 for the mean of R, G and B.
     """
 
@@ -58,27 +108,17 @@ class WideLobes:
         Returns:
             The lobe of each width.
         """
-        view = _View(self, lane, normal, direction)
-        size, zero = 3 * self.channels, 0 * cosine
-        sums = _over(
-            mi.UInt32(0), self.reach.cells.coarse.count, view.coarse,
-            *[zero] * (size * len(self.alpha)),
-        )  # fmt: skip
-        result = []
-        for k, alpha in enumerate(self.alpha.tolist()):
-            scale = smith_g1(cosine, alpha) / (4 * cosine)
-            own = [scale * value for value in sums[size * k : size * (k + 1)]]
-            result.append([tuple(own[3 * c : 3 * c + 3]) for c in range(self.channels)])
-        return result
+        sums = Sums(self.alpha, self.channels, normal, direction)
+        tree = _Tree(self.reach, lane, sums)
+        return sums.over(self.reach.cells.coarse.count, tree.coarse, cosine)
 
 
-class _View:
-    """Texels, and the direction to a camera; a plain class, so that loops leave it alone."""
+class _Tree:
+    """Goes through the cells of the light, into small ones where the narrowest lobe asks for it."""
 
-    def __init__(self, lobes: WideLobes, lane: Any, normal: Any, direction: Any) -> None:
-        self.lane, self.normal, self.direction = lane, normal, direction
-        self.alpha, self.channels, self.reach = lobes.alpha.tolist(), lobes.channels, lobes.reach
-        self.flat = 1 - self.alpha[0] ** 2
+    def __init__(self, reach: Reach, lane: Any, sums: Sums) -> None:
+        self.reach, self.lane, self.sums = reach, lane, sums
+        self.flat = 1 - sums.alpha[0] ** 2
         self.limit = dr.opaque(mi.Float, LARGE)
 
     def coarse(self, cell: Any, *sums: Any) -> tuple[Any, ...]:
@@ -92,11 +132,7 @@ class _View:
         cells, free = self.reach.cells, self.reach.fine.test(cell, self.lane)
 
         def leaf(below: Any, *sums: Any) -> tuple[Any, ...]:
-            toward, radius = cells.leaves.at(below)
-            incident, square = dr.dot(self.normal, toward), dr.square(radius)
-            return (
-                below + 1, *self._lit(cells.leaves, below, toward, incident, square, free, sums)
-            )  # fmt: skip
+            return (below + 1, *self.sums.lit(cells.leaves, below, free, sums))
 
         return self._add(cells.fine, cell, free, sums, cells.first_leaf, leaf, free)
 
@@ -105,14 +141,14 @@ class _View:
         below: Callable[..., Any], inside: Any = True,
     ) -> tuple[Any, ...]:  # fmt: skip
         """Add a cell, or what is below it where it is too large; only if ``inside`` is."""
+        normal, direction = self.sums.normal, self.sums.direction
         toward, radius = cells.at(cell)
-        incident = dr.dot(self.normal, toward)
 
         def above(*sums: Any) -> tuple[Any, ...]:
-            half = dr.normalize(toward + self.direction)
-            up, across = dr.dot(self.normal, half), dr.dot(toward, half)
-            square = dr.square(radius)
-            large = square > self.limit * across * across * dr.fma(-self.flat * up, up, 1)
+            half = dr.normalize(toward + direction)
+            up, across = dr.dot(normal, half), dr.dot(toward, half)
+            s = dr.fma(-self.flat * up, up, 1)
+            large = dr.square(radius) > self.limit * across * across * s
 
             def smaller(*sums: Any) -> tuple[Any, ...]:
                 start, end = (dr.gather(mi.UInt32, first, cell + k) for k in (0, 1))
@@ -120,38 +156,14 @@ class _View:
 
             return dr.if_stmt(
                 args=sums, cond=large, true_fn=smaller,
-                false_fn=lambda *sums: self._lit(cells, cell, toward, incident, square, free, sums),
+                false_fn=lambda *sums: self.sums.lit(cells, cell, free, sums),
             )  # fmt: skip
 
         sums = dr.if_stmt(
-            args=sums, cond=(incident > -radius) & inside,
+            args=sums, cond=(dr.dot(normal, toward) > -radius) & inside,
             true_fn=above, false_fn=lambda *sums: sums,
         )  # fmt: skip
         return (cell + 1, *sums)
-
-    def _lit(
-        self, cells: Cells, cell: Any, toward: Any, incident: Any, square: Any, free: Any,
-        sums: tuple[Any, ...],
-    ) -> tuple[Any, ...]:  # fmt: skip
-        """Add what one cell contributes to the sums of every width, if it is seen."""
-
-        def reflected(*state: Any) -> tuple[Any, ...]:
-            half = dr.normalize(toward + self.direction)
-            up, across = dr.dot(self.normal, half), dr.dot(toward, half)
-            schlick, dielectric = (1 - across) ** 5, dielectric_fresnel(across)
-            parts = [
-                value * factor
-                for value in cells.light(cell, self.channels)
-                for factor in (1 - schlick, schlick, dielectric)
-            ]
-            lobes = [blurred_ggx(up, incident, alpha, square) for alpha in self.alpha]
-            added = [(lobe, part) for lobe in lobes for part in parts]
-            return tuple(
-                dr.fma(part, lobe, old) for old, (lobe, part) in zip(state, added, strict=True)
-            )
-
-        lit = mi.Bool(free & (incident > 0))
-        return dr.if_stmt(args=sums, cond=lit, true_fn=reflected, false_fn=lambda *s: s)
 
 
 def _over(start: Any, end: Any, body: Callable[..., Any], *sums: Any) -> tuple[Any, ...]:
