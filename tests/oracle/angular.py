@@ -10,60 +10,16 @@ from svu_mi.bench.oracle import energies as energies
 from svu_mi.bench.oracle import joint as joint
 from svu_mi.bench.oracle import mean_entropy as mean_entropy
 from svu_mi.bench.oracle import of_channels as of_channels
+from svu_mi.bench.oracle import principled_errors as principled_errors
+from svu_mi.bench.oracle import specular_errors as specular_errors
 
-# --- the model, and its errors of every cell (e, p, q, d) -------------------------------------
+# --- the model ------------------------------------------------------------------------------
 
 
 def modelled(columns: Sequence[np.ndarray], c, m) -> np.ndarray:
     """Radiance of a dielectric and a metal, mixed: r = (1 - m) (c e + d) + m (c p + q)."""
     e, p, q, d = columns
     return (1 - m) * (c * e + d) + m * (c * p + q)
-
-
-def mean_squared_error(
-    w: np.ndarray, columns: Sequence[np.ndarray], b: np.ndarray, c: float, m: float
-) -> float:
-    """1/n sum w (b - r)^2 over n samples; 0 without any."""
-    return float((w * (b - modelled(columns, c, m)) ** 2).sum() / max(len(w), 1))
-
-
-def principled_errors(
-    w: np.ndarray, columns: Sequence[np.ndarray], b: np.ndarray,
-    metallic: np.ndarray, base_color: np.ndarray,
-) -> np.ndarray:  # fmt: skip
-    """Errors on the (roughness, metallic, base_color) grid.
-
-    Args:
-        w: (V,) weights.
-        columns: e, p, q and d, (R, V) each.
-        b: (V,) radiance.
-        metallic: (M,) nodes.
-        base_color: (K,) nodes.
-    """
-    levels = len(columns[0])
-    result = np.zeros((levels, len(metallic), len(base_color)))
-    for r, j, k in np.ndindex(result.shape):
-        level = [column[r] for column in columns]
-        result[r, j, k] = mean_squared_error(w, level, b, base_color[k], metallic[j])
-    return result
-
-
-def specular_errors(
-    w: np.ndarray, columns: Sequence[np.ndarray], b: np.ndarray, specular: np.ndarray
-) -> np.ndarray:
-    """Errors on the (roughness, Ks) grid, each with the Kd in [0, 1] that fits best.
-
-    r = Kd e + Ks p + q: what a metal's lobe is for its base colour, any lobe is for R0 (Eq. 6).
-    """
-    e, p, q, _ = columns
-    result = np.zeros((len(e), len(specular)))
-    for r, j in np.ndindex(result.shape):
-        rest = b - specular[j] * p[r] - q[r]
-        square = (w * e[r] ** 2).sum()
-        # A parabola in Kd: its lowest point, or the end of [0, 1] that is nearer to it.
-        Kd = np.clip((w * e[r] * rest).sum() / square, 0, 1) if square > 0 else 0.0
-        result[r, j] = (w * (rest - Kd * e[r]) ** 2).sum() / max(len(w), 1)
-    return result
 
 
 # --- sums over views ------------------------------------------------------------------------

@@ -1,0 +1,374 @@
+"""The posterior of angular statistics, against brute force over every cell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from helpers import ball_scene, render_ball
+from oracle import angular as oracle
+from oracle import posterior as oracle_posterior
+from walled import GLOSSY, STUDIO, Samples, angular, noise_capture, seen_in, walled_ball
+
+import svu_mi as svu
+from svu_mi.errors import OptionError, ShapeError
+from svu_mi.interop import owned
+from svu_mi.light import light
+from svu_mi.pipeline import estimate
+from svu_mi.posterior import ParameterGrid, PrincipledGrid, angular_posterior
+from svu_mi.statistics import Statistics
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return walled_ball(tmp_path_factory.mktemp("wall"))
+
+
+
+def random_samples(rng, texels, channels, levels=5, views=None):
+    """Samples of shiny and dull texels: w (T, V), e, p, q, d (T, R, C, V), b (T, C, V)."""
+    views = int(rng.integers(4, 9)) if views is None else views
+    e = rng.random((texels, 1, channels, 1)) * (0.8 + 0.4 * rng.random((texels, levels, 1, views)))
+    s = rng.exponential(size=(texels, levels, channels, views))
+    f = 0.3 * rng.random((texels, 1, 1, views))
+    p, q, d = s * (1 - f), s * f, s * (0.04 + 0.5 * f * rng.random(s.shape))
+    c, m = rng.random((2, texels, channels, 1))
+    at = np.arange(texels), rng.integers(0, levels, texels)
+    b = oracle.modelled([column[at] for column in (e * np.ones_like(s), p, q, d)], c, m)
+    b = b * np.exp(0.1 * rng.normal(size=b.shape))
+    return rng.random((texels, views)) + 0.5, e * np.ones_like(s), p, q, d, b
+
+
+def some_views(samples, counts):
+    """The first views of every texel: w, e, p, q, d and b of each, as many as it has."""
+    return [[x[t, ..., :n] for x in samples] for t, n in enumerate(counts)]
+
+
+def statistics_of(texels):
+    """``Statistics`` of stored samples, texel by texel."""
+    table = np.stack([
+        np.moveaxis(oracle.products(w, (e, p, q, d), b), 0, -1) for w, e, p, q, d, b in texels
+    ])  # (T, R, C, 10)
+    weight, views = np.array([[w.sum(), len(w)] for w, *_ in texels]).T
+    levels = np.linspace(0, 1, table.shape[1])
+    return Statistics.of(np.moveaxis(table, 0, -1), weight, views, levels)
+
+
+def of(samples):
+    """``Statistics`` of all views."""
+    return statistics_of(some_views(samples, [samples[0].shape[1]] * len(samples[0])))
+
+
+PRINCIPLED = PrincipledGrid(roughness=5, metallic=3, base_color=4)
+SPECULAR = ParameterGrid(roughness=5, specular=6, spacing="dielectric")
+SCALE = 0.7
+RULES = [
+    angular(parameters=parameters, channels=channels, noise=noise, sigma=sigma)
+    for parameters in ("principled", "specular")
+    for channels in ("grey", "joint")
+    for noise, sigma in (
+        ("relative", 0.15), ("fixed", 0.3), ("heteroscedastic", 0.04), ("marginal", 0.1)
+    )
+]  # fmt: skip
+
+
+def rule(switches):
+    return f"{switches.parameters}-{switches.channels}-{switches.noise}"
+
+
+def grid_of(switches):
+    return PRINCIPLED if switches.parameters == "principled" else SPECULAR
+
+
+def brute_force(switches, samples, prior=None):
+    """(*grid, C) probabilities of one texel, and the index of the best cell by channel."""
+    w, *columns, b = samples
+    grid, energies = grid_of(switches), []
+    for c in range(len(b)):
+        own = [x[:, c] for x in columns]
+        if switches.parameters == "principled":
+            d = oracle.principled_errors(
+                w, *own, b[c], np.linspace(0, 1, 3), np.linspace(0, 1, 4)
+            )
+        else:
+            nodes = oracle_posterior.nodes(5, 6, "dielectric")[1]
+            d = oracle.specular_errors(w, *own[:3], b[c], nodes)
+        sigma = switches.sigma * (1 if switches.noise == "fixed" else SCALE)
+        views = len(w) if switches.noise == "marginal" else None
+        energies.append(oracle.energies(d, sigma, views))
+    together = oracle.joint(energies, prior)
+    row, *own = np.unravel_index(together.argmax(), together.shape)
+    shared = np.unravel_index(row, grid.shape[:-1])
+    return oracle.of_channels(together, grid.shape), [(*shared, k) for k in own]
+
+
+def random_prior(rng, grid):
+    """Weights with holes, one of them a whole roughness."""
+    prior = rng.random(grid.shape) * (rng.random(grid.shape) > 0.3)
+    prior[2] = 0
+    return prior
+
+
+@pytest.mark.parametrize("with_prior", [False, True], ids=["uniform", "prior"])
+@pytest.mark.parametrize("switches", RULES, ids=rule)
+def test_every_rule_agrees_with_brute_force(switches, with_prior):
+    """Probabilities, entropy, marginals and the most probable cell."""
+    rng = np.random.default_rng(141421)
+    channels, grid = 3 if switches.channels == "joint" else 1, grid_of(switches)
+    samples = some_views(random_samples(rng, 8, channels, views=40), rng.integers(1, 40, 8))
+    prior = random_prior(rng, grid) if with_prior else None
+    posterior = angular_posterior(statistics_of(samples), grid, SCALE, switches, prior=prior)
+    p = np.array(posterior.probabilities, np.float64).reshape(8, *grid.shape, channels)
+    H = np.array(posterior.entropy())
+    best = posterior.map()
+    for t in range(8):
+        truth, cells = brute_force(switches, samples[t], prior)
+        np.testing.assert_allclose(p[t], truth, atol=5e-6)
+        assert abs(H[t] - oracle.mean_entropy(truth)) < 5e-6
+        for axis, (name, nodes) in enumerate(grid.axes.items()):
+            others = tuple(k for k in range(len(grid.shape)) if k != axis)
+            marginal = truth.sum(axis=others)
+            ours = np.array(posterior.marginal(name))[t].reshape(len(nodes), -1)
+            np.testing.assert_allclose(ours, marginal[:, : ours.shape[1]], atol=1e-5)
+            value = np.array(best[name])[t].ravel()
+            found = nodes[[cell[axis] for cell in cells]][: len(value)]
+            np.testing.assert_allclose(value, found, atol=1e-6)
+
+
+@pytest.mark.parametrize("sigma", [1e-6, 1e-3, 1e-1, 10.0, 1e4])
+@pytest.mark.parametrize("channels", ["grey", "joint"])
+def test_entropy_is_exact_for_sharp_and_flat_likelihoods(channels, sigma):
+    switches = angular(channels=channels, sigma=sigma)
+    samples = random_samples(np.random.default_rng(173205), 12, 3 if channels == "joint" else 1)
+    H = np.array(angular_posterior(of(samples), PRINCIPLED, SCALE, switches).entropy())
+    for t in range(12):
+        truth, _ = brute_force(switches, [x[t] for x in samples])
+        assert abs(H[t] - oracle.mean_entropy(truth)) < 2e-5
+
+
+@pytest.mark.parametrize("switches", RULES, ids=rule)
+def test_entropy_is_that_of_the_probabilities(switches):
+    samples = random_samples(
+        np.random.default_rng(223606), 40, 3 if switches.channels == "joint" else 1
+    )
+    posterior = angular_posterior(of(samples), grid_of(switches), SCALE, switches)
+    p = np.array(posterior.probabilities, np.float64)
+    p = p.reshape(40, *posterior.grid.shape, posterior.groups)
+    truth = [oracle.mean_entropy(x) for x in p]
+    np.testing.assert_allclose(np.array(posterior.entropy()), truth, atol=3e-6)
+
+
+@pytest.mark.parametrize("switches", RULES, ids=rule)
+def test_a_texel_nobody_saw_has_entropy_exactly_1(switches):
+    samples = random_samples(
+        np.random.default_rng(244948), 9, 3 if switches.channels == "joint" else 1
+    )
+    counts = np.array([0, 4, 1] * 3)
+    statistics = statistics_of(some_views(samples, counts))
+    posterior = angular_posterior(statistics, grid_of(switches), SCALE, switches)
+    H, p = np.array(posterior.entropy()), np.array(posterior.probabilities)
+    assert (H[counts == 0] == 1).all()
+    np.testing.assert_allclose(p[counts == 0], 1 / np.prod(posterior.grid.shape), rtol=1e-6)
+    assert (H[counts > 0] < 1).all()
+
+
+@pytest.mark.parametrize("switches", RULES, ids=rule)
+@pytest.mark.parametrize("size", [0.0, 1e-12, 1e-3, 1e6, 1e9])
+def test_entropy_is_in_0_1_and_nothing_is_nan_at_any_radiance(switches, size):
+    """Black photographs, and ones as bright as the sun, in front of the same noise."""
+    *front, b = random_samples(
+        np.random.default_rng(264575), 6, 3 if switches.channels == "joint" else 1
+    )
+    posterior = angular_posterior(of((*front, b * size)), grid_of(switches), SCALE, switches)
+    H, p = np.array(posterior.entropy()), np.array(posterior.probabilities)
+    assert ((H >= 0) & (H <= 1)).all()
+    assert np.isfinite(p).all()
+    np.testing.assert_allclose(p.reshape(6, -1).sum(axis=1), posterior.groups, rtol=1e-5)
+
+
+@pytest.mark.parametrize("noise", ["relative", "marginal", "heteroscedastic"])
+def test_the_unit_of_radiance_does_not_matter(noise):
+    w, *radiance = random_samples(np.random.default_rng(282842), 30, 1)
+    switches = angular(noise=noise)
+    before, after = (
+        np.array(angular_posterior(of((w, *(x * g for x in radiance))), PRINCIPLED,
+                                   SCALE * g, switches).entropy())
+        for g in (1, 2**10)
+    )  # fmt: skip
+    np.testing.assert_allclose(after, before, atol=1e-6)
+
+
+def test_more_of_the_same_views_do_not_make_the_model_better():
+    """The error is the model's: it is not averaged away, as the photographs' noise would be."""
+    samples = random_samples(np.random.default_rng(316227), 20, 1)
+    many = [np.concatenate([x] * 10, axis=-1) for x in samples]
+    H, again = (np.array(angular_posterior(of(x), PRINCIPLED, SCALE).entropy())
+                for x in (samples, many))  # fmt: skip
+    np.testing.assert_allclose(again, H, atol=1e-5)
+    marginal = angular(noise="marginal")
+    H, again = (np.array(angular_posterior(of(x), PRINCIPLED, SCALE, marginal).entropy())
+                for x in (samples, many))  # fmt: skip
+    assert again.mean() < H.mean() - 0.05
+
+
+def test_wrong_input_is_named():
+    statistics = of(random_samples(np.random.default_rng(3), 2, 1))
+    with pytest.raises(ShapeError, match="gather them at the nodes of the grid") as caught:
+        angular_posterior(statistics)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(ShapeError, match="the grid's roughness is"):
+        angular_posterior(replace(statistics, roughness=statistics.roughness**2), PRINCIPLED)
+    with pytest.raises(OptionError, match="need a PrincipledGrid"):
+        angular_posterior(statistics, SPECULAR)
+    with pytest.raises(OptionError, match="scale must be positive"):
+        angular_posterior(statistics, PRINCIPLED, 0.0)
+    with pytest.raises(ShapeError, match=r"the prior must be \(5, 3, 4\)"):
+        angular_posterior(statistics, PRINCIPLED, prior=np.ones((5, 3)))
+    with pytest.raises(OptionError, match="non-negative"):
+        angular_posterior(statistics, PRINCIPLED, prior=-np.ones(5))
+    with pytest.raises(OptionError, match="Unknown switch 'lobes'"):
+        angular(lobes="ggx")
+
+
+def test_factors_do_as_well_as_the_statistics_they_are_of():
+    statistics = of(random_samples(np.random.default_rng(8), 6, 1))
+    a, b = (angular_posterior(x, PRINCIPLED, SCALE) for x in (statistics, statistics.factor()))
+    np.testing.assert_array_equal(np.array(a.entropy()), np.array(b.entropy()))
+
+
+def test_some_texels_of_many_stand_where_they_belong():
+    """Statistics of seen texels alone; others, among all T, know nothing."""
+    statistics = of(random_samples(np.random.default_rng(44), 3, 1))
+    texel = np.array([6, 1, 4], np.uint32)
+    few = angular_posterior(statistics, PRINCIPLED, SCALE)
+    moved = replace(statistics, texel=owned(mi.UInt32, texel))
+    many = angular_posterior(moved, PRINCIPLED, SCALE, texels=8)
+    H = np.array(many.entropy())
+    np.testing.assert_array_equal(H[texel], np.array(few.entropy()))
+    assert (np.delete(H, texel) == 1).all()
+    p = np.array(many.probabilities)
+    np.testing.assert_array_equal(p[texel], np.array(few.probabilities))
+    np.testing.assert_allclose(np.delete(p, texel, axis=0), 1 / 60, rtol=1e-6)
+
+
+def test_levels_that_the_prior_excludes_need_no_statistics():
+    samples = random_samples(np.random.default_rng(71), 5, 1)
+    prior = random_prior(np.random.default_rng(6), PRINCIPLED)
+    levels = np.arange(5) != 2  # of which the prior has none
+    w, *columns, b = samples
+    fewer = replace(of((w, *(x[:, levels] for x in columns), b)),
+                    roughness=np.linspace(0, 1, 5)[levels])  # fmt: skip
+    whole = angular_posterior(of(samples), PRINCIPLED, SCALE, prior=prior)
+    short = angular_posterior(fewer, PRINCIPLED, SCALE, prior=prior, levels=levels)
+    np.testing.assert_allclose(np.array(short.entropy()), np.array(whole.entropy()), atol=1e-6)
+    np.testing.assert_allclose(
+        np.array(short.probabilities), np.array(whole.probabilities), atol=1e-6
+    )
+
+
+# --- from photographs to entropy ------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def glossy(tmp_path_factory):
+    """A metal ball in a studio."""
+    return render_ball(
+        tmp_path_factory.mktemp("angular"), STUDIO, GLOSSY, views=12, resolution=(32, 32), spp=16
+    )
+
+
+@pytest.mark.parametrize("channels", ["grey", "joint"])
+def test_statistics_and_posterior_together_are_brute_force(scene, channels):
+    """From photographs to the entropy, with a loop over stored samples in the middle."""
+    switches = angular(channels=channels, sigma=0.4)
+    grid = PrincipledGrid(roughness=4, metallic=3, base_color=3)
+    observed = seen_in(noise_capture(scene), 16)
+    nodes = grid.roughness_nodes
+    statistics = observed.statistics(nodes, switches, switches.colors)
+    total = observed.texels.count
+    H = np.array(angular_posterior(statistics, grid, 1.0, switches, texels=total).entropy())
+    assert (np.delete(H, observed.seen) == 1).all()
+    H = H[observed.seen]
+    samples = Samples(observed, switches, roughness=nodes)
+    for t in range(0, statistics.count, 12):
+        w, columns, b = samples.of(t)
+        energies = [
+            oracle.energies(oracle.principled_errors(
+                w, *(x[:, c] for x in columns), b[c], np.linspace(0, 1, 3), np.linspace(0, 1, 3)
+            ), 0.4)
+            for c in range(switches.colors)
+        ]  # fmt: skip
+        truth = oracle.of_channels(oracle.joint(energies), grid.shape)
+        assert abs(H[t] - oracle.mean_entropy(truth)) < 5e-6
+
+
+@pytest.mark.parametrize("gain", [0.25, 4.0])
+@pytest.mark.parametrize("noise", ["relative", "heteroscedastic", "marginal"])
+def test_exposure_does_not_matter(tmp_path, glossy, noise, gain):
+    brighter_scene = ball_scene(tmp_path, {**STUDIO, "scale": gain}, GLOSSY)
+    brighter = replace(
+        glossy,
+        scene=brighter_scene,
+        shape=brighter_scene.shapes()[0],
+        images=tuple(image * np.float32(gain) for image in glossy.images),
+    )
+    texels, switches = svu.texels(glossy.mesh, 20), angular(noise=noise)
+    a, b = (np.array(estimate(c, texels, preset=switches).entropy) for c in (glossy, brighter))
+    np.testing.assert_allclose(a, b, atol=1e-4)
+
+
+def test_every_result_is_in_range_and_unseen_texels_are_1(scene):
+    capture = noise_capture(scene, [0, 4], bright=1e4)
+    texels = svu.texels(capture.mesh, 20)
+    for switches in (angular(), angular(channels="joint", parameters="specular")):
+        result = estimate(capture, texels, preset=switches)
+        H, seen = np.array(result.entropy), np.array(result.coverage) > 0
+        assert np.isfinite(H).all()
+        assert ((H >= 0) & (H <= 1)).all()
+        assert (H[~seen] == 1).all()
+        assert (~seen).any()
+
+
+def kernels_of(capture, resolution, switches, lit_for=12):
+    """Hashes of the kernels from occlusion to entropy, and those that had to be compiled."""
+    observed = seen_in(capture, resolution)
+    observed = replace(observed, lighting=light(capture, lit_for))
+    kappa = 1.0 / capture.count if switches.noise == "heteroscedastic" else np.inf
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        statistics = observed.statistics(
+            np.linspace(0, 1, 8), switches, switches.colors, kappa=kappa
+        )
+        total = observed.texels.count
+        dr.eval(angular_posterior(statistics, None, 0.3, switches, texels=total).entropy())
+        history = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
+    return {k["hash"] for k in history}, [k for k in history if not k["cache_hit"]]
+
+
+@pytest.mark.parametrize("noise", ["relative", "heteroscedastic", "marginal"])
+@pytest.mark.parametrize("channels", ["grey", "joint"])
+def test_other_captures_run_the_same_kernels(tmp_path, scene, channels, noise):
+    """Other objects, photographs, number of views, film size and number of texels."""
+    switches = angular(channels=channels, noise=noise)
+    first, _ = kernels_of(noise_capture(scene), 20, switches)
+    other = noise_capture(ball_scene(tmp_path, {**STUDIO, "scale": 3.0}, GLOSSY), range(5), size=20)
+    second, compiled = kernels_of(other, 29, switches)
+    assert second == first
+    assert not compiled
+
+
+def test_light_for_many_views_runs_the_same_kernels(scene):
+    """The degree that is kept of the light grows with the views; kernels do not see it."""
+    first, _ = kernels_of(noise_capture(scene), 20, angular())
+    second, _ = kernels_of(noise_capture(scene), 20, angular(), lit_for=150)
+    assert second == first
+
+
+def test_a_map_of_another_size_runs_the_same_kernels(tmp_path, scene):
+    first, _ = kernels_of(noise_capture(scene), 20, angular())
+    sky = ball_scene(tmp_path, {"type": "constant", "radiance": 0.7}, GLOSSY)
+    second, _ = kernels_of(noise_capture(sky), 20, angular())
+    assert second == first
