@@ -3,9 +3,10 @@
     capture -> texels -> observed: who sees whom -> plan -> statistics of all views   -> posterior
                                                          -> SH fit -> power spectra   -> posterior
 
-Memory at its peak, measured (BENCHMARKS.md): 16 bytes per pixel of all photographs (float32
-RGB as read, two flags), 560 bytes per texel (most of it double-precision temporaries of the
-texel layout; 1900 with statistics and what reaches each texel), and one bit per texel and view.
+Memory at its peak, measured (BENCHMARKS.md): 20 bytes per pixel of all photographs (float32
+RGB as read, two flags, what reading takes), 560 bytes per texel (most of it double-precision
+temporaries of the texel layout; 1200 with statistics, and what of the light reaches each texel),
+and one bit per texel and view.
 """
 
 from __future__ import annotations
