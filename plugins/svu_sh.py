@@ -108,7 +108,7 @@ class ShIntegrator(mi.SamplingIntegrator):
         if not 2 <= self.levels <= 256:
             raise OptionError(f"svu_sh: levels must be in [2, 256], got {self.levels}.")
         self.switches = preset(name, method="angular")
-        self.occlusion = props.get("occlusion", self.switches.occluded_specular)
+        self.occlusion = props.get("occlusion", self.switches.traced)
         for ignored in ("max_depth", "rr_depth"):
             props.get(ignored, 0)
         self._lights: dict[Any, _Light] = {}
