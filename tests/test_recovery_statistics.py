@@ -11,21 +11,22 @@ import pytest
 
 from svu_mi.interop import owned
 from svu_mi.recovery.sh.energy import energy
-from svu_mi.recovery.sh.gradient import Values
 from svu_mi.recovery.sh.objective import StatisticsLoss
 from svu_mi.recovery.sh.start import METALLIC, closed_form
 from svu_mi.reflection.lobes import dielectric_albedo, dielectric_fresnel, split_sum
-from svu_mi.statistics.gather import PAIRS, ErrorFactors, Reader, factor, in_blocks
+from svu_mi.statistics import Factors, Statistics
+from svu_mi.statistics.factors import PAIRS
+from svu_mi.statistics.gather import Values
 
 LEVELS, TEXELS, VIEWS = 6, 7, 9
 
 
 def columns(seed: int = 48211) -> np.ndarray:
-    """(R, C, 4, V, T) random columns e, p, d - b, q - b, smooth in roughness."""
+    """(R, C, 4, V, T) random columns e, p, q - d, d - b, smooth in roughness."""
     rng = np.random.default_rng(seed)
     r = np.linspace(0, 1, LEVELS)[:, None, None, None, None]
     a, b = rng.uniform(0.2, 1, (2, 3, 4, VIEWS, TEXELS))
-    return a + b * r * np.array([0.3, -0.8, 0.5, 0.4])[None, None, :, None, None]
+    return a + b * r * np.array([0.3, -0.8, -0.1, 0.5])[None, None, :, None, None]
 
 
 def upper(found: np.ndarray) -> np.ndarray:
@@ -38,14 +39,11 @@ def upper(found: np.ndarray) -> np.ndarray:
     return entries
 
 
-def statistics_of(entries: np.ndarray) -> ErrorFactors:
-    return ErrorFactors(
-        values=in_blocks(entries.reshape(-1, TEXELS)),
-        roughness=np.linspace(0, 1, LEVELS),
-        texel=dr.arange(mi.UInt32, TEXELS),
-        coverage=np.full(TEXELS, VIEWS),
-        channels=3,
-    )
+def factors_of(found: np.ndarray) -> Factors:
+    """``Factors`` of columns, by way of their sums."""
+    table = np.stack([(found[:, :, i] * found[:, :, j]).sum(axis=2) for i, j in PAIRS], axis=2)
+    views = np.full(TEXELS, VIEWS)
+    return Statistics.of(table, views, views, np.linspace(0, 1, LEVELS)).factor()
 
 
 def spline(entries: np.ndarray, roughness: np.ndarray) -> np.ndarray:
@@ -61,13 +59,13 @@ def spline(entries: np.ndarray, roughness: np.ndarray) -> np.ndarray:
 
 
 def exact(entries: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(T,) mean over channels of |U (c (1 - m), c m, 1 - m, m)|^2, float64."""
+    """(T,) mean over channels of |U (c (1 - m), c m, m, 1)|^2, float64."""
     m, total = values[4], np.zeros(TEXELS)
     for c, entry in enumerate(spline(entries, values[3])):
         U = np.zeros((4, 4, TEXELS))
         for (i, j), row in zip(PAIRS, entry, strict=True):
             U[i, j] = row
-        x = np.stack([values[c] * (1 - m), values[c] * m, 1 - m, m])
+        x = np.stack([values[c] * (1 - m), values[c] * m, m, np.ones_like(m)])
         total += (np.einsum("ijt,jt->it", U, x) ** 2).sum(axis=0)
     return total / 3
 
@@ -80,51 +78,25 @@ def as_values(values: np.ndarray) -> Values:
     return Values(*(owned(mi.Float, row) for row in values))
 
 
-def test_factor_is_that_of_a_qr_factorisation() -> None:
+def test_factors_are_those_of_a_qr_factorisation() -> None:
     found = columns()
-    sums = np.einsum("rcivt,rcjvt->rcijt", found, found)[0, 0] / VIEWS
-    entries = factor([owned(mi.Float64, sums[pair]) for pair in PAIRS])
-    np.testing.assert_allclose(np.array(entries), upper(found)[0, 0], rtol=2e-4, atol=1e-5)
-
-
-def test_dependent_columns_leave_nofactor() -> None:
-    found = columns()[0, 0]
-    found[1] = 2 * found[0]  # as under one view
-    sums = np.einsum("ivt,jvt->ijt", found, found) / VIEWS
-    entries = np.array(factor([owned(mi.Float64, sums[pair]) for pair in PAIRS]))
-    U = np.zeros((4, 4, TEXELS))
-    for pair, row in zip(PAIRS, entries, strict=True):
-        U[pair] = row
-    assert np.isfinite(U).all()
-    np.testing.assert_allclose(np.einsum("kit,kjt->ijt", U, U), sums, rtol=1e-5)
-
-
-@pytest.mark.parametrize("count", [1, 16, 17, 40])
-def test_blocks_hold_every_value_once(count: int) -> None:
-    rows = np.random.default_rng(count).normal(size=(2 * 3 * len(PAIRS), count)).astype(np.float32)
-    stats = ErrorFactors(
-        values=in_blocks(rows), roughness=np.linspace(0, 1, 2),
-        texel=dr.arange(mi.UInt32, count), coverage=np.ones(count), channels=3,
-    )  # fmt: skip
-    np.testing.assert_array_equal(stats.table(), rows)
-    np.testing.assert_array_equal(Reader(stats).read(mi.UInt32(5)).numpy(), rows[5])
-    some = np.arange(count)[::-2]
-    np.testing.assert_array_equal(stats.some(some).table(), rows[:, some])
+    np.testing.assert_allclose(factors_of(found).table(), upper(found), rtol=2e-4, atol=1e-5)
 
 
 def test_energy_is_the_mean_squared_error_at_a_level() -> None:
     found, values = columns(), parameters()
     values[3] = 3 / (LEVELS - 1)
-    e, p, d, q = np.moveaxis(found[3], 1, 0)  # (C, V, T) each
+    e, p, more, rest = np.moveaxis(found[3], 1, 0)  # (C, V, T) each: q - d, and d - b
     m, c = values[4], values[:3, None]
-    residual = c * ((1 - m) * e + m * p) + (1 - m) * d + m * q
-    value, _ = energy(statistics_of(upper(found)), as_values(values))
+    residual = c * ((1 - m) * e + m * p) + m * more + rest
+    value, _ = energy(factors_of(found), as_values(values))
     np.testing.assert_allclose(value.numpy(), (residual**2).mean(axis=(0, 1)), rtol=1e-5)
 
 
 def test_energy_and_its_derivatives_between_levels() -> None:
-    entries, values = upper(columns()), parameters()
-    value, slopes = energy(statistics_of(entries), as_values(values))
+    found, values = columns(), parameters()
+    entries = upper(found)
+    value, slopes = energy(factors_of(found), as_values(values))
     np.testing.assert_allclose(value.numpy(), exact(entries, values), rtol=2e-5)
     step = 1e-6
     for k, slope in enumerate(slopes):
@@ -138,12 +110,11 @@ def test_energy_and_its_derivatives_between_levels() -> None:
 
 
 def test_loss_hands_derivatives_to_textures() -> None:
-    entries, values = upper(columns()), parameters()
+    found, values = columns(), parameters()
+    factors, entries = factors_of(found), upper(found)
     place = np.random.default_rng(5).permutation(12)[:TEXELS]  # of 3 x 4 texels
     variance = np.linspace(0.5, 2, TEXELS)
-    loss = StatisticsLoss(
-        statistics_of(entries), owned(mi.UInt32, place), owned(mi.Float, variance)
-    )
+    loss = StatisticsLoss(factors, owned(mi.UInt32, place), owned(mi.Float, variance))
     images = {name: np.full((3 * 4, n), 0.5, np.float32)
               for name, n in (("base_color", 3), ("roughness", 1), ("metallic", 1))}  # fmt: skip
     images["base_color"][place] = values[:3].T
@@ -159,17 +130,17 @@ def test_loss_hands_derivatives_to_textures() -> None:
         expected, rel=1e-5
     )
     dr.backward(result)
-    _, slopes = energy(statistics_of(entries), as_values(values))
+    _, slopes = energy(factors, as_values(values))
     wanted = np.zeros((12, 3))
     wanted[place] = (np.array(slopes[:3]) / (2 * variance) / TEXELS).T
-    found = np.array(dr.grad(textures["base_color"])).reshape(12, 3)
-    np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-9)
+    grad = np.array(dr.grad(textures["base_color"])).reshape(12, 3)
+    np.testing.assert_allclose(grad, wanted, rtol=1e-5, atol=1e-9)
 
 
 def test_start_is_the_posterior_mean() -> None:
-    entries, sigma = upper(columns(seed=733)), 0.05
-    stats = statistics_of(entries)
-    start = closed_form(stats, dr.opaque(mi.Float, sigma))
+    found, sigma = columns(seed=733), 0.05
+    entries = upper(found)
+    start = closed_form(factors_of(found), dr.opaque(mi.Float, sigma))
     nodes = [(r, m) for r in np.linspace(0, 1, LEVELS) for m in np.linspace(0, 1, METALLIC)]
     errors, colors = np.empty((len(nodes), TEXELS)), np.empty((len(nodes), 3, TEXELS))
     for n, (r, m) in enumerate(nodes):
@@ -181,7 +152,7 @@ def test_start_is_the_posterior_mean() -> None:
             for pair, row in zip(PAIRS, entries[level, c], strict=True):
                 U[pair] = row
             u = U[:, 0] * (1 - m) + U[:, 1] * m
-            v = U[:, 2] * (1 - m) + U[:, 3] * m
+            v = U[:, 2] * m + U[:, 3]
             values[c] = np.clip(-(u * v).sum(axis=0) / (u * u).sum(axis=0), 0, 1)
         errors[n], colors[n] = exact(entries, values), values[:3]
     variance = sigma**2 + errors.min(axis=0)
@@ -193,6 +164,32 @@ def test_start_is_the_posterior_mean() -> None:
                                atol=1e-5)  # fmt: skip
     np.testing.assert_allclose(np.array(start.base_color), np.einsum("nt,nct->ct", p, colors),
                                rtol=1e-3, atol=1e-5)  # fmt: skip
+
+
+def test_the_start_s_entropy_is_that_of_its_nodes() -> None:
+    """Eq. 5 over (roughness, metallic), each with the base colour that fits best."""
+    found, sigma = columns(seed=733), 0.3
+    start = closed_form(factors_of(found), dr.opaque(mi.Float, sigma), samples=2.0)
+    entries, errors = upper(found), []
+    for level in range(LEVELS):
+        for m in np.linspace(0, 1, METALLIC):
+            error = np.zeros(TEXELS)
+            for c in range(3):
+                U = np.zeros((4, 4, TEXELS))
+                for pair, row in zip(PAIRS, entries[level, c], strict=True):
+                    U[pair] = row
+                u, v = U[:, 0] * (1 - m) + U[:, 1] * m, U[:, 2] * m + U[:, 3]
+                best = np.clip(-(u * v).sum(axis=0) / (u * u).sum(axis=0), 0, 1)
+                error += ((best * u + v) ** 2).sum(axis=0) / 3
+            errors.append(error)
+    least = np.min(errors, axis=0)
+    variance = (sigma**2 + least) / 2
+    p = np.exp(-(np.array(errors) - least) / (2 * variance))
+    p /= p.sum(axis=0)
+    entropy = -(p * np.log(np.maximum(p, 1e-300))).sum(axis=0) / np.log(len(p))
+    np.testing.assert_allclose(start.least.numpy(), least, rtol=1e-4)
+    np.testing.assert_allclose(start.variance.numpy(), variance, rtol=1e-4)
+    np.testing.assert_allclose(start.entropy.numpy(), entropy, atol=1e-4)
 
 
 def test_dielectric_reflectance() -> None:
