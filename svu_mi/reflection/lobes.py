@@ -19,6 +19,7 @@ from svu_mi.reflection.principled import F0
 
 INDEX = 1.5  # of refraction of dielectrics: specular = 0.5
 ALBEDO_NODES = 32  # of cos theta_o, at (i + 0.5) / 32
+LEAST = 0.3  # part of its peak that a lobe keeps over a disk that is too large for it
 _U, _V = 64, 16  # stratified samples of visible normals per table entry
 
 
@@ -61,11 +62,11 @@ def ggx(cosine: Any, alpha: Any) -> Any:
 
 
 def blurred_ggx(up: Any, incident: Any, alpha: float, square: Any) -> Any:
-    """D G1 of light that comes from a disk: ``ggx`` times ``smith_g1``, by two divisions.
+    """D G1 of light that comes from a disk: ``ggx`` times ``smith_g1``, averaged over it.
 
-    Half vectors turn by half the angle. Averaged over a disk of radius rho, with
-    s = sin^2 theta_h + alpha^2 cos^2 theta_h, D is to first order in rho^2 / s that of a lobe
-    whose squared width is alpha^2 (1 + rho^2 / 4 s): lower at the peak, higher on the flanks.
+    Half vectors turn by half the angle. With s = sin^2 theta_h + alpha^2 cos^2 theta_h, D goes with
+    1 / s^2, whose mean over a disk of radius rho differs from its value at the centre by the
+    part (rho^2 / s) (1 / 2 - 3 alpha^2 / 4 s), to first order: less at the peak, more around it.
 
     Args:
         up: cosine between normal and half vector.
@@ -73,12 +74,12 @@ def blurred_ggx(up: Any, incident: Any, alpha: float, square: Any) -> Any:
         alpha: width of the lobe.
         square: rho^2.
     """
-    a, up = alpha * alpha, up * up
-    s = dr.fma(up, a - 1, 1)
-    more = 0.25 * a * square * dr.rcp(s)
-    s = dr.fma(more, up, s)
+    a = alpha * alpha
+    inverse = dr.rcp(dr.fma(up * (a - 1), up, 1))
+    change = square * inverse * dr.fma(-0.75 * a, inverse, 0.5)
+    mean = (a / np.pi) * inverse * inverse * dr.maximum(1 + change, LEAST)
     root = _root(incident)(dr.fma(incident * (1 - a), incident, a))
-    return (2 / np.pi) * (a + more) * incident * dr.rcp(s * s * (incident + root))
+    return mean * 2 * incident * dr.rcp(incident + root)
 
 
 def dielectric_fresnel(cosine: Any) -> Any:

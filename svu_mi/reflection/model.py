@@ -24,11 +24,9 @@ from svu_mi.options import AngularPreset
 from svu_mi.reflection.diffuse import diffuse_shading
 from svu_mi.reflection.narrow import NarrowLobes
 from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.wide import WideLobes
+from svu_mi.reflection.wide import NARROW, WideLobes
 from svu_mi.visibility.observe import Surface
 from svu_mi.visibility.reach import Reach
-
-NARROW = 0.03  # widest lobe alpha that is looked up; leaves of the light are as far apart
 
 Column = tuple[Any, Any, Any, Any]
 """(e, p, q, d) of one level and channel, Floats: radiance."""

@@ -110,9 +110,11 @@ class NarrowLobes:
         sun = self.sun
         assert sun is not None
         sums = Sums(self.alpha, len(lobes[0]), normal, direction)
-        found = sums.over(
-            sun.count, lambda cell, *state: (cell + 1, *sums.lit(sun, cell, free, state)), cosine
-        )
+
+        def add(cell: Any, *state: Any) -> tuple[Any, ...]:
+            return (cell + 1, *sums.lit(sun, cell, sums.look(sun, cell), free, state))
+
+        found = sums.over(sun.count, add, cosine)
         return [
             [tuple(a + b for a, b in zip(*pair, strict=True)) for pair in zip(*both, strict=True)]
             for both in zip(lobes, found, strict=True)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -26,10 +26,22 @@ from svu_mi.light.cells import Cells
 from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
 from svu_mi.visibility.reach import Reach
 
-LARGE = 1.0  # rho^2 / s cos^2 from which a cell is too large
+NARROW = 0.03  # lobe alpha up to which light is looked up; its leaves are as far apart
+LARGE = 1.6  # rho^2 / (s cos^2 theta_d) from which a cell is too large
 
 Lobe = list[tuple[Any, Any, Any]]
 """(p, q, d) per colour channel: a metal of base colour c reflects c p + q, a dielectric d."""
+
+
+class _Look(NamedTuple):
+    """Radius of a cell and its square; cosines between normal and light, normal and half vector,
+    light and half vector: Floats."""
+
+    radius: Any
+    square: Any
+    incident: Any
+    up: Any
+    across: Any
 
 
 class Sums:
@@ -57,22 +69,31 @@ class Sums:
             result.append([tuple(own[3 * c : 3 * c + 3]) for c in range(self.channels)])
         return result
 
-    def lit(self, cells: Cells, cell: Any, free: Any, sums: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Add what one cell contributes to every width, if it is seen."""
+    def look(self, cells: Cells, cell: Any) -> _Look:
+        """Read a cell, and turn half way to it."""
         toward, radius = cells.at(cell)
-        incident = dr.dot(self.normal, toward)
+        half = dr.normalize(toward + self.direction)
+        return _Look(
+            radius, dr.square(radius), incident=dr.dot(self.normal, toward),
+            up=dr.dot(self.normal, half), across=dr.dot(toward, half),
+        )  # fmt: skip
+
+    def lit(
+        self, cells: Cells, cell: Any, look: _Look, free: Any, sums: tuple[Any, ...]
+    ) -> tuple[Any, ...]:
+        """Add what one cell contributes to every width, if it is seen."""
+        _, square, incident, up, across = look
 
         def reflected(*state: Any) -> tuple[Any, ...]:
-            half = dr.normalize(toward + self.direction)
-            up, across = dr.dot(self.normal, half), dr.dot(toward, half)
             schlick, dielectric = (1 - across) ** 5, dielectric_fresnel(across)
             parts = [
                 value * factor
                 for value in cells.light(cell, self.channels)
                 for factor in (1 - schlick, schlick, dielectric)
             ]
-            square = dr.square(radius)
-            lobes = [blurred_ggx(up, incident, alpha, square) for alpha in self.alpha]
+            # Across the plane of incidence the half vector turns by more, 1 / cos theta_d as far.
+            spread = 0.5 * square * (1 + dr.rcp(across * across))
+            lobes = [blurred_ggx(up, incident, alpha, spread) for alpha in self.alpha]
             added = [(lobe, part) for lobe in lobes for part in parts]
             return tuple(
                 dr.fma(part, lobe, old) for old, (lobe, part) in zip(state, added, strict=True)
@@ -118,7 +139,8 @@ class _Tree:
 
     def __init__(self, reach: Reach, lane: Any, sums: Sums) -> None:
         self.reach, self.lane, self.sums = reach, lane, sums
-        self.flat = 1 - sums.alpha[0] ** 2
+        # The same cells for any set of widths: one that is known must not change the others.
+        self.flat = 1 - NARROW**2
         self.limit = dr.opaque(mi.Float, LARGE)
 
     def coarse(self, cell: Any, *sums: Any) -> tuple[Any, ...]:
@@ -132,7 +154,8 @@ class _Tree:
         cells, free = self.reach.cells, self.reach.fine.test(cell, self.lane)
 
         def leaf(below: Any, *sums: Any) -> tuple[Any, ...]:
-            return (below + 1, *self.sums.lit(cells.leaves, below, free, sums))
+            look = self.sums.look(cells.leaves, below)
+            return (below + 1, *self.sums.lit(cells.leaves, below, look, free, sums))
 
         return self._add(cells.fine, cell, free, sums, cells.first_leaf, leaf, free)
 
@@ -141,14 +164,11 @@ class _Tree:
         below: Callable[..., Any], inside: Any = True,
     ) -> tuple[Any, ...]:  # fmt: skip
         """Add a cell, or what is below it where it is too large; only if ``inside`` is."""
-        normal, direction = self.sums.normal, self.sums.direction
-        toward, radius = cells.at(cell)
+        look = self.sums.look(cells, cell)
 
         def above(*sums: Any) -> tuple[Any, ...]:
-            half = dr.normalize(toward + direction)
-            up, across = dr.dot(normal, half), dr.dot(toward, half)
-            s = dr.fma(-self.flat * up, up, 1)
-            large = dr.square(radius) > self.limit * across * across * s
+            s = dr.fma(-self.flat * look.up, look.up, 1)
+            large = look.square > self.limit * look.across * look.across * s
 
             def smaller(*sums: Any) -> tuple[Any, ...]:
                 start, end = (dr.gather(mi.UInt32, first, cell + k) for k in (0, 1))
@@ -156,11 +176,11 @@ class _Tree:
 
             return dr.if_stmt(
                 args=sums, cond=large, true_fn=smaller,
-                false_fn=lambda *sums: self.sums.lit(cells, cell, free, sums),
+                false_fn=lambda *sums: self.sums.lit(cells, cell, look, free, sums),
             )  # fmt: skip
 
         sums = dr.if_stmt(
-            args=sums, cond=(dr.dot(normal, toward) > -radius) & inside,
+            args=sums, cond=(look.incident > -look.radius) & inside,
             true_fn=above, false_fn=lambda *sums: sums,
         )  # fmt: skip
         return (cell + 1, *sums)

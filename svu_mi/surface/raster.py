@@ -14,6 +14,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.interop import owned
+
 
 def rasterize(uvs: np.ndarray, resolution: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Find the face under every texel centre.
@@ -33,7 +35,8 @@ def rasterize(uvs: np.ndarray, resolution: tuple[int, int]) -> tuple[np.ndarray,
         empty = np.zeros(width * height, np.int64)
         return empty - 1, empty
     corners = [
-        (mi.Float64(uvs[:, k, 0] * width), mi.Float64(uvs[:, k, 1] * height)) for k in range(3)
+        (owned(mi.Float64, uvs[:, k, 0] * width), owned(mi.Float64, uvs[:, k, 1] * height))
+        for k in range(3)
     ]
     # Plus one, so that zero means no face.
     owner = dr.zeros(mi.UInt32, width * height)

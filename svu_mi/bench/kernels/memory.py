@@ -9,8 +9,8 @@ import drjit as dr
 import mitsuba as mi
 
 MIB = 2**20
-BASE_MIB, BYTES_PER_PIXEL = 200, 16
-BYTES_PER_TEXEL = {"angular": 1900, "spectrum": 560}
+BASE_MIB, BYTES_PER_PIXEL = 200, 20
+BYTES_PER_TEXEL = {"angular": 1200, "spectrum": 560}
 
 
 def resident_formula(method: str, pixels: int, texels: int) -> float:
