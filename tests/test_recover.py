@@ -15,10 +15,11 @@ from helpers import render_ball
 import svu_mi as svu
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError, ShapeError, SvuError
+from svu_mi.observed import observe
 from svu_mi.recovery.options import DescentOptions, ShOptions, sh_preset
 from svu_mi.recovery.sh import materials
+from svu_mi.recovery.sh.fit import Fits
 from svu_mi.recovery.sh.materials import Materials, MaterialSharing, find_materials
-from svu_mi.recovery.sh.prepare import prepare
 from svu_mi.recovery.textures import Textures, lay_out, uniform
 from svu_mi.surface import Texels
 
@@ -79,6 +80,10 @@ def psnr(found: Textures, truth: Textures, grid: Texels) -> float:
     return float(np.mean(-10 * np.log10(errors)))
 
 
+def fits(capture: Capture, grid: Texels) -> Fits:
+    return Fits(observe(capture, grid))
+
+
 @pytest.fixture(scope="module")
 def alone(capture: Capture, grid: Texels) -> svu.Recovery:
     return svu.recover(capture, grid)
@@ -114,12 +119,12 @@ def test_materials_are_found(
 ) -> None:
     """From seeds of both kinds, whose own parameters are bad; and every texel finds its own."""
     monkeypatch.setattr(materials, "NO_MATERIAL", 0.0)
-    run = prepare(capture, grid)
+    run = fits(capture, grid)
     fit = run.fit(ShOptions())
     metal = truth.at(grid, "metallic")[run.seen] > 0.5
-    well = run.coverage[run.seen] >= np.median(run.coverage)
+    well = run.observed.coverage[run.seen] >= np.median(run.observed.coverage)
     seeds = np.array([np.flatnonzero(kind & well)[5] for kind in (metal, ~metal)])
-    found = find_materials(fit.statistics, fit.start, fit.start.table(), seeds)
+    found = find_materials(fit.factors, fit.start, fit.start.table(), seeds)
     for values, wanted in zip(found.values, (TRUE, OTHER), strict=True):
         error = values - np.array([*wanted["base_color"], wanted["roughness"], wanted["metallic"]])
         assert np.abs(error).max() < 0.15
@@ -132,19 +137,19 @@ def test_what_explains_nothing_is_no_material(
     capture: Capture, grid: Texels, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(materials, "NO_MATERIAL", 1.1)
-    run = prepare(capture, grid)
+    run = fits(capture, grid)
     fit = run.fit(ShOptions())
     own = fit.start.table()
-    found = find_materials(fit.statistics, fit.start, own, np.array([3, 80]))
+    found = find_materials(fit.factors, fit.start, own, np.array([3, 80]))
     assert len(found.values) == 0
     np.testing.assert_array_equal(found.blend(own), own)
 
 
 def test_no_seed_shares_nothing(capture: Capture, grid: Texels) -> None:
-    run = prepare(capture, grid)
+    run = fits(capture, grid)
     fit = run.fit(ShOptions())
     own = fit.start.table()
-    found = find_materials(fit.statistics, fit.start, own, np.empty(0, np.int64))
+    found = find_materials(fit.factors, fit.start, own, np.empty(0, np.int64))
     np.testing.assert_array_equal(found.blend(own), own)
     rule = MaterialSharing.of(found, fit.loss.place)
     assert float(rule(dict(uniform(grid).items()))[0]) == 0
@@ -184,7 +189,7 @@ def test_sharing_is_a_squared_distance_and_its_gradient() -> None:
 
 
 def test_the_truth_is_nearly_stationary(capture: Capture, grid: Texels, truth: Textures) -> None:
-    loss = prepare(capture, grid).fit(ShOptions()).loss
+    loss = fits(capture, grid).fit(ShOptions()).loss
 
     def slope(textures: Textures) -> float:
         tensors = dict(textures.items())
