@@ -9,13 +9,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from extremes.spectra import L
+from extremes.spectra import metals as spectra
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from oracle import posterior as oracle
 
-from svu_mi.bench.stability.spectra import L
-from svu_mi.bench.stability.spectra import metals as spectra
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.options import preset
 from svu_mi.posterior import ParameterGrid, PrincipledGrid, spectrum_posterior

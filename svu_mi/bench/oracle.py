@@ -1,6 +1,6 @@
 """The equations once more: NumPy in double precision, clear over fast, nothing of svu_mi.
 
-``svu bench stability`` and the tests hold the kernels against these. Sizes: T texels, V views,
+``svu bench kernels`` and the tests hold the kernels against these. Sizes: T texels, V views,
 C channels; R, M, S nodes of roughness, metallic, and base colour or Ks.
 """
 

@@ -20,7 +20,6 @@ from svu_mi.bench.plots import draw_plots
 from svu_mi.bench.recovery import draw_recovery, run_recovery
 from svu_mi.bench.recovery.options import Options
 from svu_mi.bench.speed import run_speed, timed_setting
-from svu_mi.bench.stability import run_stability
 from svu_mi.bench.store import Store, code_and_machine, key_of
 from svu_mi.bench.summary import summarize
 from svu_mi.bench.tables import write_tables
@@ -30,8 +29,8 @@ from svu_mi.files import prepare_folder
 from svu_mi.output import environment_record, write_manifest
 from svu_mi.settings import require_known
 
-WHAT = ("accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance", "orb",
-        "conventions", "all")  # fmt: skip
+WHAT = ("accuracy", "checks", "speed", "kernels", "recovery", "guidance", "orb", "conventions",
+        "all")  # fmt: skip
 
 
 def run_bench(
@@ -62,7 +61,7 @@ def run_bench(
 
     Returns:
         What bench.json holds: ``cells``, ``summary``, ``checks``, ``speed``, ``kernels``,
-        ``stability``, ``recovery``, ``guidance``, ``orb``, ``conventions``, ``failed``, and how it
+        ``recovery``, ``guidance``, ``orb``, ``conventions``, ``failed``, and how it
         was run.
 
     Raises:
@@ -99,9 +98,6 @@ def run_bench(
         record["kernels"] = _recall(
             bench, "kernels", partial(run_kernels, capture=capture), cells[0].title
         )
-        _write(bench, record)
-    if what in ("stability", "all"):
-        record["stability"] = _recall(bench, "stability", run_stability)
         _write(bench, record)
     # Each takes as long as all the others: never part of them.
     finished = partial(_finished, bench, record)

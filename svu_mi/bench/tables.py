@@ -12,7 +12,6 @@ from svu_mi.bench.guidance import guidance_tables
 from svu_mi.bench.kernels import kernel_tables
 from svu_mi.bench.orb import orb_tables
 from svu_mi.bench.recovery import recovery_tables
-from svu_mi.bench.stability import stability_table
 from svu_mi.bench.text import number, seconds, table
 from svu_mi.files import write_text
 
@@ -25,7 +24,6 @@ SCALED = {
 }
 BENCHMARKS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     ("kernels", "Kernels", kernel_tables),
-    ("stability", "Numerical stability", stability_table),
     ("recovery", "Recovery of textures", recovery_tables),
     ("guidance", "Capture guidance", guidance_tables),
     ("orb", "Stanford-ORB", orb_tables),

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from svu_mi.bench.recovery.options import Options
 
 What = Annotated[
-    Literal["accuracy", "checks", "speed", "kernels", "stability", "recovery", "guidance", "orb",
-            "conventions", "all"],
+    Literal["accuracy", "checks", "speed", "kernels", "recovery", "guidance", "orb", "conventions",
+            "all"],
     tyro.conf.Positional,
 ]  # fmt: skip
 Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
@@ -39,11 +39,10 @@ class Bench(Common):
     what: What = "all"
     """accuracy: every object under every light; checks: what these comparisons take for granted,
     for some objects; speed: run times, of the first object and light; kernels: speed and error of
-    each kernel, what skipping saves, scaling; stability: errors at the ends of every axis;
-    all: these; recovery: textures recovered in every way, against the true ones; guidance: textures
-    recovered from views chosen in every way, and the time that choosing takes; orb: textures
-    recovered from the captures of Stanford-ORB, relit, against its photographs; conventions: how
-    often svu check finds wrong axes."""
+    each kernel, what skipping saves, scaling; all: these; recovery: textures recovered in every
+    way, against the true ones; guidance: textures recovered from views chosen in every way, and
+    the time that choosing takes; orb: textures recovered from the captures of Stanford-ORB, relit,
+    against its photographs; conventions: how often svu check finds wrong axes."""
     output: Output = Path("out/bench")
     data: Path | None = None
     """Folder with objects/ and envmaps/; without it, the scenes of svu_mi. orb: the data set, with

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from extremes import run as stability
+from extremes.cases import Axis, Found, refused
+from extremes.run import measure, stability_table
 
-from svu_mi.bench.stability import run as stability
-from svu_mi.bench.stability.cases import Axis, Found, refused
-from svu_mi.bench.stability.run import measure, stability_table
 from svu_mi.progress import Progress
 
 AXES = {axis.name: axis for axis in stability.AXES}

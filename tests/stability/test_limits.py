@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from extremes import angular
+from extremes.captures import around, ball, lamps, map_light
+from extremes.fits import fit_error, samples
+from extremes.meshes import similarity
 
 import svu_mi as svu
-from svu_mi.bench.stability import angular
-from svu_mi.bench.stability.captures import around, ball, lamps, map_light
-from svu_mi.bench.stability.fits import fit_error, samples
-from svu_mi.bench.stability.meshes import similarity
 
 METHODS = pytest.mark.parametrize("method", ["angular", "spectrum"])
 

@@ -6,11 +6,11 @@ import ast
 
 import numpy as np
 import pytest
+from extremes.exact import exact_entropy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svu_mi.bench import oracle
-from svu_mi.bench.stability.exact import exact_entropy
 
 
 def test_the_oracle_uses_nothing_of_svu_mi(root):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from extremes import angular
+from extremes import spectra as spectral
+from extremes.exact import SPECTRUM, U
+from extremes.fits import samples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from svu_mi.bench.stability import angular
-from svu_mi.bench.stability import spectra as spectral
-from svu_mi.bench.stability.exact import SPECTRUM, U
-from svu_mi.bench.stability.fits import samples
 from svu_mi.frequency import fit_sh, power_spectrum
 from svu_mi.options import preset
 from svu_mi.posterior import PrincipledGrid, angular_posterior, spectrum_posterior

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from extremes.cases import Axis, Case, Found, compared, refused
+from extremes.exact import SPECTRUM
 from svu_mi.bench import oracle
-from svu_mi.bench.stability.cases import Axis, Case, Found, compared, refused
-from svu_mi.bench.stability.exact import SPECTRUM
 from svu_mi.frequency import fit_sh, power_spectrum
 from svu_mi.options import preset
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.stability.captures import ball, exact
-from svu_mi.bench.stability.cases import Case, Found, compared, entropies, refused
-from svu_mi.bench.stability.exact import U
+from extremes.captures import ball, exact
+from extremes.cases import Case, Found, compared, entropies, refused
+from extremes.exact import U
 from svu_mi.capture import Capture
 from svu_mi.options import AnyPreset, Method
 from svu_mi.pipeline import Estimate, estimate

@@ -11,9 +11,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.bench.stability.captures import around, ball, lamps, map_light, sphere
-from svu_mi.bench.stability.cases import Axis, Case, Found, compared
-from svu_mi.bench.stability.estimates import (
+from extremes.captures import around, ball, lamps, map_light, sphere
+from extremes.cases import Axis, Case, Found, compared
+from extremes.estimates import (
     METHODS,
     RESOLUTION,
     Taken,
@@ -23,7 +23,7 @@ from svu_mi.bench.stability.estimates import (
     same_coverage,
     same_entropy,
 )
-from svu_mi.bench.stability.exact import U
+from extremes.exact import U
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.options import preset

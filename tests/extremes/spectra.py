@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.stability.cases import Axis, Case, Found, entropies, exposures
-from svu_mi.bench.stability.exact import Grid, U, spectrum_entropy
+from extremes.cases import Axis, Case, Found, entropies, exposures
+from extremes.exact import Grid, U, spectrum_entropy
 from svu_mi.options import Preset, preset
 from svu_mi.posterior import ParameterGrid, PrincipledGrid, spectrum_posterior
 

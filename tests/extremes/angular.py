@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.stability.cases import Axis, Case, Found, entropies, exposures
-from svu_mi.bench.stability.exact import Grid, U, angular_entropy
+from extremes.cases import Axis, Case, Found, entropies, exposures
+from extremes.exact import Grid, U, angular_entropy
 from svu_mi.options import AngularPreset, preset
 from svu_mi.posterior import ParameterGrid, PrincipledGrid, angular_posterior
 from svu_mi.statistics import Statistics

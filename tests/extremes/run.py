@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.stability import angular, fits, meshes, scenes, spectra
-from svu_mi.bench.stability.cases import Axis, Found
+from extremes import angular, fits, meshes, scenes, spectra
+from extremes.cases import Axis, Found
 from svu_mi.bench.text import table
 from svu_mi.errors import SvuWarning
 from svu_mi.files import prepare_folder

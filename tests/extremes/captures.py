@@ -12,8 +12,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from extremes.exact import SPECTRUM, Exact, angular_entropy, spectrum_entropy
 from svu_mi.bench import oracle
-from svu_mi.bench.stability.exact import SPECTRUM, Exact, angular_entropy, spectrum_entropy
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.poses import make_sensor

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.stability.captures import METAL, around, ball, lamps, map_light
-from svu_mi.bench.stability.cases import Axis, Case, Found, compared
-from svu_mi.bench.stability.estimates import (
+from extremes.captures import METAL, around, ball, lamps, map_light
+from extremes.cases import Axis, Case, Found, compared
+from extremes.estimates import (
     METHODS,
     Taken,
     agrees,
