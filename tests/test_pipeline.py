@@ -18,10 +18,10 @@ from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.scene import load_scene
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.gather import Samples, fit_spectra
-from svu_mi.light import light
+from svu_mi.observed import observe
 from svu_mi.options import preset
 from svu_mi.pipeline import estimate
-from svu_mi.visibility import Surface, pack_views, survey
+from svu_mi.visibility import Surface
 
 DIFFUSE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.5, 0.3]}}
 GLOSSY = {"type": "principled", "base_color": {"type": "rgb", "value": [0.9, 0.7, 0.4]},
@@ -47,18 +47,22 @@ def glossy(tmp_path_factory):
 
 def stored_samples(capture, texels, switches):
     """What the kernels see, as arrays: directions (T,V,3), weights (T,V), values (T,V,2C)."""
-    views, surface = pack_views(capture), Surface.of(texels)
-    lighting = light(capture, sum(capture.used))
-    columns = []
-    found = survey(views, surface)
+    seen, surface = observe(capture, texels), Surface.of(texels)
+    columns, found, lighting = [], seen.found, seen.lighting
+    mirrors = seen.mirrors if switches.occluded else None
     colors = switches.colors
-    samples = Samples(views, lighting, surface, found, switches.occluded, colors, colors)
+    samples = Samples(seen.views, lighting, surface, found, mirrors, colors, colors)
     for place in range(int(found.count[0])):
         direction, weight, values = samples.at(mi.UInt32(place))
         dr.eval(direction, weight, values)
         columns.append((direction.numpy().T, weight.numpy(), np.stack([v.numpy() for v in values])))
     d, w, f = zip(*columns, strict=True)
-    return np.stack(d, 1), np.stack(w, 1), np.stack(f, 2).transpose(1, 2, 0), lighting
+    return np.stack(d, 1), np.stack(w, 1), np.stack(f, 2).transpose(1, 2, 0)
+
+
+def spectra_of(seen, switches):
+    mirrors = seen.mirrors if switches.occluded else None
+    return fit_spectra(seen.views, seen.lighting, seen.texels, seen.found, mirrors, switches)
 
 
 def exact_spectra(d, w, f, switches):
@@ -74,10 +78,8 @@ def test_the_fused_kernels_agree_with_the_oracle(glossy, name):
     """Samples stored, fitted and compared in float64, straight from the equations."""
     capture, texels = glossy
     switches = preset(name)
-    d, w, f, lighting = stored_samples(capture, texels, switches)
-    views = pack_views(capture)
-    found = survey(views, Surface.of(texels))
-    spectra = fit_spectra(views, lighting, texels, found, switches)
+    d, w, f = stored_samples(capture, texels, switches)
+    spectra = spectra_of(observe(capture, texels), switches)
     exact = exact_spectra(d, w, f, switches)
     ours = np.concatenate([np.array(spectra.outgoing), np.array(spectra.incoming)], axis=2)
     largest = np.maximum(exact.max(axis=1, keepdims=True), 1e-6)
@@ -158,12 +160,11 @@ def test_a_diffuse_ball_has_no_power_above_degree_zero(tmp_path):
     """Method: with R_00 = 0 a constant signal stays constant; as printed it leaks."""
     capture = render_ball(tmp_path, studio(), DIFFUSE, views=30, spp=256)
     texels = svu.texels(capture.mesh, 32)
-    views, lighting = pack_views(capture), light(capture, 30)
-    found = survey(views, Surface.of(texels))
-    many = found.coverage.numpy() >= 6
+    seen = observe(capture, texels)
+    many = seen.coverage >= 6
     leak = {}
     for name in ("default", "paper"):
-        power = np.array(fit_spectra(views, lighting, texels, found, preset(name)).outgoing)[many]
+        power = np.array(spectra_of(seen, preset(name)).outgoing)[many]
         leak[name] = np.median(power[:, 1:].sum(axis=1) / power[:, 0])
     assert leak["default"] < 1e-3  # noise of the render, texel against pixel
     assert leak["paper"] > 10 * leak["default"]
@@ -305,7 +306,7 @@ def test_figure_4_ordering(tmp_path, method):
 def test_the_oracle_and_the_posterior_agree_on_a_rendered_object(glossy):
     capture, texels = glossy
     switches = preset("paper", sigma=0.05)
-    d, w, f, lighting = stored_samples(capture, texels, switches)
+    d, w, f = stored_samples(capture, texels, switches)
     S = exact_spectra(d, w, f, switches)
     seen = (w > 0).any(axis=1)
     roughness, Ks = oracle_posterior.nodes(8, 8, "uniform")
@@ -365,8 +366,8 @@ def test_a_grid_of_ks_without_a_spacing_resolves_dielectrics(glossy):
 @pytest.mark.parametrize(
     "method, switches",
     [
-        ("angular", {"rays": 64.5}), ("angular", {"rays": True}), ("angular", {"sigma": "0.1"}),
-        ("angular", {"occluded_diffuse": "no"}), ("spectrum", {"degree": 4.5}),
+        ("angular", {"cells": 512.5}), ("angular", {"cells": True}), ("angular", {"sigma": "0.1"}),
+        ("angular", {"occluded": "no"}), ("spectrum", {"degree": 4.5}),
     ],
 )  # fmt: skip
 def test_switches_of_the_wrong_kind_are_refused(method, switches):
@@ -374,3 +375,15 @@ def test_switches_of_the_wrong_kind_are_refused(method, switches):
     wanted = "a whole number|a number|True or False"
     with pytest.raises(OptionError, match=f"Preset: {name} must be ({wanted})"):
         preset("default", method=method, **switches)
+
+
+@pytest.mark.parametrize("cells", [-1, 1, 255, 4097])
+def test_numbers_of_cells_out_of_range_are_refused(cells):
+    with pytest.raises(OptionError, match=r"cells must be in \[256, 4096\], or 0 to trace none"):
+        preset("default", method="angular", cells=cells)
+
+
+@pytest.mark.parametrize("name", ["rays", "occluded_specular", "occluded_diffuse"])
+def test_switches_that_are_no_more_are_named(name):
+    with pytest.raises(OptionError, match=f"Unknown switch '{name}'.* has cells, .* occluded"):
+        preset("default", method="angular", **{name: 64})

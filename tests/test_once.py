@@ -1,0 +1,148 @@
+"""Whatever goes on from an estimate traces no ray again, and makes no mask twice."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import render_ball
+from test_reference import paint, sky
+
+import svu_mi as svu
+from svu_mi import observed as module
+from svu_mi.posterior import PrincipledGrid
+from svu_mi.recovery.options import DescentOptions, ShOptions
+
+TRACERS = ("pack_views", "survey", "trace_reach", "trace_mirrors", "light")
+RAYS = ("pack_views", "survey", "trace_reach", "trace_mirrors")
+BRIEF = ShOptions(descent=DescentOptions(steps=2))
+GRID = PrincipledGrid(3, 3, 3)
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("once")
+    return render_ball(folder, sky(), paint(), views=8, resolution=(32, 32), spp=16)
+
+
+@pytest.fixture(scope="module")
+def layout(capture):
+    return svu.texels(capture.mesh, 16)
+
+
+@pytest.fixture
+def calls(monkeypatch) -> Counter[str]:
+    """How often anything was traced, or read, where ``Observed`` is made."""
+    counted: Counter[str] = Counter()
+
+    def watch(name: str) -> Callable[..., Any]:
+        original = getattr(module, name)
+
+        def called(*args: Any, **kwargs: Any) -> Any:
+            counted[name] += 1
+            return original(*args, **kwargs)
+
+        return called
+
+    for name in TRACERS:
+        monkeypatch.setattr(module, name, watch(name))
+    return counted
+
+
+USES: dict[str, Callable[[Any], Any]] = {
+    "estimate": lambda e: svu.estimate(e),
+    "spectrum": lambda e: svu.estimate(e, method="spectrum"),
+    "calibrated": lambda e: svu.estimate(e, preset="calibrated"),
+    "fast": lambda e: svu.estimate(e, preset="fast"),
+    "recover": lambda e: svu.recover(e, sh=BRIEF),
+    "sharing": lambda e: svu.recover(e, sh=BRIEF, sharing=True),
+    "coefficients": lambda e: svu.recover(e, preset="coefficients"),
+    "next_best_view": lambda e: svu.next_best_view(e, svu.Candidates.around(
+        e.observed.capture, 5)),
+    "reference": lambda e: svu.reference_posterior(e, subset=10, spp=2, grid=GRID),
+}  # fmt: skip
+
+
+def test_an_estimate_traces_everything_once(capture, layout, calls):
+    svu.estimate(capture, layout)
+    assert calls == dict.fromkeys(TRACERS, 1)
+
+
+@pytest.mark.parametrize("name", USES)
+def test_what_goes_on_from_an_estimate_traces_nothing_again(capture, layout, calls, name):
+    """No silhouette ray, no ray to a camera; unseen texels aside, none to a cell of the light."""
+    estimate = svu.estimate(capture, layout)
+    calls.clear()
+    USES[name](estimate)
+    # Forecasts are also of texels that nobody has seen, which have their own first rays; and the
+    # spectrum's irradiance is of fewer, larger cells.
+    allowed = {"trace_reach"} if name in ("spectrum", "next_best_view") else set()
+    assert set(calls) <= allowed and sum(calls.values()) <= 1
+    calls.clear()
+    if name != "next_best_view":
+        USES[name](estimate)
+        assert not calls
+
+
+def test_forecasts_of_seen_texels_trace_no_cell_again(capture, layout, calls, monkeypatch):
+    from svu_mi.guidance.forecaster import forecaster
+
+    estimate = svu.estimate(capture, layout)
+    source = forecaster(estimate)
+    packed = source.pack(capture.sensors[:2])
+    calls.clear()
+    source.forecast(estimate.observed.seen[::3], packed, 4, 0)
+    assert not calls
+
+
+def test_what_was_observed_serves_as_well_as_an_estimate(capture, layout, calls):
+    observed = module.observe(capture, layout)
+    assert calls == {"pack_views": 1, "survey": 1, "light": 1}
+    first = svu.estimate(observed)
+    assert calls == dict.fromkeys(TRACERS, 1)
+    svu.recover(observed, sh=BRIEF)
+    svu.reference_posterior(observed, subset=10, spp=2, grid=GRID)
+    assert calls == dict.fromkeys(TRACERS, 1)
+    assert first.observed is observed
+
+
+def test_it_is_the_same_from_a_capture(capture, layout):
+    """And a capture still works: the results are equal to the last bit."""
+    estimate = svu.estimate(capture, layout)
+    for method in ("angular", "spectrum"):
+        a, b = svu.estimate(capture, layout, method), svu.estimate(estimate, method=method)
+        np.testing.assert_array_equal(np.array(a.entropy), np.array(b.entropy))
+    a, b = svu.recover(capture, layout, sh=BRIEF), svu.recover(estimate, sh=BRIEF)
+    for name, tensor in a.textures.items():
+        np.testing.assert_array_equal(np.array(tensor), np.array(getattr(b.textures, name)))
+    a, b = (
+        svu.reference_posterior(*source, subset=10, spp=2, grid=GRID)
+        for source in ((capture, layout), (estimate,))
+    )
+    np.testing.assert_array_equal(a.entropy, b.entropy)
+    a, b = (
+        svu.next_best_view(e, svu.Candidates.around(capture, 5))
+        for e in (svu.estimate(capture, layout), svu.estimate(estimate))
+    )
+    np.testing.assert_array_equal(a.gains, b.gains)
+
+
+def test_what_is_hidden_from_nothing_traces_no_cell(capture, layout, calls):
+    """``fast`` and ``paper`` look filtered light up."""
+    for preset in ("fast", "paper"):
+        svu.estimate(capture, layout, preset=preset)
+    svu.estimate(capture, layout, "spectrum", "paper")
+    assert not {"trace_reach", "trace_mirrors"} & set(calls)
+
+
+def test_other_texels_or_none_are_refused(capture, layout):
+    estimate = svu.estimate(capture, layout)
+    other = svu.texels(capture.mesh, 16)
+    for use in (svu.estimate, svu.recover, svu.reference_posterior):
+        with pytest.raises(svu.SvuError, match="not those that were observed"):
+            use(estimate, other)
+        with pytest.raises(svu.SvuError, match="A capture needs texels"):
+            use(capture)
