@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from svu_mi.errors import SceneError
+from svu_mi.light.cells import LARGEST, fibonacci, light_cells
 from svu_mi.light.environment import (
+    Environment,
     analyze,
     basis_at,
     directions,
@@ -189,3 +191,164 @@ def test_a_scaled_environment_is_refused():
     emitter = envmap(np.ones((8, 16, 3)), mi.ScalarTransform4f().scale(2))
     with pytest.raises(SceneError, match="rotation"):
         read_environment(emitter)
+
+
+# --- cells ----------------------------------------------------------------------------------
+
+LAMPS = unit_vectors(np.random.default_rng(611), 4)
+
+
+def lamps(rows=65, to_world=None, disk=None):
+    """A dim sky with soft lamps, and perhaps a sun on a disk."""
+    nodes = directions(2 * (rows - 1), rows)
+    radiance = 0.3 + np.exp(20 * (nodes @ LAMPS.T - 1)) @ np.array(
+        [[3, 2, 1], [4, 4, 5], [0.5, 2, 3], [2, 2, 2.0]]
+    )
+    disk = disk or (np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
+    return Environment(radiance, *disk, np.eye(3) if to_world is None else to_world.T)
+
+
+def sun(direction=(0.36, 0.48, 0.8)):
+    return np.array([direction]), np.array([1e-3]), np.full((1, 3), 500.0)
+
+
+def values(cells):
+    """Directions (N, 3), radii (N,), flux (N, 3) and its mean (N,), float64."""
+    toward = cells.toward.numpy().reshape(-1, 4).astype(np.float64)
+    flux = cells.flux.numpy().reshape(-1, 4).astype(np.float64)
+    return toward[:, :3], toward[:, 3], flux[:, :3], flux[:, 3]
+
+
+SIZES = [(1, 1), (16, 16), (16, 128), (128, 1024), (512, 4096)]
+
+
+@pytest.mark.parametrize(("coarse", "fine"), SIZES)
+def test_cells_hold_all_the_light(coarse, fine):
+    light = lamps(disk=sun())
+    whole = light.coefficients(0)[0] * np.sqrt(4 * np.pi)
+    tree = light_cells(light, coarse, fine)
+    assert (tree.coarse.number, tree.fine.number) == (coarse, fine)
+    for cells in (tree.coarse, tree.fine, tree.leaves):
+        toward, radius, flux, grey = values(cells)
+        assert len(toward) == cells.number == int(cells.count[0])
+        np.testing.assert_allclose(flux.sum(axis=0), whole, rtol=1e-5)
+        np.testing.assert_allclose(grey, flux.mean(axis=1), rtol=1e-5, atol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(toward, axis=1), 1, atol=1e-5)
+        assert (flux >= 0).all() and (radius >= 0).all()
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize(("coarse", "fine"), SIZES)
+def test_a_cell_is_the_sum_of_those_below_it(coarse, fine, turned):
+    """Flux, direction (the centroid of radiance) and radius: all follow from the leaves."""
+    turn = np.linalg.qr(np.random.default_rng(31).normal(size=(3, 3)))[0] if turned else None
+    tree = light_cells(lamps(to_world=turn, disk=sun()), coarse, fine)
+    for above, below, first in (
+        (tree.coarse, tree.fine, tree.first), (tree.fine, tree.leaves, tree.first_leaf)
+    ):  # fmt: skip
+        starts = first.numpy().astype(int)
+        assert starts[0] == 0 and starts[-1] == below.number and (np.diff(starts) > 0).all()
+        owner = np.repeat(np.arange(above.number), np.diff(starts))
+        toward, radius, flux, _ = values(below)
+        # Half a disk's squared radius is 1 - |mean|^2 of its directions.
+        pull = flux.sum(axis=1, keepdims=True) * toward * np.sqrt(1 - radius[:, None] ** 2 / 2)
+        sums = np.zeros((above.number, 6))
+        np.add.at(sums, owner, np.hstack([flux, pull]))
+        ours, size, light, _ = values(above)
+        np.testing.assert_allclose(light, sums[:, :3], rtol=1e-5)
+        length = np.linalg.norm(sums[:, 3:], axis=1)
+        lit = length > 0  # leaves of a small map may hold none of its nodes
+        assert lit.mean() > 0.4
+        ours, size, sums, length = ours[lit], size[lit], sums[lit], length[lit]
+        np.testing.assert_allclose(ours, sums[:, 3:] / length[:, None], atol=1e-4)
+        spread = np.sqrt(np.maximum(2 * (1 - (length / sums[:, :3].sum(axis=1)) ** 2), 0))
+        # 1 - |mean|^2 of small cells is a difference of single precision here.
+        np.testing.assert_allclose(size, spread, atol=2e-3)
+
+
+def test_radii_are_those_of_even_disks():
+    """Of a cell of even light that is one: the whole sphere, and a cap of known size."""
+    tree = light_cells(read_environment(envmap(np.ones((8, 16, 3)))), 1, 1)
+    assert values(tree.fine)[1][0] == pytest.approx(np.sqrt(2), abs=1e-3)
+    d = directions(512, 257)
+    cap = np.arccos(np.clip(d[..., 1], -1, 1)) < 0.3
+    grid = np.repeat(cap[..., None] * 1.0, 3, axis=2)
+    light = Environment(grid, np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)), np.eye(3))
+    toward, radius, _, _ = values(light_cells(light, 1, 1).fine)
+    np.testing.assert_allclose(toward[0], [0, 1, 0], atol=1e-3)
+    assert radius[0] == pytest.approx(0.3, rel=0.02)
+
+
+@pytest.mark.parametrize(("coarse", "fine"), SIZES)
+def test_groups_are_runs_of_neighbours_that_fit_a_word(coarse, fine):
+    tree = light_cells(lamps(), coarse, fine)
+    edges = tree.groups.numpy().astype(int)
+    assert edges[0] == 0 and edges[-1] == coarse and (np.diff(edges) > 0).all()
+    assert np.diff(edges).max() <= LARGEST <= 32
+    assert int(tree.group_count[0]) == len(edges) - 1
+    grey = values(tree.fine)[3]
+    np.testing.assert_array_equal(tree.bright.numpy() > 0, grey > 0.25 * grey.mean())
+    if coarse >= 128:  # those of a group are nearer to each other than to others
+        toward = values(tree.coarse)[0]
+        same = np.repeat(np.arange(len(edges) - 1), np.diff(edges))
+        near = np.arccos(np.clip(toward @ toward.T, -1, 1))
+        together = (same[:, None] == same) & ~np.eye(coarse, dtype=bool)
+        assert near[together].mean() < 0.5 * near[~together].mean()
+
+
+def test_cells_are_small_where_the_light_is_bright():
+    """What a lobe sees of them, against leaves: better than even cells of the same number."""
+    rng = np.random.default_rng(77123)
+    image = rng.uniform(0.1, 0.3, (24, 48, 3))
+    image[5:7, 30:32] = (60, 50, 40)
+    tree = light_cells(read_environment(envmap(image)), 64, 64)
+    looks = unit_vectors(rng, 200)
+    toward, _, flux, _ = values(tree.leaves)
+
+    def seen(toward, flux):
+        return np.exp((looks @ toward.T - 1) / 0.3**2) @ flux.sum(axis=1)
+
+    nearest = (toward @ fibonacci(64).T).argmax(axis=1)
+    sums, pull = np.zeros((64, 3)), np.zeros((64, 3))
+    np.add.at(sums, nearest, flux)
+    np.add.at(pull, nearest, flux.sum(axis=1, keepdims=True) * toward)
+    even = seen(pull / np.linalg.norm(pull, axis=1, keepdims=True), sums)
+    ours, truth = seen(*(values(tree.fine)[k] for k in (0, 2))), seen(toward, flux)
+    errors = [np.sqrt(((x - truth) ** 2).mean()) for x in (ours, even)]
+    assert errors[0] < 0.6 * errors[1]
+
+
+@pytest.mark.parametrize("where", [(0.36, 0.48, 0.8), (0, 1, 0), (-0.6, 0, 0.8)])
+def test_a_sun_has_a_cell_of_its_own_direction(where):
+    """Its cell is looked at where the sun is, at every depth of the tree."""
+    tree = light_cells(lamps(disk=(sun(where)[0], np.array([1e-4]), np.full((1, 3), 5e5))), 64, 512)
+    for cells in (tree.coarse, tree.fine, tree.leaves):
+        toward, radius, _, grey = values(cells)
+        brightest = grey.argmax()
+        assert toward[brightest] @ np.array(where) > np.cos(np.radians(1))
+        assert radius[brightest] < 0.1
+
+
+@pytest.mark.parametrize("radiance", [0.0, 2.0])
+def test_cells_of_constant_light(radiance):
+    """Also of none: even, finite, all there."""
+    grid = np.full((65, 128, 3), radiance)
+    light = Environment(grid, np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)), np.eye(3))
+    tree = light_cells(light, 40, 320)
+    for cells in (tree.coarse, tree.fine, tree.leaves):
+        toward, radius, flux, _ = values(cells)
+        assert np.isfinite(toward).all() and np.isfinite(radius).all()
+        np.testing.assert_allclose(np.linalg.norm(toward, axis=1), 1, atol=1e-5)
+        np.testing.assert_allclose(flux.sum(axis=0), 4 * np.pi * radiance, rtol=1e-5)
+    if radiance:
+        # Even cells: a disk of 4 pi / N steradians has a squared radius of 4 / N.
+        assert np.median(values(tree.fine)[1]) == pytest.approx(2 / np.sqrt(320), rel=0.15)
+        assert values(tree.fine)[3].max() < 3 * values(tree.fine)[3].mean()
+
+
+def test_lattice_points_are_evenly_spread():
+    d = fibonacci(128)
+    np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1, atol=1e-12)
+    assert abs(d.mean(axis=0)).max() < 5e-3
+    nearest = np.sort(d @ d.T, axis=1)[:, -2]
+    assert np.degrees(np.arccos(nearest)).min() > 12

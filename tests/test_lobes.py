@@ -8,7 +8,16 @@ import pytest
 from oracle import angular as oracle
 
 from svu_mi.reflection.diffuse import diffuse_shading
-from svu_mi.reflection.lobes import ALBEDO_NODES, dominance, smith_g1, split_sum, zonal_profile
+from svu_mi.reflection.lobes import (
+    ALBEDO_NODES,
+    blurred_ggx,
+    dielectric_fresnel,
+    dominance,
+    ggx,
+    smith_g1,
+    split_sum,
+    zonal_profile,
+)
 
 WIDTHS = [1e-3, 0.02, 0.1, 0.3, 0.6, 1.0]
 COSINES = (np.arange(ALBEDO_NODES) + 0.5) / ALBEDO_NODES
@@ -128,3 +137,70 @@ def test_the_diffuse_model_is_that_of_mitsuba(roughness):
         values.append(bsdf.eval(mi.BSDFContext(), si, to_light).numpy()[0])
     truth = oracle.disney_diffuse(lights, o, up, roughness) * lights[:, 2]
     np.testing.assert_allclose(values[0] - values[1], truth, rtol=1e-4, atol=1e-6)
+
+
+# --- light from a disk ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("alpha", WIDTHS)
+def test_light_from_one_direction_is_not_blurred(alpha):
+    up, incident = np.linspace(0.05, 1, 40)[:, None], np.linspace(0.01, 1, 40)
+    exact = oracle.ggx(up, alpha) * oracle.g1(incident, alpha)
+    ours = blurred_ggx(*(float_array(x) for x in np.broadcast_arrays(up, incident)), alpha, 0.0)
+    # Single precision of sin^2 of the half vector, where the lobe is narrow.
+    keep = np.broadcast_to(1 - up**2 + alpha**2 * up**2 > 1e-3, exact.shape)
+    np.testing.assert_allclose(ours.numpy()[keep.ravel()], exact[keep], rtol=1e-3)
+    known = ggx(up, alpha) * smith_g1(incident, alpha)
+    np.testing.assert_allclose(known, exact, rtol=1e-9)
+
+
+@pytest.mark.parametrize("alpha", [0.05, 0.3, 1.0])
+@pytest.mark.parametrize("rho", [0.02, 0.1, 1.0])
+def test_light_from_a_disk_is_that_of_its_formula(alpha, rho):
+    """Also where the disk is too large for it."""
+    up, incident = np.linspace(0.3, 0.99, 30), np.linspace(0.05, 1, 30)
+    ours = blurred_ggx(float_array(up), float_array(incident), alpha, rho**2).numpy()
+    exact = oracle.blurred(up, alpha, rho**2) * oracle.g1(incident, alpha)
+    np.testing.assert_allclose(ours, exact, rtol=2e-4)
+
+
+@pytest.mark.parametrize("alpha", [0.02, 0.05])  # where the sphere is flat
+@pytest.mark.parametrize("spot", [0.0, 0.3, 0.6, 1.0, 2.0, 4.0])
+def test_a_blurred_lobe_is_the_average_over_a_small_disk(alpha, spot):
+    """To first order of rho^2 / s: what is left over is a small part of what the disk changes.
+
+    Where the change is 0 by itself (2 s = 3 alpha^2), of what it is at the peak.
+    """
+    tilt = spot * alpha  # of the half vector
+    s = np.sin(tilt) ** 2 + (alpha * np.cos(tilt)) ** 2
+    rho = 0.3 * float(np.sqrt(s))
+    average, center = averages(alpha, tilt, rho)
+    up = float_array(np.array([np.cos(tilt)]))
+    ours = float(blurred_ggx(up, mi.Float(1), alpha, rho**2)[0])
+    plain = float(blurred_ggx(up, mi.Float(1), alpha, 0.0)[0])  # both in single precision
+    assert ours / plain - 1 == pytest.approx(average / center - 1, rel=0.06, abs=1.5e-3)
+
+
+def averages(alpha, tilt, rho):
+    """Of D over half vectors that are off by up to rho / 2, all around; and D in the middle."""
+    radius = rho / 2 * np.sqrt((np.arange(200) + 0.5) / 200)
+    turn = 2 * np.pi * (np.arange(64) + 0.5) / 64
+    x = np.tan(radius)[:, None] * np.cos(turn)
+    y = np.tan(radius)[:, None] * np.sin(turn)
+    middle = np.array([np.sin(tilt), 0, np.cos(tilt)])
+    across, over = np.array([np.cos(tilt), 0, -np.sin(tilt)]), np.array([0.0, 1, 0])
+    half = middle + x[..., None] * across + y[..., None] * over
+    cosine = half[..., 2] / np.linalg.norm(half, axis=-1)
+    return oracle.ggx(cosine, alpha).mean(), oracle.ggx(np.cos(tilt), alpha)
+
+
+def test_fresnel_is_that_of_snells_angles():
+    cosine = np.linspace(1e-3, 1, 200)
+    exact = oracle.fresnel(cosine)
+    np.testing.assert_allclose(dielectric_fresnel(cosine), exact, rtol=1e-12)
+    np.testing.assert_allclose(dielectric_fresnel(float_array(cosine)).numpy(), exact, rtol=1e-5)
+    assert exact[-1] == pytest.approx(0.04)
+
+
+def float_array(values):
+    return mi.Float(np.ascontiguousarray(values.ravel(), np.float32))

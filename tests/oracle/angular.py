@@ -37,7 +37,7 @@ def products(w: np.ndarray, columns: Sequence[np.ndarray], b: np.ndarray) -> np.
 
 def g1(cosine, alpha):
     """Smith's masking of one direction, G1 = 1 / (1 + Lambda)."""
-    tangent = np.sqrt(1 - cosine**2) / cosine
+    tangent = np.sqrt(np.maximum(1 - cosine**2, 0)) / cosine
     return 1 / (1 + (np.sqrt(1 + (alpha * tangent) ** 2) - 1) / 2)
 
 
@@ -55,12 +55,15 @@ def fresnel(cosine, index: float = 1.5):
     return (s**2 + p**2) / 2
 
 
-def blurred(cosine, alpha, square):
-    """GGX of a squared width that grows by alpha^2 rho^2 / (4 s), the first order of the average
-    over a disk of radius rho, s = sin^2 + alpha^2 cos^2."""
+def blurred(cosine, alpha, square, least: float = 0.3):
+    """GGX averaged over half vectors that turn by up to rho / 2, to first order in rho^2.
+
+    On a plane D goes with 1 / s^2, s = u^2 + alpha^2; the mean of f over a disk of radius a is
+    f + a^2 / 8 (f'' + f' / u), here a factor 1 + rho^2 / s (1/2 - 3 alpha^2 / 4 s).
+    """
     s = 1 - cosine**2 + alpha**2 * cosine**2
-    wider = alpha**2 * (1 + square / (4 * s))
-    return wider / (np.pi * (cosine**2 * (wider - 1) + 1) ** 2)
+    change = square / s * (0.5 - 0.75 * alpha**2 / s)
+    return ggx(cosine, alpha) * np.maximum(1 + change, least)
 
 
 def reflected(toward, flux, radius, o, n, alpha: float) -> np.ndarray:
@@ -77,10 +80,12 @@ def reflected(toward, flux, radius, o, n, alpha: float) -> np.ndarray:
         alpha: width of the lobe.
     """
     above = toward @ n > 0
-    toward, flux, square = toward[above], flux[above], radius[above] ** 2
+    toward, flux = toward[above], flux[above]
     half = toward + o
     half /= np.linalg.norm(half, axis=1, keepdims=True)
     along = np.clip(half @ o, 0, 1)
+    # In the plane of incidence the half vector turns by half the angle, across it by more.
+    square = radius[above] ** 2 * (1 + 1 / along**2) / 2
     lobe = blurred(half @ n, alpha, square) * g1(toward @ n, alpha) * g1(o @ n, alpha) / (4 * o @ n)
     schlick = (1 - along) ** 5
     return np.stack([(lobe * part) @ flux for part in (1 - schlick, schlick, fresnel(along))])
