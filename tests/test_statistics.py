@@ -392,6 +392,25 @@ def test_dependent_columns_leave_no_nan_and_no_error():
         np.testing.assert_allclose(factors.products(), exact, rtol=1e-5, atol=1e-6)
 
 
+def test_samples_of_hardly_any_weight_leave_factors_as_good():
+    """A lamp that counts 1e-8 makes columns nearly dependent: the worst that rounding can meet."""
+    rng = np.random.default_rng(140207)
+    w, columns, b = random_columns(rng, 3, texels=200)
+    lamp = 10 ** rng.uniform(1, 5, 200)
+    w[:] = rng.uniform(0.3, 1, w.shape)
+    w[2], b[2] = 1 / (1 + lamp**2), lamp
+    statistics = summed((w, columns, b), np.arange(3))
+    U, (m, c) = statistics.factor().table(), rng.random((2, 5))
+    errors, worst = statistics.errors(m, c), 0.0
+    size = np.sqrt((w[:, None] * b**2).sum(axis=0) / w.sum(axis=0))  # (C, S)
+    for level, channel, texel in np.ndindex(3, 2, 200):
+        for k in range(5):
+            theirs = factor_error(U[level, channel, :, texel], c[k], m[k])
+            ours = errors[texel, level, channel, k, k]
+            worst = max(worst, abs(np.sqrt(theirs) - np.sqrt(ours)) / size[channel, texel])
+    assert worst < 5e-6
+
+
 def test_products_and_some_of_the_texels():
     samples = random_columns(np.random.default_rng(21), 9, texels=20)
     statistics = summed(samples, np.arange(9))
