@@ -43,7 +43,6 @@ class Observed:
     Attributes:
         capture: scene, photographs and light.
         views: the photographs that are used, packed.
-        lighting: the light.
         texels: the T texels.
         found: which view sees which texel.
         seen: (S,) int64, the texels that are worth any work: those that a photograph shows, or
@@ -52,11 +51,19 @@ class Observed:
 
     capture: Capture
     views: Views
-    lighting: Lighting
     texels: Texels
     found: Survey
     seen: np.ndarray
     _reached: dict[Any, Reach] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def lighting(self) -> Lighting:
+        """The light; read when first asked for.
+
+        Raises:
+            SceneError: it cannot be read, or is black.
+        """
+        return light(self.capture, sum(self.capture.used))
 
     @cached_property
     def unit(self) -> float:
@@ -188,11 +195,8 @@ def observe(
 
     Raises:
         CaptureError: no texel is seen in any photograph, or radiance is out of range.
-        SceneError: the light cannot be read, or is black.
     """
     progress = progress or Progress()
-    with progress.stage("Reading the light"):
-        lighting = light(capture, sum(capture.used))
     with progress.stage("Finding silhouettes"):
         views = pack_views(capture)
     with progress.stage("Tracing visibility"):
@@ -201,7 +205,7 @@ def observe(
     _require_range(found.scale)
     coverage = found.coverage.numpy()
     seen = np.flatnonzero(coverage) if skip_unseen else np.arange(texels.count)
-    return Observed(capture, views, lighting, texels, found, seen)
+    return Observed(capture, views, texels, found, seen)
 
 
 def _require_seen(counts: np.ndarray, capture: Capture) -> None:

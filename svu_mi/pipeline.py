@@ -176,6 +176,8 @@ def estimate(
         )  # fmt: skip
     else:
         seen = observed_of(source, texels)
+    with progress.stage("Reading the light"):
+        _ = seen.lighting
     plan = make_plan(skip, switches, seen, chosen, tables)
     run = _Run(seen, chosen, prior, plan, progress)
     posterior = (_from_angles if angular else _from_spectra)(run, switches)

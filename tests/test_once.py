@@ -100,7 +100,7 @@ def test_forecasts_of_seen_texels_trace_no_cell_again(capture, layout, calls, mo
 
 def test_what_was_observed_serves_as_well_as_an_estimate(capture, layout, calls):
     observed = module.observe(capture, layout)
-    assert calls == {"pack_views": 1, "survey": 1, "light": 1}
+    assert calls == {"pack_views": 1, "survey": 1}
     first = svu.estimate(observed)
     assert calls == dict.fromkeys(TRACERS, 1)
     svu.recover(observed, sh=BRIEF)

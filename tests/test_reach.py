@@ -317,11 +317,11 @@ def bits_of(bits, numbers, lanes):
     return np.array([bits.test(dr.opaque(mi.UInt32, n), lane).numpy() for n in range(numbers)])
 
 
-def inherited(cells, coarse, direct):
+def inherited(cells, coarse, direct, high):
     """(N_f, T) the rule in words, from bits of coarse cells, and of fine ones if all were traced.
 
-    A fine cell is seen as its coarse cell is, where all of that one's group are the same or it
-    is dim; else by a ray of its own.
+    A fine cell is seen as its coarse cell is, where that one is above the horizon (``high``,
+    (N_c, T)), and all of its group are the same or the fine cell is dim; else by a ray of its own.
     """
     first, groups = cells.first.numpy(), cells.groups.numpy()
     flux = cells.fine.flux.numpy().reshape(-1, 4)[:, 3]
@@ -332,7 +332,7 @@ def inherited(cells, coarse, direct):
         mixed = coarse[start:end].any(axis=0) & ~coarse[start:end].all(axis=0)
         for cell in range(start, end):
             for below in range(first[cell], first[cell + 1]):
-                own = mixed & bright[below]
+                own = (mixed & bright[below]) | ~high[cell]
                 result[below] = np.where(own, direct[below], coarse[cell])
     return result
 
@@ -365,7 +365,8 @@ def test_bits_are_those_of_one_ray_after_the_other(coarse, fine, occluded):
     np.testing.assert_array_equal(bits_of(reach.coarse, coarse, 40), above)
     exact = directly(scene, surface, cells.fine, occluded)
     ours = bits_of(reach.fine, fine, 40)
-    np.testing.assert_array_equal(ours, inherited(cells, above, exact))
+    high = directly(scene, surface, cells.coarse, False)
+    np.testing.assert_array_equal(ours, inherited(cells, above, exact, high))
     # What is inherited is nearly always right, and nearly all of the light.
     flux = cells.fine.flux.numpy().reshape(-1, 4)[:, 3]
     assert 0.1 < exact.mean() < 0.6

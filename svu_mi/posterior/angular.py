@@ -108,7 +108,7 @@ def angular_posterior(
         copies: how many equal colour channels each channel of the statistics stands for.
         levels: (R,) bool, the roughness nodes that the statistics have; all by default. The
             prior must exclude the others.
-        texels: T, how many there are in all, seen or not; S by default.
+        texels: T, how many there are in all, seen or not; by default up to the last of S.
 
     Raises:
         ShapeError: the grid's roughness is not the statistics'.
@@ -120,15 +120,17 @@ def angular_posterior(
     factors = statistics.factor() if isinstance(statistics, Statistics) else statistics
     if not np.array_equal(grid.roughness_nodes[levels], factors.roughness):
         raise ShapeError(
-            f"angular_posterior(): the grid's roughness is {grid.roughness_nodes[levels]}, that of "
-            f"the statistics {factors.roughness}; gather them at the nodes of the grid."
+            "angular_posterior(): the grid's roughness is "
+            f"{_listed(grid.roughness_nodes[levels])}, that of the statistics "
+            f"{_listed(factors.roughness)}; gather them at the nodes of the grid."
         )
     if not (np.isfinite(scale) and scale > 0):
         raise OptionError(f"angular_posterior(): scale must be positive, got {scale!r}.")
     sigma = switches.sigma * (1.0 if switches.noise == "fixed" else scale)
     views = np.array(factors.views)
-    observed = np.zeros(factors.count if texels is None else texels, bool)
-    observed[factors.texel.numpy()] = views > 0
+    texel = factors.texel.numpy()
+    observed = np.zeros(int(texel.max(initial=0)) + 1 if texels is None else texels, bool)
+    observed[texel] = views > 0
     power = np.maximum(views.astype(np.float64) - FITTED, 1) / 2
     *_, cells = grid.axes.values()
     tables = streaming.log_prior(prior, grid.shape, "angular_posterior()")
@@ -147,3 +149,7 @@ def angular_posterior(
         ),
     )
     return AngularPosterior(grid=grid, observed=observed, problem=problem)
+
+
+def _listed(values: np.ndarray) -> str:
+    return ", ".join(f"{value:.4g}" for value in values)

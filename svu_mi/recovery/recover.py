@@ -130,6 +130,8 @@ def recover(
     if layout is not None:
         require_resolution(layout, start)
     observed = observed_of(source, texels, progress)
+    with progress.stage("Reading the light"):
+        _ = observed.lighting  # refused before any work: a black light shows nothing
     run = Run(observed, names, chosen, start, sharing, progress)
     settings = chosen.settings(method) | {"parameters": list(names), "sharing": bool(sharing)}
     saved = None

@@ -26,7 +26,7 @@ from svu_mi.statistics.blocks import Reader, in_blocks, rows_of, scattered
 COLUMNS = 4  # e, p, q - d, d - b
 PAIRS = tuple((i, j) for i in range(COLUMNS) for j in range(i, COLUMNS))
 FLOOR = len(PAIRS) - 1  # the entry that is kept as a square
-TINY = 2e-11  # part of its diagonal below which a pivot is nothing but rounding
+TINY = 1e-13  # part of its diagonal below which a pivot is nothing but rounding
 
 
 @dataclass(frozen=True)
@@ -155,16 +155,20 @@ def factorize(
 def _cholesky(sums: list[Any]) -> list[Any]:
     """Return the entries of U row by row, the last squared, from those of U^T U; dependent
     columns give zeros."""
-    products = dict(zip(PAIRS, sums, strict=True))
+    left = dict(zip(PAIRS, sums, strict=True))  # what the rows above leave of the products
     U: dict[tuple[int, int], Any] = {}
-    for i in range(COLUMNS):
-        pivot = products[i, i] - sum(dr.square(U[k, i]) for k in range(i))
-        if i == COLUMNS - 1:
-            U[i, i] = dr.maximum(pivot, 0)
-            break
-        good = pivot > TINY * products[i, i]
+    for i in range(COLUMNS - 1):
+        pivot = left[i, i]
+        for j in range(i + 1, COLUMNS):
+            # Cauchy and Schwarz, which rounding may break where columns nearly depend.
+            other = dr.select(left[j, j] > 0, left[j, j], dr.inf)
+            pivot = dr.maximum(pivot, dr.square(left[i, j]) / other)
+        good = pivot > TINY * sums[PAIRS.index((i, i))]
         root = dr.select(good, dr.rsqrt(dr.select(good, pivot, 1)), 0)
-        for j in range(i, COLUMNS):
-            rest = products[i, j] - sum(U[k, i] * U[k, j] for k in range(i))
-            U[i, j] = rest * root
+        U[i, i] = pivot * root
+        for j in range(i + 1, COLUMNS):
+            U[i, j] = left[i, j] * root
+            for k in range(i + 1, j + 1):
+                left[k, j] = left[k, j] - U[i, k] * U[i, j]
+    U[COLUMNS - 1, COLUMNS - 1] = dr.maximum(left[COLUMNS - 1, COLUMNS - 1], 0)
     return [U[pair] for pair in PAIRS]

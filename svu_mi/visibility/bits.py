@@ -63,13 +63,10 @@ class Bits:
     def at(self, lanes: Any) -> Bits:
         """Return the bits of some lanes, a UInt32 array of their numbers."""
         words = dr.width(self.words) // max(int(self.stride[0]), 1)
-        count = dr.width(lanes)
-        place = dr.arange(mi.UInt32, words * count)
-        row, column = place // count, place % count
-        taken = dr.gather(mi.UInt32, lanes, column) + row * self.stride
-        return Bits(
-            dr.gather(mi.UInt32, self.words, taken), dr.opaque(mi.UInt32, count), self.last
-        )
+        count = dr.opaque(mi.UInt32, dr.width(lanes))  # else a kernel for every number of lanes
+        place = dr.arange(mi.UInt32, words * dr.width(lanes))
+        taken = dr.gather(mi.UInt32, lanes, place % count) + place // count * self.stride
+        return Bits(dr.gather(mi.UInt32, self.words, taken), count, self.last)
 
     def joined(self, other: Bits) -> Bits:
         """Return the bits of both, lanes of the other after one's own; of equally many numbers."""

@@ -1,9 +1,10 @@
 """What of the light reaches every texel: rays to the cells of the light, traced once.
 
 All coarse cells are traced. A fine cell is seen if its coarse cell is, except where a group of
-neighbouring coarse cells is partly hidden: there, bright fine cells have rays of their own. What
-is found is kept as one bit per texel and cell, and everything that asks for hidden light reads it:
-diffuse light by four moments under the cosine, wide lobes cell by cell.
+neighbouring coarse cells is partly hidden: there, bright fine cells have rays of their own, as
+have those of a coarse cell that looks below the horizon. What is found is kept as one bit per
+texel and cell, and everything that asks for hidden light reads it: diffuse light by four moments
+under the cosine, wide lobes cell by cell.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ class Reach:
 
     def joined(self, other: Reach) -> Reach:
         """Return what the texels of both see of the same cells, one's own first."""
-        texel = dr.concat([self.texel, other.texel])
+        texel = owned(mi.UInt32, np.concatenate([self.texel.numpy(), other.texel.numpy()]))
         return Reach(
             self.cells, self.coarse.joined(other.coarse), self.fine.joined(other.fine), texel
         )
@@ -116,33 +117,38 @@ def trace_reach(
     coarse = Bits.clear(cells.coarse.number, count)
     fine = Bits.clear(cells.fine.number, count)
 
+    def above(direction: Any) -> Any:
+        shaded, true = surface.normal, surface.geometric_normal
+        return (dr.dot(shaded, direction) > 0) & (dr.dot(true, direction) > 0)
+
     def look(direction: Any, active: Any) -> Any:
-        above = active & (dr.dot(surface.normal, direction) > 0) & (
-            dr.dot(surface.geometric_normal, direction) > 0
-        )
         # Neighbouring texels look in one direction: packets stay together.
-        return is_open(scene, surface, direction, above, coherent=True) if occluded else above
+        return is_open(scene, surface, direction, active, coherent=True) if occluded else active
 
     def of_group(group: Any, word: Any, below_word: Any) -> tuple[Any, ...]:
         start, end = (dr.gather(mi.UInt32, cells.groups, group + k) for k in (0, 1))
 
-        def trace(cell: Any, word: Any, free: Any, hidden: Any) -> tuple[Any, ...]:
-            found = look(cells.coarse.at(cell)[0], mi.Bool(True))
+        def trace(cell: Any, word: Any, free: Any, high: Any) -> tuple[Any, ...]:
+            direction = cells.coarse.at(cell)[0]
+            up = above(direction)
+            found = look(direction, up)
             own = mi.UInt32(1) << (cell - start)  # groups have no more cells than a word bits
-            free, hidden = free | dr.select(found, own, 0), hidden | dr.select(found, 0, own)
-            return cell + 1, coarse.push(word, cell, lane, found), free, hidden
+            free, high = free | dr.select(found, own, 0), high | dr.select(up, own, 0)
+            return cell + 1, coarse.push(word, cell, lane, found), free, high
 
         none = dr.zeros(mi.UInt32, count)
-        _, word, free, hidden = _loop(start, end, trace, word, none, none)
-        split = (free > 0) & (hidden > 0)
+        _, word, free, high = _loop(start, end, trace, word, none, none)
+        split = (free > 0) & (dr.popcnt(free) < end - start)
 
         def inherit(cell: Any, below_word: Any) -> tuple[Any, ...]:
-            inherited = (free >> (cell - start)) & 1 != 0
+            place = cell - start
+            inherited, low = (free >> place) & 1 != 0, (high >> place) & 1 == 0
             first, last = (dr.gather(mi.UInt32, cells.first, cell + k) for k in (0, 1))
 
             def refine(below: Any, below_word: Any) -> tuple[Any, ...]:
-                own = split & (dr.gather(mi.UInt32, cells.bright, below) > 0)
-                found = look(cells.fine.at(below)[0], own)
+                direction = cells.fine.at(below)[0]
+                own = low | (split & (dr.gather(mi.UInt32, cells.bright, below) > 0))
+                found = look(direction, own & above(direction))
                 found = dr.select(own, found, inherited)
                 return below + 1, fine.push(below_word, below, lane, found)
 
