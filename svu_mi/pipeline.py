@@ -230,15 +230,12 @@ def _from_angles(run: _Run, switches: AngularPreset) -> Posterior:
 def _from_spectra(run: _Run, switches: Preset) -> Posterior:
     plan, seen = run.plan, run.observed
     irradiance = None
-    with run.progress.stage("Tracing occlusion"):
-        if isinstance(run.grid, PrincipledGrid):
+    if isinstance(run.grid, PrincipledGrid):
+        with run.progress.stage("Tracing occlusion"):
             irradiance = _irradiance(run, switches)
-        if switches.occluded:
-            _ = seen.mirrors
     with run.progress.stage("Fitting spectra"):
         spectra = fit_spectra(
-            seen.views, seen.lighting, seen.texels, seen.found,
-            seen.mirrors if switches.occluded else None, switches,
+            seen.views, seen.lighting, seen.texels, seen.found, switches,
             channels=plan.channels, light_channels=plan.light_channels,
             skip_unseen=len(seen.seen) < seen.texels.count,
         )  # fmt: skip

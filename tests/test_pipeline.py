@@ -49,9 +49,8 @@ def stored_samples(capture, texels, switches):
     """What the kernels see, as arrays: directions (T,V,3), weights (T,V), values (T,V,2C)."""
     seen, surface = observe(capture, texels), Surface.of(texels)
     columns, found, lighting = [], seen.found, seen.lighting
-    mirrors = seen.mirrors if switches.occluded else None
     colors = switches.colors
-    samples = Samples(seen.views, lighting, surface, found, mirrors, colors, colors)
+    samples = Samples(seen.views, lighting, surface, found, switches.occluded, colors, colors)
     for place in range(int(found.count[0])):
         direction, weight, values = samples.at(mi.UInt32(place))
         dr.eval(direction, weight, values)
@@ -61,8 +60,7 @@ def stored_samples(capture, texels, switches):
 
 
 def spectra_of(seen, switches):
-    mirrors = seen.mirrors if switches.occluded else None
-    return fit_spectra(seen.views, seen.lighting, seen.texels, seen.found, mirrors, switches)
+    return fit_spectra(seen.views, seen.lighting, seen.texels, seen.found, switches)
 
 
 def exact_spectra(d, w, f, switches):

@@ -317,9 +317,8 @@ def test_nothing_is_compiled_between_steps(observed, kind):
 def test_the_spectral_losses_and_their_slopes_are_those_of_float64(observed, name, domain):
     texels, switches = observed.texels, preset(name, degree=4)
     objective = spectral_objective(observed, switches, domain)
-    mirrors = observed.mirrors if switches.occluded else None
     fitted = fit_coefficients(
-        observed.views, observed.lighting, texels, observed.found, mirrors, switches
+        observed.views, observed.lighting, texels, observed.found, switches
     )
     table = np.array(fitted.values, np.float64).reshape(25, 6, texels.count)
     table = table[..., np.array(objective.texel)].transpose(2, 0, 1)
@@ -346,7 +345,7 @@ def test_the_spectral_losses_and_their_slopes_are_those_of_float64(observed, nam
 def test_coefficients_have_the_power_of_the_spectra(observed):
     texels, switches = observed.texels, preset("default", channels="joint")
     arguments = (
-        observed.views, observed.lighting, texels, observed.found, observed.mirrors, switches
+        observed.views, observed.lighting, texels, observed.found, switches
     )  # fmt: skip
     spectra, fitted = fit_spectra(*arguments), fit_coefficients(*arguments)
     table = np.array(fitted.values).reshape(49, 6, texels.count) ** 2

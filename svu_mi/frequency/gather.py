@@ -19,7 +19,7 @@ from svu_mi.options import Preset
 from svu_mi.surface import Texels
 from svu_mi.visibility import Surface, Survey, Views
 from svu_mi.visibility.observe import as_channels, mirror_direction
-from svu_mi.visibility.reach import Mirrors
+from svu_mi.visibility.reach import mirror_free
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,7 @@ class Samples:
         lighting: its band-limited light.
         surface: the texels of the launch.
         found: who sees whom.
-        mirrors: where the object itself stands in the mirror direction, no light comes from
-            there; None: it does.
+        occluded: leave out light from where the object itself stands.
         channels: C of the photographs, 1 or 3.
         light_channels: of the light, the same or 1.
     """
@@ -49,7 +48,7 @@ class Samples:
     lighting: Lighting
     surface: Surface
     found: Survey
-    mirrors: Mirrors | None
+    occluded: bool
     channels: int
     light_channels: int
 
@@ -64,8 +63,8 @@ class Samples:
         """
         seen = self.found.look(self.views, self.surface, slot)
         lit = self.found.asked(seen.seen)
-        if self.mirrors is not None:
-            lit &= self.mirrors.test(slot, self.surface.index)
+        if self.occluded:
+            lit = mirror_free(self.views.scene, self.surface, seen, lit)
 
         def mirrored(direction: Any, normal: Any) -> Any:
             return self.lighting.radiance(mirror_direction(normal, direction))
@@ -86,7 +85,6 @@ def fit_spectra(
     lighting: Lighting,
     texels: Texels,
     found: Survey,
-    mirrors: Mirrors | None,
     switches: Preset,
     *,
     channels: int | None = None,
@@ -100,8 +98,7 @@ def fit_spectra(
         lighting: its band-limited light.
         texels: the T texels.
         found: who sees whom.
-        mirrors: what the object itself hides; None for nothing.
-        switches: degree, regulariser and R_00 of Eq. 12.
+        switches: degree, regulariser, R_00 of Eq. 12 and occlusion.
         channels: C of the photographs to fit, 1 or 3; the preset's own by default.
         light_channels: of the light; 1 stands for all C of grey light.
         skip_unseen: False solves for texels that no view sees, too; they stay 0.
@@ -111,7 +108,7 @@ def fit_spectra(
     shape = (texels.count, switches.degree + 1, colors)
     outgoing, incoming = dr.zeros(mi.TensorXf, shape), dr.zeros(mi.TensorXf, shape)
     dr.eval(outgoing, incoming)
-    job = _Job(views, lighting, texels, found, mirrors, switches, colors, light, skip_unseen)
+    job = _Job(views, lighting, texels, found, switches, colors, light, skip_unseen)
     for group, coefficients in job.solutions():
         power = power_lanes(coefficients)
         copies = colors // light
@@ -158,7 +155,6 @@ def fit_coefficients(
     lighting: Lighting,
     texels: Texels,
     found: Survey,
-    mirrors: Mirrors | None,
     switches: Preset,
     *,
     light_channels: int = 3,
@@ -172,14 +168,13 @@ def fit_coefficients(
         lighting: its band-limited light.
         texels: the T texels.
         found: who sees whom.
-        mirrors: what the object itself hides; None for nothing.
-        switches: degree, regulariser and R_00 of Eq. 12.
+        switches: degree, regulariser, R_00 of Eq. 12 and occlusion.
         light_channels: of the light, 3, or 1 if it is grey.
     """
     rows = (switches.degree + 1) ** 2 * (3 + light_channels)
     values = dr.zeros(mi.Float, rows * texels.count)
     dr.eval(values)
-    job = _Job(views, lighting, texels, found, mirrors, switches, 3, light_channels, True)
+    job = _Job(views, lighting, texels, found, switches, 3, light_channels, True)
     for group, coefficients in job.solutions():
         flat = [value for row in coefficients for value in row]
         values = scatter_strided(values, flat, group.selection, dr.opaque(mi.UInt32, texels.count))
@@ -195,7 +190,6 @@ class _Job:
     lighting: Lighting
     texels: Texels
     found: Survey
-    mirrors: Mirrors | None
     switches: Preset
     channels: int
     light_channels: int
@@ -205,12 +199,12 @@ class _Job:
         """Yield the lanes of each solver and their coefficients, not evaluated yet."""
         switches, seen = self.switches, self.found.coverage.numpy()
         # Made now: a texture that is made while a loop is recorded does not outlive the recording.
-        dr.eval(self.lighting.filtered.tensor())
+        dr.eval(self.lighting.filtered)
         counts = seen if self.skip_unseen else np.maximum(seen, 1)
         for group in solver_groups(counts, switches.degree):
             samples = Samples(
                 self.views, self.lighting, Surface.of(self.texels, group.selection), self.found,
-                self.mirrors, self.channels, self.light_channels,
+                switches.occluded, self.channels, self.light_channels,
             )  # fmt: skip
             yield (
                 group,

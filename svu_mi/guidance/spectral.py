@@ -47,7 +47,7 @@ def respond(scene: Any, surface: Surface, lighting: Lighting, switches: Preset) 
         lighting: the band-limited light.
         switches: of the estimator.
     """
-    dr.eval(lighting.filtered.tensor())  # no texture may be made while a loop is recorded
+    dr.eval(lighting.filtered)  # no texture may be made while a loop is recorded
 
     def evaluate(seen: Observation) -> list[Any]:
         free = seen.seen

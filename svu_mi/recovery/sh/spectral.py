@@ -146,9 +146,8 @@ def spectral_objective(
     seen = observed.coverage > 0
     texel = owned(mi.UInt32, np.flatnonzero(seen).astype(np.uint32))
     fitted = fit_coefficients(
-        observed.views, lighting, texels, found, observed.mirrors if switches.occluded else None,
-        switches, light_channels=light,
-    )  # fmt: skip
+        observed.views, lighting, texels, found, switches, light_channels=light
+    )
     power, mean_power = _powers(fitted, texel)
     unit = found.scale if domain == "coefficients" else mean_power
     if domain == "spectrum":
