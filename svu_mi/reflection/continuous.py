@@ -132,7 +132,7 @@ def shade(
         roughness: Float in [0, 1]; derivatives with respect to it are tracked.
         normal: unit Normal3f, world space.
         direction: unit Vector3f to the camera, world space.
-        moments: of the light that arrives, as in ``Hemisphere.diffuse``.
+        moments: of the light that arrives, as in ``Reach.diffuse``.
         visible: called with the mirror direction and alpha, returns the part of the lobe's
             light that is visible, in [0, 1]; all of it by default.
         to_moments: Matrix3f from world space to the frame of the moments; none by default.

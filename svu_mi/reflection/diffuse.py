@@ -22,7 +22,7 @@ def diffuse_shading(
         R = roughness (1 + w_i . w_o).
 
     The term R^2 F_o F_i, which is of any size only where both directions graze, is left out;
-    what is left is linear in four moments of the light (``radiance.Hemisphere``).
+    what is left is linear in four moments of the light (``visibility.Reach``).
 
     Args:
         model: ``disney``, or ``lambert``: f = 1 / pi.
