@@ -103,7 +103,8 @@ class Observed:
         """
         key = (cells, occluded)
         if key not in self._reached:
-            tree = light_cells(self.lighting.environment, max(cells // COARSE, 64), cells)
+            coarse = min(max(cells // COARSE, 64), cells)
+            tree = light_cells(self.lighting.environment, coarse, cells)
             self._reached[key] = trace_reach(
                 self.views.scene, self.surface, tree, occluded=occluded
             )
@@ -172,9 +173,8 @@ class Observed:
             current: parameters that samples count less for, the more they are off.
         """
         model = self.model(roughness, switches, light_channels or channels, texels)
-        mirrors = self.mirrors if switches.traced and switches.occluded else None
         return gather(
-            self.views, self.found, model, mirrors,
+            self.views, self.found, model, self.mirrors if model.reads_mirrors else None,
             channels=channels, kappa=kappa, current=current,
         )  # fmt: skip
 

@@ -106,7 +106,7 @@ class Preset(_Channels):
         require(self, 1e-30 <= self.sigma <= 1e30, "sigma", "positive, in [1e-30, 1e30]")
         require(self, 1e-30 <= self.constant_sigma <= 1e30, "constant_sigma",
                 "positive, in [1e-30, 1e30]")  # fmt: skip
-        require(self, 16 <= self.rays <= 65536, "rays", "in [16, 65536]")
+        require(self, 16 <= self.rays <= 4096, "rays", "in [16, 4096]")
         require_one_of(self, "parameters", Parameters)
         require_one_of(self, "spacing", GridSpacing)
         require_one_of(self, "channels", ChannelRule)

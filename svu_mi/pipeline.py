@@ -6,7 +6,7 @@
 Memory at its peak, measured (BENCHMARKS.md): 20 bytes per pixel of all photographs (float32
 RGB as read, two flags, what reading takes), 560 bytes per texel (most of it double-precision
 temporaries of the texel layout; 1200 with statistics, and what of the light reaches each texel),
-and one bit per texel and view.
+and one bit per texel and view, two with statistics.
 """
 
 from __future__ import annotations
@@ -213,7 +213,6 @@ def _from_angles(run: _Run, switches: AngularPreset) -> Posterior:
     if switches.traced:
         with run.progress.stage("Tracing occlusion"):
             seen.reach(switches.cells, occluded=switches.occluded)
-            _ = seen.mirrors
     with run.progress.stage("Gathering statistics"):
         statistics = seen.statistics(
             run.grid.roughness_nodes[plan.levels], switches, plan.channels,

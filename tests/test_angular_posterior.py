@@ -229,6 +229,11 @@ def test_wrong_input_is_named():
         angular_posterior(statistics, PRINCIPLED, prior=np.ones((5, 3)))
     with pytest.raises(OptionError, match="non-negative"):
         angular_posterior(statistics, PRINCIPLED, prior=-np.ones(5))
+    with pytest.raises(ShapeError, match=r"levels must be \(5,\) True or False"):
+        angular_posterior(statistics, PRINCIPLED, levels=np.arange(5))
+    for wrong in ({"copies": 0}, {"texels": 1}):
+        with pytest.raises(OptionError, match="copies must be at least 1 and texels more than 1"):
+            angular_posterior(statistics, PRINCIPLED, **wrong)
     with pytest.raises(OptionError, match="Unknown switch 'lobes'"):
         angular(lobes="ggx")
 

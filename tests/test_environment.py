@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 
-from svu_mi.errors import SceneError
+from svu_mi.errors import OptionError, SceneError
 from svu_mi.light.cells import LARGEST, fibonacci, light_cells
 from svu_mi.light.environment import (
     Environment,
@@ -344,6 +346,24 @@ def test_cells_of_constant_light(radiance):
         # Even cells: a disk of 4 pi / N steradians has a squared radius of 4 / N.
         assert np.median(values(tree.fine)[1]) == pytest.approx(2 / np.sqrt(320), rel=0.15)
         assert values(tree.fine)[3].max() < 3 * values(tree.fine)[3].mean()
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1e12])
+def test_cells_are_the_same_at_any_exposure(scale):
+    light = lamps()
+    half = np.where(np.arange(65)[:, None, None] < 30, light.radiance, 0)  # black leaves, too
+    before, after = (
+        light_cells(replace(light, radiance=s * half), 64, 512) for s in (1.0, scale)
+    )
+    for a, b in ((before.coarse, after.coarse), (before.fine, after.fine)):
+        for ours, theirs in zip(values(a)[:2], values(b)[:2], strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=1e-6)
+
+
+@pytest.mark.parametrize(("coarse", "fine"), [(0, 16), (32, 16), (64, 5000)])
+def test_impossible_numbers_of_cells_are_refused(coarse, fine):
+    with pytest.raises(OptionError, match="1 <= coarse <= fine <= 4096"):
+        light_cells(lamps(), coarse, fine)
 
 
 def test_lattice_points_are_evenly_spread():

@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 import pytest
 from helpers import render_ball
@@ -13,8 +15,10 @@ from test_reference import paint, sky
 
 import svu_mi as svu
 from svu_mi import observed as module
+from svu_mi.bench.captures import chosen_views
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.recovery.options import DescentOptions, ShOptions
+from svu_mi.statistics.gather import Values
 
 TRACERS = ("pack_views", "survey", "trace_reach", "trace_mirrors", "light")
 RAYS = ("pack_views", "survey", "trace_reach", "trace_mirrors")
@@ -146,3 +150,40 @@ def test_other_texels_or_none_are_refused(capture, layout):
             use(estimate, other)
         with pytest.raises(svu.SvuError, match="A capture needs texels"):
             use(capture)
+
+
+def test_a_reference_of_texels_that_nobody_sees_knows_nothing(capture, layout):
+    one = chosen_views(capture, [0])  # from one side: the other is not seen
+    estimate = svu.estimate(one, layout)
+    unseen = np.flatnonzero(estimate.observed.coverage == 0)[:4]
+    assert len(unseen)
+    found = svu.reference_posterior(estimate, subset=unseen, spp=2, grid=GRID)
+    np.testing.assert_array_equal(found.entropy, 1)
+    assert not found.coverage.any()
+
+
+def test_mirrors_are_read_where_narrow_lobes_are(capture, layout, calls):
+    """A roughness that is known decides which lobes there are."""
+    estimate = svu.estimate(capture, layout, known={"roughness": 0.9})
+    assert calls["trace_mirrors"] == 0
+    svu.estimate(estimate, known={"roughness": 0.1})
+    assert calls["trace_mirrors"] == 1
+    model = estimate.observed.model
+    narrow = model(np.array([0.1]), estimate.preset, 1)
+    assert narrow.wide is None and narrow.reads_mirrors
+    assert not model(np.array([0.9]), estimate.preset, 1).reads_mirrors
+
+
+def test_a_spectrum_may_trace_few_cells(capture, layout):
+    few = svu.estimate(capture, layout, "spectrum", svu.preset("default", rays=16))
+    assert np.isfinite(np.array(few.entropy)).all()
+
+
+def test_models_and_weights_that_cannot_be_are_refused(capture, layout):
+    observed = module.observe(capture, layout)
+    switches = svu.preset("default", method="angular")
+    with pytest.raises(svu.SvuError, match="must ascend"):
+        observed.model(np.array([0.9, 0.1]), switches, 1)
+    with pytest.raises(svu.SvuError, match="current needs a finite kappa"):
+        zeros = Values(*(dr.zeros(mi.Float, len(observed.seen)) for _ in range(5)))
+        observed.statistics(np.linspace(0, 1, 4), switches, 3, current=zeros)

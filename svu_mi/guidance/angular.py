@@ -51,10 +51,11 @@ def respond(scene: Any, model: Model, sigma: Any) -> Respond:
         sigma: Float, opaque: standard deviation of radiance.
     """
     surface, scale = model.surface, dr.rsqrt(mi.Float(2)) / sigma
-    occluded = model.wide is not None and model.switches.occluded
 
     def evaluate(seen: Observation) -> list[Any]:
-        free = mirror_free(scene, surface, seen, seen.seen) if occluded else mi.Bool(True)
+        free = mi.Bool(True)
+        if model.reads_mirrors:
+            free = mirror_free(scene, surface, seen, seen.seen)
         found = model.columns(seen.direction, dr.maximum(seen.cosine, 1e-3), free)
         return [seen.cosine, *(scale * value for (level,) in found for value in level)]
 

@@ -22,6 +22,7 @@ import mitsuba as mi
 import numpy as np
 from scipy.spatial import cKDTree
 
+from svu_mi.errors import OptionError
 from svu_mi.interop import owned
 from svu_mi.light import environment as env
 from svu_mi.light.environment import Environment
@@ -94,7 +95,14 @@ def light_cells(environment: Environment, coarse: int, fine: int) -> LightCells:
         environment: the light.
         coarse: number N_c of coarse cells.
         fine: number N_f of fine cells, at least as many, and at most 4096.
+
+    Raises:
+        OptionError: other numbers.
     """
+    if not 1 <= coarse <= fine <= EVEN[0]:
+        raise OptionError(
+            f"light_cells(): needs 1 <= coarse <= fine <= {EVEN[0]}, got {coarse} and {fine}."
+        )
     nodes = environment.radiance.shape[0] * environment.radiance.shape[1]
     flux, pull = _gathered(environment, int(np.clip(nodes // 4, *EVEN)))
     light = flux.sum(axis=1)
@@ -171,7 +179,8 @@ def _gathered(environment: Environment, count: int) -> tuple[np.ndarray, np.ndar
     pull = _sum(nearest, nodes * (radiance.sum(axis=1) * solid)[:, None], count)
     length = np.linalg.norm(pull, axis=1, keepdims=True)
     # A black cell has no centroid, and needs none for its light; its centre serves the shape.
-    return flux, np.where(length > 1e-12 * length.max(), pull, 1e-12 * centers)
+    least = 1e-12 * (length.max() or 1.0)
+    return flux, np.where(length > least, pull, least * centers)
 
 
 @lru_cache(maxsize=4)

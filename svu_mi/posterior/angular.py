@@ -116,7 +116,12 @@ def angular_posterior(
     """
     switches = find_preset(preset, method="angular")
     grid = angular_grid(grid, switches)
-    levels = np.ones(grid.shape[0], bool) if levels is None else levels
+    levels = np.ones(grid.shape[0], bool) if levels is None else np.asarray(levels)
+    if levels.dtype != bool or levels.shape != grid.shape[:1]:
+        raise ShapeError(
+            f"angular_posterior(): levels must be ({grid.shape[0]},) True or False, got "
+            f"{levels.dtype} of shape {levels.shape}."
+        )
     factors = statistics.factor() if isinstance(statistics, Statistics) else statistics
     if not np.array_equal(grid.roughness_nodes[levels], factors.roughness):
         raise ShapeError(
@@ -129,7 +134,14 @@ def angular_posterior(
     sigma = switches.sigma * (1.0 if switches.noise == "fixed" else scale)
     views = np.array(factors.views)
     texel = factors.texel.numpy()
-    observed = np.zeros(int(texel.max(initial=0)) + 1 if texels is None else texels, bool)
+    last = int(texel.max()) if len(texel) else -1
+    total = last + 1 if texels is None else texels
+    if copies < 1 or total <= last:
+        raise OptionError(
+            f"angular_posterior(): copies must be at least 1 and texels more than {last}, got "
+            f"{copies} and {texels}."
+        )
+    observed = np.zeros(total, bool)
     observed[texel] = views > 0
     power = np.maximum(views.astype(np.float64) - FITTED, 1) / 2
     *_, cells = grid.axes.values()

@@ -25,7 +25,7 @@ class Pairs:
     Attributes:
         texel: (P,) int64, place of the texel in the batch.
         observed: (P,) float64, observed grey radiance.
-        rays: (P,) Ray3f from the camera to the texel, world space.
+        rays: (P,) Ray3f from the camera to the texel, world space; None without pairs.
         dropped: number of visible pairs left out: their ray meets something else first.
     """
 
@@ -64,12 +64,16 @@ def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Pairs
     radiance = grey(look(views, surface, view, known).radiance)
     dr.eval(place, view, radiance, known)
     visible = dr.compress(known)
+    if not dr.width(visible):
+        return Pairs(np.zeros(0, np.int64), np.zeros(0), None, 0)
     place, view, radiance = (
         dr.gather(type(values), values, visible) for values in (place, view, radiance)
     )
     rays, hit = _aim(views, Surface.of(texels, dr.gather(mi.UInt32, batch, place)), view, target)
     dr.eval(place, radiance, rays, hit)
     kept = dr.compress(hit)
+    if not dr.width(kept):
+        return Pairs(np.zeros(0, np.int64), np.zeros(0), None, dr.width(visible))
     place, radiance, rays = (dr.gather(type(x), x, kept) for x in (place, radiance, rays))
     dr.eval(place, radiance, rays)
     return Pairs(

@@ -176,6 +176,8 @@ class _Renderer:
     def __call__(
         self, roughness: float, metallic: float, base_color: float
     ) -> tuple[np.ndarray, np.ndarray]:
+        if not self._pairs.count:
+            return np.zeros(0), np.zeros(0)
         self._target.paint(roughness, metallic, base_color)
         halves = trace(
             self._target.scene, self._integrator, self._pairs.rays, self._spp, self._seed

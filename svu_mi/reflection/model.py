@@ -18,6 +18,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.errors import OptionError
 from svu_mi.light.lighting import Lighting
 from svu_mi.light.moments import moment_map
 from svu_mi.options import AngularPreset
@@ -66,7 +67,12 @@ class Model:
             roughness: (R,) levels, ascending.
             switches: which model.
             channels: 3, or 1 for the mean of R, G and B.
+
+        Raises:
+            OptionError: levels that do not ascend.
         """
+        if np.any(np.diff(roughness) <= 0):
+            raise OptionError(f"Roughness levels must ascend, got {roughness.tolist()}.")
         alpha = alpha_from_roughness(roughness)
         split = len(alpha) if reach is None else int(np.searchsorted(alpha, NARROW, "right"))
         narrow, wide = None, None
@@ -92,6 +98,11 @@ class Model:
     def levels(self) -> int:
         """R."""
         return len(self.roughness)
+
+    @property
+    def reads_mirrors(self) -> bool:
+        """Whether ``columns`` depends on what stands in the mirror direction."""
+        return self.narrow is not None and self.switches.traced and self.switches.occluded
 
     def columns(self, direction: Any, cosine: Any, free: Any) -> list[list[Column]]:
         """Evaluate the model for one view of every texel.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from math import inf
+from math import inf, nan
 from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 
+from svu_mi.errors import OptionError
 from svu_mi.reflection.model import Column, Model
 from svu_mi.statistics.blocks import scattered
 from svu_mi.statistics.factors import PAIRS
@@ -45,10 +46,17 @@ def gather(
             under grey light, stands for all.
         kappa: radiance around which samples begin to count less (see ``Statistics``).
         current: parameters of the texels. Samples then also count less the more these are off,
-            by 1 / |r - b|: squares become absolute errors [Holland and Welsch 1977].
+            by 1 / |r - b|: squares become absolute errors [Holland and Welsch 1977]. Sums that
+            are weighted so never add to others: their kappa is NaN. Levels must be uniform on
+            [0, 1], between which r is interpolated.
+
+    Raises:
+        OptionError: ``current`` without a finite kappa, or in grey.
     """
     surface, levels = model.surface, model.levels
     channels = channels or model.channels
+    if current is not None and not (kappa < inf and channels == 3):
+        raise OptionError("gather(): current needs a finite kappa and 3 channels.")
     knee, weighted = dr.opaque(mi.Float, kappa), kappa < inf
 
     def consume(seen: Observation, slot: Any, *sums: Any) -> Any:
@@ -81,7 +89,7 @@ def gather(
     dr.eval(coverage)
     return Statistics(
         scattered(mi.Float64, [*sums, weight], surface.count), coverage, surface.index,
-        model.roughness, channels, kappa,
+        model.roughness, channels, kappa if current is None else nan,
     )  # fmt: skip
 
 

@@ -48,7 +48,7 @@ class Statistics:
         roughness: (R,) float64 of the levels.
         channels: C.
         kappa: radiance around which samples begin to count less, w = 1 / (1 + (b / kappa)^2);
-            infinite if all count alike.
+            infinite if all count alike, NaN if they were also weighted by what they are off.
     """
 
     sums: Any

@@ -62,6 +62,8 @@ class Bits:
 
     def at(self, lanes: Any) -> Bits:
         """Return the bits of some lanes, a UInt32 array of their numbers."""
+        if not dr.width(lanes):
+            return Bits(mi.UInt32(), dr.opaque(mi.UInt32, 0), self.last)
         words = dr.width(self.words) // max(int(self.stride[0]), 1)
         count = dr.opaque(mi.UInt32, dr.width(lanes))  # else a kernel for every number of lanes
         place = dr.arange(mi.UInt32, words * dr.width(lanes))
