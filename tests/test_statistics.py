@@ -51,7 +51,9 @@ def assert_sufficient(capture, switches, kappa=np.inf, current=None, seed=1):
     samples = Samples(observed, switches, kappa, current)
     np.testing.assert_array_equal(statistics.views.numpy(), samples.seen.sum(axis=0))
     np.testing.assert_array_equal(statistics.texel.numpy(), observed.seen)
-    assert (statistics.kappa, statistics.channels) == (kappa, switches.colors)
+    assert statistics.channels == switches.colors
+    # Sums that were weighted by what parameters are off never add to others.
+    np.testing.assert_equal(statistics.kappa, kappa if current is None else np.nan)
     np.testing.assert_allclose(statistics.weight, samples.w.sum(axis=0), rtol=1e-5)
     rng, factors = np.random.default_rng(seed), statistics.factor()
     U = factors.table()
@@ -114,6 +116,10 @@ def test_samples_count_less_the_more_parameters_are_off(scene):
         return np.random.default_rng(50159).random((5, count)).astype(np.float32)
 
     assert_sufficient(noise_capture(scene), angular("fast", channels="joint"), 0.9, current)
+    sums = np.zeros((1, 1, 10, 2))
+    odd = Statistics.of(sums, np.ones(2), np.ones(2), np.zeros(1), np.nan)
+    with pytest.raises(OptionError, match="were weighted differently"):
+        _ = odd + odd
 
 
 def test_texels_nobody_sees_have_no_statistics(scene):
