@@ -74,7 +74,7 @@ class Observed:
     @cached_property
     def surface(self) -> Surface:
         """The texels of ``seen``: S lanes."""
-        return Surface.of(self.texels, owned(mi.UInt32, self.seen.astype(np.uint32)))
+        return self._lanes(self.seen)
 
     @cached_property
     def lane(self) -> np.ndarray:
@@ -134,12 +134,14 @@ class Observed:
             channels: 3, or 1 for the mean of R, G and B.
             texels: (t,) their numbers among all T, seen or not; by default those of ``seen``.
         """
-        surface, reach = self.surface, None
-        if texels is not None:
-            surface = Surface.of(self.texels, owned(mi.UInt32, texels.astype(np.uint32)))
+        surface, reach = self.surface if texels is None else self._lanes(texels), None
         if switches.traced:
             reach = self._reach_of(texels, switches)
         return Model.of(self.lighting, surface, reach, roughness, switches, channels)
+
+    def _lanes(self, texels: np.ndarray) -> Surface:
+        """Texels, by their numbers among all T, as a launch."""
+        return Surface.of(self.texels, owned(mi.UInt32, texels.astype(np.uint32)))
 
     def _reach_of(self, texels: np.ndarray | None, switches: AngularPreset) -> Reach:
         """What texels see of the light; those that are not worth other work are traced now."""
@@ -149,7 +151,7 @@ class Observed:
         lanes = self.lane[texels]
         new = lanes < 0
         if new.any():
-            others = Surface.of(self.texels, owned(mi.UInt32, texels[new].astype(np.uint32)))
+            others = self._lanes(texels[new])
             known = known.joined(
                 trace_reach(self.views.scene, others, known.cells, occluded=switches.occluded)
             )

@@ -89,6 +89,18 @@ class Estimate:
         raise OptionError(f"Estimate.image(): there is no map {name!r}; use entropy or coverage.")
 
 
+def subject_of(
+    source: Capture | Observed | Estimate, texels: Texels | None
+) -> tuple[Capture, Texels]:
+    """Return what a source is about, without any work; arguments and errors of ``observed_of``."""
+    if not isinstance(source, Capture):
+        seen = observed_of(source, texels)
+        return seen.capture, seen.texels
+    if texels is None:
+        raise OptionError("A capture needs texels: svu.texels(capture.mesh, resolution).")
+    return source, texels
+
+
 def observed_of(
     source: Capture | Observed | Estimate, texels: Texels | None, progress: Progress | None = None
 ) -> Observed:
@@ -116,9 +128,7 @@ def observed_of(
                 "The texels are not those that were observed; leave them out, or give the capture."
             )
         return source
-    if texels is None:
-        raise OptionError("A capture needs texels: svu.texels(capture.mesh, resolution).")
-    return observe(source, texels, progress)
+    return observe(*subject_of(source, texels), progress)
 
 
 def estimate(
@@ -166,12 +176,12 @@ def estimate(
     progress, skip = progress or Progress(), skip or Skip()
     angular = isinstance(switches, AngularPreset)
     chosen = angular_grid(grid, switches) if angular else spectrum_grid(grid, switches)
-    capture = source if isinstance(source, Capture) else observed_of(source, texels).capture
+    capture, layout = subject_of(source, texels)
     chosen = with_known(chosen, known, capture.shape)
     tables = log_prior(prior, chosen.shape, "estimate()")  # refused before any work
-    if isinstance(source, Capture) and texels is not None:
+    if isinstance(source, Capture):
         seen = observe(
-            source, texels, progress,
+            source, layout, progress,
             skip_unseen=skip.unseen, skip_blind=skip.blind, skip_pairs=skip.pairs,
         )  # fmt: skip
     else:

@@ -18,7 +18,7 @@ from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
 from svu_mi.observed import Observed
 from svu_mi.parameters import NAMES
-from svu_mi.pipeline import Estimate, observed_of
+from svu_mi.pipeline import Estimate, observed_of, subject_of
 from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.fingerprint import fingerprint
@@ -126,9 +126,7 @@ def recover(
     names = _names(parameters)
     chosen = Options.of(method, preset, sh, path, tv)
     progress = progress or Progress()
-    layout = texels if isinstance(source, Capture) else observed_of(source, texels).texels
-    if layout is not None:
-        require_resolution(layout, start)
+    require_resolution(subject_of(source, texels)[1], start)
     observed = observed_of(source, texels, progress)
     with progress.stage("Reading the light"):
         _ = observed.lighting  # refused before any work: a black light shows nothing

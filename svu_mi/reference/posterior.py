@@ -12,10 +12,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.errors import CaptureError, OptionError
+from svu_mi.errors import CaptureError
 from svu_mi.interop import owned
 from svu_mi.observed import Observed
-from svu_mi.pipeline import Estimate, observed_of
+from svu_mi.pipeline import Estimate, observed_of, subject_of
 from svu_mi.posterior import PrincipledGrid, TabulatedPosterior
 from svu_mi.progress import Progress
 from svu_mi.reference import cache as cached
@@ -81,17 +81,13 @@ def reference_posterior(
         OutputError: the cache cannot be written.
     """
     options = Options(spp, grid or PrincipledGrid(), sigma, max_depth, method, seed, noise)
-    known = None if isinstance(source, Capture) else observed_of(source, texels)
-    capture = source if isinstance(source, Capture) else known.capture  # type: ignore[union-attr]
-    layout = texels if known is None else known.texels
-    if layout is None:
-        raise OptionError("A capture needs texels: svu.texels(capture.mesh, resolution).")
+    capture, layout = subject_of(source, texels)
     wanted = check_subset(subset, layout.count)
     progress = progress or Progress()
     path = cached.locate(cache, capture, layout, wanted, options) if cache is not None else None
-    if path is not None and (found := cached.load(path, options)) is not None:
-        return found
-    seen = known or observed_of(capture, layout, progress)
+    if path is not None and (known := cached.load(path, options)) is not None:
+        return known
+    seen = observed_of(source, texels, progress)
     chosen = _choose(wanted, seen.found, capture, seed)
     with progress.stage("Tracing the reference") as stage:
         result = _trace(seen, chosen, options, stage.update)

@@ -24,7 +24,7 @@ import numpy as np
 
 from svu_mi.light.cells import Cells
 from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
-from svu_mi.visibility.reach import Reach
+from svu_mi.visibility.reach import Reach, fold
 
 NARROW = 0.03  # lobe alpha up to which light is looked up; its leaves are as far apart
 LARGE = 1.6  # rho^2 / (s cos^2 theta_d) from which a cell is too large
@@ -61,7 +61,7 @@ class Sums:
     def over(self, count: Any, add: Callable[..., Any], cosine: Any) -> list[Lobe]:
         """Return the lobes of all cells: ``add(cell, *sums)`` returns the next cell, and sums."""
         size = 3 * self.channels
-        sums = _over(mi.UInt32(0), count, add, *[0 * cosine] * (size * len(self.alpha)))
+        sums = fold(mi.UInt32(0), count, add, *[0 * cosine] * (size * len(self.alpha)))
         result = []
         for k, alpha in enumerate(self.alpha):
             scale = smith_g1(cosine, alpha) / (4 * cosine)
@@ -172,7 +172,7 @@ class _Tree:
 
             def smaller(*sums: Any) -> tuple[Any, ...]:
                 start, end = (dr.gather(mi.UInt32, first, cell + k) for k in (0, 1))
-                return _over(start, end, below, *sums)
+                return fold(start, end, below, *sums)
 
             return dr.if_stmt(
                 args=sums, cond=large, true_fn=smaller,
@@ -184,10 +184,3 @@ class _Tree:
             true_fn=above, false_fn=lambda *sums: sums,
         )  # fmt: skip
         return (cell + 1, *sums)
-
-
-def _over(start: Any, end: Any, body: Callable[..., Any], *sums: Any) -> tuple[Any, ...]:
-    """Fold a body over numbers from start to end."""
-    return dr.while_loop(
-        state=(start, *sums), cond=lambda number, *_: number < end, body=body
-    )[1:]

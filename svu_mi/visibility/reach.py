@@ -22,7 +22,7 @@ from svu_mi.light.cells import LightCells
 from svu_mi.light.lighting import Lighting
 from svu_mi.light.moments import MOMENTS
 from svu_mi.visibility.bits import Bits
-from svu_mi.visibility.observe import Observation, Surface, mirror_direction
+from svu_mi.visibility.observe import Observation, Surface, as_channels, mirror_direction
 from svu_mi.visibility.survey import Survey
 from svu_mi.visibility.views import Views
 
@@ -86,13 +86,8 @@ class Reach:
             return (cell + 1, *(old + new for old, new in zip(state, added, strict=True)))
 
         zero = dr.zeros(mi.Float, surface.count)
-        sums = dr.while_loop(
-            state=(mi.UInt32(0), *[zero] * (channels * (MOMENTS + 1))),
-            cond=lambda cell, *_: cell < cells.count,
-            body=add,
-        )[1:]
-        known, result = lighting.irradiance(surface.normal), []
-        known = list(known) if channels == 3 else [sum(known) / 3]
+        sums = fold(mi.UInt32(0), cells.count, add, *[zero] * (channels * (MOMENTS + 1)))
+        known, result = as_channels(lighting.irradiance(surface.normal), channels), []
         for channel, irradiance in enumerate(known):
             first = channel * (MOMENTS + 1)
             *moments, whole = sums[first : first + MOMENTS + 1]
@@ -137,7 +132,7 @@ def trace_reach(
             return cell + 1, coarse.push(word, cell, lane, found), free, high
 
         none = dr.zeros(mi.UInt32, count)
-        _, word, free, high = _loop(start, end, trace, word, none, none)
+        word, free, high = fold(start, end, trace, word, none, none)
         split = (free > 0) & (dr.popcnt(free) < end - start)
 
         def inherit(cell: Any, below_word: Any) -> tuple[Any, ...]:
@@ -152,21 +147,28 @@ def trace_reach(
                 found = dr.select(own, found, inherited)
                 return below + 1, fine.push(below_word, below, lane, found)
 
-            return cell + 1, _loop(first, last, refine, below_word)[1]
+            return (cell + 1, *fold(first, last, refine, below_word))
 
-        return group + 1, word, _loop(start, end, inherit, below_word)[1]
+        return (group + 1, word, *fold(start, end, inherit, below_word))
 
     none = dr.zeros(mi.UInt32, count)
-    _loop(mi.UInt32(0), cells.group_count, of_group, none, none)
+    fold(mi.UInt32(0), cells.group_count, of_group, none, none)
     dr.eval(coarse, fine)
     return Reach(cells, coarse, fine, surface.index)
 
 
-def _loop(start: Any, end: Any, body: Callable[..., Any], *state: Any) -> tuple[Any, ...]:
-    """Run body(number, *state) for numbers from start to end, which all lanes have in common."""
+def fold(start: Any, end: Any, body: Callable[..., Any], *state: Any) -> tuple[Any, ...]:
+    """Run a body over numbers from start to end, in one symbolic loop; return the last state.
+
+    Args:
+        start: UInt32, the first number.
+        end: UInt32, the one after the last.
+        body: ``body(number, *state)`` returns the next number, and the new state; traced once.
+        *state: Dr.Jit arrays.
+    """
     return dr.while_loop(
         state=(mi.UInt32(start), *state), cond=lambda number, *_: number < end, body=body
-    )
+    )[1:]
 
 
 @dataclass(frozen=True)
