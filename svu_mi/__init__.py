@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         Posterior,
         PrincipledGrid,
         angular_posterior,
+        calibrated_posterior,
         spectrum_posterior,
     )
     from svu_mi.recovery.recover import Recovery, recover
@@ -49,7 +50,8 @@ _HOME = {
     "read_source": "formats.reading", "Light": "formats.source",
     "fit_sh": "frequency", "power_spectrum": "frequency",
     "ParameterGrid": "posterior", "PrincipledGrid": "posterior", "Posterior": "posterior",
-    "angular_posterior": "posterior", "spectrum_posterior": "posterior",
+    "angular_posterior": "posterior", "calibrated_posterior": "posterior",
+    "spectrum_posterior": "posterior",
     "AngularPreset": "options", "Preset": "options", "Skip": "options",
     "preset": "options",
     "Check": "checking", "check": "checking",
@@ -69,7 +71,8 @@ __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "AngularPreset", "Asset", "Candidates", "Capture", "Check", "Estimate", "ExportOptions",
     "GlobalSharing", "Guidance", "GuidanceOptions", "ImportOptions", "Light", "ParameterGrid",
     "Posterior", "Preset", "PrincipledGrid", "Recovery", "Reference", "Skip", "SvuError",
-    "SvuWarning", "Texels", "TotalVariation", "angular_posterior", "check", "estimate",
+    "SvuWarning", "Texels", "TotalVariation", "angular_posterior",
+    "calibrated_posterior", "check", "estimate",
     "export_asset", "fit_sh", "import_capture", "load_asset", "load_capture", "next_best_view",
     "power_spectrum", "preset", "read_source", "recover", "reference_posterior",
     "render_capture", "spectrum_posterior", "texels", "write_report",

@@ -24,6 +24,7 @@ from svu_mi.progress import Progress
 from svu_mi.reflection.model import Model
 from svu_mi.statistics import Statistics, gather
 from svu_mi.statistics.gather import Values
+from svu_mi.statistics.sums import EDGES
 from svu_mi.surface import Texels
 from svu_mi.visibility import Surface, Survey, Views, pack_views, survey
 from svu_mi.visibility.observe import as_channels
@@ -160,7 +161,7 @@ class Observed:
 
     def statistics(
         self, roughness: np.ndarray, switches: AngularPreset, channels: int, *,
-        light_channels: int | None = None, kappa: float = np.inf,
+        light_channels: int | None = None, kappa: float = np.inf, edges: float = EDGES,
         texels: np.ndarray | None = None, current: Values | None = None,
     ) -> Statistics:  # fmt: skip
         """Gather what the photographs say of texels.
@@ -171,13 +172,14 @@ class Observed:
             channels: of the photographs, 3, or 1 for their mean.
             light_channels: of the light; 1 if it is grey.
             kappa: radiance around which samples begin to count less.
+            edges: how much less they count on edges of a photograph.
             texels: (t,) numbers of texels; by default those of ``seen``.
             current: parameters that samples count less for, the more they are off.
         """
         model = self.model(roughness, switches, light_channels or channels, texels)
         return gather(
             self.views, self.found, model, self.mirrors if model.reads_mirrors else None,
-            channels=channels, kappa=kappa, current=current,
+            channels=channels, kappa=kappa, edges=edges, current=current,
         )  # fmt: skip
 
 

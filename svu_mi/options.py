@@ -1,8 +1,8 @@
 """Presets: named, frozen sets of a method's switches.
 
 ``paper`` is the method as printed; ``default`` is our best, one setting for all scenes;
-``fast`` trades accuracy for time; ``calibrated`` (angular only) is for those who take credible
-sets at their word: its noise grows with radiance, as the errors of model and photographs do.
+``fast`` trades accuracy for time; ``fixed`` (angular only) assumes a noise of 8 % of the mean
+radiance instead of estimating it, which is what a path-traced reference is compared with.
 Each difference between them is a single switch, so an ablation is
 ``preset("paper", penalize_constant=False)``.
 """
@@ -24,7 +24,7 @@ Lobe = Literal["gaussian", "ggx"]
 Diffuse = Literal["lambert", "disney"]
 Parameters = Literal["principled", "specular"]
 AngularChannels = Literal["grey", "joint"]
-AngularNoise = Literal["fixed", "relative", "heteroscedastic", "marginal"]
+AngularNoise = Literal["estimated", "fixed", "relative", "heteroscedastic", "marginal"]
 
 Method = Literal["angular", "spectrum"]
 
@@ -149,18 +149,43 @@ class AngularPreset(_Channels):
     """``principled``: a posterior over (roughness, metallic, base colour); ``specular``: over
     (roughness, Ks), with the diffuse term at its best for each cell."""
 
-    channels: AngularChannels = "grey"
+    channels: AngularChannels = "joint"
     """``grey``: the mean of R, G, B and a grey base colour; ``joint``: one roughness and
     metallic for all, a base colour (or Ks) for each channel, the others marginalised."""
 
-    noise: AngularNoise = "relative"
-    """``fixed``: sigma in radiance; ``relative``: sigma times the capture's mean radiance;
-    ``heteroscedastic``: that, growing with the sample's own radiance; ``marginal``: sigma
-    unknown, p ~ d^(-nu/2)."""
+    noise: AngularNoise = "estimated"
+    """``estimated``: of every texel, from the photographs (``posterior/noise.py``), and every
+    view counts. The others take the mean squared error over views: ``fixed``: sigma in radiance;
+    ``relative``: sigma times the capture's mean radiance; ``heteroscedastic``: that, growing with
+    the sample's own radiance; ``marginal``: sigma unknown, p ~ d^(-nu/2)."""
 
     sigma: float = 0.08
     """Standard deviation of a texel's root mean squared error, in the unit that ``noise``
-    says. The error is the model's more than the camera's: it does not average out over views."""
+    says; if that is estimated, what is assumed where one or two photographs cannot tell. The
+    error is the model's more than the camera's: it does not average out over views."""
+
+    overdispersion: float = 3.5
+    """tau: so many samples say what one would if their errors were independent (estimated)."""
+
+    degrees: float = 4.0
+    """nu: so many samples of the median texel's noise are added to a texel's own (estimated)."""
+
+    knee: float = 0.5
+    """Radiance from which noise grows with it, as a part of the mean radiance (estimated)."""
+
+    edges: float = 60.0
+    """eta: how much noise grows with the variance of the pixels that a sample is read from, since
+    on an edge of a photograph a little beside is something else (estimated)."""
+
+    metals: float = 0.8
+    """Prior probability that metallic is 0 or 1, nothing in between (estimated)."""
+
+    levels: int = 8
+    """Levels of roughness that statistics are gathered at, between which they are interpolated
+    (estimated; the others take the grid's nodes)."""
+
+    parts: int = 42
+    """Parts of roughness that are integrated over, at least (estimated)."""
 
     def __post_init__(self) -> None:
         require_types(self)
@@ -171,6 +196,18 @@ class AngularPreset(_Channels):
         require_one_of(self, "channels", AngularChannels)
         require_one_of(self, "noise", AngularNoise)
         require(self, 1e-12 <= self.sigma <= 1e12, "sigma", "positive, in [1e-12, 1e12]")
+        require(self, 1 <= self.overdispersion <= 1e6, "overdispersion", "in [1, 1e6]")
+        require(self, 0 < self.degrees <= 1e6, "degrees", "positive, in (0, 1e6]")
+        require(self, 1e-6 <= self.knee <= 1e6, "knee", "positive, in [1e-6, 1e6]")
+        require(self, 0 <= self.edges <= 1e6, "edges", "in [0, 1e6]")
+        require(self, 0 <= self.metals < 1, "metals", "in [0, 1)")
+        require(self, 4 <= self.levels <= 64, "levels", "in [4, 64]")
+        require(self, 2 <= self.parts <= 512, "parts", "in [2, 512]")
+        if self.noise == "estimated" and self.parameters != "principled":
+            raise OptionError(
+                "AngularPreset: noise='estimated' is for parameters='principled'; over "
+                "(roughness, Ks), take noise='relative'."
+            )
         traced = self.cells == 0 or 256 <= self.cells <= 4096
         require(self, traced, "cells", "in [256, 4096], or 0 to trace none")
 
@@ -221,11 +258,11 @@ PRESETS: dict[str, Preset] = {
 
 ANGULAR_PRESETS: dict[str, AngularPreset] = {
     "default": AngularPreset(),
-    "calibrated": AngularPreset(name="calibrated", noise="heteroscedastic", sigma=0.16),
-    "fast": AngularPreset(name="fast", cells=0),
+    "fixed": AngularPreset(name="fixed", channels="grey", noise="relative"),
+    "fast": AngularPreset(name="fast", channels="grey", cells=0, parts=14),
     "paper": AngularPreset(
-        name="paper", fresnel="schlick", lobe="gaussian", off_specular=False, cells=0,
-        diffuse="lambert",
+        name="paper", channels="grey", noise="relative", fresnel="schlick", lobe="gaussian",
+        off_specular=False, cells=0, diffuse="lambert",
     ),
 }  # fmt: skip
 

@@ -32,6 +32,7 @@ from svu_mi.posterior import (
     PrincipledGrid,
     angular_grid,
     angular_posterior,
+    calibrated_posterior,
     spectrum_grid,
     spectrum_posterior,
 )
@@ -74,10 +75,16 @@ class Estimate:
         return self.posterior.entropy()
 
     def image(self, name: str) -> np.ndarray:
-        """Lay a per-texel result out as an (H, W) float32 texture.
+        """Lay a per-texel result out as a float32 texture.
 
         Args:
-            name: ``entropy`` (1 outside the charts) or ``coverage`` (0 outside the charts).
+            name: ``entropy`` (1 outside the charts), ``coverage`` (0 outside the charts), or of a
+                parameter, say roughness: ``roughness_mean``, ``roughness_sd``,
+                ``roughness_low`` and ``roughness_high`` (ends of the 90 % interval; NaN outside
+                the charts).
+
+        Returns:
+            (H, W), or (H, W, 3) where channels have their own.
 
         Raises:
             OptionError: an unknown name.
@@ -86,7 +93,17 @@ class Estimate:
             return self.texels.to_image(np.array(self.entropy, np.float32), 1.0)
         if name == "coverage":
             return self.texels.to_image(np.array(self.coverage).astype(np.float32), 0.0)
-        raise OptionError(f"Estimate.image(): there is no map {name!r}; use entropy or coverage.")
+        parameter, _, what = name.rpartition("_")
+        if parameter in self.posterior.axes and what in ("mean", "sd", "low", "high"):
+            if what in ("low", "high"):
+                values = self.posterior.interval(parameter)[what == "high"]
+            else:
+                values = getattr(self.posterior, what)(parameter)
+            return self.texels.to_image(np.array(values, np.float32), np.nan)
+        raise OptionError(
+            f"Estimate.image(): there is no map {name!r}; use entropy, coverage, or "
+            f"{', '.join(self.posterior.axes)} with _mean, _sd, _low or _high."
+        )
 
 
 def subject_of(
@@ -152,7 +169,7 @@ def estimate(
         method: the estimator. ``angular`` compares photographs with what the reflection model
             predicts for them, by statistics of all views; ``spectrum`` compares their power
             spectra (Sec. 3.3 of the paper).
-        preset: ``default``, ``paper``, ``fast``, ``calibrated`` (angular), or a preset of the
+        preset: ``default``, ``paper``, ``fast``, ``fixed`` (angular), or a preset of the
             method.
         grid: nodes of the parameter grid; by default 8 per parameter: roughness, metallic and
             base colour (``PrincipledGrid``), or roughness and Ks (``ParameterGrid``), as the
@@ -223,17 +240,30 @@ def _from_angles(run: _Run, switches: AngularPreset) -> Posterior:
     if switches.traced:
         with run.progress.stage("Tracing occlusion"):
             seen.reach(switches.cells, occluded=switches.occluded)
+    kappa = {"estimated": switches.knee * seen.unit, "heteroscedastic": seen.unit}
     with run.progress.stage("Gathering statistics"):
-        statistics = seen.statistics(
-            run.grid.roughness_nodes[plan.levels], switches, plan.channels,
-            light_channels=plan.light_channels,
-            kappa=seen.unit if switches.noise == "heteroscedastic" else np.inf,
+        factors = seen.statistics(
+            _levels(run, switches), switches, plan.channels, light_channels=plan.light_channels,
+            kappa=kappa.get(switches.noise, np.inf),
+            edges=switches.edges if switches.noise == "estimated" else 0.0,
+        ).factor()  # fmt: skip
+    if switches.noise == "estimated":
+        return calibrated_posterior(
+            factors, run.grid, seen.unit, switches, prior=run.prior, copies=plan.copies,
+            texels=seen.texels.count,
         )  # fmt: skip
-        factors = statistics.factor()
     return angular_posterior(
         factors, run.grid, seen.unit, switches,
         prior=run.prior, copies=plan.copies, levels=plan.levels, texels=seen.texels.count,
     )  # fmt: skip
+
+
+def _levels(run: _Run, switches: AngularPreset) -> np.ndarray:
+    """Levels of roughness to gather at: those of the grid that are possible, or even ones."""
+    nodes = run.grid.roughness_nodes
+    if switches.noise == "estimated" and len(nodes) > 1:
+        return np.linspace(0, 1, switches.levels)
+    return np.asarray(nodes[run.plan.levels])
 
 
 def _from_spectra(run: _Run, switches: Preset) -> Posterior:

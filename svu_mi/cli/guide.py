@@ -53,7 +53,7 @@ class Guide(Estimated):
     JSON list; or with a JSON list of true and false, one for each candidate."""
     unreachable: Numbers = ()
     """Numbers of candidates that cannot be reached."""
-    preset: Literal["default", "calibrated", "fast", "paper"] = "default"
+    preset: Literal["default", "fixed", "fast", "paper"] = "default"
     """Spectrum needs paper."""
     strategy: Strategy = "entropy"
     """entropy: lowest expected entropy; error: lowest expected squared error of the parameters; the

@@ -170,7 +170,7 @@ class Estimated(Photographed):
 
     method: Literal["angular", "spectrum"] = "angular"
     """angular compares radiance by statistics of all views; spectrum, power spectra (the paper)."""
-    preset: Literal["default", "calibrated", "fast", "paper"] = "default"
+    preset: Literal["default", "fixed", "fast", "paper"] = "default"
     known: Known = ()
     """Parameters that are not in question, such as metallic=0: they leave the grid. "scene" stands
     for those that the scene's own material does not vary."""

@@ -20,9 +20,10 @@ from svu_mi.guidance.responses import Respond, collect
 from svu_mi.guidance.spectral import SpectrumForecast
 from svu_mi.interop import owned
 from svu_mi.observed import Observed
-from svu_mi.options import AngularPreset, AnyPreset, Preset
+from svu_mi.options import AngularPreset, AnyPreset, Preset, preset
 from svu_mi.pipeline import Estimate
-from svu_mi.posterior import ParameterGrid, PrincipledGrid
+from svu_mi.pipeline import estimate as estimate_again
+from svu_mi.posterior import CalibratedPosterior, ParameterGrid, PrincipledGrid
 from svu_mi.posterior.angular import AngularPosterior
 from svu_mi.posterior.spectrum import SpectrumPosterior
 from svu_mi.visibility import Surface, Views, pack_sensors
@@ -156,19 +157,26 @@ def forecaster(estimate: Estimate) -> Forecaster:
             "next_best_view(): the estimate does not know its capture; use what svu.estimate() "
             "returns."
         )
+    observed, posterior = estimate.observed, estimate.posterior
+    if isinstance(posterior, CalibratedPosterior):
+        # Forecasts know one noise for all, and grey; what is believed of materials stays.
+        assumed = preset("fixed", method="angular")
+        estimate = estimate_again(
+            observed, preset=assumed, grid=posterior.grid, prior=posterior.prior
+        )
     if isinstance(estimate.posterior, AngularPosterior):
-        return AngularForecaster(estimate, estimate.observed)
+        return AngularForecaster(estimate, observed)
     assert isinstance(estimate.posterior, SpectrumPosterior)
-    return SpectrumForecaster(estimate, estimate.observed)
+    return SpectrumForecaster(estimate, observed)
 
 
-def _require(preset: AnyPreset, **allowed: tuple[str, ...]) -> None:
+def _require(switches: AnyPreset, **allowed: tuple[str, ...]) -> None:
     """Refuse switches whose entropy cannot be foretold."""
     for name, values in allowed.items():
-        if getattr(preset, name) not in values:
+        if getattr(switches, name) not in values:
             raise OptionError(
-                f"next_best_view(): an estimate with {name}={getattr(preset, name)!r} does not say "
-                f"what photographs would add; use {name}={' or '.join(map(repr, values))}."
+                f"next_best_view(): an estimate with {name}={getattr(switches, name)!r} does not "
+                f"say what photographs would add; use {name}={' or '.join(map(repr, values))}."
             )
 
 

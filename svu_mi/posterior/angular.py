@@ -16,6 +16,7 @@ from svu_mi.options import AngularPreset
 from svu_mi.options import preset as find_preset
 from svu_mi.posterior import angular_kernel as kernel
 from svu_mi.posterior import streaming
+from svu_mi.posterior.checks import require_scale, total_texels
 from svu_mi.posterior.grid import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.record import Posterior
 from svu_mi.statistics import Factors, Statistics
@@ -84,7 +85,7 @@ def angular_posterior(
     statistics: Statistics | Factors,
     grid: PrincipledGrid | ParameterGrid | None = None,
     scale: float = 1.0,
-    preset: str | AngularPreset = "default",
+    preset: str | AngularPreset = "fixed",
     *,
     prior: Any | None = None,
     copies: int = 1,
@@ -115,6 +116,11 @@ def angular_posterior(
         OptionError: a grid of other parameters than the preset's, an invalid scale or prior.
     """
     switches = find_preset(preset, method="angular")
+    if switches.noise == "estimated":
+        raise OptionError(
+            "angular_posterior(): a noise that is estimated is for calibrated_posterior(); use "
+            "preset='fixed', or another noise."
+        )
     grid = angular_grid(grid, switches)
     levels = np.ones(grid.shape[0], bool) if levels is None else np.asarray(levels)
     if levels.dtype != bool or levels.shape != grid.shape[:1]:
@@ -129,18 +135,11 @@ def angular_posterior(
             f"{_listed(grid.roughness_nodes[levels])}, that of the statistics "
             f"{_listed(factors.roughness)}; gather them at the nodes of the grid."
         )
-    if not (np.isfinite(scale) and scale > 0):
-        raise OptionError(f"angular_posterior(): scale must be positive, got {scale!r}.")
+    require_scale("angular_posterior()", scale)
     sigma = switches.sigma * (1.0 if switches.noise == "fixed" else scale)
     views = np.array(factors.views)
     texel = factors.texel.numpy()
-    last = int(texel.max()) if len(texel) else -1
-    total = last + 1 if texels is None else texels
-    if copies < 1 or total <= last:
-        raise OptionError(
-            f"angular_posterior(): copies must be at least 1 and texels more than {last}, got "
-            f"{copies} and {texels}."
-        )
+    total = total_texels("angular_posterior()", factors, copies, texels)
     observed = np.zeros(total, bool)
     observed[texel] = views > 0
     power = np.maximum(views.astype(np.float64) - FITTED, 1) / 2

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Integral
 from typing import Any
 
 import drjit as dr
@@ -16,6 +17,9 @@ from svu_mi.errors import OptionError, ShapeError
 from svu_mi.frequency import arrays
 from svu_mi.interop import owned
 from svu_mi.posterior.grid import Grid
+from svu_mi.posterior.intervals import shortest
+from svu_mi.posterior.nodes import cells_of
+from svu_mi.statistics.blocks import in_blocks
 
 CHUNK = 1 << 22  # cells per pass of everything that is not the entropy
 MAX_PROBABILITIES = 1 << 29  # floats; 2 GiB
@@ -48,6 +52,11 @@ class Posterior(ABC):
     def groups(self) -> int:
         """Number G of distributions per texel: 3 when each colour channel has its own, else 1."""
         return 1
+
+    @property
+    def prior(self) -> np.ndarray:
+        """Probability of every cell where nobody looked: float64 of the grid's shape."""
+        return np.full(self.grid.shape, 1 / np.prod(self.grid.shape))
 
     @abstractmethod
     def _entropy_of_all(self) -> Any:
@@ -114,7 +123,7 @@ class Posterior(ABC):
         result = np.empty(shape, np.float32)
         for span in self._chunks(len(chosen)):
             result[span] = self._tables(chosen[span])[0]
-        result[~self.observed[chosen]] = 1 / np.prod(self.grid.shape)
+        result[~self.observed[chosen]] = self.prior[..., None]
         return _tensor(result if self.groups > 1 else result[..., 0])
 
     def marginal(self, name: str, chosen: Any | None = None) -> Any:
@@ -161,8 +170,8 @@ class Posterior(ABC):
         """Marginals and the most probable cell, from one pass over the probabilities."""
         axes, groups = self.axes, self.groups
         marginals: dict[str, Any] = {
-            name: np.full((len(chosen), len(nodes), groups), 1 / len(nodes), np.float32)
-            for name, nodes in axes.items()
+            name: np.broadcast_to(p[:, None], (len(chosen), len(p), groups)).astype(np.float32)
+            for name, p in _marginals(self.prior, list(axes)).items()
         }
         best = np.empty((len(chosen), len(axes), groups), np.int64)
         observed = self.observed[chosen]
@@ -181,6 +190,134 @@ class Posterior(ABC):
         for table in (marginals, values):
             table.update({name: table[name][..., 0] for name in shared})
         return marginals, values
+
+    def mean(self, name: str) -> Any:
+        """Return the mean of a parameter: TensorXf (T,), or (T, 3) where channels have their own.
+
+        Where nobody looked, that of the prior.
+
+        Raises:
+            OptionError: an unknown parameter.
+        """
+        return self._shaped(name, self._mean_and_sd(name)[0])
+
+    def sd(self, name: str) -> Any:
+        """Return the standard deviation of a parameter: TensorXf (T,) or (T, 3), as ``mean``."""
+        return self._shaped(name, self._mean_and_sd(name)[1])
+
+    def interval(self, name: str, level: float = 0.9) -> tuple[Any, Any]:
+        """Return the shortest interval that holds a parameter with a probability.
+
+        It is made of parts of the parameter's range (cells of the grid, or finer), and goes to
+        the outer edges of the first and the last. Where nobody looked it is all of [0, 1].
+
+        Args:
+            name: a name of ``axes``.
+            level: the probability, in (0, 1).
+
+        Returns:
+            low and high: TensorXf (T,), or (T, 3) where channels have their own.
+
+        Raises:
+            OptionError: an unknown parameter, or a level that is no probability.
+        """
+        self._check_parameter(name)
+        if not 0 < level < 1:
+            raise OptionError(f"Posterior.interval(): level must be in (0, 1), got {level!r}.")
+        low, high = self._ends(name, level)
+        low[~self.observed], high[~self.observed] = 0, 1
+        return self._shaped(name, low), self._shaped(name, high)
+
+    def draw(self, count: int = 1, seed: int = 0) -> dict[str, Any]:
+        """Draw parameters of all texels, each texel for itself.
+
+        Args:
+            count: number of draws.
+            seed: of the draws, a whole number that is not negative; equal seeds draw the same.
+
+        Returns:
+            By parameter TensorXf (count, T), or (count, T, 3) where channels have their own;
+            parameters of one draw belong together. Where nobody looked, from the prior.
+
+        Raises:
+            OptionError: a count below 1, or a seed that is none.
+        """
+        for name, value, least in (("count", count, 1), ("seed", seed, 0)):
+            if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+                raise OptionError(
+                    f"Posterior.draw(): {name} must be a whole number >= {least}, got {value!r}."
+                )
+        drawn = self._draws(int(count), int(seed))
+        unseen = np.flatnonzero(~self.observed)
+        if len(unseen):
+            random = np.random.default_rng((seed, count, len(unseen)))
+            cells = random.choice(self.prior.size, (count, len(unseen)), p=self.prior.ravel())
+            index = np.unravel_index(cells, self.grid.shape)
+            for (name, nodes), of_name in zip(self.axes.items(), index, strict=True):
+                drawn[name][:, unseen] = nodes[of_name][..., None]
+        return {name: self._shaped(name, values) for name, values in drawn.items()}
+
+    def _mean_and_sd(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """(T, g) both; those of the prior where nobody looked."""
+        self._check_parameter(name)
+        mean, sd = self._moments(name)
+        nodes, p = self.axes[name], _marginals(self.prior, list(self.axes))[name]
+        usual = float(p @ nodes)
+        mean[~self.observed] = usual
+        sd[~self.observed] = np.sqrt(p @ (nodes - usual) ** 2)
+        return mean, sd
+
+    def _moments(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation of a parameter, (T, g) float32, of texels that were seen."""
+        p = self._grouped(name).astype(np.float64)
+        nodes = self.axes[name][:, None]
+        mean = (p * nodes).sum(axis=1)
+        variance = (p * (nodes - mean[:, None]) ** 2).sum(axis=1)
+        return mean.astype(np.float32), np.sqrt(variance).astype(np.float32)
+
+    def _ends(self, name: str, level: float) -> tuple[np.ndarray, np.ndarray]:
+        """Ends of intervals, (T, g) float32, of texels that were seen."""
+        nodes, p = self.axes[name], self._grouped(name)
+        parts = cells_of(nodes)
+        ends = [
+            shortest(in_blocks(mi.Float, p[..., g].T), parts, self.count, level)
+            for g in range(p.shape[-1])
+        ]
+        low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))
+        return low, high
+
+    def _grouped(self, name: str) -> np.ndarray:
+        """A marginal as (T, nodes, g), whether channels have their own or not."""
+        p = self._summary[0][name]
+        return p if p.ndim == 3 else p[..., None]
+
+    def _draws(self, count: int, seed: int) -> dict[str, np.ndarray]:
+        """Draws (count, T, g) float32 by parameter, of texels that were seen: nodes of the grid."""
+        axes, random = self.axes, np.random.default_rng(seed)
+        groups = self.groups
+        shape = self.grid.shape
+        drawn = {
+            name: np.empty((count, self.count, groups if k == len(axes) - 1 else 1), np.float32)
+            for k, name in enumerate(axes)
+        }
+        for span in self._chunks(self.count):
+            p = self._tables(np.arange(self.count)[span])[0]
+            p = p.reshape(len(p), -1, shape[-1], groups).astype(np.float64)
+            rows = _pick(p[..., 0].sum(axis=2), random.random((count, len(p))))
+            index = np.unravel_index(rows, shape[:-1])
+            for name, of_name in zip(list(axes)[:-1], index, strict=True):
+                drawn[name][:, span, 0] = axes[name][of_name]
+            last = list(axes)[-1]
+            for g in range(groups):
+                given = p[np.arange(len(p)), rows][..., g]  # (count, t, cells)
+                cell = _pick(given, random.random((count, len(p))))
+                drawn[last][:, span, g] = axes[last][cell]
+        return drawn
+
+    def _shaped(self, name: str, values: np.ndarray) -> Any:
+        """Values (..., g) as a tensor; without the last axis where there is one for all."""
+        own = self.groups > 1 and name == list(self.axes)[-1]
+        return _tensor(values.copy() if own else values[..., 0].copy())
 
     def kl(self, other: Posterior) -> Any:
         """Return KL(p || q) of every texel p to every texel q of another: (T, T') (Sec. 5.2).
@@ -218,6 +355,19 @@ class Posterior(ABC):
         if name not in self.axes:
             known = " or ".join(self.axes)
             raise OptionError(f"Posterior: there is no parameter {name!r}; use {known}.")
+
+
+def _marginals(p: np.ndarray, names: list[str]) -> dict[str, np.ndarray]:
+    """Marginals (nodes,) of probabilities of a grid, by parameter."""
+    axes = range(p.ndim)
+    return {name: p.sum(axis=tuple(k for k in axes if k != own)) for own, name in enumerate(names)}
+
+
+def _pick(weights: np.ndarray, random: np.ndarray) -> np.ndarray:
+    """Return which of N weights (..., t, N) random numbers (count, t) in [0, 1) fall on."""
+    below = np.cumsum(weights, axis=-1)
+    picked = (below <= random[..., None] * below[..., -1:]).sum(axis=-1)
+    return np.minimum(picked, weights.shape[-1] - 1)
 
 
 def normalized(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

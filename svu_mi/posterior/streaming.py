@@ -71,6 +71,11 @@ def nats(z: Any, zx: Any) -> Any:
     return (dr.log if dr.is_array_v(z) else np.log)(z) + zx / z
 
 
+def entropy_of(p: np.ndarray) -> float:
+    """Return the entropy of probabilities, in nats."""
+    return float(-(p * np.log(np.where(p > 0, p, 1))).sum())
+
+
 def _combine(groups: list[tuple[Any, list[Any]]]) -> tuple[Any, Any, Any]:
     """Sum one row over all groups.
 

@@ -19,14 +19,13 @@ from svu_mi.capture.poses import describe
 from svu_mi.capture.repaint import is_same, is_two_sided
 from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.files import prepare_folder, replacing
-from svu_mi.posterior import TabulatedPosterior
 from svu_mi.reference.options import Options
-from svu_mi.reference.record import Reference
+from svu_mi.reference.record import Reference, Traced
 from svu_mi.surface import Texels
 
 log = logging.getLogger(__name__)
 
-FORMAT = 2  # raised whenever the same input would give another result, or another file
+FORMAT = 3  # raised whenever the same input would give another result, or another file
 
 
 def locate(
@@ -74,13 +73,15 @@ def store(path: Path, reference: Reference) -> None:
     Raises:
         OutputError: it cannot be written.
     """
-    posteriors = (reference.posterior, *reference.halves)
+    traced = reference.traced
+    weight = {} if traced.weight is None else {"weight": traced.weight}
     with replacing(path) as temporary:
         np.savez(
             temporary,
             subset=reference.subset,
-            energies=np.stack([posterior.energies for posterior in posteriors]),
-            observed=reference.posterior.observed,
+            tables=traced.tables,
+            **weight,  # type: ignore[arg-type]
+            unit=reference.unit,
             brightness=reference.brightness,
             coverage=reference.coverage,
             scalars=np.array([reference.scale, reference.seconds]),
@@ -90,16 +91,17 @@ def store(path: Path, reference: Reference) -> None:
 
 
 def _unpack(stored: dict[str, np.ndarray], options: Options) -> Reference:
-    whole, first, second = (
-        TabulatedPosterior(energies=table, grid=options.grid, observed=stored["observed"])
-        for table in stored["energies"]
-    )
+    found = Traced(stored["tables"], stored.get("weight"), stored["coverage"])
+    unit = float(stored["unit"])
+    whole, first, second = found.posteriors(options, unit)
     scale, seconds = stored["scalars"].tolist()
     rays, dropped = stored["counts"].tolist()
     return Reference(
         subset=stored["subset"],
         posterior=whole,
         halves=(first, second),
+        traced=found,
+        unit=unit,
         brightness=stored["brightness"],
         coverage=stored["coverage"],
         scale=scale,

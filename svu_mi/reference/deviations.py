@@ -19,7 +19,7 @@ from svu_mi.statistics import Statistics
 from svu_mi.statistics.factors import PAIRS
 
 Render = Callable[[float, float, float], tuple[np.ndarray, np.ndarray]]
-"""(roughness, metallic, base colour) to the radiances (P,) of halves A and B, float64."""
+"""(roughness, metallic, base colour) to the radiances (P, 3) of halves A and B, float64."""
 
 KINDS = 3  # mean of both halves, A, B
 CORNERS = ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0))  # (metallic, base colour)
@@ -70,35 +70,57 @@ def brute(observed: np.ndarray, mean: PerTexel, grid: PrincipledGrid, render: Re
     result = np.empty((KINDS, mean.count, *grid.shape))
     for cell in np.ndindex(*grid.shape):
         psi = (float(nodes[k]) for nodes, k in zip(grid.axes.values(), cell, strict=True))
-        a, b = (observed - half for half in render(*psi))
+        a, b = (observed - half.mean(axis=1) for half in render(*psi))
         both = (a + b) / 2
         result[(slice(None), slice(None), *cell)] = [mean.mean(x * x) for x in (both, a, b)]
+    return result
+
+
+def sums(observed: np.ndarray, mean: PerTexel, levels: np.ndarray, render: Render) -> np.ndarray:
+    """Render four psi per roughness: the sums that all others follow from, exact for direct
+    light alone.
+
+    At fixed roughness, principled radiance is bilinear in metallic m and base colour c,
+    r = (1 - m) (c e + d) + m (c p + q), so four renders with a grey base colour give e, p, q and
+    d of every channel, and the sums of their products (``Statistics``) all cells.
+
+    Args:
+        observed: (P, C) float64, radiance b; of one channel, grey.
+        mean: the texels of the pairs.
+        levels: (R,) roughness.
+        render: traces both halves of one psi.
+
+    Returns:
+        (3, R, C, 10, n) float64: with the mean of both halves, with A and with B.
+    """
+    channels = observed.shape[1]
+    result = np.empty((KINDS, len(levels), channels, len(PAIRS), mean.count))
+    for row, roughness in enumerate(levels):
+        corners = [render(float(roughness), *corner) for corner in CORNERS]
+        if channels == 1:
+            corners = [tuple(half.mean(axis=1, keepdims=True) for half in c) for c in corners]
+        a, b = ([corner[half] for corner in corners] for half in range(2))
+        both = [(x + y) / 2 for x, y in zip(a, b, strict=True)]
+        for kind, (black, white, dark, bright) in enumerate((both, a, b)):
+            columns = (white - black, bright - dark, dark - black, black - observed)
+            for c in range(channels):
+                result[kind, row, c] = [
+                    mean.total(columns[i][:, c] * columns[j][:, c]) for i, j in PAIRS
+                ]
     return result
 
 
 def linear(
     observed: np.ndarray, mean: PerTexel, grid: PrincipledGrid, render: Render
 ) -> np.ndarray:
-    """Render four psi per roughness, and derive all others; exact for direct light alone.
-
-    At fixed roughness, principled radiance is bilinear in metallic m and base colour c,
-    r = (1 - m) (c e + d) + m (c p + q), so four renders give e, p, q and d, and the sums of
-    their products (``Statistics``) all cells.
+    """Derive the deviations of all psi from four per roughness (``sums``).
 
     Args and result are those of ``brute``.
     """
-    sums = np.empty((KINDS, grid.shape[0], 1, len(PAIRS), mean.count))
-    for row, roughness in enumerate(grid.roughness_nodes):
-        corners = [render(float(roughness), *corner) for corner in CORNERS]
-        a, b = ([corner[half] for corner in corners] for half in range(2))
-        both = [(x + y) / 2 for x, y in zip(a, b, strict=True)]
-        for kind, (black, white, dark, bright) in enumerate((both, a, b)):
-            columns = (white - black, bright - dark, dark - black, black - observed)
-            sums[kind, row, 0] = [mean.total(columns[i] * columns[j]) for i, j in PAIRS]
     found = [
         Statistics.of(table, mean.pairs, mean.pairs, grid.roughness_nodes).errors(
             grid.metallic_nodes, grid.base_color_nodes
         )
-        for table in sums
+        for table in sums(observed[:, None], mean, grid.roughness_nodes, render)
     ]
     return np.stack(found)[:, :, :, 0]

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from numbers import Integral
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from svu_mi.errors import OptionError
+from svu_mi.options import AngularPreset
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.reference.deviations import CORNERS
 
 Method = Literal["linear", "brute"]
-Noise = Literal["relative", "heteroscedastic"]
+Noise = Literal["relative", "heteroscedastic", "estimated"]
 
 
 @dataclass(frozen=True)
@@ -49,9 +50,14 @@ class Options:
             raise OptionError(f"{label}: seed must be a whole number >= 0, got {self.seed!r}.")
         if self.method not in ("linear", "brute"):
             raise OptionError(f"{label}: method must be linear or brute, got {self.method!r}.")
-        if self.noise not in ("relative", "heteroscedastic"):
+        if self.noise not in get_args(Noise):
             raise OptionError(
-                f"{label}: noise must be relative or heteroscedastic, got {self.noise!r}."
+                f"{label}: noise must be {' or '.join(get_args(Noise))}, got {self.noise!r}."
+            )
+        if self.noise == "estimated" and self.method != "linear":
+            raise OptionError(
+                f"{label}: a noise that is estimated needs method='linear', whose sums it is "
+                f"found from; got {self.method!r}."
             )
         if self.method == "linear" and self.max_depth > 2:
             raise OptionError(
@@ -60,9 +66,18 @@ class Options:
             )
 
     @property
+    def levels(self) -> np.ndarray:
+        """(R,) roughness that is traced: what the angular estimator gathers at."""
+        nodes = self.grid.roughness_nodes
+        if self.noise == "estimated" and len(nodes) > 1:
+            return np.linspace(0, 1, AngularPreset().levels)
+        return nodes
+
+    @property
     def renders(self) -> int:
         """Number of psi that are traced."""
-        rows, *others = self.grid.shape
+        _, *others = self.grid.shape
+        rows = len(self.levels)
         return rows * (len(CORNERS) if self.method == "linear" else int(np.prod(others)))
 
 

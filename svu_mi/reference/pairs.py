@@ -24,13 +24,15 @@ class Pairs:
 
     Attributes:
         texel: (P,) int64, place of the texel in the batch.
-        observed: (P,) float64, observed grey radiance.
+        radiance: (P, 3) float64, observed.
+        contrast: (P,) float64, variance of the pixels it is the mean of.
         rays: (P,) Ray3f from the camera to the texel, world space; None without pairs.
         dropped: number of visible pairs left out: their ray meets something else first.
     """
 
     texel: np.ndarray
-    observed: np.ndarray
+    radiance: np.ndarray
+    contrast: np.ndarray
     rays: Any
     dropped: int
 
@@ -39,10 +41,10 @@ class Pairs:
         """Number of pairs P."""
         return len(self.texel)
 
-
-def grey(radiance: Any) -> Any:
-    """Mean of the channels: Color3f to Float."""
-    return (radiance[0] + radiance[1] + radiance[2]) / 3
+    @property
+    def observed(self) -> np.ndarray:
+        """(P,) float64, observed grey radiance."""
+        return np.asarray(self.radiance.mean(axis=1))
 
 
 def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Pairs:
@@ -61,24 +63,29 @@ def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Pairs
     view = lane - place * views.count
     surface = Surface.of(texels, dr.gather(mi.UInt32, batch, place))
     known = observed.found.bits.test(view, surface.index)
-    radiance = grey(look(views, surface, view, known).radiance)
-    dr.eval(place, view, radiance, known)
+    sample = look(views, surface, view, known)
+    radiance, contrast = sample.radiance, sample.contrast
+    dr.eval(place, view, radiance, contrast, known)
     visible = dr.compress(known)
     if not dr.width(visible):
-        return Pairs(np.zeros(0, np.int64), np.zeros(0), None, 0)
-    place, view, radiance = (
-        dr.gather(type(values), values, visible) for values in (place, view, radiance)
+        return Pairs(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0), None, 0)
+    place, view, radiance, contrast = (
+        dr.gather(type(values), values, visible) for values in (place, view, radiance, contrast)
     )
     rays, hit = _aim(views, Surface.of(texels, dr.gather(mi.UInt32, batch, place)), view, target)
-    dr.eval(place, radiance, rays, hit)
+    dr.eval(place, radiance, contrast, rays, hit)
     kept = dr.compress(hit)
     if not dr.width(kept):
-        return Pairs(np.zeros(0, np.int64), np.zeros(0), None, dr.width(visible))
-    place, radiance, rays = (dr.gather(type(x), x, kept) for x in (place, radiance, rays))
-    dr.eval(place, radiance, rays)
+        empty = np.zeros((0, 3))
+        return Pairs(np.zeros(0, np.int64), empty, np.zeros(0), None, dr.width(visible))
+    place, radiance, contrast, rays = (
+        dr.gather(type(x), x, kept) for x in (place, radiance, contrast, rays)
+    )
+    dr.eval(place, radiance, contrast, rays)
     return Pairs(
         texel=place.numpy().astype(np.int64),
-        observed=radiance.numpy().astype(np.float64),
+        radiance=radiance.numpy().T.astype(np.float64),
+        contrast=contrast.numpy().astype(np.float64),
         rays=rays,
         dropped=dr.width(visible) - dr.width(kept),
     )

@@ -15,14 +15,15 @@ from svu_mi.capture import Capture
 from svu_mi.errors import CaptureError
 from svu_mi.interop import owned
 from svu_mi.observed import Observed
+from svu_mi.options import AngularPreset
 from svu_mi.pipeline import Estimate, observed_of, subject_of
-from svu_mi.posterior import PrincipledGrid, TabulatedPosterior
+from svu_mi.posterior import PrincipledGrid
 from svu_mi.progress import Progress
 from svu_mi.reference import cache as cached
-from svu_mi.reference.deviations import PerTexel, brute, linear
+from svu_mi.reference.deviations import PerTexel, brute, linear, sums
 from svu_mi.reference.options import Method, Noise, Options, check_subset
 from svu_mi.reference.pairs import Pairs, visible_pairs
-from svu_mi.reference.record import Reference
+from svu_mi.reference.record import Reference, Traced
 from svu_mi.reference.trace import path_integrator, trace
 from svu_mi.reference.uniform import UniformScene
 from svu_mi.statistics.sums import noise_weight
@@ -66,8 +67,10 @@ def reference_posterior(
         spp: paths per psi and pair; even.
         grid: nodes of psi; 8 x 8 x 8 by default.
         sigma: standard deviation of the likelihood, as a part of the mean radiance.
-        noise: ``relative``: that, for all samples; ``heteroscedastic``: it grows with a sample's
-            own radiance b, w = 1 / (1 + (b / mean)^2), as the angular estimator has it.
+        noise: ``relative``: that, for all samples, as the preset ``fixed`` has it;
+            ``heteroscedastic``: it grows with a sample's own radiance b,
+            w = 1 / (1 + (b / mean)^2); ``estimated``: the likelihood of the angular preset
+            ``default``, of all views and in colour, and ``sigma`` is not used.
         max_depth: longest path; 2 is direct light.
         method: ``linear`` renders 4 psi per roughness and derives the others, exactly, for
             direct light; ``brute`` renders all.
@@ -109,32 +112,40 @@ def _trace(
     size = max(LANES // views.number, 1)
     batches = [chosen[first : first + size] for first in range(0, len(chosen), size)]
     rays = dropped = 0
-    deviations, brightness, coverage = [], [], []
+    deviations, weights, brightness, coverage = [], [], [], []
     for number, batch in enumerate(batches):
         pairs = visible_pairs(observed, owned(mi.UInt32, batch.astype(np.uint32)), target)
         renderer = _Renderer(target, pairs, options, number, len(batches), update)
         mean = PerTexel(pairs.texel, len(batch))
-        weighted = replace(mean, weight=_weights(pairs.observed, scale, options.noise))
-        derive = linear if options.method == "linear" else brute
-        deviations.append(derive(pairs.observed, weighted, options.grid, renderer))
+        weight = _weights(pairs, observed, options.noise)
+        weighted = replace(mean, weight=weight)
+        if options.noise == "estimated" and weight is not None:
+            deviations.append(sums(pairs.radiance, weighted, options.levels, renderer))
+            weights.append(mean.total(weight))
+        else:
+            derive = linear if options.method == "linear" else brute
+            deviations.append(derive(pairs.observed, weighted, options.grid, renderer))
         brightness.append(mean.mean(pairs.observed))
         coverage.append(mean.pairs)
         rays += pairs.count * options.renders * options.spp
         dropped += pairs.dropped
     used = np.concatenate(coverage)
-    energies = np.concatenate(deviations, axis=1) / (2 * (options.sigma * scale) ** 2)
+    if options.noise == "estimated":
+        found = Traced(np.concatenate(deviations, axis=-1), np.concatenate(weights), used)
+    else:
+        energies = np.concatenate(deviations, axis=1) / (2 * (options.sigma * scale) ** 2)
+        found = Traced(energies, None, used)
     dr.sync_thread()
-    whole, first, second = (
-        TabulatedPosterior(energies=table, grid=options.grid, observed=used > 0)
-        for table in energies
-    )
+    whole, first, second = found.posteriors(options, observed.unit)
     return Reference(
         subset=chosen,
         posterior=whole,
         halves=(first, second),
+        traced=found,
         brightness=np.concatenate(brightness),
         coverage=used,
         scale=scale,
+        unit=observed.unit,
         seconds=time.perf_counter() - start,
         cached=False,
         rays=rays,
@@ -145,9 +156,16 @@ def _trace(
     )
 
 
-def _weights(observed: np.ndarray, scale: float, noise: Noise) -> np.ndarray | None:
+def _weights(pairs: Pairs, observed: Observed, noise: Noise) -> np.ndarray | None:
     """(P,) weights of the squared deviations; None is 1 for all."""
-    return None if noise == "relative" else noise_weight(observed, scale)
+    if noise == "relative":
+        return None
+    if noise == "heteroscedastic":
+        return noise_weight(pairs.observed, observed.found.scale)
+    default = AngularPreset()
+    return noise_weight(
+        pairs.observed, default.knee * observed.unit, pairs.contrast, default.edges
+    )
 
 
 class _Renderer:

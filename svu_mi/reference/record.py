@@ -7,7 +7,47 @@ from functools import cached_property
 
 import numpy as np
 
-from svu_mi.posterior import TabulatedPosterior
+from svu_mi.errors import OptionError
+from svu_mi.options import AngularPreset
+from svu_mi.posterior import Posterior, TabulatedPosterior, calibrated_posterior
+from svu_mi.reference.options import Options
+from svu_mi.statistics import Statistics
+
+
+@dataclass(frozen=True)
+class Traced:
+    """What was traced, with the mean of both halves of the samples, and with each of them.
+
+    Attributes:
+        tables: (3, n, R, M, C) float64 energies; or (3, R, 3, 10, n) sums (``Statistics``).
+        weight: (n,) float64 of those sums; None with energies.
+        coverage: (n,) int64, number of views used.
+    """
+
+    tables: np.ndarray
+    weight: np.ndarray | None
+    coverage: np.ndarray
+
+    def posteriors(self, options: Options, unit: float) -> list[Posterior]:
+        """Return the posterior of the mean and of each half.
+
+        Args:
+            options: that it was traced with.
+            unit: radiance that noise is a part of.
+        """
+        grid, seen = options.grid, self.coverage > 0
+        if self.weight is None:
+            return [
+                TabulatedPosterior(energies=table, grid=grid, observed=seen)
+                for table in self.tables
+            ]
+        kappa = AngularPreset().knee * unit
+        return [
+            calibrated_posterior(
+                Statistics.of(table, self.weight, self.coverage, options.levels, kappa), grid, unit
+            )
+            for table in self.tables
+        ]
 
 
 @dataclass(frozen=True)
@@ -34,9 +74,11 @@ class Reference:
         posterior: p(psi | B, L) on roughness x metallic x base colour. Not observed, with
             entropy 1, is a texel that no view sees or that no ray met.
         halves: the same from the first and from the second half of the samples.
+        traced: what they were made from.
         brightness: (n,) float64, mean observed grey radiance over the views used; 0 without any.
         coverage: (n,) int64, number of views used.
         scale: mean grey radiance over all visible (texel, view) samples of the capture.
+        unit: that, or where it is 0 some of the light's: what noise is a part of.
         seconds: time the tracing took, device synchronised; that of the original run when
             the result came from a cache.
         cached: whether it came from a cache.
@@ -48,11 +90,13 @@ class Reference:
     """
 
     subset: np.ndarray = field(repr=False)
-    posterior: TabulatedPosterior = field(repr=False)
-    halves: tuple[TabulatedPosterior, TabulatedPosterior] = field(repr=False)
+    posterior: Posterior = field(repr=False)
+    halves: tuple[Posterior, Posterior] = field(repr=False)
+    traced: Traced = field(repr=False)
     brightness: np.ndarray = field(repr=False)
     coverage: np.ndarray = field(repr=False)
     scale: float
+    unit: float
     seconds: float
     cached: bool
     rays: int
@@ -76,9 +120,17 @@ class Reference:
         """(n, R, M, C) float64 energies free of the renders' variance; may be negative.
 
         (b - A)(b - B) of the halves A and B, whose noise makes them worse for a posterior.
+
+        Raises:
+            OptionError: the noise was estimated, so there are no energies of cells.
         """
-        first, second = self.halves
-        return (4 * self.posterior.energies - first.energies - second.energies) / 2
+        if self.traced.weight is not None:
+            raise OptionError(
+                "Reference.unbiased_energies: there are none where the noise is estimated; trace "
+                "with noise='relative'."
+            )
+        whole, first, second = self.traced.tables
+        return np.asarray((4 * whole - first - second) / 2)
 
     def split_half(self) -> SplitHalf:
         """Compare the entropies of the two independent halves of the samples.
@@ -93,5 +145,5 @@ class Reference:
         return SplitHalf(float(np.corrcoef(a, b)[0, 1]) if varied else np.nan, first, second)
 
 
-def _entropy(posterior: TabulatedPosterior) -> np.ndarray:
+def _entropy(posterior: Posterior) -> np.ndarray:
     return np.array(posterior.entropy(), np.float64)

@@ -8,8 +8,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.reference.pairs import grey
-
 LANES = 1 << 20  # paths in memory at a time
 
 
@@ -39,10 +37,10 @@ def trace(
         seed: a whole number >= 0.
 
     Returns:
-        (P,) and (P,) float64 grey radiance.
+        (P, 3) and (P, 3) float64 radiance.
     """
     count, half = dr.width(rays.o), samples // 2
-    result = np.zeros((count, 2))
+    result = np.zeros((count, 2, 3))
     size = max(LANES // samples, 1)
     sampler = mi.load_dict({"type": "independent"})
     number = dr.opaque(mi.UInt32, samples)
@@ -55,5 +53,7 @@ def trace(
         ray = mi.RayDifferential3f(dr.gather(mi.Ray3f, rays, index))
         radiance, _, _ = integrator.sample(scene, sampler, ray)
         # Read now: a lazy result would be computed with the material of a later call.
-        result[span] = dr.block_sum(grey(radiance), half).numpy().reshape(-1, 2) / half
+        sums = [dr.block_sum(radiance[channel], half) for channel in range(3)]
+        dr.eval(sums)
+        result[span] = np.stack([x.numpy().reshape(-1, 2) for x in sums], axis=-1) / half
     return result[:, 0], result[:, 1]

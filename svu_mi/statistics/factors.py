@@ -98,6 +98,15 @@ class Factors:
         U = dict(zip(PAIRS, np.moveaxis(self.table().astype(np.float64), 2, 0), strict=True))
         return np.stack([sum(U[k, i] * U[k, j] for k in range(i + 1)) for i, j in PAIRS], axis=2)
 
+    def unexplained(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean squared error that nothing explains, the sum over channels, and the sum
+        of the weights: (S,) float64 both."""
+        reader = self.at()
+        least = sum(mi.Float64(reader.least(channel)) for channel in range(self.channels))
+        weight = reader.weight()
+        dr.eval(least, weight)
+        return np.array(least), np.array(weight, np.float64)
+
     def _table(self) -> np.ndarray:
         return rows_of(self.values, self.rows, self.count)
 

@@ -12,7 +12,7 @@ from svu_mi.errors import OptionError
 from svu_mi.reflection.model import Column, Model
 from svu_mi.statistics.blocks import scattered
 from svu_mi.statistics.factors import PAIRS
-from svu_mi.statistics.sums import Statistics, noise_weight
+from svu_mi.statistics.sums import EDGES, Statistics, noise_weight
 from svu_mi.visibility import Observation, Survey, Views
 from svu_mi.visibility.observe import as_channels
 from svu_mi.visibility.reach import Mirrors
@@ -33,7 +33,8 @@ class Values(NamedTuple):
 
 def gather(
     views: Views, found: Survey, model: Model, mirrors: Mirrors | None, *,
-    channels: int | None = None, kappa: float = inf, current: Values | None = None,
+    channels: int | None = None, kappa: float = inf, edges: float = EDGES,
+    current: Values | None = None,
 ) -> Statistics:  # fmt: skip
     """Collect the statistics of the texels of a model.
 
@@ -45,6 +46,7 @@ def gather(
         channels: C of the photographs, 3 or 1; the model's by default. A model of one channel,
             under grey light, stands for all.
         kappa: radiance around which samples begin to count less (see ``Statistics``).
+        edges: how much less samples on edges of a photograph count (``noise_weight``).
         current: parameters of the texels. Samples then also count less the more these are off,
             by 1 / |r - b|: squares become absolute errors [Holland and Welsch 1977]. Sums that
             are weighted so never add to others: their kappa is NaN. Levels must be uniform on
@@ -58,6 +60,7 @@ def gather(
     if current is not None and not (kappa < inf and channels == 3):
         raise OptionError("gather(): current needs a finite kappa and 3 channels.")
     knee, weighted = dr.opaque(mi.Float, kappa), kappa < inf
+    eta = dr.opaque(mi.Float, edges)
 
     def consume(seen: Observation, slot: Any, *sums: Any) -> Any:
         free = mi.Bool(True) if mirrors is None else mirrors.test(slot, surface.index)
@@ -67,7 +70,7 @@ def gather(
             radiance = as_channels(seen.radiance, channels)
             w = dr.select(seen.seen, mi.Float(1), 0)
             if weighted:
-                w *= noise_weight(sum(radiance) / channels, knee)
+                w *= noise_weight(sum(radiance) / channels, knee, seen.contrast, eta)
             if current is not None:
                 off = sum(_errors(columns, radiance, current)) / channels
                 w *= knee / dr.maximum(off, SMALLEST * knee)
@@ -89,7 +92,7 @@ def gather(
     dr.eval(coverage)
     return Statistics(
         scattered(mi.Float64, [*sums, weight], surface.count), coverage, surface.index,
-        model.roughness, channels, kappa if current is None else nan,
+        model.roughness, channels, kappa if current is None else nan, edges,
     )  # fmt: skip
 
 

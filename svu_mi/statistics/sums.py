@@ -28,12 +28,15 @@ from svu_mi.interop import owned
 from svu_mi.statistics.blocks import in_blocks, rows_of
 from svu_mi.statistics.factors import PAIRS, Factors, factorize
 
+EDGES = 60.0  # eta; of own scenes, 20 to 200 do as well (BENCHMARKS.md)
 
-def noise_weight(radiance: Any, kappa: Any) -> Any:
-    """w = 1 / (1 + (b / kappa)^2): the variance of an error grows with radiance b, as the errors
-    of model and photographs do. Floats, NumPy and Dr.Jit arrays alike."""
+
+def noise_weight(radiance: Any, kappa: Any, contrast: Any = 0.0, edges: Any = EDGES) -> Any:
+    """w = 1 / (1 + (b / kappa)^2 + eta v / kappa^2): the variance of an error grows with radiance
+    b, as the errors of model and photographs do, and with the variance v of the pixels around:
+    on an edge, a little beside is something else. Floats, NumPy and Dr.Jit arrays alike."""
     relative = radiance / kappa
-    return 1 / (1 + relative * relative)
+    return 1 / (1 + relative * relative + edges * (contrast / kappa / kappa))
 
 
 @dataclass(frozen=True)
@@ -47,8 +50,9 @@ class Statistics:
         texel: (S,) UInt32, which of all texels each is.
         roughness: (R,) float64 of the levels.
         channels: C.
-        kappa: radiance around which samples begin to count less, w = 1 / (1 + (b / kappa)^2);
-            infinite if all count alike, NaN if they were also weighted by what they are off.
+        kappa: radiance around which samples begin to count less (``noise_weight``); infinite if
+            all count alike, NaN if they were also weighted by what they are off.
+        edges: eta of the weights; of no matter where kappa is infinite.
     """
 
     sums: Any
@@ -57,6 +61,7 @@ class Statistics:
     roughness: np.ndarray
     channels: int
     kappa: float = inf
+    edges: float = EDGES
 
     @property
     def count(self) -> int:
@@ -89,10 +94,11 @@ class Statistics:
                 "Statistics of different texels, roughness levels or channels do not add: "
                 f"{self._shape()} and {other._shape()}."
             )
-        if self.kappa != other.kappa:
+        if self.kappa != other.kappa or self.edges != other.edges:
             raise OptionError(
-                f"Statistics with kappa {self.kappa:g} and {other.kappa:g} do not add, as their "
-                "samples were weighted differently; gather both with the kappa of the first."
+                f"Statistics with kappa {self.kappa:g} and {other.kappa:g} (edges {self.edges:g} "
+                f"and {other.edges:g}) do not add, as their samples were weighted differently; "
+                "gather both with those of the first."
             )
         sums, views = self.sums + other.sums, self.views + other.views
         dr.eval(sums, views)

@@ -34,6 +34,7 @@ class Texels:
         geometric_normal: (T,) Normal3f, unit face normal, on the shading normal's side.
         uv: (T,) Point2f, the texel's centre.
         footprint: (T,) Float, side of the texel's square on the surface, in world units.
+        sides: two (T,) Vector3f, from one edge of the texel to the other along u and v.
         overlapping: number of texels left out because several faces claim them.
         degenerate: number of texels left out because their face has no area in space.
         extent: diagonal of the mesh's bounding box, in world units.
@@ -48,6 +49,7 @@ class Texels:
     geometric_normal: Any
     uv: Any
     footprint: Any
+    sides: tuple[Any, Any]
     overlapping: int
     degenerate: int
     extent: float
@@ -219,6 +221,9 @@ def _surface_points(
     edges = corner_uv[:, 1:] - corner_uv[:, :1]
     uv_area = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]) / 2
     footprint = np.sqrt(area[face] / (uv_area * width * height))
+    # Position is linear in uv within a face: edges = sides of the unit square times uv edges.
+    corner = source.positions[source.faces[face]]
+    along = np.linalg.solve(edges, corner[:, 1:] - corner[:, :1])  # (T, u or v, xyz)
     return Texels(
         resolution=resolution,
         index=owned(mi.UInt32, index.astype(np.uint32)),
@@ -228,6 +233,9 @@ def _surface_points(
         geometric_normal=_vector(mi.Normal3f, geometric),
         uv=_vector(mi.Point2f, uv),
         footprint=owned(mi.Float, footprint.astype(np.float32)),
+        sides=(
+            _vector(mi.Vector3f, along[:, 0] / width), _vector(mi.Vector3f, along[:, 1] / height)
+        ),
         overlapping=overlapping,
         degenerate=degenerate,
         extent=_extent(source),

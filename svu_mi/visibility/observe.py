@@ -21,6 +21,8 @@ from svu_mi.visibility.views import CAMERA_FLOATS, Views
 
 RAY_OFFSET = 2e-5  # of the scene's extent: leaves the surface at every scale of the mesh
 RAY_END = 1e-4  # part of the way to the camera left out at its far end
+SPACING = 1.5  # pixels between look-ups, each of which averages about as many
+MOST_TAPS = 8  # per side of a texel
 MIN_COSINE = 1e-3  # more grazing than this, neither pixel nor ray means the texel
 
 
@@ -32,6 +34,7 @@ class Surface:
         position, normal, geometric_normal: of each, world space.
         offset: Float, opaque: how far from the surface rays start.
         texel: UInt32, which of all texels each is; None for all, in order.
+        sides: two Vector3f, what each spans in world space; None for points.
     """
 
     position: Any
@@ -39,6 +42,7 @@ class Surface:
     geometric_normal: Any
     offset: Any
     texel: Any | None = None
+    sides: tuple[Any, Any] | None = None
 
     @staticmethod
     def of(texels: Texels, selection: Any | None = None) -> Surface:
@@ -54,6 +58,7 @@ class Surface:
             # Far from the origin, less than the step between coordinates is no offset at all.
             offset=dr.opaque(mi.Float, max(RAY_OFFSET * texels.extent, 2 * texels.step)),
             texel=selection,
+            sides=(take(texels.sides[0]), take(texels.sides[1])),
         )
 
     @property
@@ -81,12 +86,15 @@ class Observation:
         cosine: Float, between direction and shading normal; 0 where not seen.
         radiance: outgoing radiance, Color3f; 0 where not seen.
         seen: Bool.
+        contrast: Float, variance of the pixels that radiance is the mean of, squared radiance;
+            0 where not seen.
     """
 
     direction: Any
     cosine: Any
     radiance: Any
     seen: Any
+    contrast: Any
 
 
 def observe(views: Views, surface: Surface, view: Any, *, dense: bool = False) -> Observation:
@@ -120,7 +128,7 @@ def observe(views: Views, surface: Surface, view: Any, *, dense: bool = False) -
         true_fn=partial(_reach, views, surface.offset, dense),
         false_fn=lambda *args: (_black(), args[-1]),
     )  # fmt: skip
-    return Observation(direction, dr.select(seen, cosine, 0), radiance, seen)
+    return Observation(direction, dr.select(seen, cosine, 0), radiance, seen, mi.Float(0))
 
 
 def as_channels(color: Any, channels: int) -> list[Any]:
@@ -152,20 +160,19 @@ def look(
         dense: work for every lane all the same, to see what that costs.
     """
 
-    def read(position: Any, normal: Any) -> tuple[Any, Any, Any]:
+    def read(position: Any, normal: Any, sides: Any) -> tuple[Any, Any, Any, Any]:
         camera = _read_camera(views, view)
         direction = mi.Vector3f(dr.normalize(camera.position - position))
-        taps = _taps(camera, position)
         cosine = dr.select(seen, dr.dot(normal, direction), 0)
-        return direction, cosine, _radiance(views, taps.pixels, taps.weights, seen)
+        return direction, cosine, *mean_over_texel(views, camera, position, sides, seen)
 
-    direction, cosine, radiance = dr.if_stmt(
-        args=(surface.position, mi.Vector3f(surface.normal)),
+    direction, cosine, radiance, contrast = dr.if_stmt(
+        args=(surface.position, mi.Vector3f(surface.normal), surface.sides),
         cond=asked(seen, dense),
         true_fn=read,
-        false_fn=lambda _, normal: (normal, mi.Float(0), _black()),
+        false_fn=lambda _, normal, *__: (normal, mi.Float(0), _black(), mi.Float(0)),
     )
-    return Observation(direction, cosine, radiance, seen)
+    return Observation(direction, cosine, radiance, seen, contrast)
 
 
 @dataclass(frozen=True)
@@ -205,14 +212,21 @@ class _Taps:
     on_film: Any
 
 
-def _taps(camera: _Camera, position: Any) -> _Taps:
+def _project(camera: _Camera, position: Any) -> tuple[Any, Any, Any, Any]:
+    """Return pixel coordinates, 0 at the first pixel's centre; 1 / depth; and whether the point
+    is in front of the camera."""
     point = mi.Vector4f(position.x, position.y, position.z, 1)
     depth = dr.dot(camera.w, point)
     in_front = depth > camera.near
     scale = dr.rcp(dr.select(in_front, depth, 1))
-    # Pixel centres are at +0.5; a point between four centres has all of its taps on the film.
     x = dr.dot(camera.x, point) * scale - 0.5
     y = dr.dot(camera.y, point) * scale - 0.5
+    return x, y, scale, in_front
+
+
+def _taps(camera: _Camera, position: Any) -> _Taps:
+    x, y, _, in_front = _project(camera, position)
+    # A point between four pixels' centres has all of its taps on the film.
     left, top = dr.floor(x), dr.floor(y)
     on_film = (
         in_front
@@ -269,6 +283,81 @@ def _radiance(views: Views, pixels: list[Any], weights: list[Any], active: Any =
         # A kernel that rounds a position differently may touch a pixel that is not usable.
         total += weight * dr.select(dr.isfinite(value), value, 0)
     return total
+
+
+def mean_over_texel(
+    views: Views, camera: _Camera, position: Any, sides: tuple[Any, Any] | None, seen: Any
+) -> tuple[Any, Any]:
+    """Average the pixels that a texel covers in a view: bilinear look-ups all over the
+    parallelogram that it is there, so close that they overlap.
+
+    A texel smaller than a pixel is one look-up, and shares its pixels with its neighbours.
+
+    Returns:
+        radiance (Color3f), and the variance of grey over the pixels that were read.
+    """
+    if views.pixels is None:
+        return _black(), mi.Float(0)
+    x, y, scale, _ = _project(camera, position)
+    spans = [] if sides is None else [_span(camera, side, x, y, scale) for side in sides]
+    spans = spans or [(mi.Float(0), mi.Float(0))] * 2
+    steps = [
+        dr.clip(dr.ceil(dr.sqrt(a * a + b * b) / SPACING), 1, MOST_TAPS) for a, b in spans
+    ]
+    columns, number = mi.UInt32(steps[1]), mi.UInt32(steps[0] * steps[1])
+    number = dr.select(seen, number, 0)
+
+    def add(tap: Any, weight: Any, total: Any, squares: Any) -> tuple[Any, ...]:
+        row = tap // columns
+        u, v = (mi.Float(row) + 0.5) / steps[0] - 0.5, (
+            mi.Float(tap - row * columns) + 0.5) / steps[1] - 0.5
+        pixels, weights = _bilinear(
+            camera, x + u * spans[0][0] + v * spans[1][0], y + u * spans[0][1] + v * spans[1][1]
+        )
+        for pixel, w in zip(pixels, weights, strict=True):
+            color = dr.gather(mi.Color3f, views.pixels, pixel)
+            w = dr.select(dr.gather(mi.Bool, views.usable, pixel), w, 0)
+            # Not usable is also what holds no radiance, and NaN times 0 is NaN.
+            color = dr.select(w > 0, color, 0)
+            weight += w
+            total += w * color
+            squares += w * dr.square(as_channels(color, 1)[0])
+        return tap + 1, weight, total, squares
+
+    _, weight, total, squares = dr.while_loop(
+        (mi.UInt32(0), mi.Float(0), _black(), mi.Float(0)), lambda tap, *_: tap < number, add
+    )
+    inverse = dr.select(weight > 0, dr.rcp(dr.select(weight > 0, weight, 1)), 0)
+    mean = inverse * total
+    grey = as_channels(mean, 1)[0]
+    return mean, dr.maximum(inverse * squares - dr.square(grey), 0)
+
+
+def _span(camera: _Camera, side: Any, x: Any, y: Any, scale: Any) -> tuple[Any, Any]:
+    """Project a vector at a point: pixels (Floats), to first order."""
+    vector = mi.Vector4f(side.x, side.y, side.z, 0)
+    depth = dr.dot(camera.w, vector)
+    return (
+        scale * (dr.dot(camera.x, vector) - (x + 0.5) * depth),
+        scale * (dr.dot(camera.y, vector) - (y + 0.5) * depth),
+    )
+
+
+def _bilinear(camera: _Camera, x: Any, y: Any) -> tuple[list[Any], list[Any]]:
+    """Return the four pixels around a point and their weights; beyond the film, those at its
+    edge."""
+    x = dr.clip(x, 0, mi.Float(camera.width) - 1)
+    y = dr.clip(y, 0, mi.Float(camera.height) - 1)
+    left = dr.minimum(mi.UInt32(x), dr.maximum(camera.width, 2) - 2)
+    top = dr.minimum(mi.UInt32(y), dr.maximum(camera.height, 2) - 2)
+    fx, fy = x - mi.Float(left), y - mi.Float(top)
+    first = camera.offset + top * camera.width + left
+    right = dr.select(camera.width > 1, mi.UInt32(1), 0)
+    below = dr.select(camera.height > 1, camera.width, 0)
+    return (
+        [first, first + right, first + below, first + below + right],
+        [(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy],
+    )
 
 
 def over_views(

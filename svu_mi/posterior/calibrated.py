@@ -1,0 +1,232 @@
+"""The posterior that is calibrated: noise from the photographs, parameters without a grid.
+
+    log p(psi | B, L) = -sum_i w_i |r_i(psi) - b_i|^2 / (2 s^2 tau) + log p(psi)
+
+over all views and channels, with the noise s of ``noise``; base colour is integrated in closed
+form (``truncated``), roughness and metallic on fine nodes (``nodes``). Probabilities and entropy
+(Eq. 5) are those of the *masses* of a grid's cells, integrated, not evaluated at nodes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.interop import owned
+from svu_mi.options import AngularPreset
+from svu_mi.options import preset as find_preset
+from svu_mi.posterior import calibrated_kernel as kernel
+from svu_mi.posterior import streaming
+from svu_mi.posterior.checks import require_scale, total_texels
+from svu_mi.posterior.grid import PrincipledGrid
+from svu_mi.posterior.intervals import shortest
+from svu_mi.posterior.nodes import (
+    COLOR_PARTS,
+    METALLIC_PARTS,
+    cell_edges,
+    metallic_axis,
+    uniform_axis,
+)
+from svu_mi.posterior.noise import noise_variance
+from svu_mi.posterior.record import Posterior
+from svu_mi.statistics import Factors, Statistics
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibratedPosterior(Posterior):
+    """p over (roughness, metallic, base_color); base colour has a distribution per channel.
+
+    Attributes:
+        problem: factors of S texels, noise, nodes and prior (see ``calibrated_kernel``).
+        noise: (S,) float64, s of every texel: standard deviation of a sample of weight 1, in
+            radiance.
+    """
+
+    grid: PrincipledGrid
+    problem: kernel.Problem
+    noise: np.ndarray
+
+    @property
+    def groups(self) -> int:
+        """3 when each colour channel has its own base colour, else 1."""
+        return self.problem.factors.channels * self.problem.copies
+
+    @cached_property
+    def _summary_of_lanes(self) -> kernel.Summary:
+        return kernel.summarize(self.problem)
+
+    @cached_property
+    def _lane(self) -> np.ndarray:
+        """(T,) int64, which of the S texels each is; 0 for others."""
+        lanes = np.zeros(self.count, np.int64)
+        texel = self.problem.factors.texel.numpy()
+        lanes[texel] = np.arange(len(texel))
+        return lanes
+
+    @property
+    def prior(self) -> np.ndarray:
+        """Prior probability of every cell, (R, M, K) float64."""
+        return prior_masses(self.problem)
+
+    def _entropy_of_all(self) -> Any:
+        everywhere = dr.full(mi.Float, 1, self.count)
+        dr.eval(everywhere)
+        most = streaming.entropy_of(self.prior)
+        relative = dr.clip(self._summary_of_lanes.entropy / float(most), 0, 1)
+        dr.scatter(everywhere, relative, self.problem.factors.texel)
+        return everywhere
+
+    def _tables(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        p = np.repeat(kernel.tables(self.problem, self._lane[chosen]), self.problem.copies, -1)
+        rows = p[..., 0].sum(axis=-1).reshape(len(p), -1).argmax(axis=1)
+        shape = self.problem.shape
+        given = p.reshape(len(p), -1, *p.shape[-2:])[np.arange(len(p)), rows]
+        best = np.unravel_index(rows, shape[:2])
+        shared = [np.repeat(node[:, None], p.shape[-1], axis=1) for node in best]
+        nodes = np.stack([*shared, given.argmax(axis=1)], axis=1)
+        return p.astype(np.float32), nodes.astype(np.int64)
+
+    def _moments(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        found = self._summary_of_lanes
+        at = [list(self.axes).index(name)]
+        if name == "base_color":
+            at = list(range(2, 2 + self.problem.factors.channels)) * self.problem.copies
+        mean, sd = (np.stack([np.array(x[k]) for k in at], axis=-1) for x in (found.mean, found.sd))
+        return self._everywhere(mean), self._everywhere(sd)
+
+    def _ends(self, name: str, level: float) -> tuple[np.ndarray, np.ndarray]:
+        problem, found = self.problem, self._summary_of_lanes
+        count = problem.factors.count
+        if name == "base_color":
+            parts = uniform_axis(self.axes[name], COLOR_PARTS)
+            tables = self._color_tables * problem.copies
+        else:
+            parts = {"roughness": problem.roughness, "metallic": problem.metallic}[name]
+            tables = [{"roughness": found.roughness, "metallic": found.metallic}[name]]
+        ends = [shortest(masses, parts, count, level) for masses in tables]
+        low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))
+        return self._everywhere(low), self._everywhere(high)
+
+    @cached_property
+    def _color_tables(self) -> list[Any]:
+        parts = uniform_axis(self.axes["base_color"], COLOR_PARTS)
+        return kernel.color_masses(self.problem, parts)
+
+    def _draws(self, count: int, seed: int) -> dict[str, np.ndarray]:
+        problem, lanes = self.problem, self.problem.factors.count
+        drawn: dict[str, np.ndarray] = {}
+        for number in range(count):
+            random = np.random.default_rng((seed, number)).random(
+                (3 + self.groups, lanes), np.float32
+            )
+            colors, r, m = kernel.draw(
+                problem, self._summary_of_lanes.total, dr.arange(mi.UInt32, lanes),
+                [owned(mi.Float, u) for u in random],
+            )  # fmt: skip
+            values = {"roughness": [r], "metallic": [m], "base_color": colors}
+            for name, of_name in values.items():
+                table = self._everywhere(np.stack([np.array(x) for x in of_name], axis=-1))
+                drawn.setdefault(name, np.empty((count, *table.shape), np.float32))[number] = table
+        return drawn
+
+    def _everywhere(self, values: np.ndarray) -> np.ndarray:
+        """Values (S, g) of texels with factors as those of all, (T, g); 0 for others."""
+        result = np.zeros((self.count, values.shape[1]), np.float32)
+        result[self.problem.factors.texel.numpy()] = values
+        return result
+
+
+def calibrated_posterior(
+    statistics: Statistics | Factors,
+    grid: PrincipledGrid | None = None,
+    scale: float = 1.0,
+    preset: str | AngularPreset = "default",
+    *,
+    prior: Any | None = None,
+    copies: int = 1,
+    texels: int | None = None,
+) -> CalibratedPosterior:
+    """Integrate over what explains the photographs.
+
+    Args:
+        statistics: of S texels at levels of roughness, uniform on [0, 1]; or their factors.
+        grid: whose cells probabilities are of; 8 x 8 x 8 by default.
+        scale: radiance of about the size of the photographs'.
+        preset: switches: overdispersion, degrees of freedom and metals.
+        prior: non-negative weights of the cells, of the grid's shape, or one per roughness.
+            Within a cell the preset's prior goes on.
+        copies: how many equal colour channels each channel of the statistics stands for.
+        texels: T, how many there are in all, seen or not; by default up to the last of S.
+
+    Raises:
+        OptionError: another preset, an invalid scale or prior.
+        ShapeError: a prior that does not fit the grid.
+    """
+    switches = find_preset(preset, method="angular")
+    factors = statistics.factor() if isinstance(statistics, Statistics) else statistics
+    grid = grid or PrincipledGrid()
+    require_scale("calibrated_posterior()", scale)
+    total = total_texels("calibrated_posterior()", factors, copies, texels)
+    problem = _problem(factors, grid, switches, prior, copies)
+    problem, noise = _with_noise(problem, switches, scale)
+    observed = np.zeros(total, bool)
+    observed[factors.texel.numpy()] = np.array(factors.views) > 0
+    return CalibratedPosterior(grid=grid, observed=observed, problem=problem, noise=noise)
+
+
+def _problem(
+    factors: Factors, grid: PrincipledGrid, switches: AngularPreset, prior: Any | None,
+    copies: int,
+) -> kernel.Problem:  # fmt: skip
+    """Everything but the noise."""
+    r = uniform_axis(grid.roughness_nodes, switches.parts)
+    m = metallic_axis(grid.metallic_nodes, METALLIC_PARTS, switches.metals)
+    edges = cell_edges(grid.base_color_nodes)
+    tables = streaming.log_prior(prior, grid.shape, "calibrated_posterior()")
+    given = None
+    if tables is None:
+        rows = -np.log(np.outer(r.of_cells(), m.of_cells()).ravel())
+    else:
+        rows = tables[0]
+        width = np.diff(edges) if len(edges) > 2 else np.ones(1)
+        given = owned(mi.Float, (np.exp(-tables[1]).reshape(-1, len(width)) / width).ravel())
+        possible = rows.reshape(r.cells, -1) < streaming.IMPOSSIBLE
+        r = r.only(np.any(possible, axis=1))
+    empty = dr.zeros(mi.Float, factors.count)
+    return kernel.Problem(factors, copies, r, m, edges, rows, given, empty, empty)
+
+
+def _with_noise(
+    problem: kernel.Problem, switches: AngularPreset, scale: float
+) -> tuple[kernel.Problem, np.ndarray]:
+    """Estimate the noise of every texel, and measure energies in it; returns s, too."""
+    factors = problem.factors
+    unit = dr.full(mi.Float, 1 / scale, factors.count)
+    dr.eval(unit)
+    rest = np.array(kernel.least(replace(problem, scale=unit)), np.float64)  # over unit^2
+    unexplained, weight = factors.unexplained()
+    both = 2 * rest + problem.copies * unexplained / scale**2
+    samples = np.array(factors.views, np.float64) * factors.channels * problem.copies
+    variance = noise_variance(weight * both, samples, switches.degrees, switches.sigma)
+    energy_scale = weight / (variance * switches.overdispersion)
+    problem = replace(
+        problem, scale=owned(mi.Float, np.sqrt(energy_scale) / scale),
+        least=owned(mi.Float, energy_scale * rest),
+    )  # fmt: skip
+    if problem.given is not None:
+        problem = replace(problem, least=kernel.least(problem, prior=True))
+    return problem, scale * np.sqrt(variance)
+
+
+def prior_masses(problem: kernel.Problem) -> np.ndarray:
+    """Return the prior probability of every cell, (R, M, K) float64, of sum 1."""
+    rows = np.exp(-problem.rows)[:, None]
+    width = np.diff(problem.edges) if len(problem.edges) > 2 else np.ones(1)
+    given = 1.0 if problem.given is None else problem.given.numpy().reshape(-1, len(width))
+    masses = (rows * given * width).reshape(problem.shape)
+    return masses / masses.sum()

@@ -1,0 +1,62 @@
+"""The shortest interval that holds a part of a parameter's probability."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from svu_mi.interop import owned
+from svu_mi.posterior.nodes import Axis
+from svu_mi.statistics.blocks import BLOCK, start
+
+
+def shortest(masses: Any, parts: Axis, count: int, level: float) -> tuple[Any, Any]:
+    """Return the ends of the shortest run of parts that holds a part of the probability.
+
+    Args:
+        masses: Float in blocks, of every part (rows) and S texels; of any sum.
+        parts: N of them.
+        count: S.
+        level: in (0, 1).
+
+    Returns:
+        low and high, Floats (S,).
+    """
+    number = dr.opaque(mi.UInt32, parts.count)
+    place = start(dr.arange(mi.UInt32, count), number)
+    low, high = owned(mi.Float, parts.low), owned(mi.Float, parts.high)
+
+    def mass(part: Any, active: Any = True) -> Any:
+        return dr.gather(mi.Float, masses, place + part * BLOCK, active)
+
+    def add(part: Any, total: Any) -> tuple[Any, Any]:
+        return part + 1, total + mass(part)
+
+    zero = dr.zeros(mi.Float, count)
+    total = dr.while_loop((mi.UInt32(0), zero), lambda part, _: part < number, add)[1]
+    # Rounding of sums must not ask for more than there is.
+    wanted = total * dr.minimum(dr.opaque(mi.Float, level), 1 - 1e-6)
+
+    def move(first: Any, end: Any, held: Any, best: Any, a: Any, b: Any) -> tuple[Any, ...]:
+        """Take in parts until there is enough; then compare, and let go of the first."""
+        enough = held >= wanted
+        width = dr.gather(mi.Float, high, dr.maximum(end, 1) - 1) - dr.gather(mi.Float, low, first)
+        better = enough & (width < best)
+        best = dr.select(better, width, best)
+        a = dr.select(better, dr.gather(mi.Float, low, first), a)
+        b = dr.select(better, dr.gather(mi.Float, high, dr.maximum(end, 1) - 1), b)
+        held += dr.select(enough, -mass(first), mass(end, ~enough & (end < number)))
+        step = mi.UInt32(1)
+        return (dr.select(enough, first + step, first), dr.select(enough, end, end + step),
+                held, best, a, b)  # fmt: skip
+
+    index = dr.zeros(mi.UInt32, count)
+    *_, a, b = dr.while_loop(
+        (index, index, zero, dr.full(mi.Float, dr.inf, count), zero, zero + 1),
+        lambda first, end, *_: (first < number) & (end <= number),
+        move,
+    )
+    dr.eval(a, b)
+    return a, b

@@ -1,0 +1,117 @@
+"""Where a continuous posterior is integrated: nodes of roughness and metallic, and their prior.
+
+The cells of a grid are what lies nearest to each of its nodes; the outermost are half as wide.
+Each is cut into parts of equal width, a part is a node in its middle, and probability is spread
+evenly over a part. Base colour needs no nodes: it is integrated in closed form (``truncated``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+METALLIC_PARTS = 14  # between 0 and 1, at least
+COLOR_PARTS = 42  # for intervals only
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Parts of one parameter's range, ascending.
+
+    Attributes:
+        low, high: (N,) float64, their ends; equal where a single value has a probability.
+        cell: (N,) int64, which cell of the grid each belongs to.
+        mass: (N,) float64, prior probability, of sum 1 over all parts of all cells.
+        cells: number of cells.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    cell: np.ndarray
+    mass: np.ndarray
+    cells: int
+
+    @property
+    def value(self) -> np.ndarray:
+        """(N,) float64, the middle of every part."""
+        return (self.low + self.high) / 2
+
+    @property
+    def count(self) -> int:
+        """N."""
+        return len(self.mass)
+
+    @property
+    def first(self) -> np.ndarray:
+        """(cells + 1,) int64, where the parts of every cell begin."""
+        return np.searchsorted(self.cell, np.arange(self.cells + 1))
+
+    @property
+    def spread(self) -> np.ndarray:
+        """(N,) float64, variance of a value that may lie anywhere in its part."""
+        return (self.high - self.low) ** 2 / 12
+
+    def of_cells(self) -> np.ndarray:
+        """(cells,) float64, prior probability of every cell."""
+        return np.bincount(self.cell, self.mass, self.cells)
+
+    def only(self, cells: np.ndarray) -> Axis:
+        """Return the parts of some cells, (cells,) bool."""
+        kept = cells[self.cell]
+        return Axis(
+            self.low[kept], self.high[kept], self.cell[kept], self.mass[kept], self.cells
+        )
+
+
+def cell_edges(nodes: np.ndarray) -> np.ndarray:
+    """Return the (N + 1,) borders of what lies nearest to each of N nodes on [0, 1].
+
+    What is known has no width: one node is both of its borders.
+    """
+    if len(nodes) == 1:
+        return np.repeat(nodes, 2)
+    return np.concatenate([[0.0], (nodes[1:] + nodes[:-1]) / 2, [1.0]])
+
+
+def cells_of(nodes: np.ndarray) -> Axis:
+    """Return the cells of a grid as parts, all of one probability."""
+    edges, count = cell_edges(nodes), len(nodes)
+    return Axis(edges[:-1], edges[1:], np.arange(count), np.full(count, 1 / count), count)
+
+
+def uniform_axis(nodes: np.ndarray, parts: int) -> Axis:
+    """Cut the cells of a parameter that may have any value alike.
+
+    Args:
+        nodes: (N,) of the grid, uniform on [0, 1]; or one, what is known.
+        parts: how many there are at least.
+    """
+    if len(nodes) == 1:
+        return Axis(nodes, nodes, np.zeros(1, np.int64), np.ones(1), 1)
+    per_half = max(1, -(-parts // (2 * (len(nodes) - 1))))
+    count = 2 * (len(nodes) - 1) * per_half
+    edges = np.linspace(0, 1, count + 1)
+    cell = (np.arange(count) // per_half + 1) // 2
+    return Axis(edges[:-1], edges[1:], cell, np.full(count, 1 / count), len(nodes))
+
+
+def metallic_axis(nodes: np.ndarray, parts: int, metals: float) -> Axis:
+    """Cut the cells of metallic, of which 0 and 1 have a probability of their own.
+
+    Args:
+        nodes: (N,) of the grid, uniform on [0, 1]; or one, what is known.
+        parts: how many there are at least in between.
+        metals: prior probability that a surface is a metal or is none, shared alike.
+    """
+    between = uniform_axis(nodes, parts)
+    if len(nodes) == 1 or metals == 0:
+        return between
+    ends = metals / 2
+    return Axis(
+        np.concatenate([[0.0], between.low, [1.0]]),
+        np.concatenate([[0.0], between.high, [1.0]]),
+        np.concatenate([[0], between.cell, [between.cell[-1]]]),
+        np.concatenate([[ends], (1 - metals) * between.mass, [ends]]),
+        len(nodes),
+    )

@@ -1,0 +1,411 @@
+"""The calibrated posterior: against its oracle, and against truths drawn from its own model."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from scipy import stats
+
+import svu_mi as svu
+from oracle import calibrated as oracle
+from svu_mi.errors import OptionError, ShapeError
+from svu_mi.posterior import calibrated_kernel as kernel
+from svu_mi.posterior import calibrated_posterior
+from svu_mi.posterior.noise import noise_variance
+from svu_mi.posterior.truncated import Channel, erfcx
+from svu_mi.statistics import Statistics
+
+LEVELS = np.linspace(0, 1, 8)
+PARTS = oracle.even(42), oracle.mixed(14, 0.8)
+
+
+def lobe(roughness: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """A highlight that gets wider and lower."""
+    alpha = 0.15 + 0.6 * roughness
+    return (alpha**2 + 0.02) / (alpha**2 + np.sin(angle) ** 2) * (0.3 + 0.7 / (1 + 6 * alpha))
+
+
+def columns(rng: np.random.Generator, count: int, views: int, at: np.ndarray) -> list[np.ndarray]:
+    """e, p, q, d (S, R, V, 3) at roughness (S or 1, R)."""
+    angle = rng.uniform(0, 0.9, (count, 1, views, 1))
+    tint = rng.uniform(0.6, 1.4, (count, 1, 1, 3))
+    light = 4 * tint * lobe(at[:, :, None, None], angle)
+    grazing = 0.05 * (angle / 0.9) ** 5
+    e = 0.6 * tint * rng.uniform(0.7, 1.3, (count, 1, views, 1)) + 0 * light
+    return [e, light * (1 - grazing), light * grazing, 0.04 * light + light * grazing]
+
+
+def simulate(
+    count: int, views: int, noise: float, seed: int = 0, exposure: float = 1.0
+) -> tuple[oracle.Samples, dict[str, np.ndarray]]:
+    """Draw parameters from the prior, and photographs from the likelihood."""
+    rng = np.random.default_rng(seed)
+    metals = rng.random(count)
+    truth = {
+        "roughness": rng.random(count),
+        "metallic": np.select([metals < 0.4, metals < 0.8], [0.0, 1.0], rng.random(count)),
+        "base_color": rng.random((count, 3)),
+    }
+    levels = np.concatenate([np.tile(LEVELS, (count, 1)), truth["roughness"][:, None]], axis=1)
+    e, p, q, d = (exposure * x for x in columns(rng, count, views, levels))
+    m, c = truth["metallic"][:, None, None], truth["base_color"][:, None]
+    b = (1 - m) * (c * e[:, -1] + d[:, -1]) + m * (c * p[:, -1] + q[:, -1])
+    w = rng.uniform(0.3, 1, (count, views))
+    b = b + exposure * noise / np.sqrt(w)[..., None] * rng.standard_normal(b.shape)
+    return oracle.Samples(*(x[:, :-1] for x in (e, p, q, d)), b, w), truth
+
+
+def statistics(samples: oracle.Samples) -> Statistics:
+    views = np.full(len(samples.b), samples.b.shape[1])
+    return Statistics.of(samples.sums(), samples.w.sum(axis=1), views, LEVELS, 0.5)
+
+
+def switches(**changed: object) -> svu.AngularPreset:
+    return svu.preset("default", method="angular", **changed)
+
+
+@pytest.fixture(scope="module")
+def setting() -> tuple[svu.Posterior, oracle.Truth]:
+    samples, _ = simulate(96, 12, 0.05)
+    weight, views = samples.w.sum(axis=1), np.full(96, 12)
+    truth = oracle.posterior(
+        samples.sums(), weight, views, tau=3.5, nu=4, r=PARTS[0], m=PARTS[1]
+    )
+    return calibrated_posterior(statistics(samples)), truth
+
+
+def test_energies_are_those_of_the_samples() -> None:
+    samples, _ = simulate(40, 9, 0.05)
+    factors = statistics(samples).factor()
+    rng = np.random.default_rng(1)
+    for _ in range(100):
+        level, metallic, color = rng.integers(8), rng.random(40), rng.random((40, 3))
+        exact = samples.error(int(level), metallic, color)
+        reader, found = factors.at(), np.zeros(40)
+        for channel in range(3):
+            U = reader.entries(mi.UInt32(int(level)), channel)
+            c, m = (mi.Float(x.astype(np.float32)) for x in (color[:, channel], metallic))
+            rest = 2 * np.array(kernel.energy_at(U, m, c), np.float64)
+            found += rest + np.array(reader.least(channel), np.float64)
+        found *= samples.w.sum(axis=1)
+        scale = samples.error(int(level), 0 * metallic, 0 * color)  # of black, in single precision
+        assert np.all(np.abs(found - exact) <= 1e-6 * np.maximum(exact, scale))
+
+
+def test_erfcx() -> None:
+    from scipy.special import erfcx as exact
+
+    x = np.concatenate([np.linspace(0, 8, 5000), np.geomspace(8, 1e6, 1000)])
+    single = np.array(erfcx(mi.Float(x.astype(np.float32))), np.float64)
+    assert np.abs(single / exact(x.astype(np.float32).astype(float)) - 1).max() < 1e-6
+    assert np.abs(np.array(erfcx(mi.Float64(x))) / exact(x) - 1).max() < 1e-9
+
+
+def test_color_in_closed_form_is_its_quadrature() -> None:
+    """Inside and far outside [0, 1], from flat to narrow."""
+    rng = np.random.default_rng(0)
+    A, mu = 10 ** rng.uniform(-1, 5, 2000), rng.uniform(-1, 2, 2000)
+    mu[::5] = rng.uniform(-8, 9, 400)
+    u, v = (x.astype(np.float32) for x in (np.sqrt(A), -mu * np.sqrt(A)))
+    zero = mi.Float(np.zeros(2000, np.float32))
+    edges = np.concatenate([[0], (np.arange(7) + 0.5) / 7, [1]])
+    found = Channel.of([mi.Float(u), zero], [mi.Float(v), zero, zero], zero).integrate(
+        edges.tolist()
+    )
+    A, mu = u.astype(float) ** 2, -v.astype(float) / u
+    best = np.clip(mu, 0, 1)
+
+    def integral(low: float, high: float, power: int) -> np.ndarray:
+        """Gauss and Legendre, on pieces that get finer towards the best colour."""
+        x, w = np.polynomial.legendre.leggauss(40)
+        reach = np.concatenate([-np.geomspace(60, 0.02, 14), [0], np.geomspace(0.02, 60, 14)])
+        ends = np.clip(best + reach[:, None] / np.sqrt(A), low, high)
+        ends = np.concatenate([np.full((1, 2000), low), ends, np.full((1, 2000), high)])
+        total = np.zeros(2000)
+        for a, b in zip(ends[:-1], ends[1:], strict=True):
+            c = (a + b) / 2 + (b - a) / 2 * x[:, None]
+            f = np.exp(-0.5 * A * (c - best) * (c + best - 2 * mu)) * c**power
+            total += (w[:, None] * f).sum(axis=0) * (b - a) / 2
+        return total
+
+    whole = integral(0, 1, 0)
+    mean = integral(0, 1, 1) / whole
+    sd = np.sqrt(np.maximum(integral(0, 1, 2) / whole - mean**2, 0))
+    assert np.abs(np.array(found.mass) / whole - 1).max() < 1e-5  # nats
+    assert np.abs(np.array(found.mean) - mean).max() < 1e-6
+    assert np.abs(np.sqrt(np.array(found.variance, float)) - sd).max() < 1e-5
+    cells = [integral(a, b, 0) / whole for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    assert np.abs(np.array([np.array(x) for x in found.cells]) - cells).max() < 1e-5
+
+
+def test_noise_is_that_of_student() -> None:
+    least, samples = np.array([3.0, 10.0, 40.0, 0.0, 0.0]), np.array([15, 15, 15, 3, 0])
+    found = noise_variance(least, samples, 4.0, 0.08)
+    usual = np.median([0.3, 1.0, 4.0])  # a single view explains itself, and tells nothing
+    assert np.allclose(found[:3], (4 * usual + least[:3]) / 14)
+    assert np.allclose(found[3:], 4 * usual / 5)
+    few = noise_variance(0 * least, np.minimum(samples, 6), 4.0, 0.08)
+    assert np.allclose(few, 4 * 0.08**2 / 5)
+
+
+def test_agrees_with_its_oracle(setting: tuple[svu.Posterior, oracle.Truth]) -> None:
+    found, truth = setting
+    assert np.abs(np.array(found.entropy()) - truth.entropy(found.prior)).max() < 1e-5
+    for name in ("roughness", "metallic", "base_color"):
+        assert np.abs(np.array(found.mean(name)) - truth.mean[name]).max() < 1e-5, name
+        assert np.abs(np.array(found.sd(name)) - truth.sd[name]).max() < 1e-5, name
+    assert np.abs(np.array(found.probabilities) - truth.cells).max() < 1e-5
+    assert np.abs(found.noise / truth.noise - 1).max() < 1e-5
+
+
+@pytest.mark.parametrize("level", [0.5, 0.9])
+def test_intervals_are_the_shortest_that_hold_enough(
+    setting: tuple[svu.Posterior, oracle.Truth], level: float
+) -> None:
+    found, truth = setting
+    for name, parts, masses in (
+        ("roughness", PARTS[0], truth.roughness), ("metallic", PARTS[1], truth.metallic),
+    ):  # fmt: skip
+        low, high = (np.array(end, np.float64) for end in found.interval(name, level))
+        below = np.concatenate([np.zeros((1, 96)), np.cumsum(masses, axis=0)])
+        for t in range(96):
+            a = np.flatnonzero(np.isclose(parts.low, low[t]))
+            b = np.flatnonzero(np.isclose(parts.high, high[t]))
+            held = max(below[j + 1, t] - below[i, t] for i in a for j in b)
+            assert held >= level - 1e-3
+            shorter = [
+                below[j + 1, t] - below[i, t]
+                for i in range(len(masses)) for j in range(i, len(masses))
+                if parts.high[j] - parts.low[i] < high[t] - low[t] - 1e-6
+            ]  # fmt: skip
+            assert max(shorter, default=0) < level + 1e-3
+    low, high = (np.array(end) for end in found.interval("base_color", level))
+    assert low.shape == (96, 3)
+    # A part is 1 / 42 wide, so a normal distribution's interval is at most two too long.
+    narrow = np.array(found.sd("base_color")) < 0.05
+    width = 2 * stats.norm.ppf(0.5 + level / 2) * np.array(found.sd("base_color"))
+    assert np.all((high - low)[narrow] <= width[narrow] * 1.25 + 2.1 / 42)
+
+
+def test_sets_hold_what_the_model_draws() -> None:
+    """Truths from the prior, photographs from the likelihood: the level is the coverage."""
+    samples, truth = simulate(4000, 10, 0.15, seed=3)
+    found = calibrated_posterior(
+        statistics(samples), preset=switches(overdispersion=1.0, degrees=1000.0)
+    )
+    drawn = found.draw(99, seed=1)
+    for name in ("roughness", "base_color"):
+        low, high = (np.array(end) for end in found.interval(name, 0.9))
+        inside = (truth[name] >= low) & (truth[name] <= high)
+        assert 0.88 < inside.mean() < 0.95, name  # outer edges: a little more than the level
+        rank = (np.array(drawn[name]) < truth[name]).sum(axis=0).ravel() / 100
+        assert stats.kstest(rank, "uniform").statistic < 0.04, name
+        z = (np.array(found.mean(name)) - truth[name]) ** 2
+        assert 0.9 < z.mean() / (np.array(found.sd(name)) ** 2).mean() < 1.1, name
+    believed = np.array(found.mean("metallic"))
+    for low_end in np.arange(0, 1, 0.25):
+        chosen = (believed >= low_end) & (believed < low_end + 0.25)
+        assert abs(truth["metallic"][chosen].mean() - believed[chosen].mean()) < 0.06
+
+
+def test_draws_are_of_the_posterior(setting: tuple[svu.Posterior, oracle.Truth]) -> None:
+    found, truth = setting
+    drawn = {name: np.array(x) for name, x in found.draw(400, seed=5).items()}
+    assert drawn["base_color"].shape == (400, 96, 3)
+    assert drawn["roughness"].shape == (400, 96)
+    for name, values in drawn.items():
+        assert np.all((values >= 0) & (values <= 1))
+        off = (values.mean(axis=0) - truth.mean[name]) / (truth.sd[name] / 20 + 1e-4)
+        assert np.abs(off).max() < 5, name
+    # Parameters of a draw belong together: what correlates in the posterior does in draws.
+    again = {name: np.array(x) for name, x in found.draw(400, seed=5).items()}
+    assert all(np.array_equal(drawn[name], again[name]) for name in drawn)
+    m, c = drawn["metallic"], drawn["base_color"].mean(axis=2)
+    p = np.array(found.probabilities, np.float64).mean(axis=-1)
+    nodes = np.arange(8) / 7
+    joint = np.einsum("trmk,m,k->t", p, nodes, nodes)
+    cov = joint - np.einsum("trmk,m->t", p, nodes) * np.einsum("trmk,k->t", p, nodes)
+    own = ((m - m.mean(axis=0)) * (c - c.mean(axis=0))).mean(axis=0)
+    assert np.corrcoef(cov, own)[0, 1] > 0.95
+
+
+def test_more_views_say_more() -> None:
+    entropies = []
+    for views in (1, 4, 16, 64):
+        samples, _ = simulate(400, views, 0.1, seed=2)
+        entropies.append(np.array(calibrated_posterior(statistics(samples)).entropy()).mean())
+    assert np.all(np.diff(entropies) < -0.03)
+
+
+@pytest.mark.parametrize("exposure", [1e-6, 1e6])
+def test_exposure_does_not_matter(exposure: float) -> None:
+    one, other = (
+        calibrated_posterior(statistics(simulate(64, 8, 0.1, exposure=x)[0]), scale=x)
+        for x in (1.0, exposure)
+    )
+    assert np.abs(np.array(one.entropy()) - np.array(other.entropy())).max() < 1e-4
+    assert np.abs(np.array(one.mean("base_color")) - np.array(other.mean("base_color"))).max() < 1e-4
+
+
+def test_what_was_never_seen_is_the_prior() -> None:
+    samples, _ = simulate(32, 6, 0.1)
+    table, weight, views = samples.sums(), samples.w.sum(axis=1), np.full(32, 6)
+    table[..., 7], weight[7], views[7] = 0, 0, 0
+    found = calibrated_posterior(Statistics.of(table, weight, views, LEVELS, 0.5), texels=40)
+    entropy, unseen = np.array(found.entropy()), [7, *range(32, 40)]
+    assert np.all(entropy[unseen] == 1)
+    assert np.all(np.isfinite(entropy))
+    p = np.array(found.probabilities_of(unseen))
+    assert np.allclose(p, found.prior[..., None], atol=1e-6)
+    assert np.isclose(found.prior.sum(axis=(0, 2))[0], 0.4 + 0.2 / 14)
+    assert np.allclose(np.array(found.mean("metallic"))[unseen], 0.5)
+    low, high = (np.array(end) for end in found.interval("base_color"))
+    assert np.all(low[unseen] == 0)
+    assert np.all(high[unseen] == 1)
+    drawn = found.draw(2)
+    assert all(np.isfinite(np.array(x)).all() for x in drawn.values())
+
+
+def test_a_prior_of_cells_is_bayes() -> None:
+    """Weights of cells multiply probabilities, whatever they are."""
+    samples, _ = simulate(48, 5, 0.3)
+    rng = np.random.default_rng(0)
+    weights = rng.uniform(0.1, 1, (8, 8, 8))
+    # Per channel the others are marginalised under the same weights, so one channel is exact.
+    grey = oracle.Samples(*(x[..., :1] for x in (samples.e, samples.p, samples.q, samples.d)),
+                          samples.b[..., :1], samples.w)  # fmt: skip
+    plain = calibrated_posterior(statistics(grey))
+    found = calibrated_posterior(statistics(grey), prior=plain.prior * weights)
+    expected = np.array(plain.probabilities, np.float64) * weights
+    expected /= expected.sum(axis=(1, 2, 3), keepdims=True)
+    assert np.abs(np.array(found.probabilities) - expected).max() < 1e-4
+    weights[:2], weights[:, :, 5:] = 0, 0
+    found = calibrated_posterior(statistics(samples), prior=weights)
+    p = np.array(found.probabilities)
+    assert np.all(p[:, :2] == 0)
+    assert np.all(p[:, :, :, 5:] == 0)
+    assert np.allclose(p.sum(axis=(1, 2, 3)), 1, atol=1e-5)
+    for name, most in (("base_color", 4.5 / 7), ("roughness", 1.0)):
+        mean = np.array(found.mean(name))
+        assert np.isfinite(mean).all()
+        assert mean.max() <= most + 1e-6
+    assert np.isfinite(np.array(found.entropy())).all()
+
+
+def test_known_parameters_leave_the_grid() -> None:
+    samples, truth = simulate(200, 12, 0.05)
+    for known in ({"metallic": 1.0}, {"base_color": 0.4}, {"roughness": 0.5}):
+        grid = svu.PrincipledGrid(known=known)
+        levels = LEVELS if "roughness" not in known else np.array([0.5])
+        table = samples.sums()
+        if "roughness" in known:
+            table = table[[4]]
+        source = Statistics.of(table, samples.w.sum(axis=1), np.full(200, 12), levels, 0.5)
+        found = calibrated_posterior(source, grid)
+        (name, value), = known.items()
+        assert np.allclose(np.array(found.mean(name)), value)
+        assert np.allclose(np.array(found.sd(name)), 0, atol=1e-3)
+        entropy = np.array(found.entropy())
+        assert np.isfinite(entropy).all()
+        assert 0 < entropy.mean() < 1
+        drawn = found.draw(1)
+        assert np.allclose(np.array(drawn[name]), value)
+    del truth
+
+
+def test_equal_channels_may_stand_for_three() -> None:
+    samples, _ = simulate(64, 8, 0.1)
+    one = oracle.Samples(*(x[..., :1] for x in (samples.e, samples.p, samples.q, samples.d)),
+                         samples.b[..., :1], samples.w)  # fmt: skip
+    three = oracle.Samples(*(np.repeat(x, 3, axis=-1) for x in (one.e, one.p, one.q, one.d)),
+                           np.repeat(one.b, 3, axis=-1), one.w)  # fmt: skip
+    short, full = calibrated_posterior(statistics(one), copies=3), calibrated_posterior(
+        statistics(three)
+    )
+    assert np.abs(np.array(short.entropy()) - np.array(full.entropy())).max() < 1e-5
+    assert np.abs(np.array(short.probabilities) - np.array(full.probabilities)).max() < 1e-5
+    for end, other in zip(short.interval("base_color"), full.interval("base_color"), strict=True):
+        assert np.allclose(np.array(end), np.array(other))
+
+
+def test_metals_are_a_switch() -> None:
+    samples, _ = simulate(64, 8, 0.1)
+    found = calibrated_posterior(statistics(samples), preset=switches(metals=0.0))
+    assert np.allclose(found.prior.sum(axis=(0, 2)), [1 / 14, *[1 / 7] * 6, 1 / 14])
+
+
+def test_texels_do_not_depend_on_each_other_but_by_the_median() -> None:
+    samples, _ = simulate(64, 8, 0.1)
+    found = calibrated_posterior(statistics(samples), preset=switches(degrees=1e-6))
+    half = oracle.Samples(*(x[:32] for x in vars(samples).values()))
+    alone = calibrated_posterior(statistics(half), preset=switches(degrees=1e-6))
+    assert np.abs(np.array(found.entropy())[:32] - np.array(alone.entropy())).max() < 1e-4
+
+
+def test_other_data_needs_no_other_kernel() -> None:
+    def run(count: int, seed: int, tau: float) -> None:
+        samples, _ = simulate(count, 8, 0.1, seed=seed)
+        found = calibrated_posterior(statistics(samples), preset=switches(overdispersion=tau))
+        dr.eval(found.entropy())
+
+    run(64, 0, 3.0)
+    run(64, 0, 3.0)
+    dr.sync_thread()
+    dr.kernel_history_clear()
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        run(80, 1, 5.0)
+    missed = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT
+              and not k["cache_hit"]]  # fmt: skip
+    assert not missed
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"scale": 0.0}, OptionError, "scale must be positive"),
+        ({"prior": np.ones((2, 2))}, ShapeError, "prior must be"),
+        ({"prior": -np.ones((8, 8, 8))}, OptionError, "non-negative"),
+        ({"copies": 0}, OptionError, "copies"),
+        ({"texels": 3}, OptionError, "texels more than"),
+    ],
+)
+def test_bad_arguments(options: dict[str, object], error: type[Exception], words: str) -> None:
+    samples, _ = simulate(8, 4, 0.1)
+    with pytest.raises(error, match=words):
+        calibrated_posterior(statistics(samples), **options)
+
+
+def test_bad_questions(setting: tuple[svu.Posterior, oracle.Truth]) -> None:
+    found, _ = setting
+    with pytest.raises(OptionError, match="there is no parameter 'colour'"):
+        found.mean("colour")
+    for level in (0, 1, -0.1, float("nan")):
+        with pytest.raises(OptionError, match="level must be in"):
+            found.interval("roughness", level)
+    with pytest.raises(OptionError, match="count must be a whole number >= 1"):
+        found.draw(0)
+    with pytest.raises(OptionError, match="seed must be a whole number >= 0"):
+        found.draw(1, seed=-1)
+
+
+def test_grids_answer_the_same_questions(setting: tuple[svu.Posterior, oracle.Truth]) -> None:
+    """Every posterior has means, sds, intervals and draws."""
+    samples, _ = simulate(32, 8, 0.2)
+    found = svu.angular_posterior(statistics(samples), preset=switches(noise="relative"))
+    p = np.array(found.probabilities, np.float64)
+    nodes = np.arange(8) / 7
+    marginal = p[..., 0].sum(axis=(2, 3))
+    mean = marginal @ nodes
+    assert np.allclose(np.array(found.mean("roughness")), mean, atol=1e-6)
+    sd = np.sqrt(np.maximum(marginal @ nodes**2 - mean**2, 0))
+    assert np.allclose(np.array(found.sd("roughness")), sd, atol=3e-4)
+    edges = np.concatenate([[0], (np.arange(7) + 0.5) / 7, [1]])
+    low, high = (np.array(end) for end in found.interval("roughness", 0.8))
+    for t in range(32):
+        i, j = np.abs(edges - low[t]).argmin(), np.abs(edges - high[t]).argmin()
+        assert marginal[t, i:j].sum() >= 0.8 - 1e-5
+    drawn = np.array(found.draw(3000, seed=2)["roughness"])
+    assert np.abs(drawn.mean(axis=0) - mean).max() < 0.04
+    assert set(np.unique(drawn.round(4))) <= set(nodes.round(4).astype(np.float32))
