@@ -1,6 +1,6 @@
 """The calibrated posterior in double precision, straight from its equations.
 
-    log p(psi | b) = -Q(psi) / (2 s^2 tau) + log p(psi),   Q = sum over views and channels w (r - b)^2
+    log p(psi | b) = -Q(psi) / (2 s^2 tau) + log p(psi),   Q = sum of w (r - b)^2 over all samples
 
 with r - b = c u + v linear in base colour, u = (1 - m) e + m p and v = m (q - d) + d - b.
 """
