@@ -27,7 +27,7 @@ from svu_mi.statistics.gather import Values
 from svu_mi.statistics.sums import EDGES
 from svu_mi.surface import Texels
 from svu_mi.visibility import Surface, Survey, Views, pack_views, survey
-from svu_mi.visibility.observe import as_channels
+from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import Mirrors, Reach, trace_mirrors, trace_reach
 
 log = logging.getLogger(__name__)

@@ -11,10 +11,10 @@ from scipy import stats
 
 import svu_mi as svu
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import calibrated_posterior
 from svu_mi.posterior.noise import noise_variance
 from svu_mi.posterior.truncated import Channel, erfcx
+from svu_mi.posterior.walk import energy_at
 from svu_mi.statistics import Statistics
 
 LEVELS = np.linspace(0, 1, 8)
@@ -87,7 +87,7 @@ def test_energies_are_those_of_the_samples() -> None:
         for channel in range(3):
             U = reader.entries(mi.UInt32(int(level)), channel)
             c, m = (mi.Float(x.astype(np.float32)) for x in (color[:, channel], metallic))
-            rest = 2 * np.array(kernel.energy_at(U, m, c), np.float64)
+            rest = 2 * np.array(energy_at(U, m, c), np.float64)
             found += rest + np.array(reader.least(channel), np.float64)
         found *= samples.w.sum(axis=1)
         scale = samples.error(int(level), 0 * metallic, 0 * color)  # of black, in single precision

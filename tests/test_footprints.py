@@ -12,7 +12,8 @@ from scipy.ndimage import map_coordinates
 from svu_mi.capture.poses import sphere_sensors
 from svu_mi.surface import texels
 from svu_mi.visibility import Surface, pack_views, survey
-from svu_mi.visibility.observe import MOST_TAPS, SPACING, look
+from svu_mi.visibility.observe import look
+from svu_mi.visibility.pixels import MOST_TAPS, SPACING
 
 WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
 FILM = 200

@@ -18,7 +18,7 @@ from svu_mi.capture.scene import load_scene
 from svu_mi.errors import CaptureError
 from svu_mi.surface import texels
 from svu_mi.visibility import Surface, observe, pack_views
-from svu_mi.visibility.observe import as_channels
+from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.silhouette import MIN_COSINE, SLOPE_MARGIN
 
 WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}

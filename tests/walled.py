@@ -14,7 +14,8 @@ from svu_mi.capture.poses import sphere_sensors
 from svu_mi.observed import observe
 from svu_mi.options import preset
 from svu_mi.statistics.gather import SMALLEST
-from svu_mi.visibility.observe import as_channels
+from svu_mi.statistics.sums import EDGES
+from svu_mi.visibility.pixels import as_channels
 
 ROUGHNESS = np.array([0.0, 0.3, 0.6, 1.0])
 STUDIO = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr")}
@@ -24,7 +25,7 @@ GLOSSY = {"type": "principled", "base_color": {"type": "rgb", "value": [0.9, 0.7
 SIZE = 12  # texels per side of the ball's chart
 
 
-def angular(base="default", **switches):
+def angular(base="fixed", **switches):
     return preset(base, method="angular", **switches)
 
 
@@ -83,18 +84,20 @@ class Samples:
             free = mi.Bool(True) if mirrors is None else mirrors.test(place, surface.index)
             columns = model.columns(seen.direction, dr.maximum(seen.cosine, 1e-3), free)
             b = as_channels(seen.radiance, channels)
-            dr.eval(seen.seen, b, columns)
+            dr.eval(seen, b, columns)
             fields = np.array([
                 [[np.broadcast_to(x.numpy(), surface.count) for x in column] for column in level]
                 for level in columns
             ])  # fmt: skip
-            rows.append((seen.seen.numpy(), np.array([x.numpy() for x in b]), fields))
-        seen, b, columns = (np.array(x) for x in zip(*rows, strict=True))
+            rows.append((
+                seen.seen.numpy(), np.array([x.numpy() for x in b]), fields, seen.contrast.numpy()
+            ))  # fmt: skip
+        seen, b, columns, contrast = (np.array(x) for x in zip(*rows, strict=True))
         self.seen, self.b = seen, b.astype(np.float64)
         self.columns = list(np.moveaxis(columns.astype(np.float64), 3, 0))
         self.w = seen.astype(np.float64)
         if np.isfinite(kappa):
-            self.w /= 1 + (self.b.mean(axis=1) / kappa) ** 2
+            self.w /= 1 + (self.b.mean(axis=1) ** 2 + EDGES * contrast.astype(float)) / kappa**2
         self.levels = len(roughness)
         if current is not None:
             self.w *= kappa / np.maximum(self._off(current), SMALLEST * kappa)

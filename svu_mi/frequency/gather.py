@@ -18,7 +18,8 @@ from svu_mi.light import Lighting
 from svu_mi.options import Preset
 from svu_mi.surface import Texels
 from svu_mi.visibility import Surface, Survey, Views
-from svu_mi.visibility.observe import as_channels, mirror_direction
+from svu_mi.visibility.observe import mirror_direction
+from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import mirror_free
 
 

@@ -29,7 +29,8 @@ from svu_mi.posterior import ParameterGrid
 from svu_mi.posterior.spectrum import decay
 from svu_mi.posterior.spectrum_kernel import Products, falloff, row_distances
 from svu_mi.visibility import Surface
-from svu_mi.visibility.observe import Observation, as_channels, mirror_direction
+from svu_mi.visibility.observe import Observation, mirror_direction
+from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import mirror_free
 
 

@@ -34,6 +34,7 @@ from svu_mi.posterior.nodes import (
 )
 from svu_mi.posterior.noise import noise_variance
 from svu_mi.posterior.record import Posterior
+from svu_mi.posterior.walk import Problem
 from svu_mi.statistics import Factors, Statistics
 
 
@@ -48,7 +49,7 @@ class CalibratedPosterior(Posterior):
     """
 
     grid: PrincipledGrid
-    problem: kernel.Problem
+    problem: Problem
     noise: np.ndarray
 
     @property
@@ -182,7 +183,7 @@ def calibrated_posterior(
 def _problem(
     factors: Factors, grid: PrincipledGrid, switches: AngularPreset, prior: Any | None,
     copies: int,
-) -> kernel.Problem:  # fmt: skip
+) -> Problem:  # fmt: skip
     """Everything but the noise."""
     r = uniform_axis(grid.roughness_nodes, switches.parts)
     m = metallic_axis(grid.metallic_nodes, METALLIC_PARTS, switches.metals)
@@ -198,16 +199,16 @@ def _problem(
         possible = rows.reshape(r.cells, -1) < streaming.IMPOSSIBLE
         r = r.only(np.any(possible, axis=1))
     empty = dr.zeros(mi.Float, factors.count)
-    return kernel.Problem(factors, copies, r, m, edges, rows, given, empty, empty)
+    return Problem(factors, copies, r, m, edges, rows, given, empty, empty)
 
 
 def _with_noise(
-    problem: kernel.Problem, switches: AngularPreset, scale: float
-) -> tuple[kernel.Problem, np.ndarray]:
+    problem: Problem, switches: AngularPreset, scale: float
+) -> tuple[Problem, np.ndarray]:
     """Estimate the noise of every texel, and measure energies in it; returns s, too."""
     factors = problem.factors
-    unit = dr.full(mi.Float, 1 / scale, factors.count)
-    dr.eval(unit)
+    # Opaque: as a literal, every capture would compile a kernel of its own.
+    unit = dr.opaque(mi.Float, 1 / scale, factors.count)
     rest = np.array(kernel.least(replace(problem, scale=unit)), np.float64)  # over unit^2
     unexplained, weight = factors.unexplained()
     both = 2 * rest + problem.copies * unexplained / scale**2
@@ -223,7 +224,7 @@ def _with_noise(
     return problem, scale * np.sqrt(variance)
 
 
-def prior_masses(problem: kernel.Problem) -> np.ndarray:
+def prior_masses(problem: Problem) -> np.ndarray:
     """Return the prior probability of every cell, (R, M, K) float64, of sum 1."""
     rows = np.exp(-problem.rows)[:, None]
     width = np.diff(problem.edges) if len(problem.edges) > 2 else np.ones(1)

@@ -155,12 +155,19 @@ class Posterior(ABC):
         nodes = p.shape[1]
         return _tensor(np.clip(bits / np.log(nodes), 0, 1) if nodes > 1 else 0 * bits)
 
-    def map(self) -> dict[str, Any]:
+    def map(self, chosen: Any | None = None) -> dict[str, Any]:
         """Return the most probable cell by parameter: (T,), or (T, 3) per channel.
 
         A texel nobody saw gets the middle of the grid.
+
+        Args:
+            chosen: (t,) indices of texels; all by default.
+
+        Raises:
+            OptionError: an index outside [0, T).
         """
-        return {name: _tensor(values.copy()) for name, values in self._summary[1].items()}
+        summary = self._summary if chosen is None else self._summarize(self._indices(chosen))
+        return {name: _tensor(values.copy()) for name, values in summary[1].items()}
 
     @cached_property
     def _summary(self) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -169,9 +169,10 @@ def _cholesky(sums: list[Any]) -> list[Any]:
     for i in range(COLUMNS - 1):
         pivot = left[i, i]
         for j in range(i + 1, COLUMNS):
-            # Cauchy and Schwarz, which rounding may break where columns nearly depend.
-            other = dr.select(left[j, j] > 0, left[j, j], dr.inf)
-            pivot = dr.maximum(pivot, dr.square(left[i, j]) / other)
+            # Cauchy and Schwarz, which rounding may break where columns nearly depend; the pivot
+            # grows by no more than that rounding, however little is left of the other column.
+            other = dr.maximum(left[j, j], dr.abs(left[i, j]))
+            pivot = dr.maximum(pivot, dr.square(left[i, j]) / dr.select(other > 0, other, 1))
         good = pivot > TINY * sums[PAIRS.index((i, i))]
         root = dr.select(good, dr.rsqrt(dr.select(good, pivot, 1)), 0)
         U[i, i] = pivot * root

@@ -14,7 +14,7 @@ from svu_mi.statistics.blocks import scattered
 from svu_mi.statistics.factors import PAIRS
 from svu_mi.statistics.sums import EDGES, Statistics, noise_weight
 from svu_mi.visibility import Observation, Survey, Views
-from svu_mi.visibility.observe import as_channels
+from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import Mirrors
 
 GRAZING = 1e-3  # cosine: more grazing views are treated like this one

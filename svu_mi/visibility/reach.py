@@ -22,7 +22,8 @@ from svu_mi.light.cells import LightCells
 from svu_mi.light.lighting import Lighting
 from svu_mi.light.moments import MOMENTS
 from svu_mi.visibility.bits import Bits
-from svu_mi.visibility.observe import Observation, Surface, as_channels, mirror_direction
+from svu_mi.visibility.observe import Observation, Surface, mirror_direction
+from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.survey import Survey
 from svu_mi.visibility.views import Views
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.visibility.bits import Bits
-from svu_mi.visibility.observe import Observation, Surface, as_channels, asked, look, over_views
+from svu_mi.visibility.observe import Observation, Surface, asked, look, over_views
+from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.views import Views
 
 

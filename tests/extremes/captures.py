@@ -23,7 +23,7 @@ from svu_mi.options import AngularPreset, Preset
 from svu_mi.pipeline import Estimate
 from svu_mi.scenes import meshes
 from svu_mi.visibility import Observation, Surface, Views, observe
-from svu_mi.visibility.observe import as_channels
+from svu_mi.visibility.pixels import as_channels
 
 METAL = {"metallic": 1.0, "roughness": 0.3, "base_color": 0.8}
 DISTANCE = 4.0  # of a camera from the middle of the ball, in radii

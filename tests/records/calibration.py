@@ -1,7 +1,7 @@
 """Measure whether the posterior is calibrated, for the tables of BENCHMARKS.md.
 
-    python tests/records/calibration.py --data DATA -o tests/records/calibration.json [--work FOLDER]
-    python tests/records/calibration.py --table tests/records/calibration.json
+    python tests/records/calibration.py --data DATA -o FILE.json [--work FOLDER]
+    python tests/records/calibration.py --table FILE.json
 
 For every cell of record.py (6 x 4 of DATA, 12 of our own; 60 photographs of 256 x 256, 32 samples
 per pixel) the preset `default` is held against the true textures, over 1500 texels that some view

@@ -25,7 +25,7 @@ from svu_mi.recovery.sh.gradient import carry, look_up
 from svu_mi.reflection.continuous import Continuous, continuous, shade
 from svu_mi.statistics.gather import Values
 from svu_mi.visibility import Observation, Surface, Survey, Views
-from svu_mi.visibility.observe import as_channels
+from svu_mi.visibility.pixels import as_channels
 
 FEWEST_LEVELS = 2
 
