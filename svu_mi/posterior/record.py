@@ -16,6 +16,7 @@ import numpy as np
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.frequency import arrays
 from svu_mi.interop import owned
+from svu_mi.posterior.cells import draw_cells, marginals_of
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.intervals import shortest
 from svu_mi.posterior.nodes import cells_of
@@ -178,7 +179,7 @@ class Posterior(ABC):
         axes, groups = self.axes, self.groups
         marginals: dict[str, Any] = {
             name: np.broadcast_to(p[:, None], (len(chosen), len(p), groups)).astype(np.float32)
-            for name, p in _marginals(self.prior, list(axes)).items()
+            for name, p in marginals_of(self.prior, list(axes)).items()
         }
         best = np.empty((len(chosen), len(axes), groups), np.int64)
         observed = self.observed[chosen]
@@ -232,7 +233,8 @@ class Posterior(ABC):
         if not 0 < level < 1:
             raise OptionError(f"Posterior.interval(): level must be in (0, 1), got {level!r}.")
         low, high = self._ends(name, level)
-        low[~self.observed], high[~self.observed] = 0, 1
+        known = len(self.axes[name]) == 1
+        low[~self.observed], high[~self.observed] = self.axes[name][[0, -1]] if known else (0, 1)
         return self._shaped(name, low), self._shaped(name, high)
 
     def draw(self, count: int = 1, seed: int = 0) -> dict[str, Any]:
@@ -268,7 +270,7 @@ class Posterior(ABC):
         """(T, g) both; those of the prior where nobody looked."""
         self._check_parameter(name)
         mean, sd = self._moments(name)
-        nodes, p = self.axes[name], _marginals(self.prior, list(self.axes))[name]
+        nodes, p = self.axes[name], marginals_of(self.prior, list(self.axes))[name]
         usual = float(p @ nodes)
         mean[~self.observed] = usual
         sd[~self.observed] = np.sqrt(p @ (nodes - usual) ** 2)
@@ -300,26 +302,16 @@ class Posterior(ABC):
 
     def _draws(self, count: int, seed: int) -> dict[str, np.ndarray]:
         """Draws (count, T, g) float32 by parameter, of texels that were seen: nodes of the grid."""
-        axes, random = self.axes, np.random.default_rng(seed)
-        groups = self.groups
-        shape = self.grid.shape
-        drawn = {
-            name: np.empty((count, self.count, groups if k == len(axes) - 1 else 1), np.float32)
-            for k, name in enumerate(axes)
+        random = np.random.default_rng(seed)
+        found = [
+            draw_cells(self._tables(np.arange(self.count)[span])[0], self.axes, count, random)
+            for span in self._chunks(self.count)
+        ]
+        empty = {name: np.zeros((count, 0, 1), np.float32) for name in self.axes}
+        return {
+            name: np.concatenate([x[name] for x in found] or [empty[name]], axis=1)
+            for name in self.axes
         }
-        for span in self._chunks(self.count):
-            p = self._tables(np.arange(self.count)[span])[0]
-            p = p.reshape(len(p), -1, shape[-1], groups).astype(np.float64)
-            rows = _pick(p[..., 0].sum(axis=2), random.random((count, len(p))))
-            index = np.unravel_index(rows, shape[:-1])
-            for name, of_name in zip(list(axes)[:-1], index, strict=True):
-                drawn[name][:, span, 0] = axes[name][of_name]
-            last = list(axes)[-1]
-            for g in range(groups):
-                given = p[np.arange(len(p)), rows][..., g]  # (count, t, cells)
-                cell = _pick(given, random.random((count, len(p))))
-                drawn[last][:, span, g] = axes[last][cell]
-        return drawn
 
     def _shaped(self, name: str, values: np.ndarray) -> Any:
         """Values (..., g) as a tensor; without the last axis where there is one for all."""
@@ -362,33 +354,6 @@ class Posterior(ABC):
         if name not in self.axes:
             known = " or ".join(self.axes)
             raise OptionError(f"Posterior: there is no parameter {name!r}; use {known}.")
-
-
-def _marginals(p: np.ndarray, names: list[str]) -> dict[str, np.ndarray]:
-    """Marginals (nodes,) of probabilities of a grid, by parameter."""
-    axes = range(p.ndim)
-    return {name: p.sum(axis=tuple(k for k in axes if k != own)) for own, name in enumerate(names)}
-
-
-def _pick(weights: np.ndarray, random: np.ndarray) -> np.ndarray:
-    """Return which of N weights (..., t, N) random numbers (count, t) in [0, 1) fall on."""
-    below = np.cumsum(weights, axis=-1)
-    picked = (below <= random[..., None] * below[..., -1:]).sum(axis=-1)
-    return np.minimum(picked, weights.shape[-1] - 1)
-
-
-def normalized(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Turn energies (t, *grid) into p = exp(-energy) / Z and the index of the best node.
-
-    Returns:
-        (t, *grid, 1) float32 and (t, axes, 1) int64, as ``Posterior._tables`` has them.
-    """
-    flat = energies.reshape(len(energies), -1)
-    best = flat.argmin(axis=1)
-    p = np.exp(-(flat - np.take_along_axis(flat, best[:, None], axis=1)))
-    p /= p.sum(axis=1, keepdims=True, dtype=np.float64)
-    node = np.stack(np.unravel_index(best, energies.shape[1:]), axis=-1)
-    return p.reshape(*energies.shape, 1).astype(np.float32), node[..., None]
 
 
 def _tensor(values: np.ndarray) -> Any:

@@ -10,7 +10,8 @@ import numpy as np
 
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
-from svu_mi.posterior.record import Posterior, normalized
+from svu_mi.posterior.cells import normalized
+from svu_mi.posterior.record import Posterior
 from svu_mi.posterior.streaming import nats
 
 

@@ -1,0 +1,64 @@
+"""What a table of probabilities of a grid's cells answers, in NumPy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+
+def marginals_of(p: np.ndarray, names: list[str]) -> dict[str, np.ndarray]:
+    """Marginals (nodes,) of probabilities of a grid, by parameter."""
+    axes = range(p.ndim)
+    return {name: p.sum(axis=tuple(k for k in axes if k != own)) for own, name in enumerate(names)}
+
+
+def pick(weights: np.ndarray, random: np.ndarray) -> np.ndarray:
+    """Return which of N weights (..., t, N) random numbers (count, t) in [0, 1) fall on."""
+    below = np.cumsum(weights, axis=-1)
+    picked = (below <= random[..., None] * below[..., -1:]).sum(axis=-1)
+    return np.minimum(picked, weights.shape[-1] - 1)
+
+
+def normalized(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Turn energies (t, *grid) into p = exp(-energy) / Z and the index of the best node.
+
+    Returns:
+        (t, *grid, 1) float32 and (t, axes, 1) int64, as ``Posterior._tables`` has them.
+    """
+    flat = energies.reshape(len(energies), -1)
+    best = flat.argmin(axis=1)
+    p = np.exp(-(flat - np.take_along_axis(flat, best[:, None], axis=1)))
+    p /= p.sum(axis=1, keepdims=True, dtype=np.float64)
+    node = np.stack(np.unravel_index(best, energies.shape[1:]), axis=-1)
+    return p.reshape(*energies.shape, 1).astype(np.float32), node[..., None]
+
+
+def draw_cells(
+    p: np.ndarray, axes: Mapping[str, np.ndarray], count: int, random: np.random.Generator
+) -> dict[str, np.ndarray]:
+    """Draw nodes; channels are independent given all but the last parameter.
+
+    Args:
+        p: (t, *grid, G) probabilities of t texels.
+        axes: nodes by parameter.
+        count: number of draws.
+        random: random numbers.
+
+    Returns:
+        By parameter (count, t, 1) float32; (count, t, G) of the last one.
+    """
+    *shape, cells, groups = p.shape[1:]
+    table = p.reshape(len(p), -1, cells, groups).astype(np.float64)
+    rows = pick(table[..., 0].sum(axis=2), random.random((count, len(p))))
+    *shared, last = axes.items()
+    index = np.unravel_index(rows, shape)
+    drawn = {
+        name: nodes[k][..., None].astype(np.float32)
+        for (name, nodes), k in zip(shared, index, strict=True)
+    }
+    given = table[np.arange(len(p)), rows]  # (count, t, cells, G)
+    name, nodes = last
+    picked = [pick(given[..., g], random.random((count, len(p)))) for g in range(groups)]
+    drawn[name] = nodes[np.stack(picked, axis=-1)].astype(np.float32)
+    return drawn
