@@ -183,6 +183,11 @@ def test_intervals_are_the_shortest_that_hold_enough(
             assert max(shorter, default=0) < level + 1e-3
     low, high = (np.array(end) for end in found.interval("base_color", level))
     assert low.shape == (96, 3)
+    for name in ("roughness", "metallic", "base_color"):
+        all_of_them = found.interval(name, level)
+        some = found.interval(name, level, [5, 80, 5])
+        for end, other in zip(some, all_of_them, strict=True):
+            assert np.array_equal(np.array(end), np.array(other)[[5, 80, 5]])
     # A part is 1 / 42 wide, so a normal distribution's interval is at most two too long.
     narrow = np.array(found.sd("base_color")) < 0.05
     width = 2 * stats.norm.ppf(0.5 + level / 2) * np.array(found.sd("base_color"))

@@ -31,8 +31,9 @@ def test_render_writes_a_capture_folder(shot):
     assert image["R"].shape == (32, 40)
 
 
-def test_entropy_writes_four_files(shot, tmp_path):
+def test_entropy_writes_four_files(shot, tmp_path, capsys):
     assert run("entropy", shot, "-o", tmp_path, "--resolution", 64, 32, "-t", 2) == 0
+    told = capsys.readouterr().out.splitlines()[-1]
     assert names(tmp_path) == FILES
     entropy = read_exr(tmp_path / "entropy.exr")
     coverage = read_exr(tmp_path / "coverage.exr")
@@ -47,6 +48,13 @@ def test_entropy_writes_four_files(shot, tmp_path):
     assert record["environment"]["variant"].endswith("_ad_rgb")
     assert record["timings_s"]
     assert record["skipped"]["views left out"] == 0
+    known = record["result"]["intervals"]["known_part"]
+    words = [f"{name} {part}" for name, part in zip(
+        ("Roughness known to ±0.05 on", "of the surface seen, metallic on", "base colour on"),
+        ("under 1 %" if 0 < part <= 0.005 else f"{100 * part:.0f} %" for part in known.values()),
+        strict=True,
+    )]  # fmt: skip
+    assert told == f"{words[0]} {words[1]}, {words[2]} (90 % intervals)."
 
 
 def test_a_scene_and_a_folder_of_images_are_an_input_too(shot, tmp_path):
@@ -84,11 +92,11 @@ def test_python_scripts_use_the_same_names(shot):
 
     capture = svu.load_capture(shot)
     texels = svu.texels(capture.mesh, resolution=32)
-    for method in ("angular", "spectrum"):
+    for method, channels in (("angular", (3,)), ("spectrum", ())):
         estimate = svu.estimate(capture, texels, method=method, preset="default")
         assert estimate.image("entropy").shape == (32, 32)
         p = np.array(estimate.posterior.probabilities)
-        assert p.shape == (texels.count, 8, 8, 8)
+        assert p.shape == (texels.count, 8, 8, 8, *channels)
         np.testing.assert_allclose(p.sum(axis=(1, 2, 3)), 1, rtol=1e-5)
     paper = svu.estimate(capture, texels, method="spectrum", preset="paper")
     assert np.array(paper.posterior.probabilities).shape == (texels.count, 8, 8)
@@ -152,6 +160,8 @@ def test_the_module_is_the_program(tmp_path):
     assert done.stderr.strip().count("\n") == 0
 
 
-def test_demo_leaves_four_files(tmp_path):
+def test_demo_leaves_four_files(tmp_path, capsys):
     assert run("demo", "-o", tmp_path, "--spp", 1, "--resolution", 32) == 0
+    told = capsys.readouterr().out.splitlines()[-1]
+    assert re.match(r"Roughness known to ±0\.05 on .* of the surface seen, .* intervals\)\.$", told)
     assert names(tmp_path) == FILES

@@ -220,7 +220,7 @@ def test_other_programs_files_are_read(tmp_path):
 
 @dataclasses.dataclass(frozen=True)
 class FakePosterior:
-    """Marginals as given; the shape of ``svu_mi.posterior.Posterior``."""
+    """Marginals and intervals as given; the shape of ``svu_mi.posterior.Posterior``."""
 
     rough: np.ndarray
     specular: np.ndarray
@@ -230,8 +230,21 @@ class FakePosterior:
     def axes(self):
         return self.grid.axes
 
+    @property
+    def prior(self):
+        return np.full(self.grid.shape, 1 / np.prod(self.grid.shape))
+
     def marginal(self, name, chosen):
         return mi.TensorXf((self.rough if name == "roughness" else self.specular)[chosen])
+
+    def interval(self, name, _, chosen):
+        """Roughness is known to 0.04 where it is most probably 0, Ks to 0.25 in one channel."""
+        known = self.rough.argmax(axis=1) == 0
+        if name == "roughness":
+            width = np.where(known, 0.08, 1)[chosen]
+            return mi.TensorXf(0.0 * width), mi.TensorXf(width)
+        ends = np.tile([[[0.0, 0.1, 0.0]], [[0.0, 0.6, 0.0]]], (1, len(chosen), 1))
+        return mi.TensorXf(ends[0]), mi.TensorXf(ends[1])
 
 
 def dome() -> mi.Mesh:
@@ -462,6 +475,21 @@ def test_a_run_leaves_four_files_and_nothing_else(tmp_path, capture, estimate):
     assert record["warnings"] == ["a sentence"]
     seen = np.array(estimate.coverage) > 0
     assert record["result"]["texels_seen"] == seen.sum()
+    area = np.array(estimate.texels.footprint, np.float64)[seen] ** 2
+    known = estimate.posterior.rough.argmax(axis=1)[seen] == 0
+    intervals = record["result"]["intervals"]
+    assert 0.1 < intervals["known_part"]["roughness"] < 0.5
+    expected = {"roughness": area[known].sum() / area.sum(), "specular": 0}
+    assert intervals["known_part"] == pytest.approx(expected)
+    assert intervals["median_half_width"] == pytest.approx({"roughness": 0.5, "specular": 0.25})
+    assert (intervals["tolerance"], intervals["level"]) == (0.05, 0.9)
+
+
+def test_a_run_that_saw_nothing_is_recorded(tmp_path, capture):
+    write_outputs(capture, estimate_of(capture, coverage=0), tmp_path)
+    record = json.loads((tmp_path / "run.json").read_text(), parse_constant=refuse)
+    assert record["result"]["intervals"]["seen_part"] == 0
+    assert record["result"]["intervals"]["known_part"] == {}
 
 
 def test_a_folder_that_cannot_be_used_is_named(tmp_path, monkeypatch):

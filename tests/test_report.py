@@ -15,6 +15,7 @@ import svu_mi as svu
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.cli.main import main
 from svu_mi.exr import write_exr
+from svu_mi.output.knowledge import Intervals, Knowledge
 from svu_mi.output.report import findings, pictures, plots, report
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import Result
@@ -121,33 +122,91 @@ def test_numbers_are_those_of_the_estimate(text, estimate):
     assert "Gathering statistics" in section(text, "record")
 
 
+class Banded(Intervals):
+    """Half-widths of 0.04, 0.1 and 0.4 in bands of the ball, other ones for each parameter."""
+
+    borders = {"roughness": (0.3, 0.6), "metallic": (0.5, 0.9), "base_color": (0.7, 0.7)}
+
+    def __init__(self, estimate):
+        super().__init__(estimate.posterior)
+        self.v = np.array(estimate.texels.uv)[1]
+
+    def half_width(self, name):
+        first, second = self.borders[name]
+        return np.where(self.v < first, 0.04, np.where(self.v < second, 0.1, 0.4))
+
+
 def test_parts_are_of_the_area_and_sum_to_1(estimate):
     """Texels of a lat-long chart are small near its poles."""
-    result = Result.of(estimate)
-    parts = findings.Parts.of(estimate, result)
-    uv = np.array(estimate.texels.uv)
-    area = np.sin(np.pi * uv[1])
-    expected = area[result.seen & (result.entropy < 1 / 3)].sum() / area.sum()
-    assert parts.certain == pytest.approx(expected, abs=0.02)
-    total = parts.certain + parts.partly + parts.uncertain + parts.unseen
-    assert total == pytest.approx(1)
-    assert parts.unseen == pytest.approx(area[~result.seen].sum() / area.sum(), abs=0.02)
+    result, banded = Result.of(estimate), Banded(estimate)
+    area = np.sin(np.pi * np.array(estimate.texels.uv)[1]) * result.seen
+    for name, (first, second) in banded.borders.items():
+        parts = findings.Parts.of(estimate, result, banded.half_width(name))
+        below = [area[banded.v < border].sum() / area.sum() for border in (first, second)]
+        assert parts.settled == pytest.approx(below[0], abs=0.02)
+        assert parts.roughly == pytest.approx(below[1] - below[0], abs=0.02)
+        assert parts.settled + parts.roughly + parts.wide == pytest.approx(1)
+    seen = Knowledge.of(estimate, banded).seen_part
+    everywhere = np.sin(np.pi * banded.v)
+    assert seen == pytest.approx(area.sum() / everywhere.sum(), abs=0.02) and seen < 1
 
 
 def test_all_of_the_surface_is_exactly_all(estimate):
     """Else it would be called over 99 %, and a page would miss that nothing is seen."""
     for count in range(60, 160):
         footprint = mi.Float(np.array(estimate.texels.footprint)[:count])
-        some = SimpleNamespace(texels=SimpleNamespace(footprint=footprint))
+        posterior = SimpleNamespace(axes={})
+        some = SimpleNamespace(texels=SimpleNamespace(footprint=footprint), posterior=posterior)
         for seen in (True, False):
-            result = SimpleNamespace(entropy=np.zeros(count), seen=np.full(count, seen))
-            parts = findings.Parts.of(some, result)
-            assert (parts.certain, parts.unseen) == ((1, 0) if seen else (0, 1))
+            some.coverage = np.full(count, int(seen))
+            assert Knowledge.of(some).seen_part == seen
+        result = SimpleNamespace(seen=np.ones(count, bool))
+        for width in (0.05, 0.15, 0.16):
+            parts = findings.Parts.of(some, result, np.full(count, width, np.float32))
+            where = (width == 0.05, width == 0.15, width == 0.16)
+            assert (parts.settled, parts.roughly, parts.wide) == where
 
 
-def test_an_entropy_is_a_number_of_materials(estimate):
-    left = [findings.candidates(estimate, h) for h in (0, 1 / 3, 1)]
-    assert left == pytest.approx([1, 8, 512])
+def test_what_is_settled_is_said_from_intervals(capture, estimate, tmp_path, monkeypatch):
+    banded, seen = Banded(estimate), np.array(estimate.coverage) > 0
+    monkeypatch.setattr(report, "Intervals", lambda _: banded)
+    monkeypatch.setattr(report.plots, "errors", lambda *_: None)
+    svu.write_report(capture, estimate, tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    area = np.array(estimate.texels.footprint, np.float64)[seen] ** 2
+    below = [area[banded.v[seen] < v].sum() / area.sum() for v in (0.3, 0.5, 0.7)]
+    told = [f"{100 * part:.0f}\u202f%" for part in below]
+    assert len(set(told)) == 3
+    lead = re.sub("<[^>]*>", "", re.search('<p class="lead">(.*?)</p>', text)[1])
+    assert lead.startswith(
+        f"4 photographs settle roughness on {told[0]}, metallic on {told[1]} and base colour on "
+        f"{told[2]} of the surface seen, and all of them on {told[0]}."
+    )
+    assert text.count('<div class="parts"') == 3
+    assert f"{told[1]} settled, half known to ±0." in text
+
+
+def test_nothing_is_settled_by_its_entropy(capture, estimate):
+    """Whatever the entropy is, the same is said of what is settled."""
+    table, intervals = Turntable.around(capture, 1, side=16), Intervals(estimate.posterior)
+    result, told = Result.of(estimate), []
+    for entropy in (0, 1):
+        other = replace(result, entropy=np.full_like(result.entropy, entropy))
+        summary = report._summary(capture, estimate, other, intervals, table)
+        told.append((summary["settled"], summary["all_settled"]))
+    assert told[0] == told[1] and len(told[0][0]) == 3
+
+
+def test_points_are_shown_with_their_intervals(capture, estimate):
+    result, intervals = Result.of(estimate), Intervals(estimate.posterior)
+    table = Turntable.around(capture, 1, side=16)
+    (low, high) = (np.array(end) for end in estimate.posterior.interval("roughness"))
+    for example in plots.examples(table, estimate, result, intervals, [None]):
+        column, row = map(int, re.search(r"column (\d+), row (\d+)", example.sentence).groups())
+        texel = list(estimate.texels.index.numpy()).index(row * 48 + column)
+        told = {name: interval for name, _, interval in example.plots}
+        assert told["roughness"] == f"{low[texel]:.2f} to {high[texel]:.2f}"
+        assert re.fullmatch(r"R [\d.]+ to [\d.]+, G .*, B .*", told["base colour"])
 
 
 def test_names_and_warnings_are_escaped(text):
@@ -277,6 +336,7 @@ def test_nothing_seen_is_said(capture, estimate, tmp_path):
     text = (tmp_path / "page.html").read_text()
     assert "No point of the surface is seen" in text and "No photograph was used" in text
     assert "There is nothing to compare" in text and "Left out: 5" in text
+    assert "settle" not in text.lower() and 'class="bars"' not in text
     assert "nan" not in re.sub(r"data:image/[^\"]*", "", text).lower()
 
 
@@ -285,7 +345,8 @@ def test_one_view_of_the_method_as_printed(capture, estimate, tmp_path):
     found = svu.estimate(one, estimate.texels, "spectrum", "paper")
     svu.write_report(one, found, tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text()
-    assert "1 photograph settles the material" in text and "It does not show" in text
+    assert "1 photograph settles roughness on" in text and "It does not show" in text
+    assert "specular are made of whole cells of the grid, up to 0.14 wide" in text
     assert "Most probable specular" in text and "base colour" not in section(text, "maps")
     assert "--recovered FOLDER" in section(text, "errors")
 

@@ -6,12 +6,14 @@ import sys
 import time
 import urllib.request
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mitsuba as mi
 import numpy as np
 import pytest
 from browser import SECONDS, Browser
 from helpers import memory_capture, render_ball, write_scene
+from matplotlib import colormaps
 
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture.poses import describe, make_sensor
@@ -119,6 +121,8 @@ def test_rays_meet_the_texels_that_brute_force_finds(capture, known, picker):
 def test_a_pick_says_what_the_estimate_says(capture, known, picker):
     entropy, coverage = np.array(known.entropy), np.array(known.coverage)
     best, position = known.posterior.map(), np.array(known.texels.position)
+    means = {name: known.posterior.mean(name).numpy() for name in best}
+    intervals = {name: known.posterior.interval(name) for name in best}
     for texel in (0, int(coverage.argmax()), known.texels.count - 1):
         found = picker.describe(texel)
         assert found.entropy == entropy[texel]
@@ -127,8 +131,36 @@ def test_a_pick_says_what_the_estimate_says(capture, known, picker):
         for name, values in (found.most_probable or {}).items():
             right = np.atleast_1d(best[name].numpy()[texel])
             assert np.array_equal(values.astype(np.float32), right)
+            assert np.array_equal(found.mean[name], np.atleast_1d(means[name][texel]))
+            for end, of_all in zip(found.interval[name], intervals[name], strict=True):
+                assert np.array_equal(end, np.atleast_1d(of_all.numpy()[texel]))
     with pytest.raises(OptionError, match=f"0 to {known.texels.count - 1}, got -1"):
         picker.describe(-1)
+
+
+def test_the_panel_says_mean_and_interval_of_every_channel(capture, known):
+    colored = estimate(capture, known.texels)
+    texel = int(np.array(known.coverage).argmax())
+    text = says(capture, Picker(capture, colored).describe(texel))
+    text = text.replace("\u00a0", " ").replace("\u2060", "")
+    for name in ("roughness", "metallic", "base_color"):
+        mean = np.atleast_1d(colored.posterior.mean(name).numpy()[texel])
+        low, high = (np.atleast_1d(end.numpy()[texel]) for end in colored.posterior.interval(name))
+        channels = ("base colour R", "base colour G", "base colour B")
+        for k, label in enumerate(channels if len(mean) == 3 else (name,)):
+            assert f"| {label} | **{mean[k]:.2f}** | {low[k]:.2f}–{high[k]:.2f} |" in text
+    assert text.count("base colour") == 3 and "90 % interval" in text
+
+
+def test_uncertainty_is_half_the_width_of_the_interval(known):
+    count = known.texels.count
+    given = SimpleNamespace(level=0.8, half_width=lambda _: np.linspace(0, 0.4, count))
+    shown = surface_maps(known, intervals=given)["uncertainty of roughness"]()
+    assert shown.scale.label == "half the width of the 80 % interval"
+    own = shown.colors.reshape(-1, 3)[known.texels.index.numpy()]
+    expected = colormaps[shown.scale.colormap](np.linspace(0, 0.4 / shown.scale.high, count))
+    seen = np.array(known.coverage) > 0
+    assert np.allclose(own[seen], expected[seen, :3], atol=0.01)
 
 
 def test_seen_by_numbers_the_views_of_the_capture(capture, known, picker):

@@ -28,9 +28,9 @@ class Entropy(Estimated):
     """Leave out work that changes nothing (unseen texels, blind views, equal channels, ...)."""
 
     def run(self, console: Console) -> int:
-        """Run the pipeline and write the four files."""
+        """Run the pipeline, write the four files, and say what is known."""
         from svu_mi.options import NOTHING, Skip
-        from svu_mi.output import prepare_folder, write_outputs
+        from svu_mi.output import Knowledge, prepare_folder, write_outputs
 
         self.check()
         prepare_folder(self.output)
@@ -39,10 +39,13 @@ class Entropy(Estimated):
         capture, grid = self.load(progress)
         result = self.estimate(progress, capture, grid, skip=Skip() if self.skip else NOTHING)
         with progress.stage("Writing the results"):
+            knowledge = Knowledge.of(result)
             write_outputs(
-                capture, result, self.output, settings=given(self), kernels=progress.kernels
-            )
+                capture, result, self.output, settings=given(self), kernels=progress.kernels,
+                knowledge=knowledge,
+            )  # fmt: skip
         say(console, f"Wrote {self.output}")
+        say(console, knowledge.sentence())
         return 0
 
 

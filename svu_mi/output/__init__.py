@@ -8,6 +8,7 @@ from typing import Any
 
 from svu_mi.files import prepare_folder as prepare_folder
 from svu_mi.files import remove
+from svu_mi.output.knowledge import Knowledge as Knowledge
 from svu_mi.output.manifest import environment_record as environment_record
 from svu_mi.output.manifest import run_record as run_record
 from svu_mi.output.manifest import write_manifest as write_manifest
@@ -23,6 +24,7 @@ def write_outputs(
     *,
     settings: Mapping[str, Any] | None = None,
     kernels: Mapping[str, int] | None = None,
+    knowledge: Knowledge | None = None,
 ) -> None:
     """Write ``entropy.exr``, ``coverage.exr``, ``overview.png`` and ``run.json``.
 
@@ -35,6 +37,7 @@ def write_outputs(
         folder: made if missing.
         settings: what the caller was asked for (command-line options, seeds).
         kernels: number of kernels compiled per stage, ``Progress.kernels``.
+        knowledge: what the estimate says in units; computed if not given.
 
     Raises:
         OutputError: the folder or a file cannot be written.
@@ -42,5 +45,7 @@ def write_outputs(
     folder = prepare_folder(folder)
     remove(folder / "run.json")  # of an older run
     write_maps(estimate, folder)
-    write_overview(capture, estimate, folder / "overview.png")
-    write_run(folder / "run.json", run_record(capture, estimate), settings, kernels)
+    knowledge = knowledge or Knowledge.of(estimate)
+    write_overview(capture, estimate, folder / "overview.png", knowledge)
+    record = run_record(capture, estimate, knowledge)
+    write_run(folder / "run.json", record, settings, kernels)

@@ -18,7 +18,7 @@ from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
 from svu_mi.metrics import GroundTruth
 from svu_mi.output import views
-from svu_mi.output.result import words
+from svu_mi.output.result import prior_marginal, words
 from svu_mi.output.style import COLORMAP, INK, OUTSIDE, UNSEEN, framed
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import Posterior
@@ -200,7 +200,7 @@ def draw_marginal(
 ) -> None:
     """Draw the marginal of one parameter of one texel as bars, one per node of the grid.
 
-    Of three colour channels the mean is shown. A line marks 1 / nodes: knowing nothing.
+    Of three colour channels the mean is shown. Dashed is where nobody looked.
 
     Args:
         axes: where to.
@@ -217,7 +217,7 @@ def draw_marginal(
     heights = p.reshape(len(nodes), -1).mean(axis=1)
     edges = cell_edges(nodes)
     axes.bar(edges[:-1], heights, 0.9 * np.diff(edges), align="edge", color=INK, alpha=0.75)
-    axes.axhline(1 / len(nodes), color=INK, lw=1, ls=(0, (2, 2)))
+    axes.plot(nodes, prior_marginal(posterior, name), color=INK, lw=1, ls=(0, (2, 2)))
     if truth is not None:
         axes.axvline(truth.grey(name)[texel], color=TRUTH, lw=2)
     axes.set(xlabel=_words(name), ylim=(0, 1), xlim=(edges[0], edges[-1]), xticks=[0, 0.5, 1])

@@ -19,6 +19,7 @@ import svu_mi
 from svu_mi import _llvm
 from svu_mi.errors import OutputError
 from svu_mi.files import write_text
+from svu_mi.output.knowledge import Knowledge
 
 PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "trimesh", "xatlas")
 
@@ -47,27 +48,24 @@ def environment_record() -> dict[str, Any]:
     }
 
 
-def run_record(capture: Any, estimate: Any) -> dict[str, Any]:
+def run_record(capture: Any, estimate: Any, knowledge: Knowledge | None = None) -> dict[str, Any]:
     """Return what a capture and its estimate say about the run.
 
     Args:
         capture: the ``Capture``.
         estimate: its ``Estimate``.
+        knowledge: what it says in units; computed if not given.
     """
-    entropy, coverage = np.asarray(estimate.entropy), np.asarray(estimate.coverage)
-    seen = coverage > 0
-    settings = {
-        "method": estimate.method,
-        "preset": estimate.preset,
-        "grid": getattr(estimate.posterior, "grid", None),
-        "resolution": estimate.texels.resolution,
-    }
+    entropy, seen = np.asarray(estimate.entropy), _seen(estimate)
     result = {
         "texels": estimate.texels.count,
         "texels_seen": int(seen.sum()),
         "mean_entropy_of_seen": float(entropy[seen].mean()) if seen.any() else None,
+        "intervals": knowledge or Knowledge.of(estimate),
     }
-    return _record(capture, settings, result, skipped=estimate.skipped, timings_s=estimate.timings)
+    return _record(
+        capture, _settings(estimate), result, skipped=estimate.skipped, timings_s=estimate.timings
+    )
 
 
 def recovery_record(capture: Any, recovery: Any) -> dict[str, Any]:
@@ -101,11 +99,10 @@ def guidance_record(capture: Any, estimate: Any, guidance: Any) -> dict[str, Any
         estimate: what its photographs say.
         guidance: the ``Guidance``.
     """
-    known = run_record(capture, estimate)
-    settings = {**known["settings"], "used": guidance.options}
+    settings = {**_settings(estimate), "used": guidance.options}
     result = {
         "texels": guidance.texels.count,
-        "texels_seen": known["result"]["texels_seen"],
+        "texels_seen": int(_seen(estimate).sum()),
         "mean_entropy": float(np.asarray(estimate.entropy).mean()),
         "mean_expected_entropy": guidance.entropy,
         "candidates": guidance.candidates.count,
@@ -114,6 +111,19 @@ def guidance_record(capture: Any, estimate: Any, guidance: Any) -> dict[str, Any
     skipped = {**estimate.skipped, **guidance.skipped}
     timings = {**estimate.timings, **guidance.timings}
     return _record(capture, settings, result, skipped=skipped, timings_s=timings)
+
+
+def _settings(estimate: Any) -> dict[str, Any]:
+    return {
+        "method": estimate.method,
+        "preset": estimate.preset,
+        "grid": getattr(estimate.posterior, "grid", None),
+        "resolution": estimate.texels.resolution,
+    }
+
+
+def _seen(estimate: Any) -> np.ndarray:
+    return np.asarray(np.asarray(estimate.coverage) > 0)
 
 
 def _record(

@@ -9,9 +9,18 @@ import numpy as np
 
 from svu_mi.output import style, views
 from svu_mi.output.figures import map_colors
-from svu_mi.output.result import Result, known, mean_marginals, open_axes, words
+from svu_mi.output.knowledge import Knowledge, plain_percent
+from svu_mi.output.result import (
+    Result,
+    known,
+    mean_marginals,
+    open_axes,
+    prior_marginal,
+    words,
+)
 from svu_mi.output.style import (
     COLORMAP,
+    ENTROPY_ENDS,
     FAINT,
     INK,
     LEFT,
@@ -29,19 +38,23 @@ if TYPE_CHECKING:
 SIZE = (16.0, 9.4)  # inches
 
 
-def write_overview(capture: Any, estimate: Any, path: str | Path) -> None:
+def write_overview(
+    capture: Any, estimate: Any, path: str | Path, knowledge: Knowledge | None = None
+) -> None:
     """Draw photographs, entropy, coverage and marginals on one page of 1600 x 940 pixels.
 
     Args:
         capture: the ``Capture``.
         estimate: its ``Estimate``; nothing need have been seen.
         path: the PNG file.
+        knowledge: what the estimate says in units; computed if not given.
 
     Raises:
         OutputError: the file cannot be written.
     """
     figure = style.new_figure(*SIZE)
     result = Result.of(estimate)
+    knowledge = knowledge or Knowledge.of(estimate)
     _heading(figure, capture, estimate, result)
     objects = figure.add_gridspec(1, 4, left=LEFT, right=RIGHT, top=0.86, bottom=0.455, wspace=0.03)
     maps = figure.add_gridspec(1, 2, left=LEFT, right=0.485, top=0.405, bottom=0.075, wspace=0.09)
@@ -51,13 +64,12 @@ def write_overview(capture: Any, estimate: Any, path: str | Path) -> None:
     )
     _object_row(figure, objects, capture, estimate)
     left = figure.add_subplot(maps[0, 0])
-    label = "0 = certain,  1 = nothing known"
-    _map(figure, left, estimate, result, result.entropy, (0, 1), COLORMAP, label)
+    _map(figure, left, estimate, result, result.entropy, (0, 1), COLORMAP, ENTROPY_ENDS)
     style.title(left, "Entropy")
     _coverage_map(figure, figure.add_subplot(maps[0, 1]), capture, estimate, result)
     _histogram(figure.add_subplot(plots[0, :]), result)
     for column, name in enumerate(parameters):
-        _marginal(figure.add_subplot(plots[1, column]), estimate, result, name)
+        _marginal(figure.add_subplot(plots[1, column]), estimate, result, knowledge, name)
     style.save_figure(figure, path)
 
 
@@ -173,31 +185,43 @@ def _histogram(axes: Axes, result: Result) -> None:
     axes.set_ylabel("% of texels", size=9, color=FAINT)
 
 
-def _marginal(axes: Axes, estimate: Any, result: Result, name: str) -> None:
-    """Mean marginal over the texels seen, and over the most certain of them."""
-    style.title(axes, f"Posterior of {words(name)}")
+def _marginal(
+    axes: Axes, estimate: Any, result: Result, knowledge: Knowledge, name: str
+) -> None:  # fmt: skip
+    """Mean marginal over the texels seen, and over those of the lowest entropy."""
+    label = words(name).capitalize()
     style.plain(axes)
     if not result.seen.any():
+        style.title(axes, label)
         _nothing(axes)
         return
     nodes = estimate.posterior.axes[name]
     means = mean_marginals(estimate, result, name)
     channels = means[False].shape[1]
+    style.title(axes, f"{label}: R, G, B" if channels == 3 else label, pad=21)
+    style.subtitle(axes, _known(knowledge, name))
     colors = ("#c23b3b", "#2f8f4e", "#3566b8") if channels == 3 else (INK,)
     for k, color in enumerate(colors):
         axes.plot(nodes, means[False][:, k], "o-", color=color, lw=1.8, ms=3)
         axes.plot(nodes, means[True][:, k], color=color, lw=1.2, ls=(0, (3, 2)))
-    axes.axhline(1 / len(nodes), color=RULE, lw=1, zorder=0)
-    highest = max(float(mean.max()) for mean in means.values())
+    prior = prior_marginal(estimate.posterior, name)
+    axes.plot(nodes, prior, color=RULE, lw=1, zorder=0)
+    highest = max(float(p.max()) for p in (*means.values(), prior))
     axes.set(xlim=(0, 1), ylim=(0, 1.6 * highest))  # room for the key
-    for line, label in (("o-", "mean of all seen"), ("--", "of the most certain 10 %")):
-        axes.plot([], [], line, color=INK, lw=1.4, ms=3, label=label)
+    for line, what in (("o-", "mean of all seen"), ("--", "10 % of lowest entropy")):
+        axes.plot([], [], line, color=INK, lw=1.4, ms=3, label=what)
     axes.legend(
         fontsize=8, frameon=False, labelcolor=INK, loc="upper left", borderaxespad=0,
         handlelength=1.6, labelspacing=0.2,
     )  # fmt: skip
-    if channels == 3:
-        style.title(axes, f"Posterior of {words(name)}: R, G, B")
+
+
+def _known(knowledge: Knowledge, name: str) -> str:
+    """Word on how much of the surface seen a parameter is known."""
+    known = f"±{knowledge.tolerance:g} on {plain_percent(knowledge.known_part[name])}"
+    if name in knowledge.cell_width:
+        return f"{known}; cells ±{knowledge.cell_width[name] / 2:.2f}"
+    return f"{known} of the area seen"
 
 
 def _nothing(axes: Axes) -> None:

@@ -97,7 +97,7 @@ def _maps(figure: Figure, cells: Sequence[Axes], recovery: Any, estimate: Any | 
         _nothing(cells[3], "not estimated")
     else:
         drawn = draw_map(cells[3], estimate)
-        style.color_bar(figure, cells[3], drawn, "0 = certain, 1 = nothing known")
+        style.color_bar(figure, cells[3], drawn, style.ENTROPY_ENDS)
     coverage = np.array(recovery.coverage)
     most = (0.0, max(float(coverage.max(initial=0)), 1.0))
     drawn = draw_map(cells[4], recovery, coverage, limits=most, colormap=VIEWS_COLORMAP)

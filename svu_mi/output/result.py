@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-CERTAIN_PART = 0.1  # the most certain texels, whose marginals are shown beside the mean
+LOWEST_PART = 0.1  # texels of the lowest entropy, whose marginals are shown beside the mean
 SAMPLE = 4_000  # texels that a mean marginal is taken over
 
 
@@ -59,6 +59,12 @@ def known(estimate: Any) -> dict[str, float]:
     return {name: float(nodes[0]) for name, nodes in axes if len(nodes) == 1}
 
 
+def prior_marginal(posterior: Any, name: str) -> np.ndarray:
+    """Return the marginal (nodes,) of a parameter of which nothing is known."""
+    others = tuple(k for k, other in enumerate(posterior.axes) if other != name)
+    return np.asarray(posterior.prior.sum(axis=others))
+
+
 def mean_marginals(estimate: Any, result: Result, name: str) -> dict[bool, np.ndarray]:
     """Return mean marginals of a parameter, if any texel is seen.
 
@@ -69,9 +75,9 @@ def mean_marginals(estimate: Any, result: Result, name: str) -> dict[bool, np.nd
 
     Returns:
         (nodes, 1), or (nodes, 3) where channels differ: over all texels seen (False), and over
-        the most certain of them (True).
+        those of the lowest entropy (True).
     """
-    limit = np.quantile(result.entropy[result.seen], CERTAIN_PART)
+    limit = np.quantile(result.entropy[result.seen], LOWEST_PART)
 
     def mean(of: np.ndarray) -> np.ndarray:
         every = np.flatnonzero(of)

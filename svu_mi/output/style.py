@@ -18,6 +18,7 @@ COLORMAP, VIEWS_COLORMAP, GREY = "viridis", "magma", "gray"
 UNSEEN = (0.55, 0.55, 0.58)  # grey: in no colormap but GREY, and darker than the page
 OUTSIDE = (0.95, 0.95, 0.96)
 INK, FAINT, RULE = "#26262b", "#6f6f78", "#c4c4cb"
+ENTROPY_ENDS = "0 = one material left, 1 = nothing known"
 THIN_SPACE = "\u2009"
 BELOW = (0.0, -0.075, 1.0, 0.035)  # place of a colour bar, in parts of its axes
 
@@ -57,6 +58,14 @@ def spaced(number: int) -> str:
 def title(axes: Axes, text: str, pad: float = 6) -> None:
     """Write a title over the left end of axes."""
     axes.set_title(text, loc="left", size=11.5, color=INK, pad=pad)
+
+
+def subtitle(axes: Axes, text: str) -> None:
+    """Write a line between axes and their title, which needs a ``pad`` of 21."""
+    axes.annotate(
+        text, (0, 1), xycoords="axes fraction", xytext=(0, 7), textcoords="offset points",
+        size=9, color=FAINT, ha="left", va="bottom", annotation_clip=False,
+    )  # fmt: skip
 
 
 def plain(axes: Axes) -> None:

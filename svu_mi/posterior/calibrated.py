@@ -100,23 +100,23 @@ class CalibratedPosterior(Posterior):
         mean, sd = (np.stack([np.array(x[k]) for k in at], axis=-1) for x in (found.mean, found.sd))
         return self._everywhere(mean), self._everywhere(sd)
 
-    def _ends(self, name: str, level: float) -> tuple[np.ndarray, np.ndarray]:
-        problem, found = self.problem, self._summary_of_lanes
-        count = problem.factors.count
+    def _ends(
+        self, name: str, level: float, texels: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        problem, lanes = self.problem, self._lane[texels]
         if name == "base_color":
-            parts = uniform_axis(self.axes[name], COLOR_PARTS)
-            tables = self._color_tables * problem.copies
-        else:
-            parts = {"roughness": problem.roughness, "metallic": problem.metallic}[name]
-            tables = [{"roughness": found.roughness, "metallic": found.metallic}[name]]
-        ends = [shortest(masses, parts, count, level) for masses in tables]
-        low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))
-        return self._everywhere(low), self._everywhere(high)
+            return self._ends_of_color(level, lanes)
+        found, parts = self._summary_of_lanes, getattr(problem, name)
+        low, high = shortest(getattr(found, name), parts, problem.factors.count, level)
+        return np.array(low)[lanes, None], np.array(high)[lanes, None]
 
-    @cached_property
-    def _color_tables(self) -> list[Any]:
+    def _ends_of_color(self, level: float, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        problem = self.problem
         parts = uniform_axis(self.axes["base_color"], COLOR_PARTS)
-        return kernel.color_masses(self.problem, parts)
+        tables = kernel.color_masses(problem, parts, lanes)
+        ends = [shortest(masses, parts, len(lanes), level) for masses in tables]
+        low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))
+        return np.repeat(low, problem.copies, axis=1), np.repeat(high, problem.copies, axis=1)
 
     def _draws(self, count: int, seed: int) -> dict[str, np.ndarray]:
         problem, lanes = self.problem, self.problem.factors.count

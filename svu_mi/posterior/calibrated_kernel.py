@@ -158,18 +158,19 @@ def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
     return found / np.where(total > 0, total, 1)
 
 
-def color_masses(problem: Problem, parts: Axis) -> list[Any]:
+def color_masses(problem: Problem, parts: Axis, chosen: np.ndarray) -> list[Any]:
     """Return the masses of parts of every channel's base colour, not normalised.
 
     Args:
         problem: of S texels.
         parts: K of them.
+        chosen: (t,) int64, which of the texels.
 
     Returns:
-        A Float in blocks for each of C channels, of K rows.
+        A Float in blocks for each of C channels, of K rows and t texels.
     """
     edges = np.append(parts.low, parts.high[-1])
-    walker, count, K = Walker(problem, edges=edges), problem.factors.count, parts.count
+    walker, count, K = Walker(problem, owned(mi.UInt32, chosen), edges), len(chosen), parts.count
     channels = problem.factors.channels
 
     def visit(node: Node, masses: Any) -> tuple[Any, ...]:
@@ -186,7 +187,8 @@ def color_masses(problem: Problem, parts: Axis) -> list[Any]:
     for channel in range(channels):
         target = dr.zeros(mi.Float, size(K, count))
         dr.eval(target)
-        found.append(_write(masses, mi.UInt32(channel * K), K, walker.lane, target))
+        lane = dr.arange(mi.UInt32, count)
+        found.append(_write(masses, mi.UInt32(channel * K), K, lane, target))
     dr.eval(found)
     return found
 

@@ -213,7 +213,9 @@ class Posterior(ABC):
         """Return the standard deviation of a parameter: TensorXf (T,) or (T, 3), as ``mean``."""
         return self._shaped(name, self._mean_and_sd(name)[1])
 
-    def interval(self, name: str, level: float = 0.9) -> tuple[Any, Any]:
+    def interval(
+        self, name: str, level: float = 0.9, chosen: Any | None = None
+    ) -> tuple[Any, Any]:
         """Return the shortest interval that holds a parameter with a probability.
 
         It is made of parts of the parameter's range (cells of the grid, or finer), and goes to
@@ -222,19 +224,22 @@ class Posterior(ABC):
         Args:
             name: a name of ``axes``.
             level: the probability, in (0, 1).
+            chosen: (t,) indices of texels; all by default.
 
         Returns:
-            low and high: TensorXf (T,), or (T, 3) where channels have their own.
+            low and high: TensorXf (t,), or (t, 3) where channels have their own.
 
         Raises:
-            OptionError: an unknown parameter, or a level that is no probability.
+            OptionError: an unknown parameter, a level that is no probability, or an index outside
+                [0, T).
         """
         self._check_parameter(name)
         if not 0 < level < 1:
             raise OptionError(f"Posterior.interval(): level must be in (0, 1), got {level!r}.")
-        low, high = self._ends(name, level)
-        known = len(self.axes[name]) == 1
-        low[~self.observed], high[~self.observed] = self.axes[name][[0, -1]] if known else (0, 1)
+        texels = np.arange(self.count) if chosen is None else self._indices(chosen)
+        low, high = self._ends(name, level, texels)
+        unseen, known = ~self.observed[texels], len(self.axes[name]) == 1
+        low[unseen], high[unseen] = self.axes[name][[0, -1]] if known else (0, 1)
         return self._shaped(name, low), self._shaped(name, high)
 
     def draw(self, count: int = 1, seed: int = 0) -> dict[str, Any]:
@@ -284,12 +289,14 @@ class Posterior(ABC):
         variance = (p * (nodes - mean[:, None]) ** 2).sum(axis=1)
         return mean.astype(np.float32), np.sqrt(variance).astype(np.float32)
 
-    def _ends(self, name: str, level: float) -> tuple[np.ndarray, np.ndarray]:
-        """Ends of intervals, (T, g) float32, of texels that were seen."""
-        nodes, p = self.axes[name], self._grouped(name)
+    def _ends(
+        self, name: str, level: float, texels: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Ends of intervals, (t, g) float32, of texels, as if they were seen."""
+        nodes, p = self.axes[name], self._grouped(name)[texels]
         parts = cells_of(nodes)
         ends = [
-            shortest(in_blocks(mi.Float, p[..., g].T), parts, self.count, level)
+            shortest(in_blocks(mi.Float, p[..., g].T), parts, len(texels), level)
             for g in range(p.shape[-1])
         ]
         low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))

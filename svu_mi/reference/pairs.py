@@ -84,7 +84,8 @@ def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Pairs
     dr.eval(place, radiance, contrast, rays)
     return Pairs(
         texel=place.numpy().astype(np.int64),
-        radiance=radiance.numpy().T.astype(np.float64),
+        # Channel by channel: together, every number of pairs would compile a kernel of its own.
+        radiance=np.stack([x.numpy() for x in radiance], axis=-1).astype(np.float64),
         contrast=contrast.numpy().astype(np.float64),
         rays=rays,
         dropped=dr.width(visible) - dr.width(kept),

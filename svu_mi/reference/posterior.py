@@ -191,7 +191,7 @@ class _Renderer:
         self, roughness: float, metallic: float, base_color: float
     ) -> tuple[np.ndarray, np.ndarray]:
         if not self._pairs.count:
-            return np.zeros(0), np.zeros(0)
+            return np.zeros((0, 3)), np.zeros((0, 3))
         self._target.paint(roughness, metallic, base_color)
         halves = trace(
             self._target.scene, self._integrator, self._pairs.rays, self._spp, self._seed

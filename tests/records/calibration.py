@@ -229,7 +229,7 @@ def figures(posterior: Any, truth: dict[str, np.ndarray], chosen: np.ndarray) ->
         key, true = name.replace("base_", "")[0], columns(truth[name])
         mean, sd = (columns(np.array(x(name), np.float64)[chosen])
                     for x in (posterior.mean, posterior.sd))  # fmt: skip
-        low, high = (columns(np.array(end)[chosen]) for end in posterior.interval(name, 0.9))
+        low, high = (columns(np.array(end)) for end in posterior.interval(name, 0.9, chosen))
         inside = (true >= low - 1e-6) & (true <= high + 1e-6)
         settled = (high - low) / 2 <= SETTLED
         error, variance = ((mean - true) ** 2).mean(axis=1), (sd**2).mean(axis=1)
@@ -288,32 +288,34 @@ def sets(
 def crps(posterior: Any, name: str, true: np.ndarray, chosen: np.ndarray) -> float:
     """Return the mean of the integral of (F(x) - [x >= truth])^2 over [0, 1], F from the masses
     of fine parts."""
-    tables, parts = fine_masses(posterior, name)
+    tables, parts = fine_masses(posterior, name, chosen)
     x = (np.arange(1000) + 0.5) / 1000
     k = np.minimum(np.searchsorted(parts.high, x), parts.count - 1)
     width = parts.high[k] - parts.low[k]
     share = np.where(width > 0, (x - parts.low[k]) / np.where(width > 0, width, 1), 1)
     total = []
     for table, y in zip(tables, true.T, strict=True):
-        masses = table[:, posterior._lane[chosen]]
-        below = np.concatenate([0 * masses[:1], np.cumsum(masses / masses.sum(axis=0), axis=0)])
+        below = np.concatenate([0 * table[:1], np.cumsum(table / table.sum(axis=0), axis=0)])
         F = below[k] + share[:, None] * (below[k + 1] - below[k])
         total.append(np.mean((F - (x[:, None] >= y)) ** 2))
     return float(np.mean(total))
 
 
-def fine_masses(posterior: Any, name: str) -> tuple[list[np.ndarray], Any]:
-    """Return the masses (N, S) of fine parts, by channel, and the parts."""
+def fine_masses(posterior: Any, name: str, chosen: np.ndarray) -> tuple[list[np.ndarray], Any]:
+    """Return the masses (N, t) of fine parts, by channel, and the parts."""
+    from svu_mi.posterior.calibrated_kernel import color_masses
     from svu_mi.posterior.nodes import COLOR_PARTS, uniform_axis
     from svu_mi.statistics.blocks import rows_of
 
-    count, summary = posterior.problem.factors.count, posterior._summary_of_lanes
+    lanes, problem = posterior._lane[chosen], posterior.problem
     if name == "base_color":
         parts = uniform_axis(posterior.axes[name], COLOR_PARTS)
-        tables = posterior._color_tables
+        tables = color_masses(problem, parts, lanes)
+        found = [rows_of(table, parts.count, len(lanes)) for table in tables]
     else:
-        parts, tables = getattr(posterior.problem, name), [getattr(summary, name)]
-    return [rows_of(table, parts.count, count).astype(np.float64) for table in tables], parts
+        parts, table = getattr(problem, name), getattr(posterior._summary_of_lanes, name)
+        found = [rows_of(table, parts.count, problem.factors.count)[:, lanes]]
+    return [x.astype(np.float64) for x in found], parts
 
 
 def tables(kept: dict[str, Any]) -> str:

@@ -8,53 +8,40 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.output.knowledge import TOLERANCE, part, within
 from svu_mi.output.page import grouped
 from svu_mi.output.result import Result, known, words
 
-CERTAIN, OPEN = 1 / 3, 2 / 3  # entropies that bound what is certain, and what is open
+ROUGHLY = 0.15  # half-width of an interval up to which a parameter counts as roughly known
 STEEP = 0.5  # mean sine of elevation from which a part of the surface faces up, or down
 
 
 @dataclass(frozen=True)
 class Parts:
-    """Parts of the surface's area, 1 in all.
+    """Parts of the area of the surface seen, 1 in all, by the interval of one parameter.
 
     Attributes:
-        certain: entropy below 1/3.
-        partly: between.
-        uncertain: entropy of 2/3 and more.
-        unseen: in no photograph.
+        settled: half-width of 0.05 and less.
+        roughly: of more, up to 0.15.
+        wide: of more.
     """
 
-    certain: float
-    partly: float
-    uncertain: float
-    unseen: float
+    settled: float
+    roughly: float
+    wide: float
 
     @classmethod
-    def of(cls, estimate: Any, result: Result) -> Parts:
-        """Measure the parts of an estimate."""
-        area = estimate.texels.footprint.numpy().astype(np.float64) ** 2
-        entropy, seen = result.entropy, result.seen
-        certain, uncertain = entropy < CERTAIN, entropy >= OPEN
+    def of(cls, estimate: Any, result: Result, half_width: np.ndarray) -> Parts:
+        """Measure the parts.
 
-        def part(chosen: np.ndarray) -> float:
-            return float(area[chosen].sum() / area.sum())  # exactly 1 if all are chosen
-
-        return cls(
-            certain=part(seen & certain),
-            partly=part(seen & ~certain & ~uncertain),
-            uncertain=part(seen & uncertain),
-            unseen=part(~seen),
-        )
-
-
-def candidates(estimate: Any, entropy: float = 1.0) -> float:
-    """Return how many materials of the grid an entropy leaves in question.
-
-    n^H equally probable ones, of the n that there are, have the normalised entropy H.
-    """
-    return float(np.prod(estimate.posterior.grid.shape)) ** entropy
+        Args:
+            estimate: the ``Estimate``.
+            result: what it says; some texel must be seen.
+            half_width: (T,) of the parameter's intervals.
+        """
+        area = estimate.texels.footprint.numpy().astype(np.float64)[result.seen] ** 2
+        settled, roughly = (within(half_width[result.seen], x) for x in (TOLERANCE, ROUGHLY))
+        return cls(part(area, settled), part(area, roughly & ~settled), part(area, ~roughly))
 
 
 def facing(estimate: Any, chosen: np.ndarray, up: np.ndarray) -> str | None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from svu_mi.output import views
 from svu_mi.output.figures import GUTTER, map_colors
+from svu_mi.output.knowledge import TOLERANCE, WIDEST, Intervals
 from svu_mi.output.page import THUMBNAIL, Picture, drawing, grouped, percent
 from svu_mi.output.page import photograph as embedded
 from svu_mi.output.report.findings import why_left_out
@@ -125,26 +126,31 @@ def entropy_maps(table: Turntable, estimate: Any, result: Result) -> list[Map]:
     most = max(int(result.coverage.max(initial=0)), 1)
     return [
         _scaled(
-            table, estimate, "Entropy", result.entropy, COLORMAP, ("certain", "nothing known"),
-            "What the photographs leave open: 0 where one material remains, 1 where all do.",
+            table, estimate, "Entropy", result.entropy, COLORMAP,
+            ("one material left", "nothing known"),
+            "What the photographs leave open of all parameters together.",
         ),
         _scaled(
             table, estimate, "Coverage", result.coverage, VIEWS_COLORMAP,
             ("no photograph", f"{most} photographs"),
-            "How many photographs see each point; being seen often does not make it certain.",
+            "How many photographs see each point; being seen often does not make it known.",
             most,
         ),
     ]  # fmt: skip
 
 
-def parameter_maps(table: Turntable, estimate: Any) -> list[Map]:
-    """Return maps of the most probable value of each open parameter, and of what is open of it."""
+def parameter_maps(table: Turntable, estimate: Any, intervals: Intervals) -> list[Map]:
+    """Return maps of the most probable value of each open parameter, and of how well it is known.
+
+    Args:
+        table: shows the object.
+        estimate: the ``Estimate``.
+        intervals: of its posterior.
+    """
     maps = []
     best = estimate.posterior.map()
     for name in open_axes(estimate):
         values = np.array(best[name], np.float32)
-        doubt = np.array(estimate.posterior.marginal_entropy(name), np.float32)
-        doubt = doubt if doubt.ndim == 1 else doubt.mean(axis=1)
         label = words(name)
         if name == "base_color":
             maps.append(_colored(table, estimate, values))
@@ -153,9 +159,12 @@ def parameter_maps(table: Turntable, estimate: Any) -> list[Map]:
                 table, estimate, f"Most probable {label}", values, VALUES_COLORMAP, ENDS[name],
                 "Of the material that explains the photographs best.",
             ))  # fmt: skip
+        widest = "; of the three channels, the least known" if intervals.channels(name) > 1 else ""
         maps.append(_scaled(
-            table, estimate, f"Uncertainty of {label}", doubt, COLORMAP,
-            ("certain", "nothing known"), "How far the photographs leave it open.",
+            table, estimate, f"Uncertainty of {label}", intervals.half_width(name), COLORMAP,
+            ("±0", f"±{WIDEST:g} and more"),
+            f"Half the width of its {100 * intervals.level:g} % interval{widest}. Settled is "
+            f"±{TOLERANCE:g}, the darkest sixth of these colours.", WIDEST,
         ))  # fmt: skip
     return maps
 

@@ -10,6 +10,7 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.output import views
 from svu_mi.output.figures import cell_edges
+from svu_mi.output.knowledge import Intervals
 from svu_mi.output.page import NARROW_SPACE, Picture, drawing, grouped
 from svu_mi.output.page import photograph as embedded
 from svu_mi.output.plots import Plot, plot
@@ -17,16 +18,15 @@ from svu_mi.output.relit import SIDE as LARGE
 from svu_mi.output.relit import Comparison, explain
 from svu_mi.output.report.pictures import hexadecimal, spread
 from svu_mi.output.report.turntable import Turntable
-from svu_mi.output.result import Result, mean_marginals, open_axes, words
+from svu_mi.output.result import Result, mean_marginals, open_axes, prior_marginal, words
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.textures import Textures, lay_out
 
 BINS = 25  # of the histogram
 TOPS = (0.2, 0.3, 0.5, 1.0)  # of axes of probability
 CHANNEL_STYLES = ("red", "green", "blue")
-# Texels to look at: names, and the part of all seen texels that are more certain.
-EXAMPLES = (("Certain", 0.01), ("Typical", 0.5),
-            ("Uncertain", 0.99))  # fmt: skip
+# Texels to look at: names, and the part of all seen texels that have a lower entropy.
+EXAMPLES = (("Low entropy", 0.01), ("Median entropy", 0.5), ("High entropy", 0.99))
 ALIKE = 200  # texels of about that entropy, of which the one that is shown best is taken
 COMPARED = 48  # most views that are rendered
 SIDE = 96  # pixels of renders that only errors are taken of
@@ -44,7 +44,7 @@ class Example:
         picture: the object; None if no frame shows the texel.
         x: where it is in the picture, in percent from the left.
         y: the same from the top.
-        plots: pairs of a parameter and its marginal.
+        plots: of each open parameter its name, its marginal, and its interval in words.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Example:
     picture: Picture | None
     x: float
     y: float
-    plots: tuple[tuple[str, Plot], ...]
+    plots: tuple[tuple[str, Plot, str], ...]
 
 
 @dataclass(frozen=True)
@@ -108,14 +108,15 @@ def marginals(estimate: Any, result: Result) -> list[tuple[str, Plot]]:
     found = []
     for name, nodes in open_axes(estimate).items():
         means = mean_marginals(estimate, result, name)
-        found.append((words(name), _marginal(name, nodes, means[False], means[True])))
+        prior = prior_marginal(estimate.posterior, name)
+        found.append((words(name), _marginal(name, nodes, prior, means[False], means[True])))
     return found
 
 
 def examples(
-    table: Turntable, estimate: Any, result: Result, frames: list[Picture]
+    table: Turntable, estimate: Any, result: Result, intervals: Intervals, frames: list[Picture]
 ) -> list[Example]:
-    """Return a very certain texel, a typical one and a very uncertain one, if any is seen."""
+    """Return a texel of low, one of median and one of high entropy, if any is seen."""
     seen = np.flatnonzero(result.seen)
     order = seen[np.argsort(result.entropy[seen], kind="stable")]
     found: list[Example] = []
@@ -132,7 +133,8 @@ def examples(
             f"Entropy {result.entropy[texel]:.2f}, in {grouped(count)} "
             f"photograph{'s' if count != 1 else ''}; column {column}, row {row} of the texture.",
             frames[number] if place else None, 100 * x, 100 * y,
-            tuple((words(n), _texel_marginal(estimate, texel, n)) for n in open_axes(estimate)),
+            tuple((words(n), _texel_marginal(estimate, texel, n),
+                   _interval_words(intervals, n, texel)) for n in open_axes(estimate)),
         ))  # fmt: skip
     return found
 
@@ -212,24 +214,33 @@ def _shown(name: str, comparison: Comparison, error: float) -> Shown:
     return Shown(name, pictures, _percent(error))
 
 
+def _interval_words(intervals: Intervals, name: str, texel: int) -> str:
+    """Word a texel's interval: "0.12 to 0.31", or "R 0.12 to 0.31, G ..."."""
+    low, high = (end[texel] for end in intervals.ends(name))
+    told = [f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True)]
+    return told[0] if len(told) == 1 else ", ".join(map(" ".join, zip("RGB", told, strict=True)))
+
+
 def _texel_marginal(estimate: Any, texel: int, name: str) -> Plot:
     nodes = estimate.posterior.axes[name]
     p = np.array(estimate.posterior.marginal(name, [texel]), np.float64)
-    return _marginal(name, nodes, p.reshape(len(nodes), -1), None)
+    prior = prior_marginal(estimate.posterior, name)
+    return _marginal(name, nodes, prior, p.reshape(len(nodes), -1), None)
 
 
-def _marginal(name: str, nodes: np.ndarray, p: np.ndarray, certain: np.ndarray | None) -> Plot:
-    """Bars, or lines for three channels; dashed: the most certain; dotted: knowing nothing."""
+def _marginal(
+    name: str, nodes: np.ndarray, prior: np.ndarray, p: np.ndarray, lowest: np.ndarray | None
+) -> Plot:  # fmt: skip
+    """Bars, or lines for three channels; dashed: of lowest entropy; dotted: knowing nothing."""
     several = p.shape[1] == 3
     edges = cell_edges(nodes)
-    even = 1 / len(nodes)
-    lines = [("even", edges[[0, -1]], np.array([even, even]))]
+    lines = [("prior", nodes, prior)]
     if several:
         lines += [(style, nodes, p[:, k]) for k, style in enumerate(CHANNEL_STYLES)]
-    if certain is not None:
-        styles = [f"{style} certain" for style in (CHANNEL_STYLES if several else ("ink",))]
-        lines += [(style, nodes, certain[:, k]) for k, style in enumerate(styles)]
-    highest = max(float(p.max()), float(certain.max()) if certain is not None else 0)
+    if lowest is not None:
+        styles = [f"{style} lowest" for style in (CHANNEL_STYLES if several else ("ink",))]
+        lines += [(style, nodes, lowest[:, k]) for k, style in enumerate(styles)]
+    highest = max(float(q.max()) for q in (p, prior, lowest) if q is not None)
     top = next((t for t in TOPS if t >= highest), TOPS[-1])
     return plot(
         edges, None if several else p[:, 0],

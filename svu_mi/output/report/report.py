@@ -13,6 +13,7 @@ import numpy as np
 
 import svu_mi
 from svu_mi.capture import Capture
+from svu_mi.output.knowledge import Intervals, Knowledge
 from svu_mi.output.manifest import environment_record
 from svu_mi.output.page import NARROW_SPACE, grouped, percent, write_page
 from svu_mi.output.relit import DIFFERENCE_COLORMAP, WORST
@@ -60,23 +61,25 @@ def write_report(
     today = datetime.date.today()
     warnings = [_within(capture.source, sentence) for sentence in capture.warnings]
     result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
+    intervals = Intervals(estimate.posterior)
     shown, left_out = pictures.thumbnails(capture, estimate)
     report(1, 5)
     frames = pictures.turning(table, estimate)
     report(2, 5)
     maps = pictures.entropy_maps(table, estimate, result)
     if result.seen.any():
-        maps += pictures.parameter_maps(table, estimate)
+        maps += pictures.parameter_maps(table, estimate, intervals)
     recovered = [] if textures is None else pictures.texture_maps(table, estimate, textures)
     report(3, 5)
-    examples = plots.examples(table, estimate, result, [frame[0] for frame in frames])
+    examples = plots.examples(table, estimate, result, intervals, [frame[0] for frame in frames])
     report(4, 5)
     errors = _errors(capture, estimate, result, textures)
     write_page(
         path, TEMPLATE,
         title=title or _name(capture), version=svu_mi.__version__,
         date=f"{today.day} {today:%B %Y}",
-        summary=_summary(capture, estimate, result, table), thumbnails=shown, left_out=left_out,
+        summary=_summary(capture, estimate, result, intervals, table),
+        thumbnails=shown, left_out=left_out,
         count=capture.count, used=sum(capture.used), frames=frames, maps=maps, recovered=recovered,
         histogram=plots.histogram(result),
         marginals=plots.marginals(estimate, result), examples=examples, errors=errors,
@@ -98,30 +101,37 @@ def _errors(
     return None if textures is None else plots.errors(capture, textures, grey)
 
 
-def _summary(capture: Any, estimate: Any, result: Result, table: Turntable) -> dict[str, Any]:
+def _summary(
+    capture: Any, estimate: Any, result: Result, intervals: Intervals, table: Turntable
+) -> dict[str, Any]:
     """Numbers for the head of the page, and words for them."""
-    parts = findings.Parts.of(estimate, result)
+    knowledge = Knowledge.of(estimate, intervals)
     seen = result.entropy[result.seen]
-    median = float(np.median(seen)) if len(seen) else 1.0
-    total = findings.candidates(estimate)
-    left = findings.candidates(estimate, median)
     views = float(np.median(result.coverage[result.seen])) if len(seen) else 0
     width, height = estimate.texels.resolution
     return {
-        "parts": parts,
+        "seen": knowledge.seen_part,
+        "settled": [
+            (words(name), findings.Parts.of(estimate, result, intervals.half_width(name)),
+             f"±{knowledge.median_half_width[name]:.2f}")
+            for name in knowledge.known_part
+        ],
+        "all_settled": knowledge.all_known_part,
+        "tolerance": f"±{knowledge.tolerance:g}", "roughly": f"±{findings.ROUGHLY:g}",
+        "level": f"{100 * knowledge.level:g}{NARROW_SPACE}%",
+        "cell": f"{max(knowledge.cell_width.values(), default=0):.2f}",
+        "coarse": [words(name) for name in knowledge.cell_width],
         "direction": findings.facing(estimate, ~result.seen, table.up),
         "numbers": [
             ("Photographs used", grouped(sum(capture.used)), f"of {grouped(capture.count)}"),
             ("Points of the surface", grouped(len(result.seen)),
              f"in a texture of {width} × {height}"),
-            ("Seen", percent(1 - parts.unseen),
+            ("Seen", percent(knowledge.seen_part),
              f"of the surface; a point seen is in {views:g} photographs (median)"),
             ("Mean entropy", f"{seen.mean():.2f}" if len(seen) else "–",
-             "of the points seen: 0 = certain, 1 = nothing known"),
-            ("Materials left", f"{left:.0f}" if left >= 1.5 else "1",
-             f"of {grouped(total)} at a typical point"),
+             "of the points seen: 0 = one material left, 1 = nothing known"),
         ],
-        "left": f"{left:.0f}", "total": grouped(total),
+        "cells": grouped(np.prod(estimate.posterior.grid.shape)),
         "parameters": [words(name) for name in open_axes(estimate)],
     }  # fmt: skip
 
@@ -135,7 +145,7 @@ def _record(capture: Any, estimate: Any, settings: Mapping[str, Any] | None) -> 
     rows = [
         ("Method", estimate.method),
         ("Preset", preset.pop("name")),
-        ("Materials tried at each point", grid),
+        ("Cells of the grid", grid),
         *((f"Known {words(n)}", f"{value:g}") for n, value in known(estimate).items()),
         ("Texture", f"{width} × {height}"),
         ("Photographs", f"{', '.join(sizes[:4])}{', …' if len(sizes) > 4 else ''} pixels"),

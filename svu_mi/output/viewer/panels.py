@@ -16,6 +16,7 @@ from svu_mi.pipeline import Estimate
 from svu_mi.recovery.textures import Textures
 
 WIDTH, DPI = 3.6, 160  # inches
+NO_BREAK, DASH = "\u00a0", "\u2060–\u2060"  # a space and a dash at which no line breaks
 NAMED = 4  # cameras that are named; the others are counted
 
 
@@ -25,10 +26,26 @@ def says(capture: Capture, pick: Pick) -> str:
     lines += [f"* entropy **{pick.entropy:.3f}**", f"* {_seen_by(capture, pick)}"]
     if pick.most_probable is None:
         return "\n".join([*lines, "* nothing is known of it"])
-    for name, values in pick.most_probable.items():
-        numbers = ", ".join(f"{value:.2f}" for value in values)
-        lines.append(f"* most probable {words(name)} **{numbers}**")
-    return "\n".join(lines)
+    return "\n".join([*lines, "", *_table(pick)])
+
+
+def _table(pick: Pick) -> list[str]:
+    """Mean, interval and most probable value of each parameter, as lines of a Markdown table."""
+    assert pick.most_probable and pick.mean and pick.interval
+    lines = [f"| | mean | {100 * pick.level:g} % interval | most probable |", "|-|-|-|-|"]
+    for name, best in pick.most_probable.items():
+        low, high = pick.interval[name]
+        for k, channel in enumerate(_channels(len(low))):
+            cells = (
+                f"{words(name)}{channel}".replace(" ", NO_BREAK), f"**{pick.mean[name][k]:.2f}**",
+                f"{low[k]:.2f}{DASH}{high[k]:.2f}", f"{best[k]:.2f}",
+            )  # fmt: skip
+            lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def _channels(count: int) -> tuple[str, ...]:
+    return (" R", " G", " B") if count == 3 else ("",)
 
 
 def _seen_by(capture: Capture, pick: Pick) -> str:

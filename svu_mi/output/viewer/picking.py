@@ -13,6 +13,7 @@ from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
 from svu_mi.interop import owned
 from svu_mi.output import views
+from svu_mi.output.knowledge import Intervals
 from svu_mi.pipeline import Estimate
 from svu_mi.surface import Texels
 from svu_mi.surface.gutter import dilate
@@ -30,6 +31,9 @@ class Pick:
         entropy: in [0, 1].
         seen_by: indices of the sensors that see it.
         most_probable: by parameter, one value, or one per colour channel; None if nobody sees it.
+        mean: the same, of the values that are possible.
+        interval: the same, lower and upper ends of what holds a parameter with a probability.
+        level: that probability.
     """
 
     texel: int
@@ -39,6 +43,9 @@ class Pick:
     entropy: float
     seen_by: tuple[int, ...]
     most_probable: dict[str, np.ndarray] | None
+    mean: dict[str, np.ndarray] | None
+    interval: dict[str, tuple[np.ndarray, np.ndarray]] | None
+    level: float
 
 
 class Picker:
@@ -47,10 +54,14 @@ class Picker:
     Args:
         capture: the ``Capture``; only its ``mesh`` is hit, nothing else in the scene.
         estimate: its ``Estimate``, as ``svu.estimate`` returns it.
+        intervals: of its posterior; if not given, computed at the first pick that needs them.
     """
 
-    def __init__(self, capture: Capture, estimate: Estimate) -> None:
+    def __init__(
+        self, capture: Capture, estimate: Estimate, intervals: Intervals | None = None
+    ) -> None:
         self._capture, self._estimate = capture, estimate
+        self._intervals = intervals or Intervals(estimate.posterior)
         self._nearest = nearest_texel(estimate.texels)
         self._scene = views.alone(capture)
 
@@ -85,6 +96,7 @@ class Picker:
             raise OptionError(f"Texels are numbered 0 to {texels.count - 1}, got {texel}.")
         index = int(texels.index.numpy()[texel])
         seen_by = self._seen_by(texel)
+        names = list(posterior.axes)
         return Pick(
             texel=texel,
             column=index % texels.resolution[0],
@@ -92,8 +104,15 @@ class Picker:
             position=np.array(texels.position, np.float64)[:, texel],
             entropy=float(np.array(self._estimate.entropy)[texel]),
             seen_by=seen_by,
-            most_probable=_most_probable(posterior, texel) if seen_by else None,
+            most_probable=_of_texel(posterior.map([texel]), 0) if seen_by else None,
+            mean=_of_texel({n: posterior.mean(n) for n in names}, texel) if seen_by else None,
+            interval={n: self._interval(n, texel) for n in names} if seen_by else None,
+            level=self._intervals.level,
         )
+
+    def _interval(self, name: str, texel: int) -> tuple[np.ndarray, np.ndarray]:
+        low, high = self._intervals.ends(name)
+        return low[texel], high[texel]
 
     def _seen_by(self, texel: int) -> tuple[int, ...]:
         observed = self._estimate.observed
@@ -112,14 +131,6 @@ def nearest_texel(texels: Texels) -> np.ndarray:
     return dilate(numbers, texels.inside(), float(np.hypot(width, height)))
 
 
-def _most_probable(posterior: Any, texel: int) -> dict[str, np.ndarray]:
-    """``Posterior.map()`` of a single texel, without computing that of all others."""
-    p = np.array(posterior.probabilities_of([texel])).reshape(-1, posterior.groups)
-    nodes = np.unravel_index(p.argmax(axis=0), posterior.grid.shape)
-    values = {
-        name: grid[node] for (name, grid), node in zip(posterior.axes.items(), nodes, strict=True)
-    }
-    return {
-        # Only the last parameter is a channel's own.
-        name: value if name == list(values)[-1] else value[:1] for name, value in values.items()
-    }
+def _of_texel(values: dict[str, Any], index: int) -> dict[str, np.ndarray]:
+    """Values of one of several texels: one, or one per colour channel."""
+    return {name: np.atleast_1d(np.array(of_all)[index]) for name, of_all in values.items()}

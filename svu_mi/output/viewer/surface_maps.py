@@ -11,8 +11,9 @@ import numpy as np
 
 from svu_mi.output import views
 from svu_mi.output.figures import map_colors
+from svu_mi.output.knowledge import WIDEST, Intervals
 from svu_mi.output.result import open_axes, words
-from svu_mi.output.style import COLORMAP, GREY, UNSEEN, VIEWS_COLORMAP
+from svu_mi.output.style import COLORMAP, ENTROPY_ENDS, GREY, UNSEEN, VIEWS_COLORMAP
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.textures import Textures
 from svu_mi.surface.gutter import dilate
@@ -48,24 +49,27 @@ class SurfaceMap:
 
 
 def surface_maps(
-    estimate: Estimate, recovered: Textures | None = None
+    estimate: Estimate,
+    recovered: Textures | None = None,
+    intervals: Intervals | None = None,
 ) -> dict[str, Callable[[], SurfaceMap]]:
     """Return what can be shown, by name; each is computed when it is called.
 
-    Entropy, coverage, the most probable parameters, the entropy of each of their marginals; and
-    recovered textures. Texels that no view sees are grey, but in recovered textures, which have
-    a value everywhere.
+    Entropy, coverage, the most probable parameters, how well each is known (half the width of its
+    interval, and the entropy of its marginal); and recovered textures. Texels that no view sees are
+    grey, but in recovered textures, which have a value everywhere.
 
     Args:
         estimate: what the photographs say.
         recovered: textures of the same resolution.
+        intervals: of the estimate's posterior; computed if not given.
 
     Raises:
         ShapeError: they are of another one.
     """
     coverage = np.array(estimate.coverage).astype(np.float32)
     most = max(float(coverage.max(initial=0)), 1.0)
-    entropy = Scale(colormap=COLORMAP, high=1, label="0 = certain, 1 = nothing known")
+    entropy = Scale(colormap=COLORMAP, high=1, label=ENTROPY_ENDS)
     count = Scale(colormap=VIEWS_COLORMAP, high=most, label="views that see the texel")
     maps: dict[str, Callable[[], SurfaceMap]] = {
         "entropy": partial(_numbers, estimate, lambda: estimate.entropy, entropy),
@@ -76,6 +80,12 @@ def surface_maps(
         # Not in greys: these are for what nobody sees.
         best = Scale(colormap=VIEWS_COLORMAP, high=1, label=words(name))
         maps[f"most probable {words(name)}"] = partial(_best, estimate, name, best)
+    intervals = intervals or Intervals(estimate.posterior)
+    for name in unknown:
+        label = f"half the width of the {100 * intervals.level:g} % interval"
+        scale = Scale(colormap=COLORMAP, high=WIDEST, label=label)
+        width = partial(intervals.half_width, name)
+        maps[f"uncertainty of {words(name)}"] = partial(_numbers, estimate, width, scale)
     for name in unknown:
         marginal = partial(estimate.posterior.marginal_entropy, name)
         maps[f"entropy of {words(name)}"] = partial(_numbers, estimate, marginal, entropy)

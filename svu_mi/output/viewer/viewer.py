@@ -15,6 +15,7 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.capture.poses import bounding_sphere
 from svu_mi.metrics.images import srgb
+from svu_mi.output.knowledge import Intervals
 from svu_mi.output.page import percent
 from svu_mi.output.upright import DIRECTION, Axis, front_and_right, upright
 from svu_mi.output.viewer.frusta import Frustum, frustum
@@ -66,15 +67,16 @@ class Viewer:
     ) -> None:
         require_viser()  # before any work
         self._capture, self._estimate, self._recovered = capture, estimate, recovered
-        self._maps = surface_maps(estimate, recovered)
-        self._picker = Picker(capture, estimate)
+        intervals = Intervals(estimate.posterior)
+        self._maps = surface_maps(estimate, recovered, intervals)
+        self._picker = Picker(capture, estimate, intervals)
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._shown: dict[str, tuple[Any, SurfaceMap]] = {}
         self._center, self._radius = bounding_sphere(capture.mesh)
         self._up = upright(capture) if up is None else np.array(DIRECTION[up])
         front, right = front_and_right(capture, self._center, self._up)
         self._home = np.array(HOME) @ [front, right, self._up]
-        self._picker.pick(self._center, self._up)  # compiled now, not at the first click
+        self._prepare()
         self.picked: Pick | None = None
         self._view: int | None = None
         self._server, self.url = serve(port)
@@ -83,6 +85,13 @@ class Viewer:
         self._frusta = [self._add_frustum(view) for view in range(capture.count)]
         self._listen()
         self.show("entropy")
+
+    def _prepare(self) -> None:
+        """Compile and compute now what the first click needs."""
+        self._picker.pick(self._center, self._up)
+        seen = np.flatnonzero(np.array(self._estimate.coverage))
+        if len(seen):
+            self._picker.describe(int(seen[0]))
 
     def run(self) -> None:
         """Do what the page asks for, until Ctrl-C."""

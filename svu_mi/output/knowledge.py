@@ -1,0 +1,170 @@
+"""What is known in units: how much of the surface has narrow intervals, as numbers and words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from svu_mi.output.page import NARROW_SPACE, percent
+from svu_mi.output.result import open_axes, words
+from svu_mi.posterior import CalibratedPosterior
+from svu_mi.posterior.nodes import cell_edges
+
+TOLERANCE = 0.05  # half-width of an interval from which on a parameter counts as known
+LEVEL = 0.9  # probability that an interval holds
+WIDEST = 6 * TOLERANCE  # half-width at the upper end of a map's colours
+ENOUGH = 4096  # texels that say what part of a surface is known
+ROUNDING = 1e-6  # of interval ends in single precision
+
+
+class Intervals:
+    """Intervals of a posterior's parameters, each computed when it is first asked for.
+
+    Args:
+        posterior: of T texels.
+        level: probability that an interval holds.
+        chosen: (t,) indices of texels; all T by default.
+    """
+
+    def __init__(
+        self, posterior: Any, level: float = LEVEL, chosen: np.ndarray | None = None
+    ) -> None:
+        self.level = level
+        self.chosen = np.arange(posterior.count) if chosen is None else chosen
+        self._posterior = posterior
+        self._ends: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+
+    def ends(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lower and the upper ends, (t, 1) or by channel (t, 3) float32.
+
+        Raises:
+            OptionError: an unknown parameter.
+        """
+        if name not in self._ends:
+            found = self._posterior.interval(name, self.level, self.chosen)
+            low, high = (np.array(end) for end in found)
+            self._ends[name] = low.reshape(len(low), -1), high.reshape(len(high), -1)
+        return self._ends[name]
+
+    def channels(self, name: str) -> int:
+        """Return how many intervals there are of a parameter: 1, or 3 by channel."""
+        return self.ends(name)[0].shape[1]
+
+    def half_width(self, name: str) -> np.ndarray:
+        """Return half the width of the intervals, (t,); of several channels, that of the widest.
+
+        Raises:
+            OptionError: an unknown parameter.
+        """
+        low, high = self.ends(name)
+        return (high - low).max(axis=1) / 2
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """How much of the surface is known to a tolerance, by area.
+
+    Attributes:
+        level: probability that an interval holds.
+        tolerance: half-width of an interval from which on a parameter counts as known.
+        seen_part: part of the surface that any photograph shows.
+        known_part: by parameter that is in question, the part of the surface *seen* where it is
+            known; empty if nothing is seen.
+        all_known_part: part of the surface seen where all of them are; 0 if nothing is seen.
+        median_half_width: by parameter; half of the surface seen is known at least as well.
+        cell_width: by parameter, width of the grid's widest cell, where intervals are made of whole
+            cells and none of this width can be within the tolerance.
+    """
+
+    level: float
+    tolerance: float
+    seen_part: float
+    known_part: dict[str, float]
+    all_known_part: float
+    median_half_width: dict[str, float]
+    cell_width: dict[str, float]
+
+    @classmethod
+    def of(
+        cls, estimate: Any, intervals: Intervals | None = None, tolerance: float = TOLERANCE
+    ) -> Knowledge:
+        """Measure what an estimate says.
+
+        Args:
+            estimate: the ``Estimate``.
+            intervals: of its posterior; by default those of some thousand texels all over what
+                is seen, which tells parts of the surface to a percent or two.
+            tolerance: a half-width.
+        """
+        seen = np.array(estimate.coverage) > 0
+        if intervals is None:
+            intervals = Intervals(estimate.posterior, chosen=_spread(np.flatnonzero(seen)))
+        area = estimate.texels.footprint.numpy().astype(np.float64) ** 2
+        seen_part = part(area, seen)
+        area, seen = area[intervals.chosen], seen[intervals.chosen]
+        names = list(open_axes(estimate)) if seen.any() else []
+        half = {name: intervals.half_width(name)[seen] for name in names}
+        narrow = {name: within(width, tolerance) for name, width in half.items()}
+        every = np.logical_and.reduce(list(narrow.values())) if narrow else np.zeros(0, bool)
+        widest = {name: _widest_cell(estimate.posterior, name) for name in names}
+        return cls(
+            level=intervals.level,
+            tolerance=tolerance,
+            seen_part=seen_part,
+            known_part={name: part(area[seen], yes) for name, yes in narrow.items()},
+            all_known_part=part(area[seen], every) if narrow else 0.0,
+            median_half_width={name: _median(width, area[seen]) for name, width in half.items()},
+            cell_width={name: w for name, w in widest.items() if not within(w / 2, tolerance)},
+        )
+
+    def sentence(self) -> str:
+        """Word it: "Roughness known to ±0.05 on 62 % of the surface seen, metallic on ..."."""
+        if not self.seen_part:
+            return "Nothing is known: no photograph shows the surface."
+        if not self.known_part:
+            return "No parameter is in question: all were taken as known."
+        (first, share), *others = [(words(n), plain_percent(x)) for n, x in self.known_part.items()]
+        told = [f"{first} known to ±{self.tolerance:g} on {share} of the surface seen"]
+        told += [f"{name} on {share}" for name, share in others]
+        limits = f"{100 * self.level:g} % intervals"
+        if self.cell_width:
+            limits += f"; the grid's cells are up to {max(self.cell_width.values()):.2f} wide"
+        text = f"{', '.join(told)} ({limits})."
+        return text[0].upper() + text[1:]
+
+
+def _spread(texels: np.ndarray) -> np.ndarray:
+    """Take at most ``ENOUGH`` of texels, at equal steps: neighbours in order are neighbours."""
+    step = max(len(texels) / ENOUGH, 1)
+    return texels[np.arange(0, len(texels), step).astype(np.int64)]
+
+
+def within(half_width: Any, tolerance: float) -> Any:
+    """Return whether half-widths of intervals are within a tolerance."""
+    return half_width <= tolerance + ROUNDING
+
+
+def part(area: np.ndarray, chosen: np.ndarray) -> float:
+    """Return the part of an area (T,) that is chosen (T,): exactly 1 if all of it is."""
+    return float(area[chosen].sum() / area.sum())
+
+
+def plain_percent(value: float) -> str:
+    """Write a part in [0, 1] in percent, with a space that every terminal and font has."""
+    return percent(value).replace(NARROW_SPACE, " ")
+
+
+def _median(values: np.ndarray, weights: np.ndarray) -> float:
+    """Return the smallest value that half of the weight does not exceed."""
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(below, below[-1] / 2)]])
+
+
+def _widest_cell(posterior: Any, name: str) -> float:
+    """Width of the widest cell that intervals are made of; 0 if they are finer than the grid."""
+    if isinstance(posterior, CalibratedPosterior):
+        return 0.0
+    return float(np.diff(cell_edges(posterior.axes[name])).max())

@@ -1,0 +1,137 @@
+"""What is known in units: figures by hand, and the sentence that says them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from svu_mi.errors import OptionError
+from svu_mi.output.knowledge import Intervals, Knowledge
+from svu_mi.posterior import ParameterGrid, PrincipledGrid, TabulatedPosterior
+
+AXES = {"roughness": np.linspace(0, 1, 21), "base_color": np.linspace(0, 1, 21)}
+# Five texels, the last of them unseen: their sides, and ends of their intervals.
+FOOTPRINT, COVERAGE = (1.0, 2.0, 3.0, 1.0, 5.0), (1, 4, 2, 1, 0)
+ROUGHNESS = ([0.0, 0.3, 0.5, 0.0, 0.0], [0.1, 0.5, 0.58, 1.0, 1.0])
+COLOR = (np.zeros((5, 3)), np.array([[0.1, 0.02, 0.1], [0.1] * 3, [0.02, 0.02, 0.12], [0.3] * 3,
+                                     [0.0] * 3]))  # fmt: skip
+
+
+class Given:
+    """A posterior whose intervals are given; it counts how often they are asked for."""
+
+    def __init__(self, ends, axes):
+        self.ends, self.axes, self.asked = ends, axes, []
+
+    count = 5
+
+    def interval(self, name, level, chosen):
+        self.asked.append((name, level))
+        return tuple(mi.TensorXf(np.array(end, np.float32)[chosen]) for end in self.ends[name])
+
+
+def estimate_of(posterior, coverage=COVERAGE, footprint=FOOTPRINT):
+    return SimpleNamespace(
+        posterior=posterior, coverage=mi.UInt32(coverage),
+        texels=SimpleNamespace(footprint=mi.Float(footprint)),
+    )  # fmt: skip
+
+
+@pytest.fixture
+def posterior():
+    return Given({"roughness": ROUGHNESS, "base_color": COLOR}, AXES)
+
+
+def test_figures_are_those_computed_by_hand(posterior):
+    """Areas seen are 1, 4, 9, 1; half-widths 0.05, 0.1, 0.04, 0.5 and 0.05, 0.05, 0.06, 0.15."""
+    found = Knowledge.of(estimate_of(posterior))
+    assert found.seen_part == pytest.approx(15 / 40)
+    assert found.known_part == pytest.approx({"roughness": 10 / 15, "base_color": 5 / 15})
+    assert found.all_known_part == pytest.approx(1 / 15)
+    assert found.median_half_width == pytest.approx({"roughness": 0.04, "base_color": 0.06})
+    assert found.cell_width == {}
+    assert found.sentence() == (
+        "Roughness known to ±0.05 on 67 % of the surface seen, base colour on 33 % "
+        "(90 % intervals)."
+    )
+
+
+def test_another_tolerance_and_level(posterior):
+    intervals = Intervals(posterior, level=0.5)
+    found = Knowledge.of(estimate_of(posterior), intervals, tolerance=0.15)
+    assert found.known_part == pytest.approx({"roughness": 14 / 15, "base_color": 1})
+    assert found.sentence().startswith("Roughness known to ±0.15 on 93 % of the surface seen, ")
+    assert found.sentence().endswith("base colour on 100 % (50 % intervals).")
+
+
+def test_intervals_are_computed_once(posterior):
+    intervals = Intervals(posterior)
+    Knowledge.of(estimate_of(posterior), intervals)
+    np.testing.assert_allclose(intervals.half_width("roughness")[:3], [0.05, 0.1, 0.04], atol=1e-6)
+    assert intervals.channels("roughness") == 1 and intervals.channels("base_color") == 3
+    assert sorted(posterior.asked) == [("base_color", 0.9), ("roughness", 0.9)]
+
+
+def test_a_sample_stands_for_a_large_surface():
+    """Half-widths grow along the surface; areas, too."""
+    count = 100_000
+    half, area = np.linspace(0, 0.2, count), np.linspace(1, 2, count)
+    posterior = Given({"roughness": (0 * half, 2 * half)}, {"roughness": AXES["roughness"]})
+    posterior.count = count
+    coverage = np.arange(count) % 10 != 0
+    estimate = estimate_of(posterior, coverage.astype(np.uint32), np.sqrt(area))
+    found = Knowledge.of(estimate)
+    exact = Knowledge.of(estimate, Intervals(posterior))
+    assert found.seen_part == exact.seen_part == pytest.approx(0.9, abs=1e-3)
+    assert found.known_part["roughness"] == pytest.approx(exact.known_part["roughness"], abs=2e-3)
+    assert 0.1 < exact.known_part["roughness"] < 0.25
+
+
+def test_nothing_seen_is_said_and_nothing_computed(posterior):
+    found = Knowledge.of(estimate_of(posterior, coverage=(0,) * 5))
+    assert (found.seen_part, found.known_part, found.all_known_part) == (0, {}, 0)
+    assert found.sentence() == "Nothing is known: no photograph shows the surface."
+    assert posterior.asked == []
+
+
+def test_what_is_known_beforehand_is_no_finding(posterior):
+    posterior.axes = {"roughness": np.array([0.3]), "base_color": AXES["base_color"]}
+    found = Knowledge.of(estimate_of(posterior))
+    assert list(found.known_part) == ["base_color"] and found.all_known_part == pytest.approx(1 / 3)
+    assert found.sentence() == (
+        "Base colour known to ±0.05 on 33 % of the surface seen (90 % intervals)."
+    )
+    posterior.axes = {name: np.array([0.3]) for name in AXES}
+    found = Knowledge.of(estimate_of(posterior))
+    assert found.sentence() == "No parameter is in question: all were taken as known."
+
+
+def certain(grid, cell):
+    """A texel of which one cell is left."""
+    energies = np.full((1, *grid.shape), 80.0)
+    energies[(0, *cell)] = 0
+    return TabulatedPosterior(grid=grid, observed=np.ones(1, bool), energies=energies)
+
+
+def test_a_coarse_grid_knows_no_better_than_its_cells():
+    """The one cell left is 1/7 wide, or half of that at an end of the range."""
+    posterior = certain(PrincipledGrid(8, 8, 21), (3, 0, 5))
+    found = Knowledge.of(estimate_of(posterior, (1,), (1.0,)))
+    half = {"roughness": 1 / 14, "metallic": 1 / 28, "base_color": 1 / 40}
+    assert found.median_half_width == pytest.approx(half, abs=1e-6)
+    assert found.known_part == {"roughness": 0, "metallic": 1, "base_color": 1}
+    assert found.cell_width == pytest.approx({"roughness": 1 / 7, "metallic": 1 / 7})
+    assert found.sentence().endswith("(90 % intervals; the grid's cells are up to 0.14 wide).")
+
+
+def test_the_parameters_are_those_of_the_grid():
+    posterior = certain(ParameterGrid(21, 21, "uniform"), (3, 4))
+    found = Knowledge.of(estimate_of(posterior, (2,), (1.0,)))
+    assert found.sentence() == (
+        "Roughness known to ±0.05 on 100 % of the surface seen, specular on 100 % (90 % intervals)."
+    )
+    with pytest.raises(OptionError, match="no parameter 'metallic'"):
+        Intervals(posterior).ends("metallic")
