@@ -286,7 +286,8 @@ def preset(
     """Return a named preset, with single switches replaced.
 
     Args:
-        base: ``paper``, ``default``, ``fast``, or a preset to start from.
+        base: ``paper``, ``default``, ``fast``, ``fixed`` (angular only), or a preset to start
+            from.
         method: the estimator it is for; each has switches of its own.
         **switches: fields of ``Preset`` or ``AngularPreset`` to replace, such as ``degree=5``.
 
@@ -299,7 +300,12 @@ def preset(
     kind: type[AnyPreset] = AngularPreset if method == "angular" else Preset
     named: dict[str, Any] = ANGULAR_PRESETS if method == "angular" else PRESETS  # type: ignore[assignment]
     if isinstance(base, str) and base not in named:
-        raise OptionError(f"Unknown preset {base!r}; there are {', '.join(sorted(named))}.")
+        other = "spectrum" if method == "angular" else "angular"
+        elsewhere = base in (PRESETS if method == "angular" else ANGULAR_PRESETS)
+        raise OptionError(
+            f"Unknown preset {base!r} of method {method!r}; there are {', '.join(sorted(named))}."
+            + (f" {base!r} is one of method={other!r}." if elsewhere else "")
+        )
     known = {field.name for field in fields(kind)}
     unknown = sorted(set(switches) - known)
     if unknown:

@@ -139,6 +139,11 @@ def observed_of(
                 "The estimate does not know its capture; use what svu.estimate() returns."
             )
         source = source.observed
+    if not isinstance(source, Capture | Observed):
+        raise OptionError(
+            f"A capture or an estimate is needed, got {type(source).__name__}; read a capture with "
+            "svu.load_capture(path)."
+        )
     if isinstance(source, Observed):
         if texels is not None and texels is not source.texels:
             raise OptionError(
@@ -174,7 +179,9 @@ def estimate(
         grid: nodes of the parameter grid; by default 8 per parameter: roughness, metallic and
             base colour (``PrincipledGrid``), or roughness and Ks (``ParameterGrid``), as the
             preset's ``parameters`` say.
-        prior: non-negative weights of the grid's cells; uniform by default.
+        prior: non-negative weights of the grid's cells, of its shape; or one per roughness. By
+            default uniform, but for metallic of angular ``default`` and ``fast``, which is 0 or 1
+            with a probability of .8 (the preset's ``metals``).
         known: parameters that are not in question, such as ``{"metallic": 0.0}``: they leave
             the grid, and the entropy is that of the others. ``"scene"`` takes what the scene's
             own ``principled`` material does not vary. Nothing by default: in a scene made for

@@ -170,15 +170,18 @@ def test_intervals_are_the_shortest_that_hold_enough(
     ):  # fmt: skip
         low, high = (np.array(end, np.float64) for end in found.interval(name, level))
         below = np.concatenate([np.zeros((1, 96)), np.cumsum(masses, axis=0)])
+        # Where metallic is 0 or 1, textures of 8 bits may be a little off.
+        atoms = 0.02 * (parts.low == parts.high)
+        lows, highs = np.maximum(parts.low - atoms, 0), np.minimum(parts.high + atoms, 1)
         for t in range(96):
-            a = np.flatnonzero(np.isclose(parts.low, low[t]))
-            b = np.flatnonzero(np.isclose(parts.high, high[t]))
+            a = np.flatnonzero(np.isclose(lows, low[t]))
+            b = np.flatnonzero(np.isclose(highs, high[t]))
             held = max(below[j + 1, t] - below[i, t] for i in a for j in b)
             assert held >= level - 1e-3
             shorter = [
                 below[j + 1, t] - below[i, t]
                 for i in range(len(masses)) for j in range(i, len(masses))
-                if parts.high[j] - parts.low[i] < high[t] - low[t] - 1e-6
+                if highs[j] - lows[i] < high[t] - low[t] - 1e-6
             ]  # fmt: skip
             assert max(shorter, default=0) < level + 1e-3
     low, high = (np.array(end) for end in found.interval("base_color", level))

@@ -15,7 +15,7 @@ from svu_mi.posterior.nodes import cell_edges
 TOLERANCE = 0.05  # half-width of an interval from which on a parameter counts as known
 LEVEL = 0.9  # probability that an interval holds
 WIDEST = 6 * TOLERANCE  # half-width at the upper end of a map's colours
-ENOUGH = 4096  # texels that say what part of a surface is known
+ENOUGH = 16384  # texels that say what part of a surface is known
 ROUNDING = 1e-6  # of interval ends in single precision
 
 

@@ -26,7 +26,7 @@ def shortest(masses: Any, parts: Axis, count: int, level: float) -> tuple[Any, A
     """
     number = dr.opaque(mi.UInt32, parts.count)
     place = start(dr.arange(mi.UInt32, count), number)
-    low, high = owned(mi.Float, parts.low), owned(mi.Float, parts.high)
+    low, high = (owned(mi.Float, ends) for ends in parts.ends)
 
     def mass(part: Any, active: Any = True) -> Any:
         return dr.gather(mi.Float, masses, place + part * BLOCK, active)

@@ -13,6 +13,7 @@ import numpy as np
 
 METALLIC_PARTS = 14  # between 0 and 1, at least
 COLOR_PARTS = 42  # for intervals only
+NEAR_ENOUGH = 0.02  # to metallic 0 or 1: textures of 8 bits seldom hold exactly these
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,15 @@ class Axis:
     def value(self) -> np.ndarray:
         """(N,) float64, the middle of every part."""
         return (self.low + self.high) / 2
+
+    @property
+    def ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """What intervals are made of, (N,) float64 both: ``low`` and ``high``, and around single
+        values that are not all there is what can be taken for them."""
+        if self.count == 1:
+            return self.low, self.high
+        slack = np.where(self.low == self.high, NEAR_ENOUGH, 0)
+        return np.maximum(self.low - slack, 0), np.minimum(self.high + slack, 1)
 
     @property
     def count(self) -> int:

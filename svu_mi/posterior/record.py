@@ -19,7 +19,7 @@ from svu_mi.interop import owned
 from svu_mi.posterior.cells import draw_cells, marginals_of
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.intervals import shortest
-from svu_mi.posterior.nodes import cells_of
+from svu_mi.posterior.nodes import cell_edges, cells_of
 from svu_mi.statistics.blocks import in_blocks
 
 CHUNK = 1 << 22  # cells per pass of everything that is not the entropy
@@ -77,7 +77,8 @@ class Posterior(ABC):
     def entropy(self) -> Any:
         """Return H = -1/log(n) sum p log p, (T,) TensorXf in [0, 1] (Eq. 5).
 
-        n is the number of cells of the grid. When each channel has a distribution of its own,
+        n is the number of cells of the grid. A calibrated posterior has the prior's entropy in
+        place of log(n), of which more is cut off: 1 says that photographs add nothing. When each channel has a distribution of its own,
         the mean of their entropies. Computed in one kernel, without the probabilities.
         """
         return mi.TensorXf(self._entropy)
@@ -219,7 +220,8 @@ class Posterior(ABC):
         """Return the shortest interval that holds a parameter with a probability.
 
         It is made of parts of the parameter's range (cells of the grid, or finer), and goes to
-        the outer edges of the first and the last. Where nobody looked it is all of [0, 1].
+        the outer edges of the first and the last. Where nobody looked it is all that the prior
+        allows, [0, 1] without a prior of one's own.
 
         Args:
             name: a name of ``axes``.
@@ -238,8 +240,9 @@ class Posterior(ABC):
             raise OptionError(f"Posterior.interval(): level must be in (0, 1), got {level!r}.")
         texels = np.arange(self.count) if chosen is None else self._indices(chosen)
         low, high = self._ends(name, level, texels)
-        unseen, known = ~self.observed[texels], len(self.axes[name]) == 1
-        low[unseen], high[unseen] = self.axes[name][[0, -1]] if known else (0, 1)
+        unseen, edges = ~self.observed[texels], cell_edges(self.axes[name])
+        allowed = np.flatnonzero(marginals_of(self.prior, list(self.axes))[name])
+        low[unseen], high[unseen] = edges[allowed[0]], edges[allowed[-1] + 1]
         return self._shaped(name, low), self._shaped(name, high)
 
     def draw(self, count: int = 1, seed: int = 0) -> dict[str, Any]:
