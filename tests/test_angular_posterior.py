@@ -221,6 +221,8 @@ def test_wrong_input_is_named():
     assert "\n" not in str(caught.value)
     with pytest.raises(ShapeError, match="the grid's roughness is"):
         angular_posterior(replace(statistics, roughness=statistics.roughness**2), PRINCIPLED)
+    with pytest.raises(OptionError, match="is for calibrated_posterior"):
+        angular_posterior(statistics, PRINCIPLED, preset="default")
     with pytest.raises(OptionError, match="need a PrincipledGrid"):
         angular_posterior(statistics, SPECULAR)
     with pytest.raises(OptionError, match="scale must be positive"):
@@ -311,7 +313,7 @@ def test_statistics_and_posterior_together_are_brute_force(scene, channels):
 
 
 @pytest.mark.parametrize("gain", [0.25, 4.0])
-@pytest.mark.parametrize("noise", ["relative", "heteroscedastic", "marginal"])
+@pytest.mark.parametrize("noise", ["estimated", "relative", "heteroscedastic", "marginal"])
 def test_exposure_does_not_matter(tmp_path, glossy, noise, gain):
     brighter_scene = ball_scene(tmp_path, {**STUDIO, "scale": gain}, GLOSSY)
     brighter = replace(
@@ -328,7 +330,8 @@ def test_exposure_does_not_matter(tmp_path, glossy, noise, gain):
 def test_every_result_is_in_range_and_unseen_texels_are_1(scene):
     capture = noise_capture(scene, [0, 4], bright=1e4)
     texels = svu.texels(capture.mesh, 20)
-    for switches in (angular(), angular(channels="joint", parameters="specular")):
+    specular = angular(channels="joint", parameters="specular")
+    for switches in (angular(), angular("default"), specular):
         result = estimate(capture, texels, preset=switches)
         H, seen = np.array(result.entropy), np.array(result.coverage) > 0
         assert np.isfinite(H).all()

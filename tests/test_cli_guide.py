@@ -150,7 +150,7 @@ def test_the_sphere_of_candidates_is_where_it_is_asked_to_be(shot, tmp_path, no_
     "words",
     [
         ("--method", "spectrum", "--preset", "paper"), ("--strategy", "d-optimal"),
-        ("--preset", "calibrated", "--known", "metallic=0", "--lazy", "--hypotheses", "4"),
+        ("--preset", "fixed", "--known", "metallic=0", "--lazy", "--hypotheses", "4"),
     ],
     ids=" ".join,
 )  # fmt: skip
@@ -192,7 +192,7 @@ EARLY = {  # refused before anything is loaded
     "mixed": (["--reachable", "{mixed}"], "mixed.json: expected a list of numbers"),
     "flags": (["--reachable", "{flags}"], "flags.json: 2 flags for 100 candidates"),
     "spectrum": (["--method", "spectrum"], "--preset paper"),
-    "calibrated": (["--method", "spectrum", "--preset", "calibrated"], "Unknown preset"),
+    "fixed": (["--method", "spectrum", "--preset", "fixed"], "Unknown preset"),
     "d-optimal": (
         ["--method", "spectrum", "--preset", "paper", "--strategy", "d-optimal"], "--strategy",
     ),

@@ -59,7 +59,7 @@ def calls(monkeypatch) -> Counter[str]:
 USES: dict[str, Callable[[Any], Any]] = {
     "estimate": lambda e: svu.estimate(e),
     "spectrum": lambda e: svu.estimate(e, method="spectrum"),
-    "calibrated": lambda e: svu.estimate(e, preset="calibrated"),
+    "fixed": lambda e: svu.estimate(e, preset="fixed"),
     "fast": lambda e: svu.estimate(e, preset="fast"),
     "recover": lambda e: svu.recover(e, sh=BRIEF),
     "sharing": lambda e: svu.recover(e, sh=BRIEF, sharing=True),

@@ -331,7 +331,7 @@ def test_xml(tmp_path, parallel):
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        ({"preset": "best"}, "no preset 'best'; use default, calibrated, fast, paper"),
+        ({"preset": "best"}, "no preset 'best'; use default, fixed, fast, paper"),
         ({"levels": 1}, r"levels must be in \[2, 256\], got 1"),
         ({"ocllusion": True}, "ocllusion"),
     ],

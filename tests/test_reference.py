@@ -16,10 +16,13 @@ from helpers import ball, ball_scene, memory_capture, render_ball, write_ball
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.poses import sphere_sensors
 from svu_mi.errors import CaptureError, OptionError, SvuWarning
+from svu_mi.options import AngularPreset
+from svu_mi.pipeline import estimate
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.progress import Progress
 from svu_mi.reference import pairs, posterior, reference_posterior, trace
 from svu_mi.reference.deviations import PerTexel, brute, linear
+from svu_mi.statistics.factors import PAIRS
 from svu_mi.surface import texels
 
 GRID = PrincipledGrid(3, 3, 3)
@@ -224,7 +227,7 @@ def ball_part(tmp_path, kind: str, bsdf: dict[str, Any]) -> dict[str, Any]:
     return {"type": "ply", "filename": str(write_ball(tmp_path)), "bsdf": bsdf}
 
 
-@pytest.mark.parametrize("noise", ["relative", "heteroscedastic"])
+@pytest.mark.parametrize("noise", ["relative", "heteroscedastic", "estimated"])
 def test_exposure_does_not_matter(tmp_path, capture, layout, noise):
     """Four times the light and four times the photographs: the same entropies."""
     bright = memory_capture(
@@ -255,8 +258,9 @@ def test_energies_are_weighted_squares_of_the_mean_radiance(capture, layout, mon
         capture, layout, 20, 4, grid=grid, sigma=sigma, method="brute", noise=noise, seed=SEED
     )
     (pair,), scale = found, reference.scale
-    halves = np.array(rendered)  # (psi, half, P)
-    assert halves.shape == (12, 2, pair.count)
+    halves = np.array(rendered)  # (psi, half, P, channel)
+    assert halves.shape == (12, 2, pair.count, 3)
+    halves = halves.mean(axis=-1)
     for k in range(20):
         own = pair.texel == k
         b = pair.observed[own]
@@ -272,14 +276,70 @@ def test_energies_are_weighted_squares_of_the_mean_radiance(capture, layout, mon
         assert energies(reference)[k].ravel() == pytest.approx(product, rel=1e-9, abs=1e-9)
 
 
+def test_a_noise_that_is_estimated_is_that_of_sums_of_weighted_samples(
+    capture, layout, monkeypatch
+):
+    """Sums of one texel again, from the pairs and the traced halves, in NumPy; and their uses."""
+    found, rendered = [], []
+    find, render = posterior.visible_pairs, posterior.trace
+    monkeypatch.setattr(
+        posterior, "visible_pairs", lambda *args: found.append(find(*args)) or found[-1]
+    )
+    monkeypatch.setattr(
+        posterior, "trace", lambda *args: rendered.append(render(*args)) or rendered[-1]
+    )
+    reference = reference_posterior(
+        capture, layout, 20, 4, grid=GRID, noise="estimated", seed=SEED
+    )
+    switches = AngularPreset()
+    (pair,), levels, kappa = found, switches.levels, switches.knee * reference.unit
+    halves = np.array(rendered).reshape(levels, 4, 2, pair.count, 3)  # corner, half
+    for k in range(20):
+        own = pair.texel == k
+        b, grey = pair.radiance[own], pair.observed[own]
+        w = 1 / (1 + (grey**2 + switches.edges * pair.contrast[own]) / kappa**2)
+        assert reference.traced.weight[k] == pytest.approx(w.sum(), rel=1e-9)
+        a, c = halves[:, :, 0, own], halves[:, :, 1, own]
+        for table, r in zip(reference.traced.tables, ((a + c) / 2, a, c), strict=True):
+            black, white, dark, bright = np.moveaxis(r, 1, 0)  # (R, P, C) each
+            x = np.stack([white - black, bright - dark, dark - black, black - b])
+            expected = np.einsum("p,irpc,jrpc->rcij", w, x, x)
+            pairs_of = np.stack([expected[..., i, j] for i, j in PAIRS], axis=-1)
+            assert table[..., k] == pytest.approx(pairs_of, rel=1e-9, abs=1e-12)
+    assert reference.posterior.groups == 3
+    assert np.array(reference.posterior.probabilities).shape == (20, *GRID.shape, 3)
+    with pytest.raises(OptionError, match="none where the noise is estimated"):
+        _ = reference.unbiased_energies
+
+
+def test_a_noise_that_is_estimated_gives_the_estimator_s_own_posterior(capture, layout):
+    """From one side of the ball, so that some texels are seen by few views; 256 paths leave a
+    correlation of 0.95, and 1024 no more."""
+    half = replace(capture, used=tuple(k < 12 for k in range(24)))
+    ours, fixed = (estimate(half, layout, preset=name) for name in ("default", "fixed"))
+    reference = reference_posterior(ours, None, 80, 256, noise="estimated", seed=SEED)
+    H, other = (np.array(x.entropy)[reference.subset] for x in (ours, fixed))
+    rho = np.corrcoef(H, reference.entropy)[0, 1]
+    assert rho > 0.9
+    assert rho > np.corrcoef(other, reference.entropy)[0, 1] + 0.1
+    assert np.abs(H - reference.entropy).mean() < 0.06
+    assert abs((H - reference.entropy).mean()) < 0.03
+    for name, bar in (("roughness", 0.06), ("metallic", 0.05), ("base_color", 0.03)):
+        a = np.array(ours.posterior.mean(name))[reference.subset]
+        assert np.abs(a - np.array(reference.posterior.mean(name))).mean() < bar, name
+    # More of the paths' noise can only be taken for noise of the photographs.
+    assert 1 < np.median(reference.posterior.noise) / np.median(ours.posterior.noise) < 2
+    assert reference.split_half().correlation > 0.85
+
+
 def test_weights_go_through_the_four_corners():
     """Where radiance is exactly bilinear, both ways give the same weighted means."""
     rng = np.random.default_rng(SEED)
     texel, observed, weight = rng.integers(0, 3, 40), rng.random(40), rng.random(40)
-    corners = rng.random((2, 2, 2, 40))  # half, metallic, base colour
+    corners = rng.random((2, 2, 2, 40, 3))  # half, metallic, base colour, pair, channel
 
     def render(_roughness: float, m: float, c: float) -> tuple[np.ndarray, np.ndarray]:
-        return tuple(np.einsum("hmcp,m,c->hp", corners, [1 - m, m], [1 - c, c]))
+        return tuple(np.einsum("hmcpk,m,c->hpk", corners, [1 - m, m], [1 - c, c]))
 
     mean = PerTexel(texel, 3, weight)
     a, b = (derive(observed, mean, GRID, render) for derive in (linear, brute))
@@ -296,7 +356,8 @@ def test_two_halves_take_the_noise_out_of_squares():
         return (1 - metallic) * (base_color * diffuse + coat) + metallic * base_color * metal
 
     def render(*psi: float) -> tuple[np.ndarray, np.ndarray]:
-        return tuple(exact(*psi) + deviation * rng.standard_normal((2, count)))
+        grey = exact(*psi) + deviation * rng.standard_normal((2, count))
+        return tuple(np.repeat(grey[..., None], 3, axis=-1))
 
     observed = np.full(count, exact(1.0, 0.5, 0.5))
     truth = np.array(
@@ -349,9 +410,10 @@ def test_batches_change_nothing_but_the_random_numbers(capture, layout, monkeypa
     assert np.median(np.abs(parts.entropy - whole.entropy)) < 0.05
 
 
-def test_rays_that_miss_are_left_out(capture, layout, monkeypatch):
+@pytest.mark.parametrize("noise", ["relative", "estimated"])
+def test_rays_that_miss_are_left_out(capture, layout, monkeypatch, noise):
     monkeypatch.setattr(pairs, "TOLERANCE", 0.0)
-    reference = reference_posterior(capture, layout, 20, 2, grid=GRID)
+    reference = reference_posterior(capture, layout, 20, 2, grid=GRID, noise=noise)
     assert reference.dropped > 20
     assert reference.rays == 0
     assert not reference.posterior.observed.any()
@@ -359,10 +421,11 @@ def test_rays_that_miss_are_left_out(capture, layout, monkeypatch):
     assert np.isnan(reference.split_half().correlation)
 
 
-def test_a_texel_nobody_sees_has_entropy_one(capture, layout):
+@pytest.mark.parametrize("noise", ["relative", "estimated"])
+def test_a_texel_nobody_sees_has_entropy_one(capture, layout, noise):
     masks = tuple(np.arange(48 * 48).reshape(48, 48) % 48 < 24 for _ in capture.images)
-    half = replace(capture, masks=masks)
-    reference = reference_posterior(half, layout, np.arange(layout.count), 2, grid=GRID)
+    half, everyone = replace(capture, masks=masks), np.arange(layout.count)
+    reference = reference_posterior(half, layout, everyone, 2, grid=GRID, noise=noise)
     unseen = reference.coverage == 0
     assert np.array_equal(reference.posterior.observed, ~unseen)
     assert (reference.entropy[unseen] == 1).all()
@@ -383,7 +446,8 @@ def test_split_half_tells_noise(capture, layout):
     assert "spp=64" in repr(reference)
 
 
-def test_no_psi_and_no_batch_compiles_a_kernel(capture, layout, monkeypatch):
+@pytest.mark.parametrize("noise", ["relative", "estimated"])
+def test_no_psi_and_no_batch_compiles_a_kernel(capture, layout, monkeypatch, noise):
     """After two renders of the first batch, everything is found in the cache."""
     monkeypatch.setattr(posterior, "LANES", 600)
     monkeypatch.setattr(trace, "LANES", 500)
@@ -400,10 +464,14 @@ def test_no_psi_and_no_batch_compiles_a_kernel(capture, layout, monkeypatch):
                 dr.kernel_history_clear()
 
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        reference_posterior(capture, layout, 60, 4, grid=GRID, progress=Watch())
+        options = {"grid": GRID, "noise": noise, "progress": Watch()}
+        for _ in range(1 if noise == "relative" else 2):  # sums become a posterior afterwards
+            done.clear()
+            reference_posterior(capture, layout, 60, 4, **options)
         history = dr.kernel_history((dr.KernelType.JIT,))
-    assert done == list(range(1, 37))
-    assert len(history) > 34
+    renders = 36 if noise == "relative" else 96
+    assert done == list(range(1, renders + 1))
+    assert len(history) > renders - 2
     assert all(entry["cache_hit"] and not entry["cache_disk"] for entry in history)
 
 
@@ -439,18 +507,28 @@ def traced(monkeypatch):
     return calls
 
 
-def test_a_cached_reference_is_not_traced_again(capture, layout, tmp_path, traced):
-    first = reference_posterior(capture, layout, 20, 2, grid=GRID, cache=tmp_path / "new")
+@pytest.mark.parametrize("noise", ["relative", "estimated"])
+def test_a_cached_reference_is_not_traced_again(capture, layout, tmp_path, traced, noise):
+    options = {"grid": GRID, "noise": noise, "cache": tmp_path / "new"}
+    first = reference_posterior(capture, layout, 20, 2, **options)
     count = len(traced)
-    second = reference_posterior(capture, layout, 20, 2, grid=GRID, cache=tmp_path / "new")
+    second = reference_posterior(capture, layout, 20, 2, **options)
     assert count > 0
     assert len(traced) == count
     assert (first.cached, second.cached) == (False, True)
     for name in ("subset", "brightness", "coverage", "entropy"):
         assert np.array_equal(getattr(first, name), getattr(second, name)), name
-    for name in ("scale", "seconds", "rays", "dropped", "spp", "max_depth", "method"):
+    for name in ("scale", "unit", "seconds", "rays", "dropped", "spp", "max_depth", "method"):
         assert getattr(first, name) == getattr(second, name), name
-    assert np.array_equal(energies(first), energies(second))
+    assert np.array_equal(first.traced.tables, second.traced.tables)
+    for name in ("observed", "probabilities"):
+        a, b = (np.array(getattr(x.posterior, name)) for x in (first, second))
+        assert np.array_equal(a, b), name
+    if noise == "estimated":
+        assert np.array_equal(first.traced.weight, second.traced.weight)
+        assert np.array_equal(first.posterior.noise, second.posterior.noise)
+    else:
+        assert np.array_equal(energies(first), energies(second))
     assert second.split_half().correlation == first.split_half().correlation
 
 
@@ -482,6 +560,8 @@ def test_whatever_matters_misses_the_cache(capture, layout, tmp_path, traced):
     assert run(grid=PrincipledGrid(3, 3, 2))
     assert run(method="brute")
     assert run(noise="heteroscedastic")
+    assert run(noise="estimated")
+    assert run(noise="estimated", grid=PrincipledGrid(3, 3, 2))
     assert not run()
 
 
@@ -526,7 +606,12 @@ def test_a_damaged_cache_is_traced_again(capture, layout, tmp_path, damage):
         ({"max_depth": 1}, "max_depth must be at least 2"),
         ({"max_depth": 3}, "use method='brute' for max_depth 3"),
         ({"method": "magic"}, "method must be linear or brute, got 'magic'"),
-        ({"noise": "fixed"}, "noise must be relative or heteroscedastic, got 'fixed'"),
+        (
+            {"noise": "fixed"},
+            "noise must be relative or heteroscedastic or estimated, got 'fixed'",
+        ),
+        ({"noise": "estimated", "method": "brute"}, "needs method='linear', whose sums it is"),
+        ({"noise": "estimated", "max_depth": 3}, "use method='brute' for max_depth 3"),
         ({"seed": -1}, "seed must be a whole number >= 0"),
     ],
 )

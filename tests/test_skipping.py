@@ -16,7 +16,9 @@ from svu_mi.errors import OptionError
 from svu_mi.options import NOTHING, Skip, preset
 from svu_mi.pipeline import estimate
 
-METHODS = pytest.mark.parametrize("method", ["angular", "spectrum"])
+RULES = pytest.mark.parametrize(
+    "method, rule", [("angular", "default"), ("angular", "fixed"), ("spectrum", "default")]
+)
 TOLERANCE = 1e-5
 RNG = np.random.default_rng(5)
 TEXTURE = {
@@ -66,15 +68,18 @@ def grey(tmp_path_factory):
     return capture, svu.texels(capture.mesh, 40)
 
 
+AXES = {"roughness": 0, "metallic": 1, "base_color": 2}
+
+
 def entropy(result):
     return np.array(result.entropy)
 
 
-@METHODS
+@RULES
 @pytest.mark.parametrize("name", ["unseen", "pairs", "blind", "channels", "levels"])
-def test_every_switch_leaves_the_result(grey, method, name):
+def test_every_switch_leaves_the_result(grey, method, rule, name):
     capture, texels = grey
-    switches = preset("default", method=method, channels="joint")
+    switches = preset(rule, method=method, channels="joint")
     prior = np.array([0, 0, 1, 1, 2, 1, 1, 0.0])
     ours = estimate(capture, texels, method, switches, prior=prior)
     alone = Skip(**{**vars(NOTHING), name: True})
@@ -109,18 +114,24 @@ def test_the_record_says_what_was_skipped(grey, caplog):
         assert words in said
 
 
-def test_work_is_really_left_out(grey):
-    """Statistics of two levels and one channel only, whatever the grid."""
+@pytest.mark.parametrize("name", ["default", "fixed"])
+def test_work_is_really_left_out(grey, name):
+    """Statistics of one channel only, and two levels; or, between levels, two cells' nodes."""
     capture, texels = grey
-    switches = preset("default", method="angular", channels="joint")
+    switches = preset(name, method="angular", channels="joint")
     prior = np.array([0, 0, 1, 1, 0, 0, 0, 0.0])
     few, all_of_it = (
         estimate(capture, texels, "angular", switches, prior=prior, skip=skip).posterior.problem
         for skip in (Skip(), NOTHING)
     )
-    assert (few.factors.levels, few.factors.channels) == (2, 1)
-    assert (all_of_it.factors.levels, all_of_it.factors.channels) == (8, 3)
-    assert few.total == all_of_it.total == 512
+    assert (few.factors.channels, all_of_it.factors.channels) == (1, 3)
+    if name == "fixed":
+        assert (few.factors.levels, all_of_it.factors.levels) == (2, 8)
+        assert few.total == all_of_it.total == 512
+    else:
+        assert few.factors.levels == all_of_it.factors.levels == 8
+        assert few.roughness.count == all_of_it.roughness.count == 2 * 42 / 7
+        assert set(few.roughness.cell) == {2, 3}
 
 
 @pytest.mark.parametrize("channels", ["joint", "sum", "minimum"])
@@ -134,14 +145,14 @@ def test_one_channel_stands_for_three(grey, channels):
     np.testing.assert_allclose(entropy(one), entropy(three), atol=TOLERANCE)
 
 
-@METHODS
+@RULES
 @pytest.mark.parametrize("colored", ["light", "object"])
-def test_of_coloured_photographs_only_grey_light_is_skipped(tmp_path, method, colored):
+def test_of_coloured_photographs_only_grey_light_is_skipped(tmp_path, method, rule, colored):
     emitter = lamps((1.0, 0.7, 0.4)) if colored == "light" else lamps()
     paint = {"base_color": {"type": "rgb", "value": [0.7, 0.3, 0.2]}} if colored == "object" else {}
     capture = one_sided(tmp_path, emitter, material(**paint))
     texels = svu.texels(capture.mesh, 24)
-    switches = preset("default", method=method, channels="joint")
+    switches = preset(rule, method=method, channels="joint")
     result = estimate(capture, texels, method, switches)
     assert result.skipped["channels of the photographs equal to another"] == 0
     expected = 2 if colored == "object" else 0
@@ -163,22 +174,35 @@ def test_a_bright_grey_sun_does_not_make_a_coloured_sky_grey(tmp_path):
 # --- known parameters -----------------------------------------------------------------------
 
 
-@METHODS
+@pytest.mark.parametrize("method, rule", [("angular", "fixed"), ("spectrum", "default")])
 @pytest.mark.parametrize("name, node", [("metallic", 0), ("metallic", 7), ("roughness", 3),
                                         ("base_color", 5)])  # fmt: skip
-def test_a_known_value_is_a_prior_that_says_so(grey, method, name, node):
+def test_a_known_value_is_a_prior_that_says_so(grey, method, rule, name, node):
     """H log n is the same as on the whole grid with all of the prior on that node."""
     capture, texels = grey
-    axes = {"roughness": 0, "metallic": 1, "base_color": 2}
     prior = np.zeros((8, 8, 8))
-    prior[(slice(None),) * axes[name] + (node,)] = 1
-    whole = estimate(capture, texels, method, prior=prior, skip=NOTHING)
-    known = estimate(capture, texels, method, known={name: node / 7})
+    prior[(slice(None),) * AXES[name] + (node,)] = 1
+    whole = estimate(capture, texels, method, rule, prior=prior, skip=NOTHING)
+    known = estimate(capture, texels, method, rule, known={name: node / 7})
     seen = np.array(known.coverage) > 0
     nats = entropy(known)[seen] * np.log(64), entropy(whole)[seen] * np.log(512)
     np.testing.assert_allclose(*nats, atol=TOLERANCE * np.log(512))
     assert known.posterior.axes[name].tolist() == [node / 7]
     assert 1 in np.array(known.posterior.probabilities_of([0])).shape
+
+
+def test_a_known_value_is_a_prior_on_a_narrow_cell_where_cells_are_integrated(grey):
+    """With the usual prior of the others; the narrower the cell, the nearer to what is known."""
+    capture, texels = grey
+    off = []
+    for steps in (8, 64):
+        grid, node = svu.PrincipledGrid(roughness=steps), round(0.6 * (steps - 1))
+        known = estimate(capture, texels, known={"roughness": node / (steps - 1)})
+        prior = np.zeros(grid.shape)
+        prior[node] = known.posterior.prior[0]
+        whole = estimate(capture, texels, prior=prior, grid=grid)
+        off.append(np.abs(entropy(known) - entropy(whole))[np.array(known.coverage) > 0].mean())
+    assert off[1] < 0.005 < off[0]
 
 
 def test_a_known_value_need_not_be_a_node(grey):

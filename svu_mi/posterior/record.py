@@ -78,8 +78,9 @@ class Posterior(ABC):
         """Return H = -1/log(n) sum p log p, (T,) TensorXf in [0, 1] (Eq. 5).
 
         n is the number of cells of the grid. A calibrated posterior has the prior's entropy in
-        place of log(n), of which more is cut off: 1 says that photographs add nothing. When each channel has a distribution of its own,
-        the mean of their entropies. Computed in one kernel, without the probabilities.
+        place of log(n), of which more is cut off: 1 says that photographs add nothing. When each
+        channel has a distribution of its own, the mean of their entropies. Computed in one kernel,
+        without the probabilities.
         """
         return mi.TensorXf(self._entropy)
 

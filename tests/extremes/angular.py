@@ -94,7 +94,7 @@ def rules(quick: bool = False) -> list[tuple[str, AngularPreset, Grid]]:
         for channels in ("grey", "joint"):
             for noise in ("relative", "marginal") if quick else ("relative", "fixed", "marginal"):
                 switches: Any = preset(
-                    "default", method="angular", parameters=parameters, channels=channels,
+                    "fixed", method="angular", parameters=parameters, channels=channels,
                     noise=noise,
                 )  # fmt: skip
                 found.append((f"{channels}, {noise}, {parameters}", switches, grid))
@@ -176,7 +176,7 @@ def _sigma(_: Path, quick: bool) -> Iterator[Case]:
         for power in (-12, 12) if quick else (-12, -6, -3, -2, -1, 0, 3, 12):
             for channels in ("grey", "joint"):
                 switches = preset(
-                    "default", method="angular", noise=noise, sigma=10.0**power, channels=channels
+                    "fixed", method="angular", noise=noise, sigma=10.0**power, channels=channels
                 )
                 data = samples(20051, switches.colors)
                 yield (
@@ -191,12 +191,12 @@ def _grids(_: Path, quick: bool) -> Iterator[Case]:
     ]  # fmt: skip
     for nodes in shapes:
         data = samples(20063, 1, levels=nodes[0], texels=2)
-        switches = preset("default", method="angular")
+        switches = preset("fixed", method="angular")
         grid = PrincipledGrid(*nodes)
         yield f"principled {nodes}", partial(posterior_error, data, switches, grid)
     for shape in [(2, 2)] if quick else [(2, 2), (3, 64), (64, 3), (64, 64)]:
         data = samples(20071, 1, levels=shape[0], texels=2)
-        switches = preset("default", method="angular", parameters="specular")
+        switches = preset("fixed", method="angular", parameters="specular")
         grid_of_ks = ParameterGrid(*shape, "dielectric")
         yield f"Ks {shape}", partial(posterior_error, data, switches, grid_of_ks)
 

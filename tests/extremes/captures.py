@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from extremes.exact import SPECTRUM, Exact, angular_entropy, spectrum_entropy
+from extremes.integrals import calibrated_entropies
 from svu_mi.bench import oracle
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, make
@@ -23,6 +24,7 @@ from svu_mi.options import AngularPreset, Preset
 from svu_mi.pipeline import Estimate
 from svu_mi.scenes import meshes
 from svu_mi.visibility import Observation, Surface, Views, observe
+from svu_mi.visibility.observe import look
 from svu_mi.visibility.pixels import as_channels
 
 METAL = {"metallic": 1.0, "roughness": 0.3, "base_color": 0.8}
@@ -162,10 +164,13 @@ def _exact_angles(found: Estimate, chosen: np.ndarray) -> list[Exact]:
     grid: Any = found.posterior.grid
     switches: Any = found.preset
     observed: Any = found.observed
-    model = observed.model(grid.roughness_nodes, switches, switches.colors, chosen)
+    levels = grid.roughness_nodes
+    if switches.noise == "estimated":
+        levels = np.linspace(0, 1, switches.levels)
+    model = observed.model(levels, switches, switches.colors, chosen)
     fields: list[Any] = []
     for view in range(observed.views.number):
-        seen = observe(observed.views, model.surface, dr.opaque(mi.UInt32, view))
+        seen = _look(observed, model.surface, view)
         free = mi.Bool(True)
         if switches.traced and switches.occluded:
             free = _mirror(observed.views, model.surface, seen)[1]
@@ -173,9 +178,16 @@ def _exact_angles(found: Estimate, chosen: np.ndarray) -> list[Exact]:
         radiance = as_channels(seen.radiance, model.channels)
         dr.eval(seen, radiance, columns)
         parts = np.stack([_table(level, len(chosen)) for level in columns])  # (R, C, 4, t)
-        fields.append((seen.seen.numpy(), _table([radiance], len(chosen))[0], parts))
-    on, b, parts = (np.stack(column, axis=-1) for column in zip(*fields, strict=True))
+        contrast = seen.contrast.numpy().astype(np.float64)
+        fields.append((seen.seen.numpy(), _table([radiance], len(chosen))[0], parts, contrast))
+    on, b, parts, contrast = (np.stack(column, axis=-1) for column in zip(*fields, strict=True))
     weights = np.ones(on.shape)
+    if switches.noise == "estimated":
+        kappa = switches.knee * observed.unit
+        weights = on / (1 + (b.mean(axis=0) ** 2 + switches.edges * contrast) / kappa**2)
+        noise = found.posterior.noise[observed.lane[chosen]]  # type: ignore[attr-defined]
+        columns = np.moveaxis(parts, (2, 3), (0, 1))  # (4, t, R, C, V)
+        return calibrated_entropies(weights, *columns, np.moveaxis(b, 1, 0), noise, switches)
     if switches.noise == "heteroscedastic":
         weights = 1 / (1 + (b.mean(axis=0) / observed.unit) ** 2)
     result = []
@@ -220,13 +232,19 @@ def _sample(
     observed: Observed, surface: Surface, switches: Preset, view: int
 ) -> tuple[np.ndarray, ...]:
     """Directions (t, 3), cosines (t,), and values (t, 2 C): photographs, then mirrored light."""
-    seen = observe(observed.views, surface, dr.opaque(mi.UInt32, view))
+    seen = _look(observed, surface, view)
     mirror, free = _mirror(observed.views, surface, seen)
     lit = free if switches.occluded else mi.Bool(True)
     incoming = dr.select(seen.seen & lit, observed.lighting.radiance(mirror), 0)
     both = [*as_channels(seen.radiance, switches.colors), *as_channels(incoming, switches.colors)]
     dr.eval(seen.direction, seen.cosine, both)
     return seen.direction.numpy().T, seen.cosine.numpy(), _table([both], surface.count)[0].T
+
+
+def _look(observed: Observed, surface: Surface, number: int) -> Observation:
+    """What a view shows, if its own ray says that it sees a texel."""
+    view = dr.opaque(mi.UInt32, number)
+    return look(observed.views, surface, view, observe(observed.views, surface, view).seen)
 
 
 def _mirror(views: Views, surface: Surface, seen: Observation) -> tuple[Any, Any]:

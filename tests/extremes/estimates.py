@@ -19,6 +19,10 @@ from svu_mi.surface import texels
 
 RESOLUTION = 16
 METHODS: tuple[Method, ...] = ("angular", "spectrum")
+WAYS: tuple[tuple[Method, str], ...] = (
+    ("angular", "default"), ("angular", "fixed"), ("spectrum", "default"),
+)  # fmt: skip
+"""Methods and presets that are different mathematics."""
 
 Taken = Callable[[], Capture]
 
@@ -41,10 +45,10 @@ def agrees(
 
 
 def both(name: str, taken: Taken, quick: bool) -> Iterator[Case]:
-    """A capture by both methods."""
+    """A capture by both methods, with noise that is estimated and that is not."""
     every = 29 if quick else 9
-    for method in METHODS:
-        yield f"{name}, {method}", partial(agrees, taken, method, every=every)
+    for method, named in WAYS:
+        yield f"{name}, {method}, {named}", partial(agrees, taken, method, named, every)
 
 
 def photographed(folder: Path, **changes: Any) -> Taken:

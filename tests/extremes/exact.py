@@ -61,21 +61,30 @@ def exact_entropy(
     weighted = oracle.of_channels(p * rounded, energies[0].shape)
     marginals = oracle.of_channels(p, energies[0].shape)
     log_n = np.log(rows * cells)
-    bounds = [_moved(marginals[..., k], weighted[..., k], log_n) for k in range(count)]
+    bounds = [
+        moved(marginals[..., k], weighted[..., k], oracle.entropy(marginals[..., k]) * log_n, log_n)
+        for k in range(count)
+    ]
     # log Z and sum p x are rounded apart from each other: what they share does not cancel.
     apart = U * (rows + cells + 16 * count) / log_n
     return Exact(oracle.mean_entropy(marginals), min(float(np.mean(bounds)) + apart, 1.0))
 
 
-def _moved(p: np.ndarray, weighted: np.ndarray, log_n: float) -> float:
+def moved(p: np.ndarray, weighted: np.ndarray, nats: float, most: float) -> float:
     """Bound of |dH| from p and p |dx|, both of the grid's shape.
 
     On the way from x to x + dx, p grows by exp(2 |dx|) at most, and log p and H move by |dx|.
+
+    Args:
+        p: probabilities of cells.
+        weighted: times how far their energies may move.
+        nats: entropy of p.
+        most: that entropy is a part of.
     """
     dx = weighted / np.where(p > 0, p, 1)
     mean = float(weighted.sum())
-    distance = np.abs(np.log(np.where(p > 0, p, 1)) + oracle.entropy(p) * log_n)
-    first = (weighted * (distance + 2 * (dx + mean))).sum() / log_n
+    distance = np.abs(np.log(np.where(p > 0, p, 1)) + nats)
+    first = (weighted * (distance + 2 * (dx + mean))).sum() / most
     return float(first * np.exp(2 * min(mean, 50.0)))
 
 

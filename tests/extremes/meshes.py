@@ -14,8 +14,8 @@ import numpy as np
 from extremes.captures import around, ball, lamps, map_light, sphere
 from extremes.cases import Axis, Case, Found, compared
 from extremes.estimates import (
-    METHODS,
     RESOLUTION,
+    WAYS,
     Taken,
     both,
     photographed,
@@ -46,9 +46,12 @@ def _scales(folder: Path, quick: bool) -> Iterator[Case]:
     start = photographed(folder)
     for power in (-10, 10) if quick else (-20, -10, 10, 20):  # 1e-6, 1e-3, 1e3 and 1e6
         moved = cache(partial(_moved, folder, start, similarity(2.0**power)))
-        for method in METHODS:
-            switches = preset("default", method=method)
-            yield f"2^{power}, {method}", partial(same_entropy, start, moved, method, switches)
+        for method, named in WAYS:
+            switches = preset(named, method=method)
+            yield (
+                f"2^{power}, {method}, {named}",
+                partial(same_entropy, start, moved, method, switches),
+            )
     for scale in (1e-3,) if quick else (1e-3, 1e3):
         moved = cache(partial(_moved, folder, start, similarity(scale)))
         yield from both(f"{scale:g} units", moved, quick)
@@ -95,9 +98,12 @@ def _faces(folder: Path, _: bool) -> Iterator[Case]:
 
     for kind in ("degenerate", "zero-area UVs"):
         taken = cache(partial(of_mesh, spoiled(kind)))
-        for method in METHODS:
-            switches = preset("default", method=method)
-            yield f"{kind}, {method}", partial(same_entropy, start, taken, method, switches)
+        for method, named in WAYS:
+            switches = preset(named, method=method)
+            yield (
+                f"{kind}, {method}, {named}",
+                partial(same_entropy, start, taken, method, switches),
+            )
     plain = sphere()
     flat = replace(plain, positions=plain.positions * [0, 1, 0], normals=None)
     point = replace(plain, uvs=np.full((len(plain.positions), 2), 0.5))

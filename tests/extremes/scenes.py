@@ -15,6 +15,7 @@ from extremes.captures import METAL, around, ball, lamps, map_light
 from extremes.cases import Axis, Case, Found, compared
 from extremes.estimates import (
     METHODS,
+    WAYS,
     Taken,
     agrees,
     both,
@@ -36,19 +37,22 @@ MAPS = 24  # rows of the maps that the filter is tried on
 
 def _exposure(folder: Path, quick: bool) -> Iterator[Case]:
     start = photographed(folder)
-    rules: list[tuple[Method, dict[str, Any]]] = [("angular", {}), ("spectrum", {})]
+    rules: list[tuple[Method, str, dict[str, Any]]] = [(*way, {}) for way in WAYS]
     if not quick:
         rules += [
-            ("angular", {"noise": "marginal"}), ("angular", {"noise": "heteroscedastic"}),
-            ("angular", {"channels": "joint"}),
-            ("spectrum", {"noise": "marginal"}), ("spectrum", {"channels": "joint"}),
-        ]  # fmt: skip
+            ("angular", "fixed", {"noise": "marginal"}),
+            ("angular", "fixed", {"noise": "heteroscedastic"}),
+            ("angular", "fixed", {"channels": "joint"}),
+            ("angular", "default", {"channels": "grey"}),
+            ("spectrum", "default", {"noise": "marginal"}),
+            ("spectrum", "default", {"channels": "joint"}),
+        ]
     # Powers of two round nothing: whatever changes has left the range of single precision.
     for power in (-20, 20) if quick else (-33, -20, -7, 7, 20, 33):
         lit = cache(partial(_exposed, folder, start, 2.0**power))
-        for method, switches in rules:
-            chosen = preset("default", method=method, **switches)
-            name = f"radiance times 2^{power}, {method}, {switches or 'default'}"
+        for method, named, switches in rules:
+            chosen = preset(named, method=method, **switches)
+            name = f"radiance times 2^{power}, {method}, {named}, {switches}"
             yield name, partial(same_entropy, start, lit, method, chosen)
     for power in (-100, 100):
         lit = cache(partial(_exposed, folder, start, 2.0**power))
@@ -153,13 +157,14 @@ def _views(folder: Path, quick: bool) -> Iterator[Case]:
         taken = photographed(folder, directions=directions, size=16 if len(directions) > 20 else 24)
         yield from both(name, taken, quick)
         if not quick:
-            for method in METHODS:
+            for method, named in WAYS[1:]:
                 for switches in ({"noise": "marginal"}, {"channels": "joint"}):
-                    chosen = preset("default", method=method, **switches)
-                    name_of = f"{name}, {method}, {switches}"
+                    chosen = preset(named, method=method, **switches)
+                    name_of = f"{name}, {method}, {named}, {switches}"
                     yield name_of, partial(agrees, taken, method, chosen, 25)
             yield f"{name}, paper", partial(agrees, taken, "spectrum", "paper")
-            yield f"{name}, calibrated", partial(agrees, taken, "angular", "calibrated")
+            grown = preset("fixed", method="angular", noise="heteroscedastic", sigma=0.02)
+            yield f"{name}, noise that grows", partial(agrees, taken, "angular", grown)
     if not quick:
         rng = np.random.default_rng(30013)
         images = list(rng.exponential(size=(512, 12, 12, 3)).astype(np.float32))

@@ -19,7 +19,7 @@ from svu_mi.posterior import PrincipledGrid, angular_posterior, spectrum_posteri
 SEEDS = st.integers(0, 2**32 - 1)
 PLACES = st.sampled_from(["spread", "in a plane", "on a line", "grazing", "crowded"])
 GRID = PrincipledGrid(8, 8, 8)
-ANGULAR = preset("default", method="angular")
+ANGULAR = preset("fixed", method="angular")
 
 
 def few(examples: int):
