@@ -161,7 +161,7 @@ class AngularPreset(_Channels):
 
     sigma: float = 0.08
     """Standard deviation of a texel's root mean squared error, in the unit that ``noise``
-    says; if that is estimated, what is assumed where one or two photographs cannot tell. The
+    says; if that is estimated, what is assumed where too few samples can tell. The
     error is the model's more than the camera's: it does not average out over views."""
 
     overdispersion: float = 3.5
@@ -200,7 +200,7 @@ class AngularPreset(_Channels):
         require(self, 0 < self.degrees <= 1e6, "degrees", "positive, in (0, 1e6]")
         require(self, 1e-6 <= self.knee <= 1e6, "knee", "positive, in [1e-6, 1e6]")
         require(self, 0 <= self.edges <= 1e6, "edges", "in [0, 1e6]")
-        require(self, 0 <= self.metals < 1, "metals", "in [0, 1)")
+        require(self, 0 <= self.metals <= 0.99, "metals", "in [0, 0.99]")
         require(self, 4 <= self.levels <= 64, "levels", "in [4, 64]")
         require(self, 2 <= self.parts <= 512, "parts", "in [2, 512]")
         if self.noise == "estimated" and self.parameters != "principled":
@@ -239,8 +239,8 @@ class Skip:
     """Under grey light and in grey photographs, one channel stands for three."""
 
     levels: bool = True
-    """Roughness that the prior excludes: no filtered light, no statistics. (Energies that the prior
-    excludes are never computed.)"""
+    """Roughness that the prior excludes: no filtered light, no statistics, where these are gathered
+    at the grid's nodes. (Energies that the prior excludes are never computed.)"""
 
 
 NOTHING = Skip(unseen=False, pairs=False, blind=False, channels=False, levels=False)

@@ -181,7 +181,7 @@ def estimate(
             preset's ``parameters`` say.
         prior: non-negative weights of the grid's cells, of its shape; or one per roughness. By
             default uniform, but for metallic of angular ``default`` and ``fast``, which is 0 or 1
-            with a probability of .8 (the preset's ``metals``).
+            with a probability of .8 (the preset's ``metals``); weights take its place.
         known: parameters that are not in question, such as ``{"metallic": 0.0}``: they leave
             the grid, and the entropy is that of the others. ``"scene"`` takes what the scene's
             own ``principled`` material does not vary. Nothing by default: in a scene made for

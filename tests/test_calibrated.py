@@ -418,3 +418,102 @@ def test_grids_answer_the_same_questions(setting: tuple[svu.Posterior, oracle.Tr
     drawn = np.array(found.draw(3000, seed=2)["roughness"])
     assert np.abs(drawn.mean(axis=0) - mean).max() < 0.04
     assert set(np.unique(drawn.round(4))) <= set(nodes.round(4).astype(np.float32))
+
+
+@pytest.mark.parametrize("order", [(2, 40), (40, 2), (9, 12)])
+def test_grids_of_one_process_do_not_share_memory(order: tuple[int, int]) -> None:
+    """Local memory of another size is another kernel; if not, the process ends here."""
+    samples, _ = simulate(16, 6, 0.2)
+    for metallic in order:
+        grid = svu.PrincipledGrid(4, metallic, 3)
+        found = calibrated_posterior(statistics(samples), grid)
+        p = np.array(found.probabilities, np.float64)
+        q = found.prior
+        nats = -(p * np.log(np.maximum(p, 1e-300))).sum(axis=(1, 2, 3)).mean(axis=-1)
+        exact = np.clip(nats / -(q * np.log(q)).sum(), 0, 1)
+        assert np.abs(np.array(found.entropy()) - exact).max() < 1e-5
+
+
+@pytest.mark.parametrize("small", [0.0, 1e-30])
+def test_a_prior_may_contradict_the_photographs(small: float) -> None:
+    """White is all that is possible, whatever they show: by hundreds of nats."""
+    samples, truth = simulate(64, 20, 0.02)
+    weights = np.full((8, 8, 8), small)
+    weights[..., 7] = 1
+    found = calibrated_posterior(statistics(samples), prior=weights)
+    p = np.array(found.probabilities, np.float64)
+    assert np.allclose(p.sum(axis=(1, 2, 3)), 1, atol=1e-5)
+    mean = np.array(found.mean("base_color"))
+    assert np.all(mean > 13 / 14 - 1e-6 if small == 0 else mean > 0)
+    for name in ("roughness", "metallic", "base_color"):
+        low, high = (np.array(end) for end in found.interval(name))
+        assert np.all(low < high)
+    drawn = np.array(found.draw(3)["base_color"])
+    assert np.isfinite(drawn).all()
+    if small == 0:
+        assert drawn.min() >= 13 / 14 - 1e-6
+    del truth
+
+
+def test_draws_obey_a_prior_of_colours() -> None:
+    samples, _ = simulate(32, 1, 0.5)
+    weights = np.zeros((8, 8, 8))
+    weights[..., 4:6] = [1, 3]
+    found = calibrated_posterior(statistics(samples), prior=weights)
+    drawn = np.array(found.draw(300, seed=1)["base_color"])
+    assert drawn.min() >= 3.5 / 7 - 1e-6
+    assert drawn.max() <= 5.5 / 7 + 1e-6
+    p = np.array(found.probabilities, np.float64).sum(axis=(1, 2))
+    assert np.abs((drawn > 4.5 / 7).mean(axis=0) - p[:, 5]).max() < 0.12
+    assert np.abs(drawn.mean(axis=0) - np.array(found.mean("base_color"))).max() < 0.03
+
+
+def test_draws_of_grey_light_have_three_channels() -> None:
+    samples, _ = simulate(16, 6, 0.2)
+    one = oracle.Samples(*(x[..., :1] for x in (samples.e, samples.p, samples.q, samples.d)),
+                         samples.b[..., :1], samples.w)  # fmt: skip
+    for known in ({}, {"base_color": 0.5}):
+        found = calibrated_posterior(
+            statistics(one), svu.PrincipledGrid(known=known), copies=3
+        )
+        assert found.draw(5)["base_color"].shape == (5, 16, 3)
+
+
+def test_a_prior_of_one_cell_leaves_nothing_open() -> None:
+    samples, _ = simulate(8, 6, 0.2)
+    weights = np.zeros((8, 8, 8))
+    weights[3, 0, 5] = 1
+    found = calibrated_posterior(statistics(samples), prior=weights, texels=9)
+    entropy = np.array(found.entropy())
+    assert np.all(entropy[:8] == 0)
+    assert entropy[8] == 1
+    low, high = (np.array(end) for end in found.interval("roughness"))
+    assert np.allclose([low[8], high[8]], [2.5 / 7, 3.5 / 7])
+    drawn = found.draw(50, seed=3)
+    unseen = np.array(drawn["roughness"])[:, 8]
+    assert np.all((unseen >= 2.5 / 7) & (unseen <= 3.5 / 7))
+    assert np.array_equal(np.array(found.draw(2, seed=3)["roughness"])[:, 8], unseen[:2])
+
+
+@pytest.mark.parametrize("levels", [[0.2, 1.0], [0.0, 0.1, 0.5, 1.0], [0.3], [0.0, 0.5, 1.0]])
+def test_levels_that_nothing_can_be_interpolated_between_are_refused(levels: list[float]) -> None:
+    samples, _ = simulate(8, 4, 0.1)
+    table = samples.sums()[: len(levels)]
+    source = Statistics.of(
+        table, samples.w.sum(axis=1), np.full(8, 4), np.array(levels), 0.5
+    )
+    with pytest.raises(ShapeError, match="even levels from 0 to 1"):
+        calibrated_posterior(source)
+
+
+def test_unseen_texels_have_the_moments_of_the_prior() -> None:
+    samples, _ = simulate(8, 6, 0.2)
+    for nodes in (2, 8):
+        grid = svu.PrincipledGrid(nodes, nodes, nodes)
+        found = calibrated_posterior(statistics(samples), grid, texels=2000)
+        assert np.array(found.sd("roughness"))[-1] == pytest.approx(12**-0.5, abs=1e-3)
+        assert np.array(found.sd("metallic"))[-1] == pytest.approx(
+            (0.8 / 4 + 0.2 / 12) ** 0.5, abs=0.02
+        )
+        drawn = np.array(found.draw(1)["roughness"])[0, 8:]
+        assert stats.kstest(drawn, "uniform").pvalue > 1e-3

@@ -136,3 +136,24 @@ def test_texels_of_half_the_film_take_no_longer_than_allowed(tmp_path, noise):
     assert np.isfinite(np.array(sample.radiance)).all()
     assert MOST_TAPS**2 <= 64
     assert seen.any()
+
+
+def test_what_lies_beyond_the_film_is_left_out(tmp_path):
+    """A border of 10 around 1: texels that reach over the edge must not be made of border."""
+    image = np.ones((FILM, FILM, 3))
+    image[:2], image[-2:], image[:, :2], image[:, -2:] = 10, 10, 10, 10
+    scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
+    near = mi.load_dict({
+        "type": "perspective", "fov": 20,
+        "film": {"type": "hdrfilm", "width": FILM, "height": FILM},
+        "to_world": mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]),
+    })  # fmt: skip
+    capture = memory_capture(scene, [image], [near])
+    found = texels(capture.mesh, 24)
+    views, surface = pack_views(capture), Surface.of(found)
+    seen = survey(views, surface).bits.test(mi.UInt32(0), surface.index)
+    sample = look(views, surface, mi.UInt32(0), seen)
+    value = np.array(sample.radiance)[0][seen.numpy()]
+    assert len(value) > 20
+    # Two rows of pixels of at least thirty: not more than a part of any texel.
+    assert value.max() < 4

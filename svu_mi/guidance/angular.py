@@ -196,7 +196,8 @@ def _entropies(launch: _Launch, known: _Order, asked: _Order, add: Any, out: Any
         out: Float, zeros.
     """
     so_far = [dr.alloc_local(mi.Float, launch.rows) for _ in launch.nodes]
-    rows = dr.opaque(mi.UInt32, launch.rows)
+    # A literal: Dr.Jit 1.5 leaves the size of local memory out of what tells kernels apart.
+    rows = mi.UInt32(launch.rows)
     h = mi.UInt32(0)
     while h < launch.hypotheses:
         truth = launch.truth(h)

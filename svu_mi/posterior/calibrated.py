@@ -17,11 +17,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.errors import ShapeError
 from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
 from svu_mi.options import preset as find_preset
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import streaming
+from svu_mi.posterior.cells import marginals_of
 from svu_mi.posterior.checks import require_scale, total_texels
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import shortest
@@ -36,6 +38,8 @@ from svu_mi.posterior.noise import noise_variance
 from svu_mi.posterior.record import Posterior
 from svu_mi.posterior.walk import Problem
 from svu_mi.statistics import Factors, Statistics
+
+FEWEST = 4  # levels of roughness that a spline goes through
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +82,10 @@ class CalibratedPosterior(Posterior):
         everywhere = dr.full(mi.Float, 1, self.count)
         dr.eval(everywhere)
         most = streaming.entropy_of(self.prior)
-        relative = dr.clip(self._summary_of_lanes.entropy / float(most), 0, 1)
+        if most > 0:
+            relative = dr.clip(self._summary_of_lanes.entropy / float(most), 0, 1)
+        else:  # a prior that leaves one cell
+            relative = dr.zeros(mi.Float, self.problem.factors.count)
         dr.scatter(everywhere, relative, self.problem.factors.texel)
         return everywhere
 
@@ -118,12 +125,45 @@ class CalibratedPosterior(Posterior):
         low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))
         return np.repeat(low, problem.copies, axis=1), np.repeat(high, problem.copies, axis=1)
 
+    def _prior_moments(self, name: str) -> tuple[float, float]:
+        low, high, p = self._prior_parts(name)
+        middle = (low + high) / 2
+        mean = float(p @ middle)
+        return mean, float(np.sqrt(p @ ((middle - mean) ** 2 + (high - low) ** 2 / 12)))
+
+    def _prior_parts(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Ends of parts of a parameter, and their probability by the prior: (N,) each."""
+        of_cells = marginals_of(self.prior, list(self.axes))[name]
+        if name == "base_color":
+            edges = self.problem.edges
+            return edges[:-1], edges[1:], of_cells
+        axis = getattr(self.problem, name)
+        return axis.low, axis.high, of_cells[axis.cell] * axis.mass / axis.of_cells()[axis.cell]
+
+    def _prior_draws(self, count: int, random: np.random.Generator) -> dict[str, np.ndarray]:
+        cells = np.unravel_index(
+            random.choice(self.prior.size, count, p=self.prior.ravel()), self.grid.shape
+        )
+        drawn = {}
+        for name, cell in zip(self.axes, cells, strict=True):
+            low, high, p = self._prior_parts(name)
+            own = cell
+            if name != "base_color":
+                axis = getattr(self.problem, name)
+                below = np.concatenate([[0], np.cumsum(p)])
+                first, last = below[axis.first[cell]], below[axis.first[cell + 1]]
+                at = first + random.random(count) * (last - first)
+                own = np.clip(np.searchsorted(below, at, "right") - 1, axis.first[cell],
+                              axis.first[cell + 1] - 1)  # fmt: skip
+            drawn[name] = low[own] + random.random(count) * (high - low)[own]
+        return drawn
+
     def _draws(self, count: int, seed: int) -> dict[str, np.ndarray]:
         problem, lanes = self.problem, self.problem.factors.count
         drawn: dict[str, np.ndarray] = {}
         for number in range(count):
             random = np.random.default_rng((seed, number)).random(
-                (3 + self.groups, lanes), np.float32
+                (3 + 2 * self.groups, lanes), np.float32
             )
             colors, r, m = kernel.draw(
                 problem, self._summary_of_lanes.total, dr.arange(mi.UInt32, lanes),
@@ -159,18 +199,20 @@ def calibrated_posterior(
         grid: whose cells probabilities are of; 8 x 8 x 8 by default.
         scale: radiance of about the size of the photographs'.
         preset: switches: overdispersion, degrees of freedom and metals.
-        prior: non-negative weights of the cells, of the grid's shape, or one per roughness.
-            Within a cell the preset's prior goes on.
+        prior: non-negative weights of the cells, of the grid's shape, or one per roughness; they
+            take the place of the preset's prior, which goes on within a cell. A cell at an end of
+            a range is half as wide as others, and 1 for every cell is not the default.
         copies: how many equal colour channels each channel of the statistics stands for.
         texels: T, how many there are in all, seen or not; by default up to the last of S.
 
     Raises:
         OptionError: another preset, an invalid scale or prior.
-        ShapeError: a prior that does not fit the grid.
+        ShapeError: a prior that does not fit the grid, or other levels.
     """
     switches = find_preset(preset, method="angular")
     factors = statistics.factor() if isinstance(statistics, Statistics) else statistics
     grid = grid or PrincipledGrid()
+    _require_levels(factors.roughness, grid.roughness_nodes)
     require_scale("calibrated_posterior()", scale)
     total = total_texels("calibrated_posterior()", factors, copies, texels)
     problem = _problem(factors, grid, switches, prior, copies)
@@ -178,6 +220,21 @@ def calibrated_posterior(
     observed = np.zeros(total, bool)
     observed[factors.texel.numpy()] = np.array(factors.views) > 0
     return CalibratedPosterior(grid=grid, observed=observed, problem=problem, noise=noise)
+
+
+def _require_levels(levels: np.ndarray, nodes: np.ndarray) -> None:
+    """Refuse statistics between whose levels nothing can be interpolated."""
+    if len(nodes) == 1:
+        good = np.array_equal(levels, nodes)
+        wanted = f"the roughness that is known, {nodes[0]:g}"
+    else:
+        good = len(levels) >= FEWEST and np.allclose(levels, np.linspace(0, 1, len(levels)))
+        wanted = f"at least {FEWEST} even levels from 0 to 1"
+    if not good:
+        raise ShapeError(
+            f"calibrated_posterior(): statistics must be gathered at {wanted}, got roughness "
+            f"{', '.join(f'{level:.4g}' for level in levels)}."
+        )
 
 
 def _problem(
@@ -219,8 +276,10 @@ def _with_noise(
         problem, scale=owned(mi.Float, np.sqrt(energy_scale) / scale),
         least=owned(mi.Float, energy_scale * rest),
     )  # fmt: skip
-    if problem.given is not None:
-        problem = replace(problem, least=kernel.least(problem, prior=True))
+    if problem.given is not None:  # which may contradict the likelihood by any number of nats
+        above = kernel.least(problem, excess=True)
+        problem = replace(problem, least=problem.least + above)
+        dr.eval(problem.least)
     return problem, scale * np.sqrt(variance)
 
 

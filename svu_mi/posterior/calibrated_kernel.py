@@ -18,12 +18,12 @@ from svu_mi.posterior.walk import Node, Problem, Walker
 from svu_mi.statistics.blocks import BLOCK, size, start
 
 
-def least(problem: Problem, *, prior: bool = False) -> Any:
-    """Return the energy of the best node, (S,) Float; ``problem.least`` is not used.
+def least(problem: Problem, *, excess: bool = False) -> Any:
+    """Return the energy of the best node, (S,) Float.
 
     Args:
         problem: of S texels.
-        prior: whether the prior of the nodes is part of it.
+        excess: what it has, prior included, above ``problem.least``, which else is not used.
     """
     walker, columns = Walker(problem), dr.opaque(mi.UInt32, problem.metallic.count)
     nodes = dr.opaque(mi.UInt32, problem.roughness.count)
@@ -32,9 +32,7 @@ def least(problem: Problem, *, prior: bool = False) -> Any:
         U = walker.entries(row)
 
         def of_column(column: Any, best: Any) -> tuple[Any, Any]:
-            energy = walker.energy(U, column)
-            if prior:
-                energy += dr.gather(mi.Float, problem.nodes.prior, row * columns + column)
+            energy = walker.excess(U, row, column) if excess else walker.energy(U, column)
             return column + 1, dr.minimum(best, energy)
 
         inner = dr.while_loop((mi.UInt32(0), best), lambda k, _: k < columns, of_column)
@@ -200,10 +198,10 @@ def draw(problem: Problem, total: Any, lane: Any, random: list[Any]) -> tuple[li
         problem: of S texels.
         total: (S,) Float, of their ``Summary``.
         lane: (N,) UInt32, which texel each draw is of.
-        random: 3 + C Floats (N,) in [0, 1).
+        random: Floats (N,) in [0, 1): 3, and 2 for every channel, copies included.
 
     Returns:
-        Base colour by channel, roughness and metallic: Floats (N,).
+        Base colour by channel, copies included, roughness and metallic: Floats (N,).
     """
     walker, nodes = Walker(problem, lane), problem.nodes
     wanted = random[0] * dr.gather(mi.Float, total, lane)
@@ -220,7 +218,7 @@ def draw(problem: Problem, total: Any, lane: Any, random: list[Any]) -> tuple[li
     )  # fmt: skip
     dr.eval(row, column)
     m = dr.gather(mi.Float, nodes.metallic, column)
-    colors = walker.colors_at(row, m, random[3:])
+    colors = walker.colors_at(row, column, random[3:])
     # Anywhere within a part.
     r, m = (
         value + (u - 0.5) * dr.sqrt(12 * dr.gather(mi.Float, spread, index))
@@ -234,14 +232,18 @@ def draw(problem: Problem, total: Any, lane: Any, random: list[Any]) -> tuple[li
 
 
 def _cleared(number: int) -> Any:
-    """Local memory of zeros, written in a loop (Dr.Jit 1.5 unrolls a literal start)."""
-    memory, end = dr.alloc_local(mi.Float, number), dr.opaque(mi.UInt32, number)
+    """Local memory of zeros, written in a loop (Dr.Jit 1.5 unrolls a literal start).
+
+    The loop's end is a literal, which makes the size part of the kernel: Dr.Jit 1.5 otherwise
+    takes the kernel of another size for this one, and writes beyond its memory.
+    """
 
     def clear(k: Any, memory: Any) -> tuple[Any, Any]:
         memory[k] = mi.Float(0)
         return k + 1, memory
 
-    return dr.while_loop((mi.UInt32(0), memory), lambda k, _: k < end, clear)[1]
+    start = (mi.UInt32(0), dr.alloc_local(mi.Float, number))
+    return dr.while_loop(start, lambda k, _: k < number, clear)[1]
 
 
 def _add_cells(problem: Problem, masses: Any, node: Node) -> None:

@@ -7,8 +7,9 @@ with radiance, s says how much of it a texel has. That is what its best paramete
 
 for a prior of nu samples of the variance s_0^2 that the median texel has (Student's t with nu
 degrees of freedom, were there no data): light tails where the model fits, heavy ones where it
-does not, as on seams and in detail below a pixel. From one or two photographs nobody can tell:
-whatever they show has parameters that explain it. Then s_0 is assumed.
+does not, as on seams and in detail below a pixel. From few samples nobody can tell: whatever they
+show has parameters that explain it. Where no texel has 2 x 5 of them (three photographs in colour,
+nine in grey), s_0 is assumed.
 
 Errors of neighbouring views are not independent: light cells, pixel footprints and normals are
 the same in both. N samples say what N / tau independent ones would. The overdispersion tau is a

@@ -33,7 +33,7 @@ class Posterior(ABC):
     Attributes:
         grid: the parameter grid; its ``axes`` name the parameters, in the order of the axes of
             ``probabilities``.
-        observed: (T,) bool; a texel nobody saw has a uniform posterior and entropy 1.
+        observed: (T,) bool; a texel nobody saw has the prior for its posterior, and entropy 1.
     """
 
     grid: Grid
@@ -267,23 +267,32 @@ class Posterior(ABC):
                 )
         drawn = self._draws(int(count), int(seed))
         unseen = np.flatnonzero(~self.observed)
-        if len(unseen):
-            random = np.random.default_rng((seed, count, len(unseen)))
-            cells = random.choice(self.prior.size, (count, len(unseen)), p=self.prior.ravel())
-            index = np.unravel_index(cells, self.grid.shape)
-            for (name, nodes), of_name in zip(self.axes.items(), index, strict=True):
-                drawn[name][:, unseen] = nodes[of_name][..., None]
+        for number in range(int(count) if len(unseen) else 0):
+            random = np.random.default_rng((int(seed), number))
+            for name, values in self._prior_draws(len(unseen), random).items():
+                drawn[name][number, unseen] = values[:, None]
         return {name: self._shaped(name, values) for name, values in drawn.items()}
 
     def _mean_and_sd(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """(T, g) both; those of the prior where nobody looked."""
         self._check_parameter(name)
         mean, sd = self._moments(name)
-        nodes, p = self.axes[name], marginals_of(self.prior, list(self.axes))[name]
-        usual = float(p @ nodes)
-        mean[~self.observed] = usual
-        sd[~self.observed] = np.sqrt(p @ (nodes - usual) ** 2)
+        mean[~self.observed], sd[~self.observed] = self._prior_moments(name)
         return mean, sd
+
+    def _prior_moments(self, name: str) -> tuple[float, float]:
+        """Mean and standard deviation of a parameter where nobody looked."""
+        nodes, p = self.axes[name], marginals_of(self.prior, list(self.axes))[name]
+        mean = float(p @ nodes)
+        return mean, float(np.sqrt(p @ (nodes - mean) ** 2))
+
+    def _prior_draws(self, count: int, random: np.random.Generator) -> dict[str, np.ndarray]:
+        """Parameters where nobody looked, (count,) by name; grey."""
+        cells = random.choice(self.prior.size, count, p=self.prior.ravel())
+        index = np.unravel_index(cells, self.grid.shape)
+        return {
+            name: nodes[k] for (name, nodes), k in zip(self.axes.items(), index, strict=True)
+        }
 
     def _moments(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Mean and standard deviation of a parameter, (T, g) float32, of texels that were seen."""

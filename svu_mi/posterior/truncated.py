@@ -20,7 +20,8 @@ import mitsuba as mi
 
 FLATTEST = 1e-3  # A: a channel that hardly anything lights; energies change by less than this
 HALVINGS = 24  # of [0, 1], in a search
-TINIEST = 1e-290  # a cell of no probability has no mean of its own
+TINIEST = 1e-290  # what is left of a cell in double precision
+IMPOSSIBLE = 1e9  # nats, of a cell that the prior excludes
 FARTHEST = 64.0  # |mu|: photographs so many times brighter than any base colour makes them
 
 # (1 + 2 x) erfcx(x) as a polynomial in (x - 2.5) / (x + 2.5), the variable of Shepherd and
@@ -81,58 +82,113 @@ class Channel:
         A = dr.maximum(dr.maximum(A, FLATTEST), slope / -FARTHEST)
         return Channel(0.5 * (_dot(rest, rest) + floor), mirrored, slope / A, dr.sqrt(0.5 * A))
 
-    def integrate(self, edges: list[float], prior: list[Any] | None = None) -> Integrals:
-        """Integrate over cells.
+    def integrate(self, edges: list[float]) -> Integrals:
+        """Integrate over cells, all colours being alike by their prior.
 
         Args:
             edges: (K + 1,) of the cells, from 0 to 1, the same from both ends.
-            prior: K Floats, density of c in every cell; 1 by default.
         """
         # With x = (y - mu) s, exp(-(E - least)) is exp(x_0^2 - x^2), x_0 where it is 1. Means
-        # and variances are small differences of tails: in double precision.
-        inner = mi.Float if prior is None else mi.Float64
-        tails = [self._tail(kind(y)) for y, kind in zip(
-            edges, [mi.Float64, *[inner] * (len(edges) - 2), mi.Float64], strict=True
-        )]  # fmt: skip
-        if prior is not None:
-            return self._under(tails, prior)
-        whole, mean, variance = self._moments(tails[0], tails[-1])
+        # and variances are small differences of the two ends' tails: in double precision.
+        inner = [self._tail(mi.Float(y)).beyond for y in edges[1:-1]]
+        first, last = self._tail(mi.Float64(0)), self._tail(mi.Float64(1))
+        s, mu = mi.Float64(self.s), mi.Float64(self.mu)
+        whole = first.beyond - last.beyond
+        mean, variance = _moments(mu, s, whole, first, last)
         inverse = mi.Float(dr.rcp(whole))
-        beyond = [mi.Float(tail.beyond) for tail in tails]
+        beyond = [mi.Float(first.beyond), *inner, mi.Float(last.beyond)]
         parts = [inverse * (a - b) for a, b in zip(beyond[:-1], beyond[1:], strict=True)]
-        return self._integrals(whole, parts, mean, variance)
+        mass = mi.Float(0.5 * sqrt(pi) * whole / s)
+        return self._integrals(mass, parts, mean, variance)
 
-    def _under(self, tails: list[_Tail], prior: list[Any]) -> Integrals:
-        """Weigh cells by their prior."""
+    def under(self, edges: list[float], prior: list[Any]) -> tuple[Any, Integrals]:
+        """Integrate over cells under a prior, however much it contradicts the likelihood.
+
+        Args:
+            edges: as ``integrate`` has them.
+            prior: K Floats, density of c in every cell.
+
+        Returns:
+            log of the integral of exp(-(E - least)) times the prior, Float; and what is in the
+            cells, of mass 1.
+        """
         density = [
-            dr.select(self.mirrored, b, a) for a, b in zip(prior, prior[::-1], strict=True)
+            mi.Float64(dr.select(self.mirrored, b, a))
+            for a, b in zip(prior, prior[::-1], strict=True)
         ]
-        of_cells = [self._moments(a, b) for a, b in zip(tails[:-1], tails[1:], strict=True)]
-        masses = [g * part for g, (part, *_) in zip(density, of_cells, strict=True)]
-        whole = sum(masses)
-        parts = [mass / dr.select(whole > 0, whole, 1) for mass in masses]
+        of_cells = [self._cell(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        logs = [
+            dr.select(g > 0, dr.log(dr.select(g > 0, g, 1)) + log_mass, -IMPOSSIBLE)
+            for g, (log_mass, *_) in zip(density, of_cells, strict=True)
+        ]
+        top = logs[0]
+        for value in logs[1:]:
+            top = dr.maximum(top, value)
+        masses = [dr.exp(value - top) for value in logs]
+        total = sum(masses)
+        parts = [mass / total for mass in masses]
         mean = sum(p * m for p, (_, m, _) in zip(parts, of_cells, strict=True))
         variance = sum(
             p * (v + dr.square(m - mean)) for p, (_, m, v) in zip(parts, of_cells, strict=True)
         )
-        return self._integrals(whole, [mi.Float(part) for part in parts], mean, variance)
+        log_mass = top + dr.log(0.5 * sqrt(pi) * total / mi.Float64(self.s))
+        parts = [mi.Float(part) for part in parts]
+        return mi.Float(log_mass), self._integrals(mi.Float(1), parts, mean, variance)
 
-    def _moments(self, a: _Tail, b: _Tail) -> tuple[Any, Any, Any]:
-        """Integral over x between two ends, 2 / sqrt(pi) of it, mean and variance of y there."""
-        s, mu = mi.Float64(self.s), mi.Float64(self.mu)
-        whole = a.beyond - b.beyond
-        scale = dr.select(whole > TINIEST, dr.rcp(sqrt(pi) * s * dr.maximum(whole, TINIEST)), 0)
-        offset = scale * (a.density - b.density)
-        around = 0.5 / dr.square(s) + scale * (
-            (a.y - mu) * a.density - (b.y - mu) * b.density
+    def quantile(self, part: Any, low: Any, high: Any) -> Any:
+        """Return the colour between two others below which a part of what is there lies.
+
+        Args:
+            part: Float in [0, 1].
+            low: Float.
+            high: Float.
+        """
+        part, low, high = (mi.Float64(x) for x in (part, low, high))
+        part = dr.select(self.mirrored, 1 - part, part)
+        low, high = (
+            dr.select(self.mirrored, 1 - high, low), dr.select(self.mirrored, 1 - low, high)
         )
-        mean = dr.clip(mu + offset, a.y, b.y)
-        return whole, mean, dr.maximum(around - dr.square(offset), 0)
+        best = dr.clip(mi.Float64(self.mu), low, high)
+        wanted = part * self._between(low, high, best)[0]
 
-    def _integrals(self, whole: Any, parts: list[Any], mean: Any, variance: Any) -> Integrals:
-        mean = mi.Float(mean)
+        def halve(step: Any, a: Any, b: Any) -> tuple[Any, ...]:
+            middle = 0.5 * (a + b)
+            below = self._between(low, middle, best)[0] < wanted
+            return step + 1, dr.select(below, middle, a), dr.select(below, b, middle)
+
+        zero = dr.zeros(mi.Float64, dr.width(part))
+        _, a, b = dr.while_loop(
+            (mi.UInt32(0), low + zero, high + zero), lambda step, *_: step < HALVINGS, halve
+        )
+        y = mi.Float(0.5 * (a + b))
+        return dr.select(self.mirrored, 1 - y, y)
+
+    def _cell(self, low: float, high: float) -> tuple[Any, Any, Any]:
+        """log of the integral over x between two ends, 2 / sqrt(pi) of it, relative to the best
+        colour of all; mean and variance of y there."""
+        s, mu = mi.Float64(self.s), mi.Float64(self.mu)
+        best, best_of_all = dr.clip(mu, low, high), dr.maximum(mu, 0)
+        mass, a, b = self._between(mi.Float64(low), mi.Float64(high), best)
+        mass = dr.maximum(mass, TINIEST)
+        mean, variance = _moments(mu, s, mass, a, b)
+        worse = (best - best_of_all) * dr.square(s) * (best + best_of_all - 2 * mu)
+        return dr.log(mass) - worse, dr.clip(mean, low, high), variance
+
+    def _between(self, low: Any, high: Any, best: Any) -> tuple[Any, _Tail, _Tail]:
+        """The integral over x between two ends, relative to the density at ``best`` between them:
+        differences of tails on one side of the mean, so that nothing cancels."""
+        a, b = self._tail(low, best), self._tail(high, best)
+        left, right = (y < mi.Float64(self.mu) for y in (low, high))
+        mass = dr.select(
+            right, b.outward - a.outward,
+            dr.select(left, 2 - a.outward - b.outward, a.outward - b.outward),
+        )  # fmt: skip
+        return mass, a, b
+
+    def _integrals(self, mass: Any, parts: list[Any], mean: Any, variance: Any) -> Integrals:
+        mean = mi.Float(dr.clip(mean, 0, 1))
         return Integrals(
-            mass=mi.Float(0.5 * sqrt(pi) * whole / self.s),
+            mass=mass,
             cells=[
                 dr.select(self.mirrored, b, a) for a, b in zip(parts, parts[::-1], strict=True)
             ],
@@ -140,32 +196,23 @@ class Channel:
             variance=mi.Float(variance),
         )
 
-    def quantile(self, part: Any) -> Any:
-        """Return the colour below which a part of the probability lies: Floats in [0, 1]."""
-        below = dr.select(self.mirrored, 1 - part, part)
-        first, last = (self._tail(mi.Float64(y)).beyond for y in (0, 1))
-        wanted = dr.lerp(first, last, mi.Float64(below))
-
-        def halve(step: Any, low: Any, high: Any) -> tuple[Any, ...]:
-            middle = 0.5 * (low + high)
-            beyond = self._tail(middle).beyond > wanted
-            return step + 1, dr.select(beyond, middle, low), dr.select(beyond, high, middle)
-
-        ends = (mi.UInt32(0), dr.zeros(mi.Float64, dr.width(part)),
-                dr.full(mi.Float64, 1, dr.width(part)))  # fmt: skip
-        _, low, high = dr.while_loop(ends, lambda step, *_: step < HALVINGS, halve)
-        y = mi.Float(0.5 * (low + high))
-        return dr.select(self.mirrored, 1 - y, y)
-
-    def _tail(self, y: Any) -> _Tail:
-        """What lies beyond y, Float or Float64."""
+    def _tail(self, y: Any, best: Any | None = None) -> _Tail:
+        """Density at y relative to that at ``best``, and what lies beyond; Float or Float64."""
         kind = type(y)
         mu, s = kind(self.mu), kind(self.s)
-        best = dr.maximum(mu, 0)
+        best = dr.maximum(mu, 0) if best is None else best
         x, x_0 = (y - mu) * s, (best - mu) * s
         density = dr.exp(-(y - best) * s * (x + x_0))
-        tail = density * erfcx(dr.abs(x))
-        return _Tail(y, density, dr.select(x < 0, 2 - tail, tail))
+        outward = density * erfcx(dr.abs(x))
+        return _Tail(y, density, outward, dr.select(x < 0, 2 - outward, outward))
+
+
+def _moments(mu: Any, s: Any, mass: Any, a: _Tail, b: _Tail) -> tuple[Any, Any]:
+    """Mean and variance of y between two ends."""
+    scale = dr.rcp(sqrt(pi) * s * mass)
+    offset = scale * (a.density - b.density)
+    around = 0.5 / dr.square(s) + scale * ((a.y - mu) * a.density - (b.y - mu) * b.density)
+    return mu + offset, dr.maximum(around - dr.square(offset), 0)
 
 
 @dataclass(frozen=True)
@@ -186,10 +233,12 @@ class Integrals:
 
 @dataclass(frozen=True)
 class _Tail:
-    """Density at y, and 2 / sqrt(pi) times the integral over x beyond it."""
+    """Density at y; 2 / sqrt(pi) times the integral over x from there away from the mean, and
+    towards larger x."""
 
     y: Any
     density: Any
+    outward: Any
     beyond: Any
 
 

@@ -36,7 +36,8 @@ class Problem:
         roughness, metallic: nodes.
         edges: (K + 1,) of the cells of base colour; or two equal ones, what is known of it.
         rows: (R * M,) float64, -log of the prior of a row of cells, a roughness and a metallic.
-        given: (R * M * K,) Float, prior of a cell over that of all colours alike; or None.
+        given: (R * M * K,) Float, density of base colour in a cell, given roughness and metallic;
+            or None: 1 everywhere.
         scale: Float of S values or one, sqrt(W / (s^2 tau)): errors in units of noise, per unit of
             weight.
         least: (S,) Float, energy of the best node, less what no node explains.
@@ -193,13 +194,13 @@ class Walker:
             U = self.entries(row)
 
             def of_column(column: Any, *state: Any) -> tuple[Any, ...]:
-                energy, colors = self._channels(U, row, column)
+                energy, parts = self._channels(U, row, column)
                 state = dr.if_stmt(
-                    args=(energy, colors, *state), cond=energy < FAR,
-                    true_fn=lambda energy, colors, *state: visit(
-                        self._node(row, column, energy, colors), *state
+                    args=(energy, parts, *state), cond=energy < FAR,
+                    true_fn=lambda energy, parts, *state: visit(
+                        self._node(row, column, energy, parts), *state
                     ),
-                    false_fn=lambda _energy, _colors, *state: state,
+                    false_fn=lambda _energy, _parts, *state: state,
                 )  # fmt: skip
                 return (column + 1, *state)
 
@@ -239,34 +240,63 @@ class Walker:
         return Channel.of(u, v, floor)
 
     def energy(self, U: list[list[Any]], column: Any) -> Any:
-        """Return the energy of the best colour at a node of metallic: Float."""
+        """Return the energy of the best colour at a node of metallic, without any prior: Float."""
         m = dr.gather(mi.Float, self.nodes.metallic, column)
         if self._known:
             return self._at_known(U, m)
         return self.problem.copies * sum(self.channel(of_channel, m).least for of_channel in U)
 
-    def colors_at(self, row: Any, metallic: Any, random: list[Any]) -> list[Any]:
-        """Draw the base colour of every channel at a node of roughness."""
-        if self._known:
-            known = dr.opaque(mi.Float, float(self.problem.edges[0]), dr.width(self.lane))
-            return [known] * self.problem.factors.channels
-        return [
-            self.channel(U, metallic).quantile(u)
-            for U, u in zip(self.entries(row), random, strict=True)
-        ]
+    def excess(self, U: list[list[Any]], row: Any, column: Any) -> Any:
+        """Return what a node's energy, prior included, has above ``least``: Float."""
+        return self._channels(U, row, column)[0]
 
-    def _channels(
-        self, U: list[list[Any]], row: Any, column: Any
-    ) -> tuple[Any, list[tuple[Any, ...]]]:
-        """Return the energy of the best colour, prior included, above that of the best node, and
-        the likelihood of all channels."""
-        prior = dr.gather(mi.Float, self.nodes.prior, row * self._columns + column) - self._least
+    def colors_at(self, row: Any, column: Any, random: list[Any]) -> list[Any]:
+        """Draw the base colour of every channel, copies included, at a node.
+
+        Args:
+            row: UInt32, node of roughness.
+            column: UInt32, node of metallic.
+            random: two Floats in [0, 1) for each channel.
+        """
+        problem = self.problem
+        number = problem.factors.channels * problem.copies
+        if self._known:
+            return [dr.opaque(mi.Float, float(problem.edges[0]), dr.width(self.lane))] * number
+        m = dr.gather(mi.Float, self.nodes.metallic, column)
+        channels = [self.channel(U, m) for U in self.entries(row)]
+        prior = self._color_prior(row, column)
+        ends = owned(mi.Float, problem.edges)
+        found = []
+        for k in range(number):
+            channel, u, v = channels[k // problem.copies], random[2 * k], random[2 * k + 1]
+            low, high = mi.Float(0), mi.Float(1)
+            if prior is not None:
+                cell = _picked(channel.under(problem.edges.tolist(), prior)[1].cells, v)
+                low, high = (dr.gather(mi.Float, ends, cell + step) for step in (0, 1))
+            found.append(channel.quantile(u, low, high))
+        return found
+
+    def _channels(self, U: list[list[Any]], row: Any, column: Any) -> tuple[Any, list[Any]]:
+        """Return the energy of a node, prior included, above ``least``, and what ``_node`` needs.
+
+        The energy is that of the best colour; under a prior of colours, of all that it allows.
+        """
+        place = row * self._columns + column
+        prior = dr.gather(mi.Float, self.nodes.prior, place) - self._least
         if self._known:
             return prior + self.energy(U, column), []
         m = dr.gather(mi.Float, self.nodes.metallic, column)
-        found = [self.channel(of_channel, m) for of_channel in U]
-        energy = self.problem.copies * sum(one.least for one in found)
-        return prior + energy, [(c.least, c.mirrored, c.mu, c.s) for c in found]
+        channels = [self.channel(of_channel, m) for of_channel in U]
+        energy = sum(one.least for one in channels)
+        if self.problem.given is None:
+            parts: list[Any] = [(c.least, c.mirrored, c.mu, c.s) for c in channels]
+        else:
+            density = self._color_prior(row, column)
+            assert density is not None
+            under = [one.under(self.edges.tolist(), density) for one in channels]
+            energy -= sum(log_mass for log_mass, _ in under)
+            parts = [(one.mass, one.cells, one.mean, one.variance) for _, one in under]
+        return prior + self.problem.copies * energy, parts
 
     @property
     def _known(self) -> bool:
@@ -277,14 +307,15 @@ class Walker:
         c = dr.opaque(mi.Float, float(self.problem.edges[0]))
         return self.problem.copies * sum(energy_at(of_channel, metallic, c) for of_channel in U)
 
-    def _node(self, row: Any, column: Any, energy: Any, colors: list[Any]) -> Node:
+    def _node(self, row: Any, column: Any, energy: Any, parts: list[Any]) -> Node:
         weight = dr.exp(-energy)
         if self._known:
             c = dr.opaque(mi.Float, float(self.problem.edges[0]))
             one = Integrals(mi.Float(1), [mi.Float(1)], c, mi.Float(0))
             return Node(row, column, weight, [one] * self.problem.factors.channels)
-        prior = self._color_prior(row, column)
-        found = [Channel(*color).integrate(self.edges.tolist(), prior) for color in colors]
+        if self.problem.given is not None:
+            return Node(row, column, weight, [Integrals(*one) for one in parts])
+        found = [Channel(*one).integrate(self.edges.tolist()) for one in parts]
         for one in found:
             for _ in range(self.problem.copies):
                 weight *= one.mass
@@ -312,3 +343,12 @@ def energy_at(U: list[Any], metallic: Any, color: Any) -> Any:
     y = dr.fma(pp, b, dr.fma(pg, metallic, pt))
     z = dr.fma(gg, metallic, gt)
     return 0.5 * dr.fma(x, x, dr.fma(y, y, dr.fma(z, z, floor)))
+
+
+def _picked(parts: list[Any], random: Any) -> Any:
+    """Return which of K parts of sum 1 a random number in [0, 1) falls on: UInt32."""
+    below, cell = mi.Float(0), dr.zeros(mi.UInt32, dr.width(random))
+    for part in parts[:-1]:
+        below += part
+        cell += dr.select(random >= below, mi.UInt32(1), 0)
+    return cell

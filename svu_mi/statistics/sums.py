@@ -25,10 +25,11 @@ import numpy as np
 
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
+from svu_mi.options import AngularPreset
 from svu_mi.statistics.blocks import in_blocks, rows_of
 from svu_mi.statistics.factors import PAIRS, Factors, factorize
 
-EDGES = 60.0  # eta; of own scenes, 20 to 200 do as well (BENCHMARKS.md)
+EDGES = AngularPreset.edges  # eta
 
 
 def noise_weight(radiance: Any, kappa: Any, contrast: Any = 0.0, edges: Any = EDGES) -> Any:
@@ -94,7 +95,7 @@ class Statistics:
                 "Statistics of different texels, roughness levels or channels do not add: "
                 f"{self._shape()} and {other._shape()}."
             )
-        if self.kappa != other.kappa or self.edges != other.edges:
+        if self.kappa != other.kappa or (self.kappa < inf and self.edges != other.edges):
             raise OptionError(
                 f"Statistics with kappa {self.kappa:g} and {other.kappa:g} (edges {self.edges:g} "
                 f"and {other.edges:g}) do not add, as their samples were weighted differently; "

@@ -83,16 +83,18 @@ def _project(camera: Camera, position: Any) -> tuple[Any, Any, Any, Any]:
 def taps_at(camera: Camera, position: Any) -> Taps:
     """Return the pixels around a point of the surface."""
     x, y, _, in_front = _project(camera, position)
-    # A point between four pixels' centres has all of its taps on the film.
+    return Taps(*_bilinear(camera, x, y), in_front & on_film(camera, x, y))
+
+
+def on_film(camera: Camera, x: Any, y: Any) -> Any:
+    """Return whether a point of the film lies between the centres of four pixels."""
     left, top = dr.floor(x), dr.floor(y)
-    on_film = (
-        in_front
-        & (left >= 0)
+    return (
+        (left >= 0)
         & (top >= 0)
         & (left < mi.Float(camera.width) - 1)
         & (top < mi.Float(camera.height) - 1)
     )
-    return Taps(*_bilinear(camera, x, y), on_film)
 
 
 def black() -> Any:
@@ -116,9 +118,10 @@ def mean_over_texel(
     views: Views, camera: Camera, position: Any, sides: tuple[Any, Any] | None, seen: Any
 ) -> tuple[Any, Any]:
     """Average the pixels that a texel covers in a view: bilinear look-ups all over the
-    parallelogram that it is there, so close that they overlap.
+    parallelogram that it is there, which overlap up to sides of 12 pixels.
 
-    A texel smaller than a pixel is one look-up, and shares its pixels with its neighbours.
+    A texel smaller than a pixel is one look-up, and shares its pixels with its neighbours. What
+    lies beyond the film, or is not usable, is left out; if that is all, the middle is read.
 
     Returns:
         radiance (Color3f), and the variance of grey over the pixels that were read.
@@ -136,14 +139,16 @@ def mean_over_texel(
 
     def add(tap: Any, weight: Any, total: Any, squares: Any) -> tuple[Any, ...]:
         row = tap // columns
-        u, v = (mi.Float(row) + 0.5) / steps[0] - 0.5, (
-            mi.Float(tap - row * columns) + 0.5) / steps[1] - 0.5
-        pixels, weights = _bilinear(
-            camera, x + u * spans[0][0] + v * spans[1][0], y + u * spans[0][1] + v * spans[1][1]
-        )
+        u = (mi.Float(row) + 0.5) / steps[0] - 0.5
+        v = (mi.Float(tap - row * columns) + 0.5) / steps[1] - 0.5
+        px = x + u * spans[0][0] + v * spans[1][0]
+        py = y + u * spans[0][1] + v * spans[1][1]
+        # Beyond the film there is nothing to read; alone in the middle there is.
+        inside = (number == 1) | on_film(camera, px, py)
+        pixels, weights = _bilinear(camera, px, py)
         for pixel, w in zip(pixels, weights, strict=True):
             color = dr.gather(mi.Color3f, views.pixels, pixel)
-            w = dr.select(dr.gather(mi.Bool, views.usable, pixel), w, 0)
+            w = dr.select(inside & dr.gather(mi.Bool, views.usable, pixel), w, 0)
             # Not usable is also what holds no radiance, and NaN times 0 is NaN.
             color = dr.select(w > 0, color, 0)
             weight += w
@@ -151,10 +156,13 @@ def mean_over_texel(
             squares += w * dr.square(as_channels(color, 1)[0])
         return tap + 1, weight, total, squares
 
-    _, weight, total, squares = dr.while_loop(
-        (mi.UInt32(0), mi.Float(0), black(), mi.Float(0)), lambda tap, *_: tap < number, add
-    )
-    inverse = dr.select(weight > 0, dr.rcp(dr.select(weight > 0, weight, 1)), 0)
+    zeros = (mi.UInt32(0), mi.Float(0), black(), mi.Float(0))
+    _, weight, total, squares = dr.while_loop(zeros, lambda tap, *_: tap < number, add)
+    pixels, weights = _bilinear(camera, x, y)
+    alone = interpolated(views, pixels, weights, seen & (weight == 0))
+    total = dr.select(weight > 0, total, alone)
+    weight = dr.select(weight > 0, weight, 1)
+    inverse = dr.rcp(weight)
     mean = inverse * total
     grey = as_channels(mean, 1)[0]
     return mean, dr.maximum(inverse * squares - dr.square(grey), 0)
