@@ -39,7 +39,7 @@ class ShIntegrator(mi.SamplingIntegrator):
        - |string|
        - The reflection model: ``default``, or ``paper`` for Eq. 6 of the paper as printed, with
          Gaussian lobes, Schlick's Fresnel term at the camera's angle and Lambert's diffuse one.
-         Also ``fast`` and ``calibrated``, as in ``svu_mi.preset``. (Default: ``default``)
+         Also ``fast`` and ``fixed``, as in ``svu_mi.preset``. (Default: ``default``)
 
      * - levels
        - |int|

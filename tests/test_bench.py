@@ -20,7 +20,7 @@ from svu_mi.bench.glb import convert_glb
 from svu_mi.bench.judge import judge_posterior
 from svu_mi.bench.store import Store, key_of
 from svu_mi.bench.text import seconds, table
-from svu_mi.bench.variants import VARIANTS, Variant, available
+from svu_mi.bench.variants import VARIANTS, Variant, available, base_of
 from svu_mi.capture.scene import load_scene
 from svu_mi.cli.bench import names
 from svu_mi.cli.main import main
@@ -181,9 +181,10 @@ def test_run_times_of_one_cell(finished, monkeypatch):
     bench = bench_in(folder, trace=trace)
     (checked,) = run_bench(bench, CELLS, "checks", variants=one)["checks"]
     cases = checked["estimators"]["spectrum default"]
-    assert list(cases) == ["direct", "photographs", "both", "heteroscedastic"]
+    assert list(cases) == ["direct", "photographs", "both", "heteroscedastic", "estimated"]
     assert all(-1 <= rho <= 1 for rho in (*cases.values(), checked["references"]))
-    assert "noise grows with radiance" in (folder / "bench.md").read_text()
+    text = (folder / "bench.md").read_text()
+    assert "noise grows with radiance" in text and "noise is estimated" in text
     record = run_bench(bench, CELLS, "speed", variants=one)
     found = record["speed"]
     timed = found["estimators"]["variants"]
@@ -232,13 +233,14 @@ def test_variants_have_unique_labels_and_a_default_to_compare_with():
     assert len(set(labels)) == len(labels)
     known = available()
     assert {v.label for v in known} >= {"spectrum paper", "spectrum default"}
+    assert known == VARIANTS  # all of them, in this version
+    presets = {variant.label: variant.preset for variant in known}
     for variant in known:
         assert f"{variant.method} default" in labels
-        assert (
-            variant.main
-            or variant.preset
-            != next(v for v in known if v.label == f"{variant.method} default").preset
-        )
+        assert variant.main or variant.preset != presets[base_of(variant.label, labels)]
+    assert base_of("angular fixed, looked up, Fresnel: none", labels) == "angular fixed, looked up"
+    assert base_of("angular fixed, Lambert", labels) == "angular fixed"
+    assert base_of("spectrum degree 4", labels) == "spectrum default"
 
 
 def test_what_run_bench_refuses(tmp_path):

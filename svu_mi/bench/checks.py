@@ -1,4 +1,4 @@
-"""What the comparison itself takes for granted: direct light alone, and one noise rule."""
+"""What the comparison itself takes for granted: direct light alone, and the noise."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def run_checks(bench: Bench, cells: Sequence[Cell], variants: Sequence[Variant])
 
 
 def check(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> Record:
-    """Compare estimators with references of other light paths and of another noise rule.
+    """Compare estimators with references of other light paths and of other noise.
 
     Every psi has to be rendered where light goes between parts of the object, so this is done
     for a few texels.
@@ -54,7 +54,8 @@ def check(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> Record:
         * ``direct``: photographs and reference of direct light;
         * ``photographs``: photographs with all light, reference of direct light;
         * ``both``: photographs and reference with all light;
-        * ``heteroscedastic``: direct light, reference with noise that grows with radiance.
+        * ``heteroscedastic``: direct light, reference with noise that grows with radiance;
+        * ``estimated``: direct light, reference whose noise is estimated, as ``default`` does.
     """
     lit = replace(cell, defines={**cell.defines, "max_depth": str(PHOTOGRAPHS)})
     direct, full = bench.capture(cell), bench.capture(lit, name="capture_all_light")
@@ -69,9 +70,11 @@ def check(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> Record:
             "direct": (direct, plain),
             "photographs": (full, bench.reference(full, grid, **subset)),
             "both": (full, bench.reference(full, grid, method="brute", max_depth=DEPTH, **subset)),
-            "heteroscedastic": (direct, bench.reference(direct, grid, noise="heteroscedastic",
-                                                        **subset)),
-        }  # fmt: skip
+            **{
+                noise: (direct, bench.reference(direct, grid, noise=noise, **subset))
+                for noise in ("heteroscedastic", "estimated")
+            },
+        }
     estimators: dict[str, Record] = {v.label: {} for v in variants}
     with bench.progress.stage(f"Checking {cell.title}"):
         for variant in variants:

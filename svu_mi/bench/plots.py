@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.bench.text import seconds
+from svu_mi.bench.variants import base_of
 from svu_mi.output.style import new_figure, save_figure
 
 if TYPE_CHECKING:
@@ -203,7 +204,7 @@ def _switches(record: Record) -> Figure:
     figure = page(8, 1.2 + 0.32 * len(rows))
     axes = figure.add_subplot()
     for place, row in enumerate(reversed(rows)):
-        base = f"{row['label'].split()[0]} default"
+        base = base_of(row["label"], record["cells"][0]["variants"])
         changes = [
             cell["variants"][row["label"]]["pearson"] - cell["variants"][base]["pearson"]
             for cell in record["cells"]
@@ -215,7 +216,7 @@ def _switches(record: Record) -> Figure:
             axes.plot(changes, [place] * len(changes), "|", color=INK, markersize=7)
     axes.set_yticks(range(len(rows)), [row["label"] for row in reversed(rows)], fontsize=8)
     axes.axvline(0, color=INK, linewidth=0.8)
-    axes.set_xlabel("change of the Pearson correlation against the method's default")
+    axes.set_xlabel("change of the Pearson correlation against what is switched")
     axes.set_title("Single switches: mean (bar) and each cell (stroke)", fontsize=10, color=INK)
     tidy(axes)
     return figure

@@ -38,7 +38,7 @@ def run_speed(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str
     Args:
         bench: where and how.
         cell: object and light.
-        variants: the main ones are timed; ``default`` of each method is scaled.
+        variants: the main ones are timed; ``default`` and ``fixed`` of each method are scaled.
 
     Returns:
         ``cell``; ``estimators``: warm and cold seconds by label; ``scaling``: rows of value,
@@ -46,7 +46,7 @@ def run_speed(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str
         ``reference_spp``; ``brute``: see ``brute_force``.
     """
     main = [v for v in variants if v.main]
-    scaled = [v for v in main if v.label.endswith(" default")]
+    scaled = [v for v in main if v.label.endswith((" default", " fixed"))]
     parts: dict[str, Callable[[], dict[str, Any]]] = {
         "estimators": lambda: time_estimators(bench, cell, main),
         "degree": lambda: {v.label: by_degree(bench, cell, v) for v in scaled},

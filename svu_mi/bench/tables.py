@@ -85,8 +85,9 @@ def _agreement(record: Record) -> list[str]:
     ]  # fmt: skip
     return [
         "## Agreement with the path-traced posterior",
-        "Correlation of the entropy with that of the reference: mean over cells, and a 95 % "
-        "bootstrap interval over objects. That of the reference is between two halves of its "
+        "Correlation of the entropy with that of the reference, which assumes a noise of 8 % of "
+        "the mean radiance, as `fixed` does: mean over cells, and a 95 % bootstrap interval over "
+        "objects. That of the reference is between two halves of its "
         "samples. AUSE: area between the sparsification curves by entropy and by true error of "
         "the most probable cell, over that of a random order: 0 perfect, 1 chance. Seconds are "
         "warm, mean over cells.",
@@ -158,6 +159,7 @@ def _checks(checks: Sequence[Record]) -> list[str]:
         "photographs": "all light in the photographs",
         "both": "all light in both",
         "heteroscedastic": "noise grows with radiance",
+        "estimated": "noise is estimated",
     }
     rows = [
         [found["cell"], label, *(number(row[case]) for case in cases), number(found["references"])]
@@ -165,13 +167,14 @@ def _checks(checks: Sequence[Record]) -> list[str]:
         for label, row in found["estimators"].items()
     ]
     return [
-        "## Light between parts of the object, and another noise rule",
+        "## Light between parts of the object, and other noise",
         f"Pearson correlation with references in which every psi is rendered, on up to "
         f"{checks[0]['texels']} texels: of direct light, as above; with photographs of up to "
         "5 bounces against the reference of direct light; with the same photographs against a "
         "reference of up to 3 bounces, in which all of the object has the psi in question; and "
-        "of direct light, with noise that grows with radiance. Last, the references of direct "
-        "and of all light with each other.",
+        "of direct light, with noise that grows with radiance, and with noise that is estimated, "
+        "as `default` and `fast` do. Last, the references of direct and of all light with each "
+        "other.",
         table(("object / light", "map", *cases.values(), "both references"), rows),
     ]
 

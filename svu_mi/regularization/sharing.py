@@ -33,8 +33,8 @@ class GlobalSharing(Regularizer):
 
     A plain function of a texture, to be added to any loss. The weights come from posteriors
     and do not change; the seeds' values are those of the texture itself. Weights are not
-    normalised: a texel that is like no seed is left alone. A texel that nobody saw has a
-    uniform posterior, which is no further from any seed than that seed is certain.
+    normalised: a texel that is like no seed is left alone. A texel that nobody saw has the
+    prior for its posterior, which says next to nothing of how far it is from a seed.
 
     Attributes:
         estimate: what the photographs say about T texels.

@@ -11,8 +11,14 @@ import numpy as np
 
 from extremes.cases import Axis, Case, Found, entropies, exposures
 from extremes.exact import Grid, U, angular_entropy
+from extremes.integrals import calibrated_entropies
 from svu_mi.options import AngularPreset, preset
-from svu_mi.posterior import ParameterGrid, PrincipledGrid, angular_posterior
+from svu_mi.posterior import (
+    ParameterGrid,
+    PrincipledGrid,
+    angular_posterior,
+    calibrated_posterior,
+)
 from svu_mi.statistics import Statistics
 from svu_mi.statistics.factors import PAIRS
 
@@ -86,6 +92,15 @@ def posterior_error(
     return entropies(found.entropy(), [x.entropy for x in truth], bounds)
 
 
+def calibrated_error(data: Samples, switches: AngularPreset, scale: float = SCALE) -> Found:
+    """``posterior_error`` where noise is estimated and cells are integrated."""
+    w, b, *columns = data
+    found = calibrated_posterior(statistics_of(data), PRINCIPLED, scale, switches)
+    truth = calibrated_entropies(w, *columns, b, found.noise, switches)
+    bounds = np.array([x.bound for x in truth])
+    return entropies(found.entropy(), [x.entropy for x in truth], bounds)
+
+
 def rules(quick: bool = False) -> list[tuple[str, AngularPreset, Grid]]:
     """Every channel and noise rule on both grids. Weights belong to the statistics."""
     found: list[tuple[str, AngularPreset, Grid]] = []
@@ -121,28 +136,56 @@ def _rules(_: Path, quick: bool) -> Iterator[Case]:
 
 def _radiance(_: Path, quick: bool) -> Iterator[Case]:
     for name, switches, grid in rules(quick):
-        w, b, e, p, q, d = samples(20029, switches.colors)
-        bright, sun = b.copy(), one_bright_view(p)
-        bright[..., 4] = 1e5
-        changed: dict[str, Samples] = {
-            "black photographs": (w, 0 * b, e, p, q, d),
-            "a highlight of 1e5": (w, bright, e, p, q, d),
-            "a sun of 1e5": (w, b, e, sun * p, sun * q, sun * d),
-            "a sun in light and photographs": (w, bright, e, sun * p, sun * q, sun * d),
-            "no light": (w, b, 0 * e, 0 * p, 0 * q, 0 * d),
-            "no diffuse light": (w, b, 0 * e, p, q, d),
-            "no specular light": (w, b, e, 0 * p, 0 * q, 0 * d),
-            "constant light": (w, 0 * b + 0.5, 0 * e + 1, 0 * p + 1, 0 * q, 0 * d + 0.04),
-        }
-        for what, data in changed.items():
-            yield f"{name}: {what}", partial(posterior_error, data, switches, grid)
-        for power in (-6, 6) if quick else (-6, -3, 3, 6):
-            gain = 10.0**power
-            data = exposed((w, b, e, p, q, d), gain)
-            yield (
-                f"{name}: radiance times 1e{power}",
-                partial(posterior_error, data, switches, grid, SCALE * gain),
-            )
+        for what, data, scale in _at_its_ends(samples(20029, switches.colors), quick):
+            yield f"{name}: {what}", partial(posterior_error, data, switches, grid, scale)
+
+
+def _at_its_ends(data: Samples, quick: bool) -> Iterator[tuple[str, Samples, float]]:
+    """Samples of bright, black and one-sided light, and the radiance that noise is a part of."""
+    w, b, e, p, q, d = data
+    bright, sun = b.copy(), one_bright_view(p)
+    bright[..., 4] = 1e5
+    changed = {
+        "black photographs": (w, 0 * b, e, p, q, d),
+        "a highlight of 1e5": (w, bright, e, p, q, d),
+        "a sun of 1e5": (w, b, e, sun * p, sun * q, sun * d),
+        "a sun in light and photographs": (w, bright, e, sun * p, sun * q, sun * d),
+        "no light": (w, b, 0 * e, 0 * p, 0 * q, 0 * d),
+        "no diffuse light": (w, b, 0 * e, p, q, d),
+        "no specular light": (w, b, e, 0 * p, 0 * q, 0 * d),
+        "constant light": (w, 0 * b + 0.5, 0 * e + 1, 0 * p + 1, 0 * q, 0 * d + 0.04),
+    }
+    for what, samples_of in changed.items():
+        yield what, samples_of, SCALE
+    for power in (-6, 6) if quick else (-6, -3, 3, 6):
+        gain = 10.0**power
+        yield f"radiance times 1e{power}", exposed(data, gain), SCALE * gain
+
+
+def _calibrated(_: Path, quick: bool) -> Iterator[Case]:
+    for channels in ("grey", "joint"):
+        switches = preset("default", method="angular", channels=channels)
+        for views in (1, 9) if quick else (1, 2, 3, 9, 60, 512):
+            data = samples(20077 + views, switches.colors, views=views)
+            yield f"{channels}, {views} views", partial(calibrated_error, data, switches)
+        same: Any = tuple(np.repeat(x[..., :1], 12, axis=-1) for x in data)
+        yield f"{channels}, 12 identical views", partial(calibrated_error, same, switches)
+        exact = samples(20089, switches.colors, noise=0)
+        yield f"{channels}, no noise", partial(calibrated_error, exact, switches)
+        for what, data, scale in _at_its_ends(samples(20101, switches.colors), quick):
+            yield f"{channels}: {what}", partial(calibrated_error, data, switches, scale)
+        for power in (-20, 20) if quick else (-20, -10, -1, 1, 10, 20):
+            name = f"{channels}, radiance times 2^{power}, as before"
+            yield name, partial(_calibrated_exposed, switches, power)
+
+
+def _calibrated_exposed(switches: AngularPreset, power: int) -> Found:
+    H = []
+    for gain in (1.0, 2.0**power):
+        data = exposed(samples(20107, switches.colors), gain)
+        found = calibrated_posterior(statistics_of(data), PRINCIPLED, SCALE * gain, switches)
+        H.append(np.array(found.entropy(), np.float64))
+    return entropies(H[1], H[0], 4 * U)
 
 
 def one_bright_view(p: np.ndarray) -> np.ndarray:
@@ -210,4 +253,7 @@ AXES = (
     Axis("exposure of statistics", "2^-20 to 2^20", "entropy with that before", _exposure),
     Axis("sigma of statistics", "1e-12 to 1e12", AGAINST, _sigma),
     Axis("grids of statistics", "2 to 64 nodes", AGAINST, _grids),
+    Axis("noise that is estimated", "1 to 512 views, identical ones, without noise; radiance of "
+         "1e-6 to 1e6, a sun of 1e5, black, constant", "entropy with that of integrals in double "
+         "precision", _calibrated),
 )  # fmt: skip

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from extremes import angular
 from extremes.captures import around, ball, lamps, map_light
+from extremes.estimates import WAYS
 from extremes.fits import fit_error, samples
 from extremes.meshes import similarity
 
 import svu_mi as svu
 
 METHODS = pytest.mark.parametrize("method", ["angular", "spectrum"])
+BOTH = pytest.mark.parametrize("method, rule", WAYS)
 
 
 @pytest.fixture(scope="module")
@@ -46,11 +48,11 @@ def test_no_light_is_refused(method, tmp_path):
 
 
 @pytest.mark.parametrize("power", [-33, 33])
-@METHODS
-def test_exposure_does_not_matter_within_range(method, power, capture, tmp_path):
+@BOTH
+def test_exposure_does_not_matter_within_range(method, rule, power, capture, tmp_path):
     """1e-10 to 1e10; powers of two round nothing, so nothing may change."""
     H = [
-        np.array(svu.estimate(c, svu.texels(c.mesh, 16), method).entropy)
+        np.array(svu.estimate(c, svu.texels(c.mesh, 16), method, rule).entropy)
         for c in (capture, exposed(capture, 2.0**power, tmp_path))
     ]
     np.testing.assert_allclose(H[1], H[0], atol=16 * 2.0**-24)
@@ -69,16 +71,16 @@ def test_radiance_out_of_range_is_refused(method, power, capture, tmp_path):
 @pytest.mark.parametrize("gain, scale", [(1.0, 1e-25), (1e20, 0.7)])
 def test_no_radiance_makes_the_marginal_rule_nan(gain, scale):
     """What no roughness explains is a square: 0 times infinity, and infinity less infinity."""
-    switches = svu.preset("default", method="angular", noise="marginal")
+    switches = svu.preset("fixed", method="angular", noise="marginal")
     w, b, *light = angular.samples(7, 1)
     statistics = angular.statistics_of((w, gain * b, *light))
     H = np.array(svu.angular_posterior(statistics, None, scale, switches).entropy())
     assert ((H >= 0) & (H <= 1)).all()
 
 
-@pytest.mark.parametrize("method", ["angular", "spectrum"])
-def test_a_single_texel_is_enough(method, capture):
-    found = svu.estimate(capture, svu.texels(capture.mesh, 1), method)
+@BOTH
+def test_a_single_texel_is_enough(method, rule, capture):
+    found = svu.estimate(capture, svu.texels(capture.mesh, 1), method, rule)
     H = np.array(found.entropy)
     assert H.shape == (1,)
     assert 0 <= H[0] < 1

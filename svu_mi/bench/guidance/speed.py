@@ -44,7 +44,7 @@ class Timed:
         )
 
 
-ANGULAR = preset("default", method="angular")
+ANGULAR = preset("fixed", method="angular")  # what forecasts assume
 SPECTRUM = Timed(
     "spectrum, 8 x 8 cells, all of them as truths", "spectrum",
     preset("default", parameters="specular"), ParameterGrid(8, 8), 64,

@@ -70,7 +70,7 @@ def _cases() -> tuple[Case, ...]:
         *(Case(f"spectrum joint, {n} x {n}", joint, ParameterGrid(n, n)) for n in (8, 32)),
         Case("spectrum grey, 8 x 8 x 8", preset("default"), cube),
         Case("spectrum joint, 8 x 8 x 8", preset("default", channels="joint"), cube),
-        Case("angular grey, 8 x 8 x 8", preset("default", method="angular"), cube),
+        Case("angular fixed, 8 x 8 x 8", preset("fixed", method="angular"), cube),
     )
 
 

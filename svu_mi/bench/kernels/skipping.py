@@ -61,7 +61,9 @@ class Way:
         if self.known is None:
             prior = np.zeros((NODES, NODES, NODES))
             prior[:, 0] = 1  # metallic = 0
-        switches = preset("default", method=method, channels="joint")
+        # Where cells are integrated, a value is not what all of its cell is.
+        named = "fixed" if method == "angular" else "default"
+        switches = preset(named, method=method, channels="joint")
         return estimate(
             capture, self.layout, method, switches, prior=prior, known=self.known, skip=self.skip
         )
