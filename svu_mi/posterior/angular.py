@@ -37,11 +37,7 @@ class AngularPosterior(Posterior):
 
     @cached_property
     def _lane(self) -> np.ndarray:
-        """(T,) int64, which of the S texels each is; 0 for others."""
-        lanes = np.zeros(self.count, np.int64)
-        texel = self.problem.factors.texel.numpy()
-        lanes[texel] = np.arange(len(texel))
-        return lanes
+        return self.problem.factors.lanes(self.count)
 
     @property
     def groups(self) -> int:

@@ -98,6 +98,12 @@ class Factors:
         U = dict(zip(PAIRS, np.moveaxis(self.table().astype(np.float64), 2, 0), strict=True))
         return np.stack([sum(U[k, i] * U[k, j] for k in range(i + 1)) for i, j in PAIRS], axis=2)
 
+    def lanes(self, total: int) -> np.ndarray:
+        """Return which of the S texels each of all T is, (T,) int64; 0 for others."""
+        lanes, texel = np.zeros(total, np.int64), self.texel.numpy()
+        lanes[texel] = np.arange(len(texel))
+        return lanes
+
     def unexplained(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the mean squared error that nothing explains, the sum over channels, and the sum
         of the weights: (S,) float64 both."""
