@@ -294,11 +294,8 @@ def test_the_formula_of_memory_is_the_readme_s(root):
         round(resident_formula("spectrum", 2**20, 0) - 200),
         round(resident_formula("spectrum", 0, 0)),
     )
-    line = (
-        f"{base} MiB + {pixel} bytes per pixel of all photographs + {angular} (angular) or "
-        f"{spectrum} bytes per texel"
-    )
-    assert line in readme
+    line = f"{base} MiB + {pixel} bytes per pixel of all photographs + {angular} bytes per texel"
+    assert line in readme and f", {spectrum} with spectra)" in readme
 
 
 def test_a_failed_process_says_why(tmp_path):

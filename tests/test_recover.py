@@ -123,7 +123,9 @@ def test_materials_are_found(
     fit = run.fit(ShOptions())
     metal = truth.at(grid, "metallic")[run.seen] > 0.5
     well = run.observed.coverage[run.seen] >= np.median(run.observed.coverage)
-    seeds = np.array([np.flatnonzero(kind & well)[5] for kind in (metal, ~metal)])
+    # Pixels at the edge of a stripe, which is 3 texels wide, show some of the next one.
+    inside = grid.index.numpy()[run.seen] % SIZE % 3 == 1
+    seeds = np.array([np.flatnonzero(kind & well & inside)[5] for kind in (metal, ~metal)])
     found = find_materials(fit.factors, fit.start, fit.start.table(), seeds)
     for values, wanted in zip(found.values, (TRUE, OTHER), strict=True):
         error = values - np.array([*wanted["base_color"], wanted["roughness"], wanted["metallic"]])

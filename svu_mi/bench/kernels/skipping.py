@@ -158,7 +158,10 @@ def every_texel(layout: Texels) -> Texels:
     chosen = owned(mi.UInt32, np.concatenate([np.arange(layout.count), rest]).astype(np.uint32))
     fields = ("index", "face", "position", "normal", "geometric_normal", "uv", "footprint")
     values = {name: getattr(layout, name) for name in fields}
-    return replace(layout, **{n: dr.gather(type(v), v, chosen) for n, v in values.items()})
+    return replace(
+        layout, **{n: dr.gather(type(v), v, chosen) for n, v in values.items()},
+        sides=tuple(dr.gather(type(v), v, chosen) for v in layout.sides),
+    )  # fmt: skip
 
 
 def bare_capture(coloured: bool, views: int, film: int) -> Capture:
