@@ -224,6 +224,23 @@ def test_another_known_value_needs_no_other_kernel(grey):
             assert sum(detail.launch_stats()[1:]) == compiled
 
 
+@RULES
+def test_another_prior_needs_no_other_kernel(grey, method, rule):
+    """Of entropy, and of all that is asked of a posterior."""
+    from drjit import detail
+
+    capture, texels = grey
+    rng = np.random.default_rng(90001)
+    for run in range(3):
+        compiled = sum(detail.launch_stats()[1:])
+        found = estimate(capture, texels, method, rule, prior=rng.random((8, 8, 8))).posterior
+        for name in found.axes:
+            found.mean(name), found.sd(name), found.interval(name, rng.uniform(0.5, 0.9))
+        found.draw(2, seed=run)
+        if run > 1:
+            assert sum(detail.launch_stats()[1:]) == compiled
+
+
 def test_what_a_material_does_not_vary(grey, tmp_path):
     capture, texels = grey
     assert constant_parameters(capture.shape) == {"metallic": 0.0}

@@ -79,7 +79,9 @@ class CalibratedPosterior(Posterior):
         dr.eval(everywhere)
         most = streaming.entropy_of(self.prior)
         if most > 0:
-            relative = dr.clip(self._summary_of_lanes.entropy / float(most), 0, 1)
+            # Opaque: as a literal, every prior would compile a kernel of its own.
+            usual = dr.opaque(mi.Float, most)
+            relative = dr.clip(self._summary_of_lanes.entropy / usual, 0, 1)
         else:  # a prior that leaves one cell
             relative = dr.zeros(mi.Float, self.problem.factors.count)
         dr.scatter(everywhere, relative, self.problem.factors.texel)
