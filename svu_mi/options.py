@@ -10,6 +10,7 @@ Each difference between them is a single switch, so an ablation is
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from math import inf
 from typing import Any, Literal, get_args, overload
 
 from svu_mi.errors import OptionError
@@ -215,6 +216,14 @@ class AngularPreset(_Channels):
     def traced(self) -> bool:
         """Whether anything is traced that light arrives from."""
         return self.cells > 0
+
+    def kappa(self, unit: float) -> float:
+        """Return the radiance around which samples begin to count less; infinite if none does.
+
+        Args:
+            unit: mean radiance of the photographs.
+        """
+        return {"estimated": self.knee * unit, "heteroscedastic": unit}.get(self.noise, inf)
 
 
 @dataclass(frozen=True, kw_only=True)

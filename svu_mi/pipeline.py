@@ -248,11 +248,10 @@ def _from_angles(run: _Run, switches: AngularPreset) -> Posterior:
     if switches.traced:
         with run.progress.stage("Tracing occlusion"):
             seen.reach(switches.cells, occluded=switches.occluded)
-    kappa = {"estimated": switches.knee * seen.unit, "heteroscedastic": seen.unit}
     with run.progress.stage("Gathering statistics"):
         factors = seen.statistics(
             _levels(run, switches), switches, plan.channels, light_channels=plan.light_channels,
-            kappa=kappa.get(switches.noise, np.inf),
+            kappa=switches.kappa(seen.unit),
             edges=switches.edges if switches.noise == "estimated" else 0.0,
         ).factor()  # fmt: skip
     if switches.noise == "estimated":

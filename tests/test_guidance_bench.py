@@ -25,13 +25,14 @@ from svu_mi.bench.guidance.verdict import (
     times_as_many,
     views_needed,
 )
+from svu_mi.capture.poses import bounding_sphere, directions_of
 from svu_mi.progress import Progress
 from svu_mi.recovery.options import ShOptions
 from svu_mi.surface import texels
 
 PICTURES = Settings(views=8, film=32, spp=4, texels=32)
 TINY = Sizes(
-    lights=1, texels=24, starts=1, start=2, marks=(1, 2),
+    lights=1, texels=24, starts=1, kinds=("one-sided",), start=2, asked=3, marks=(1, 2),
     strategies=("entropy", "error", "farthest", "random"), speed_texels=12, candidates=(3, 6),
     fewer=(8,), added=2, refits=(1, 1), repeats=1,
 )  # fmt: skip
@@ -102,6 +103,8 @@ def test_every_strategy_adds_views_that_are_judged(finished):
     _, record = finished
     (run,) = record["runs"]
     assert run["cell"] == "vase / window" and len(run["start"]) == 2
+    assert run["kind"] == "one-sided"
+    assert len(run["agreement"]["gains"]) == len(run["agreement"]["changes"]) == 3
     for strategy in TINY.strategies:
         curve = run["curves"][strategy]
         assert len(set(curve["order"])) == 2
@@ -131,6 +134,8 @@ def test_tables_bars_and_plot(finished, tmp_path):
     for word in (*TINY.strategies, "vase / window", "Time per added view", "paired t-test"):
         assert word in text
     bars = {bar["what"]: bar for bar in find_bars(record, TINY)}
+    assert any(bar["limit"] == 1.2 and "one-sided" in what for what, bar in bars.items())
+    assert any("correlation" in what and bar["limit"] == 0.8 for what, bar in bars.items())
     assert any("over refitting" in what or "refitting" in what for what in bars)
     json.dumps(record["runs"])
     (path,) = draw_guidance(tmp_path, record)
@@ -153,6 +158,11 @@ def test_farthest_is_the_library_s_own(finished):
     bench, record = finished
     capture = bench.capture(CELLS[0])
     own = zlib.crc32(b"vase__window 0")
-    shoot = Shoot(capture, texels(capture.mesh, 24), TINY, own)
+    shoot = Shoot(capture, texels(capture.mesh, 24), TINY, own, "one-sided")
     assert shoot.start == record["runs"][0]["start"]
+    even = Shoot(capture, texels(capture.mesh, 24), TINY, own)
+    assert even.start[0] == shoot.start[0]  # the nearest to it, and the farthest
+    directions = directions_of(capture.sensors, bounding_sphere(capture.shape)[0])
+    angles = directions @ directions[shoot.start[0]]
+    assert np.argsort(-angles)[1] == shoot.start[1] and np.argmin(angles) == even.start[1]
     assert shoot.order("farthest") == record["runs"][0]["curves"]["farthest"]["order"]

@@ -21,7 +21,7 @@ from svu_mi.errors import OutputError
 from svu_mi.exr import read_attributes, read_exr
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
-from svu_mi.guidance.options import UNITS
+from svu_mi.guidance.strategies import TABLE
 from svu_mi.output import directions as sky
 from svu_mi.output import guidance_page
 from svu_mi.output.guidance import file_names, write_guidance, write_sensors
@@ -111,7 +111,7 @@ def test_the_plan_ranks_all_candidates(vase, written):
 def test_the_record_comes_last_and_says_what_was_run(vase, written):
     record = json.loads((written / "run.json").read_text())
     assert record["settings"]["given"] == {"add": 3} and record["kernels_compiled"] == {"a": 1}
-    assert record["settings"]["used"]["hypotheses"] == 16
+    assert record["settings"]["used"]["hypotheses"] == 8
     assert record["result"]["candidates"] == 14 and len(record["result"]["proposals"]) == 3
     assert record["skipped"]["candidates that cannot be reached"] == 3
     assert record["skipped"]["texels never seen"] == vase.estimate.skipped["texels never seen"]
@@ -230,11 +230,11 @@ def test_the_page_is_drawn_for_every_strategy(vase, tmp_path, strategy):
     figure = Figure()
     axes = figure.subplots(1, 3)
     sky.draw_directions(axes[0], vase.capture, guidance, up=(0, 0, 1))
-    guidance_page.draw_expected(axes[1], vase.capture, guidance, vase.estimate)
+    guidance_page.draw_expected(axes[1], vase.capture, guidance)
     guidance_page.draw_ranking(axes[2], guidance)
     figure.savefig(tmp_path / "page.png")
     assert matplotlib.image.imread(tmp_path / "page.png").ndim == 3
-    assert UNITS[strategy]
+    assert TABLE[strategy].unit
 
 
 def test_a_single_candidate_that_gains_nothing_is_drawn(vase, tmp_path):

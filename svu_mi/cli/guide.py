@@ -13,6 +13,8 @@ from rich.console import Console
 
 from svu_mi.cli.inputs import Estimated, given, say
 from svu_mi.errors import OptionError
+from svu_mi.guidance.strategies import TABLE
+from svu_mi.guidance.strategies import Name as Strategy
 from svu_mi.options import Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.progress import Progress
@@ -20,11 +22,11 @@ from svu_mi.progress import Progress
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
     from svu_mi.guidance import Candidates, Guidance, GuidanceOptions
+    from svu_mi.pipeline import Estimate
 
 SCENE = "scene"
 From = Annotated[str, tyro.conf.arg(metavar="NUMBER | FILE | scene")]
 Numbers = Annotated[tuple[int, ...], tyro.conf.arg(metavar="NUMBER ...")]
-Strategy = Literal["entropy", "error", "d-optimal", "coverage", "farthest", "random"]
 Up = Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
 
 
@@ -60,7 +62,7 @@ class Guide(Estimated):
     others are what these are compared with."""
     texels: int = 4096
     """Most texels that candidates are judged by."""
-    hypotheses: int = 16
+    hypotheses: int = 8
     """Most materials that are taken for the truth, per texel."""
     lazy: bool = False
     """Evaluate a candidate again only while its last gain is above the best."""
@@ -83,7 +85,7 @@ class Guide(Estimated):
                 capture, estimate, guidance, self.output, up=self.up, settings=given(self),
                 kernels=progress.kernels, progress=stage.update,
             )  # fmt: skip
-        _print(console, guidance)
+        _print(console, estimate, guidance)
         say(console, f"Wrote {self.output}")
         return 0
 
@@ -191,8 +193,9 @@ class Guide(Estimated):
                 f"--method spectrum --preset {self.preset} does not say what photographs to come "
                 "would show; add --preset paper, or leave --method away."
             )
-        if self.strategy in ("d-optimal", "error") and self.method != "angular":
-            raise OptionError(f"--strategy {self.strategy} needs --method angular.")
+        needed = TABLE[self.strategy].method
+        if needed not in (None, self.method):
+            raise OptionError(f"--strategy {self.strategy} needs --method {needed}.")
 
 
 def _number(word: str) -> int | None:
@@ -244,8 +247,8 @@ def _read_numbers(path: Path) -> list[Any]:
     return values
 
 
-def _print(console: Console, guidance: Guidance) -> None:
-    """Print the proposals as a table."""
+def _print(console: Console, estimate: Estimate, guidance: Guidance) -> None:
+    """Print the entropy now, and the proposals as a table."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
@@ -254,9 +257,20 @@ def _print(console: Console, guidance: Guidance) -> None:
     table.add_column("name")
     for rank, proposal in enumerate(guidance.proposals, 1):
         table.add_row(
-            str(rank), str(proposal.candidate), f"{proposal.gain:.4f}", f"{proposal.error:.4f}",
-            f"{proposal.entropy:.3f}", f"{proposal.sees:.0%}", f"{proposal.new:.0%}",
-            proposal.name,
+            str(rank), str(proposal.candidate), _number_or_dash(proposal.gain, 4),
+            _number_or_dash(proposal.error, 4), _number_or_dash(proposal.entropy, 3),
+            f"{proposal.sees:.0%}", f"{proposal.new:.0%}", proposal.name,
         )  # fmt: skip
-    console.print(f"Entropy to be expected so far: {guidance.entropy:.3f}", highlight=False)
+    seen = np.array(estimate.coverage) > 0
+    words = (
+        f"Mean entropy now: {np.array(estimate.entropy)[seen].mean():.3f} of the texels seen, "
+        f"{guidance.entropy:.3f} of all, of which unseen ones are 1."
+    )
+    if TABLE[guidance.options.strategy].forecasts:
+        words += " What each photograph is expected to take off the latter (gain), and to leave:"
+    console.print(words, highlight=False, soft_wrap=True)
     console.print(table, markup=False, highlight=False)
+
+
+def _number_or_dash(value: float, digits: int) -> str:
+    return "-" if np.isnan(value) else f"{value:.{digits}f}"

@@ -1,21 +1,17 @@
-"""Expected entropy (Eq. 13), or error, by the angular method.
+"""Expected entropy (Eq. 13), or variance, by the angular method: with the estimate's own energies.
 
 If psi_0 were the truth, photographs of a set S of views would show r_i(psi_0), and another psi
-would be off by
+would have the energy
 
-    d_S(psi_0, psi) = 1/|S| sum_{i in S} w_i (r_i(psi_0) - r_i(psi))^2.
+    d_S(psi_0, psi) = sum_{i in S} w_i |r_i(psi_0) - r_i(psi)|^2 / (2 s^2 tau)
 
-A candidate v adds one square to the sum, however many views there are:
-
-    d_{S+v} = (|S| d_S + w_v (r_v(psi_0) - r_v(psi))^2) / (|S| + 1).
-
-The weights are the estimator's: 1, or less where r_i(psi_0) is large if the noise grows with
-radiance. Expected errors, which follow what recovery makes of photographs, also count grazing
-samples less, by the cos^2 theta of Eq. 12: they are stretched over few pixels, and models are
-worst there.
+over views and channels; or the mean over views, if the estimate takes that. The weights are the
+estimator's: less where r_i(psi_0) is large. A candidate v adds its own term, however many views
+there are, and whatever the base colour three numbers per row and channel hold the sum
+(``colors.py``).
 
 No photograph takes part: r = (1 - m) (c e + d) + m (c p + q), and e, p, q, d of every roughness
-level are what ``Responses`` hold, in units of sqrt(2) sigma.
+level and channel are what ``Responses`` hold.
 """
 
 from __future__ import annotations
@@ -27,37 +23,40 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.guidance.colors import Colors, Form
 from svu_mi.guidance.forecast import Forecast, numbers
-from svu_mi.guidance.measures import FAR, Cell, Measure
+from svu_mi.guidance.measures import FAR, Measure
 from svu_mi.guidance.responses import Respond
 from svu_mi.posterior import PrincipledGrid, streaming
 from svu_mi.reflection.model import Model
+from svu_mi.statistics.gather import GRAZING
 from svu_mi.statistics.sums import noise_weight
 from svu_mi.visibility import Observation
 from svu_mi.visibility.reach import mirror_free
 
-
-def columns(levels: int) -> int:
-    """Numbers per view and texel: cos theta, then e, p, q, d of every level."""
-    return 1 + 4 * levels
+HOPELESS = 16.0  # nats above the truth, from which on a row is left out
 
 
-def respond(scene: Any, model: Model, sigma: Any) -> Respond:
+def columns(levels: int, channels: int) -> int:
+    """Numbers per view and texel: cos theta, then e, p, q, d of every level and channel."""
+    return 1 + 4 * levels * channels
+
+
+def respond(scene: Any, model: Model) -> Respond:
     """Return what evaluates a view of texels.
 
     Args:
         scene: what occludes.
-        model: the texels and the light, in grey.
-        sigma: Float, opaque: standard deviation of radiance.
+        model: the texels and the light.
     """
-    surface, scale = model.surface, dr.rsqrt(mi.Float(2)) / sigma
+    surface = model.surface
 
     def evaluate(seen: Observation) -> list[Any]:
         free = mi.Bool(True)
         if model.reads_mirrors:
             free = mirror_free(scene, surface, seen, seen.seen)
-        found = model.columns(seen.direction, dr.maximum(seen.cosine, 1e-3), free)
-        return [seen.cosine, *(scale * value for (level,) in found for value in level)]
+        found = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free)
+        return [seen.cosine, *(value for level in found for lobe in level for value in lobe)]
 
     return evaluate
 
@@ -67,15 +66,22 @@ class AngularForecast(Forecast):
     """``Forecast`` on a grid of (roughness, metallic, base colour).
 
     Attributes:
-        growth: a sample of r weighs 1 / (1 + (growth r)^2), with r in units of sqrt(2) sigma:
-            noise that grows with radiance; 0 if it does not.
-        grazing: whether samples also weigh cos^2 theta.
-        measure: what is expected, by default the entropy.
+        truths: (T * R * M * C,) Float, the base colour that a row has if it is the truth.
+        channels: C.
+        precision: (T,) Float, 1 / (2 s^2 tau): energy of a squared error of radiance.
+        kappa: radiance around which samples begin to count less (``noise_weight``).
+        averaged: whether errors are the mean over views, not their sum.
+        colors: how the colours of a row are summed.
+        measure: what is expected.
     """
 
     grid: PrincipledGrid
-    growth: float
-    grazing: bool
+    truths: Any
+    channels: int
+    precision: Any
+    kappa: float
+    averaged: bool
+    colors: Colors
     measure: Measure
 
     @property
@@ -92,7 +98,7 @@ class AngularForecast(Forecast):
         out = dr.zeros(mi.Float, count * size)
         dr.eval(out)
         add = dr.opaque(mi.Float, 0 if candidates is None else 1)
-        _entropies(launch, _Order(views), _Order(asked), add, out)
+        _expect(launch, _Order(views), _Order(asked), add, out)
         dr.eval(out)
         return out.numpy().reshape(count, size)
 
@@ -108,94 +114,113 @@ class _Order:
         return dr.gather(mi.UInt32, self._views, place)
 
 
+Truth = tuple[Any, list[Any], Any, Any]
+"""Row, colour of every channel, probability and -log prior of a hypothesis."""
+Shown = tuple[Any, list[Any]]
+"""Weight of the errors of a photograph, over 2 s^2 tau, and its radiance by channel."""
+
+
 class _Launch:
-    """The texels of one launch, and the cells of their grid."""
+    """The texels of one launch, and the rows of their grid."""
 
     def __init__(self, forecast: AngularForecast, lane: Any) -> None:
-        self._responses, self._lane = forecast.responses.at(lane), lane
-        self._hypotheses, self._prior = forecast.hypotheses, forecast.prior
+        self._forecast, self._lane = forecast, lane
+        self._responses, self.measure = forecast.responses.at(lane), forecast.measure
         levels, columns, _ = forecast.grid.shape
-        axes = forecast.grid.axes
-        self.rows, self.measure = levels * columns, forecast.measure
-        self._roughness, self._metallic = axes["roughness"], axes["metallic"]
-        self.nodes = [mi.Float(node) for node in streaming.cells(axes["base_color"])]
+        self._roughness, self._metallic, _ = forecast.grid.axes.values()
+        self.rows = levels * columns
         self._columns = dr.opaque(mi.UInt32, columns)
-        self._growth = dr.opaque(mi.Float, forecast.growth)
-        self._grazing = dr.opaque(mi.Float, float(forecast.grazing))
+        self._truths, self.channels = forecast.truths, forecast.channels
+        self._lobes = (self._responses.columns - 1) // (4 * levels)  # 1 of grey light
+        self._kappa = dr.opaque(mi.Float, forecast.kappa)
+        self._averaged = dr.opaque(mi.Bool, forecast.averaged)
+        self._precision = dr.gather(mi.Float, forecast.precision, lane)
+        self._stride = dr.opaque(mi.UInt32, self.rows * self.channels)
         self.size = dr.opaque(mi.UInt32, dr.width(lane))
         self.place = dr.arange(mi.UInt32, dr.width(lane))
-        self.hypotheses = dr.gather(mi.UInt32, self._hypotheses.counts, lane)
+        self.hypotheses = dr.gather(mi.UInt32, forecast.hypotheses.counts, lane)
 
     def sees(self, view: Any) -> Any:
         """cos theta of a view, 0 where it does not see the texel."""
         return self._responses.read(view, 0)
 
-    def truth(self, number: Any) -> tuple[Any, Cell, Any, Any]:
-        """Roughness level, cell, probability and -log prior of a hypothesis."""
-        place, weight = self._hypotheses.at(number, self._lane)
-        row = place // len(self.nodes)
+    def truth(self, number: Any) -> Truth:
+        """Read a hypothesis."""
+        row, weight = self._forecast.hypotheses.at(number, self._lane)
+        place = self._lane * self._stride + row * self.channels
+        colors = [dr.gather(mi.Float, self._truths, place + k) for k in range(self.channels)]
+        return row, colors, weight, self._prior(row)
+
+    def shown(self, view: Any, truth: Truth) -> Shown:
+        """What a photograph of the truth would show."""
+        row, colors, *_ = truth
+        r = [dr.fma(c, slope, base) for c, (slope, base) in
+             zip(colors, self._lines(view, row), strict=True)]  # fmt: skip
+        return self._precision * noise_weight(sum(r) / len(r), self._kappa), r
+
+    def errors(self, view: Any, row: Any, truth: Truth, shown: Shown) -> list[Any]:
+        """Products w slope^2, w slope rest, w rest^2 of every channel, in a view of a row."""
+        weight, radiance = shown
+        found = []
+        for (slope, base), c, r in zip(
+            self._lines(view, row), truth[1], radiance, strict=True
+        ):
+            rest = r - dr.fma(c, slope, base)
+            scaled = weight * slope
+            found += [scaled * slope, scaled * rest, weight * rest * rest]
+        return found
+
+    def share(self, views: Any) -> Any:
+        """What the sum over so many views is multiplied by."""
+        return dr.select(self._averaged, dr.rcp(views), 1)
+
+    def row(self, sums: list[Any], row: Any, truth: Truth) -> tuple[Any, Any]:
+        """Energy of a row relative to the truth's, which no colour is below, and what sums up."""
+        thirds = zip(sums[::3], sums[1::3], sums[2::3], truth[1], strict=True)
+        forms = [Form(*one) for one in thirds]
+        bound, parts = self._forecast.colors.bound(forms, row)
+        return bound + self._prior(row) - truth[3], parts
+
+    def add(self, sums: list[Any], row: Any, energy: Any, parts: Any) -> list[Any]:
+        """Add a row to the measure's sums."""
         level, m = self._row(row)
-        c = self.nodes[0]
-        for index, node in enumerate(self.nodes[1:], 1):
-            c = dr.select(place - row * len(self.nodes) == index, node, c)
-        prior = mi.Float(0) if self._prior is None else dr.gather(mi.Float, self._prior, place)
-        return level, (self._level(level), m, c), weight, prior
+        shared = (streaming.node(mi.Float, self._roughness, level), m)
+        energy = dr.maximum(energy, -FAR)
+        return self.measure.add(sums, self._forecast.colors.row(energy, parts), shared)
 
-    def predicted(self, view: Any, truth: tuple[Any, Cell, Any, Any]) -> Any:
-        """r(psi_0) in a view."""
-        level, (_, m, c), *_ = truth
-        e, p, q, d = self._column(view, level)
-        return dr.lerp(dr.fma(c, e, d), dr.fma(c, p, q), m)
-
-    def squares(self, view: Any, row: Any, predicted: Any) -> list[Any]:
-        """w (r(psi_0) - r(psi))^2 in a view, for all cells psi of a row."""
-        weight = dr.lerp(mi.Float(1), dr.square(self.sees(view)), self._grazing)
-        weight *= noise_weight(self._growth * predicted, 1.0)
-        level, m = self._row(row)
-        e, p, q, d = self._column(view, level)
-        # Radiance is linear in c.
-        rest, slope = predicted - dr.lerp(d, q, m), dr.lerp(e, p, m)
-        return [weight * dr.square(dr.fma(-c, slope, rest)) for c in self.nodes]
-
-    def add(
-        self, sums: list[Any], row: Any, distances: list[Any], share: Any, prior: Any
-    ) -> list[Any]:
-        """Add the cells of a row to the measure's sums; energies are relative to the truth's."""
-        level, m = self._row(row)
-        energies = []
-        for j, distance in enumerate(distances):
-            x = share * distance
-            if self._prior is not None:
-                x += dr.gather(mi.Float, self._prior, row * len(self.nodes) + j) - prior
-            energies.append(dr.clip(x, -FAR, FAR))
-        return self.measure.add(sums, (self._level(level), m), energies, self.nodes)
-
-    def _level(self, level: Any) -> Any:
-        return streaming.node(mi.Float, self._roughness, level)
+    def _prior(self, row: Any) -> Any:
+        return dr.gather(mi.Float, self._forecast.prior, row)
 
     def _row(self, row: Any) -> tuple[Any, Any]:
         level = row // self._columns
         return level, streaming.node(mi.Float, self._metallic, row - level * self._columns)
 
-    def _column(self, view: Any, level: Any) -> list[Any]:
-        return [self._responses.read(view, 1 + 4 * level + k) for k in range(4)]
+    def _lines(self, view: Any, row: Any) -> list[tuple[Any, Any]]:
+        """Radiance of a row as slope and value at 0 over the base colour of each channel."""
+        level, m = self._row(row)
+        found = []
+        for lobe in range(self._lobes):
+            first = 1 + 4 * (level * self._lobes + lobe)
+            e, p, q, d = (self._responses.read(view, first + k) for k in range(4))
+            found.append((dr.lerp(e, p, m), dr.lerp(d, q, m)))
+        return found if len(found) == self.channels else found * self.channels
 
 
 @dr.syntax
-def _entropies(launch: _Launch, known: _Order, asked: _Order, add: Any, out: Any) -> Any:
+def _expect(launch: _Launch, known: _Order, asked: _Order, add: Any, out: Any) -> Any:
     """Add p(psi_0) times the measure, for every psi_0, to ``out`` (views asked for, texels).
 
-    The squares of the views so far, per cell, are summed up once per hypothesis and kept in
+    The products of the views so far, per row, are summed up once per hypothesis and kept in
     local memory, where all candidates find them.
 
     Args:
-        launch: texels and cells.
+        launch: texels and rows.
         known: the views so far.
         asked: the candidates.
         add: 1 to add the candidate; 0 for the views so far alone, whatever is asked.
         out: Float, zeros.
     """
-    so_far = [dr.alloc_local(mi.Float, launch.rows) for _ in launch.nodes]
+    so_far = [dr.alloc_local(mi.Float, launch.rows) for _ in range(3 * launch.channels)]
     # A literal: Dr.Jit 1.5 leaves the size of local memory out of what tells kernels apart.
     rows = mi.UInt32(launch.rows)
     h = mi.UInt32(0)
@@ -210,10 +235,10 @@ def _entropies(launch: _Launch, known: _Order, asked: _Order, add: Any, out: Any
         while i < known.count:
             view = known.at(i)
             if launch.sees(view) > 0:
-                r = launch.predicted(view, truth)
+                shown = launch.shown(view, truth)
                 row = mi.UInt32(0)
                 while row < rows:
-                    _set(so_far, row, _sums(so_far, row, launch.squares(view, row, r)))
+                    _set(so_far, row, _sums(so_far, row, launch.errors(view, row, truth, shown)))
                     row += 1
                 n += 1
             i += 1
@@ -221,16 +246,18 @@ def _entropies(launch: _Launch, known: _Order, asked: _Order, add: Any, out: Any
         while j < asked.count:
             view = asked.at(j)
             if dr.select(add > 0, launch.sees(view), n) > 0:
-                r = launch.predicted(view, truth)
-                share = dr.rcp(n + add)
+                shown = launch.shown(view, truth)
+                share = launch.share(n + add)
                 sums = launch.measure.start()
                 row = mi.UInt32(0)
                 while row < rows:
-                    squares = [add * x for x in launch.squares(view, row, r)]
-                    sums = launch.add(sums, row, _sums(so_far, row, squares), share, truth[3])
+                    errors = [add * x for x in launch.errors(view, row, truth, shown)]
+                    total = [share * x for x in _sums(so_far, row, errors)]
+                    energy, parts = launch.row(total, row, truth)
+                    if energy < HOPELESS:
+                        sums = launch.add(sums, row, energy, parts)
                     row += 1
-                value = launch.measure.value(sums, truth[1])
-                _add(out, j * launch.size + launch.place, truth[2] * value)
+                _add(out, j * launch.size + launch.place, truth[2] * launch.measure.value(sums))
             j += 1
         h += 1
     return out
@@ -241,8 +268,8 @@ def _set(memory: list[Any], row: Any, values: list[Any]) -> None:
         slot[row] = value
 
 
-def _sums(memory: list[Any], row: Any, squares: list[Any]) -> list[Any]:
-    return [slot[row] + square for slot, square in zip(memory, squares, strict=True)]
+def _sums(memory: list[Any], row: Any, errors: list[Any]) -> list[Any]:
+    return [slot[row] + error for slot, error in zip(memory, errors, strict=True)]
 
 
 def _add(out: Any, place: Any, value: Any) -> None:

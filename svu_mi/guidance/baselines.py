@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-
-from svu_mi.posterior import PrincipledGrid
 
 
 class Farthest:
@@ -89,66 +86,60 @@ class Coverage:
 class DOptimal:
     """Largest determinant of the information matrix (D-optimality [Fedorov 1972]).
 
-    For each texel, radiance is linearised in (roughness, metallic, base colour) at its most
-    probable parameters: F = sum J J^T / sigma^2 + P, with the precision P of a uniform prior on
-    [0, 1], 12 for each. A candidate of Jacobian J adds log(1 + J . F^-1 J / sigma^2).
+    For each texel, radiance is linearised in roughness, metallic and the base colour of every
+    channel at its most probable parameters: F = sum J^T J / (s^2 tau) + P, with the precision P
+    of a uniform prior on [0, 1], 12 for each.
     """
 
     PRECISION = 12.0
 
-    def __init__(self, jacobians: np.ndarray, seen: np.ndarray, views: int) -> None:
-        """Make it of Jacobians (V, T, 3) over sigma; the first ``views`` are taken."""
-        J = jacobians.astype(np.float64) * seen[..., None]
-        texels = J.shape[1]
-        information = np.einsum("vti,vtj->tij", J[:views], J[:views])
-        self._inverse = np.linalg.inv(information + self.PRECISION * np.eye(3))
-        self._J = J[views:]
-        self._texels = texels
+    def __init__(self, jacobians: np.ndarray, views: int) -> None:
+        """Make it of Jacobians (V, T, C, P) over s sqrt(tau); the first ``views`` are taken."""
+        information = np.einsum("vtci,vtcj->vtij", jacobians, jacobians, optimize=True)
+        self._added = information[views:]
+        self._known = information[:views].sum(axis=0) + self.PRECISION * np.eye(
+            information.shape[-1]
+        )
 
     def gains(self) -> np.ndarray:
         """Mean over texels of what the logarithm of the determinant grows by."""
-        quadratic = np.einsum("vti,tij,vtj->vt", self._J, self._inverse, self._J, optimize=True)
-        return np.log1p(quadratic).mean(axis=1)
+        known = np.linalg.slogdet(self._known)[1]
+        return (np.linalg.slogdet(self._known + self._added)[1] - known).mean(axis=1)
 
     def choose(self, candidate: int) -> None:
-        """Add a candidate: a rank-1 change of the inverse [Sherman and Morrison 1950]."""
-        J = self._J[candidate]
-        u = np.einsum("tij,tj->ti", self._inverse, J)
-        scale = 1 / (1 + np.einsum("ti,ti->t", J, u))
-        self._inverse = self._inverse - scale[:, None, None] * u[:, :, None] * u[:, None, :]
+        """Add a candidate."""
+        self._known = self._known + self._added[candidate]
 
 
-def jacobians(table: np.ndarray, grid: PrincipledGrid, cells: np.ndarray) -> np.ndarray:
-    """Differentiate radiance by roughness, metallic and base colour.
+def jacobians(
+    table: np.ndarray, nodes: list[np.ndarray], rows: np.ndarray, colors: np.ndarray
+) -> np.ndarray:
+    """Differentiate radiance by roughness, metallic and the base colour of C channels.
 
     Args:
-        table: (V, T, 1 + 4 R): cos theta, then e, p, q, d of every roughness level, in radiance
-            over sqrt(2) sigma (guidance/angular.py).
-        grid: of the cells.
-        cells: (T,) where to differentiate.
+        table: (V, T, R, L, 4) of e, p, q, d of every roughness level and channel of the light; 0
+            where a view does not see a texel.
+        nodes: (R,) of roughness and (M,) of metallic.
+        rows: (T,) where to differentiate: rows of the grid.
+        colors: (T, C) and base colours.
 
     Returns:
-        (V, T, 3), in radiance over sigma; by roughness from the neighbouring levels, and 0 for
-        parameters that are known.
+        (V, T, C, 2 + C), 0 between different channels; by roughness from the neighbouring levels,
+        and 0 for a metallic that is known.
     """
-    levels, columns, count = grid.shape
-    nodes = list(grid.axes.values())
-    level, m, c = cells // (columns * count), cells // count % columns, cells % count
-    m, c = nodes[1][m], nodes[2][c]
-    columns_of = np.moveaxis(table[..., 1:].reshape(*table.shape[:2], levels, 4), 2, 0)
+    levels, count = len(nodes[0]), len(rows)
+    level, m = rows // len(nodes[1]), nodes[1][rows % len(nodes[1])][:, None]
 
-    def at(level: Any) -> Any:
-        return (columns_of[level, :, np.arange(len(cells)), k].T for k in range(4))
-
-    def radiance(level: Any) -> np.ndarray:
-        e, p, q, d = at(level)
-        return (1 - m) * (c * e + d) + m * (c * p + q)
+    def radiance(at: np.ndarray) -> tuple[np.ndarray, ...]:
+        e, p, q, d = np.moveaxis(table[:, np.arange(count), at], -1, 0)  # (V, T, L) each
+        return (1 - m) * (colors * e + d) + m * (colors * p + q), e, p, q, d
 
     low, high = np.maximum(level - 1, 0), np.minimum(level + 1, levels - 1)
-    width = np.maximum(nodes[0][high] - nodes[0][low], 1e-6)
-    by_roughness = (radiance(high) - radiance(low)) / width
-    e, p, q, d = at(level)
-    by_metallic = (p - e) * c + q - d
-    by_color = (1 - m) * e + m * p
-    slopes = np.stack([by_roughness, by_metallic, by_color], axis=-1)
-    return np.sqrt(2) * np.where(np.array(grid.shape) > 1, slopes, 0)
+    width = np.maximum(nodes[0][high] - nodes[0][low], 1e-6)[:, None]
+    _, e, p, q, d = radiance(level)
+    J = np.zeros((*table.shape[:2], colors.shape[1], 2 + colors.shape[1]))
+    J[..., 0] = (radiance(high)[0] - radiance(low)[0]) / width
+    J[..., 1] = ((p - e) * colors + q - d) * (len(nodes[1]) > 1)
+    for channel in range(colors.shape[1]):
+        J[..., channel, 2 + channel] = ((1 - m) * e + m * p)[..., channel % e.shape[-1]]
+    return J

@@ -26,7 +26,7 @@ class Forecast(ABC):
         responses: of all views.
         hypotheses: psi of Eq. 13, and p(psi | B, L).
         grid: of parameters.
-        prior: (N,) Float -log prior of every cell, or None.
+        prior: Float, -log prior of every cell, or of every row; or None.
     """
 
     responses: Responses

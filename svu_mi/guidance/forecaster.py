@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError
 from svu_mi.guidance import angular, spectral
 from svu_mi.guidance.angular import AngularForecast
+from svu_mi.guidance.colors import colors_of
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.hypotheses import Hypotheses
 from svu_mi.guidance.measures import Entropy
-from svu_mi.guidance.responses import Respond, collect
+from svu_mi.guidance.responses import Respond, Responses, collect
 from svu_mi.guidance.spectral import SpectrumForecast
 from svu_mi.interop import owned
 from svu_mi.observed import Observed
-from svu_mi.options import AngularPreset, AnyPreset, Preset, preset
-from svu_mi.pipeline import Estimate
-from svu_mi.pipeline import estimate as estimate_again
+from svu_mi.options import AngularPreset, AnyPreset, Preset
+from svu_mi.pipeline import Estimate, observed_of
 from svu_mi.posterior import CalibratedPosterior, ParameterGrid, PrincipledGrid
 from svu_mi.posterior.angular import AngularPosterior
 from svu_mi.posterior.spectrum import SpectrumPosterior
-from svu_mi.visibility import Surface, Views, pack_sensors
+from svu_mi.visibility import Surface, Views
+
+Draw = Callable[[np.ndarray], Hypotheses]
 
 
 class Forecaster(ABC):
@@ -37,11 +38,6 @@ class Forecaster(ABC):
     def __init__(self, estimate: Estimate, observed: Observed) -> None:
         self.estimate, self.observed = estimate, observed
 
-    def pack(self, sensors: Sequence[Any]) -> Views:
-        """Lay candidates out, once for all texels."""
-        capture = self.observed.capture
-        return pack_sensors(capture.scene, capture.shape, sensors)
-
     def forecast(
         self, texels: np.ndarray, candidates: Views, hypotheses: int, seed: int
     ) -> Forecast:
@@ -49,7 +45,7 @@ class Forecaster(ABC):
 
         Args:
             texels: (t,) int64 indices of texels of the estimate.
-            candidates: views, as ``pack`` returns them.
+            candidates: views, packed.
             hypotheses: most psi per texel.
             seed: of their draw.
         """
@@ -58,14 +54,11 @@ class Forecaster(ABC):
         responses = collect(
             surface, (seen.views, seen.found), candidates, respond, self.columns
         )
+        p = np.array(self.estimate.posterior.probabilities_of(texels))
+        # A texel draws the same, whichever others are looked at.
+        starts = np.random.default_rng(seed).random(seen.texels.count)[texels]
         return self._forecast(
-            responses=responses,
-            # A texel draws the same, whichever others are looked at.
-            hypotheses=Hypotheses.draw(
-                self._probabilities(texels), hypotheses,
-                np.random.default_rng(seed).random(seen.texels.count)[texels],
-            ),
-            prior=_energies(self.estimate.posterior.problem.prior),  # type: ignore[attr-defined]
+            responses, p, texels, lambda weights: Hypotheses.draw(weights, hypotheses, starts)
         )
 
     @abstractmethod
@@ -73,46 +66,64 @@ class Forecaster(ABC):
         """Texels as a launch, and what evaluates a view of them."""
 
     @abstractmethod
-    def _forecast(self, **parts: Any) -> Forecast:
-        """Put a forecast together."""
-
-    def _probabilities(self, texels: np.ndarray) -> np.ndarray:
-        """p(psi | B, L), (t, N)."""
-        return np.array(self.estimate.posterior.probabilities_of(texels)).reshape(len(texels), -1)
+    def _forecast(
+        self, responses: Responses, p: np.ndarray, texels: np.ndarray, draw: Draw
+    ) -> Forecast:
+        """Put a forecast together from p(psi | B, L) of texels, (t, *grid) or (t, *grid, C)."""
 
 
 class AngularForecaster(Forecaster):
-    """``Forecaster`` by angular statistics, in grey."""
+    """``Forecaster`` by angular statistics, with the energies of the estimate."""
 
     def __init__(self, estimate: Estimate, observed: Observed) -> None:
         super().__init__(estimate, observed)
-        grid = estimate.posterior.grid
-        if not isinstance(grid, PrincipledGrid):
+        posterior, switches = estimate.posterior, estimate.preset
+        if not isinstance(posterior.grid, PrincipledGrid):
             raise OptionError(
                 "next_best_view(): an angular estimate of (roughness, Ks) says nothing of what "
                 "photographs would show; use parameters='principled', as the default preset does."
             )
-        _require(estimate.preset, noise=("fixed", "relative", "heteroscedastic"),
-                 channels=("grey",))  # fmt: skip
-        self.grid = grid
-        self.columns = angular.columns(grid.shape[0])
+        assert isinstance(switches, AngularPreset)
+        assert isinstance(posterior, CalibratedPosterior | AngularPosterior)
+        if isinstance(posterior, AngularPosterior):
+            _require(switches, noise=("estimated", "fixed", "relative", "heteroscedastic"),
+                     channels=("grey",))  # fmt: skip
+        self.posterior, self.grid, self.switches = posterior, posterior.grid, switches
+        self.channels = posterior.problem.factors.channels
+        grey = observed.lighting.environment.grey
+        self.lobes = 1 if grey else self.channels  # grey light has one for all channels
+        self.columns = angular.columns(self.grid.shape[0], self.lobes)
 
     def _respond(self, texels: np.ndarray) -> tuple[Surface, Respond]:
-        seen, switches = self.observed, self.estimate.preset
-        assert isinstance(switches, AngularPreset)
-        model = seen.model(self.grid.roughness_nodes, switches, 1, texels)
-        sigma = switches.sigma * (1.0 if switches.noise == "fixed" else seen.unit)
-        return model.surface, angular.respond(
-            seen.views.scene, model, dr.opaque(mi.Float, sigma)
-        )
+        seen = self.observed
+        model = seen.model(self.grid.roughness_nodes, self.switches, self.lobes, texels)
+        return model.surface, angular.respond(seen.views.scene, model)
 
-    def _forecast(self, **parts: Any) -> Forecast:
-        switches = self.estimate.preset
-        growth = 2**0.5 * switches.sigma if switches.noise == "heteroscedastic" else 0.0
-        measure = Entropy(int(np.prod(self.grid.shape)))
+    def _forecast(
+        self, responses: Responses, p: np.ndarray, texels: np.ndarray, draw: Draw
+    ) -> Forecast:
+        posterior, rows = self.posterior, int(np.prod(self.grid.shape[:2]))
+        p = p.reshape(len(p), rows, self.grid.shape[2], -1)[..., : self.channels]
+        weights = p[..., 0].sum(axis=2, dtype=np.float64)
+        colors, prior, most = colors_of(posterior)
         return AngularForecast(
-            grid=self.grid, growth=growth, grazing=False, measure=measure, **parts
+            responses=responses, hypotheses=draw(weights), grid=self.grid, prior=prior,
+            truths=owned(mi.Float, colors.truths(p).ravel()), channels=self.channels,
+            precision=owned(mi.Float, 0.5 / self._variance()[texels]),
+            kappa=self.switches.kappa(self.observed.unit),
+            averaged=isinstance(posterior, AngularPosterior), colors=colors,
+            measure=Entropy(most),
         )  # fmt: skip
+
+    def _variance(self) -> np.ndarray:
+        """s^2 tau of all texels, (T,); of those nobody saw, the median of the others."""
+        posterior, switches = self.posterior, self.switches
+        if isinstance(posterior, AngularPosterior):
+            sigma = switches.sigma * (1.0 if switches.noise == "fixed" else self.observed.unit)
+            return np.full(posterior.count, sigma**2)
+        variance = np.full(posterior.count, np.median(posterior.noise) ** 2)
+        variance[posterior.problem.factors.texel.numpy()] = posterior.noise**2
+        return variance * switches.overdispersion
 
 
 class SpectrumForecaster(Forecaster):
@@ -137,11 +148,16 @@ class SpectrumForecaster(Forecaster):
         surface = Surface.of(seen.texels, numbers(texels))
         return surface, spectral.respond(seen.views.scene, surface, seen.lighting, self.switches)
 
-    def _forecast(self, **parts: Any) -> Forecast:
+    def _forecast(
+        self, responses: Responses, p: np.ndarray, texels: np.ndarray, draw: Draw
+    ) -> Forecast:
+        del texels
         problem = self.estimate.posterior.problem  # type: ignore[attr-defined]
         return SpectrumForecast(
-            grid=self.grid, switches=self.switches, sigma=float(problem.sigma[0]),
-            prefilter=self.observed.lighting.prefilter, **parts,
+            responses=responses, prior=_energies(problem.prior), grid=self.grid,
+            hypotheses=draw(p.reshape(len(p), -1)),
+            switches=self.switches, sigma=float(problem.sigma[0]),
+            prefilter=self.observed.lighting.prefilter,
         )  # fmt: skip
 
 
@@ -152,19 +168,8 @@ def forecaster(estimate: Estimate) -> Forecaster:
         OptionError: an estimate that was not made from a capture, or is over parameters that
             do not say what photographs would show.
     """
-    if estimate.observed is None:
-        raise OptionError(
-            "next_best_view(): the estimate does not know its capture; use what svu.estimate() "
-            "returns."
-        )
-    observed, posterior = estimate.observed, estimate.posterior
-    if isinstance(posterior, CalibratedPosterior):
-        # Forecasts know one noise for all, and grey; what is believed of materials stays.
-        assumed = preset("fixed", method="angular")
-        estimate = estimate_again(
-            observed, preset=assumed, grid=posterior.grid, prior=posterior.prior
-        )
-    if isinstance(estimate.posterior, AngularPosterior):
+    observed, posterior = observed_of(estimate, None), estimate.posterior
+    if isinstance(posterior, CalibratedPosterior | AngularPosterior):
         return AngularForecaster(estimate, observed)
     assert isinstance(estimate.posterior, SpectrumPosterior)
     return SpectrumForecaster(estimate, observed)

@@ -2,24 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from svu_mi.guidance.forecast import Forecast
-from svu_mi.guidance.forecaster import Forecaster
-from svu_mi.guidance.options import GuidanceOptions
-from svu_mi.visibility import Views
-
-
-class Strategy(Protocol):
-    """A way to judge candidates."""
-
-    def gains(self) -> np.ndarray:
-        """What each candidate is worth now, (C,) float64; more is better."""
-
-    def choose(self, candidate: int) -> None:
-        """Take a candidate as photographed from now on."""
 
 
 class Greedy:
@@ -100,20 +85,3 @@ class Greedy:
         self._stale[candidates] = False
         change = np.where(self._sees[candidates], self.entropy - self._expected[candidates], 0)
         self._gains[candidates] = change.mean(axis=1)
-
-
-def look(
-    source: Forecaster, texels: np.ndarray, candidates: Views, options: GuidanceOptions,
-    reachable: np.ndarray | None = None,
-) -> Greedy:  # fmt: skip
-    """Look at texels from candidates.
-
-    Args:
-        source: makes the forecast.
-        texels: (t,) indices of texels of its estimate.
-        candidates: C views, as ``Forecaster.pack`` returns them.
-        options: how they are judged.
-        reachable: (C,) bool, all by default.
-    """
-    forecast = source.forecast(texels, candidates, options.hypotheses, options.seed)
-    return Greedy(forecast, source.observed.views.number, reachable, lazy=options.lazy)

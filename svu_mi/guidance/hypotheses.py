@@ -1,8 +1,10 @@
-"""Truths that Eq. 13 averages over: cells of the grid, drawn from the posterior of each texel.
+"""Truths that Eq. 13 averages over, drawn from the posterior of each texel.
 
-All cells of a small grid are taken, each with its probability. Of a large one, K are drawn by
-systematic sampling: their number per cell differs from K p by less than one, so a certain
-texel has few different ones, and costs less. Every candidate is judged by the same draw.
+They are cells of a grid, or its rows: a roughness and a metallic, of the colour that the
+photographs so far then give (``colors.py``). All of a small grid are taken, each with its
+probability. Of a large one, K are drawn by systematic sampling: their number per cell differs
+from K p by less than one, so a certain texel has few different ones, and costs less. Every
+candidate is judged by the same draw.
 """
 
 from __future__ import annotations
@@ -16,7 +18,6 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
-from svu_mi.posterior.grid import Grid
 
 
 @dataclass(frozen=True)
@@ -41,15 +42,6 @@ class Hypotheses:
     @cached_property
     def _stride(self) -> Any:
         return dr.opaque(mi.UInt32, dr.width(self.counts))
-
-    def variances(self, grid: Grid) -> np.ndarray:
-        """Return the variance of every parameter over the hypotheses, (axes, T) float64."""
-        cells = self.cells.numpy().reshape(-1, dr.width(self.counts)).astype(np.int64)
-        weights = self.weights.numpy().reshape(cells.shape).astype(np.float64)
-        axes = zip(grid.axes.values(), np.unravel_index(cells, grid.shape), strict=True)
-        values = np.stack([nodes[index] for nodes, index in axes])
-        mean = (weights * values).sum(axis=1)
-        return np.maximum((weights * values**2).sum(axis=1) - mean**2, 0)
 
     @staticmethod
     def draw(probabilities: np.ndarray, most: int, starts: np.ndarray) -> Hypotheses:

@@ -1,27 +1,43 @@
-"""What a forecast expects of a texel: its entropy, or the error of its parameters.
+"""What a forecast expects of a texel: its entropy, or the variance of its parameters.
 
-Both are means over truths psi_0 of a number that sums over all cells psi make, weighted by
-p ~ exp(-x) with the energies x = d(psi_0, psi) - log prior, relative to that of psi_0: its own
-weight is 1, and with a uniform prior no other is larger.
+Both are means over truths psi_0 of a number that sums over rows (a roughness and a metallic) of
+what their base colours sum to. Weights are relative to the row of psi_0.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from svu_mi.posterior.streaming import nats
 
-FAR = 60.0  # exp(-FAR) adds nothing to the sum over cells, of which one is exp(0)
+FAR = 60.0  # exp(-FAR) adds nothing to the sum over cells, of which one is about exp(0)
 
-Cell = tuple[Any, Any, Any]
-"""Roughness in [0, 1], metallic, base colour: Floats."""
-Row = tuple[Any, Any]
-"""Roughness in [0, 1] and metallic: what the cells of a row share."""
+
+class Row(NamedTuple):
+    """What the base colours of a row sum to, for C channels.
+
+    Attributes:
+        weight: Float, of the row: exp(-energy), summed over its colours.
+        entropy: Float, nats, of the cells of a channel's colour given the row; mean over channels.
+        mean, variance: C Floats each, of colour given the row.
+    """
+
+    weight: Any
+    entropy: Any
+    mean: list[Any]
+    variance: list[Any]
+
+
+def row_of(energies: list[Any]) -> Row:
+    """Sum over cells of a row, which have energies above 0, the smallest near it."""
+    p = [dr.exp(-x) for x in energies]
+    z = sum(p)
+    zx = sum(a * x for a, x in zip(p, energies, strict=True))
+    return Row(z, nats(z, zx), [], [])
 
 
 class Measure(Protocol):
@@ -32,24 +48,24 @@ class Measure(Protocol):
         """Of a texel that no view sees."""
 
     def start(self) -> list[Any]:
-        """Sums of no cell."""
+        """Sums of no row."""
 
-    def add(self, sums: list[Any], row: Row, energies: list[Any], nodes: list[Any]) -> list[Any]:
-        """Add the cells of a row, which differ in base colour (``nodes``) alone."""
+    def add(self, sums: list[Any], row: Row, shared: tuple[Any, ...]) -> list[Any]:
+        """Add a row; ``shared`` are its roughness and metallic, Floats."""
 
-    def value(self, sums: list[Any], truth: Cell) -> Any:
-        """The number, if ``truth`` is."""
+    def value(self, sums: list[Any]) -> Any:
+        """The number."""
 
 
 @dataclass(frozen=True)
 class Entropy:
-    """Normalised entropy of Eq. 5: H = ``nats`` / log n.
+    """Normalised entropy of Eq. 5, by the chain rule: that of rows, and of colours given these.
 
     Attributes:
-        cells: n.
+        most: that of the prior, nats; log n for n cells of which none is more likely.
     """
 
-    cells: int
+    most: float
 
     @property
     def unseen(self) -> float:
@@ -57,29 +73,25 @@ class Entropy:
         return 1.0
 
     def start(self) -> list[Any]:
-        """Z and sum exp(-x) x."""
+        """Z, and the sum of w (H - log w) over rows of weight w."""
         return [mi.Float(0), mi.Float(0)]
 
-    def add(
-        self, sums: list[Any], row: Row | None, energies: list[Any], nodes: list[Any]
-    ) -> list[Any]:
+    def add(self, sums: list[Any], row: Row, shared: tuple[Any, ...]) -> list[Any]:
         """Add a row, whatever its parameters."""
-        del row, nodes
+        del shared
         z, zx = sums
-        for x in energies:
-            term = dr.exp(-x)
-            z, zx = z + term, dr.fma(x, term, zx)
-        return [z, zx]
+        w = row.weight
+        return [z + w, dr.fma(w, row.entropy - dr.log(dr.maximum(w, 1e-37)), zx)]
 
-    def value(self, sums: list[Any], truth: Cell | None) -> Any:
-        """H, whatever the truth."""
-        del truth
-        return nats(*sums) * dr.opaque(mi.Float, float(1 / np.log(self.cells)))
+    def value(self, sums: list[Any]) -> Any:
+        """H."""
+        z, zx = sums
+        return (dr.log(z) + zx / z) * dr.opaque(mi.Float, 1 / self.most)
 
 
 @dataclass(frozen=True)
-class SquaredError:
-    """Squared error of the posterior's mean, each parameter in units of its present one.
+class Variance:
+    """Variance of the parameters, each in units of its present one: the squared error to expect.
 
     Decibels of a texture fall with the logarithm of its mean squared error, so it is the
     relative change of each parameter's that counts.
@@ -87,10 +99,12 @@ class SquaredError:
     Attributes:
         present: mean variance of roughness, metallic and base colour over texels, as it is now.
         prior: their variance where nothing is known.
+        channels: C, of base colour, whose mean counts.
     """
 
-    present: tuple[float, float, float]
-    prior: tuple[float, float, float]
+    present: tuple[float, ...]
+    prior: tuple[float, ...]
+    channels: int
 
     @property
     def unseen(self) -> float:
@@ -98,24 +112,24 @@ class SquaredError:
         return sum(p / v for p, v in zip(self.prior, self.present, strict=True))
 
     def start(self) -> list[Any]:
-        """Z and the sums of exp(-x) times each parameter."""
-        return [mi.Float(0) for _ in range(4)]
+        """Z, and the sums of w x and w x^2 for roughness, metallic and the colour of channels."""
+        return [mi.Float(0) for _ in range(5 + 2 * self.channels)]
 
-    def add(self, sums: list[Any], row: Row, energies: list[Any], nodes: list[Any]) -> list[Any]:
+    def add(self, sums: list[Any], row: Row, shared: tuple[Any, ...]) -> list[Any]:
         """Add a row."""
-        z, roughness, metallic, color = sums
-        of_row = mi.Float(0)
-        for x, node in zip(energies, nodes, strict=True):
-            term = dr.exp(-x)
-            of_row, color = of_row + term, dr.fma(node, term, color)
-        roughness = dr.fma(row[0], of_row, roughness)
-        return [z + of_row, roughness, dr.fma(row[1], of_row, metallic), color]
-
-    def value(self, sums: list[Any], truth: Cell) -> Any:
-        """Squared distance of the means from the truth, over ``present``."""
+        zero = mi.Float(0)
+        values = [*((x, zero) for x in shared), *zip(row.mean, row.variance, strict=True)]
+        added = [x for mean, spread in values for x in (mean, dr.fma(mean, mean, spread))]
         z, *moments = sums
+        moments = [dr.fma(row.weight, x, old) for x, old in zip(added, moments, strict=True)]
+        return [z + row.weight, *moments]
+
+    def value(self, sums: list[Any]) -> Any:
+        """Sum of the variances over ``present``."""
+        _, *moments = (x / sums[0] for x in sums)
+        r, m, c = self.present
         total = mi.Float(0)
-        for moment, exact, variance in zip(moments, truth, self.present, strict=True):
-            scale = dr.opaque(mi.Float, 1 / variance)
-            total = dr.fma(dr.square(moment / z - exact), scale, total)
+        units = (r, m, *(self.channels * c for _ in range(self.channels)))
+        for mean, square, unit in zip(moments[::2], moments[1::2], units, strict=True):
+            total = dr.fma(square - dr.square(mean), dr.opaque(mi.Float, 1 / unit), total)
         return total

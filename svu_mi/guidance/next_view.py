@@ -1,6 +1,6 @@
 """Capture guidance: which photograph to take next (Sec. 5.1). The file to read first.
 
-    estimate + candidates -> forecast of some texels -> gain of every candidate -> the best view
+    estimate + candidates -> prospect of some texels -> gain of every candidate -> the best view
                                    ^                                                   |
                                    +---------------- as if photographed ---------------+
 """
@@ -17,12 +17,12 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
 from svu_mi.guidance.candidates import Candidates
-from svu_mi.guidance.forecaster import forecaster
-from svu_mi.guidance.greedy import Greedy, Strategy, look
+from svu_mi.guidance.greedy import Greedy
 from svu_mi.guidance.options import GuidanceOptions
+from svu_mi.guidance.prospect import Prospect
 from svu_mi.guidance.result import Guidance, Proposal
-from svu_mi.guidance.strategies import find_strategy
-from svu_mi.pipeline import Estimate
+from svu_mi.guidance.strategies import TABLE, Judge, Strategy
+from svu_mi.pipeline import Estimate, observed_of
 from svu_mi.progress import Progress
 
 AROUND = 100  # candidates that are placed when none are given
@@ -57,44 +57,52 @@ def next_best_view(
 
     Raises:
         OptionError: a count below 1, an unknown strategy, an option out of range, or an estimate
-            over parameters that do not say what photographs would show.
+            that does not say what photographs would show, to a strategy that asks for it.
         SceneError: a candidate is no pinhole camera.
     """
     if not isinstance(count, Integral) or isinstance(count, bool) or count < 1:
         raise OptionError(
             f"next_best_view(): count must be at least 1, a whole number, got {count!r}."
         )
-    options = _options(options, switches)
-    source, progress = forecaster(estimate), progress or Progress()
+    options, progress = _options(options, switches), progress or Progress()
+    strategy, observed = _strategy(options, estimate), observed_of(estimate, None)
     if candidates is None:
-        candidates = _default(source.observed.capture)
+        candidates = _default(observed.capture)
     elif not isinstance(candidates, Candidates):
         candidates = Candidates.of(candidates)
-    texels = source.observed.texels
+    texels = observed.texels
+    known = Prospect(estimate, observed, candidates, _sample(texels.count, options), options)
     with progress.stage("Looking from the candidates"):
-        chosen = _sample(texels.count, options)
-        packed = source.pack(candidates.sensors)
-        greedy = look(source, chosen, packed, options, candidates.reachable)
-    before = float(greedy.entropy.mean())
-    left_out = 1 - len(chosen) / texels.count
+        judge = strategy.make(known)
+        greedy = known.greedy if strategy.forecasts else None
+    entropy = float(np.mean(np.array(estimate.entropy, np.float64)))
     with progress.stage("Choosing views", count) as stage:
-        strategy = find_strategy(options, greedy, source.observed.capture, candidates)
         steps = []
-        for step in _choices(strategy, greedy, candidates, count, left_out):
+        for step in _choices(judge, greedy, known, count, entropy):
             steps.append(step)
             stage.update(len(steps), count)
     return Guidance(
         candidates=candidates,
         proposals=tuple(proposal for proposal, _ in steps),
         gains=steps[0][1],
-        entropy=before,
+        entropy=entropy,
         texels=texels,
         options=options,
         method=estimate.method,
-        skipped=_skipped(greedy, candidates, texels.count),
+        skipped=_skipped(greedy, known),
         timings=progress.timings,
-        _source=source,
+        _prospect=known,
     )
+
+
+def _strategy(options: GuidanceOptions, estimate: Estimate) -> Strategy:
+    strategy = TABLE[options.strategy]
+    if strategy.method not in (None, estimate.method):
+        raise OptionError(
+            f"next_best_view(): {options.strategy} needs an estimate by "
+            f"method={strategy.method!r}."
+        )
+    return strategy
 
 
 def _options(options: GuidanceOptions | None, switches: dict[str, Any]) -> GuidanceOptions:
@@ -126,50 +134,50 @@ def _sample(count: int, options: GuidanceOptions) -> np.ndarray:
 
 
 def _choices(
-    strategy: Strategy, greedy: Greedy, candidates: Candidates, count: int, left_out: float
+    judge: Judge, greedy: Greedy | None, known: Prospect, count: int, entropy: float
 ) -> Iterator[tuple[Proposal, np.ndarray]]:
     """Choose the best candidate, take it as photographed, and so on.
 
     Args:
-        strategy: what judges them.
-        greedy: expected entropies.
-        candidates: where to choose from.
+        judge: of the candidates.
+        greedy: says what they do to entropy; None of a strategy without a forecast.
+        known: where to choose from.
         count: how many to choose; fewer if there are not as many.
-        left_out: part of the texels that is not looked at.
+        entropy: mean over all texels, of the photographs so far.
 
     Yields:
         A proposal, and the gains (C,) of all candidates when it was chosen.
     """
-    free = candidates.reachable.copy()
+    free, seen = known.candidates.reachable.copy(), known.seen
+    covered = seen[: known.photographs].any(axis=0)
+    left_out = 1 - len(known.texels) / known.observed.texels.count
     for _ in range(min(count, int(free.sum()))):
-        gains = np.where(free, strategy.gains(), np.nan)
+        gains = np.where(free, judge.gains(), np.nan)
         best = int(np.nanargmax(gains))
-        yield _proposal(best, greedy, candidates, left_out), gains
+        change = np.full(1, np.nan) if greedy is None else greedy.texel_gains(best)
+        entropy -= float(change.mean())
+        sees = seen[known.photographs + best]
+        yield Proposal(
+            candidate=best,
+            name=known.candidates.names[best],
+            sensor=known.candidates.sensors[best],
+            gain=float(change.mean()),
+            error=_standard_error(change, left_out),
+            entropy=entropy,
+            sees=float(sees.mean()),
+            new=float((sees & ~covered).mean()),
+        ), gains
         free[best] = False
-        strategy.choose(best)
-        if strategy is not greedy:
+        covered |= sees
+        judge.choose(best)
+        if greedy is not None and greedy is not judge:
             greedy.choose(best)
-
-
-def _proposal(
-    candidate: int, greedy: Greedy, candidates: Candidates, left_out: float
-) -> Proposal:
-    change = greedy.texel_gains(candidate)
-    sees = greedy.forecast.seen[greedy.photographs + candidate]
-    return Proposal(
-        candidate=candidate,
-        name=candidates.names[candidate],
-        sensor=candidates.sensors[candidate],
-        gain=float(change.mean()),
-        error=_standard_error(change, left_out),
-        entropy=float((greedy.entropy - change).mean()),
-        sees=float(sees.mean()),
-        new=float((sees & greedy.unseen()).mean()),
-    )
 
 
 def _standard_error(change: np.ndarray, left_out: float) -> float:
     """Of the mean over all texels, from some of them; NaN from a single one."""
+    if np.isnan(change).all():
+        return float("nan")
     if left_out == 0:
         return 0.0
     if len(change) < 2:
@@ -177,12 +185,13 @@ def _standard_error(change: np.ndarray, left_out: float) -> float:
     return float(change.std(ddof=1) * np.sqrt(left_out / len(change)))
 
 
-def _skipped(greedy: Greedy, candidates: Candidates, texels: int) -> dict[str, int]:
-    sees = greedy.forecast.seen[greedy.photographs :][candidates.reachable]
+def _skipped(greedy: Greedy | None, known: Prospect) -> dict[str, int]:
+    reachable = known.candidates.reachable
+    sees = known.seen[known.photographs :][reachable]
     return {
-        "texels not looked at": texels - greedy.forecast.count,
-        "candidates that cannot be reached": int((~candidates.reachable).sum()),
+        "texels not looked at": known.observed.texels.count - len(known.texels),
+        "candidates that cannot be reached": int((~reachable).sum()),
         "candidates that see nothing": int((~sees.any(axis=1)).sum()),
         "pairs of candidate and texel that do not see each other": int((~sees).sum()),
-        "pairs evaluated": greedy.evaluated,
+        "pairs evaluated": 0 if greedy is None else greedy.evaluated,
     }

@@ -3,28 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
+from svu_mi.guidance.strategies import Name
 from svu_mi.settings import require, require_one_of, require_types
-
-Strategy = Literal["entropy", "error", "d-optimal", "coverage", "farthest", "random"]
-STRATEGIES: tuple[Strategy, ...] = get_args(Strategy)
-UNITS: dict[Strategy, str] = {
-    "entropy": "expected change of the mean entropy",
-    "error": "expected change of the mean squared error, relative to the present one",
-    "d-optimal": "mean change of log det of the information",
-    "coverage": "mean worth of the texels seen",
-    "farthest": "angle to the nearest photograph, in radians",
-    "random": "a drawn rank",
-}
-"""Of what ``Guidance.gains`` are, by strategy."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GuidanceOptions:
     """How candidates are judged."""
 
-    strategy: Strategy = "entropy"
+    strategy: Name = "entropy"
     """``entropy``: lowest expected entropy (Eq. 13); ``error``: lowest expected squared error of
     the parameters, relative to the present one, which decibels of textures go by. Baselines:
     ``d-optimal``: most information on the most probable parameters, linearised; ``coverage``:
@@ -35,9 +23,9 @@ class GuidanceOptions:
     """Most texels that candidates are judged by, evenly spread over the surface; gains then have a
     standard error, which is stated. More texels cost more time, in proportion."""
 
-    hypotheses: int = 16
-    """Most cells psi of Eq. 13 per texel, drawn from its posterior; if it is the number of cells of
-    the grid or more, the sum is over all of them."""
+    hypotheses: int = 8
+    """Most psi of Eq. 13 per texel, drawn from its posterior: cells of roughness and metallic, of
+    the colour that the photographs then give; if there are no more cells, the sum is over all."""
 
     lazy: bool = False
     """Evaluate candidates again only while their last gain is above the best: right if a gain never
@@ -48,7 +36,7 @@ class GuidanceOptions:
 
     def __post_init__(self) -> None:
         require_types(self)
-        require_one_of(self, "strategy", Strategy)
+        require_one_of(self, "strategy", Name)
         require(self, self.texels >= 1, "texels", "at least 1")
         require(self, 1 <= self.hypotheses <= 4096, "hypotheses", "in [1, 4096]")
         require(self, 0 <= self.seed < 2**32, "seed", "in [0, 2^32)")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -10,9 +10,8 @@ import numpy as np
 
 from svu_mi.errors import OptionError
 from svu_mi.guidance.candidates import Candidates
-from svu_mi.guidance.forecaster import Forecaster
-from svu_mi.guidance.greedy import look
 from svu_mi.guidance.options import GuidanceOptions
+from svu_mi.guidance.prospect import Prospect
 from svu_mi.surface import Texels
 
 CHUNK = 8192  # texels whose maps are computed at a time
@@ -27,11 +26,12 @@ class Proposal:
         name: its label.
         sensor: where to take it from.
         gain: what is expected to become known: mean over texels of E[H] before and after, the
-            proposals before it taken as photographed.
+            proposals before it taken as photographed. NaN by a strategy without a forecast.
         error: standard error of that mean, as not all texels were looked at; 0 if they were, NaN
-            if it was a single one. That of the hypotheses, which all candidates share, is not
-            part of it.
-        entropy: mean over texels of E[H] with this view.
+            if it was a single one, or without a forecast. That of the hypotheses, which all
+            candidates share, is not part of it.
+        entropy: mean over texels to be expected with this view: that of the photographs so far,
+            less all gains up to here. NaN without a forecast.
         sees: part of the texels that it sees.
         new: part of the texels that it would be the first to see.
     """
@@ -56,8 +56,8 @@ class Guidance:
         gains: (C,) float64, gain of every candidate as the next photograph, in the unit of the
             strategy (mean change of E[H], if by entropy); NaN where not reachable. With
             ``lazy``, an upper bound for candidates that were not looked at.
-        entropy: mean over texels of the expected entropy so far: of photographs from the views
-            there are, whatever the truth. Unseen texels count as 1.
+        entropy: of the photographs so far, as ``estimate`` has it: mean over all texels, of which
+            unseen ones count as 1.
         texels: the T texels.
         options: how candidates were judged.
         method: of the estimate.
@@ -74,7 +74,7 @@ class Guidance:
     method: str
     skipped: dict[str, int]
     timings: dict[str, float] = field(default_factory=dict)
-    _source: Forecaster | None = field(default=None, repr=False, compare=False)
+    _prospect: Prospect | None = field(default=None, repr=False, compare=False)
 
     @property
     def ranking(self) -> np.ndarray:
@@ -86,18 +86,22 @@ class Guidance:
         """Return the gain of every texel by each proposal: (proposals, T) float32.
 
         That of all texels, not only of those that the candidates were judged by; 0 where the
-        proposal does not see the texel. Computed once.
+        proposal does not see the texel. Computed once, when first asked for, by a forecast, also
+        if the strategy did without.
+
+        Raises:
+            OptionError: an estimate that does not say what photographs would show.
         """
         return self._maps.copy()
 
     @cached_property
     def _maps(self) -> np.ndarray:
-        assert self._source is not None
+        assert self._prospect is not None
         maps = np.zeros((len(self.proposals), self.texels.count), np.float32)
-        packed = self._source.pack([proposal.sensor for proposal in self.proposals])
+        proposed = Candidates.of([proposal.sensor for proposal in self.proposals])
         for first in range(0, self.texels.count, CHUNK):
             chosen = np.arange(first, min(first + CHUNK, self.texels.count))
-            greedy = look(self._source, chosen, packed, self.options)
+            greedy = replace(self._prospect, candidates=proposed, texels=chosen).greedy
             for k in range(len(self.proposals)):
                 maps[k, chosen] = greedy.texel_gains(k)
                 greedy.choose(k)

@@ -17,7 +17,7 @@ from svu_mi.exr import write_exr
 from svu_mi.files import prepare_folder, remove, replacing
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
-from svu_mi.guidance.options import UNITS
+from svu_mi.guidance.strategies import TABLE
 from svu_mi.output.guidance_page import gain_picture, write_guidance_overview
 from svu_mi.output.manifest import guidance_record, write_manifest, write_run
 from svu_mi.output.maps import GUTTER, padded
@@ -93,7 +93,7 @@ def plan(capture: Any, estimate: Any, guidance: Any) -> dict[str, Any]:
             "method": guidance.method,
             "preset": estimate.preset.name,
             "options": guidance.options,
-            "unit of candidates' gains": UNITS[guidance.options.strategy],
+            "unit of candidates' gains": TABLE[guidance.options.strategy].unit,
         },
         "photographs": sum(capture.used),
         "entropy": guidance.entropy,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture.poses import film_size, resized_sensor
-from svu_mi.guidance.options import UNITS
+from svu_mi.guidance.strategies import TABLE
 from svu_mi.output import style, views
 from svu_mi.output.directions import color_range, draw_directions, numbered
 from svu_mi.output.figures import all_seen, draw_map, map_colors
@@ -57,11 +57,11 @@ def write_guidance_overview(
     place = figure.add_axes((LEFT, 0.51, 0.455, 0.355))
     drawn = draw_directions(place, capture, guidance, up=up)
     style.title(place, "Directions from which the object can be photographed", pad=34)
-    label = f"as the next photograph: {UNITS[guidance.options.strategy]}"
+    label = f"as the next photograph: {TABLE[guidance.options.strategy].unit}"
     style.color_bar(figure, place, drawn, label, (0.2, -0.06, 0.6, 0.028))
     line = figure.add_axes((0.535, 0.545, 0.195, 0.33))
-    draw_expected(line, capture, guidance, estimate)
-    style.title(line, "Entropy to be expected")
+    draw_expected(line, capture, guidance)
+    style.title(line, "Mean entropy of all texels, now and expected")
     ranked = figure.add_axes((0.79, 0.545, 0.195, 0.33))
     draw_ranking(ranked, guidance)
     style.title(ranked, "All candidates as the next photograph")
@@ -73,35 +73,29 @@ def write_guidance_overview(
     style.save_figure(figure, path)
 
 
-def draw_expected(axes: Axes, capture: Any, guidance: Any, estimate: Any | None = None) -> None:
-    """Draw the mean expected entropy against the number of photographs.
+def draw_expected(axes: Axes, capture: Any, guidance: Any) -> None:
+    """Draw the mean entropy against the number of photographs: now, and as it is expected.
 
     Args:
         axes: where to.
         capture: says how many photographs there are.
-        guidance: the proposals.
-        estimate: its mean entropy is that of the photographs as they are, a diamond.
+        guidance: the proposals; without a forecast, there is nothing to draw but today's entropy.
     """
     from matplotlib.ticker import MaxNLocator
 
     first = sum(capture.used)
-    values = [guidance.entropy, *(proposal.entropy for proposal in guidance.proposals)]
+    values = np.array([guidance.entropy, *(one.entropy for one in guidance.proposals)])
+    values = values[np.isfinite(values)]
     axes.plot(np.arange(len(values)) + first, values, "-", color=INK, lw=1.6, zorder=1)
-    axes.scatter([first], values[:1], 42, c=INK, zorder=2)
+    axes.scatter([first], values[:1], 42, c=INK, zorder=2,
+                 label=f"of these photographs: {guidance.entropy:.3f}")  # fmt: skip
     for rank, value in enumerate(values[1:], 1):
         numbered(axes, first + rank, value, rank, "white", 210)
-    shown = list(values)
-    if estimate is not None:
-        shown.append(float(np.mean(np.array(estimate.entropy, np.float64))))
-        axes.scatter([first], shown[-1:], 46, marker="D", facecolors="white", edgecolors=INK,
-                     lw=1.4, zorder=3, label=f"of these photographs: {shown[-1]:.3f}")  # fmt: skip
-    label = f"to be expected of any from there: {guidance.entropy:.3f}"
-    axes.scatter([], [], 42, c=INK, label=label)
-    room = max(0.12 * (max(shown) - min(shown)), 0.01)
+    room = max(0.12 * float(np.ptp(values)), 0.01)
     axes.set(xlim=(first - 0.5, first + len(values) - 0.5))
-    axes.set(ylim=(max(min(shown) - room, -0.02), max(shown) + 3.2 * room))
+    axes.set(ylim=(max(float(values.min()) - room, -0.02), float(values.max()) + 2.2 * room))
     axes.legend(fontsize=9, frameon=False, labelcolor=INK, loc="upper right", borderaxespad=0.2,
-                handletextpad=0.2, reverse=True)  # fmt: skip
+                handletextpad=0.2)  # fmt: skip
     axes.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True))
     axes.set_xlabel("photographs", size=9.5, color=FAINT)
     axes.set_ylabel("mean entropy", size=9.5, color=FAINT)
@@ -255,7 +249,8 @@ def _large(sensor: Any) -> Any:
 def _worth(proposal: Any) -> str:
     error = f" ± {proposal.error:.4f}" if proposal.error > 0 else ""
     new = f", {100 * proposal.new:.0f} % as the first" if proposal.new >= 0.005 else ""
-    return f"{proposal.gain:.4f}{error}\nsees {100 * proposal.sees:.0f} % of the texels{new}"
+    gain = f"{proposal.gain:.4f}{error}\n" if np.isfinite(proposal.gain) else ""
+    return f"{gain}sees {100 * proposal.sees:.0f} % of the texels{new}"
 
 
 def _short(name: str) -> str:

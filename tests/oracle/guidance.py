@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from oracle import frequency
@@ -30,35 +32,6 @@ def expected(
     )
 
 
-def radiances(lobes: np.ndarray, metallic: np.ndarray, base_color: np.ndarray) -> np.ndarray:
-    """r of every cell in every view, (V, R * M * C): (1 - m) (c e + d) + m (c p + q).
-
-    Args:
-        lobes: (V, R, 4) of e, p, q, d.
-        metallic: (M,) nodes.
-        base_color: (C,) nodes.
-    """
-    views, levels, _ = lobes.shape
-    cells = []
-    for k in range(levels):
-        for m in metallic:
-            for c in base_color:
-                e, p, q, d = lobes[:, k].T
-                cells.append((1 - m) * (c * e + d) + m * (c * p + q))
-    return np.stack(cells, axis=1).reshape(views, -1)
-
-
-def angular_distances(
-    r: np.ndarray, growth: float = 0.0, cosines: np.ndarray | None = None
-) -> np.ndarray:
-    """Mean weighted squared difference between cells, (N, N), of radiances (V, N)."""
-    total = np.zeros((r.shape[1],) * 2)
-    for row, cosine in zip(r, np.ones(len(r)) if cosines is None else cosines, strict=True):
-        weight = cosine**2 / (1 + (growth * row) ** 2)
-        total += weight[:, None] * (row[:, None] - row[None, :]) ** 2
-    return total / len(r)
-
-
 def spectrum_distances(
     S_L: np.ndarray, alphas: np.ndarray, Ks: np.ndarray, sigma: float
 ) -> np.ndarray:
@@ -82,20 +55,93 @@ def refitted_power(
     return frequency.power(fitted)[0]
 
 
-def expected_error(
-    posterior: np.ndarray, distances: np.ndarray, values: np.ndarray, present: np.ndarray
-) -> float:
-    """Mean over truths of the squared error of the posterior's mean, over ``present``.
+QUADRATURE = 5600  # colours that an integral over [0, 1] is summed over; 5 and 8 cells divide it
 
-    Args:
-        posterior: (N,) p(psi | B, L).
-        distances: (N, N), as for ``expected``.
-        values: (N, A) parameters of the cells.
-        present: (A,) what each squared error is relative to.
+
+@dataclass(frozen=True)
+class Angular:
+    """What the angular forecast is about, for one texel: R levels, M metallic, C channels.
+
+    Attributes:
+        lobes: (V, R, L, 4) of e, p, q, d; L is C, or 1 of grey light.
+        metallic: (M,) nodes.
+        prior: (R * M, K) of cells, of sum 1.
+        precision, kappa, averaged: of the energies.
+        colors: (K,) nodes, or None: integrated, in K cells.
+        copies: how many equal channels each stands for.
     """
-    total = 0.0
-    for p, d, truth in zip(posterior, distances, values, strict=True):
-        likely = np.exp(-(d - d.min()))
-        mean = likely @ values / likely.sum()
-        total += p * float((((mean - truth) ** 2) / present).sum())
-    return total
+
+    lobes: np.ndarray
+    metallic: np.ndarray
+    prior: np.ndarray
+    precision: float = 1.0
+    kappa: float = np.inf
+    averaged: bool = False
+    colors: np.ndarray | None = None
+    copies: int = 1
+
+    def lines(self, channels: int) -> tuple[np.ndarray, np.ndarray]:
+        """Slope and value at 0 of radiance over base colour, (V, R * M, C) both."""
+        e, p, q, d = np.moveaxis(self.lobes[:, :, None], -1, 0)
+        m = self.metallic[:, None]
+        shape = (len(self.lobes), -1, self.lobes.shape[2])
+        both = [((1 - m) * e + m * p).reshape(shape), ((1 - m) * d + m * q).reshape(shape)]
+        slope, base = (np.broadcast_to(x, (*x.shape[:2], channels)) for x in both)
+        return slope, base
+
+    def rows(self, truth: int, color: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Weight (R * M,) of every row, not normalised, and entropy, mean and variance
+        (R * M, C) of its colours, if a row of a colour (C,) is the truth."""
+        slope, base = self.lines(len(color))
+        shown = slope[:, truth] * color + base[:, truth]
+        w = self.precision / (1 + (shown.mean(axis=1) / self.kappa) ** 2)
+        K = self.prior.shape[1]
+        if self.colors is None:
+            c = (np.arange(QUADRATURE) + 0.5) / QUADRATURE
+            usual = np.concatenate([[0.5], np.ones(K - 2), [0.5]]) / (K - 1)
+            cell = np.floor(c * (K - 1) + 0.5).astype(int)
+        else:
+            c, usual, cell = self.colors, np.ones(K), np.arange(K)
+        found = []
+        for row, prior in enumerate(self.prior):
+            off = shown[..., None] - slope[:, row, :, None] * c - base[:, row, :, None]
+            E = (w[:, None, None] * off**2).sum(axis=0) / (len(w) if self.averaged else 1)
+            given = (prior / max(prior.sum(), 1e-300) / usual)[cell] / len(c)
+            z = given * np.exp(-E)
+            mass = np.maximum(z.sum(axis=1), 1e-300)
+            p = z / mass[:, None]
+            if self.colors is None and np.allclose(prior / prior.sum(), usual):
+                t = (K - 1) * np.exp(plogp(p) - np.log(QUADRATURE))
+                nats = 0.5 * np.log(1 + t * (0.5 + 1.07 * t))
+            else:
+                nats = plogp(np.stack([p[:, cell == k].sum(axis=1) for k in range(K)], axis=1))
+            mean = p @ c
+            found.append((prior.sum() * mass.prod() ** self.copies, nats, mean,
+                          p @ c**2 - mean**2))  # fmt: skip
+        return tuple(np.array(x) for x in zip(*found, strict=True))
+
+    def entropy(self, truth: int, color: np.ndarray) -> float:
+        """H in nats of photographs of a truth, mean over channels."""
+        weight, nats, *_ = self.rows(truth, color)
+        p = weight / weight.sum()
+        return float(plogp(p[None])[0] + p @ nats.mean(axis=1))
+
+    def variance(self, truth: int, color: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Variance of roughness, metallic and base colour, the mean over channels: (3,).
+
+        Args:
+            truth: row.
+            color: (C,).
+            values: (R * M, 2) roughness and metallic of the rows.
+        """
+        weight, _, mean, variance = self.rows(truth, color)
+        p = weight / weight.sum()
+        x = np.concatenate([values, mean], axis=1)
+        spread = np.concatenate([0 * values, variance], axis=1)
+        total = p @ (x**2 + spread) - (p @ x) ** 2
+        return np.array([total[0], total[1], total[2:].mean()])
+
+
+def plogp(p: np.ndarray) -> np.ndarray:
+    """Entropy of probabilities (..., N) in nats."""
+    return -(p * np.log(np.where(p > 0, p, 1))).sum(axis=-1)

@@ -36,8 +36,9 @@ def run_guidance(
         finished: called with the record so far after each run.
 
     Returns:
-        ``runs``: a record per cell and start, with ``cell``, ``object``, ``seed``, ``start`` and
-        ``curves`` by strategy; ``speed``; ``bars``; ``sizes``; ``quick``; ``failed`` cells.
+        ``runs``: a record per cell and start, with ``cell``, ``object``, ``seed``, ``kind``,
+        ``start``, ``agreement`` of forecasts, and ``curves`` by strategy; ``speed``; ``bars``;
+        ``sizes``; ``quick``; ``failed`` cells.
 
     Raises:
         SvuError: that of the first cell, if every cell failed.
@@ -53,11 +54,11 @@ def run_guidance(
         record["speed"] = measure_speed(capture, sizes)
     _tell(record, sizes, finished)
     # Every cell once before any twice: an interrupted run has seen them all.
-    for seed, cell in itertools.product(range(sizes.starts), chosen):
+    for seed, kind, cell in itertools.product(range(sizes.starts), sizes.kinds, chosen):
         if any(failed["cell"] == cell.title for failed in failures.found):
             continue
         with failures.leave_out(cell.title):
-            record["runs"].append(_run(bench, cell, sizes, seed))
+            record["runs"].append(_run(bench, cell, sizes, kind, seed))
         _tell(record, sizes, finished)
     failures.raise_unless(record["runs"])
     return record
@@ -72,28 +73,31 @@ def few_lights(cells: Sequence[Cell], count: int) -> list[Cell]:
     return kept
 
 
-def _run(bench: Bench, cell: Cell, sizes: Sizes, seed: int) -> Record:
+def _run(bench: Bench, cell: Cell, sizes: Sizes, kind: str, seed: int) -> Record:
     settings = bench.settings
     photographs = (settings.views, settings.film, settings.spp, settings.seed)
-    what = (sizes.texels, sizes.start, sizes.marks, sizes.strategies)
+    what = (
+        sizes.texels, sizes.looked_at, sizes.start, sizes.marks, sizes.strategies, sizes.asked, kind
+    )  # fmt: skip
     key = key_of(str(cell.scene), cell.defines, photographs, what, seed, code_and_machine())
 
     def measure() -> Record:
         capture = bench.capture(cell)
         own = zlib.crc32(f"{cell.name} {seed}".encode())  # no two cells share their luck
-        shoot = Shoot(capture, texels(capture.mesh, sizes.texels), sizes, own)
-        with bench.progress.stage(f"{cell.title}, start {seed}", len(sizes.strategies)) as stage:
+        shoot = Shoot(capture, texels(capture.mesh, sizes.texels), sizes, own, kind)
+        title = f"{cell.title}, {kind} start {seed}"
+        with bench.progress.stage(title, len(sizes.strategies)) as stage:
             curves: Record = {}
             for strategy, curve in shoot.curves():
                 curves[strategy] = curve
                 stage.update(len(curves), len(sizes.strategies))
         return {
-            "cell": cell.title, "object": cell.object, "seed": seed, "start": shoot.start,
-            "curves": curves,
+            "cell": cell.title, "object": cell.object, "seed": seed, "kind": kind,
+            "start": shoot.start, "agreement": shoot.agreement(), "curves": curves,
         }  # fmt: skip
 
     store = Store(bench.folder / PLACE / cell.name)
-    return store.recall(f"start_{seed}", key, measure, fresh=bench.fresh)
+    return store.recall(f"start_{kind}_{seed}", key, measure, fresh=bench.fresh)
 
 
 def _tell(record: Record, sizes: Sizes, finished: Callable[[Record], None] | None) -> None:

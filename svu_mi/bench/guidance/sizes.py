@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from svu_mi.guidance.options import Strategy
-
 
 @dataclass(frozen=True, kw_only=True)
 class Sizes:
@@ -14,8 +12,12 @@ class Sizes:
     Attributes:
         lights: at most so many lights per object.
         texels: per side, of the textures that are recovered.
-        starts: sets of views to start from, per cell; each has random views of its own.
-        start: photographs of each, spread out from a view drawn at random.
+        looked_at: most texels that candidates are judged by.
+        starts: sets of views to start from, per cell and kind; each has random views of its own.
+        kinds: of starts: ``even``, spread out from a view drawn at random, or ``one-sided``, those
+            nearest to it.
+        start: photographs of each.
+        asked: candidates at which the forecast is compared with what their photographs change.
         marks: numbers of added views at which textures are recovered.
         strategies: what is compared.
         judged: those of them that are compared with all others.
@@ -29,14 +31,15 @@ class Sizes:
     """
 
     lights: int = 2
-    texels: int = 128
-    starts: int = 2
+    texels: int = 96
+    looked_at: int = 1024
+    starts: int = 1
+    kinds: tuple[str, ...] = ("even", "one-sided")
     start: int = 4
-    marks: tuple[int, ...] = (1, 2, 3, 4, 6, 8)
-    strategies: tuple[Strategy, ...] = (
-        "entropy", "error", "farthest", "coverage", "random", "d-optimal",
-    )  # fmt: skip
-    judged: tuple[Strategy, ...] = ("entropy", "error")
+    asked: int = 15
+    marks: tuple[int, ...] = (1, 2, 4, 6)
+    strategies: tuple[str, ...] = ("entropy", "error", "farthest", "coverage", "random")
+    judged: tuple[str, ...] = ("entropy", "error")
     step: float = 1.0
     speed_texels: int = 64
     candidates: tuple[int, ...] = (25, 50, 100)
@@ -48,7 +51,7 @@ class Sizes:
 
 FULL = Sizes()
 QUICK = Sizes(
-    lights=1, texels=32, starts=1, marks=(1, 2), strategies=("entropy", "farthest", "random"),
+    lights=1, texels=32, asked=4, marks=(1, 2), strategies=("entropy", "farthest", "random"),
     judged=("entropy",), speed_texels=16, candidates=(4, 8), fewer=(8,), added=2, refits=(1, 1),
     repeats=1,
 )  # fmt: skip

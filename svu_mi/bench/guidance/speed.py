@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,11 +14,12 @@ from svu_mi.bench.kernels import clock
 from svu_mi.capture import Capture
 from svu_mi.frequency import fit_sh, power_spectrum
 from svu_mi.guidance.candidates import Candidates
-from svu_mi.guidance.forecaster import Forecaster, forecaster
 from svu_mi.guidance.greedy import Greedy
+from svu_mi.guidance.options import GuidanceOptions
+from svu_mi.guidance.prospect import Prospect
 from svu_mi.guidance.spectral import SpectrumForecast
 from svu_mi.options import AnyPreset, Method, preset
-from svu_mi.pipeline import Estimate, estimate
+from svu_mi.pipeline import Estimate, estimate, observed_of
 from svu_mi.posterior import ParameterGrid, PrincipledGrid, spectrum_posterior
 from svu_mi.posterior.spectrum import decay
 from svu_mi.surface import texels
@@ -44,16 +45,16 @@ class Timed:
         )
 
 
-ANGULAR = preset("fixed", method="angular")  # what forecasts assume
 SPECTRUM = Timed(
     "spectrum, 8 x 8 cells, all of them as truths", "spectrum",
     preset("default", parameters="specular"), ParameterGrid(8, 8), 64,
 )  # fmt: skip
 METHODS = (
     SPECTRUM,
-    Timed("angular, 8 x 8 cells, all of them as truths", "angular", ANGULAR,
-          PrincipledGrid(8, 8, 8, known={"metallic": 0.0}), 64),
-    Timed("angular, 8 x 8 x 8 cells, 16 truths", "angular", ANGULAR, PrincipledGrid(8, 8, 8), 16),
+    Timed("angular fixed, 8 x 8 cells, all rows as truths", "angular",
+          preset("fixed", method="angular"), PrincipledGrid(8, 8, 8, known={"metallic": 0.0}), 64),
+    Timed("angular, 8 x 8 x 8 cells, 8 truths", "angular", preset("default", method="angular"),
+          PrincipledGrid(8, 8, 8), 8),
 )  # fmt: skip
 
 
@@ -106,16 +107,14 @@ def _method(capture: Capture, timed: Timed, sizes: Sizes) -> Record:
 
 
 def _point(found: Estimate, candidates: int, timed: Timed, sizes: Sizes) -> Record:
-    source = forecaster(found)
-    sensors = Candidates.around(source.observed.capture, candidates).sensors
-    chosen = np.arange(found.texels.count)
+    known, chosen = _prospect(found, candidates, timed), np.arange(found.texels.count)
 
     def prepare() -> Any:
-        return source.forecast(chosen, source.pack(sensors), timed.hypotheses, 0)
+        return replace(known).forecast
 
     forecast = prepare()
-    steps = [_steps(source, forecast, sizes.added) for _ in range(WARM_UP + sizes.repeats)]
-    steps = steps[WARM_UP:]
+    rounds = range(WARM_UP + sizes.repeats)
+    steps = [_steps(known.photographs, forecast, sizes.added) for _ in rounds][WARM_UP:]
     return {
         "candidates": candidates,
         "texels": len(chosen),
@@ -126,14 +125,22 @@ def _point(found: Estimate, candidates: int, timed: Timed, sizes: Sizes) -> Reco
     }
 
 
-def _steps(source: Forecaster, forecast: Any, added: int) -> list[float]:
+def _prospect(found: Estimate, candidates: int, timed: Timed) -> Prospect:
+    observed = observed_of(found, None)
+    around, chosen = Candidates.around(observed.capture, candidates), np.arange(found.texels.count)
+    return Prospect(
+        found, observed, around, chosen, GuidanceOptions(hypotheses=timed.hypotheses)
+    )
+
+
+def _steps(photographs: int, forecast: Any, added: int) -> list[float]:
     """Choose views; return the seconds of each."""
     times: list[float] = []
     state: list[Greedy] = []
 
     def step() -> None:
         if not state:
-            state.append(Greedy(forecast, source.observed.views.number))
+            state.append(Greedy(forecast, photographs))
         greedy = state[0]
         greedy.choose(int(np.argmax(greedy.gains())))
 
@@ -155,12 +162,10 @@ def _refitting(capture: Capture, sizes: Sizes, step: float) -> Record:
     """
     timed, most = SPECTRUM, sizes.candidates[-1]
     found = timed.estimate(capture, sizes.speed_texels)
-    source = forecaster(found)
-    sensors = Candidates.around(capture, most).sensors
-    chosen = np.arange(found.texels.count)
-    forecast = source.forecast(chosen, source.pack(sensors), timed.hypotheses, 0)
+    known = _prospect(found, most, timed)
+    forecast = known.forecast
     assert isinstance(forecast, SpectrumForecast)
-    views, table = source.observed.views.number, forecast.responses.table()
+    views, table = known.photographs, forecast.responses.table()
     fits, posteriors = [], []
     for candidate in range(sizes.refits[0]):
         for cell in range(WARM_UP + sizes.refits[1]):

@@ -1,0 +1,129 @@
+"""What strategies judge candidates by, each part made when it is first asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from svu_mi.capture.poses import bounding_sphere, directions_of
+from svu_mi.guidance import baselines
+from svu_mi.guidance.angular import AngularForecast
+from svu_mi.guidance.candidates import Candidates
+from svu_mi.guidance.forecast import Forecast, numbers
+from svu_mi.guidance.forecaster import Forecaster, forecaster
+from svu_mi.guidance.greedy import Greedy
+from svu_mi.guidance.measures import Variance
+from svu_mi.guidance.options import GuidanceOptions
+from svu_mi.guidance.responses import collect
+from svu_mi.observed import Observed
+from svu_mi.pipeline import Estimate
+from svu_mi.posterior.cells import marginals_of
+from svu_mi.visibility import Surface, Views, pack_sensors
+
+LEAST = 1e-4  # of a parameter's variance that others are compared with
+
+
+@dataclass(frozen=True)
+class Prospect:
+    """Candidates, and some texels that they are judged by.
+
+    Attributes:
+        estimate: what the photographs so far say.
+        observed: these photographs.
+        candidates: C views.
+        texels: (t,) int64 indices of texels of the estimate.
+        options: how candidates are judged.
+    """
+
+    estimate: Estimate
+    observed: Observed
+    candidates: Candidates
+    texels: np.ndarray
+    options: GuidanceOptions
+
+    @property
+    def photographs(self) -> int:
+        """Number of photographs; candidates are numbered after them."""
+        return self.observed.views.number
+
+    @cached_property
+    def directions(self) -> np.ndarray:
+        """(V, 3) unit vectors from the object to the photographs, then to the candidates."""
+        capture = self.observed.capture
+        center, _ = bounding_sphere(capture.shape)
+        return directions_of((*capture.used_sensors, *self.candidates.sensors), center)
+
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """(V, t) bool, which view sees which texel: rays, and nothing else."""
+        if "forecast" in self.__dict__:
+            return self.forecast.seen
+        seen = self.observed
+        return collect(
+            Surface.of(seen.texels, numbers(self.texels)), (seen.views, seen.found), self._packed,
+            lambda view: [view.cosine], 1,
+        ).seen  # fmt: skip
+
+    @cached_property
+    def forecast(self) -> Forecast:
+        """What photographs from the candidates would say.
+
+        Raises:
+            OptionError: an estimate that says nothing of that.
+        """
+        options = self.options
+        return self.forecaster.forecast(
+            self.texels, self._packed, options.hypotheses, options.seed
+        )
+
+    @cached_property
+    def forecaster(self) -> Forecaster:
+        """Makes forecasts of these texels, or others."""
+        return forecaster(self.estimate)
+
+    @cached_property
+    def greedy(self) -> Greedy:
+        """Candidates by expected entropy."""
+        return self._greedy(self.forecast)
+
+    def by_error(self) -> Greedy:
+        """Return candidates by the squared error to expect, relative to that of seen texels."""
+        posterior, seen = self.estimate.posterior, self.observed.coverage > 0
+        present, prior = [], []
+        for name, p in marginals_of(posterior.prior, list(posterior.axes)).items():
+            nodes = posterior.axes[name]
+            spread = np.array(posterior.sd(name), np.float64)[seen] ** 2
+            # A parameter that is known has no error to lower.
+            present.append(max(float(spread.mean()), LEAST))
+            prior.append(float(p @ (nodes - p @ nodes) ** 2))
+        forecast = self.forecast
+        assert isinstance(forecast, AngularForecast)
+        measure = Variance(tuple(present), tuple(prior), forecast.channels)
+        return self._greedy(replace(forecast, measure=measure))
+
+    def jacobians(self) -> np.ndarray:
+        """Return those of radiance over s sqrt(tau) at the most probable row, (V, t, C, P)."""
+        forecast = self.forecast
+        assert isinstance(forecast, AngularForecast)
+        count, channels = len(self.texels), forecast.channels
+        roughness, metallic, _ = forecast.grid.axes.values()
+        lobes = forecast.responses.table()[..., 1:]
+        rows = np.array(forecast.hypotheses.at(0, numbers(np.arange(count)))[0]).astype(np.int64)
+        truths = forecast.truths.numpy().reshape(count, -1, channels)
+        found = baselines.jacobians(
+            lobes.reshape(*lobes.shape[:2], len(roughness), -1, 4), [roughness, metallic],
+            rows, truths[np.arange(count), rows],
+        )  # fmt: skip
+        return np.sqrt(2 * forecast.precision.numpy())[:, None, None] * found
+
+    @cached_property
+    def _packed(self) -> Views:
+        capture = self.observed.capture
+        return pack_sensors(capture.scene, capture.shape, self.candidates.sensors)
+
+    def _greedy(self, forecast: Forecast) -> Greedy:
+        return Greedy(
+            forecast, self.photographs, self.candidates.reachable, lazy=self.options.lazy
+        )
