@@ -24,7 +24,10 @@ if TYPE_CHECKING:
     from svu_mi.formats.reading import read_source
     from svu_mi.formats.source import Light
     from svu_mi.frequency import fit_sh, power_spectrum
-    from svu_mi.guidance import Candidates, Guidance, GuidanceOptions, next_best_view
+    from svu_mi.guidance.candidates import Candidates
+    from svu_mi.guidance.next_view import next_best_view
+    from svu_mi.guidance.options import GuidanceOptions
+    from svu_mi.guidance.result import Guidance
     from svu_mi.options import AngularPreset, Preset, Skip, preset
     from svu_mi.output.report.report import write_report
     from svu_mi.pipeline import Estimate, estimate
@@ -55,8 +58,8 @@ _HOME = {
     "AngularPreset": "options", "Preset": "options", "Skip": "options",
     "preset": "options",
     "Check": "checking", "check": "checking",
-    "Candidates": "guidance", "Guidance": "guidance", "GuidanceOptions": "guidance",
-    "next_best_view": "guidance",
+    "Candidates": "guidance.candidates", "Guidance": "guidance.result",
+    "GuidanceOptions": "guidance.options", "next_best_view": "guidance.next_view",
     "Estimate": "pipeline", "estimate": "pipeline",
     "write_report": "output.report.report",
     "Reference": "reference", "reference_posterior": "reference",

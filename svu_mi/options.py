@@ -162,8 +162,12 @@ class AngularPreset(_Channels):
 
     sigma: float = 0.08
     """Standard deviation of a texel's root mean squared error, in the unit that ``noise``
-    says; if that is estimated, what is assumed where too few samples can tell. The
-    error is the model's more than the camera's: it does not average out over views."""
+    says, unless that is estimated. The error is the model's more than the camera's: it does not
+    average out over views."""
+
+    assumed: float = 0.02
+    """s_0: noise of a sample where too few views tell, as a part of the mean radiance
+    (estimated)."""
 
     overdispersion: float = 3.5
     """tau: so many samples say what one would if their errors were independent (estimated)."""
@@ -197,6 +201,7 @@ class AngularPreset(_Channels):
         require_one_of(self, "channels", AngularChannels)
         require_one_of(self, "noise", AngularNoise)
         require(self, 1e-12 <= self.sigma <= 1e12, "sigma", "positive, in [1e-12, 1e12]")
+        require(self, 1e-12 <= self.assumed <= 1e12, "assumed", "positive, in [1e-12, 1e12]")
         require(self, 1 <= self.overdispersion <= 1e6, "overdispersion", "in [1, 1e6]")
         require(self, 0 < self.degrees <= 1e6, "degrees", "positive, in (0, 1e6]")
         require(self, 1e-6 <= self.knee <= 1e6, "knee", "positive, in [1e-6, 1e6]")

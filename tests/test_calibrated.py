@@ -141,13 +141,39 @@ def test_color_in_closed_form_is_its_quadrature() -> None:
 
 
 def test_noise_is_that_of_student() -> None:
-    least, samples = np.array([3.0, 10.0, 40.0, 0.0, 0.0]), np.array([15, 15, 15, 3, 0])
-    found = noise_variance(least, samples, 4.0, 0.08)
-    usual = np.median([0.3, 1.0, 4.0])  # a single view explains itself, and tells nothing
-    assert np.allclose(found[:3], (4 * usual + least[:3]) / 14)
-    assert np.allclose(found[3:], 4 * usual / 5)
-    few = noise_variance(0 * least, np.minimum(samples, 6), 4.0, 0.08)
-    assert np.allclose(few, 4 * 0.08**2 / 5)
+    least, views = np.array([3.0, 10.0, 40.0, 0.0, 0.0]), np.array([10, 10, 10, 3, 0])
+    for assumed in (0.02, 2.0):
+        found = noise_variance(least, views, 3, 4.0, assumed)
+        usual = 10 / 25  # three views explain themselves, and tell nothing
+        assert np.allclose(found[:3], (4 * usual + least[:3]) / 29)
+        assert np.allclose(found[3:], usual)
+    few = noise_variance(0 * least, np.minimum(views, 5), 3, 4.0, 0.02)
+    assert np.allclose(few, 0.02**2)
+    views = np.array([8, 5, 5, 5, 0])  # a quarter of those seen tell, so half is assumed
+    found = noise_variance(0.1 * (3 * views - 5), views, 3, 4.0, 2.0)
+    assert np.allclose(found[1:], np.sqrt(0.1 * 4))
+
+
+@pytest.mark.parametrize("noise", [1e-3, 0.01])
+def test_another_view_never_lowers_the_noise_at_once(noise: float) -> None:
+    """From none that tells to all that do: texels are seen by 30 to 100 % of the views."""
+    rng = np.random.default_rng(0)
+    share, s = rng.uniform(0.3, 1, 400), []
+    for number in range(1, 61):
+        views = np.floor(share * number)
+        least = noise**2 * rng.chisquare(np.maximum(3 * views - 5, 0) + 1e-9)
+        s.append(np.sqrt(np.median(noise_variance(least, views, 3, 4.0, 0.02))))
+    assert np.allclose(s[:5], 0.02)
+    assert s[-1] == pytest.approx(max(noise, 1e-3), rel=0.05)
+    steps = np.diff(np.log(s)) / np.log(noise / 0.02)
+    assert steps.max() < 0.45
+
+
+def test_noise_above_what_is_assumed_shows_at_once() -> None:
+    views = np.full(400, 4)
+    least = 0.3**2 * np.random.default_rng(0).chisquare(7, 400)
+    found = noise_variance(least, views, 3, 4.0, 0.02)
+    assert np.sqrt(np.median(found)) == pytest.approx(0.3, rel=0.1)
 
 
 def test_agrees_with_its_oracle(setting: tuple[svu.Posterior, oracle.Truth]) -> None:
@@ -242,7 +268,7 @@ def test_draws_are_of_the_posterior(setting: tuple[svu.Posterior, oracle.Truth])
 def test_more_views_say_more() -> None:
     entropies = []
     for views in (1, 4, 16, 64):
-        samples, _ = simulate(400, views, 0.1, seed=2)
+        samples, _ = simulate(400, views, 0.02, seed=2)
         entropies.append(np.array(calibrated_posterior(statistics(samples)).entropy()).mean())
     assert np.all(np.diff(entropies) < -0.03)
 

@@ -15,7 +15,7 @@ import svu_mi as svu
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.guide import Guide, Strategy
 from svu_mi.exr import read_exr
-from svu_mi.guidance import STRATEGIES
+from svu_mi.guidance.strategies import STRATEGIES
 
 MISSING = (2, 5, 6)  # photographs that the scene has sensors for, but nobody has taken
 

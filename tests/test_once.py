@@ -92,14 +92,14 @@ def test_what_goes_on_from_an_estimate_traces_nothing_again(capture, layout, cal
 
 
 def test_forecasts_of_seen_texels_trace_no_cell_again(capture, layout, calls, monkeypatch):
-    from svu_mi.guidance.forecaster import forecaster
+    from svu_mi.guidance.forecaster import forecast_of
+    from svu_mi.guidance.options import GuidanceOptions
     from svu_mi.visibility import pack_sensors
 
     estimate = svu.estimate(capture, layout)
-    source = forecaster(estimate)
     packed = pack_sensors(capture.scene, capture.shape, capture.sensors[:2])
     calls.clear()
-    source.forecast(estimate.observed.seen[::3], packed, 4, 0)
+    forecast_of(estimate, estimate.observed.seen[::3], packed, GuidanceOptions(hypotheses=4))
     assert not calls
 
 

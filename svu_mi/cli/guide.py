@@ -21,7 +21,9 @@ from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
-    from svu_mi.guidance import Candidates, Guidance, GuidanceOptions
+    from svu_mi.guidance.candidates import Candidates
+    from svu_mi.guidance.options import GuidanceOptions
+    from svu_mi.guidance.result import Guidance
     from svu_mi.pipeline import Estimate
 
 SCENE = "scene"
@@ -90,7 +92,8 @@ class Guide(Estimated):
         return 0
 
     def _guide(self, progress: Progress, options: GuidanceOptions) -> tuple[Any, Any, Guidance]:
-        from svu_mi.guidance import Candidates, next_best_view
+        from svu_mi.guidance.candidates import Candidates
+        from svu_mi.guidance.next_view import next_best_view
 
         # What a file says is refused before photographs are read.
         fixed = None if self._placed else self._restricted(Candidates.read(self.candidates))
@@ -107,7 +110,7 @@ class Guide(Estimated):
         return self.candidates == SCENE or _number(self.candidates) is not None
 
     def _place(self, capture: Capture) -> Candidates:
-        from svu_mi.guidance import Candidates
+        from svu_mi.guidance.candidates import Candidates
 
         count = _number(self.candidates)
         if count is None:
@@ -138,7 +141,7 @@ class Guide(Estimated):
 
     def _options(self) -> GuidanceOptions:
         """Return how candidates are judged."""
-        from svu_mi.guidance import GuidanceOptions
+        from svu_mi.guidance.options import GuidanceOptions
 
         return GuidanceOptions(
             strategy=self.strategy, texels=self.texels, hypotheses=self.hypotheses,

@@ -23,9 +23,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.guidance.colors import Colors, Form
+from svu_mi.guidance.colors import Colors, Parts
 from svu_mi.guidance.forecast import Forecast, numbers
-from svu_mi.guidance.measures import FAR, Measure
+from svu_mi.guidance.measures import FAR
 from svu_mi.guidance.responses import Respond
 from svu_mi.posterior import PrincipledGrid, streaming
 from svu_mi.reflection.model import Model
@@ -72,7 +72,6 @@ class AngularForecast(Forecast):
         kappa: radiance around which samples begin to count less (``noise_weight``).
         averaged: whether errors are the mean over views, not their sum.
         colors: how the colours of a row are summed.
-        measure: what is expected.
     """
 
     grid: PrincipledGrid
@@ -82,12 +81,6 @@ class AngularForecast(Forecast):
     kappa: float
     averaged: bool
     colors: Colors
-    measure: Measure
-
-    @property
-    def unseen(self) -> float:
-        """What is expected of a texel that no view sees."""
-        return self.measure.unseen
 
     def _evaluate(
         self, views: np.ndarray, candidates: np.ndarray | None, texels: np.ndarray
@@ -176,17 +169,15 @@ class _Launch:
 
     def row(self, sums: list[Any], row: Any, truth: Truth) -> tuple[Any, Any]:
         """Energy of a row relative to the truth's, which no colour is below, and what sums up."""
-        thirds = zip(sums[::3], sums[1::3], sums[2::3], truth[1], strict=True)
-        forms = [Form(*one) for one in thirds]
-        bound, parts = self._forecast.colors.bound(forms, row)
-        return bound + self._prior(row) - truth[3], parts
+        bound, channels = self._forecast.colors.channels(sums, truth[1])
+        return bound + self._prior(row) - truth[3], channels
 
-    def add(self, sums: list[Any], row: Any, energy: Any, parts: Any) -> list[Any]:
+    def add(self, sums: list[Any], row: Any, energy: Any, channels: list[Parts]) -> list[Any]:
         """Add a row to the measure's sums."""
         level, m = self._row(row)
         shared = (streaming.node(mi.Float, self._roughness, level), m)
         energy = dr.maximum(energy, -FAR)
-        return self.measure.add(sums, self._forecast.colors.row(energy, parts), shared)
+        return self.measure.add(sums, self._forecast.colors.row(energy, channels, row), shared)
 
     def _prior(self, row: Any) -> Any:
         return dr.gather(mi.Float, self._forecast.prior, row)
@@ -253,9 +244,9 @@ def _expect(launch: _Launch, known: _Order, asked: _Order, add: Any, out: Any) -
                 while row < rows:
                     errors = [add * x for x in launch.errors(view, row, truth, shown)]
                     total = [share * x for x in _sums(so_far, row, errors)]
-                    energy, parts = launch.row(total, row, truth)
+                    energy, channels = launch.row(total, row, truth)
                     if energy < HOPELESS:
-                        sums = launch.add(sums, row, energy, parts)
+                        sums = launch.add(sums, row, energy, channels)
                     row += 1
                 _add(out, j * launch.size + launch.place, truth[2] * launch.measure.value(sums))
             j += 1

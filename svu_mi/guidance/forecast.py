@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.guidance.hypotheses import Hypotheses
+from svu_mi.guidance.measures import Measure
 from svu_mi.guidance.responses import Responses
 from svu_mi.interop import owned
 from svu_mi.posterior.grid import Grid
@@ -27,12 +28,14 @@ class Forecast(ABC):
         hypotheses: psi of Eq. 13, and p(psi | B, L).
         grid: of parameters.
         prior: Float, -log prior of every cell, or of every row; or None.
+        measure: what is expected.
     """
 
     responses: Responses
     hypotheses: Hypotheses
     grid: Grid
     prior: Any | None
+    measure: Measure
 
     @cached_property
     def seen(self) -> np.ndarray:
@@ -44,15 +47,10 @@ class Forecast(ABC):
         """T."""
         return self.responses.count
 
-    @property
-    def unseen(self) -> float:
-        """What is expected of a texel that no view sees."""
-        return 1.0
-
     def now(self, views: np.ndarray) -> np.ndarray:
         """Return E[H] (T,) of photographs from some views; 1 for a texel none of them sees."""
         seen = self.seen[views].any(axis=0)
-        result = np.full(self.count, self.unseen, np.float32)
+        result = np.full(self.count, self.measure.unseen, np.float32)
         if seen.any():
             result[seen] = self._evaluate(views, None, np.flatnonzero(seen))[0]
         return result

@@ -1,21 +1,22 @@
-"""From an estimate to forecasts of some of its texels."""
+"""From an estimate to a forecast of some of its texels."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError
 from svu_mi.guidance import angular, spectral
 from svu_mi.guidance.angular import AngularForecast
-from svu_mi.guidance.colors import colors_of
+from svu_mi.guidance.colors import Colors, prior_tables
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.hypotheses import Hypotheses
 from svu_mi.guidance.measures import Entropy
+from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.responses import Respond, Responses, collect
 from svu_mi.guidance.spectral import SpectrumForecast
 from svu_mi.interop import owned
@@ -24,155 +25,122 @@ from svu_mi.options import AngularPreset, AnyPreset, Preset
 from svu_mi.pipeline import Estimate, observed_of
 from svu_mi.posterior import CalibratedPosterior, ParameterGrid, PrincipledGrid
 from svu_mi.posterior.angular import AngularPosterior
+from svu_mi.posterior.nodes import cell_edges
 from svu_mi.posterior.spectrum import SpectrumPosterior
+from svu_mi.posterior.streaming import entropy_of
 from svu_mi.visibility import Surface, Views
 
+Look = Callable[[Surface, Respond, int], Responses]
 Draw = Callable[[np.ndarray], Hypotheses]
 
 
-class Forecaster(ABC):
-    """Makes forecasts; what all texels have in common is made once."""
+def forecast_of(
+    estimate: Estimate, texels: np.ndarray, candidates: Views, options: GuidanceOptions
+) -> Forecast:
+    """Look at texels from sensors that have not taken a photograph.
 
-    columns: int
-
-    def __init__(self, estimate: Estimate, observed: Observed) -> None:
-        self.estimate, self.observed = estimate, observed
-
-    def forecast(
-        self, texels: np.ndarray, candidates: Views, hypotheses: int, seed: int
-    ) -> Forecast:
-        """Look at texels from sensors that have not taken a photograph.
-
-        Args:
-            texels: (t,) int64 indices of texels of the estimate.
-            candidates: views, packed.
-            hypotheses: most psi per texel.
-            seed: of their draw.
-        """
-        seen = self.observed
-        surface, respond = self._respond(texels)
-        responses = collect(
-            surface, (seen.views, seen.found), candidates, respond, self.columns
-        )
-        p = np.array(self.estimate.posterior.probabilities_of(texels))
-        # A texel draws the same, whichever others are looked at.
-        starts = np.random.default_rng(seed).random(seen.texels.count)[texels]
-        return self._forecast(
-            responses, p, texels, lambda weights: Hypotheses.draw(weights, hypotheses, starts)
-        )
-
-    @abstractmethod
-    def _respond(self, texels: np.ndarray) -> tuple[Surface, Respond]:
-        """Texels as a launch, and what evaluates a view of them."""
-
-    @abstractmethod
-    def _forecast(
-        self, responses: Responses, p: np.ndarray, texels: np.ndarray, draw: Draw
-    ) -> Forecast:
-        """Put a forecast together from p(psi | B, L) of texels, (t, *grid) or (t, *grid, C)."""
-
-
-class AngularForecaster(Forecaster):
-    """``Forecaster`` by angular statistics, with the energies of the estimate."""
-
-    def __init__(self, estimate: Estimate, observed: Observed) -> None:
-        super().__init__(estimate, observed)
-        posterior, switches = estimate.posterior, estimate.preset
-        if not isinstance(posterior.grid, PrincipledGrid):
-            raise OptionError(
-                "next_best_view(): an angular estimate of (roughness, Ks) says nothing of what "
-                "photographs would show; use parameters='principled', as the default preset does."
-            )
-        assert isinstance(switches, AngularPreset)
-        assert isinstance(posterior, CalibratedPosterior | AngularPosterior)
-        if isinstance(posterior, AngularPosterior):
-            _require(switches, noise=("estimated", "fixed", "relative", "heteroscedastic"),
-                     channels=("grey",))  # fmt: skip
-        self.posterior, self.grid, self.switches = posterior, posterior.grid, switches
-        self.channels = posterior.problem.factors.channels
-        grey = observed.lighting.environment.grey
-        self.lobes = 1 if grey else self.channels  # grey light has one for all channels
-        self.columns = angular.columns(self.grid.shape[0], self.lobes)
-
-    def _respond(self, texels: np.ndarray) -> tuple[Surface, Respond]:
-        seen = self.observed
-        model = seen.model(self.grid.roughness_nodes, self.switches, self.lobes, texels)
-        return model.surface, angular.respond(seen.views.scene, model)
-
-    def _forecast(
-        self, responses: Responses, p: np.ndarray, texels: np.ndarray, draw: Draw
-    ) -> Forecast:
-        posterior, rows = self.posterior, int(np.prod(self.grid.shape[:2]))
-        p = p.reshape(len(p), rows, self.grid.shape[2], -1)[..., : self.channels]
-        weights = p[..., 0].sum(axis=2, dtype=np.float64)
-        colors, prior, most = colors_of(posterior)
-        return AngularForecast(
-            responses=responses, hypotheses=draw(weights), grid=self.grid, prior=prior,
-            truths=owned(mi.Float, colors.truths(p).ravel()), channels=self.channels,
-            precision=owned(mi.Float, 0.5 / self._variance()[texels]),
-            kappa=self.switches.kappa(self.observed.unit),
-            averaged=isinstance(posterior, AngularPosterior), colors=colors,
-            measure=Entropy(most),
-        )  # fmt: skip
-
-    def _variance(self) -> np.ndarray:
-        """s^2 tau of all texels, (T,); of those nobody saw, the median of the others."""
-        posterior, switches = self.posterior, self.switches
-        if isinstance(posterior, AngularPosterior):
-            sigma = switches.sigma * (1.0 if switches.noise == "fixed" else self.observed.unit)
-            return np.full(posterior.count, sigma**2)
-        variance = np.full(posterior.count, np.median(posterior.noise) ** 2)
-        variance[posterior.problem.factors.texel.numpy()] = posterior.noise**2
-        return variance * switches.overdispersion
-
-
-class SpectrumForecaster(Forecaster):
-    """``Forecaster`` by power spectra."""
-
-    def __init__(self, estimate: Estimate, observed: Observed) -> None:
-        super().__init__(estimate, observed)
-        grid = estimate.posterior.grid
-        if not isinstance(grid, ParameterGrid):
-            raise OptionError(
-                "next_best_view(): spectra of photographs to come are known over (roughness, Ks) "
-                "only; use preset='paper' or parameters='specular', or method='angular'."
-            )
-        _require(estimate.preset, noise=("fixed", "relative"), channels=("grey", "sum"))
-        self.grid = grid
-        assert isinstance(estimate.preset, Preset)
-        self.switches = estimate.preset
-        self.columns = spectral.columns(self.switches)
-
-    def _respond(self, texels: np.ndarray) -> tuple[Surface, Respond]:
-        seen = self.observed
-        surface = Surface.of(seen.texels, numbers(texels))
-        return surface, spectral.respond(seen.views.scene, surface, seen.lighting, self.switches)
-
-    def _forecast(
-        self, responses: Responses, p: np.ndarray, texels: np.ndarray, draw: Draw
-    ) -> Forecast:
-        del texels
-        problem = self.estimate.posterior.problem  # type: ignore[attr-defined]
-        return SpectrumForecast(
-            responses=responses, prior=_energies(problem.prior), grid=self.grid,
-            hypotheses=draw(p.reshape(len(p), -1)),
-            switches=self.switches, sigma=float(problem.sigma[0]),
-            prefilter=self.observed.lighting.prefilter,
-        )  # fmt: skip
-
-
-def forecaster(estimate: Estimate) -> Forecaster:
-    """Return what makes forecasts by the method of an estimate.
+    Args:
+        estimate: what the photographs so far say.
+        texels: (t,) int64 indices of texels of the estimate.
+        candidates: views, packed.
+        options: how many psi per texel, and the seed of their draw.
 
     Raises:
         OptionError: an estimate that was not made from a capture, or is over parameters that
             do not say what photographs would show.
     """
-    observed, posterior = observed_of(estimate, None), estimate.posterior
-    if isinstance(posterior, CalibratedPosterior | AngularPosterior):
-        return AngularForecaster(estimate, observed)
-    assert isinstance(estimate.posterior, SpectrumPosterior)
-    return SpectrumForecaster(estimate, observed)
+    observed = observed_of(estimate, None)
+    # A texel draws the same, whichever others are looked at.
+    starts = np.random.default_rng(options.seed).random(observed.texels.count)[texels]
+
+    def look(surface: Surface, respond: Respond, columns: int) -> Responses:
+        return collect(surface, (observed.views, observed.found), candidates, respond, columns)
+
+    def draw(weights: np.ndarray) -> Hypotheses:
+        return Hypotheses.draw(weights, options.hypotheses, starts)
+
+    if isinstance(estimate.posterior, SpectrumPosterior):
+        return _spectrum(estimate.posterior, estimate.preset, observed, texels, look, draw)
+    assert isinstance(estimate.posterior, CalibratedPosterior | AngularPosterior)
+    return _angular(estimate.posterior, estimate.preset, observed, texels, look, draw)
+
+
+def _angular(
+    posterior: CalibratedPosterior | AngularPosterior, switches: AnyPreset, observed: Observed,
+    texels: np.ndarray, look: Look, draw: Draw,
+) -> AngularForecast:  # fmt: skip
+    """With the energies of the estimate."""
+    grid, averaged = posterior.grid, isinstance(posterior, AngularPosterior)
+    if not isinstance(grid, PrincipledGrid):
+        raise OptionError(
+            "next_best_view(): an angular estimate of (roughness, Ks) says nothing of what "
+            "photographs would show; use parameters='principled', as the default preset does."
+        )
+    assert isinstance(switches, AngularPreset)
+    if averaged:
+        _require(switches, noise=("estimated", "fixed", "relative", "heteroscedastic"),
+                 channels=("grey",))  # fmt: skip
+    channels = posterior.problem.factors.channels
+    # Grey light has one lobe for all channels.
+    lobes = 1 if observed.lighting.environment.grey else channels
+    model = observed.model(grid.roughness_nodes, switches, lobes, texels)
+    responses = look(
+        model.surface, angular.respond(observed.views.scene, model),
+        angular.columns(grid.shape[0], lobes),
+    )  # fmt: skip
+    edges = cell_edges(grid.base_color_nodes)
+    usual = np.diff(edges) if len(edges) > 2 else np.ones(1)
+    if averaged:  # a prior of nodes, of which none is more likely
+        usual = np.full(len(usual), 1 / len(usual))
+    prior, given = prior_tables(posterior.prior, usual)
+    nodes = grid.base_color_nodes if averaged else None
+    colors = Colors(edges, posterior.problem.copies, given, nodes)
+    p = np.array(posterior.probabilities_of(texels))
+    p = p.reshape(len(p), dr.width(prior), len(usual), -1)[..., :channels]
+    variance = _variance(posterior, switches, observed.unit)[texels]
+    return AngularForecast(
+        responses=responses, hypotheses=draw(p[..., 0].sum(axis=2, dtype=np.float64)),
+        grid=grid, prior=prior, measure=Entropy(max(entropy_of(posterior.prior), 1e-6)),
+        truths=owned(mi.Float, colors.truths(p).ravel()), channels=channels,
+        precision=owned(mi.Float, 0.5 / variance), kappa=switches.kappa(observed.unit),
+        averaged=averaged, colors=colors,
+    )  # fmt: skip
+
+
+def _variance(
+    posterior: CalibratedPosterior | AngularPosterior, switches: AngularPreset, unit: float
+) -> np.ndarray:
+    """s^2 tau of all texels, (T,); of those nobody saw, the median of the others."""
+    if isinstance(posterior, AngularPosterior):
+        sigma = switches.sigma * (1.0 if switches.noise == "fixed" else unit)
+        return np.full(posterior.count, sigma**2)
+    variance = np.full(posterior.count, np.median(posterior.noise) ** 2)
+    variance[posterior.problem.factors.texel.numpy()] = posterior.noise**2
+    return variance * switches.overdispersion
+
+
+def _spectrum(
+    posterior: SpectrumPosterior, switches: AnyPreset, observed: Observed, texels: np.ndarray,
+    look: Look, draw: Draw,
+) -> SpectrumForecast:  # fmt: skip
+    grid = posterior.grid
+    if not isinstance(grid, ParameterGrid):
+        raise OptionError(
+            "next_best_view(): spectra of photographs to come are known over (roughness, Ks) "
+            "only; use preset='paper' or parameters='specular', or method='angular'."
+        )
+    assert isinstance(switches, Preset)
+    _require(switches, noise=("fixed", "relative"), channels=("grey", "sum"))
+    surface = Surface.of(observed.texels, numbers(texels))
+    respond = spectral.respond(observed.views.scene, surface, observed.lighting, switches)
+    p = np.array(posterior.probabilities_of(texels))
+    return SpectrumForecast(
+        responses=look(surface, respond, spectral.columns(switches)),
+        hypotheses=draw(p.reshape(len(p), -1)), grid=grid,
+        prior=_energies(posterior.problem.prior),
+        measure=Entropy(float(np.log(np.prod(grid.shape)))), switches=switches,
+        sigma=float(posterior.problem.sigma[0]), prefilter=observed.lighting.prefilter,
+    )  # fmt: skip
 
 
 def _require(switches: AnyPreset, **allowed: tuple[str, ...]) -> None:

@@ -62,10 +62,6 @@ class Greedy:
             self._evaluate(np.array([candidate]))
         return np.where(self._sees[candidate], self.entropy - self._expected[candidate], 0.0)
 
-    def unseen(self) -> np.ndarray:
-        """Return (T,) bool, texels that no view sees so far."""
-        return np.logical_not(self.forecast.seen[self._views].any(axis=0))
-
     def choose(self, candidate: int) -> None:
         """Take a candidate as photographed: E[H] with it is E[H] from now on."""
         self.entropy = self.entropy - self.texel_gains(candidate)

@@ -66,11 +66,7 @@ class Entropy:
     """
 
     most: float
-
-    @property
-    def unseen(self) -> float:
-        """1: nothing is known."""
-        return 1.0
+    unseen = 1.0
 
     def start(self) -> list[Any]:
         """Z, and the sum of w (H - log w) over rows of weight w."""

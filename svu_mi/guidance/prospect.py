@@ -12,7 +12,7 @@ from svu_mi.guidance import baselines
 from svu_mi.guidance.angular import AngularForecast
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.forecast import Forecast, numbers
-from svu_mi.guidance.forecaster import Forecaster, forecaster
+from svu_mi.guidance.forecaster import forecast_of
 from svu_mi.guidance.greedy import Greedy
 from svu_mi.guidance.measures import Variance
 from svu_mi.guidance.options import GuidanceOptions
@@ -73,15 +73,7 @@ class Prospect:
         Raises:
             OptionError: an estimate that says nothing of that.
         """
-        options = self.options
-        return self.forecaster.forecast(
-            self.texels, self._packed, options.hypotheses, options.seed
-        )
-
-    @cached_property
-    def forecaster(self) -> Forecaster:
-        """Makes forecasts of these texels, or others."""
-        return forecaster(self.estimate)
+        return forecast_of(self.estimate, self.texels, self._packed, self.options)
 
     @cached_property
     def greedy(self) -> Greedy:

@@ -20,7 +20,7 @@ import numpy as np
 
 from svu_mi.frequency.extend import extend_lanes
 from svu_mi.guidance.forecast import Forecast, numbers
-from svu_mi.guidance.measures import FAR, Entropy, row_of
+from svu_mi.guidance.measures import FAR, row_of
 from svu_mi.guidance.responses import Respond, Responses
 from svu_mi.interop import owned
 from svu_mi.light import Lighting
@@ -154,7 +154,7 @@ class _Cells:
     def __init__(self, forecast: SpectrumForecast, texel: Any, light: list[Any]) -> None:
         grid, switches = forecast.grid, forecast.switches
         self._hypotheses, self._texel = forecast.hypotheses, texel
-        self.measure = Entropy(float(np.log(np.prod(grid.shape))))
+        self.measure = forecast.measure
         self.hypotheses = dr.gather(mi.UInt32, forecast.hypotheses.counts, texel)
         self._light, self._prior = light, forecast.prior
         self._decay = owned(mi.Float64, decay(switches, grid, forecast.prefilter))

@@ -104,7 +104,6 @@ def guidance_record(capture: Any, estimate: Any, guidance: Any) -> dict[str, Any
         "texels": guidance.texels.count,
         "texels_seen": int(_seen(estimate).sum()),
         "mean_entropy": float(np.asarray(estimate.entropy).mean()),
-        "mean_expected_entropy": guidance.entropy,
         "candidates": guidance.candidates.count,
         "proposals": [proposal.name for proposal in guidance.proposals],
     }

@@ -267,8 +267,10 @@ def _with_noise(
     rest = np.array(kernel.least(replace(problem, scale=unit)), np.float64)  # over unit^2
     unexplained, weight = factors.unexplained()
     both = 2 * rest + problem.copies * unexplained / scale**2
-    samples = np.array(factors.views, np.float64) * factors.channels * problem.copies
-    variance = noise_variance(weight * both, samples, switches.degrees, switches.sigma)
+    variance = noise_variance(
+        weight * both, np.array(factors.views, np.float64), factors.channels * problem.copies,
+        switches.degrees, switches.assumed,
+    )  # fmt: skip
     energy_scale = weight / (variance * switches.overdispersion)
     problem = replace(
         problem, scale=owned(mi.Float, np.sqrt(energy_scale) / scale),

@@ -3,17 +3,22 @@
 A sample is b = r(psi) + e, with Var e = s^2 / w: the weights w of the sums say how noise grows
 with radiance, s says how much of it a texel has. That is what its best parameters leave,
 
-    s^2 = (nu s_0^2 + Q_min) / (nu + max(N - 5, 1)),    Q = sum w e^2 over N samples,
+    s^2 = (nu s_0^2 + t Q_min) / (nu + t max(N - 5, 1)),    Q = sum w e^2 over N samples,
 
 for a prior of nu samples of the variance s_0^2 that the median texel has (Student's t with nu
 degrees of freedom, were there no data): light tails where the model fits, heavy ones where it
-does not, as on seams and in detail below a pixel. From few samples nobody can tell: whatever they
-show has parameters that explain it. Where no texel has 2 x 5 of them (three photographs in colour,
-nine in grey), s_0 is assumed.
+does not, as on seams and in detail below a pixel.
+
+That a few views agree tells nothing: whatever they show has parameters that explain it, and R, G
+and B of one photograph are wrong together. So t grows from 0 at 5 views to 1 at 8, and s_0 from
+what is assumed, by its logarithm, to the median of texels with 2 x 5 samples, reached when the mean
+of t over all seen texels is 1/2: no photograph lowers it at once. That views contradict each other
+by more than s_0 tells, however few they are: then t = 1, as it is for s_0, if the median does.
 
 Errors of neighbouring views are not independent: light cells, pixel footprints and normals are
-the same in both. N samples say what N / tau independent ones would. The overdispersion tau is a
-constant, chosen on the scenes that come with svu_mi (BENCHMARKS.md).
+the same in both. N samples say what N / tau independent ones would. The overdispersion tau, the
+views that it takes, and the assumed s_0 are constants, chosen on the scenes that come with svu_mi
+(BENCHMARKS.md).
 """
 
 from __future__ import annotations
@@ -22,24 +27,30 @@ import numpy as np
 
 SMALLEST = 1e-3  # noise, in the unit: no photograph, and no model of it, is better than that
 FITTED = 5  # roughness, metallic and three channels of base colour, which every texel has used up
+FULL = 8  # views from which on a texel tells all that it can
 
 
 def noise_variance(
-    least: np.ndarray, samples: np.ndarray, degrees: float, assumed: float
+    least: np.ndarray, views: np.ndarray, channels: int, degrees: float, assumed: float
 ) -> np.ndarray:
     """Return s^2 of every texel, in the square of a unit of radiance.
 
     Args:
         least: (S,) Q_min, weighted sum of squared errors of the best parameters.
-        samples: (S,) N, number of views and channels; 0 of a texel that no view sees.
+        views: (S,) how many see the texel; 0 where none does.
+        channels: samples that each view gives.
         degrees: nu.
-        assumed: s_0, if no texel has samples enough to tell.
+        assumed: s_0, where too few views tell.
 
     Returns:
         (S,) float64, not below the square of ``SMALLEST``.
     """
+    samples, seen = views * channels, views > 0
     own = np.maximum(samples - FITTED, 1)
-    telling = samples >= 2 * FITTED
-    usual = float(np.median(least[telling] / own[telling])) if telling.any() else assumed**2
-    usual = max(usual, SMALLEST**2)
-    return np.maximum((degrees * usual + least) / (degrees + own), SMALLEST**2)
+    tells = np.clip((views - FITTED) / (FULL - FITTED), 0, 1)
+    usual = assumed**2
+    if (enough := samples >= 2 * FITTED).any():
+        median = max(float(np.median((least / own)[enough])), SMALLEST**2)
+        usual *= (median / usual) ** (1 if median > usual else min(2 * tells[seen].mean(), 1))
+    tells = np.where(least / own > usual, 1, tells)
+    return np.maximum((degrees * usual + tells * least) / (degrees + tells * own), SMALLEST**2)

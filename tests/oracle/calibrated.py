@@ -153,11 +153,11 @@ def posterior(
             A[i, j], B[i, j], C[i, j] = channel(at, metallic)
     best = np.clip(-B / np.maximum(A, 1e-300), 0, 1)
     energy = (A * best**2 + 2 * B * best + C).sum(axis=2)
-    samples = views * channels
     q_min = weight * (energy.min(axis=(0, 1)) + least.sum(axis=0))
-    own = np.maximum(samples - 5, 1)
-    telling = samples >= 10
-    usual = max(np.median((q_min / own)[telling]), 1e-6)
+    if views.min() < 8:
+        raise NotImplementedError("noise from fewer than 8 views, which tell it in part")
+    own = views * channels - 5
+    usual = max(np.median(q_min / own), 1e-6)
     s2 = np.maximum((nu * usual + q_min) / (nu + own), 1e-6)
     scale = weight / (s2 * tau)
     A, B, C = A * scale, B * scale, C * scale

@@ -110,11 +110,7 @@ class Angular:
             z = given * np.exp(-E)
             mass = np.maximum(z.sum(axis=1), 1e-300)
             p = z / mass[:, None]
-            if self.colors is None and np.allclose(prior / prior.sum(), usual):
-                t = (K - 1) * np.exp(plogp(p) - np.log(QUADRATURE))
-                nats = 0.5 * np.log(1 + t * (0.5 + 1.07 * t))
-            else:
-                nats = plogp(np.stack([p[:, cell == k].sum(axis=1) for k in range(K)], axis=1))
+            nats = plogp(np.stack([p[:, cell == k].sum(axis=1) for k in range(K)], axis=1))
             mean = p @ c
             found.append((prior.sum() * mass.prod() ** self.copies, nats, mean,
                           p @ c**2 - mean**2))  # fmt: skip
