@@ -51,7 +51,7 @@ def simulate(
         "base_color": rng.random((count, 3)),
     }
     if materials is not None:
-        truth = {name: np.resize(values[:materials], values.shape) for name, values in truth.items()}
+        truth = {name: np.resize(x[:materials], x.shape) for name, x in truth.items()}
     levels = np.concatenate([np.tile(LEVELS, (count, 1)), truth["roughness"][:, None]], axis=1)
     e, p, q, d = (exposure * x for x in columns(rng, count, views, levels))
     m, c = truth["metallic"][:, None, None], truth["base_color"][:, None]

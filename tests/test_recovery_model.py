@@ -22,6 +22,7 @@ from svu_mi.light.moments import moment_map
 from svu_mi.observed import observe
 from svu_mi.options import preset
 from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.progress import Progress
 from svu_mi.recovery.sh.angular import angular_objective
 from svu_mi.recovery.sh.gradient import look_up
 from svu_mi.recovery.sh.spectral import spectral_objective

@@ -28,6 +28,8 @@ from svu_mi.surface.neighbors import neighbors
 
 # Of total variation, where a start is smoothed: its texels still have to tell materials apart.
 GENTLE = 0.4
+# Of the pull towards posterior means, which know the prior, beside the likelihood.
+HOLD = 1.0
 
 
 class Run:
@@ -86,7 +88,7 @@ class Run:
             posterior = self.estimate.posterior
             likelihood = Likelihood.of(posterior, self.texels)
             pull = Pull.of(posterior, self.texels)
-            return lambda textures, step: likelihood(textures, step) + pull(textures, step)
+            return lambda textures, step: likelihood(textures, step) + HOLD * pull(textures, step)
         with self.progress.stage("Gathering statistics"):
             if options.loss == "angular":
                 switches = preset("paper", method="angular", channels="joint")

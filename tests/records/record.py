@@ -131,7 +131,8 @@ def noise_of_8_percent() -> str:
 def closed_form(found: Any) -> dict[str, np.ndarray]:
     """Return the means of every texel's posterior that recovery starts from, by name."""
     posterior = svu.estimate(found).posterior
-    return {name: np.array(posterior.mean(name)) for name in ("base_color", "roughness", "metallic")}
+    names = ("base_color", "roughness", "metallic")
+    return {name: np.array(posterior.mean(name)) for name in names}
 
 
 def true_means(capture: Any, layout: Any, file: Path) -> dict[str, np.ndarray]:
