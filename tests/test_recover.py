@@ -300,7 +300,8 @@ def test_robust_passes_resist_a_spoilt_photograph(
 
 
 def test_no_kernel_is_compiled_after_the_second_run(capture: Capture, grid: Texels) -> None:
-    options = replace(ShOptions(), smoothing=6, descent=DescentOptions(steps=6))
+    steps = DescentOptions(steps=6)
+    options = replace(ShOptions(), smoothing=steps, descent=steps)
     for _ in range(2):
         svu.recover(capture, grid, sh=options, sharing=True)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
@@ -332,7 +333,8 @@ def test_bad_input_is_refused(capture: Capture, grid: Texels) -> None:
 
 
 def brief() -> ShOptions:
-    return replace(sh_preset("default"), smoothing=2, descent=DescentOptions(steps=2))
+    steps = DescentOptions(steps=2)
+    return replace(sh_preset("default"), smoothing=steps, descent=steps)
 
 
 def test_gutters_follow_their_charts(capture: Capture, grid: Texels, alone: svu.Recovery) -> None:

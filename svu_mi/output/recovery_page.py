@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 SIZE = (18.0, 10.2)  # inches
 TITLES = tuple(words(name).capitalize() for name in NAMES)
-WIDEST_SD = 0.3  # at the upper end of the colours; that of no knowledge is 0.29
+WIDEST_SD = 0.25  # at the upper end of the colours; that of no knowledge is 0.29
 SMOOTH = 50  # losses are averaged over this part of the steps
 
 
@@ -102,7 +102,7 @@ def _maps(figure: Figure, cells: Sequence[Axes], recovery: Any, estimate: Any | 
         for axes, name in zip(cells[3:6], NAMES, strict=True):
             _uncertainty(figure, axes, estimate, name)
         colors = draw_map(cells[6], estimate)
-        style.color_bar(figure, cells[6], colors, style.ENTROPY_ENDS)
+        style.color_bar(figure, cells[6], colors, "grey: never seen")
     for axes, text in zip(cells, (*TITLES, *drawn, "Entropy"), strict=True):
         axes.set_anchor("NW")
         style.title(axes, text)
@@ -116,7 +116,7 @@ def _uncertainty(figure: Figure, axes: Axes, estimate: Any, name: str) -> None:
     sd = np.asarray(estimate.posterior.sd(name), np.float32)
     worst = sd.reshape(len(sd), -1).max(axis=1, initial=0)
     colors = draw_map(axes, estimate, worst, limits=(0, WIDEST_SD))
-    style.color_bar(figure, axes, colors, f"0 to {WIDEST_SD:g}; grey: never seen")
+    style.color_bar(figure, axes, colors, "standard deviation")
 
 
 def _losses(axes: Axes, recovery: Any) -> None:

@@ -75,10 +75,11 @@ class ShOptions:
         levels: roughness levels that the light is filtered for (``angular``).
         closed_form: start from the mean of every texel's posterior, smoothed, instead of 0.5
             everywhere (``statistics``).
-        smoothing: steps of descent that smooth this start.
+        smoothing: how to descend where this start is smoothed; with ``tv`` 0 it is not.
         robust: number of re-weighted passes, after each of which the squared error is nearer to
             an absolute one (``statistics``).
-        tv: weight of total variation, in nats per texel (``statistics``).
+        tv: weight of total variation; with ``statistics`` in nats per texel, for a surface of one
+            texel: of T, it is sqrt(T) times that, as steps between texels get smaller.
         sharing: weight of a ``GlobalSharing``, if there is any; 0 for none.
         common_prior: share by a prior that texels have in common (``posterior/object_prior.py``);
             else as the paper's Eq. 14 and 15 have it.
@@ -88,20 +89,21 @@ class ShOptions:
     loss: ShLoss = "statistics"
     levels: int = 12
     closed_form: bool = True
-    smoothing: int = 120
+    smoothing: DescentOptions = field(
+        default_factory=lambda: DescentOptions(steps=240, learning_rate=0.05)
+    )
     robust: int = 0
-    tv: float = 80.0
-    sharing: float = 80.0
+    tv: float = 0.6
+    sharing: float = 160.0
     common_prior: bool = True
     descent: DescentOptions = field(
-        default_factory=lambda: DescentOptions(steps=60, learning_rate=0.02)
+        default_factory=lambda: DescentOptions(steps=100, learning_rate=0.02)
     )
 
     def __post_init__(self) -> None:
         require_types(self)
         require_one_of(self, "loss", ShLoss)
         require(self, 4 <= self.levels <= 64, "levels", "in [4, 64]")
-        require(self, self.smoothing >= 0, "smoothing", "at least 0")
         require(self, 0 <= self.robust <= 20, "robust", "in [0, 20]")
         require(self, 0 <= self.tv < inf, "tv", "at least 0")
         require(self, 0 <= self.sharing < inf, "sharing", "at least 0")

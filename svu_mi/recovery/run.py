@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
+from math import sqrt
 
 from svu_mi.errors import OptionError
 from svu_mi.observed import Observed
 from svu_mi.options import preset
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
+from svu_mi.posterior import CalibratedPosterior
 from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import Descent, Objective, descend
@@ -26,10 +28,9 @@ from svu_mi.regularization import GlobalSharing, TotalVariation
 from svu_mi.surface import Texels
 from svu_mi.surface.neighbors import neighbors
 
-# Of total variation, where a start is smoothed: its texels still have to tell materials apart.
-GENTLE = 0.4
-# Of the pull towards posterior means, which know the prior, beside the likelihood.
-HOLD = 1.0
+# Chosen on our own scenes:
+GENTLE = 0.6  # part of total variation that smooths a start, whose texels must tell materials apart
+HOLD = 0.5  # weight of the pull towards posterior means, which know the prior
 
 
 class Run:
@@ -64,6 +65,13 @@ class Run:
             sharing=self.sharing is True and self.used.common_prior and self.used.sharing > 0,
         )  # fmt: skip
 
+    @property
+    def posterior(self) -> CalibratedPosterior:
+        """That of ``estimate``, in colour."""
+        posterior = self.estimate.posterior
+        assert isinstance(posterior, CalibratedPosterior)
+        return posterior
+
     def run(self, method: Method, checkpoint: Checkpoint | None) -> tuple[Textures, Descent]:
         """Recover by a method; the last descent is the one that is saved."""
         self.used = self.options.path if method == "path" else self.options.sh
@@ -85,32 +93,34 @@ class Run:
     def _sh_data(self, options: ShOptions) -> Objective:
         """Return how far textures are from the photographs."""
         if options.loss == "statistics":
-            posterior = self.estimate.posterior
-            likelihood = Likelihood.of(posterior, self.texels)
-            pull = Pull.of(posterior, self.texels)
+            likelihood = Likelihood.of(self.posterior, self.texels)
+            pull = Pull.of(self.posterior, self.texels)
             return lambda textures, step: likelihood(textures, step) + HOLD * pull(textures, step)
         with self.progress.stage("Gathering statistics"):
             if options.loss == "angular":
                 switches = preset("paper", method="angular", channels="joint")
                 return angular_objective(self.observed, switches, options.levels)
-            switches = preset("paper", method="spectrum")
-            return spectral_objective(self.observed, switches, options.loss)
+            of_spectra = preset("paper", method="spectrum")
+            return spectral_objective(self.observed, of_spectra, options.loss)
 
     def _smoothed(self, start: Textures) -> Textures:
         """Let neighbours decide where a texel alone cannot: photographs only by what they say
         of each, a mean and a variance."""
         options = self.options.sh
-        if not (options.smoothing and options.tv):
+        if not options.tv:
             return start
-        pull = Pull.of(self.estimate.posterior, self.texels)
+        pull = Pull.of(self.posterior, self.texels)
         fixed = {name: tensor for name, tensor in start.items() if name not in self.names}
-        objective = regularized(pull, [(GENTLE * options.tv, self.variation)], fixed)
-        with self.progress.stage("Smoothing the start", options.smoothing) as stage:
-            found = descend(
-                objective, self._free(start), replace(options.descent, steps=options.smoothing),
-                progress=stage,
-            )  # fmt: skip
+        objective = regularized(pull, [(GENTLE * self._tv(options), self.variation)], fixed)
+        with self.progress.stage("Smoothing the start", options.smoothing.steps) as stage:
+            found = descend(objective, self._free(start), options.smoothing, progress=stage)
         return replace(start, **found.values)
+
+    def _tv(self, options: ShOptions | PathOptions) -> float:
+        """Return the weight of total variation: in nats, what edges cost does not depend on the
+        resolution, whose steps from texel to texel are the smaller, the more there are."""
+        in_nats = isinstance(options, ShOptions) and options.loss == "statistics"
+        return options.tv * (sqrt(self.texels.count) if in_nats else 1.0)
 
     def _free(self, textures: Textures) -> dict[str, object]:
         return {name: tensor for name, tensor in textures.items() if name in self.names}
@@ -132,7 +142,7 @@ class Run:
         sharing: Rule | None, checkpoint: Checkpoint | None,
     ) -> tuple[Textures, Descent]:  # fmt: skip
         fixed = {name: tensor for name, tensor in start.items() if name not in self.names}
-        rules = [(options.tv, self.variation), (options.sharing, sharing)]
+        rules = [(self._tv(options), self.variation), (options.sharing, sharing)]
         objective = regularized(data, [(w, rule) for w, rule in rules if w and rule], fixed)
         with self.progress.stage(title, options.descent.steps) as stage:
             descent = descend(
@@ -151,7 +161,7 @@ class Run:
             return each(self.sharing)
         if options.common_prior:  # which the statistics' posterior has already
             return (
-                Pull.by_trust(self.estimate.posterior, self.texels)
+                Pull.by_trust(self.posterior, self.texels)
                 if isinstance(options, PathOptions) else None
             )  # fmt: skip
         certain = estimate(self.given or self.observed, progress=self.progress)
