@@ -11,7 +11,7 @@ from scipy import stats
 
 import svu_mi as svu
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.posterior import calibrated_posterior
+from svu_mi.posterior import calibrated_posterior, object_prior
 from svu_mi.posterior.noise import noise_variance
 from svu_mi.posterior.truncated import Channel, erfcx
 from svu_mi.posterior.walk import energy_at
@@ -38,9 +38,11 @@ def columns(rng: np.random.Generator, count: int, views: int, at: np.ndarray) ->
 
 
 def simulate(
-    count: int, views: int, noise: float, seed: int = 0, exposure: float = 1.0
+    count: int, views: int, noise: float, seed: int = 0, exposure: float = 1.0,
+    materials: int | None = None,
 ) -> tuple[oracle.Samples, dict[str, np.ndarray]]:
-    """Draw parameters from the prior, and photographs from the likelihood."""
+    """Draw parameters from the prior, and photographs from the likelihood; those of a few texels,
+    if materials repeat."""
     rng = np.random.default_rng(seed)
     metals = rng.random(count)
     truth = {
@@ -48,6 +50,8 @@ def simulate(
         "metallic": np.select([metals < 0.4, metals < 0.8], [0.0, 1.0], rng.random(count)),
         "base_color": rng.random((count, 3)),
     }
+    if materials is not None:
+        truth = {name: np.resize(x[:materials], x.shape) for name, x in truth.items()}
     levels = np.concatenate([np.tile(LEVELS, (count, 1)), truth["roughness"][:, None]], axis=1)
     e, p, q, d = (exposure * x for x in columns(rng, count, views, levels))
     m, c = truth["metallic"][:, None, None], truth["base_color"][:, None]
@@ -327,6 +331,63 @@ def test_a_prior_of_cells_is_bayes() -> None:
         assert np.isfinite(mean).all()
         assert mean.max() <= most + 1e-6
     assert np.isfinite(np.array(found.entropy())).all()
+
+
+def test_a_prior_in_common_is_that_of_expectation_maximisation() -> None:
+    """Texels of two materials, and what the oracle learns from them."""
+    samples, _ = simulate(100, 12, 0.2)
+    alone = calibrated_posterior(statistics(samples))
+    options = {"tau": 3.5, "nu": 4, "r": PARTS[0], "m": PARTS[1]}
+    given = samples.sums(), samples.w.sum(axis=1), np.full(100, 12)
+    prior = oracle.common_prior(
+        *given, alone.prior, rounds=object_prior.ROUNDS, sharpness=object_prior.SHARPNESS,
+        otherwise=object_prior.OTHERWISE, **options,
+    )  # fmt: skip
+    truth = oracle.posterior(*given, prior=prior, **options)
+    found = object_prior.shared(alone)
+    np.testing.assert_allclose(found.prior, prior.mean(axis=-1), atol=2e-5)
+    assert np.abs(np.array(found.probabilities) - truth.cells).max() < 2e-4
+    for name in ("roughness", "metallic"):
+        assert np.abs(np.array(found.mean(name)) - truth.mean[name]).max() < 2e-4, name
+        assert np.abs(np.array(found.sd(name)) - truth.sd[name]).max() < 2e-4, name
+
+
+def test_a_prior_in_common_tells_materials_apart() -> None:
+    """Few views say little of a texel; many texels say much of two materials."""
+    samples, truth = simulate(600, 8, 0.25, materials=2)
+    alone = calibrated_posterior(statistics(samples))
+    found = object_prior.shared(alone)
+    for name, least in (("metallic", 0.7), ("roughness", 0.7), ("base_color", 0.9)):
+        error = [((np.array(p.mean(name)) - truth[name]) ** 2).mean() for p in (alone, found)]
+        assert error[1] < least * error[0], name
+    assert np.array(found.entropy()).mean() < np.array(alone.entropy()).mean()
+
+
+def test_nothing_in_common_changes_little() -> None:
+    """Truths from the prior itself: what is learned of 600 of them has some noise."""
+    samples, truth = simulate(600, 12, 0.1)
+    alone = calibrated_posterior(statistics(samples))
+    found = object_prior.shared(alone)
+    for name in ("metallic", "roughness", "base_color"):
+        error = [((np.array(p.mean(name)) - truth[name]) ** 2).mean() for p in (alone, found)]
+        assert error[1] < 1.2 * error[0], name
+
+
+def test_two_ways_to_weigh_colours_agree() -> None:
+    """In closed form per border, and per cell in double precision."""
+    rng = np.random.default_rng(2)
+    A, mu = 10 ** rng.uniform(-1, 4, 2000), rng.uniform(-0.5, 1.5, 2000)
+    u, v = (mi.Float(x.astype(np.float32)) for x in (np.sqrt(A), -mu * np.sqrt(A)))
+    edges = np.concatenate([[0], (np.arange(7) + 0.5) / 7, [1]]).tolist()
+    prior = [mi.Float((10 ** rng.uniform(-3, 1, 2000)).astype(np.float32)) for _ in range(8)]
+    one = Channel.of([u], [v], mi.Float(0))
+    (log_mass, fast), (exact, slow) = one.weighed(edges, prior), one.under(edges, prior)
+    assert np.abs(np.array(log_mass) - np.array(exact)).max() < 1e-3
+    assert np.abs(np.array(fast.mean) - np.array(slow.mean)).max() < 1e-4
+    sd = [np.sqrt(np.array(x.variance, np.float64)) for x in (fast, slow)]
+    assert np.abs(sd[0] - sd[1]).max() < 1e-3
+    cells = [np.array([np.array(part) for part in x.cells]) for x in (fast, slow)]
+    assert np.abs(cells[0] - cells[1]).max() < 1e-4
 
 
 def test_known_parameters_leave_the_grid() -> None:

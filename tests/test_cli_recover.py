@@ -23,8 +23,8 @@ from svu_mi.recovery.textures import Textures
 
 PICTURES = ["recovery.png", "relit.png"]
 NUMBERS = [
-    "assets", "base_color.exr", "coverage.exr", "losses.csv", "metallic.exr", "recovered.xml",
-    "roughness.exr", "run.json",
+    "assets", "base_color.exr", "coverage.exr", "entropy.exr", "losses.csv", "metallic.exr",
+    "recovered.xml", "roughness.exr", "run.json", "uncertainty.exr",
 ]  # fmt: skip
 FILES = sorted([*NUMBERS, *PICTURES])
 SIZE = 32
@@ -56,7 +56,7 @@ def maps(folder):
 
 
 def test_recover_writes_textures_a_scene_and_pictures(shot, tmp_path):
-    assert recover(shot, tmp_path, "--seed", 5) == 0
+    assert recover(shot, tmp_path, "--seed", 5, "--tv", 0.1) == 0
     assert names(tmp_path) == FILES
     for name, values in maps(tmp_path).items():
         assert values.shape == (SIZE, SIZE, 3 if name == "base_color" else 1)
@@ -74,10 +74,17 @@ def test_recover_writes_textures_a_scene_and_pictures(shot, tmp_path):
 
 def test_sharing_leaves_the_entropy_that_it_went_by(shot, tmp_path):
     assert recover(shot, tmp_path, "--sharing", "--tv", 0.02) == 0
-    assert names(tmp_path) == sorted([*FILES, "entropy.exr"])
+    assert names(tmp_path) == FILES
     entropy, coverage = (read_exr(tmp_path / f"{n}.exr")["Y"] for n in ("entropy", "coverage"))
     assert (entropy[coverage == 0] == 1).all()
     assert coverage.max() <= 8
+    sd = read_exr(tmp_path / "uncertainty.exr")
+    assert sorted(sd) == ["base_color.sd.B", "base_color.sd.G", "base_color.sd.R",
+                          "metallic.sd", "roughness.sd"]  # fmt: skip
+    sure, unsure = (
+        np.median(sd["roughness.sd"][coverage == views]) for views in (coverage.max(), 0)
+    )
+    assert sure < unsure
 
 
 @pytest.mark.parametrize("method", ["path", "sh+path"])
@@ -118,12 +125,12 @@ def test_without_photographs_the_scene_is_rendered_once(
 
 
 def interrupt_after(monkeypatch, steps):
-    """Press Ctrl-C in the middle of a step."""
+    """Press Ctrl-C in the middle of a step of the last descent, which ``recover`` made short."""
     advance = descent._Run.advance
 
     def interrupted(self):
         advance(self)
-        if self.step >= steps:
+        if self._options.steps == 20 and self.step >= steps:
             raise KeyboardInterrupt
 
     monkeypatch.setattr(descent._Run, "advance", interrupted)

@@ -15,11 +15,10 @@ from helpers import render_ball
 import svu_mi as svu
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError, ShapeError, SvuError
-from svu_mi.observed import observe
+from svu_mi.posterior import CalibratedPosterior
 from svu_mi.recovery.options import DescentOptions, ShOptions, sh_preset
-from svu_mi.recovery.sh import materials
-from svu_mi.recovery.sh.fit import Fits
-from svu_mi.recovery.sh.materials import Materials, MaterialSharing, find_materials
+from svu_mi.recovery.sh.objective import Likelihood, Pull, moments, values_of
+from svu_mi.recovery.start import posterior_means
 from svu_mi.recovery.textures import Textures, lay_out, uniform
 from svu_mi.surface import Texels
 
@@ -80,10 +79,6 @@ def psnr(found: Textures, truth: Textures, grid: Texels) -> float:
     return float(np.mean(-10 * np.log10(errors)))
 
 
-def fits(capture: Capture, grid: Texels) -> Fits:
-    return Fits(observe(capture, grid))
-
-
 @pytest.fixture(scope="module")
 def alone(capture: Capture, grid: Texels) -> svu.Recovery:
     return svu.recover(capture, grid)
@@ -114,62 +109,76 @@ def test_sharing_helps_where_materials_repeat(
     assert psnr(shared.textures, truth, grid) > psnr(alone.textures, truth, grid) + 0.5
 
 
-def test_materials_are_found(
-    capture: Capture, grid: Texels, truth: Textures, monkeypatch: pytest.MonkeyPatch
+def test_a_prior_in_common_tells_both_materials_apart(
+    capture: Capture, alone: svu.Recovery, truth: Textures, grid: Texels
 ) -> None:
-    """From seeds of both kinds, whose own parameters are bad; and every texel finds its own."""
-    monkeypatch.setattr(materials, "NO_MATERIAL", 0.0)
-    run = fits(capture, grid)
-    fit = run.fit(ShOptions())
-    metal = truth.at(grid, "metallic")[run.seen] > 0.5
-    well = run.observed.coverage[run.seen] >= np.median(run.observed.coverage)
-    # Pixels at the edge of a stripe, which is 3 texels wide, show some of the next one.
-    inside = grid.index.numpy()[run.seen] % SIZE % 3 == 1
-    seeds = np.array([np.flatnonzero(kind & well & inside)[5] for kind in (metal, ~metal)])
-    found = find_materials(fit.factors, fit.start, fit.start.table(), seeds)
-    for values, wanted in zip(found.values, (TRUE, OTHER), strict=True):
-        error = values - np.array([*wanted["base_color"], wanted["roughness"], wanted["metallic"]])
-        assert np.abs(error).max() < 0.15
-    sure = found.weights.max(axis=0) > 0.5 * found.trust.max()
-    assert ((found.weights.argmax(axis=0) == 0) == metal)[sure & well].mean() > 0.8
-    assert found.weights.sum(axis=0).max() <= 1 + 1e-5
+    shared = svu.recover(capture, grid, sharing=True)
+    assert shared.estimate is not None
+    assert alone.estimate is not None
+    metal = truth.at(grid, "metallic") > 0.5
+    prior = shared.estimate.posterior.prior
+    r, m = (round(7 * TRUE[name]) for name in ("roughness", "metallic"))
+    assert prior.sum(axis=2)[r - 1 : r + 2, m].sum() > 0.5 * metal.mean()
+    sure = [np.array(x.estimate.posterior.sd("metallic")).mean() for x in (alone, shared)]
+    assert sure[1] < sure[0]
 
 
-def test_what_explains_nothing_is_no_material(
-    capture: Capture, grid: Texels, monkeypatch: pytest.MonkeyPatch
+def test_recovery_goes_on_from_an_estimate(
+    capture: Capture, grid: Texels, alone: svu.Recovery
 ) -> None:
-    monkeypatch.setattr(materials, "NO_MATERIAL", 1.1)
-    run = fits(capture, grid)
-    fit = run.fit(ShOptions())
-    own = fit.start.table()
-    found = find_materials(fit.factors, fit.start, own, np.array([3, 80]))
-    assert len(found.values) == 0
-    np.testing.assert_array_equal(found.blend(own), own)
+    """The same as from the capture; of other presets and methods, too."""
+    found = svu.estimate(capture, grid)
+    again = svu.recover(found)
+    assert again.estimate is found
+    for name, tensor in alone.textures.items():
+        np.testing.assert_array_equal(np.array(tensor), np.array(getattr(again.textures, name)))
+    for method, preset in (("angular", "fast"), ("angular", "fixed"), ("spectrum", "paper")):
+        other = svu.estimate(found, method=method, preset=preset)  # type: ignore[arg-type]
+        recovered = svu.recover(other, sh=brief())
+        assert isinstance(recovered.estimate.posterior, CalibratedPosterior)
+        assert recovered.settings["estimate"]["method"] == method
 
 
-def test_no_seed_shares_nothing(capture: Capture, grid: Texels) -> None:
-    run = fits(capture, grid)
-    fit = run.fit(ShOptions())
-    own = fit.start.table()
-    found = find_materials(fit.factors, fit.start, own, np.empty(0, np.int64))
-    np.testing.assert_array_equal(found.blend(own), own)
-    rule = MaterialSharing.of(found, fit.loss.place)
-    assert float(rule(dict(uniform(grid).items()))[0]) == 0
+def test_what_an_estimate_knows_stays(capture: Capture, grid: Texels) -> None:
+    for name, value in (("metallic", 1.0), ("roughness", 0.5), ("base_color", 0.4)):
+        for preset in ("default", "fixed"):
+            known = svu.estimate(capture, grid, known={name: value}, preset=preset)
+            found = svu.recover(known, sh=brief(), sharing=True)
+            assert name not in found.settings["parameters"]
+            for other in TRUE:
+                values = found.textures.at(grid, other)
+                assert np.isfinite(values).all()
+                assert np.allclose(values, value) == (other == name)
+    known = svu.estimate(capture, grid, known={"metallic": 0.0})
+    with pytest.raises(OptionError, match="nothing is left to recover"):
+        svu.recover(known, parameters=["metallic"])
 
 
-def test_sharing_is_a_squared_distance_and_its_gradient() -> None:
+def test_it_starts_from_the_means_of_the_posterior(
+    capture: Capture, grid: Texels, truth: Textures
+) -> None:
+    found = svu.estimate(capture, grid)
+    start = posterior_means(found)
+    seen = np.array(found.coverage) > 0
+    for name in TRUE:
+        mean = np.array(found.posterior.mean(name))
+        np.testing.assert_allclose(start.at(grid, name)[seen], mean[seen], atol=1e-6)
+        unseen = start.at(grid, name)[~seen]
+        np.testing.assert_allclose(unseen, np.broadcast_to(mean[seen].mean(axis=0), unseen.shape),
+                                   atol=1e-5)  # fmt: skip
+    assert psnr(start, truth, grid) > psnr(uniform(grid), truth, grid)
+
+
+def test_a_pull_is_a_squared_distance_and_its_gradient() -> None:
     rng, size, seen = np.random.default_rng(3319), 12, np.array([7, 2, 11, 5])
-    values, weights = rng.uniform(size=(3, 5)), rng.uniform(0, 0.3, (3, len(seen)))
-    found = Materials(values, weights.astype(np.float32), np.ones(3))
-    rule = MaterialSharing.of(found, mi.UInt32(seen.astype(np.uint32)))
+    target, weight = rng.uniform(size=(5, len(seen))), rng.uniform(0, 0.9, (5, len(seen)))
+    rule = Pull(mi.UInt32(seen.astype(np.uint32)), values_of(target), values_of(weight))
     images = {name: rng.uniform(size=(size, n)) for name, n in
               (("base_color", 3), ("roughness", 1), ("metallic", 1))}  # fmt: skip
 
     def exact(images: dict[str, np.ndarray]) -> float:
         psi = np.concatenate([image[seen] for image in images.values()], axis=1)
-        pull = weights.sum(axis=0)
-        target = (weights.T @ values) / pull[:, None]
-        return float((pull * ((psi - target) ** 2).sum(axis=1)).mean())
+        return float((weight.T * (psi - target.T) ** 2).sum(axis=1).mean())
 
     textures = {
         name: mi.TensorXf(mi.Float(image.ravel().astype(np.float32)), shape=(3, 4, image.shape[1]))
@@ -191,7 +200,9 @@ def test_sharing_is_a_squared_distance_and_its_gradient() -> None:
 
 
 def test_the_truth_is_nearly_stationary(capture: Capture, grid: Texels, truth: Textures) -> None:
-    loss = fits(capture, grid).fit(ShOptions()).loss
+    posterior = svu.estimate(capture, grid).posterior
+    assert isinstance(posterior, CalibratedPosterior)
+    loss = Likelihood.of(posterior, grid)
 
     def slope(textures: Textures) -> float:
         tensors = dict(textures.items())
@@ -202,6 +213,40 @@ def test_the_truth_is_nearly_stationary(capture: Capture, grid: Texels, truth: T
     assert slope(truth) < 0.2 * slope(uniform(grid))
     values = [float(loss(dict(t.items()))[0]) for t in (truth, uniform(grid))]
     assert values[0] < 0.2 * values[1]
+
+
+def test_the_likelihood_is_that_of_the_posterior(capture: Capture, grid: Texels) -> None:
+    """In nats, from double-precision sums, the posterior's noise and overdispersion."""
+    found = svu.estimate(capture, grid)
+    posterior, observed, switches = found.posterior, found.observed, found.preset
+    levels = posterior.problem.factors.roughness
+    sums = observed.statistics(
+        levels, switches, 3, kappa=switches.kappa(observed.unit), edges=switches.edges
+    )
+    m, c = 0.25, 0.5
+    error = sums.errors(np.array([m]), np.array([c]))[:, 3, :, 0, 0].sum(axis=1)
+    nats = sums.weight * error / (2 * posterior.noise**2 * switches.overdispersion)
+    constant = {"base_color": c, "roughness": levels[3], "metallic": m}
+    tensors = {n: mi.TensorXf(np.full((SIZE, SIZE, 3 if n == "base_color" else 1), v, np.float32))
+               for n, v in constant.items()}  # fmt: skip
+    # Errors that no parameters explain are in both.
+    assert float(Likelihood.of(posterior, grid)(tensors)[0]) == pytest.approx(
+        nats.mean(), rel=1e-3
+    )
+
+
+def test_a_pull_is_that_of_the_moments(capture: Capture, grid: Texels) -> None:
+    posterior = svu.estimate(capture, grid).posterior
+    means, sds = moments(posterior)
+    pull, trust = Pull.of(posterior, grid), Pull.by_trust(posterior, grid)
+    seen = posterior.problem.factors.texel.numpy()
+    for k in range(5):
+        np.testing.assert_allclose(pull.target[k].numpy(), means[k, seen], atol=1e-6)
+        wanted = 0.5 / (sds[k, seen] ** 2 + 1e-4)
+        np.testing.assert_allclose(pull.weight[k].numpy(), wanted, rtol=1e-4)
+        assert trust.weight[k].numpy().max() <= 1
+    order = np.argsort(sds[4, seen])
+    assert np.all(np.diff(trust.weight[4].numpy()[order]) <= 1e-6)
 
 
 def test_known_parameters_stay_as_the_scene_has_them(
@@ -255,7 +300,8 @@ def test_robust_passes_resist_a_spoilt_photograph(
 
 
 def test_no_kernel_is_compiled_after_the_second_run(capture: Capture, grid: Texels) -> None:
-    options = replace(ShOptions(), descent=DescentOptions(steps=6))
+    steps = DescentOptions(steps=6)
+    options = replace(ShOptions(), smoothing=steps, descent=steps)
     for _ in range(2):
         svu.recover(capture, grid, sh=options, sharing=True)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
@@ -287,7 +333,8 @@ def test_bad_input_is_refused(capture: Capture, grid: Texels) -> None:
 
 
 def brief() -> ShOptions:
-    return replace(sh_preset("default"), descent=DescentOptions(steps=2))
+    steps = DescentOptions(steps=2)
+    return replace(sh_preset("default"), smoothing=steps, descent=steps)
 
 
 def test_gutters_follow_their_charts(capture: Capture, grid: Texels, alone: svu.Recovery) -> None:

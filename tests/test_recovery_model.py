@@ -22,10 +22,11 @@ from svu_mi.light.moments import moment_map
 from svu_mi.observed import observe
 from svu_mi.options import preset
 from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.progress import Progress
 from svu_mi.recovery.sh.angular import angular_objective
-from svu_mi.recovery.sh.fit import Fits
 from svu_mi.recovery.sh.gradient import look_up
 from svu_mi.recovery.sh.spectral import spectral_objective
+from svu_mi.recovery.start import estimate_for_textures
 from svu_mi.reflection.continuous import continuous, shade
 from svu_mi.reflection.lobes import dielectric_albedo, profile_of, split_sum
 from svu_mi.reflection.principled import alpha_from_roughness
@@ -380,7 +381,9 @@ def test_black_photographs_are_refused(observed):
     for prepare in (
         lambda: angular_objective(black, angular("paper")),
         lambda: spectral_objective(black, preset("paper"), "spectrum"),
-        lambda: Fits(black),
+        lambda: estimate_for_textures(
+            None, black, robust=0, sharing=False, progress=Progress()
+        ),
     ):
         with pytest.raises(CaptureError, match="is seen with any radiance"):
             prepare()

@@ -61,6 +61,7 @@ def true_textures(capture, texels):
 def fake_recovery(texels, textures, steps=60):
     losses = np.exp(-np.arange(steps) / 20, dtype=np.float32) + 0.01
     return SimpleNamespace(
+        estimate=None,
         method="sh", texels=texels, textures=textures, losses=losses,
         coverage=mi.UInt32(np.arange(texels.count) % 4), timings={"Descending": 1.5},
         settings={"tv": 0.01, "seed": 3},
@@ -444,7 +445,7 @@ def test_nothing_to_compare_is_no_error(tmp_path):
 
 FILES = [
     "assets", "base_color.exr", "coverage.exr", "entropy.exr", "losses.csv", "metallic.exr",
-    "recovered.xml", "recovery.png", "relit.png", "roughness.exr", "run.json",
+    "recovered.xml", "recovery.png", "relit.png", "roughness.exr", "run.json", "uncertainty.exr",
 ]  # fmt: skip
 
 
@@ -470,10 +471,12 @@ def test_all_of_a_recovery_is_written(vase, tmp_path):
 
 
 def test_without_an_estimate_there_is_no_entropy(vase, tmp_path):
-    (tmp_path / "entropy.exr").write_text("of an older run")
+    unknown = ("entropy.exr", "uncertainty.exr")
+    for name in unknown:
+        (tmp_path / name).write_text("of an older run")
     recovery = fake_recovery(vase.texels, vase.truth, steps=0)
     write_recovery(vase.capture, recovery, tmp_path)
-    assert sorted(p.name for p in tmp_path.iterdir()) == [f for f in FILES if f != "entropy.exr"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [f for f in FILES if f not in unknown]
     assert read_exr(tmp_path / "coverage.exr")["Y"].max() == 3
     assert (tmp_path / "losses.csv").read_text() == "step,loss\n"
     assert json.loads((tmp_path / "run.json").read_text())["result"]["last_loss"] is None

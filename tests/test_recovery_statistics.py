@@ -11,8 +11,7 @@ import pytest
 
 from svu_mi.interop import owned
 from svu_mi.recovery.sh.energy import energy
-from svu_mi.recovery.sh.objective import StatisticsLoss
-from svu_mi.recovery.sh.start import METALLIC, closed_form
+from svu_mi.recovery.sh.objective import Likelihood
 from svu_mi.reflection.lobes import dielectric_albedo, dielectric_fresnel, split_sum
 from svu_mi.statistics import Factors, Statistics
 from svu_mi.statistics.factors import PAIRS
@@ -114,7 +113,8 @@ def test_loss_hands_derivatives_to_textures() -> None:
     factors, entries = factors_of(found), upper(found)
     place = np.random.default_rng(5).permutation(12)[:TEXELS]  # of 3 x 4 texels
     variance = np.linspace(0.5, 2, TEXELS)
-    loss = StatisticsLoss(factors, owned(mi.UInt32, place), owned(mi.Float, variance))
+    weight = owned(mi.Float, 1 / (2 * variance))
+    loss = Likelihood(factors, owned(mi.UInt32, place), weight)
     images = {name: np.full((3 * 4, n), 0.5, np.float32)
               for name, n in (("base_color", 3), ("roughness", 1), ("metallic", 1))}  # fmt: skip
     images["base_color"][place] = values[:3].T
@@ -135,61 +135,6 @@ def test_loss_hands_derivatives_to_textures() -> None:
     wanted[place] = (np.array(slopes[:3]) / (2 * variance) / TEXELS).T
     grad = np.array(dr.grad(textures["base_color"])).reshape(12, 3)
     np.testing.assert_allclose(grad, wanted, rtol=1e-5, atol=1e-9)
-
-
-def test_start_is_the_posterior_mean() -> None:
-    found, sigma = columns(seed=733), 0.05
-    entries = upper(found)
-    start = closed_form(factors_of(found), dr.opaque(mi.Float, sigma))
-    nodes = [(r, m) for r in np.linspace(0, 1, LEVELS) for m in np.linspace(0, 1, METALLIC)]
-    errors, colors = np.empty((len(nodes), TEXELS)), np.empty((len(nodes), 3, TEXELS))
-    for n, (r, m) in enumerate(nodes):
-        values = np.zeros((5, TEXELS))
-        values[3], values[4] = r, m
-        level = round(r * (LEVELS - 1))
-        for c in range(3):
-            U = np.zeros((4, 4, TEXELS))
-            for pair, row in zip(PAIRS, entries[level, c], strict=True):
-                U[pair] = row
-            u = U[:, 0] * (1 - m) + U[:, 1] * m
-            v = U[:, 2] * m + U[:, 3]
-            values[c] = np.clip(-(u * v).sum(axis=0) / (u * u).sum(axis=0), 0, 1)
-        errors[n], colors[n] = exact(entries, values), values[:3]
-    variance = sigma**2 + errors.min(axis=0)
-    p = np.exp(-(errors - errors.min(axis=0)) / (2 * variance))
-    p /= p.sum(axis=0)
-    np.testing.assert_allclose(start.variance.numpy(), variance, rtol=1e-4)
-    np.testing.assert_allclose(start.roughness.numpy(), p.T @ [r for r, _ in nodes], rtol=1e-3)
-    np.testing.assert_allclose(start.metallic.numpy(), p.T @ [m for _, m in nodes], rtol=1e-3,
-                               atol=1e-5)  # fmt: skip
-    np.testing.assert_allclose(np.array(start.base_color), np.einsum("nt,nct->ct", p, colors),
-                               rtol=1e-3, atol=1e-5)  # fmt: skip
-
-
-def test_the_start_s_entropy_is_that_of_its_nodes() -> None:
-    """Eq. 5 over (roughness, metallic), each with the base colour that fits best."""
-    found, sigma = columns(seed=733), 0.3
-    start = closed_form(factors_of(found), dr.opaque(mi.Float, sigma), samples=2.0)
-    entries, errors = upper(found), []
-    for level in range(LEVELS):
-        for m in np.linspace(0, 1, METALLIC):
-            error = np.zeros(TEXELS)
-            for c in range(3):
-                U = np.zeros((4, 4, TEXELS))
-                for pair, row in zip(PAIRS, entries[level, c], strict=True):
-                    U[pair] = row
-                u, v = U[:, 0] * (1 - m) + U[:, 1] * m, U[:, 2] * m + U[:, 3]
-                best = np.clip(-(u * v).sum(axis=0) / (u * u).sum(axis=0), 0, 1)
-                error += ((best * u + v) ** 2).sum(axis=0) / 3
-            errors.append(error)
-    least = np.min(errors, axis=0)
-    variance = (sigma**2 + least) / 2
-    p = np.exp(-(np.array(errors) - least) / (2 * variance))
-    p /= p.sum(axis=0)
-    entropy = -(p * np.log(np.maximum(p, 1e-300))).sum(axis=0) / np.log(len(p))
-    np.testing.assert_allclose(start.least.numpy(), least, rtol=1e-4)
-    np.testing.assert_allclose(start.variance.numpy(), variance, rtol=1e-4)
-    np.testing.assert_allclose(start.entropy.numpy(), entropy, atol=1e-4)
 
 
 def test_dielectric_reflectance() -> None:

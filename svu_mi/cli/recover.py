@@ -33,8 +33,8 @@ class Recover(Photographed):
     """Recover base colour, roughness and metallic textures from photographs.
 
     Writes the textures as EXR, recovered.xml (a Mitsuba scene that uses them), coverage.exr,
-    entropy.exr (with --sharing), recovery.png, relit.png, losses.csv and run.json. An
-    interrupted run goes on where it stopped with --resume.
+    entropy.exr, uncertainty.exr (standard deviations), recovery.png, relit.png, losses.csv and
+    run.json. An interrupted run goes on where it stopped with --resume.
     """
 
     method: Literal["sh", "path", "sh+path"] = "sh"
@@ -43,7 +43,7 @@ class Recover(Photographed):
     preset: Literal["default", "paper", "coefficients", "spectrum"] = "default"
     """Coefficients and spectrum are losses of sh."""
     sharing: bool = False
-    """Share what is known of certain texels with uncertain ones that may be of their material."""
+    """Learn from all texels what this object is made of, and lend it to uncertain ones."""
     tv: float | None = None
     """Weight of total variation; more is smoother."""
     epochs: float | None = None
@@ -115,7 +115,7 @@ class Recover(Photographed):
             parameters=self.parameters, start=initial, checkpoint=checkpoint, resume=self.resume,
             checkpoint_seconds=self.checkpoint_seconds, progress=progress, **options,
         )  # fmt: skip
-        known = estimate(seen, progress=progress) if self.sharing else None
+        known = recovery.estimate or estimate(seen, progress=progress)
         with progress.stage("Writing the results") as stage:
             write_recovery(
                 capture, recovery, self.output, estimate=known, settings=given(self),

@@ -13,6 +13,7 @@ from svu_mi.surface.gutter import dilate
 
 ENTROPY = "entropy.exr"
 COVERAGE = "coverage.exr"
+UNCERTAINTY = "uncertainty.exr"
 GUTTER = 4  # texels; enough for bilinear lookups down to a quarter of the resolution
 
 
@@ -42,6 +43,35 @@ def write_maps(estimate: Any, folder: str | Path, *, gutter: int = GUTTER) -> No
     attributes["svu:gutter"] = gutter
     write_exr(folder / ENTROPY, {"Y": entropy}, attributes)
     write_exr(folder / COVERAGE, {"Y": coverage}, attributes)
+
+
+def write_uncertainty(estimate: Any, folder: str | Path, *, gutter: int = GUTTER) -> None:
+    """Write ``uncertainty.exr``: the standard deviation of every parameter, float32, by channel.
+
+    Channels are named ``roughness.sd``, ``metallic.sd`` and ``base_color.sd.R`` (.G, .B; without
+    a letter if R, G and B have one in common). Texels nobody saw have that of the prior; outside
+    the charts it is 0, but for a gutter.
+
+    Args:
+        estimate: the ``Estimate``.
+        folder: an existing folder.
+        gutter: width of the gutter in texels; 0 for none.
+
+    Raises:
+        OutputError: the file cannot be written, or a value is NaN.
+    """
+    channels = {}
+    for name in estimate.posterior.axes:
+        sd = np.asarray(estimate.posterior.sd(name), np.float32)
+        columns = sd.reshape(len(sd), -1).T
+        letters = [""] if len(columns) == 1 else [".R", ".G", ".B"]
+        for letter, column in zip(letters, columns, strict=True):
+            channels[f"{name}.sd{letter}"] = padded(estimate, column, gutter, 0)
+    attributes = {
+        "svu:version": svu_mi.__version__, "svu:method": estimate.method,
+        "svu:preset": estimate.preset.name, "svu:gutter": gutter,
+    }  # fmt: skip
+    write_exr(Path(folder) / UNCERTAINTY, channels, attributes)
 
 
 def padded(estimate: Any, values: np.ndarray, gutter: int = GUTTER, fill: float = 1) -> np.ndarray:

@@ -14,7 +14,14 @@ from svu_mi.exr import write_exr
 from svu_mi.files import prepare_folder, remove, write_text
 from svu_mi.output import views
 from svu_mi.output.manifest import recovery_record, write_run
-from svu_mi.output.maps import COVERAGE, ENTROPY, padded, write_maps
+from svu_mi.output.maps import (
+    COVERAGE,
+    ENTROPY,
+    UNCERTAINTY,
+    padded,
+    write_maps,
+    write_uncertainty,
+)
 from svu_mi.output.recovery_page import write_recovery_overview
 from svu_mi.output.relit import compare, write_relit
 from svu_mi.output.scene_xml import write_scene
@@ -45,7 +52,8 @@ def write_recovery(
         capture: the ``Capture``.
         recovery: its ``Recovery``.
         folder: made if missing.
-        estimate: the ``Estimate`` that was shared by, if any: its entropy is written and drawn.
+        estimate: the ``Estimate`` whose entropy and standard deviations are written and drawn; by
+            default the one that the textures were recovered from, if there is one.
         settings: what the caller was asked for (command-line options, seeds).
         kernels: number of kernels compiled per stage, ``Progress.kernels``.
         progress: called with (parts done, parts in all); rendering pictures takes longest.
@@ -55,7 +63,8 @@ def write_recovery(
     """
     folder = prepare_folder(folder)
     report = progress or Stage().update
-    for name in (RECORD, ENTROPY):  # of an older run
+    estimate = recovery.estimate if estimate is None else estimate
+    for name in (RECORD, ENTROPY, UNCERTAINTY):  # of an older run
         remove(folder / name)
     attributes = {"svu:version": svu_mi.__version__, "svu:method": recovery.method}
     used = json.dumps(recovery.settings, default=str)
@@ -65,6 +74,7 @@ def write_recovery(
         write_exr(folder / COVERAGE, {"Y": coverage}, attributes)
     else:
         write_maps(estimate, folder)
+        write_uncertainty(estimate, folder)
     write_losses(recovery.losses, folder / LOSSES)
     report(1, 4)
     chosen = views.far_apart(capture, getattr(estimate, "seen_per_view", None), VIEWS)

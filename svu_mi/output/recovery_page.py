@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 SIZE = (18.0, 10.2)  # inches
 TITLES = tuple(words(name).capitalize() for name in NAMES)
+WIDEST_SD = 0.25  # at the upper end of the colours; that of no knowledge is 0.29
 SMOOTH = 50  # losses are averaged over this part of the steps
 
 
@@ -31,26 +32,26 @@ def write_recovery_overview(
     path: str | Path,
     estimate: Any | None = None,
 ) -> None:
-    """Draw textures, entropy, coverage, losses and comparisons on one page of 1800 x 1020 pixels.
+    """Draw textures, what is known of them, losses and comparisons: a page of 1800 x 1020 pixels.
 
     Args:
         capture: the ``Capture``.
         recovery: its ``Recovery``.
         comparisons: of two views, or one.
         path: the PNG file.
-        estimate: the ``Estimate`` that was shared by, if any; its entropy is drawn.
+        estimate: an ``Estimate``, if any; its standard deviations and entropy are drawn.
 
     Raises:
         OutputError: the file cannot be written.
     """
     figure = style.new_figure(*SIZE)
     _heading(figure, capture, recovery)
-    maps = figure.add_gridspec(1, 5, left=LEFT, right=0.81, top=0.875, bottom=0.63, wspace=0.1)
-    plot = figure.add_gridspec(1, 1, left=0.855, right=RIGHT, top=0.875, bottom=0.64)
+    maps = figure.add_gridspec(1, 7, left=LEFT, right=0.83, top=0.875, bottom=0.63, wspace=0.12)
+    plot = figure.add_gridspec(1, 1, left=0.87, right=RIGHT, top=0.875, bottom=0.64)
     rows = figure.add_gridspec(
         2, 6, left=LEFT, right=RIGHT, top=0.545, bottom=0.015, hspace=0.13, wspace=0.1
     )
-    _maps(figure, [figure.add_subplot(maps[0, k]) for k in range(5)], recovery, estimate)
+    _maps(figure, [figure.add_subplot(maps[0, k]) for k in range(7)], recovery, estimate)
     _losses(figure.add_subplot(plot[0, 0]), recovery)
     for row, comparison in enumerate(comparisons[:2]):
         cells = [figure.add_subplot(rows[row, k]) for k in range(6)]
@@ -93,18 +94,29 @@ def _maps(figure: Figure, cells: Sequence[Axes], recovery: Any, estimate: Any | 
     for axes, name in zip(cells[1:], NAMES[1:], strict=False):
         values = recovery.textures.at(recovery.texels, name)
         style.color_bar(figure, axes, draw_map(axes, shown, values, colormap=GREY))
+    drawn = [f"{title} ±" for title in TITLES]
     if estimate is None:
-        _nothing(cells[3], "not estimated")
+        for axes in cells[3:]:
+            _nothing(axes, "not estimated")
     else:
-        drawn = draw_map(cells[3], estimate)
-        style.color_bar(figure, cells[3], drawn, style.ENTROPY_ENDS)
-    coverage = np.array(recovery.coverage)
-    most = (0.0, max(float(coverage.max(initial=0)), 1.0))
-    drawn = draw_map(cells[4], recovery, coverage, limits=most, colormap=VIEWS_COLORMAP)
-    style.color_bar(figure, cells[4], drawn, "views; grey: never seen")
-    for axes, text in zip(cells, (*TITLES, "Entropy", "Coverage"), strict=True):
+        for axes, name in zip(cells[3:6], NAMES, strict=True):
+            _uncertainty(figure, axes, estimate, name)
+        colors = draw_map(cells[6], estimate)
+        style.color_bar(figure, cells[6], colors, "grey: never seen")
+    for axes, text in zip(cells, (*TITLES, *drawn, "Entropy"), strict=True):
         axes.set_anchor("NW")
         style.title(axes, text)
+
+
+def _uncertainty(figure: Figure, axes: Axes, estimate: Any, name: str) -> None:
+    """Draw the standard deviation of a parameter, of base colour that of the worst channel."""
+    if name not in estimate.posterior.axes:
+        _nothing(axes, "not estimated")
+        return
+    sd = np.asarray(estimate.posterior.sd(name), np.float32)
+    worst = sd.reshape(len(sd), -1).max(axis=1, initial=0)
+    colors = draw_map(axes, estimate, worst, limits=(0, WIDEST_SD))
+    style.color_bar(figure, axes, colors, "standard deviation")
 
 
 def _losses(axes: Axes, recovery: Any) -> None:

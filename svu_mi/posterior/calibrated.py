@@ -123,7 +123,7 @@ class CalibratedPosterior(Posterior):
         low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))
         return np.repeat(low, problem.copies, axis=1), np.repeat(high, problem.copies, axis=1)
 
-    def _prior_moments(self, name: str) -> tuple[float, float]:
+    def prior_moments(self, name: str) -> tuple[float, float]:
         low, high, p = self._prior_parts(name)
         middle = (low + high) / 2
         mean = float(p @ middle)
@@ -283,10 +283,17 @@ def _with_noise(
     return problem, scale * np.sqrt(variance)
 
 
-def prior_masses(problem: Problem) -> np.ndarray:
-    """Return the prior probability of every cell, (R, M, K) float64, of sum 1."""
-    rows = np.exp(-problem.rows)[:, None]
+def prior_tables(problem: Problem) -> np.ndarray:
+    """Return the prior probability of every cell by channel, (R, M, K, C) float64, of sum 1."""
+    shape = (*problem.shape[:2], problem.tables, problem.shape[2])
+    rows = np.exp(-problem.rows).reshape(*shape[:2], 1, 1)
     width = np.diff(problem.edges) if len(problem.edges) > 2 else np.ones(1)
-    given = 1.0 if problem.given is None else problem.given.numpy().reshape(-1, len(width))
-    masses = (rows * given * width).reshape(problem.shape)
-    return masses / masses.sum()
+    given = np.ones(shape) if problem.given is None else problem.given.numpy().reshape(shape)
+    masses = np.moveaxis(rows * given * width, 2, 3)
+    masses = masses / masses.sum(axis=(0, 1, 2))
+    return np.repeat(masses, problem.factors.channels // problem.tables, axis=3)
+
+
+def prior_masses(problem: Problem) -> np.ndarray:
+    """Return the prior probability of every cell, (R, M, K) float64, the mean over channels."""
+    return prior_tables(problem).mean(axis=3)

@@ -32,8 +32,9 @@ def least(problem: Problem, *, excess: bool = False) -> Any:
         U = walker.entries(row)
 
         def of_column(column: Any, best: Any) -> tuple[Any, Any]:
-            energy = walker.excess(U, row, column) if excess else walker.energy(U, column)
-            return column + 1, dr.minimum(best, energy)
+            if excess:
+                return column + 1, walker.excess(U, row, column, best)
+            return column + 1, dr.minimum(best, walker.energy(U, column))
 
         inner = dr.while_loop((mi.UInt32(0), best), lambda k, _: k < columns, of_column)
         return row + 1, inner[1]

@@ -277,10 +277,10 @@ class Posterior(ABC):
         """(T, g) both; those of the prior where nobody looked."""
         self._check_parameter(name)
         mean, sd = self._moments(name)
-        mean[~self.observed], sd[~self.observed] = self._prior_moments(name)
+        mean[~self.observed], sd[~self.observed] = self.prior_moments(name)
         return mean, sd
 
-    def _prior_moments(self, name: str) -> tuple[float, float]:
+    def prior_moments(self, name: str) -> tuple[float, float]:
         """Mean and standard deviation of a parameter where nobody looked."""
         nodes, p = self.axes[name], marginals_of(self.prior, list(self.axes))[name]
         mean = float(p @ nodes)

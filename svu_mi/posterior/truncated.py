@@ -22,6 +22,7 @@ FLATTEST = 1e-3  # A: a channel that hardly anything lights; energies change by 
 HALVINGS = 24  # of [0, 1], in a search
 TINIEST = 1e-290  # what is left of a cell in double precision
 IMPOSSIBLE = 1e9  # nats, of a cell that the prior excludes
+GENTLE = 1e-6  # density from which on a prior of colours excludes nothing
 FARTHEST = 64.0  # |mu|: photographs so many times brighter than any base colour makes them
 
 # (1 + 2 x) erfcx(x) as a polynomial in (x - 2.5) / (x + 2.5), the variable of Shepherd and
@@ -100,6 +101,33 @@ class Channel:
         parts = [inverse * (a - b) for a, b in zip(beyond[:-1], beyond[1:], strict=True)]
         mass = mi.Float(0.5 * sqrt(pi) * whole / s)
         return self._integrals(mass, parts, mean, variance)
+
+    def weighed(self, edges: list[float], prior: list[Any]) -> tuple[Any, Integrals]:
+        """Integrate over cells under a prior that excludes nothing (see ``GENTLE``), at a fifth of
+        the cost of ``under``, whose arguments and results it has: cells share their borders, and
+        only the ends are in double precision."""
+        first, last = self._tail(mi.Float64(0)), self._tail(mi.Float64(1))
+        inner = [self._tail(mi.Float(y)) for y in edges[1:-1]]
+        beyond = [first.beyond, *(mi.Float64(t.beyond) for t in inner), last.beyond]
+        density = [first.density, *(mi.Float64(t.density) for t in inner), last.density]
+        g = [
+            mi.Float64(dr.select(self.mirrored, b, a))
+            for a, b in zip(prior, prior[::-1], strict=True)
+        ]
+        s, mu = mi.Float64(self.s), mi.Float64(self.mu)
+        masses, offset, around = [], mi.Float64(0), mi.Float64(0)
+        for k, weight in enumerate(g):
+            # Rounding may take what is beyond one border below what is beyond the next.
+            masses.append(weight * dr.maximum(beyond[k] - beyond[k + 1], 0))
+            offset = dr.fma(weight, density[k] - density[k + 1], offset)
+            low, high = (edges[k + end] - mu for end in (0, 1))
+            around = dr.fma(weight, low * density[k] - high * density[k + 1], around)
+        total = dr.maximum(sum(masses), TINIEST)
+        scale = dr.rcp(sqrt(pi) * s * total)
+        variance = dr.maximum(0.5 / dr.square(s) + scale * around - dr.square(scale * offset), 0)
+        log_mass = mi.Float(dr.log(0.5 * sqrt(pi) * total / s))
+        parts = [mi.Float(mass / total) for mass in masses]
+        return log_mass, self._integrals(mi.Float(1), parts, mu + scale * offset, variance)
 
     def under(self, edges: list[float], prior: list[Any]) -> tuple[Any, Integrals]:
         """Integrate over cells under a prior, however much it contradicts the likelihood.

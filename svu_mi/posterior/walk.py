@@ -7,7 +7,7 @@ texel hopelessly worse than its best one are left out. A visitor decides what is
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.posterior.nodes import Axis
-from svu_mi.posterior.truncated import Channel, Integrals
+from svu_mi.posterior.truncated import GENTLE, Channel, Integrals
 from svu_mi.statistics import Factors
 from svu_mi.statistics.factors import FLOOR, PAIRS
 
@@ -36,11 +36,12 @@ class Problem:
         roughness, metallic: nodes.
         edges: (K + 1,) of the cells of base colour; or two equal ones, what is known of it.
         rows: (R * M,) float64, -log of the prior of a row of cells, a roughness and a metallic.
-        given: (R * M * K,) Float, density of base colour in a cell, given roughness and metallic;
-            or None: 1 everywhere.
+        given: (R * M * tables * K,) Float, density of base colour in a cell, given roughness and
+            metallic; or None: 1 everywhere.
         scale: Float of S values or one, sqrt(W / (s^2 tau)): errors in units of noise, per unit of
             weight.
         least: (S,) Float, energy of the best node, less what no node explains.
+        tables: of ``given``: 1 for all channels, or one for each.
     """
 
     factors: Factors
@@ -52,6 +53,7 @@ class Problem:
     given: Any | None
     scale: Any
     least: Any
+    tables: int = 1
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -62,6 +64,28 @@ class Problem:
     def nodes(self) -> Nodes:
         """Tables that kernels read."""
         return Nodes.of(self)
+
+    @cached_property
+    def slack(self) -> float:
+        """Nats that a prior of colours may take off a node's energy, at most."""
+        if self.given is None:
+            return 0.0
+        most = float(dr.max(self.given)[0])
+        return self.copies * self.factors.channels * float(np.log(max(most, 1.0)))
+
+    @cached_property
+    def gentle(self) -> bool:
+        """Whether the prior of colours excludes nothing (see ``Channel.weighed``)."""
+        return self.given is not None and float(dr.min(self.given)[0]) > GENTLE
+
+    def some(self, chosen: np.ndarray) -> Problem:
+        """Return the problem of some texels, by their numbers among S."""
+        lanes = owned(mi.UInt32, chosen)
+        return replace(
+            self, factors=self.factors.some(chosen),
+            scale=dr.gather(mi.Float, self.scale, lanes),
+            least=dr.gather(mi.Float, self.least, lanes),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -174,6 +198,7 @@ class Walker:
         self._scale = dr.gather(mi.Float, problem.scale, self.lane)
         self._least = dr.gather(mi.Float, problem.least, self.lane)
         self._columns = dr.opaque(mi.UInt32, problem.metallic.count)
+        self._slack = dr.opaque(mi.Float, problem.slack)
 
     def over_rows(
         self, begin: Any, end: Any, visit: Callable[..., Any], row_ends: Callable[..., Any],
@@ -196,7 +221,7 @@ class Walker:
             def of_column(column: Any, *state: Any) -> tuple[Any, ...]:
                 energy, parts = self._channels(U, row, column)
                 state = dr.if_stmt(
-                    args=(energy, parts, *state), cond=energy < FAR,
+                    args=(energy, parts, *state), cond=energy < FAR + self._slack,
                     true_fn=lambda energy, parts, *state: visit(
                         self._node(row, column, energy, parts), *state
                     ),
@@ -246,9 +271,17 @@ class Walker:
             return self._at_known(U, m)
         return self.problem.copies * sum(self.channel(of_channel, m).least for of_channel in U)
 
-    def excess(self, U: list[list[Any]], row: Any, column: Any) -> Any:
-        """Return what a node's energy, prior included, has above ``least``: Float."""
-        return self._channels(U, row, column)[0]
+    def excess(self, U: list[list[Any]], row: Any, column: Any, best: Any) -> Any:
+        """Return what a node's energy, prior included, has above ``least``, or ``best`` if that
+        is less: Float."""
+        energy, parts = self._channels(U, row, column)
+        if self.problem.given is not None and not self._known:
+            energy = dr.if_stmt(
+                args=(energy, parts, best), cond=energy - self._slack < best,
+                true_fn=lambda energy, parts, _: self._under(row, column, energy, parts)[0],
+                false_fn=lambda _energy, _parts, best: best,
+            )  # fmt: skip
+        return dr.minimum(energy, best)
 
     def colors_at(self, row: Any, column: Any, random: list[Any]) -> list[Any]:
         """Draw the base colour of every channel, copies included, at a node.
@@ -271,32 +304,36 @@ class Walker:
             channel, u, v = channels[k // problem.copies], random[2 * k], random[2 * k + 1]
             low, high = mi.Float(0), mi.Float(1)
             if prior is not None:
-                cell = _picked(channel.under(problem.edges.tolist(), prior)[1].cells, v)
+                table = prior[k // problem.copies]
+                cell = _picked(channel.under(problem.edges.tolist(), table)[1].cells, v)
                 low, high = (dr.gather(mi.Float, ends, cell + step) for step in (0, 1))
             found.append(channel.quantile(u, low, high))
         return found
 
     def _channels(self, U: list[list[Any]], row: Any, column: Any) -> tuple[Any, list[Any]]:
-        """Return the energy of a node, prior included, above ``least``, and what ``_node`` needs.
-
-        The energy is that of the best colour; under a prior of colours, of all that it allows.
-        """
+        """Return the energy of the best colour at a node above ``least``, with the prior of the
+        node but not of colours; and the channels."""
         place = row * self._columns + column
         prior = dr.gather(mi.Float, self.nodes.prior, place) - self._least
         if self._known:
             return prior + self.energy(U, column), []
         m = dr.gather(mi.Float, self.nodes.metallic, column)
         channels = [self.channel(of_channel, m) for of_channel in U]
-        energy = sum(one.least for one in channels)
-        if self.problem.given is None:
-            parts: list[Any] = [(c.least, c.mirrored, c.mu, c.s) for c in channels]
-        else:
-            density = self._color_prior(row, column)
-            assert density is not None
-            under = [one.under(self.edges.tolist(), density) for one in channels]
-            energy -= sum(log_mass for log_mass, _ in under)
-            parts = [(one.mass, one.cells, one.mean, one.variance) for _, one in under]
-        return prior + self.problem.copies * energy, parts
+        energy = self.problem.copies * sum(one.least for one in channels)
+        return prior + energy, [(c.least, c.mirrored, c.mu, c.s) for c in channels]
+
+    def _under(
+        self, row: Any, column: Any, energy: Any, parts: list[Any]
+    ) -> tuple[Any, list[Integrals]]:
+        """Return the energy of a node under a prior of colours, of all that it allows, and what is
+        in the cells."""
+        density, edges = self._color_prior(row, column), self.edges.tolist()
+        assert density is not None
+        way = Channel.weighed if self.problem.gentle else Channel.under
+        found = [way(Channel(*c), edges, g) for c, g in zip(parts, density, strict=True)]
+        return energy - self.problem.copies * sum(log_mass for log_mass, _ in found), [
+            integrals for _, integrals in found
+        ]
 
     @property
     def _known(self) -> bool:
@@ -308,31 +345,36 @@ class Walker:
         return self.problem.copies * sum(energy_at(of_channel, metallic, c) for of_channel in U)
 
     def _node(self, row: Any, column: Any, energy: Any, parts: list[Any]) -> Node:
+        if not self._known and self.problem.given is not None:
+            energy, found = self._under(row, column, energy, parts)
+            return Node(row, column, dr.exp(-energy), found)
         weight = dr.exp(-energy)
         if self._known:
             c = dr.opaque(mi.Float, float(self.problem.edges[0]))
             one = Integrals(mi.Float(1), [mi.Float(1)], c, mi.Float(0))
             return Node(row, column, weight, [one] * self.problem.factors.channels)
-        if self.problem.given is not None:
-            return Node(row, column, weight, [Integrals(*one) for one in parts])
         found = [Channel(*one).integrate(self.edges.tolist()) for one in parts]
         for one in found:
             for _ in range(self.problem.copies):
                 weight *= one.mass
         return Node(row, column, weight, found)
 
-    def _color_prior(self, row: Any, column: Any) -> list[Any] | None:
-        """Density of a base colour in every cell of ``edges``, given a node."""
+    def _color_prior(self, row: Any, column: Any) -> list[list[Any]] | None:
+        """Density of every channel's base colour in every cell of ``edges``, given a node."""
         problem, nodes = self.problem, self.nodes
         if problem.given is None:
             return None
         _, columns, cells = problem.shape
         place = dr.gather(mi.UInt32, nodes.row, row) * columns
-        place = (place + dr.gather(mi.UInt32, nodes.column, column)) * cells
+        place = (place + dr.gather(mi.UInt32, nodes.column, column)) * (problem.tables * cells)
         middle = (self.edges[1:] + self.edges[:-1]) / 2
         own = np.searchsorted(problem.edges, middle) - 1
-        density = [dr.gather(mi.Float, problem.given, place + k) for k in range(cells)]
-        return [density[k] for k in own]
+        tables = [
+            [dr.gather(mi.Float, problem.given, place + (table * cells + k)) for k in range(cells)]
+            for table in range(problem.tables)
+        ]
+        of_channels = tables if problem.tables > 1 else tables * problem.factors.channels
+        return [[density[k] for k in own] for density in of_channels]
 
 
 def energy_at(U: list[Any], metallic: Any, color: Any) -> Any:

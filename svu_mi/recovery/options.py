@@ -69,42 +69,41 @@ class ShOptions:
     """Recovery by the SH reflection model.
 
     Attributes:
-        loss: ``statistics``: squared error from sufficient statistics, which costs the same
-            for any number of views; or, as in the paper, ``angular``: mean absolute error over
+        loss: ``statistics``: what photographs say by the calibrated posterior, which costs the same
+            for any number of them; or, as in the paper, ``angular``: mean absolute error over
             all samples; ``coefficients`` and ``spectrum``: those of SH expansions.
-        levels: roughness levels of the light, uniform on [0, 1].
-        closed_form: start from the mean of every texel's posterior instead of 0.5 everywhere
-            (``statistics``).
-        sigma: noise of a texel's root mean squared error, as a part of the photographs' mean
-            radiance (``statistics``).
-        knee: radiance, in the same unit, from which samples count less (``statistics``).
+        levels: roughness levels that the light is filtered for (``angular``).
+        closed_form: start from the mean of every texel's posterior, smoothed, instead of 0.5
+            everywhere (``statistics``).
+        smoothing: how to descend where this start is smoothed; with ``tv`` 0 it is not.
         robust: number of re-weighted passes, after each of which the squared error is nearer to
             an absolute one (``statistics``).
-        tv: weight of total variation.
-        sharing: weight of global sharing, if there is any; 0 for none.
-        materials: share by materials (``sh.materials``); else as the paper's Eq. 14 and 15 have it.
+        tv: weight of total variation; with ``statistics`` in nats per texel, for a surface of one
+            texel: of T, it is sqrt(T) times that, as steps between texels get smaller.
+        sharing: weight of a ``GlobalSharing``, if there is any; 0 for none.
+        common_prior: share by a prior that texels have in common (``posterior/object_prior.py``);
+            else as the paper's Eq. 14 and 15 have it.
         descent: how to descend.
     """
 
     loss: ShLoss = "statistics"
     levels: int = 12
     closed_form: bool = True
-    sigma: float = 0.03
-    knee: float = 0.5
+    smoothing: DescentOptions = field(
+        default_factory=lambda: DescentOptions(steps=240, learning_rate=0.05)
+    )
     robust: int = 0
-    tv: float = 3.0
-    sharing: float = 3.0
-    materials: bool = True
+    tv: float = 0.6
+    sharing: float = 160.0
+    common_prior: bool = True
     descent: DescentOptions = field(
-        default_factory=lambda: DescentOptions(steps=150, learning_rate=0.02)
+        default_factory=lambda: DescentOptions(steps=100, learning_rate=0.02)
     )
 
     def __post_init__(self) -> None:
         require_types(self)
         require_one_of(self, "loss", ShLoss)
         require(self, 4 <= self.levels <= 64, "levels", "in [4, 64]")
-        require(self, 1e-6 <= self.sigma <= 1e6, "sigma", "positive, in [1e-6, 1e6]")
-        require(self, 1e-6 <= self.knee <= 1e6, "knee", "positive, in [1e-6, 1e6]")
         require(self, 0 <= self.robust <= 20, "robust", "in [0, 20]")
         require(self, 0 <= self.tv < inf, "tv", "at least 0")
         require(self, 0 <= self.sharing < inf, "sharing", "at least 0")
@@ -125,7 +124,8 @@ class PathOptions:
             serve each other in halves; an odd ``spp`` has none.
         tv: weight of total variation.
         sharing: weight of global sharing, if there is any; 0 for none.
-        materials: share by materials; else as the paper's Eq. 14 and 15 have it.
+        common_prior: share by a prior that texels have in common: they are pulled towards what
+            they probably are under it; else as the paper's Eq. 14 and 15 have it.
         seed: of batches and paths.
         descent: how to descend.
     """
@@ -138,7 +138,7 @@ class PathOptions:
     halves: bool = True
     tv: float = 2.0
     sharing: float = 2.0
-    materials: bool = True
+    common_prior: bool = True
     seed: int = 0
     descent: DescentOptions = field(
         default_factory=lambda: DescentOptions(
@@ -163,7 +163,7 @@ class PathOptions:
 
 
 _PAPER = ShOptions(
-    loss="angular", tv=1e-2, sharing=1e-2, materials=False,
+    loss="angular", tv=1e-2, sharing=1e-2, common_prior=False,
     descent=DescentOptions(steps=200, learning_rate=0.01, final_rate=1.0),
 )  # fmt: skip
 
@@ -177,7 +177,7 @@ SH_PRESETS: dict[str, ShOptions] = {
 PATH_PRESETS: dict[str, PathOptions] = {
     "default": PathOptions(),
     "paper": PathOptions(
-        spp=32, loss="l1", tv=1e-2, sharing=1e-2, materials=False,
+        spp=32, loss="l1", tv=1e-2, sharing=1e-2, common_prior=False,
         descent=DescentOptions(learning_rate=0.02),
     ),
     "polish": PathOptions(

@@ -1,14 +1,14 @@
 """SVBRDF recovery: photographs in, textures out. The file to read first.
 
-    sh:       capture -> texels -> statistics -> closed-form start -> descent
-    path:     capture -> batches of rays ->  prb (Mitsuba)         -> descent
+    sh:       capture -> estimate -> posterior means -> smoothed -> descent
+    path:     capture -> batches of rays -> prb (Mitsuba)        -> descent
     sh+path:  the first, then one epoch of the second
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, get_args
 
@@ -43,6 +43,8 @@ class Recovery:
         stopped: why that ended: ``finished`` or ``converged``.
         settings: everything the result depends on, besides the capture.
         timings: seconds per stage, synchronised.
+        estimate: what was known of every texel by itself, or with a prior in common, where
+            the recovery asked; None where it did not (``path``, losses of the paper).
     """
 
     method: Method
@@ -53,6 +55,7 @@ class Recovery:
     stopped: str
     settings: dict[str, Any]
     timings: dict[str, float] = field(default_factory=dict)
+    estimate: Estimate | None = field(default=None, repr=False)
 
     def image(self, name: str) -> np.ndarray:
         """Return a map as (H, W) or (H, W, 3) float32: a texture, or ``coverage``.
@@ -90,17 +93,20 @@ def recover(
     """Recover the textures of an object from its photographs (Sec. 5.2 to 5.4 of the paper).
 
     Args:
-        source: a capture (scene, photographs and light); or an estimate of one, whose rays need
-            not be traced again.
+        source: a capture (scene, photographs and light); or an estimate of one. ``sh`` goes on from
+            the posterior of an estimate in colour (``default``); one of another method or preset
+            is made again with its reflection model, without tracing rays. Parameters that it
+            takes as known stay as they are.
         texels: texels of ``capture.mesh``, textures have their resolution; those of the estimate
             if there is one.
         method: ``sh`` compares photographs with a reflection model; ``path`` with renderings by
             Mitsuba's ``prb``; ``sh+path`` goes on from the result of the first with one epoch
             of the second.
         preset: ``default``, ``paper``, or, for ``sh``, ``coefficients`` or ``spectrum``.
-        sharing: let uncertain texels take after certain ones that look like them. True finds the
-            object's materials (``sh.materials``), or, with presets of the paper's losses, seeds
-            as Eq. 14 and 15 have them; or a regulariser of one's own making.
+        sharing: let uncertain texels take after others that look like them. True learns a prior
+            that all texels have in common (``posterior/object_prior.py``), or, with presets of the
+            paper's losses, finds seeds as Eq. 14 and 15 have them; or a ``GlobalSharing`` of
+            one's own making.
         tv: weight of total variation, instead of the options'.
         parameters: names of the textures to recover; others stay as ``start``, or the scene's
             own material, has them.
@@ -130,8 +136,11 @@ def recover(
     observed = observed_of(source, texels, progress)
     with progress.stage("Reading the light"):
         _ = observed.lighting  # refused before any work: a black light shows nothing
-    run = Run(observed, names, chosen, start, sharing, progress)
-    settings = chosen.settings(method) | {"parameters": list(names), "sharing": bool(sharing)}
+    given = source if isinstance(source, Estimate) else None
+    run = Run(observed, given, names, chosen, start, sharing, progress)
+    settings = chosen.settings(method) | {"parameters": list(run.names), "sharing": bool(sharing)}
+    if given is not None:
+        settings["estimate"] = {"method": given.method, **asdict(given.preset), "known": run.known}
     saved = None
     if checkpoint is not None:
         light = observed.lighting.environment
@@ -147,6 +156,7 @@ def recover(
         stopped=descent.stopped,
         settings=settings,
         timings=progress.timings,
+        estimate=run.__dict__.get("estimate"),
     )
 
 

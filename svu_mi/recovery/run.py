@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
+from math import sqrt
 
 from svu_mi.errors import OptionError
 from svu_mi.observed import Observed
+from svu_mi.options import preset
 from svu_mi.parameters import NAMES
-from svu_mi.pipeline import estimate
+from svu_mi.pipeline import Estimate, estimate
+from svu_mi.posterior import CalibratedPosterior
 from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import Descent, Objective, descend
@@ -15,34 +19,63 @@ from svu_mi.recovery.options import Method, Options, PathOptions, ShOptions
 from svu_mi.recovery.path.objective import path_objective
 from svu_mi.recovery.regularized import Rule, each, regularized
 from svu_mi.recovery.relight import path_length
-from svu_mi.recovery.sh.fit import Fits
-from svu_mi.recovery.sh.materials import Materials, MaterialSharing
+from svu_mi.recovery.sh.angular import angular_objective
+from svu_mi.recovery.sh.objective import Likelihood, Pull
+from svu_mi.recovery.sh.spectral import spectral_objective
+from svu_mi.recovery.start import estimate_for_textures, known_values, posterior_means
 from svu_mi.recovery.textures import Textures, lay_out, scene_textures, uniform
 from svu_mi.regularization import GlobalSharing, TotalVariation
 from svu_mi.surface import Texels
 from svu_mi.surface.neighbors import neighbors
+
+# Chosen on our own scenes:
+GENTLE = 0.6  # part of total variation that smooths a start, whose texels must tell materials apart
+HOLD = 0.5  # weight of the pull towards posterior means, which know the prior
 
 
 class Run:
     """One recovery: its parts are made when they are first needed."""
 
     def __init__(
-        self, observed: Observed, names: tuple[str, ...], options: Options,
-        start: Textures | None, sharing: GlobalSharing | bool, progress: Progress,
-    ) -> None:
-        self.observed, self.names = observed, names
+        self, observed: Observed, given: Estimate | None, names: tuple[str, ...],
+        options: Options, start: Textures | None, sharing: GlobalSharing | bool,
+        progress: Progress,
+    ) -> None:  # fmt: skip
+        self.observed, self.given = observed, given
         self.capture, self.texels = observed.capture, observed.texels
+        self.known = {} if given is None else known_values(given)
+        self.names = tuple(name for name in names if name not in self.known)
+        if not self.names:
+            raise OptionError(
+                f"recover(): nothing is left to recover, as the estimate takes {', '.join(names)} "
+                "as known; estimate without known=."
+            )
         self.options, self.start, self.progress = options, start, progress
-        self.fits = Fits(observed)
+        self.sharing = sharing
+        self.used: ShOptions | PathOptions = options.sh  # of the method that starts
         with progress.stage("Finding neighbours"):
             self.around = neighbors(self.texels, self.capture.mesh)
             self.variation = each(TotalVariation(self.texels, self.around))
-        self.sharing = sharing
-        self.materials: Materials | None = None
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """What is known of every texel; with a prior in common if that is how they share."""
+        return estimate_for_textures(
+            self.given, self.observed, robust=self.options.sh.robust, progress=self.progress,
+            sharing=self.sharing is True and self.used.common_prior and self.used.sharing > 0,
+        )  # fmt: skip
+
+    @property
+    def posterior(self) -> CalibratedPosterior:
+        """That of ``estimate``, in colour."""
+        posterior = self.estimate.posterior
+        assert isinstance(posterior, CalibratedPosterior)
+        return posterior
 
     def run(self, method: Method, checkpoint: Checkpoint | None) -> tuple[Textures, Descent]:
         """Recover by a method; the last descent is the one that is saved."""
-        textures = self.start or self._known()
+        self.used = self.options.path if method == "path" else self.options.sh
+        textures = self.start or self._given_or_middle()
         if method != "path":
             textures, descent = self._sh(textures, checkpoint if method == "sh" else None)
         if method != "sh":
@@ -51,16 +84,46 @@ class Run:
 
     def _sh(self, start: Textures, checkpoint: Checkpoint | None) -> tuple[Textures, Descent]:
         options = self.options.sh
-        with self.progress.stage("Gathering statistics"):
-            data = self.fits.objective(options)
-        rule = self._sharing(options)
+        data = self._sh_data(options)
         if options.loss == "statistics" and options.closed_form and self.start is None:
-            values = self.fits.fit(options).start.table()
-            if self.materials is not None:
-                values = self.materials.blend(values)
-            found = self.fits.textures(values)
-            start = replace(found, **{n: t for n, t in start.items() if n not in self.names})
+            start = self._smoothed(replace(start, **self._free(posterior_means(self.estimate))))
+        rule = self._sharing(options)
         return self._descend("Descending (SH)", start, data, options, rule, checkpoint)
+
+    def _sh_data(self, options: ShOptions) -> Objective:
+        """Return how far textures are from the photographs."""
+        if options.loss == "statistics":
+            likelihood = Likelihood.of(self.posterior, self.texels)
+            pull = Pull.of(self.posterior, self.texels)
+            return lambda textures, step: likelihood(textures, step) + HOLD * pull(textures, step)
+        with self.progress.stage("Gathering statistics"):
+            if options.loss == "angular":
+                switches = preset("paper", method="angular", channels="joint")
+                return angular_objective(self.observed, switches, options.levels)
+            of_spectra = preset("paper", method="spectrum")
+            return spectral_objective(self.observed, of_spectra, options.loss)
+
+    def _smoothed(self, start: Textures) -> Textures:
+        """Let neighbours decide where a texel alone cannot: photographs only by what they say
+        of each, a mean and a variance."""
+        options = self.options.sh
+        if not options.tv:
+            return start
+        pull = Pull.of(self.posterior, self.texels)
+        fixed = {name: tensor for name, tensor in start.items() if name not in self.names}
+        objective = regularized(pull, [(GENTLE * self._tv(options), self.variation)], fixed)
+        with self.progress.stage("Smoothing the start", options.smoothing.steps) as stage:
+            found = descend(objective, self._free(start), options.smoothing, progress=stage)
+        return replace(start, **found.values)
+
+    def _tv(self, options: ShOptions | PathOptions) -> float:
+        """Return the weight of total variation: in nats, what edges cost does not depend on the
+        resolution, whose steps from texel to texel are the smaller, the more there are."""
+        in_nats = isinstance(options, ShOptions) and options.loss == "statistics"
+        return options.tv * (sqrt(self.texels.count) if in_nats else 1.0)
+
+    def _free(self, textures: Textures) -> dict[str, object]:
+        return {name: tensor for name, tensor in textures.items() if name in self.names}
 
     def _path(self, start: Textures, checkpoint: Checkpoint | None) -> tuple[Textures, Descent]:
         options = self.options.path
@@ -78,43 +141,40 @@ class Run:
         self, title: str, start: Textures, data: Objective, options: ShOptions | PathOptions,
         sharing: Rule | None, checkpoint: Checkpoint | None,
     ) -> tuple[Textures, Descent]:  # fmt: skip
-        tensors = dict(start.items())
-        fixed = {name: tensor for name, tensor in tensors.items() if name not in self.names}
-        free = {name: tensors[name] for name in self.names}
-        rules = [(options.tv, self.variation), (options.sharing, sharing)]
+        fixed = {name: tensor for name, tensor in start.items() if name not in self.names}
+        rules = [(self._tv(options), self.variation), (options.sharing, sharing)]
         objective = regularized(data, [(w, rule) for w, rule in rules if w and rule], fixed)
         with self.progress.stage(title, options.descent.steps) as stage:
             descent = descend(
-                objective, free, options.descent, checkpoint=checkpoint, progress=stage
-            )
+                objective, self._free(start), options.descent,
+                checkpoint=checkpoint, progress=stage,
+            )  # fmt: skip
         found = Textures(**(fixed | descent.values))
         # Nothing pulls gutters along where texels alone are compared.
         return lay_out(self.texels, {name: found.at(self.texels, name) for name in NAMES}), descent
 
     def _sharing(self, options: ShOptions | PathOptions) -> Rule | None:
-        """Return what pulls uncertain texels: materials, or the paper's Eq. 14 and 15."""
+        """Return what pulls uncertain texels beside the data, if anything does."""
         if not self.sharing or not options.sharing:
             return None
         if isinstance(self.sharing, GlobalSharing):
             return each(self.sharing)
-        if not options.materials:
-            certain = estimate(self.observed, progress=self.progress)
-            with self.progress.stage("Finding seeds"):
-                return each(GlobalSharing(
-                    certain, self.around, divergence="forward", anchored=False
-                ))  # fmt: skip
-        with self.progress.stage("Finding materials"):
-            sh = self.options.sh
-            if self.materials is None:
-                self.materials = self.fits.materials(sh, self.around)
-            return MaterialSharing.of(self.materials, self.fits.fit(sh).loss.place)
+        if options.common_prior:  # which the statistics' posterior has already
+            return (
+                Pull.by_trust(self.posterior, self.texels)
+                if isinstance(options, PathOptions) else None
+            )  # fmt: skip
+        certain = estimate(self.given or self.observed, progress=self.progress)
+        with self.progress.stage("Finding seeds"):
+            return each(GlobalSharing(certain, self.around, divergence="forward", anchored=False))
 
-    def _known(self) -> Textures:
-        """Return textures to start from: 0.5, and what the scene says of other parameters."""
-        if len(self.names) == len(NAMES):
-            return uniform(self.texels)
-        own = scene_textures(self.capture, self.texels)
-        return replace(own, **{n: t for n, t in uniform(self.texels).items() if n in self.names})
+    def _given_or_middle(self) -> Textures:
+        """Return textures to start from: 0.5, what is known, and what the scene says of others."""
+        middle = uniform(self.texels)
+        others = [n for n in NAMES if n not in self.names and n not in self.known]
+        own = scene_textures(self.capture, self.texels) if others else middle
+        known = {n: getattr(uniform(self.texels, v), n) for n, v in self.known.items()}
+        return replace(middle, **{n: getattr(own, n) for n in others}, **known)
 
 
 def require_resolution(texels: Texels, start: Textures | None) -> None:

@@ -8,6 +8,7 @@ with r - b = c u + v linear in base colour, u = (1 - m) e + m p and v = m (q - d
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import log_ndtr
@@ -139,11 +140,31 @@ class Truth:
         return np.clip(nats / -(q * np.log(q)).sum(), 0, 1)
 
 
+def common_prior(
+    sums: np.ndarray, weight: np.ndarray, views: np.ndarray, alone: np.ndarray, *, rounds: int,
+    sharpness: float, otherwise: float, **options: Any,
+) -> np.ndarray:  # fmt: skip
+    """Expectation maximisation: the prior (R, M, K, C) is the mean of the posteriors it leads to,
+    sharpened by a power, with some room for texels unlike all others."""
+    prior = None
+    for _ in range(rounds):
+        mean = posterior(sums, weight, views, prior=prior, **options).cells.mean(axis=0)
+        mean = mean**sharpness
+        mixed = (1 - otherwise) * mean / mean.sum(axis=(0, 1, 2)) + otherwise * alone[..., None]
+        of_rows = mixed.sum(axis=2, keepdims=True)
+        prior = mixed / of_rows * of_rows.mean(axis=-1, keepdims=True)
+    return prior
+
+
 def posterior(
     sums: np.ndarray, weight: np.ndarray, views: np.ndarray, *, tau: float, nu: float,
-    r: Nodes, m: Nodes, cells: int = 8,
+    r: Nodes, m: Nodes, cells: int = 8, prior: np.ndarray | None = None,
 ) -> Truth:  # fmt: skip
-    """Integrate over roughness and metallic node by node, over colour in closed form."""
+    """Integrate over roughness and metallic node by node, over colour in closed form.
+
+    A prior (R, M, K, C) of cells by channel takes the place of the nodes' and of even colours;
+    moments of colour are then left as they would be without.
+    """
     U, least = factors(sums, weight)
     channels, count = least.shape
     A, B, C = (np.empty((len(r.value), len(m.value), channels, count)) for _ in range(3))
@@ -170,6 +191,15 @@ def posterior(
     ])  # fmt: skip
     log_weight = (inside + np.log(sd) - 0.5 * (C - B * B / A)).sum(axis=2)
     log_weight += np.log(r.prior)[:, None, None] + np.log(m.prior)[:, None]
+    if prior is not None:
+        rows = prior.sum(axis=2).mean(axis=-1)
+        density = prior / prior.sum(axis=2, keepdims=True) / np.diff(edges)[:, None]
+        density = density[r.cell][:, m.cell].transpose(2, 0, 1, 3)[..., None]
+        masses = given * density
+        log_weight += np.log(masses.sum(axis=0)).sum(axis=2)
+        usual = np.bincount(r.cell, r.prior)[r.cell][:, None] * np.bincount(m.cell, m.prior)[m.cell]
+        log_weight += np.log(rows[r.cell][:, m.cell] / usual)[..., None]
+        given = masses / masses.sum(axis=0)
     w = np.exp(log_weight - log_weight.max(axis=(0, 1)))
     w /= w.sum(axis=(0, 1))
     p = np.zeros((count, cells, cells, cells, channels))

@@ -130,13 +130,9 @@ def noise_of_8_percent() -> str:
 
 def closed_form(found: Any) -> dict[str, np.ndarray]:
     """Return the means of every texel's posterior that recovery starts from, by name."""
-    from svu_mi.recovery.options import ShOptions
-    from svu_mi.recovery.sh.fit import Fits
-
-    fits = Fits(found.observed)
-    table = np.full((5, found.texels.count), np.nan)
-    table[:, fits.seen] = fits.fit(ShOptions()).start.table()
-    return {"base_color": table[:3].T, "roughness": table[3], "metallic": table[4]}
+    posterior = svu.estimate(found).posterior
+    names = ("base_color", "roughness", "metallic")
+    return {name: np.array(posterior.mean(name)) for name in names}
 
 
 def true_means(capture: Any, layout: Any, file: Path) -> dict[str, np.ndarray]:

@@ -18,17 +18,15 @@ from svu_mi.bench.recovery.measure import Mark, Watch, run_cold, step_seconds
 from svu_mi.bench.recovery.options import Sizes
 from svu_mi.bench.recovery.rows import COLD, PATH, SH, Row
 from svu_mi.capture import Capture
-from svu_mi.observed import observe
 from svu_mi.pipeline import estimate
-from svu_mi.recovery.options import ShOptions
+from svu_mi.posterior import CalibratedPosterior
+from svu_mi.posterior.object_prior import shared
 from svu_mi.recovery.path.objective import path_objective
 from svu_mi.recovery.regularized import Rule, each
-from svu_mi.recovery.sh.fit import Fits
-from svu_mi.recovery.sh.materials import MaterialSharing
+from svu_mi.recovery.sh.objective import Pull
 from svu_mi.recovery.textures import uniform
 from svu_mi.regularization import GlobalSharing, TotalVariation
 from svu_mi.surface import Texels, texels
-from svu_mi.surface.neighbors import neighbors
 
 Record = dict[str, Any]
 WATCHED = (SH, PATH)  # in the long run
@@ -69,12 +67,12 @@ def measure_costs(bench: Bench, cell: Cell, sizes: Sizes) -> Record:
 
 def _rules(capture: Capture, grid: Texels) -> dict[str, Rule]:
     """Return both ways of sharing: that of the rows, and that for anybody's loop."""
-    observed, options = observe(capture, grid), ShOptions()
-    fits = Fits(observed)
-    materials = fits.materials(options, neighbors(grid, capture.mesh))
+    found = estimate(capture, grid)
+    posterior = found.posterior
+    assert isinstance(posterior, CalibratedPosterior)
     return {
-        "materials": MaterialSharing.of(materials, fits.fit(options).loss.place),
-        "Eq. 14, 15": each(GlobalSharing(estimate(observed), capture.mesh)),
+        "common prior": Pull.by_trust(shared(posterior), grid),
+        "Eq. 14, 15": each(GlobalSharing(found, capture.mesh)),
     }
 
 

@@ -142,7 +142,7 @@ class _Watching(Stage):
 
 
 class Watch(Progress):
-    """Progress that keeps a mark for every update of its longest stage."""
+    """Progress that keeps a mark for every update of its last descent."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -150,8 +150,8 @@ class Watch(Progress):
 
     @property
     def marks(self) -> list[Mark]:
-        """Marks of the stage that had most."""
-        return max(self._stages, key=len, default=[])
+        """Marks of the last stage that had any."""
+        return next((marks for marks in reversed(self._stages) if marks), [])
 
     @contextmanager
     def stage(self, name: str, total: int | None = None) -> Iterator[Stage]:

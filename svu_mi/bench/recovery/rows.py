@@ -52,9 +52,12 @@ class Row:
             scale: epochs of the path tracer and steps of SH descent, as a part of the presets'.
         """
         sh, path = sh_preset(self.sh), path_preset(self.path)
-        steps = max(1, round(scale * sh.descent.steps))
+        smoothing, descent = (
+            replace(one, steps=max(1, round(scale * one.steps)))
+            for one in (sh.smoothing, sh.descent)
+        )
         return (
-            replace(sh, descent=replace(sh.descent, steps=steps)),
+            replace(sh, smoothing=smoothing, descent=descent),
             replace(path, epochs=scale * path.epochs, max_depth=DEPTH),
         )
 

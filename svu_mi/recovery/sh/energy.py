@@ -30,7 +30,9 @@ def energy(factors: Factors, values: Values) -> tuple[Any, list[Any]]:
     error, by_roughness, by_metallic = mi.Float(0), mi.Float(0), mi.Float(0)
     by_color = []
     for channel, c in enumerate(colors):
-        factor, turned = _interpolate(factors, channel, levels, weights, slopes)
+        # One channel stands for all where photographs and light are grey.
+        of_channel = channel % factors.channels
+        factor, turned = _interpolate(factors, of_channel, levels, weights, slopes)
         u, v = halves(factor, m)
         u_r, v_r = halves(turned, m)
         rest = [dr.fma(c, a, b) for a, b in zip(u, v, strict=True)]
@@ -76,7 +78,7 @@ def _spline(factors: Factors, roughness: Any) -> tuple[list[Any], list[Any], lis
     """Return four levels around a roughness, their weights, and the derivatives of these."""
     last = dr.opaque(mi.Float, factors.levels - 1)
     place = dr.clip(roughness, 0, 1) * last
-    first = dr.minimum(dr.floor(place), last - 1)
+    first = dr.maximum(dr.minimum(dr.floor(place), last - 1), 0)  # one level is all there is
     t = place - first
     weights = [
         0.5 * t * (-1 + t * (2 - t)),

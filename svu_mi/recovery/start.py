@@ -1,0 +1,104 @@
+"""What recovery starts from: an estimate in colour, and the means of its posterior."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from svu_mi.errors import CaptureError
+from svu_mi.observed import Observed
+from svu_mi.options import AngularPreset, preset
+from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.pipeline import Estimate, estimate
+from svu_mi.posterior import CalibratedPosterior, calibrated_posterior
+from svu_mi.posterior.object_prior import shared
+from svu_mi.progress import Progress
+from svu_mi.recovery.sh.objective import moments, values_of
+from svu_mi.recovery.textures import Textures, lay_out
+
+
+def estimate_for_textures(
+    given: Estimate | None, observed: Observed, *, robust: int, sharing: bool, progress: Progress
+) -> Estimate:  # fmt: skip
+    """Return an estimate whose posterior textures can be recovered from.
+
+    That is the given one if it is in colour and knows its noise. Another is made again, with its
+    reflection model and what is known; rays are not.
+
+    Args:
+        given: what recovery goes on from; None for a capture.
+        observed: the photographs.
+        robust: number of re-weighted passes, after each of which the squared error is nearer to
+            an absolute one.
+        sharing: give texels a prior in common (``posterior/object_prior.py``).
+        progress: shows what is going on.
+
+    Raises:
+        CaptureError: all photographs are black where a texel is seen.
+    """
+    if not observed.found.scale > 0:
+        raise CaptureError(
+            f"No texel of '{observed.capture.shape.id()}' is seen with any radiance; check poses "
+            "(camera space is +X left, +Y up, +Z forward), masks and exposures."
+        )
+    found = given or estimate(observed, progress=progress)
+    if not _serves(found):
+        found = _in_colour(found, observed, progress)
+    for _ in range(robust):
+        with progress.stage("Weighing samples again"):
+            found = replace(found, posterior=_reweighted(found, observed))
+    if sharing:
+        with progress.stage("Learning what texels have in common"):
+            assert isinstance(found.posterior, CalibratedPosterior)
+            found = replace(found, posterior=shared(found.posterior))
+    return found
+
+
+def _serves(found: Estimate) -> bool:
+    posterior = found.posterior
+    return isinstance(posterior, CalibratedPosterior) and posterior.groups == CHANNELS["base_color"]
+
+
+def _in_colour(found: Estimate, observed: Observed, progress: Progress) -> Estimate:
+    switches = found.preset if isinstance(found.preset, AngularPreset) else preset(method="angular")
+    switches = replace(
+        switches, channels="joint", noise="estimated", parameters="principled"
+    )
+    return estimate(
+        observed, preset=switches, known=known_values(found) or None, progress=progress
+    )
+
+
+def known_values(found: Estimate) -> dict[str, float]:
+    """Return the parameters that are not in question, by name."""
+    return {
+        name: float(nodes[0])
+        for name, nodes in found.posterior.axes.items()
+        if len(nodes) == 1 and name in NAMES
+    }
+
+
+def _reweighted(found: Estimate, observed: Observed) -> CalibratedPosterior:
+    """Gather again, samples counting less the more the present means are off."""
+    posterior, switches = found.posterior, found.preset
+    assert isinstance(posterior, CalibratedPosterior) and isinstance(switches, AngularPreset)
+    factors = posterior.problem.factors
+    means, _ = moments(posterior)
+    statistics = observed.statistics(
+        factors.roughness, switches, 3, kappa=switches.kappa(observed.unit), edges=switches.edges,
+        texels=factors.texel.numpy(), current=values_of(means[:, factors.texel.numpy()]),
+    )  # fmt: skip
+    return calibrated_posterior(
+        statistics, posterior.grid, observed.unit, switches, texels=posterior.count
+    )
+
+
+def posterior_means(found: Estimate) -> Textures:
+    """Return the means of a posterior in colour as textures; texels that nobody saw take the mean
+    of the others."""
+    posterior: Any = found.posterior
+    means, _ = moments(posterior)
+    seen = posterior.observed
+    means[:, ~seen] = means[:, seen].mean(axis=1, keepdims=True)
+    color = means[:3].T
+    return lay_out(found.texels, dict(zip(NAMES, (color, *means[3:]), strict=True)))
