@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         calibrated_posterior,
         spectrum_posterior,
     )
+    from svu_mi.recovery.options import DescentOptions, PathOptions, ShOptions
     from svu_mi.recovery.recover import Recovery, recover
     from svu_mi.reference import Reference, reference_posterior
     from svu_mi.regularization import GlobalSharing, TotalVariation
@@ -64,6 +65,8 @@ _HOME = {
     "write_report": "output.report.report",
     "Reference": "reference", "reference_posterior": "reference",
     "Recovery": "recovery.recover", "recover": "recovery.recover",
+    "DescentOptions": "recovery.options", "PathOptions": "recovery.options",
+    "ShOptions": "recovery.options",
     "GlobalSharing": "regularization", "TotalVariation": "regularization",
     "Asset": "export.asset", "ExportOptions": "export.options",
     "export_asset": "export.export", "load_asset": "export.reading",
@@ -71,10 +74,11 @@ _HOME = {
 }  # fmt: skip
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
-    "AngularPreset", "Asset", "Candidates", "Capture", "Check", "Estimate", "ExportOptions",
-    "GlobalSharing", "Guidance", "GuidanceOptions", "ImportOptions", "Light", "ParameterGrid",
-    "Posterior", "Preset", "PrincipledGrid", "Recovery", "Reference", "Skip", "SvuError",
-    "SvuWarning", "Texels", "TotalVariation", "angular_posterior",
+    "AngularPreset", "Asset", "Candidates", "Capture", "Check", "DescentOptions", "Estimate",
+    "ExportOptions", "GlobalSharing", "Guidance", "GuidanceOptions", "ImportOptions", "Light",
+    "ParameterGrid", "PathOptions", "Posterior", "Preset", "PrincipledGrid", "Recovery",
+    "Reference", "ShOptions", "Skip", "SvuError", "SvuWarning", "Texels", "TotalVariation",
+    "angular_posterior",
     "calibrated_posterior", "check", "estimate",
     "export_asset", "fit_sh", "import_capture", "load_asset", "load_capture", "next_best_view",
     "power_spectrum", "preset", "read_source", "recover", "reference_posterior",

@@ -58,6 +58,7 @@ class Estimate:
         timings: seconds per stage, synchronised.
         observed: what it was made from, for those who go on from here; it keeps the photographs
             in memory.
+        prior: the weights of cells that it was asked with, None for the usual ones.
     """
 
     method: str
@@ -69,6 +70,7 @@ class Estimate:
     skipped: dict[str, int]
     timings: dict[str, float] = field(default_factory=dict)
     observed: Observed | None = field(default=None, repr=False)
+    prior: Any | None = field(default=None, repr=False)
 
     @cached_property
     def entropy(self) -> Any:
@@ -227,6 +229,7 @@ def estimate(
             skipped=_skipped(seen) | plan.skipped,
             timings=progress.timings,
             observed=seen,
+            prior=prior,
         )
         dr.eval(result.entropy)
     return result

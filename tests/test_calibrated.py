@@ -376,14 +376,16 @@ def test_nothing_in_common_changes_little() -> None:
 def test_two_ways_to_weigh_colours_agree() -> None:
     """In closed form per border, and per cell in double precision."""
     rng = np.random.default_rng(2)
-    A, mu = 10 ** rng.uniform(-1, 4, 2000), rng.uniform(-0.5, 1.5, 2000)
+    A, mu = 10 ** rng.uniform(-4, 4, 2000), rng.uniform(-0.5, 1.5, 2000)
     u, v = (mi.Float(x.astype(np.float32)) for x in (np.sqrt(A), -mu * np.sqrt(A)))
     edges = np.concatenate([[0], (np.arange(7) + 0.5) / 7, [1]]).tolist()
     prior = [mi.Float((10 ** rng.uniform(-3, 1, 2000)).astype(np.float32)) for _ in range(8)]
     one = Channel.of([u], [v], mi.Float(0))
     (log_mass, fast), (exact, slow) = one.weighed(edges, prior), one.under(edges, prior)
     assert np.abs(np.array(log_mass) - np.array(exact)).max() < 1e-3
-    assert np.abs(np.array(fast.mean) - np.array(slow.mean)).max() < 1e-4
+    off = np.abs(np.array(fast.mean) - np.array(slow.mean))
+    assert off[A > 0.1].max() < 1e-4
+    assert off.max() < 1e-3  # where hardly anything is lit
     sd = [np.sqrt(np.array(x.variance, np.float64)) for x in (fast, slow)]
     assert np.abs(sd[0] - sd[1]).max() < 1e-3
     cells = [np.array([np.array(part) for part in x.cells]) for x in (fast, slow)]

@@ -16,6 +16,7 @@ import svu_mi as svu
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError, ShapeError, SvuError
 from svu_mi.posterior import CalibratedPosterior
+from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.recovery.options import DescentOptions, ShOptions, sh_preset
 from svu_mi.recovery.sh.objective import Likelihood, Pull, moments, values_of
 from svu_mi.recovery.start import posterior_means
@@ -152,6 +153,60 @@ def test_what_an_estimate_knows_stays(capture: Capture, grid: Texels) -> None:
     known = svu.estimate(capture, grid, known={"metallic": 0.0})
     with pytest.raises(OptionError, match="nothing is left to recover"):
         svu.recover(known, parameters=["metallic"])
+
+
+def only_metals() -> np.ndarray:
+    prior = np.zeros((8, 8, 8))
+    prior[3:, 7] = 1
+    return prior
+
+
+@pytest.mark.parametrize("preset", ["default", "fast", "fixed"])
+@pytest.mark.parametrize("robust", [0, 1])
+def test_a_prior_of_one_s_own_stays(
+    capture: Capture, grid: Texels, preset: str, robust: int
+) -> None:
+    """However often posteriors are made again."""
+    believed = svu.estimate(capture, grid, preset=preset, prior=only_metals())
+    found = svu.recover(believed, sh=replace(brief(), robust=robust), sharing=True).estimate
+    p = np.array(found.posterior.probabilities)
+    assert p[:, :, :7].max() < 1e-6
+    assert p[:, :3].max() < 1e-6
+
+
+def test_sharing_twice_adds_nothing(capture: Capture, grid: Texels) -> None:
+    once = svu.recover(capture, grid, sh=brief(), sharing=True)
+    again = svu.recover(once.estimate, sh=brief(), sharing=True)
+    assert again.estimate.posterior is once.estimate.posterior
+
+
+def test_nothing_known_is_one_also_where_texels_share(capture: Capture, grid: Texels) -> None:
+    """Entropy is a part of that of the prior, the learned one, channel by channel."""
+    posterior = svu.recover(capture, grid, sh=brief(), sharing=True).estimate.posterior
+    blind = replace(posterior.problem, scale=0 * posterior.problem.scale)
+    blind = replace(blind, least=0 * blind.least)
+    blind = replace(blind, least=kernel.least(blind, excess=True))
+    entropy = np.array(replace(posterior, problem=blind).entropy())
+    np.testing.assert_allclose(entropy[posterior.observed], 1, atol=5e-3)
+    mean = np.array(posterior.mean("base_color"))[~posterior.observed]
+    assert len(mean) == 0 or np.ptp(mean[0]) > 0.01
+
+
+def test_the_options_of_a_method_decide_how_it_shares(capture: Capture, grid: Texels) -> None:
+    both = svu.recover(
+        capture, grid, "sh+path", preset="paper", sharing=True,
+        sh=replace(sh_preset("paper"), descent=DescentOptions(steps=2)),
+        path=svu.PathOptions(epochs=0.05, max_depth=2),
+    )  # fmt: skip
+    assert both.estimate.posterior.learned
+    found = [
+        svu.recover(capture, grid, "path", path=svu.PathOptions(epochs=0.05, max_depth=2),
+                    sh=replace(ShOptions(), robust=robust), sharing=True)
+        for robust in (0, 3)
+    ]  # fmt: skip
+    np.testing.assert_allclose(found[0].losses, found[1].losses, rtol=1e-3)
+    with pytest.raises(OptionError, match="sharing is True, False"):
+        svu.recover(capture, grid, sharing=0.5)  # type: ignore[arg-type]
 
 
 def test_it_starts_from_the_means_of_the_posterior(
@@ -348,6 +403,17 @@ def test_no_weight_is_no_sharing(capture: Capture, grid: Texels) -> None:
     found = [svu.recover(capture, grid, sh=off, sharing=sharing) for sharing in (False, True)]
     for name, tensor in found[0].textures.items():
         np.testing.assert_array_equal(np.array(tensor), np.array(getattr(found[1].textures, name)))
+
+
+def test_a_checkpoint_of_another_estimate_is_refused(
+    capture: Capture, grid: Texels, tmp_path: Path
+) -> None:
+    kept, believed = tmp_path / "checkpoint.npz", svu.estimate(capture, grid)
+    svu.recover(believed, sh=brief(), checkpoint=kept)
+    svu.recover(believed, sh=brief(), checkpoint=kept, resume=True)
+    other = svu.estimate(believed, prior=only_metals())
+    with pytest.raises(SvuError, match="posterior was"):
+        svu.recover(other, sh=brief(), checkpoint=kept, resume=True)
 
 
 @pytest.mark.parametrize("what", ["masks", "sensors", "sharing"])

@@ -178,7 +178,7 @@ class Guide(Estimated):
             if count is None and getattr(self, option) is not None:
                 raise OptionError(
                     f"--{option} is of no use to --candidates {self.candidates}, which has poses "
-                    "of its own; leave it away."
+                    "of its own; leave it out."
                 )
         if self.lowest is not None and not -90 <= self.lowest < 90:
             raise OptionError(
@@ -194,7 +194,7 @@ class Guide(Estimated):
         if isinstance(switches, Preset) and switches.principled:
             raise OptionError(
                 f"--method spectrum --preset {self.preset} does not say what photographs to come "
-                "would show; add --preset paper, or leave --method away."
+                "would show; add --preset paper, or leave --method out."
             )
         needed = TABLE[self.strategy].method
         if needed not in (None, self.method):

@@ -93,7 +93,7 @@ class Recover(Photographed):
             )
         if self.resume and not checkpoint.exists():
             raise OptionError(
-                f"{checkpoint}: there is no checkpoint to go on from; leave --resume away."
+                f"{checkpoint}: there is no checkpoint to go on from; leave --resume out."
             )
         if not self.resume and checkpoint.exists():
             raise OptionError(
@@ -167,7 +167,7 @@ class Recover(Photographed):
 
     def _require_used(self, option: str, unused: str) -> None:
         if self.method == unused and getattr(self, option) is not None:
-            raise OptionError(f"--{option} is of no use to --method {unused}; leave it away.")
+            raise OptionError(f"--{option} is of no use to --method {unused}; leave it out.")
 
     def _advice(self, checkpoint: Path) -> str:
         if checkpoint.exists():

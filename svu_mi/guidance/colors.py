@@ -62,7 +62,10 @@ class Colors:
         if self.nodes is not None:  # between nodes, none might explain what it shows
             return self.nodes[p.argmax(axis=2)]
         middle = (self.edges[1:] + self.edges[:-1]) / 2
-        return np.einsum("trkc,k->trc", p, middle) / np.maximum(p.sum(axis=2), 1e-30)
+        mean = np.einsum("trkc,k->trc", p, middle) / np.maximum(p.sum(axis=2), 1e-30)
+        cell = np.clip(np.searchsorted(self.edges, mean, "right") - 1, 0, len(middle) - 1)
+        allowed = np.take_along_axis(p, cell[:, :, None], axis=2)[:, :, 0] > 0
+        return np.where(allowed, mean, middle[p.argmax(axis=2)])  # a prior may have gaps
 
     def channels(self, sums: list[Any], truth: list[Any]) -> tuple[Any, list[Parts]]:
         """Return the energy of the best colours, Float, and each channel's likelihood.

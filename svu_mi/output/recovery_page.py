@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 SIZE = (18.0, 10.2)  # inches
 TITLES = tuple(words(name).capitalize() for name in NAMES)
-WIDEST_SD = 0.25  # at the upper end of the colours; that of no knowledge is 0.29
+WIDEST_SD = 0.3  # at the upper end of the colours; an even prior's is 0.29, that of metals 0.46
 SMOOTH = 50  # losses are averaged over this part of the steps
 
 
@@ -78,7 +78,8 @@ def _heading(figure: Figure, capture: Any, recovery: Any) -> None:
         f"{sum(capture.used)} of {capture.count} views",
         f"{width} × {height} texels, {style.spaced(len(coverage))} in charts",
         f"{seen:.0f} % seen",
-        f"{len(recovery.losses)} steps",
+        "with sharing" if recovery.settings.get("sharing") else "without sharing",
+        f"{len(recovery.losses)} step" + ("s" if len(recovery.losses) != 1 else ""),
         f"{np.nansum(list(recovery.timings.values())):.1f} s",
     )
     text = "The reflectance that the photographs were taken of"
@@ -94,7 +95,7 @@ def _maps(figure: Figure, cells: Sequence[Axes], recovery: Any, estimate: Any | 
     for axes, name in zip(cells[1:], NAMES[1:], strict=False):
         values = recovery.textures.at(recovery.texels, name)
         style.color_bar(figure, axes, draw_map(axes, shown, values, colormap=GREY))
-    drawn = [f"{title} ±" for title in TITLES]
+    drawn = [f"{title}, sd" for title in TITLES]
     if estimate is None:
         for axes in cells[3:]:
             _nothing(axes, "not estimated")
@@ -116,7 +117,8 @@ def _uncertainty(figure: Figure, axes: Axes, estimate: Any, name: str) -> None:
     sd = np.asarray(estimate.posterior.sd(name), np.float32)
     worst = sd.reshape(len(sd), -1).max(axis=1, initial=0)
     colors = draw_map(axes, estimate, worst, limits=(0, WIDEST_SD))
-    style.color_bar(figure, axes, colors, "standard deviation")
+    bar = style.color_bar(figure, axes, colors, "grey: never seen")
+    bar.set_ticks([0, 0.1, 0.2], labels=["0", "0.1", "0.2"])
 
 
 def _losses(axes: Axes, recovery: Any) -> None:

@@ -50,11 +50,13 @@ class CalibratedPosterior(Posterior):
         problem: factors of S texels, noise, nodes and prior (see ``calibrated_kernel``).
         noise: (S,) float64, s of every texel: standard deviation of a sample of weight 1, in
             radiance.
+        learned: whether the prior was learned from the texels (``object_prior``).
     """
 
     grid: PrincipledGrid
     problem: Problem
     noise: np.ndarray
+    learned: bool = False
 
     @property
     def groups(self) -> int:
@@ -77,7 +79,8 @@ class CalibratedPosterior(Posterior):
     def _entropy_of_all(self) -> Any:
         everywhere = dr.full(mi.Float, 1, self.count)
         dr.eval(everywhere)
-        most = streaming.entropy_of(self.prior)
+        tables = prior_tables(self.problem)
+        most = np.mean([streaming.entropy_of(tables[..., k]) for k in range(tables.shape[-1])])
         if most > 0:
             # Opaque: as a literal, every prior would compile a kernel of its own.
             usual = dr.opaque(mi.Float, most)
@@ -123,11 +126,14 @@ class CalibratedPosterior(Posterior):
         low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))
         return np.repeat(low, problem.copies, axis=1), np.repeat(high, problem.copies, axis=1)
 
-    def prior_moments(self, name: str) -> tuple[float, float]:
+    def prior_moments(self, name: str) -> tuple[Any, Any]:
         low, high, p = self._prior_parts(name)
+        if name == "base_color":  # by channel
+            p = np.repeat(prior_tables(self.problem).sum(axis=(0, 1)).T, self.problem.copies, 0)
         middle = (low + high) / 2
-        mean = float(p @ middle)
-        return mean, float(np.sqrt(p @ ((middle - mean) ** 2 + (high - low) ** 2 / 12)))
+        mean = p @ middle
+        spread = (middle - np.expand_dims(mean, -1)) ** 2 + (high - low) ** 2 / 12
+        return mean, np.sqrt((p * spread).sum(axis=-1))
 
     def _prior_parts(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Ends of parts of a parameter, and their probability by the prior: (N,) each."""

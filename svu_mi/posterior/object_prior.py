@@ -22,12 +22,13 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.posterior import calibrated_kernel as kernel
+from svu_mi.posterior import streaming
 from svu_mi.posterior.calibrated import CalibratedPosterior, prior_tables
 from svu_mi.posterior.walk import Problem
 
 ROUNDS = 2  # more of them drift where all texels err alike; chosen on our own scenes
 SHARPNESS = 1.3
-OTHERWISE = 1e-3  # probability that a texel is like no other
+OTHERWISE = 1e-3  # probability that a texel, or its colour, is like no other
 SAMPLE = 1500  # texels that the prior is learned from
 LEAST = 1e-30  # probability that stands for 0 in a logarithm
 
@@ -36,42 +37,46 @@ def shared(posterior: CalibratedPosterior, rounds: int = ROUNDS) -> CalibratedPo
     """Return the posterior of texels that have a prior in common, learned from all of them.
 
     Base colours of R, G and B each have their own prior, given roughness and metallic. What the
-    given posterior's prior excludes stays excluded.
+    given posterior's prior excludes stays excluded. One that has such a prior is returned as it
+    is: no photograph has been added.
 
     Args:
         posterior: of texels that each stand for themselves.
         rounds: of expectation maximisation.
     """
     problem = posterior.problem
-    count = problem.factors.count
-    if count == 0:
+    seen = np.flatnonzero(np.array(problem.factors.views))
+    if posterior.learned or len(seen) == 0:
         return posterior
-    chosen = np.linspace(0, count - 1, min(SAMPLE, count)).round().astype(np.int64)
+    chosen = seen[np.linspace(0, len(seen) - 1, min(SAMPLE, len(seen))).round().astype(np.int64)]
     sample, everyone = problem.some(chosen), np.arange(len(chosen))
     alone = prior_tables(problem)
     learned, under = alone, sample
     for _ in range(rounds):
         learned = _mixed(kernel.tables(under, everyone).mean(axis=0), alone)
         under = _under(sample, learned)
-    return replace(posterior, problem=_under(problem, learned))
+    return replace(posterior, problem=_under(problem, learned), learned=True)
 
 
 def _mixed(mean: np.ndarray, alone: np.ndarray) -> np.ndarray:
     """Sharpen the mean (R, M, K, C) of posteriors, and leave some room for other texels."""
     sharp = mean**SHARPNESS
-    result = (1 - OTHERWISE) * sharp / sharp.sum(axis=(0, 1, 2)) + OTHERWISE * alone
+    result = (1 - OTHERWISE) * sharp / np.maximum(sharp.sum(axis=(0, 1, 2)), LEAST)
+    result += OTHERWISE * alone
     rows = result.sum(axis=2, keepdims=True)  # of one channel; all share roughness and metallic
-    return result / np.maximum(rows, LEAST) * rows.mean(axis=3, keepdims=True)
+    given = (1 - OTHERWISE) * result / np.maximum(rows, LEAST)
+    given += OTHERWISE * alone / np.maximum(alone.sum(axis=2, keepdims=True), LEAST)
+    return given * rows.mean(axis=3, keepdims=True)
 
 
 def _under(problem: Problem, prior: np.ndarray) -> Problem:
     """Return the problem with a prior (R, M, K, C) of the masses of cells."""
-    rows = prior.sum(axis=2).mean(axis=2)
+    rows = prior.sum(axis=2).mean(axis=2).ravel()
+    energies = np.where(rows > 0, -np.log(np.maximum(rows, LEAST)), streaming.IMPOSSIBLE)
     width = np.diff(problem.edges) if len(problem.edges) > 2 else np.ones(1)
     density = np.moveaxis(prior / np.maximum(prior.sum(axis=2, keepdims=True), LEAST), 3, 2) / width
     found = replace(
-        problem, rows=-np.log(np.maximum(rows, LEAST)).ravel(),
-        given=owned(mi.Float, density.ravel()), tables=prior.shape[-1],
+        problem, rows=energies, given=owned(mi.Float, density.ravel()), tables=prior.shape[-1]
     )  # fmt: skip
     # Energies are relative to the best node's, which the prior may have made another.
     found = replace(found, least=found.least + kernel.least(found, excess=True))

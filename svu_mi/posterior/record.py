@@ -280,8 +280,9 @@ class Posterior(ABC):
         mean[~self.observed], sd[~self.observed] = self.prior_moments(name)
         return mean, sd
 
-    def prior_moments(self, name: str) -> tuple[float, float]:
-        """Mean and standard deviation of a parameter where nobody looked."""
+    def prior_moments(self, name: str) -> tuple[Any, Any]:
+        """Return mean and standard deviation of a parameter where nobody looked: numbers, or (g,)
+        by channel."""
         nodes, p = self.axes[name], marginals_of(self.prior, list(self.axes))[name]
         mean = float(p @ nodes)
         return mean, float(np.sqrt(p @ (nodes - mean) ** 2))

@@ -22,7 +22,8 @@ FLATTEST = 1e-3  # A: a channel that hardly anything lights; energies change by 
 HALVINGS = 24  # of [0, 1], in a search
 TINIEST = 1e-290  # what is left of a cell in double precision
 IMPOSSIBLE = 1e9  # nats, of a cell that the prior excludes
-GENTLE = 1e-6  # density from which on a prior of colours excludes nothing
+GENTLE = 1e-4  # density from which on a prior of colours excludes nothing
+DIM = 0.1  # sqrt(A / 2) below which a variance is no difference of tails in single precision
 FARTHEST = 64.0  # |mu|: photographs so many times brighter than any base colour makes them
 
 # (1 + 2 x) erfcx(x) as a polynomial in (x - 2.5) / (x + 2.5), the variable of Shepherd and
@@ -124,10 +125,18 @@ class Channel:
             around = dr.fma(weight, low * density[k] - high * density[k + 1], around)
         total = dr.maximum(sum(masses), TINIEST)
         scale = dr.rcp(sqrt(pi) * s * total)
+        mean = dr.clip(mu + scale * offset, 0, 1)
         variance = dr.maximum(0.5 / dr.square(s) + scale * around - dr.square(scale * offset), 0)
+        # All but even within cells.
+        ends = list(zip(edges[:-1], edges[1:], strict=True))
+        even = sum(
+            mass / total * (dr.square(0.5 * (a + b) - mean) + (b - a) ** 2 / 12)
+            for mass, (a, b) in zip(masses, ends, strict=True)
+        )
         log_mass = mi.Float(dr.log(0.5 * sqrt(pi) * total / s))
         parts = [mi.Float(mass / total) for mass in masses]
-        return log_mass, self._integrals(mi.Float(1), parts, mu + scale * offset, variance)
+        variance = dr.select(s < DIM, even, variance)
+        return log_mass, self._integrals(mi.Float(1), parts, mean, variance)
 
     def under(self, edges: list[float], prior: list[Any]) -> tuple[Any, Integrals]:
         """Integrate over cells under a prior, however much it contradicts the likelihood.

@@ -11,6 +11,7 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import to_world
 from svu_mi.light.environment import Environment
+from svu_mi.posterior import Posterior
 from svu_mi.recovery.textures import Textures
 from svu_mi.regularization import GlobalSharing
 from svu_mi.surface import Texels
@@ -18,7 +19,7 @@ from svu_mi.surface import Texels
 
 def fingerprint(
     capture: Capture, light: Environment, texels: Texels, start: Textures | None,
-    sharing: GlobalSharing | bool,
+    sharing: GlobalSharing | bool, posterior: Posterior | None,
 ) -> dict[str, Any]:  # fmt: skip
     """Return checksums of everything but the settings.
 
@@ -28,10 +29,11 @@ def fingerprint(
         texels: where the textures belong.
         start: the caller's textures, None where the method finds its own.
         sharing: the caller's regulariser, or whether there is one.
+        posterior: of the caller's estimate, None for a capture.
 
     Returns:
-        CRC-32 each: ``photographs``, ``poses``, ``light``, ``texels``, ``start``, ``seeds``; the
-        last two None where nothing was given.
+        CRC-32 each: ``photographs``, ``poses``, ``light``, ``texels``, ``start``, ``seeds``,
+        ``posterior``; the last three None where nothing was given.
     """
     views = [view for view, used in zip(_views(capture), capture.used, strict=True) if used]
     return {
@@ -42,6 +44,10 @@ def fingerprint(
         "start": None if start is None else _checksum(tensor for _, tensor in start.items()),
         "seeds": _checksum((sharing.weights, sharing.seeds))
         if isinstance(sharing, GlobalSharing) else None,
+        "posterior": None if posterior is None else _checksum(
+            (posterior.prior, *posterior.axes.values(), getattr(posterior, "noise", np.empty(0)),
+             posterior.entropy())
+        ),
     }  # fmt: skip
 
 

@@ -78,11 +78,12 @@ class ShOptions:
         smoothing: how to descend where this start is smoothed; with ``tv`` 0 it is not.
         robust: number of re-weighted passes, after each of which the squared error is nearer to
             an absolute one (``statistics``).
-        tv: weight of total variation; with ``statistics`` in nats per texel, for a surface of one
-            texel: of T, it is sqrt(T) times that, as steps between texels get smaller.
-        sharing: weight of a ``GlobalSharing``, if there is any; 0 for none.
+        tv: weight of total variation; with ``statistics`` in nats per texel and multiplied by the
+            square root of the number of texels, as steps from one to the next get smaller.
+        sharing: weight of a ``GlobalSharing``, if there is any. A prior in common has none, but
+            there is none either if this is 0.
         common_prior: share by a prior that texels have in common (``posterior/object_prior.py``);
-            else as the paper's Eq. 14 and 15 have it.
+            else by pulling them towards the most certain ones (Eq. 14, 15).
         descent: how to descend.
     """
 
@@ -241,6 +242,10 @@ class Options:
         return chosen
 
     def settings(self, method: Method) -> dict[str, Any]:
-        """Return what of the options matters for a method."""
-        used = {"sh": ("sh",), "path": ("path",), "sh+path": ("sh", "path")}[method]
-        return {"method": method} | {name: asdict(getattr(self, name)) for name in used}
+        """Return what of the options matters for a method, as records."""
+        used = {name: asdict(options) for name, options in self.used(method).items()}
+        return {"method": method} | used
+
+    def used(self, method: Method) -> dict[str, ShOptions | PathOptions]:
+        """Return those of the parts of a method, by name."""
+        return {name: getattr(self, name) for name in method.split("+")}

@@ -67,7 +67,8 @@ class Recovery:
             return self.texels.to_image(self.coverage.astype(np.float32), 0.0)
         if name not in NAMES:
             raise OptionError(
-                f"Recovery.image(): there is no map {name!r}; use {', '.join(NAMES)} or coverage."
+                f"Recovery.image(): there is no map {name!r}; use {', '.join(NAMES)} or coverage; "
+                "Recovery.estimate.image() has entropy and standard deviations."
             )
         values = np.array(getattr(self.textures, name))
         return values if values.shape[2] > 1 else values[..., 0]
@@ -103,10 +104,10 @@ def recover(
             Mitsuba's ``prb``; ``sh+path`` goes on from the result of the first with one epoch
             of the second.
         preset: ``default``, ``paper``, or, for ``sh``, ``coefficients`` or ``spectrum``.
-        sharing: let uncertain texels take after others that look like them. True learns a prior
-            that all texels have in common (``posterior/object_prior.py``), or, with presets of the
-            paper's losses, finds seeds as Eq. 14 and 15 have them; or a ``GlobalSharing`` of
-            one's own making.
+        sharing: let uncertain texels be like others. True learns from all texels what the object is
+            made of, a prior that they have in common (``posterior/object_prior.py``); with presets
+            of the paper's losses, it pulls them towards the most certain ones (Eq. 14, 15). Or a
+            ``GlobalSharing`` of one's own making.
         tv: weight of total variation, instead of the options'.
         parameters: names of the textures to recover; others stay as ``start``, or the scene's
             own material, has them.
@@ -129,6 +130,11 @@ def recover(
         raise OptionError(f"Unknown method {method!r}; there are {', '.join(get_args(Method))}.")
     if resume and checkpoint is None:
         raise OptionError("recover(): resume=True needs the checkpoint to go on from.")
+    if not isinstance(sharing, bool | GlobalSharing):
+        raise OptionError(
+            f"recover(): sharing is True, False or a GlobalSharing, got {sharing!r}; weights are "
+            "options (sh=, path=)."
+        )
     names = _names(parameters)
     chosen = Options.of(method, preset, sh, path, tv)
     progress = progress or Progress()
@@ -137,16 +143,19 @@ def recover(
     with progress.stage("Reading the light"):
         _ = observed.lighting  # refused before any work: a black light shows nothing
     given = source if isinstance(source, Estimate) else None
-    run = Run(observed, given, names, chosen, start, sharing, progress)
+    run = Run(method, observed, given, names, chosen, start, sharing, progress)
     settings = chosen.settings(method) | {"parameters": list(run.names), "sharing": bool(sharing)}
     if given is not None:
         settings["estimate"] = {"method": given.method, **asdict(given.preset), "known": run.known}
     saved = None
     if checkpoint is not None:
         light = observed.lighting.environment
-        owner = settings | fingerprint(observed.capture, light, observed.texels, start, sharing)
+        owner = settings | fingerprint(
+            observed.capture, light, observed.texels, start, sharing,
+            None if given is None else given.posterior,
+        )  # fmt: skip
         saved = Checkpoint(checkpoint, owner, resume=resume, every=checkpoint_seconds)
-    textures, descent = run.run(method, saved)
+    textures, descent = run.run(saved)
     return Recovery(
         method=method,
         texels=observed.texels,
@@ -156,7 +165,7 @@ def recover(
         stopped=descent.stopped,
         settings=settings,
         timings=progress.timings,
-        estimate=run.__dict__.get("estimate"),
+        estimate=run.estimate if run.asked else None,
     )
 
 

@@ -37,11 +37,11 @@ class Run:
     """One recovery: its parts are made when they are first needed."""
 
     def __init__(
-        self, observed: Observed, given: Estimate | None, names: tuple[str, ...],
-        options: Options, start: Textures | None, sharing: GlobalSharing | bool,
-        progress: Progress,
+        self, method: Method, observed: Observed, given: Estimate | None,
+        names: tuple[str, ...], options: Options, start: Textures | None,
+        sharing: GlobalSharing | bool, progress: Progress,
     ) -> None:  # fmt: skip
-        self.observed, self.given = observed, given
+        self.method, self.observed, self.given = method, observed, given
         self.capture, self.texels = observed.capture, observed.texels
         self.known = {} if given is None else known_values(given)
         self.names = tuple(name for name in names if name not in self.known)
@@ -51,8 +51,7 @@ class Run:
                 "as known; estimate without known=."
             )
         self.options, self.start, self.progress = options, start, progress
-        self.sharing = sharing
-        self.used: ShOptions | PathOptions = options.sh  # of the method that starts
+        self.sharing, self.asked = sharing, False  # whether anybody asked for the estimate
         with progress.stage("Finding neighbours"):
             self.around = neighbors(self.texels, self.capture.mesh)
             self.variation = each(TotalVariation(self.texels, self.around))
@@ -60,9 +59,13 @@ class Run:
     @cached_property
     def estimate(self) -> Estimate:
         """What is known of every texel; with a prior in common if that is how they share."""
+        self.asked = True
+        used = self.options.used(self.method)
         return estimate_for_textures(
-            self.given, self.observed, robust=self.options.sh.robust, progress=self.progress,
-            sharing=self.sharing is True and self.used.common_prior and self.used.sharing > 0,
+            self.given, self.observed, progress=self.progress,
+            robust=0 if self.method == "path" else self.options.sh.robust,
+            sharing=self.sharing is True
+            and any(one.common_prior and one.sharing > 0 for one in used.values()),
         )  # fmt: skip
 
     @property
@@ -72,13 +75,12 @@ class Run:
         assert isinstance(posterior, CalibratedPosterior)
         return posterior
 
-    def run(self, method: Method, checkpoint: Checkpoint | None) -> tuple[Textures, Descent]:
-        """Recover by a method; the last descent is the one that is saved."""
-        self.used = self.options.path if method == "path" else self.options.sh
+    def run(self, checkpoint: Checkpoint | None) -> tuple[Textures, Descent]:
+        """Recover; the last descent is the one that is saved."""
         textures = self.start or self._given_or_middle()
-        if method != "path":
-            textures, descent = self._sh(textures, checkpoint if method == "sh" else None)
-        if method != "sh":
+        if self.method != "path":
+            textures, descent = self._sh(textures, checkpoint if self.method == "sh" else None)
+        if self.method != "sh":
             textures, descent = self._path(textures, checkpoint)
         return textures, descent
 
@@ -95,6 +97,8 @@ class Run:
         if options.loss == "statistics":
             likelihood = Likelihood.of(self.posterior, self.texels)
             pull = Pull.of(self.posterior, self.texels)
+            if len(self.names) + len(self.known) < len(NAMES):
+                return likelihood  # means are those of all colours, say, not of the one that stays
             return lambda textures, step: likelihood(textures, step) + HOLD * pull(textures, step)
         with self.progress.stage("Gathering statistics"):
             if options.loss == "angular":

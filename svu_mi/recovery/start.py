@@ -5,12 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from svu_mi.errors import CaptureError
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, preset
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.pipeline import Estimate, estimate
-from svu_mi.posterior import CalibratedPosterior, calibrated_posterior
+from svu_mi.posterior import (
+    CalibratedPosterior,
+    ParameterGrid,
+    PrincipledGrid,
+    calibrated_posterior,
+)
 from svu_mi.posterior.object_prior import shared
 from svu_mi.progress import Progress
 from svu_mi.recovery.sh.objective import moments, values_of
@@ -42,6 +49,7 @@ def estimate_for_textures(
             "(camera space is +X left, +Y up, +Z forward), masks and exposures."
         )
     found = given or estimate(observed, progress=progress)
+    sharing = sharing or getattr(found.posterior, "learned", False)
     if not _serves(found):
         found = _in_colour(found, observed, progress)
     for _ in range(robust):
@@ -61,12 +69,18 @@ def _serves(found: Estimate) -> bool:
 
 def _in_colour(found: Estimate, observed: Observed, progress: Progress) -> Estimate:
     switches = found.preset if isinstance(found.preset, AngularPreset) else preset(method="angular")
+    name = f"{found.preset.name}, in colour with its noise"
     switches = replace(
-        switches, channels="joint", noise="estimated", parameters="principled"
+        switches, name=name, channels="joint", noise="estimated", parameters="principled"
     )
-    return estimate(
-        observed, preset=switches, known=known_values(found) or None, progress=progress
-    )
+    grid, prior = found.posterior.grid, found.prior
+    if not isinstance(grid, PrincipledGrid):
+        # Of (roughness, Ks): what is said of roughness stays.
+        prior = None if prior is None else np.asarray(prior, np.float64).reshape(grid.shape[0], -1)
+        prior = None if prior is None else prior.sum(axis=1)
+        assert isinstance(grid, ParameterGrid)
+        grid = PrincipledGrid(roughness=grid.roughness, known=known_values(found))
+    return estimate(observed, preset=switches, grid=grid, prior=prior, progress=progress)
 
 
 def known_values(found: Estimate) -> dict[str, float]:
@@ -89,7 +103,8 @@ def _reweighted(found: Estimate, observed: Observed) -> CalibratedPosterior:
         texels=factors.texel.numpy(), current=values_of(means[:, factors.texel.numpy()]),
     )  # fmt: skip
     return calibrated_posterior(
-        statistics, posterior.grid, observed.unit, switches, texels=posterior.count
+        statistics, posterior.grid, observed.unit, switches, prior=found.prior,
+        texels=posterior.count,
     )
 
 

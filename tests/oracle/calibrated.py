@@ -152,7 +152,9 @@ def common_prior(
         mean = mean**sharpness
         mixed = (1 - otherwise) * mean / mean.sum(axis=(0, 1, 2)) + otherwise * alone[..., None]
         of_rows = mixed.sum(axis=2, keepdims=True)
-        prior = mixed / of_rows * of_rows.mean(axis=-1, keepdims=True)
+        given = (1 - otherwise) * mixed / of_rows
+        given += otherwise * (alone / alone.sum(axis=2, keepdims=True))[..., None]
+        prior = given * of_rows.mean(axis=-1, keepdims=True)
     return prior
 
 

@@ -93,8 +93,8 @@ class Pull:
         """Squared distances to posterior means, the less the photographs have told, the less they
         count: by 1 - variance / the prior's."""
         means, sds = moments(posterior)
-        usual = np.array([
-            posterior.prior_moments(name)[1] for name in NAMES for _ in range(CHANNELS[name])
+        usual = np.concatenate([
+            np.broadcast_to(posterior.prior_moments(name)[1], CHANNELS[name]) for name in NAMES
         ])  # fmt: skip
         trust = 1 - (sds / np.maximum(usual, SURE)[:, None]) ** 2
         return Pull._to(posterior, texels, means, np.clip(trust, 0, 1))
