@@ -138,7 +138,7 @@ class PathOptions:
     loss: PathLoss = "l2"
     halves: bool = True
     tv: float = 2.0
-    sharing: float = 2.0
+    sharing: float = 8.0
     common_prior: bool = True
     seed: int = 0
     descent: DescentOptions = field(
