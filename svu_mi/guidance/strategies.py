@@ -49,10 +49,10 @@ class Strategy:
 
 TABLE: dict[str, Strategy] = {
     "entropy": Strategy(
-        "expected change of the mean entropy", lambda known: known.greedy, forecasts=True
+        "expected fall of the mean entropy", lambda known: known.greedy, forecasts=True
     ),
     "error": Strategy(
-        "expected change of the mean squared error, relative to the present one",
+        "expected fall of the mean squared error, relative to the present one",
         lambda known: known.by_error(), forecasts=True, method="angular",
     ),
     "d-optimal": Strategy(

@@ -93,11 +93,6 @@ class Factors:
         entries[:, :, FLOOR] = np.sqrt(entries[:, :, FLOOR] + least)
         return entries
 
-    def products(self) -> np.ndarray:
-        """Return U^T U, which adds up over texels: (R, C, 10, S) float64."""
-        U = dict(zip(PAIRS, np.moveaxis(self.table().astype(np.float64), 2, 0), strict=True))
-        return np.stack([sum(U[k, i] * U[k, j] for k in range(i + 1)) for i, j in PAIRS], axis=2)
-
     def lanes(self, total: int) -> np.ndarray:
         """Return which of the S texels each of all T is, (T,) int64; 0 for others."""
         lanes, texel = np.zeros(total, np.int64), self.texel.numpy()
