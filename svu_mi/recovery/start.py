@@ -74,12 +74,11 @@ def _in_colour(found: Estimate, observed: Observed, progress: Progress) -> Estim
         switches, name=name, channels="joint", noise="estimated", parameters="principled"
     )
     grid, prior = found.posterior.grid, found.prior
-    if not isinstance(grid, PrincipledGrid):
-        # Of (roughness, Ks): what is said of roughness stays.
-        prior = None if prior is None else np.asarray(prior, np.float64).reshape(grid.shape[0], -1)
-        prior = None if prior is None else prior.sum(axis=1)
-        assert isinstance(grid, ParameterGrid)
+    if isinstance(grid, ParameterGrid):  # of (roughness, Ks): what is said of roughness stays
+        if prior is not None:
+            prior = np.asarray(prior, np.float64).reshape(grid.shape[0], -1).sum(axis=1)
         grid = PrincipledGrid(roughness=grid.roughness, known=known_values(found))
+    assert isinstance(grid, PrincipledGrid)
     return estimate(observed, preset=switches, grid=grid, prior=prior, progress=progress)
 
 
