@@ -25,7 +25,7 @@ from svu_mi.options import AngularPreset, AnyPreset, Preset
 from svu_mi.pipeline import Estimate, observed_of
 from svu_mi.posterior import CalibratedPosterior, ParameterGrid, PrincipledGrid
 from svu_mi.posterior.angular import AngularPosterior
-from svu_mi.posterior.nodes import cell_edges
+from svu_mi.posterior.nodes import cell_edges, cell_widths
 from svu_mi.posterior.spectrum import SpectrumPosterior
 from svu_mi.posterior.streaming import entropy_of
 from svu_mi.visibility import Surface, Views
@@ -89,7 +89,7 @@ def _angular(
         angular.columns(grid.shape[0], lobes),
     )  # fmt: skip
     edges = cell_edges(grid.base_color_nodes)
-    usual = np.diff(edges) if len(edges) > 2 else np.ones(1)
+    usual = cell_widths(edges)
     if averaged:  # a prior of nodes, of which none is more likely
         usual = np.full(len(usual), 1 / len(usual))
     prior, given = prior_tables(posterior.prior, usual)

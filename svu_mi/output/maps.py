@@ -33,14 +33,9 @@ def write_maps(estimate: Any, folder: str | Path, *, gutter: int = GUTTER) -> No
         OutputError: a file cannot be written, or a value is NaN.
     """
     folder = Path(folder)
-    attributes = {
-        "svu:version": svu_mi.__version__,
-        "svu:method": estimate.method,
-        "svu:preset": estimate.preset.name,
-    }
+    attributes = _attributes(estimate, gutter)
     entropy = padded(estimate, np.asarray(estimate.entropy, np.float32), gutter)
     coverage = padded(estimate, np.asarray(estimate.coverage).astype(np.float32), gutter, 0)
-    attributes["svu:gutter"] = gutter
     write_exr(folder / ENTROPY, {"Y": entropy}, attributes)
     write_exr(folder / COVERAGE, {"Y": coverage}, attributes)
 
@@ -67,11 +62,16 @@ def write_uncertainty(estimate: Any, folder: str | Path, *, gutter: int = GUTTER
         letters = [""] if len(columns) == 1 else [".R", ".G", ".B"]
         for letter, column in zip(letters, columns, strict=True):
             channels[f"{name}.sd{letter}"] = padded(estimate, column, gutter, 0)
-    attributes = {
-        "svu:version": svu_mi.__version__, "svu:method": estimate.method,
-        "svu:preset": estimate.preset.name, "svu:gutter": gutter,
-    }  # fmt: skip
-    write_exr(Path(folder) / UNCERTAINTY, channels, attributes)
+    write_exr(Path(folder) / UNCERTAINTY, channels, _attributes(estimate, gutter))
+
+
+def _attributes(estimate: Any, gutter: int) -> dict[str, Any]:
+    return {
+        "svu:version": svu_mi.__version__,
+        "svu:method": estimate.method,
+        "svu:preset": estimate.preset.name,
+        "svu:gutter": gutter,
+    }
 
 
 def padded(estimate: Any, values: np.ndarray, gutter: int = GUTTER, fill: float = 1) -> np.ndarray:

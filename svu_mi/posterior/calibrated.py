@@ -31,6 +31,7 @@ from svu_mi.posterior.nodes import (
     COLOR_PARTS,
     METALLIC_PARTS,
     cell_edges,
+    cell_widths,
     metallic_axis,
     uniform_axis,
 )
@@ -255,7 +256,7 @@ def _problem(
         rows = -np.log(np.outer(r.of_cells(), m.of_cells()).ravel())
     else:
         rows = tables[0]
-        width = np.diff(edges) if len(edges) > 2 else np.ones(1)
+        width = cell_widths(edges)
         given = owned(mi.Float, (np.exp(-tables[1]).reshape(-1, len(width)) / width).ravel())
         possible = rows.reshape(r.cells, -1) < streaming.IMPOSSIBLE
         r = r.only(np.any(possible, axis=1))
@@ -293,7 +294,7 @@ def prior_tables(problem: Problem) -> np.ndarray:
     """Return the prior probability of every cell by channel, (R, M, K, C) float64, of sum 1."""
     shape = (*problem.shape[:2], problem.tables, problem.shape[2])
     rows = np.exp(-problem.rows).reshape(*shape[:2], 1, 1)
-    width = np.diff(problem.edges) if len(problem.edges) > 2 else np.ones(1)
+    width = cell_widths(problem.edges)
     given = np.ones(shape) if problem.given is None else problem.given.numpy().reshape(shape)
     masses = np.moveaxis(rows * given * width, 2, 3)
     masses = masses / masses.sum(axis=(0, 1, 2))

@@ -84,6 +84,11 @@ def cell_edges(nodes: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], (nodes[1:] + nodes[:-1]) / 2, [1.0]])
 
 
+def cell_widths(edges: np.ndarray) -> np.ndarray:
+    """Return what densities of cells are multiplied by, (N,); 1 for a value that is known."""
+    return np.diff(edges) if len(edges) > 2 else np.ones(1)
+
+
 def cells_of(nodes: np.ndarray) -> Axis:
     """Return the cells of a grid as parts, all of one probability."""
     edges, count = cell_edges(nodes), len(nodes)

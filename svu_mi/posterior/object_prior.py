@@ -24,6 +24,7 @@ from svu_mi.interop import owned
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import streaming
 from svu_mi.posterior.calibrated import CalibratedPosterior, prior_tables
+from svu_mi.posterior.nodes import cell_widths
 from svu_mi.posterior.walk import Problem
 
 ROUNDS = 2  # more of them drift where all texels err alike; chosen on our own scenes
@@ -42,7 +43,7 @@ def shared(posterior: CalibratedPosterior, rounds: int = ROUNDS) -> CalibratedPo
 
     Args:
         posterior: of texels that each stand for themselves.
-        rounds: of expectation maximisation.
+        rounds: of expectation maximisation, at least 1.
     """
     problem = posterior.problem
     seen = np.flatnonzero(np.array(problem.factors.views))
@@ -51,10 +52,10 @@ def shared(posterior: CalibratedPosterior, rounds: int = ROUNDS) -> CalibratedPo
     chosen = seen[np.linspace(0, len(seen) - 1, min(SAMPLE, len(seen))).round().astype(np.int64)]
     sample, everyone = problem.some(chosen), np.arange(len(chosen))
     alone = prior_tables(problem)
-    learned, under = alone, sample
-    for _ in range(rounds):
-        learned = _mixed(kernel.tables(under, everyone).mean(axis=0), alone)
+    learned = _mixed(kernel.tables(sample, everyone).mean(axis=0), alone)
+    for _ in range(rounds - 1):
         under = _under(sample, learned)
+        learned = _mixed(kernel.tables(under, everyone).mean(axis=0), alone)
     return replace(posterior, problem=_under(problem, learned), learned=True)
 
 
@@ -73,8 +74,8 @@ def _under(problem: Problem, prior: np.ndarray) -> Problem:
     """Return the problem with a prior (R, M, K, C) of the masses of cells."""
     rows = prior.sum(axis=2).mean(axis=2).ravel()
     energies = np.where(rows > 0, -np.log(np.maximum(rows, LEAST)), streaming.IMPOSSIBLE)
-    width = np.diff(problem.edges) if len(problem.edges) > 2 else np.ones(1)
-    density = np.moveaxis(prior / np.maximum(prior.sum(axis=2, keepdims=True), LEAST), 3, 2) / width
+    given = prior / np.maximum(prior.sum(axis=2, keepdims=True), LEAST)
+    density = np.moveaxis(given, 3, 2) / cell_widths(problem.edges)
     found = replace(
         problem, rows=energies, given=owned(mi.Float, density.ravel()), tables=prior.shape[-1]
     )  # fmt: skip
