@@ -20,6 +20,7 @@ from svu_mi.posterior.nodes import Axis
 from svu_mi.posterior.truncated import GENTLE, Channel, Integrals
 from svu_mi.statistics import Factors
 from svu_mi.statistics.factors import FLOOR, PAIRS
+from svu_mi.statistics.spline import catmull_rom
 
 NEAR = 4  # levels that a roughness is interpolated from
 FAR = 28.0  # nats, prior included, from which on a node is left out
@@ -153,11 +154,7 @@ def spline(values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.ndarr
         return np.zeros((len(values), NEAR), int), np.tile([1.0, 0, 0, 0], (len(values), 1))
     place = np.clip((values - levels[0]) / (levels[-1] - levels[0]), 0, 1) * last
     begin = np.minimum(np.floor(place), last - 1)
-    t = place - begin
-    weights = [
-        0.5 * t * (-1 + t * (2 - t)), 0.5 * (2 + t * t * (-5 + 3 * t)),
-        0.5 * t * (1 + t * (4 - 3 * t)), 0.5 * t * t * (t - 1),
-    ]  # fmt: skip
+    weights = catmull_rom(place - begin)
     near = np.clip(begin[:, None] + np.arange(-1, 3), 0, last).astype(int)
     return near, np.stack(weights, axis=1)
 

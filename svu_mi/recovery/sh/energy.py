@@ -13,6 +13,7 @@ import mitsuba as mi
 
 from svu_mi.statistics.factors import COLUMNS, PAIRS, Factors
 from svu_mi.statistics.gather import Values
+from svu_mi.statistics.spline import catmull_rom
 
 
 def energy(factors: Factors, values: Values) -> tuple[Any, list[Any]]:
@@ -80,12 +81,6 @@ def _spline(factors: Factors, roughness: Any) -> tuple[list[Any], list[Any], lis
     place = dr.clip(roughness, 0, 1) * last
     first = dr.maximum(dr.minimum(dr.floor(place), last - 1), 0)  # one level is all there is
     t = place - first
-    weights = [
-        0.5 * t * (-1 + t * (2 - t)),
-        0.5 * (2 + t * t * (-5 + 3 * t)),
-        0.5 * t * (1 + t * (4 - 3 * t)),
-        0.5 * t * t * (t - 1),
-    ]
     slopes = [
         0.5 * last * (-1 + t * (4 - 3 * t)),
         0.5 * last * t * (-10 + 9 * t),
@@ -93,7 +88,7 @@ def _spline(factors: Factors, roughness: Any) -> tuple[list[Any], list[Any], lis
         0.5 * last * t * (3 * t - 2),
     ]
     levels = [mi.UInt32(dr.clip(first + step, 0, last)) for step in (-1, 0, 1, 2)]
-    return levels, weights, slopes
+    return levels, catmull_rom(t), slopes
 
 
 def _interpolate(
