@@ -242,9 +242,9 @@ def test_exposure_does_not_matter(tmp_path, capture, layout, noise):
     assert b.entropy == pytest.approx(a.entropy, abs=1e-3)
 
 
-@pytest.mark.parametrize("noise", ["relative", "heteroscedastic"])
-def test_energies_are_weighted_squares_of_the_mean_radiance(capture, layout, monkeypatch, noise):
-    """Every psi of every texel again, from the pairs and the traced halves, in NumPy."""
+@pytest.fixture
+def asked(monkeypatch):
+    """Pairs and traced halves that a reference asks for, in lists that fill up."""
     found, rendered = [], []
     find, render = posterior.visible_pairs, posterior.trace
     monkeypatch.setattr(
@@ -253,6 +253,13 @@ def test_energies_are_weighted_squares_of_the_mean_radiance(capture, layout, mon
     monkeypatch.setattr(
         posterior, "trace", lambda *args: rendered.append(render(*args)) or rendered[-1]
     )
+    return found, rendered
+
+
+@pytest.mark.parametrize("noise", ["relative", "heteroscedastic"])
+def test_energies_are_weighted_squares_of_the_mean_radiance(capture, layout, asked, noise):
+    """Every psi of every texel again, from the pairs and the traced halves, in NumPy."""
+    found, rendered = asked
     grid, sigma = PrincipledGrid(2, 2, 3), 0.05
     reference = reference_posterior(
         capture, layout, 20, 4, grid=grid, sigma=sigma, method="brute", noise=noise, seed=SEED
@@ -276,18 +283,9 @@ def test_energies_are_weighted_squares_of_the_mean_radiance(capture, layout, mon
         assert energies(reference)[k].ravel() == pytest.approx(product, rel=1e-9, abs=1e-9)
 
 
-def test_a_noise_that_is_estimated_is_that_of_sums_of_weighted_samples(
-    capture, layout, monkeypatch
-):
+def test_a_noise_that_is_estimated_is_that_of_sums_of_weighted_samples(capture, layout, asked):
     """Sums of one texel again, from the pairs and the traced halves, in NumPy; and their uses."""
-    found, rendered = [], []
-    find, render = posterior.visible_pairs, posterior.trace
-    monkeypatch.setattr(
-        posterior, "visible_pairs", lambda *args: found.append(find(*args)) or found[-1]
-    )
-    monkeypatch.setattr(
-        posterior, "trace", lambda *args: rendered.append(render(*args)) or rendered[-1]
-    )
+    found, rendered = asked
     reference = reference_posterior(
         capture, layout, 20, 4, grid=GRID, noise="estimated", seed=SEED
     )
