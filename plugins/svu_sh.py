@@ -23,6 +23,10 @@ from svu_mi.reflection.continuous import Continuous, continuous, shade
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.shadow import Side, open_to_light
 
+# A scene has no photographs that light could be fitted to, as ``paper`` does at every texel.
+PRESETS = {name: each for name, each in ANGULAR_PRESETS.items() if each.fit is None} | {
+    "gaussian": preset("paper", method="angular", name="gaussian", fit=None)
+}
 REMEMBERED = 4  # lights that are kept filtered
 
 
@@ -37,8 +41,9 @@ class ShIntegrator(mi.SamplingIntegrator):
 
      * - preset
        - |string|
-       - The reflection model: ``default``, or ``paper`` for Eq. 6 of the paper as printed, with
-         Gaussian lobes, Schlick's Fresnel term at the camera's angle and Lambert's diffuse one.
+       - The reflection model: ``default``, or ``gaussian`` for the lobes of Eq. 6 of the paper,
+         with Schlick's Fresnel term at the camera's angle and Lambert's diffuse one; what the
+         paper fits to the photographs of a texel, the light, is known here in all directions.
          Also ``fast`` and ``fixed``, as in ``svu_mi.preset``. (Default: ``default``)
 
      * - levels
@@ -49,8 +54,8 @@ class ShIntegrator(mi.SamplingIntegrator):
      * - occlusion
        - |bool|
        - Trace what the scene itself hides of the light: for every camera ray, one ray for the
-         specular lobe and one for diffuse light. (Default: |true|; |false| with ``paper`` and
-         ``fast``)
+         specular lobe and one for diffuse light. (Default: |true|; |false| with
+         ``gaussian`` and ``fast``)
 
      * - hide_emitters
        - |bool|
@@ -101,13 +106,11 @@ class ShIntegrator(mi.SamplingIntegrator):
         super().__init__(props)
         require_variant("svu_sh")
         name, self.levels = props.get("preset", "default"), props.get("levels", 16)
-        if name not in ANGULAR_PRESETS:
-            raise OptionError(
-                f"svu_sh: there is no preset {name!r}; use {', '.join(ANGULAR_PRESETS)}."
-            )
+        if name not in PRESETS:
+            raise OptionError(f"svu_sh: there is no preset {name!r}; use {', '.join(PRESETS)}.")
         if not 2 <= self.levels <= 256:
             raise OptionError(f"svu_sh: levels must be in [2, 256], got {self.levels}.")
-        self.switches = preset(name, method="angular")
+        self.switches = PRESETS[name]
         self.occlusion = props.get("occlusion", self.switches.traced)
         for ignored in ("max_depth", "rr_depth"):
             props.get(ignored, 0)

@@ -17,9 +17,10 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.errors import CaptureError
+from svu_mi.frequency.gather import MirroredLight
 from svu_mi.interop import owned
 from svu_mi.light import Lighting, light, light_cells
-from svu_mi.options import AngularPreset, Preset
+from svu_mi.options import AngularPreset, Fit, Preset
 from svu_mi.progress import Progress
 from svu_mi.reflection.model import Model
 from svu_mi.statistics import Statistics, gather
@@ -138,7 +139,25 @@ class Observed:
         surface, reach = self.surface if texels is None else self._lanes(texels), None
         if switches.traced:
             reach = self._reach_of(texels, switches)
-        return Model.of(self.lighting, surface, reach, roughness, switches, channels)
+        mirrored = self.mirrored(switches.fit, channels, texels)
+        return Model.of(self.lighting, surface, reach, roughness, switches, channels, mirrored)
+
+    def mirrored(
+        self, fit: Fit | None, channels: int, texels: np.ndarray | None = None
+    ) -> MirroredLight | None:
+        """Return the light that texels mirror into their photographs, to be fitted.
+
+        Args:
+            fit: how; None if it is not.
+            channels: 3, or 1 for the mean of R, G and B.
+            texels: (t,) their numbers among all T; by default those of ``seen``.
+        """
+        if fit is None:
+            return None
+        return MirroredLight(
+            self.views, self.lighting, self.texels, self.found, fit, channels,
+            self.seen if texels is None else texels,
+        )  # fmt: skip
 
     def _lanes(self, texels: np.ndarray) -> Surface:
         """Texels, by their numbers among all T, as a launch."""

@@ -26,6 +26,7 @@ Diffuse = Literal["lambert", "disney"]
 Parameters = Literal["principled", "specular"]
 AngularChannels = Literal["grey", "joint"]
 AngularNoise = Literal["estimated", "fixed", "relative", "heteroscedastic", "marginal"]
+Errors = Literal["mean", "sum"]
 
 Method = Literal["angular", "spectrum"]
 
@@ -120,6 +121,32 @@ class Preset(_Channels):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Fit:
+    """How light is expanded in spherical harmonics at every texel (Eq. 12), as printed.
+
+    The samples are those that the texel mirrors into its photographs; light is band-limited at
+    alpha' = v^(-1/2) for v photographs first (Sec. 3.3.2).
+    """
+
+    degree: int = 6
+    """Highest degree l*; the paper uses 5 and 6."""
+
+    regularizer: float = 1e-3
+    """lambda; the paper uses 1e-3 and 1e-2."""
+
+    penalize_constant: bool = True
+    """R_00 = e^0 = 1 as printed; False leaves l = 0 free."""
+
+    undo_prefilter: bool = False
+    """Lobes of width alpha^2 - alpha'^2 instead of alpha^2, since light is filtered already."""
+
+    def __post_init__(self) -> None:
+        require_types(self)
+        require(self, 1 <= self.degree <= 9, "degree", "in [1, 9]")
+        require(self, 1e-12 <= self.regularizer <= 1e12, "regularizer", "in [1e-12, 1e12]")
+
+
+@dataclass(frozen=True, kw_only=True)
 class AngularPreset(_Channels):
     """Switches of the angular estimator; the defaults are those of ``default``."""
 
@@ -132,6 +159,11 @@ class AngularPreset(_Channels):
     lobe: Lobe = "ggx"
     """Of lobes that are looked up; ``gaussian``: degrees fall off as exp(-(alpha l)^2) (Eq. 6);
     ``ggx``: Mitsuba's."""
+
+    fit: Fit | None = None
+    """Light of lobes: None looks it up in maps that are filtered for each width; a ``Fit`` expands
+    what every texel mirrors in spherical harmonics, which lobes then convolve: the paper's SH
+    model. Nothing is traced then (``cells=0``), and lobes are Gaussian around the mirror."""
 
     off_specular: bool = True
     """Lobes that are looked up lean from the mirror direction towards the normal."""
@@ -164,6 +196,10 @@ class AngularPreset(_Channels):
     """Standard deviation of a texel's root mean squared error, in the unit that ``noise``
     says, unless that is estimated. The error is the model's more than the camera's: it does not
     average out over views."""
+
+    errors: Errors = "mean"
+    """Squared errors of views: their ``mean``, or their ``sum``, as printed, so that many views
+    say more than few (estimated: always all views)."""
 
     assumed: float = 0.02
     """s_0: noise of a sample where too few views tell, as a part of the mean radiance
@@ -216,6 +252,22 @@ class AngularPreset(_Channels):
             )
         traced = self.cells == 0 or 256 <= self.cells <= 4096
         require(self, traced, "cells", "in [256, 4096], or 0 to trace none")
+        require_one_of(self, "errors", Errors)
+        if self.fit is not None:
+            self._require_printed()
+        if self.errors == "sum" and self.noise in ("estimated", "marginal"):
+            raise OptionError(
+                f"AngularPreset: noise={self.noise!r} has its own count of views; errors='sum' is "
+                "for noise='fixed', 'relative' or 'heteroscedastic'."
+            )
+
+    def _require_printed(self) -> None:
+        """Light that is fitted texel by texel has the lobes of Eq. 6, and no others."""
+        require(self, isinstance(self.fit, Fit), "fit", "a Fit, or None")
+        require(self, self.cells == 0, "cells", "0 with a fit, which traces nothing")
+        require(self, self.lobe == "gaussian", "lobe", "'gaussian' with a fit")
+        require(self, self.fresnel != "split_sum", "fresnel", "'schlick' or 'none' with a fit")
+        require(self, not self.off_specular, "off_specular", "False with a fit")
 
     @property
     def traced(self) -> bool:
@@ -274,9 +326,11 @@ ANGULAR_PRESETS: dict[str, AngularPreset] = {
     "default": AngularPreset(),
     "fixed": AngularPreset(name="fixed", channels="grey", noise="relative"),
     "fast": AngularPreset(name="fast", channels="grey", cells=0, parts=14),
+    # The paper states no sigma. That of a sum over 25 views, as many as see a texel of a sphere of
+    # 60 cameras, which weighs as much as .08 does for their mean.
     "paper": AngularPreset(
-        name="paper", channels="grey", noise="relative", fresnel="schlick", lobe="gaussian",
-        off_specular=False, cells=0, diffuse="lambert",
+        name="paper", channels="grey", noise="relative", sigma=0.4, errors="sum", fit=Fit(),
+        fresnel="schlick", lobe="gaussian", off_specular=False, cells=0, diffuse="lambert",
     ),
 }  # fmt: skip
 

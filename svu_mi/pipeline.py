@@ -74,7 +74,11 @@ class Estimate:
 
     @cached_property
     def entropy(self) -> Any:
-        """Normalised entropy (T,) in [0, 1]; exactly 1 for a texel nobody saw (Eq. 5)."""
+        """Normalised entropy (T,) in [0, 1] (Eq. 5).
+
+        That of the prior for a texel nobody saw: exactly 1 without ``prior``, and always where
+        the entropy is a part of the prior's (angular ``default`` and ``fast``).
+        """
         return self.posterior.entropy()
 
     def image(self, name: str) -> np.ndarray:

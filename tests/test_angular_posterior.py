@@ -11,6 +11,7 @@ import pytest
 from helpers import ball_scene, render_ball
 from oracle import angular as oracle
 from oracle import posterior as oracle_posterior
+from unseen import assert_unseen_have_the_prior
 from walled import GLOSSY, STUDIO, Samples, angular, noise_capture, seen_in, walled_ball
 
 import svu_mi as svu
@@ -173,6 +174,21 @@ def test_a_texel_nobody_saw_has_entropy_exactly_1(switches):
     assert (H[counts == 0] == 1).all()
     np.testing.assert_allclose(p[counts == 0], 1 / np.prod(posterior.grid.shape), rtol=1e-6)
     assert (H[counts > 0] < 1).all()
+
+
+@pytest.mark.parametrize("rows", [True, False], ids=["one roughness", "cells"])
+@pytest.mark.parametrize("switches", RULES, ids=rule)
+def test_a_texel_nobody_saw_has_the_prior_for_its_posterior(switches, rows):
+    rng = np.random.default_rng(264575)
+    samples = random_samples(rng, 9, 3 if switches.channels == "joint" else 1)
+    statistics = statistics_of(some_views(samples, np.array([0, 4, 1] * 3)))
+    grid = grid_of(switches)
+    prior = np.eye(5)[3] if rows else random_prior(rng, grid)
+    posterior = angular_posterior(statistics, grid, SCALE, switches, prior=prior)
+    assert_unseen_have_the_prior(posterior, prior)
+    if rows:  # log 12 / log 60 of a principled grid
+        n = np.prod(grid.shape)
+        assert posterior.prior_entropy == pytest.approx(np.log(n / 5) / np.log(n), abs=1e-7)
 
 
 @pytest.mark.parametrize("switches", RULES, ids=rule)

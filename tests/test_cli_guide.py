@@ -151,6 +151,7 @@ def test_the_sphere_of_candidates_is_where_it_is_asked_to_be(shot, tmp_path, no_
     [
         ("--method", "spectrum", "--preset", "paper"), ("--strategy", "d-optimal"),
         ("--preset", "fixed", "--known", "metallic=0", "--lazy", "--hypotheses", "4"),
+        ("--method", "spectrum", "--preset", "paper", "--band-limit", "growing"),
     ],
     ids=" ".join,
 )  # fmt: skip
@@ -195,6 +196,11 @@ EARLY = {  # refused before anything is loaded
     "fixed": (["--method", "spectrum", "--preset", "fixed"], "Unknown preset"),
     "d-optimal": (
         ["--method", "spectrum", "--preset", "paper", "--strategy", "d-optimal"], "--strategy",
+    ),
+    "growing": (["--band-limit", "growing"], "--band-limit growing needs --method spectrum"),
+    "lazy": (
+        ["--method", "spectrum", "--preset", "paper", "--band-limit", "growing", "--lazy"],
+        "leave one of them out",
     ),
     "texels": (["--texels", "0"], "texels"),
     "hypotheses": (["--hypotheses", "0"], "hypotheses"),

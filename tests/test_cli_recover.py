@@ -87,6 +87,18 @@ def test_sharing_leaves_the_entropy_that_it_went_by(shot, tmp_path):
     assert sure < unsure
 
 
+def test_the_record_says_how_the_paper_s_preset_recovers(shot, tmp_path, no_pictures):
+    words = ("--preset", "paper", "--sharing", "--method", "sh+path", "--epochs", 0.1)
+    assert run("recover", shot, "-o", tmp_path, "--resolution", 16, "--steps", 5, *words) == 0
+    settings = json.loads((tmp_path / "run.json").read_text())["settings"]["used"]
+    for part in ("sh", "path"):
+        assert settings[part]["tv_space"] == "texture" and settings[part]["tv_epsilon"] == 0
+    assert settings["path"]["spp"] == 16 and settings["path"]["loss"] == "l1"
+    assert settings["path"]["epochs"] == 0.1 and settings["sh"]["descent"]["steps"] == 5
+    assert settings["sharing"]["seeding"] == "least"
+    assert settings["sharing"]["posterior"] == {"method": "spectrum", "preset": "paper"}
+
+
 @pytest.mark.parametrize("method", ["path", "sh+path"])
 def test_the_path_tracer_recovers_too(shot, tmp_path, method):
     assert recover(shot, tmp_path, "--method", method, "--epochs", 0.5) == 0
@@ -283,7 +295,9 @@ BAD = {
     "no start": (["{shot}", "--start", "{tmp}/none"], "no such folder"),
     "size": (["{shot}", "--resolution", "0"], "--resolution"),
     "seed": (["{shot}", "--seed", "-1"], "seed"),
-    "preset": (["{shot}", "--method", "path", "--preset", "spectrum"], "Unknown preset"),
+    "preset": (["{shot}", "--method", "path", "--preset", "spectrum"], "there are default, paper"),
+    "preset of both": (["{shot}", "--method", "sh+path", "--preset", "polish"], "'sh+path'; there"),
+    "preset of sh": (["{shot}", "--preset", "paper_polish"], "Unknown preset"),
     "tv": (["{shot}", "--tv", "-1"], "tv"),
     "steps": (["{shot}", "--steps", "-3"], "steps"),
     "epochs": (["{shot}", "--method", "path", "--epochs", "0"], "epochs"),

@@ -21,6 +21,7 @@ from svu_mi.guidance import prospect as prospects
 from svu_mi.guidance.angular import AngularForecast
 from svu_mi.guidance.colors import Colors, prior_tables
 from svu_mi.guidance.greedy import Greedy
+from svu_mi.guidance.growing import GrowingForecast
 from svu_mi.guidance.hypotheses import Hypotheses
 from svu_mi.guidance.measures import Entropy, Variance
 from svu_mi.guidance.prospect import Prospect
@@ -28,11 +29,13 @@ from svu_mi.guidance.responses import BLOCK, Responses
 from svu_mi.guidance.spectral import SpectrumForecast
 from svu_mi.guidance.strategies import STRATEGIES, TABLE
 from svu_mi.interop import owned
+from svu_mi.light.lighting import band_limit
 from svu_mi.options import preset
 from svu_mi.posterior import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.nodes import cell_edges
 
 SUN = {"type": "sunsky", "turbidity": 3.0, "sun_direction": [0.4, 0.8, 0.45]}
+SHARP = preset("paper", sigma=1e-3)  # with .1, spectra under this sky say next to nothing
 PAINT = {"type": "principled", "base_color": {"type": "rgb", "value": [0.5, 0.3, 0.2]},
          "roughness": 0.4, "metallic": 0.0}  # fmt: skip
 
@@ -295,6 +298,163 @@ class TestRankOne:
             for a, v in enumerate(candidates):
                 if table[v, t, 0] > 0:
                     assert found[a, t] == pytest.approx(exact([*range(4), v], t), abs=2e-5)
+
+
+class TestGrowing:
+    """Eq. 13 as printed: light that is sharper with every view, truths as likely as it says."""
+
+    PHOTOGRAPHS, VIEWS, COUNT = 3, 8, 11
+
+    def case(self, switches, prior=None, seed=5):
+        """A forecast on a grid of 3 x 4; its table (V, T, K) for a number of views, S_B of the
+        texels that photographs show, and alpha and Ks of the grid."""
+        rng, grid = np.random.default_rng(seed), ParameterGrid(3, 4).resolved(switches)
+        shape, colors = (self.VIEWS, self.COUNT), switches.colors
+        directions = rng.normal(size=(*shape, 3))
+        directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+        seen = rng.random((*shape, 1)) < 0.7
+        seen[:5, 0] = False  # first seen by a candidate
+        seen[: self.PHOTOGRAPHS, 1] = False
+        seen[5, :2] = True
+        light = rng.gamma(1.0, 0.3, (*shape, colors))
+        shown = rng.gamma(1.0, 0.02, (self.COUNT, switches.degree + 1, colors)).astype(np.float32)
+
+        def table(views):
+            sharp = light * (1 + 0.2 * views * np.sin(np.arange(light.size)).reshape(light.shape))
+            whole = np.concatenate([np.abs(directions[..., 2:]), directions, sharp], axis=2)
+            return (whole * seen).astype(np.float32)
+
+        observed = seen[: self.PHOTOGRAPHS, :, 0].any(axis=0)
+        cells = np.ones((self.COUNT, 12)) if prior is None else np.tile(prior, (self.COUNT, 1))
+        energies = None
+        if prior is not None:
+            energies = owned(mi.Float, np.minimum(-np.log(np.maximum(prior, 1e-300)), 1e4))
+        unseen = 1.0 if prior is None else oracle.entropy(np.zeros(12), prior)
+        forecast = GrowingForecast(
+            responses=responses_of(table(0)), hypotheses=Hypotheses.of(cells), grid=grid,
+            prior=energies, measure=Entropy(float(np.log(12)), unseen), switches=switches,
+            sigma=switches.sigma, prefilter=0.0,
+            photographs=owned(mi.Float, shown.ravel()), observed=owned(mi.Bool, observed),
+            relight=lambda views: (responses_of(table(views)), 0.0),
+        )  # fmt: skip
+        alphas = grid.roughness_nodes**2
+        alphas = np.maximum(alphas, 1e-3) if switches.bounded_alpha else alphas
+        return forecast, table, shown, observed, (alphas, grid.specular_nodes)
+
+    def exact(self, case, switches, chosen, views, t, prior=None):
+        """E[H] of a texel from some views, in the light for a number of views."""
+        _, table, shown, observed, nodes = case
+        rows = [v for v in chosen if table(views)[v, t, 0] > 0]
+        if not rows:
+            return 1.0 if prior is None else oracle.entropy(np.zeros(12), prior)
+        samples = table(views)[rows, t].astype(np.float64)
+        S_L = oracle.refitted_power(
+            samples[:, 1:4], samples[:, 0], samples[:, 4:], switches.degree,
+            switches.regularizer, switches.penalize_constant,
+        )  # fmt: skip
+        S_B = shown[t].astype(np.float64) if observed[t] else None
+        return oracle.printed(S_B, S_L, *nodes, switches.sigma, prior)
+
+    @pytest.mark.parametrize("weights", [None, "prior"])
+    @pytest.mark.parametrize("switches", [
+        preset("paper", sigma=0.02, regularizer=1e-2), preset("paper", sigma=1e-4),
+        preset("default", parameters="specular", sigma=0.05),
+    ])  # fmt: skip
+    def test_equals_the_equation_step_by_step(self, switches, weights):
+        """All of the greedy loop: before, with each candidate, and again in sharper light."""
+        prior = None
+        if weights is not None:
+            prior = np.random.default_rng(3).random(12) * (np.arange(12) % 5 > 0)
+            prior /= prior.sum()
+        case, taken = self.case(switches, prior), list(range(self.PHOTOGRAPHS))
+        forecast, near = case[0], {"abs": 1e-5}
+        greedy = Greedy(forecast, self.PHOTOGRAPHS)
+        assert not case[3].all()
+        for _ in range(3):
+            views, gains = len(taken) + 1, greedy.gains()
+            before = [self.exact(case, switches, taken, views, t, prior) for t in range(self.COUNT)]
+            np.testing.assert_allclose(greedy.entropy, before, atol=1e-5)
+            for candidate in set(range(self.VIEWS)) - set(taken):
+                found = greedy.texel_gains(candidate - self.PHOTOGRAPHS)
+                for t in range(self.COUNT):
+                    after = before[t]
+                    if forecast.seen[candidate, t]:
+                        after = self.exact(case, switches, [*taken, candidate], views, t, prior)
+                    assert found[t] == pytest.approx(before[t] - after, **near)
+                assert gains[candidate - self.PHOTOGRAPHS] == pytest.approx(found.mean(), **near)
+            best = int(np.argmax(gains))
+            greedy.choose(best)
+            taken.append(self.PHOTOGRAPHS + best)
+
+    def test_truths_are_the_posterior_in_the_light_of_the_photographs(self, sunny):
+        """What they are weighed by is what the estimate has, if the light is the same."""
+        capture, texels = sunny
+        used = (0, 3, 5, 9)
+        estimate = svu.estimate(some(capture, used), texels, "spectrum", SHARP)
+        around = svu.Candidates.at(capture, [1, 2])
+        forecast = prospect(estimate, around, band_limit="growing").forecast
+        same = prospect(estimate, around, hypotheses=64).forecast
+        assert isinstance(forecast, GrowingForecast)
+        four, _ = forecast.relight(4)
+        np.testing.assert_array_equal(four.table(), same.responses.table())
+        lit = dataclasses.replace(forecast, relight=lambda views: forecast.relight(views - 1))
+        exact = same.now(np.arange(4))
+        np.testing.assert_allclose(lit.now(np.arange(4)), exact, atol=1e-4)
+        assert np.abs(forecast.now(np.arange(4)) - exact).max() > 1e-3
+
+    def test_the_light_is_that_of_one_view_more(self, sunny):
+        capture, texels = sunny
+        estimate = svu.estimate(some(capture, (0, 3)), texels, "spectrum", SHARP)
+        forecast = prospect(
+            estimate, svu.Candidates.at(capture, [1, 2]), band_limit="growing"
+        ).forecast  # fmt: skip
+        environment = estimate.observed.lighting.environment
+        normal = np.array(texels.normal).T
+        for views in (3, 4):
+            responses, prefilter = forecast.relight(views)
+            assert prefilter == pytest.approx(views**-0.5)
+            table = responses.table()
+            view, texel = np.nonzero(table[..., 0])
+            d, n = table[view, texel, 1:4], normal[texel]
+            mirrored = 2 * (d * n).sum(axis=1, keepdims=True) * n - d
+            light = band_limit(environment, views).radiance(mi.Vector3f(mirrored.T))
+            free = table[view, texel, 4:].any(axis=1)
+            np.testing.assert_allclose(
+                table[view, texel, 4:][free], np.array(light).T[free], rtol=1e-3, atol=1e-3
+            )
+
+    def test_steps_compile_nothing(self, sunny):
+        capture, texels = sunny
+        estimate = svu.estimate(some(capture, (0, 3)), texels, "spectrum", SHARP)
+        around = svu.Candidates.at(capture, range(5, 20))
+        greedy = prospect(estimate, around, band_limit="growing").greedy
+        greedy.choose(int(np.argmax(greedy.gains())))
+        _, from_disk, compiled = dr.detail.launch_stats()
+        for _ in range(3):
+            greedy.choose(int(np.argmax(greedy.gains())))
+        assert dr.detail.launch_stats()[1:] == (from_disk, compiled)
+
+    def test_proposals_and_maps(self, sunny):
+        capture, texels = sunny
+        estimate = svu.estimate(some(capture, (0, 3)), texels, "spectrum", SHARP)
+        guidance = svu.next_best_view(estimate, count=3, band_limit="growing", texels=10**6)
+        assert len({p.candidate for p in guidance.proposals}) == 3
+        gains = [p.gain for p in guidance.proposals]
+        np.testing.assert_allclose(guidance.gain_maps().mean(axis=1), gains, atol=1e-6)
+
+    def test_refused(self, sunny):
+        capture, texels = sunny
+        estimate = svu.estimate(some(capture, (0, 1)), texels)
+        for strategy in ("entropy", "coverage"):
+            with pytest.raises(svu.SvuError, match="growing' is about power spectra"):
+                svu.next_best_view(estimate, band_limit="growing", strategy=strategy)
+        spectra = svu.estimate(some(capture, (0, 1)), texels, "spectrum")
+        with pytest.raises(svu.SvuError, match="parameters='specular'"):
+            svu.next_best_view(spectra, band_limit="growing")
+        with pytest.raises(svu.SvuError, match="leave one of them out"):
+            svu.GuidanceOptions(band_limit="growing", lazy=True)
+        with pytest.raises(svu.SvuError, match="band_limit must be one of"):
+            svu.GuidanceOptions(band_limit="sharp")
 
 
 class TestHypotheses:
@@ -732,6 +892,77 @@ class TestNextBestView:
         guidance = svu.next_best_view(estimate, count=2)
         assert 0 < guidance.entropy < 1
         assert all(np.isfinite(p.gain) for p in guidance.proposals)
+
+    @pytest.mark.parametrize("method, name, known, axis", [
+        ("angular", "fixed", {"metallic": 0.0}, 1), ("angular", "fixed", {"roughness": 3 / 7}, 0),
+        ("spectrum", SHARP, {"specular": 5 / 7}, 1), ("spectrum", SHARP, {"roughness": 3 / 7}, 0),
+    ])  # fmt: skip
+    @pytest.mark.parametrize("hypotheses", [8, 4])
+    def test_what_is_known_is_a_prior_that_says_so(
+        self, sunny, method, name, known, axis, hypotheses
+    ):
+        """E[H] log n is the same on the whole grid with all of the prior on that node, and so are
+        the proposals; also where nobody looked."""
+        capture, texels = sunny
+        some_views, (value,) = some(capture, (0, 5)), known.values()
+        alone = svu.estimate(some_views, texels, method, name, known=known)
+        shape = tuple(8 if n == 1 else n for n in alone.posterior.grid.shape)
+        prior = np.zeros(shape)
+        prior[(slice(None),) * axis + (round(7 * value),)] = 2.0
+        whole = svu.estimate(some_views, texels, method, name, prior=prior)
+        n = np.log([np.prod(e.posterior.grid.shape) for e in (alone, whole)])
+        unseen = np.array(alone.coverage) == 0
+        assert unseen.any()
+        assert (np.array(alone.entropy)[unseen] == 1).all()
+        assert np.array(whole.entropy)[unseen] == pytest.approx(n[0] / n[1], rel=1e-6)
+        around = svu.Candidates.at(capture, [v for v in range(20) if v not in (0, 5)])
+        forecasts = [prospect(e, around, hypotheses=hypotheses).forecast for e in (alone, whole)]
+        views, asked, every = np.arange(2), np.arange(2, 20), np.arange(texels.count)
+        for found in (lambda f: f.now(views), lambda f: f.expected(views, asked, every)):
+            both = [found(forecast) * m for forecast, m in zip(forecasts, n, strict=True)]
+            np.testing.assert_allclose(both[1], both[0], atol=2e-5 * n[1])
+        options = svu.GuidanceOptions(hypotheses=hypotheses)
+        proposed = [svu.next_best_view(e, around, 3, options=options) for e in (alone, whole)]
+        ranks = [[p.candidate for p in guidance.proposals] for guidance in proposed]
+        assert ranks[0] == ranks[1]
+        nats = [guidance.gains * m for guidance, m in zip(proposed, n, strict=True)]
+        np.testing.assert_allclose(nats[1], nats[0], atol=1e-5)
+
+    @pytest.mark.parametrize("method, name", [("angular", "fixed"), ("spectrum", SHARP)])
+    def test_truths_of_texels_nobody_saw_are_the_priors(self, sunny, method, name):
+        capture, texels = sunny
+        estimate = svu.estimate(
+            some(capture, (0, 5)), texels, method, name, prior=np.eye(8)[3] + 0.5 * np.eye(8)[6]
+        )
+        around = svu.Candidates.around(capture, 4)
+        forecast = prospect(estimate, around, hypotheses=4096).forecast
+        unseen = np.flatnonzero(np.array(estimate.coverage) == 0)
+        table = np.zeros((8, len(unseen)))
+        columns = np.prod(estimate.posterior.grid.shape[1:-1] if method == "angular" else 8)
+        for k in range(int(forecast.hypotheses.counts.numpy().max())):
+            cell, weight = forecast.hypotheses.at(mi.UInt32(k), mi.UInt32(unseen))
+            active = k < forecast.hypotheses.counts.numpy()[unseen]
+            rows = cell.numpy().astype(int) // int(columns)
+            np.add.at(table, (rows[active], np.flatnonzero(active)), weight.numpy()[active])
+        exact = np.zeros((8, 1))
+        exact[3], exact[6] = 2 / 3, 1 / 3
+        np.testing.assert_allclose(table, np.broadcast_to(exact, table.shape), atol=1e-6)
+        H = estimate.posterior.prior_entropy
+        assert 0.3 < H < 0.9
+        np.testing.assert_allclose(forecast.now(np.arange(2))[unseen], H, rtol=1e-6)
+
+    def test_the_calibrated_measure_is_that_of_the_estimate(self, sunny):
+        """A part of the prior's entropy, which unseen texels have all of."""
+        capture, texels = sunny
+        prior = np.ones((8, 8, 8))
+        prior[:5] = 0
+        estimate = svu.estimate(some(capture, (0, 5)), texels, prior=prior)
+        forecast = prospect(estimate, svu.Candidates.around(capture, 4)).forecast
+        p = prior / prior.sum()
+        assert forecast.measure.most == pytest.approx(-(p[5:] * np.log(p[5:])).sum())
+        unseen = np.array(estimate.coverage) == 0
+        assert (np.array(estimate.entropy)[unseen] == 1).all()
+        assert (forecast.now(np.arange(2))[unseen] == 1).all()
 
     def test_bad_input(self, sunny):
         capture, texels = sunny

@@ -219,9 +219,10 @@ def usable_pixels(capture, batches):
     return np.concatenate(found)
 
 
-def test_an_epoch_shows_every_usable_pixel_once_and_no_other(capture):
+@pytest.mark.parametrize("tile", [4, 3, 1])
+def test_an_epoch_shows_every_usable_pixel_once_and_no_other(capture, tile):
     scene = mixed(capture)
-    batches = PixelBatches(scene, 100, seed=7)
+    batches = PixelBatches(scene, 100, seed=7, tile=tile)
     wanted = usable_pixels(scene, batches)
     assert batches.pixels == len(wanted)
     assert batches.epoch == -(-len(wanted) // 100)
@@ -238,6 +239,8 @@ def test_an_epoch_shows_every_usable_pixel_once_and_no_other(capture):
         assert np.array_equal(flat[len(wanted) :], flat[: len(flat) - len(wanted)])
         orders.append(flat)
     assert not np.array_equal(*orders)
+    together = np.mean(np.diff(orders[0].astype(int)) == 1)
+    assert together < 0.02 if tile == 1 else together > 0.5
 
 
 def test_a_batch_depends_on_seed_and_step_alone(capture):
@@ -275,6 +278,8 @@ def test_no_usable_pixel_and_no_batch_are_refused(capture):
         PixelBatches(dark, 64)
     with pytest.raises(OptionError, match="at least 1 pixel"):
         PixelBatches(capture, 0)
+    with pytest.raises(OptionError, match="at least 1 per side"):
+        PixelBatches(capture, 64, tile=0)
 
 
 # ---- gradients ----

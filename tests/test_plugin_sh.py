@@ -82,7 +82,7 @@ def psnr(image, reference):
         ("vase", "window", "default", 36),
         ("spheres", "window", "default", 30.5),
         ("spheres", "studio", "default", 28.5),
-        ("vase", "window", "paper", 31.5),
+        ("vase", "window", "gaussian", 31.5),
     ],
 )
 def test_images_are_close_to_path_tracing(name, light, preset, decibels):
@@ -118,8 +118,8 @@ def test_a_mirror_shows_the_light_and_a_white_wall_its_irradiance():
     lambert = {"type": "principled", "metallic": 0.0, "roughness": 1.0, "specular": 0.5,
                "base_color": {"type": "rgb", "value": 0.6}}  # fmt: skip
     scene = ball(lambert, white)
-    paper = load(preset="paper", hide_emitters=True)
-    center = picture(scene, paper, sensor=0)[SIZE // 2, SIZE // 2]
+    printed = load(preset="gaussian", hide_emitters=True)
+    center = picture(scene, printed, sensor=0)[SIZE // 2, SIZE // 2]
     # Kd E / pi = 0.6 L; and Ks G1 L with G1 near 1, seen almost along the normal.
     np.testing.assert_allclose(center / [0.5, 1, 2], 0.6 + 0.04, rtol=2e-3)
 
@@ -166,7 +166,7 @@ def two_sided(bsdf):
 # --- gradients ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("preset", ["default", "paper"])
+@pytest.mark.parametrize("preset", ["default", "gaussian"])
 @pytest.mark.parametrize("twosided", [False, True])
 def test_gradients_are_those_of_finite_differences(preset, twosided):
     """For all three textures, along random directions, with the same camera rays."""
@@ -308,7 +308,7 @@ def test_other_materials_are_black_and_named_once():
         picture(scene, integrator, sensor=0)
 
 
-XML = """<scene version="3.0.0"><integrator type="svu_sh"><string name="preset" value="paper"/>
+XML = """<scene version="3.0.0"><integrator type="svu_sh"><string name="preset" value="gaussian"/>
 <boolean name="hide_emitters" value="true"/></integrator><emitter type="constant"/>
 <shape type="sphere"><bsdf type="twosided"><bsdf type="principled"/></bsdf></shape>
 <sensor type="perspective"><float name="fov" value="25"/><transform name="to_world">
@@ -331,7 +331,8 @@ def test_xml(tmp_path, parallel):
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        ({"preset": "best"}, "no preset 'best'; use default, fixed, fast, paper"),
+        ({"preset": "best"}, "no preset 'best'; use default, fixed, fast, gaussian"),
+        ({"preset": "paper"}, "no preset 'paper'"),
         ({"levels": 1}, r"levels must be in \[2, 256\], got 1"),
         ({"ocllusion": True}, "ocllusion"),
     ],
@@ -351,5 +352,5 @@ def test_it_survives_a_change_of_variant(variant):
 
 
 def test_it_prints_its_settings():
-    text = str(load(preset="paper", levels=12))
-    assert "paper" in text and "12" in text and "occlusion = False" in text
+    text = str(load(preset="gaussian", levels=12))
+    assert "gaussian" in text and "12" in text and "occlusion = False" in text

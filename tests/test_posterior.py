@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from oracle import posterior as oracle
+from unseen import assert_unseen_have_the_prior
 
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.options import preset
@@ -198,6 +199,55 @@ def test_a_texel_nobody_saw_has_entropy_exactly_1_and_uniform_probabilities():
         assert (np.array(posterior.entropy())[~seen] == 1).all()
         np.testing.assert_allclose(p, 1 / 20, rtol=1e-6)
         np.testing.assert_array_equal(posterior.observed, seen)
+
+
+def one_row(shape):
+    """All of the prior on one roughness: weights of rows."""
+    return np.eye(shape[0])[1] * 3.0
+
+
+def uneven(shape):
+    """Weights with holes, one of them a whole roughness, and one cell above all."""
+    rng = np.random.default_rng(577215)
+    weights = rng.random(shape) * (rng.random(shape) > 0.4)
+    weights[2] = 0
+    weights.flat[1] = 2
+    return weights
+
+
+@pytest.mark.parametrize("prior", [None, one_row, uneven], ids=lambda f: f and f.__name__)
+@pytest.mark.parametrize("switches", RULES, ids=lambda s: f"{s.name}-{s.channels}-{s.noise}")
+def test_a_texel_nobody_saw_has_the_prior_for_its_posterior(switches, prior):
+    S_L, S_B = spectra(np.random.default_rng(6), 9)
+    weights = np.ones(5) if prior is None else prior(GRID.shape)
+    posterior = spectrum_posterior(
+        S_L, S_B, GRID, preset=switches, observed=np.arange(9) % 2 == 0, samples=np.full(9, 4),
+        prior=None if prior is None else weights,
+    )  # fmt: skip
+    assert_unseen_have_the_prior(posterior, weights)
+
+
+@pytest.mark.parametrize("prior", [None, one_row, uneven], ids=lambda f: f and f.__name__)
+def test_so_has_one_on_the_grid_of_principled_parameters(prior):
+    rng, grid = np.random.default_rng(8), PrincipledGrid(4, 3, 5)
+    S_L, S_B = spectra(rng, 9)
+    weights = np.ones(4) if prior is None else prior(grid.shape)
+    posterior = spectrum_posterior(
+        S_L, S_B, grid, preset="default", observed=np.arange(9) % 2 == 0, irradiance=S_L[:, 0],
+        prior=None if prior is None else weights,
+    )  # fmt: skip
+    assert_unseen_have_the_prior(posterior, weights)
+
+
+def test_equal_weights_are_no_prior():
+    S_L, S_B = spectra(np.random.default_rng(9), 3)
+    given, none = (
+        spectrum_posterior(S_L, S_B, prior=prior, observed=np.zeros(3, bool), preset="paper")
+        for prior in (np.full((8, 8), 7.0), None)
+    )
+    assert (np.array(given.entropy()) == 1).all() and (np.array(none.entropy()) == 1).all()
+    for name in ("roughness", "specular"):
+        np.testing.assert_array_equal(np.array(given.map()[name]), np.array(none.map()[name]))
 
 
 def test_black_under_light_is_an_observation():

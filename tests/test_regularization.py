@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from helpers import ball
+from test_neighbors import links, quad, together
 
 from svu_mi import GlobalSharing, TotalVariation
 from svu_mi.capture.mesh import make
@@ -19,7 +20,7 @@ from svu_mi.interop import owned
 from svu_mi.options import preset
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import ParameterGrid, Posterior, TabulatedPosterior
-from svu_mi.regularization.seeds import find_seeds, minima, smoothed
+from svu_mi.regularization.seeds import find_seeds, least_minima, minima, smoothed
 from svu_mi.regularization.sharing import divergences
 from svu_mi.surface import Texels, neighbors, texels
 
@@ -137,10 +138,79 @@ def test_a_seam_is_an_edge_like_any_other():
     assert stripe(0, None) < 0.6 * stripe(width // 4, None)
 
 
-def test_constant_textures_have_no_variation():
+@pytest.mark.parametrize("epsilon", [1e-2, 0.0])
+def test_constant_textures_have_no_variation(epsilon):
     where, mesh = sphere()
-    loss, gradient = differentiated(TotalVariation(where, mesh), np.full((16, 24, 3), 0.37, "f4"))
+    loss, gradient = differentiated(
+        TotalVariation(where, mesh, epsilon=epsilon), np.full((16, 24, 3), 0.37, "f4")
+    )
     assert loss == 0 and not gradient.any()
+
+
+@cache
+def two_charts() -> tuple[Texels, Any]:
+    """Charts apart in space that touch in the map, a third beside them, and holes around."""
+    mesh = together(
+        quad((0, 0, 0), (4, 0, 0), (0, 4, 0), (0, 0, 0.5, 0.5)),
+        quad((9, 0, 0), (4, 0, 0), (0, 4, 0), (0.5, 0, 1, 0.5)),
+        quad((20, 0, 0), (2, 0, 0), (0, 3, 0), (0.2, 0.6, 0.5, 0.95)),
+    )
+    return texels(mesh, RESOLUTION), mesh
+
+
+def printed_variation(where: Texels, image: np.ndarray) -> tuple[float, np.ndarray]:
+    """Mean of |right - here| and |below - here| where both are inside; float64, with gradient."""
+    inside = where.inside()
+    image = image.astype(np.float64).reshape(*inside.shape, -1)
+    total, pairs, gradient = 0.0, 0, np.zeros_like(image)
+    for axis in (0, 1):
+        first = [slice(None)] * 2
+        second = [slice(None)] * 2
+        first[axis], second[axis] = slice(None, -1), slice(1, None)
+        both = inside[tuple(first)] & inside[tuple(second)]
+        difference = np.where(both[..., None], image[tuple(second)] - image[tuple(first)], 0)
+        total, pairs = total + np.abs(difference).sum(), pairs + both.sum()
+        gradient[tuple(second)] += np.sign(difference)
+        gradient[tuple(first)] -= np.sign(difference)
+    return total / pairs, gradient / pairs
+
+
+@pytest.mark.parametrize("scene", [sphere, two_charts])
+@pytest.mark.parametrize("steps", [3, 1 << 20])
+@pytest.mark.parametrize("channels", [3, 1, None])
+def test_in_texture_space_it_is_the_mean_absolute_difference_as_printed(scene, steps, channels):
+    """With steps so coarse that many neighbours are equal, which pull at nobody."""
+    where, _ = scene()
+    values = np.round(a_texture(1663204127, channels) * steps) / np.float32(steps)
+    loss, gradient = differentiated(TotalVariation(where, epsilon=0.0), values)
+    wanted, slope = printed_variation(where, values)
+    assert loss == pytest.approx(wanted, rel=1e-5)
+    np.testing.assert_allclose(gradient.reshape(slope.shape), slope, atol=1e-5 * slope.max())
+
+
+def test_absolute_values_on_the_surface_have_signs_for_derivatives():
+    where, mesh = sphere()
+    values = np.round(a_texture(70911) * 4) / np.float32(4)
+    loss, gradient = differentiated(TotalVariation(where, mesh, epsilon=0.0), values)
+    first, second = (column.numpy() for column in neighbors(where, mesh).pairs)
+    psi, slope = flat(where, values), np.zeros((where.count, 3))
+    sign = np.sign(psi[first] - psi[second]) / len(first)
+    np.add.at(slope, first, sign)
+    np.add.at(slope, second, -sign)
+    assert (sign == 0).any()
+    assert loss == pytest.approx(np.abs(psi[first] - psi[second]).sum() / len(first), rel=1e-5)
+    np.testing.assert_allclose(flat(where, gradient), slope, atol=1e-5 * slope.max())
+
+
+def test_an_absolute_value_is_the_limit_of_smoothed_ones():
+    where, mesh = sphere()
+    values = a_texture(80417)
+    (loss, gradient), (limit, slope) = (
+        differentiated(TotalVariation(where, mesh, epsilon=epsilon), values)
+        for epsilon in (1e-6, 0.0)
+    )
+    assert loss == pytest.approx(limit, rel=1e-4)
+    np.testing.assert_allclose(gradient, slope, atol=1e-3 * np.abs(slope).max())
 
 
 @pytest.mark.parametrize("kind", ["tv", "sharing", "dragging"])
@@ -149,7 +219,7 @@ def test_gradients_are_the_same_bit_by_bit(kind):
     regularizer = {
         "tv": lambda: TotalVariation(where, mesh),
         "sharing": lambda: GlobalSharing(materials(0), seeds=5),
-        "dragging": lambda: GlobalSharing(materials(0), seeds=5, anchored=False),
+        "dragging": lambda: GlobalSharing.printed(materials(0), seeds=5),
     }[kind]()
     runs = [differentiated(regularizer, a_texture(4471)) for _ in range(4)]
     for loss, gradient in runs[1:]:
@@ -224,7 +294,7 @@ def test_textures_that_do_not_fit_are_refused(kind):
 
 def test_wrong_arguments_are_refused():
     where, mesh = sphere()
-    for epsilon in (0, -1, float("nan")):
+    for epsilon in (-1, float("inf"), float("nan")):
         with pytest.raises(OptionError, match="epsilon"):
             TotalVariation(where, mesh, epsilon=epsilon)
     with pytest.raises(ShapeError, match="one flag for each"):
@@ -234,7 +304,8 @@ def test_wrong_arguments_are_refused():
         TotalVariation(where, neighbors(other, mesh))
     with pytest.raises(ShapeError, match="got those of"):
         GlobalSharing(materials(0), neighbors(other, mesh))
-    for wrong in ({"seeds": 0}, {"tau": 0}, {"tau": float("inf")}, {"divergence": "both"}):
+    for wrong in ({"seeds": 0}, {"tau": 0}, {"tau": float("inf")}, {"divergence": "both"},
+                  {"seeding": "most"}):  # fmt: skip
         with pytest.raises(OptionError, match=next(iter(wrong)).rstrip("s")):
             GlobalSharing(materials(0), **wrong)
     with pytest.raises(OptionError, match="numbered 0 to"):
@@ -382,7 +453,90 @@ def test_divergences_do_not_depend_on_chunks(monkeypatch):
     np.testing.assert_allclose(divergences(posterior, some, "forward"), expected, atol=1e-4)
 
 
+def test_sharing_as_printed():
+    """Least minima, forward, 0.4 of the mean, both pulled; straight from the definitions."""
+    estimate, (where, mesh) = materials(41), sphere()
+    sharing = GlobalSharing.printed(estimate, mesh)
+    assert sharing.record() == {
+        "seeds": len(sharing.seeds), "tau": 0.4, "seeding": "least", "divergence": "forward",
+        "anchored": False,
+    }  # fmt: skip
+    seen = np.array(estimate.coverage) > 0
+    wanted = oracle_minima(np.array(estimate.entropy), seen, links(neighbors(where, mesh)))[:20]
+    np.testing.assert_array_equal(sharing.seeds, wanted)
+    weights = oracle_weights(estimate.posterior, sharing.seeds, 0.4, "forward")
+    table = np.array(sharing.weights).reshape(weights.shape)
+    np.testing.assert_allclose(table, weights, atol=2e-5)
+    values = a_texture(618033)
+    loss, gradient = differentiated(sharing, values)
+    assert loss == pytest.approx(shared(where, table, sharing.seeds, values), rel=1e-5)
+    check_gradient(lambda x: shared(where, table, sharing.seeds, x), gradient, values, 2718)
+    assert len(GlobalSharing.printed(estimate, mesh, seeds=2).seeds) == 2
+
+
 # --- seeds
+
+
+def oracle_minima(
+    values: np.ndarray, observed: np.ndarray, pairs: set[tuple[int, int]]
+) -> list[int]:
+    """Walk over every plateau of equal values; that without a lower neighbour is a minimum."""
+    beside: dict[int, set[int]] = {t: set() for t in np.flatnonzero(observed).tolist()}
+    for a, b in pairs:
+        if observed[a] and observed[b]:
+            beside[a].add(b)
+            beside[b].add(a)
+    found, done = [], set()
+    for first in beside:
+        plateau, front = {first}, [first]
+        while front:
+            equal = {n for n in beside[front.pop()] if values[n] == values[first]} - plateau
+            plateau |= equal
+            front += equal
+        lower = any(values[n] < values[first] for t in plateau for n in beside[t])
+        if not lower and first not in done:
+            found.append(min(plateau))
+        done |= plateau
+    return sorted(found, key=lambda t: (values[t], t))
+
+
+@pytest.mark.parametrize("scene", [sphere, two_charts])
+@pytest.mark.parametrize("surface", [True, False])
+@pytest.mark.parametrize("steps", [3, 8, 1 << 40])
+@pytest.mark.parametrize("part", [1.0, 0.6, 0.0])
+def test_least_minima_are_those_of_a_walk_over_all_texels(scene, surface, steps, part):
+    """With ties and without; over seams; unseen texels are never seeds and hide none."""
+    where, mesh = scene()
+    around = neighbors(where, mesh if surface else None)
+    rng = np.random.default_rng(2083364731 + steps)
+    values = np.round(rng.random(where.count) * steps) / steps
+    observed = rng.random(where.count) < part
+    wanted = oracle_minima(values, observed, links(around))
+    assert (len(wanted) > 3) == (part > 0)
+    for count in (1, 3, 20, 10**6):
+        found = least_minima(values, observed, around, count)
+        assert found.dtype == np.int64
+        np.testing.assert_array_equal(found, wanted[:count])
+
+
+def test_a_slope_with_steps_is_no_minimum():
+    """A texel whose neighbours are all equal, on a plateau that somewhere goes down."""
+    where, mesh = sphere()
+    column = where.index.numpy().astype(int) % RESOLUTION[0]
+    values = np.where(column < 12, 0.5, 0.9)
+    values[np.flatnonzero(column == 3)[5]] = 0.1
+    found = least_minima(values, np.ones(where.count, bool), neighbors(where, mesh))
+    np.testing.assert_array_equal(values[found], [0.1])
+
+
+def test_the_least_minimum_on_a_seam_is_one():
+    where, mesh = sphere()
+    cell = np.divmod(where.index.numpy().astype(int), RESOLUTION[0])
+    away = np.minimum(cell[1], RESOLUTION[0] - 1 - cell[1]) + np.abs(cell[0] - 8)
+    values = away / 100  # least on both sides of the border of the map
+    seen = np.ones(where.count, bool)
+    assert len(least_minima(values, seen, neighbors(where, mesh))) == 1
+    assert len(least_minima(values, seen, neighbors(where))) == 2
 
 
 def test_a_plateau_is_one_minimum():

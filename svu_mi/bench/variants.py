@@ -74,7 +74,7 @@ ANGULAR = (
     _angular("default, channels grey", channels="grey"),
     _angular("default, any metallic alike", metals=0.0),
     _angular("default, edges count", edges=0.0),
-    _angular("fixed, as printed", base="paper"),
+    _angular("SH model", base="paper", main=True, errors="mean", sigma=0.08),
     _angular("fixed, looked up", base="fixed", cells=0),
     _angular("fixed, looked up, Fresnel: none", base="fixed", cells=0, fresnel="none"),
     _angular("fixed, looked up, Fresnel: Schlick at theta_o", base="fixed", cells=0,

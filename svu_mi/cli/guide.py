@@ -66,6 +66,9 @@ class Guide(Estimated):
     """Most texels that candidates are judged by."""
     hypotheses: int = 8
     """Most materials that are taken for the truth, per texel."""
+    band_limit: Literal["photographs", "growing"] = "photographs"
+    """Light that candidates are judged in, by --method spectrum: filtered for the photographs there
+    are, or for one view more than are taken, which is Eq. 13 as printed."""
     lazy: bool = False
     """Evaluate a candidate again only while its last gain is above the best."""
     seed: int = 0
@@ -145,7 +148,7 @@ class Guide(Estimated):
 
         return GuidanceOptions(
             strategy=self.strategy, texels=self.texels, hypotheses=self.hypotheses,
-            lazy=self.lazy, seed=self.seed,
+            band_limit=self.band_limit, lazy=self.lazy, seed=self.seed,
         )  # fmt: skip
 
     def check(self) -> None:
@@ -196,6 +199,8 @@ class Guide(Estimated):
                 f"--method spectrum --preset {self.preset} does not say what photographs to come "
                 "would show; add --preset paper, or leave --method out."
             )
+        if self.band_limit == "growing" and self.method != "spectrum":
+            raise OptionError("--band-limit growing needs --method spectrum.")
         needed = TABLE[self.strategy].method
         if needed not in (None, self.method):
             raise OptionError(f"--strategy {self.strategy} needs --method {needed}.")
@@ -267,7 +272,8 @@ def _print(console: Console, estimate: Estimate, guidance: Guidance) -> None:
     seen = np.array(estimate.coverage) > 0
     words = (
         f"Mean entropy now: {np.array(estimate.entropy)[seen].mean():.3f} of the texels seen, "
-        f"{guidance.entropy:.3f} of all, of which unseen ones are 1."
+        f"{guidance.entropy:.3f} of all, of which unseen ones are "
+        f"{estimate.posterior.prior_entropy:.3g}."
     )
     if TABLE[guidance.options.strategy].forecasts:
         words += " What each photograph is expected to take off the latter (gain), and to leave:"

@@ -40,10 +40,14 @@ class Recover(Photographed):
     method: Literal["sh", "path", "sh+path"] = "sh"
     """sh: a reflection model, in seconds; path: Mitsuba's path tracer in a loop; sh+path: the
     path tracer, from what sh has found."""
-    preset: Literal["default", "paper", "coefficients", "spectrum"] = "default"
-    """Coefficients and spectrum are losses of sh."""
+    preset: Literal["default", "paper", "coefficients", "spectrum", "polish", "paper_polish"] = (
+        "default"
+    )
+    """Paper: losses, rates and regularizers as printed; coefficients and spectrum: its other losses
+    of sh; polish and paper_polish: the one epoch of path that sh+path ends with, by itself."""
     sharing: bool = False
-    """Learn from all texels what this object is made of, and lend it to uncertain ones."""
+    """Learn from all texels what this object is made of, and lend it to uncertain ones; with the
+    paper's presets, Eq. 14 and 15 as printed."""
     tv: float | None = None
     """Weight of total variation; more is smoother."""
     epochs: float | None = None
@@ -149,18 +153,18 @@ class Recover(Photographed):
         Raises:
             OptionError: an unknown preset, or a number out of range.
         """
-        from svu_mi.recovery.options import path_preset, sh_preset
+        from svu_mi.recovery.options import Options
 
         self._require_used("steps", "path")
         self._require_used("epochs", "sh")
+        chosen = Options.of(self.method, self.preset, None, None, None)
         found: dict[str, Any] = {}
         if self.method != "path":
-            sh = sh_preset(self.preset)
+            sh = chosen.sh
             steps = sh.descent.steps if self.steps is None else self.steps
             found["sh"] = replace(sh, descent=replace(sh.descent, steps=steps))
         if self.method != "sh":
-            # The last bit of another start is all that is asked of it in sh+path.
-            path = path_preset("polish" if self.method == "sh+path" else self.preset)
+            path = chosen.path
             epochs = path.epochs if self.epochs is None else self.epochs
             found["path"] = replace(path, epochs=epochs, seed=self.seed)
         return found

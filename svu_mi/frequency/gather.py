@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,12 +15,15 @@ from svu_mi.frequency.fit import fit_lanes
 from svu_mi.frequency.groups import SolverGroup, solver_groups
 from svu_mi.frequency.spectrum import power_lanes
 from svu_mi.light import Lighting
-from svu_mi.options import Preset
+from svu_mi.options import Fit, Preset
 from svu_mi.surface import Texels
 from svu_mi.visibility import Surface, Survey, Views
 from svu_mi.visibility.observe import mirror_direction
 from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import mirror_free
+
+Masking = Callable[[Any, Any], list[Any]]
+"""Cosines and numbers of texels to F factors."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +44,10 @@ class Samples:
         surface: the texels of the launch.
         found: who sees whom.
         occluded: leave out light from where the object itself stands.
-        channels: C of the photographs, 1 or 3.
+        channels: C of the photographs, 1 or 3; 0 leaves them out.
         light_channels: of the light, the same or 1.
+        masking: factors of the light, by cos theta_i (cos theta_o, of a mirror) and by texel: each
+            is a right-hand side per channel. By default 1.
     """
 
     views: Views
@@ -52,6 +57,7 @@ class Samples:
     occluded: bool
     channels: int
     light_channels: int
+    masking: Masking | None = None
 
     def at(self, slot: Any) -> tuple[Any, Any, list[Any]]:
         """One row: view direction, w = |cos theta|, and both right-hand sides.
@@ -76,9 +82,12 @@ class Samples:
             true_fn=mirrored,
             false_fn=lambda *_: dr.zeros(mi.Color3f),
         )
-        both = (seen.radiance, self.channels), (incoming, self.light_channels)
-        values = [value for color, channels in both for value in as_channels(color, channels)]
-        return seen.direction, seen.cosine, values
+        light = as_channels(incoming, self.light_channels)
+        if self.masking is not None:
+            factors = self.masking(seen.cosine, self.surface.index)
+            light = [factor * value for factor in factors for value in light]
+        shown = as_channels(seen.radiance, self.channels) if self.channels else []
+        return seen.direction, seen.cosine, [*shown, *light]
 
 
 def fit_spectra(
@@ -109,7 +118,10 @@ def fit_spectra(
     shape = (texels.count, switches.degree + 1, colors)
     outgoing, incoming = dr.zeros(mi.TensorXf, shape), dr.zeros(mi.TensorXf, shape)
     dr.eval(outgoing, incoming)
-    job = _Job(views, lighting, texels, found, switches, colors, light, skip_unseen)
+    job = _Job(
+        views, lighting, texels, found, switches, switches.occluded, colors, light,
+        found.coverage.numpy() if skip_unseen else np.maximum(found.coverage.numpy(), 1),
+    )  # fmt: skip
     for group, coefficients in job.solutions():
         power = power_lanes(coefficients)
         copies = colors // light
@@ -175,7 +187,10 @@ def fit_coefficients(
     rows = (switches.degree + 1) ** 2 * (3 + light_channels)
     values = dr.zeros(mi.Float, rows * texels.count)
     dr.eval(values)
-    job = _Job(views, lighting, texels, found, switches, 3, light_channels, True)
+    job = _Job(
+        views, lighting, texels, found, switches, switches.occluded, 3, light_channels,
+        found.coverage.numpy(),
+    )  # fmt: skip
     for group, coefficients in job.solutions():
         flat = [value for row in coefficients for value in row]
         values = scatter_strided(values, flat, group.selection, dr.opaque(mi.UInt32, texels.count))
@@ -184,28 +199,74 @@ def fit_coefficients(
 
 
 @dataclass(frozen=True)
-class _Job:
-    """What ``fit_spectra`` was asked for."""
+class MirroredLight:
+    """The light that texels mirror into their photographs, to be fitted (Eq. 12).
+
+    Attributes:
+        views: the packed capture.
+        lighting: its band-limited light.
+        texels: the T texels.
+        found: who sees whom.
+        fit: degree, regulariser and R_00.
+        channels: C of the light, 3 or 1.
+        chosen: (t,) numbers of the texels to fit.
+    """
 
     views: Views
     lighting: Lighting
     texels: Texels
     found: Survey
-    switches: Preset
+    fit: Fit
+    channels: int
+    chosen: np.ndarray
+
+    def solutions(self, masking: Masking, count: int) -> Iterator[tuple[Any, list[list[Any]]]]:
+        """Fit masked light.
+
+        Args:
+            masking: what the light is multiplied by. It should read opaque numbers, so that one
+                kernel serves all.
+            count: F, how many factors it returns.
+
+        Yields:
+            UInt32 numbers of texels that some view sees, and their (l* + 1)^2 coefficients: lists
+            of F C Floats, not evaluated yet.
+        """
+        counts = np.zeros(self.texels.count, np.uint32)
+        counts[self.chosen] = self.found.coverage.numpy()[self.chosen]
+        job = _Job(
+            self.views, self.lighting, self.texels, self.found, self.fit, False, 0, self.channels,
+            counts, masking, count,
+        )  # fmt: skip
+        for group, coefficients in job.solutions():
+            yield group.selection, coefficients
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What a fit of all texels was asked for; ``counts`` (T,) are the views of each to fit."""
+
+    views: Views
+    lighting: Lighting
+    texels: Texels
+    found: Survey
+    switches: Preset | Fit
+    occluded: bool
     channels: int
     light_channels: int
-    skip_unseen: bool
+    counts: np.ndarray
+    masking: Masking | None = None
+    factors: int = 1
 
     def solutions(self) -> Iterator[tuple[SolverGroup, list[list[Any]]]]:
         """Yield the lanes of each solver and their coefficients, not evaluated yet."""
-        switches, seen = self.switches, self.found.coverage.numpy()
+        switches = self.switches
         # Made now: a texture that is made while a loop is recorded does not outlive the recording.
         dr.eval(self.lighting.filtered)
-        counts = seen if self.skip_unseen else np.maximum(seen, 1)
-        for group in solver_groups(counts, switches.degree):
+        for group in solver_groups(self.counts, switches.degree):
             samples = Samples(
                 self.views, self.lighting, Surface.of(self.texels, group.selection), self.found,
-                switches.occluded, self.channels, self.light_channels,
+                self.occluded, self.channels, self.light_channels, self.masking,
             )  # fmt: skip
             yield (
                 group,
@@ -213,7 +274,7 @@ class _Job:
                     samples.at,
                     self.found.count,
                     degree=switches.degree,
-                    channels=self.channels + self.light_channels,
+                    channels=self.channels + self.factors * self.light_channels,
                     regularizer=switches.regularizer,
                     penalize_constant=switches.penalize_constant,
                     method=group.method,

@@ -48,7 +48,8 @@ class Forecast(ABC):
         return self.responses.count
 
     def now(self, views: np.ndarray) -> np.ndarray:
-        """Return E[H] (T,) of photographs from some views; 1 for a texel none of them sees."""
+        """Return E[H] (T,) of photographs from some views; where none of them sees a texel, H of
+        the prior."""
         seen = self.seen[views].any(axis=0)
         result = np.full(self.count, self.measure.unseen, np.float32)
         if seen.any():
@@ -72,6 +73,11 @@ class Forecast(ABC):
             return np.empty((len(candidates), len(texels)), np.float32)
         found = self._evaluate(views, candidates, texels)
         return np.where(self.seen[np.ix_(candidates, texels)], found, np.nan)
+
+    @property
+    def lasting(self) -> bool:
+        """Whether E[H] of a texel stays when a view is added that does not see it."""
+        return True
 
     @abstractmethod
     def _evaluate(

@@ -14,24 +14,26 @@ from svu_mi.guidance import angular, spectral
 from svu_mi.guidance.angular import AngularForecast
 from svu_mi.guidance.colors import Colors, prior_tables
 from svu_mi.guidance.forecast import Forecast, numbers
+from svu_mi.guidance.growing import GrowingForecast
 from svu_mi.guidance.hypotheses import Hypotheses
 from svu_mi.guidance.measures import Entropy
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.responses import Respond, Responses, collect
 from svu_mi.guidance.spectral import SpectrumForecast
 from svu_mi.interop import owned
+from svu_mi.light.lighting import band_limit
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, AnyPreset, Preset
 from svu_mi.pipeline import Estimate, observed_of
-from svu_mi.posterior import CalibratedPosterior, ParameterGrid, PrincipledGrid
+from svu_mi.posterior import CalibratedPosterior, ParameterGrid, Posterior, PrincipledGrid
 from svu_mi.posterior.angular import AngularPosterior
 from svu_mi.posterior.nodes import cell_edges, cell_widths
 from svu_mi.posterior.spectrum import SpectrumPosterior
-from svu_mi.posterior.streaming import entropy_of
 from svu_mi.visibility import Surface, Views
 
 Look = Callable[[Surface, Respond, int], Responses]
-Draw = Callable[[np.ndarray], Hypotheses]
+Draw = Callable[[np.ndarray, np.ndarray], Hypotheses]
+"""Probabilities (t, N) of texels and prior (N,) -> truths."""
 
 
 def forecast_of(
@@ -49,6 +51,7 @@ def forecast_of(
         OptionError: an estimate that was not made from a capture, or is over parameters that
             do not say what photographs would show.
     """
+    refuse_growing(estimate.method, options)
     observed = observed_of(estimate, None)
     # A texel draws the same, whichever others are looked at.
     starts = np.random.default_rng(options.seed).random(observed.texels.count)[texels]
@@ -56,11 +59,14 @@ def forecast_of(
     def look(surface: Surface, respond: Respond, columns: int) -> Responses:
         return collect(surface, (observed.views, observed.found), candidates, respond, columns)
 
-    def draw(weights: np.ndarray) -> Hypotheses:
-        return Hypotheses.draw(weights, options.hypotheses, starts)
+    def draw(weights: np.ndarray, prior: np.ndarray) -> Hypotheses:
+        return Hypotheses.draw(weights, options.hypotheses, starts, int((prior > 0).sum()))
 
     if isinstance(estimate.posterior, SpectrumPosterior):
-        return _spectrum(estimate.posterior, estimate.preset, observed, texels, look, draw)
+        known = _spectrum(estimate.posterior, estimate.preset, observed, texels, look, draw)
+        if options.band_limit == "photographs":
+            return known
+        return _growing(known, estimate.posterior, observed, texels, look)
     assert isinstance(estimate.posterior, CalibratedPosterior | AngularPosterior)
     return _angular(estimate.posterior, estimate.preset, observed, texels, look, draw)
 
@@ -70,14 +76,19 @@ def _angular(
     texels: np.ndarray, look: Look, draw: Draw,
 ) -> AngularForecast:  # fmt: skip
     """With the energies of the estimate."""
-    grid, averaged = posterior.grid, isinstance(posterior, AngularPosterior)
+    grid, by_nodes = posterior.grid, isinstance(posterior, AngularPosterior)
     if not isinstance(grid, PrincipledGrid):
         raise OptionError(
             "next_best_view(): an angular estimate of (roughness, Ks) says nothing of what "
             "photographs would show; use parameters='principled', as the default preset does."
         )
     assert isinstance(switches, AngularPreset)
-    if averaged:
+    if switches.fit is not None:
+        raise OptionError(
+            f"next_best_view(): the SH model (preset {switches.name!r}) knows light only where "
+            "photographs are; use method='spectrum', preset='paper' for Eq. 13, or another preset."
+        )
+    if by_nodes:
         _require(switches, noise=("estimated", "fixed", "relative", "heteroscedastic"),
                  channels=("grey",))  # fmt: skip
     channels = posterior.problem.factors.channels
@@ -90,20 +101,21 @@ def _angular(
     )  # fmt: skip
     edges = cell_edges(grid.base_color_nodes)
     usual = cell_widths(edges)
-    if averaged:  # a prior of nodes, of which none is more likely
+    if by_nodes:  # a prior of nodes, of which none is more likely
         usual = np.full(len(usual), 1 / len(usual))
     prior, given = prior_tables(posterior.prior, usual)
-    nodes = grid.base_color_nodes if averaged else None
+    nodes = grid.base_color_nodes if by_nodes else None
     colors = Colors(edges, posterior.problem.copies, given, nodes)
     p = np.array(posterior.probabilities_of(texels))
     p = p.reshape(len(p), dr.width(prior), len(usual), -1)[..., :channels]
+    rows = p[..., 0].sum(axis=2, dtype=np.float64)
     variance = _variance(posterior, switches, observed.unit)[texels]
     return AngularForecast(
-        responses=responses, hypotheses=draw(p[..., 0].sum(axis=2, dtype=np.float64)),
-        grid=grid, prior=prior, measure=Entropy(max(entropy_of(posterior.prior), 1e-6)),
+        responses=responses, hypotheses=draw(rows, posterior.prior.sum(axis=2).ravel()),
+        grid=grid, prior=prior, measure=_entropy(posterior),
         truths=owned(mi.Float, colors.truths(p).ravel()), channels=channels,
         precision=owned(mi.Float, 0.5 / variance), kappa=switches.kappa(observed.unit),
-        averaged=averaged, colors=colors,
+        averaged=by_nodes and switches.errors == "mean", colors=colors,
     )  # fmt: skip
 
 
@@ -136,11 +148,59 @@ def _spectrum(
     p = np.array(posterior.probabilities_of(texels))
     return SpectrumForecast(
         responses=look(surface, respond, spectral.columns(switches)),
-        hypotheses=draw(p.reshape(len(p), -1)), grid=grid,
+        hypotheses=draw(p.reshape(len(p), -1), posterior.prior.ravel()), grid=grid,
         prior=_energies(posterior.problem.prior),
-        measure=Entropy(float(np.log(np.prod(grid.shape)))), switches=switches,
+        measure=_entropy(posterior), switches=switches,
         sigma=float(posterior.problem.sigma[0]), prefilter=observed.lighting.prefilter,
     )  # fmt: skip
+
+
+def _growing(
+    known: SpectrumForecast, posterior: SpectrumPosterior, observed: Observed, texels: np.ndarray,
+    look: Look,
+) -> GrowingForecast:  # fmt: skip
+    """In the light of one view more, with truths that the photographs make likely in it."""
+    switches, environment = known.switches, observed.lighting.environment
+    surface = Surface.of(observed.texels, numbers(texels))
+
+    def relight(views: int) -> tuple[Responses, float]:
+        lighting = band_limit(environment, views)
+        respond = spectral.respond(observed.views.scene, surface, lighting, switches)
+        return look(surface, respond, spectral.columns(switches)), lighting.prefilter
+
+    problem, seen = posterior.problem, posterior.observed[texels]
+    (channels,) = problem.groups
+    shown = problem.outgoing.numpy().reshape(posterior.count, problem.degree + 1, -1)
+    cells = np.broadcast_to(posterior.prior.ravel(), (len(texels), posterior.prior.size))
+    return GrowingForecast(
+        responses=known.responses, hypotheses=Hypotheses.of(cells), grid=known.grid,
+        prior=known.prior, measure=known.measure, switches=switches, sigma=known.sigma,
+        prefilter=known.prefilter, relight=relight, observed=owned(mi.Bool, seen),
+        photographs=owned(mi.Float, shown[texels][:, :, list(channels)].ravel()),
+    )  # fmt: skip
+
+
+def refuse_growing(method: str, options: GuidanceOptions) -> None:
+    """Refuse a band limit that grows where there is none.
+
+    Raises:
+        OptionError: the estimate is by another method than power spectra.
+    """
+    if options.band_limit == "growing" and method != "spectrum":
+        raise OptionError(
+            "next_best_view(): band_limit='growing' is about power spectra (Eq. 13); use "
+            "method='spectrum' over (roughness, Ks), such as preset='paper', or leave it out."
+        )
+
+
+def _entropy(posterior: Posterior) -> Entropy:
+    """In the units of the posterior's own.
+
+    What is known of a parameter is the same to it as a prior that leaves one node of it: nats are
+    the same, of which log n is larger where excluded cells count, so that the same views are
+    proposed.
+    """
+    return Entropy(max(posterior.most, 1e-6), posterior.prior_entropy)
 
 
 def _require(switches: AnyPreset, **allowed: tuple[str, ...]) -> None:

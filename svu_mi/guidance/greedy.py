@@ -8,11 +8,12 @@ from svu_mi.guidance.forecast import Forecast
 
 
 class Greedy:
-    """Lowest expected entropy (Eq. 13), summed over texels, of which unseen ones count as 1.
+    """Lowest expected entropy (Eq. 13), summed over texels; unseen ones have that of the prior.
 
     A candidate's E[H] of a texel changes only when a view is added that sees the texel, too: only
-    these are computed again. With ``lazy``, only while the candidate's last gain, which is taken
-    for a bound, is above the best. Candidates out of reach are never computed.
+    these are computed again; or all of them, if the forecast is not ``lasting``. With ``lazy``,
+    only while the candidate's last gain, which is taken for a bound, is above the best. Candidates
+    out of reach are never computed.
 
     Attributes:
         forecast: of the texels.
@@ -63,11 +64,18 @@ class Greedy:
         return np.where(self._sees[candidate], self.entropy - self._expected[candidate], 0.0)
 
     def choose(self, candidate: int) -> None:
-        """Take a candidate as photographed: E[H] with it is E[H] from now on."""
+        """Take a candidate as photographed: E[H] with it is E[H] from now on.
+
+        Unless the forecast is not ``lasting``: then all is computed anew.
+        """
         self.entropy = self.entropy - self.texel_gains(candidate)
         self._views = np.append(self._views, self.photographs + candidate)
         self._free[candidate] = False
-        self._stale |= self._sees & self._sees[candidate]
+        if self.forecast.lasting:
+            self._stale |= self._sees & self._sees[candidate]
+        else:
+            self._stale = self._sees.copy()
+            self.entropy = self.forecast.now(self._views).astype(np.float64)
 
     def _evaluate(self, candidates: np.ndarray) -> None:
         """Bring candidates up to date."""

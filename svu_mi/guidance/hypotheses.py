@@ -44,16 +44,19 @@ class Hypotheses:
         return dr.opaque(mi.UInt32, dr.width(self.counts))
 
     @staticmethod
-    def draw(probabilities: np.ndarray, most: int, starts: np.ndarray) -> Hypotheses:
+    def draw(
+        probabilities: np.ndarray, most: int, starts: np.ndarray, possible: int | None = None
+    ) -> Hypotheses:
         """Draw cells.
 
         Args:
             probabilities: (T, N) of the posterior.
-            most: K; if it is N or more, every cell of positive probability is taken.
+            most: K; if there are no more cells, every one of positive probability is taken.
             starts: (T,) random numbers in [0, 1).
+            possible: how many cells the prior does not exclude; all N by default.
         """
         total = probabilities.sum(axis=1, keepdims=True, dtype=np.float64)
-        if most >= probabilities.shape[1]:
+        if most >= (probabilities.shape[1] if possible is None else possible):
             weights = probabilities / total
         else:
             weights = _drawn(np.cumsum(probabilities / total, axis=1), most, starts)
@@ -79,5 +82,5 @@ def _drawn(cumulative: np.ndarray, most: int, starts: np.ndarray) -> np.ndarray:
     """Return (T, N) shares k / K of cells drawn at equal steps of probability."""
     # How many of the points (i + start) / K lie below the end of every cell.
     below = np.clip(np.ceil(cumulative * most - starts[:, None]), 0, most)
-    below[:, -1] = most
+    below[cumulative >= cumulative[:, -1:]] = most  # the last cell that is possible, and others
     return np.diff(below, axis=1, prepend=0) / most

@@ -62,11 +62,13 @@ class Entropy:
     """Normalised entropy of Eq. 5, by the chain rule: that of rows, and of colours given these.
 
     Attributes:
-        most: that of the prior, nats; log n for n cells of which none is more likely.
+        most: nats that it is a part of, those of the posterior's entropy: log n for n cells, or
+            the prior's own (``Posterior.most``).
+        unseen: that of the prior, in these units.
     """
 
     most: float
-    unseen = 1.0
+    unseen: float = 1.0
 
     def start(self) -> list[Any]:
         """Z, and the sum of w (H - log w) over rows of weight w."""

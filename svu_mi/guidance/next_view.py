@@ -17,6 +17,7 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
 from svu_mi.guidance.candidates import Candidates
+from svu_mi.guidance.forecaster import refuse_growing
 from svu_mi.guidance.greedy import Greedy
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.prospect import Prospect
@@ -96,6 +97,7 @@ def next_best_view(
 
 
 def _strategy(options: GuidanceOptions, estimate: Estimate) -> Strategy:
+    refuse_growing(estimate.method, options)
     strategy = TABLE[options.strategy]
     if strategy.method not in (None, estimate.method):
         raise OptionError(

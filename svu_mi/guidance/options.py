@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
+from svu_mi.errors import OptionError
 from svu_mi.guidance.strategies import Name
 from svu_mi.settings import require, require_one_of, require_types
+
+BandLimit = Literal["photographs", "growing"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +31,14 @@ class GuidanceOptions:
     """Most psi of Eq. 13 per texel, drawn from its posterior: cells of roughness and metallic, of
     the colour that the photographs then give; if there are no more cells, the sum is over all."""
 
+    band_limit: BandLimit = "photographs"
+    """Of the light that candidates of a ``method="spectrum"`` estimate are judged in.
+    ``photographs``: that of the estimate, alpha' = v^(-1/2) for v photographs, whatever is added,
+    and truths as likely as the estimate has them. ``growing``: Eq. 13 as printed; the light of
+    v' views and a candidate has alpha' = (v' + 1)^(-1/2), it is sharper with every view chosen,
+    and truths are as likely as the photographs make them in that light: a sum over all cells,
+    whatever ``hypotheses`` is. A gain then compares both numbers of views in the same light."""
+
     lazy: bool = False
     """Evaluate candidates again only while their last gain is above the best: right if a gain never
     grows when another view is added, which is the rule but no law."""
@@ -37,6 +49,12 @@ class GuidanceOptions:
     def __post_init__(self) -> None:
         require_types(self)
         require_one_of(self, "strategy", Name)
+        require_one_of(self, "band_limit", BandLimit)
+        if self.lazy and self.band_limit == "growing":
+            raise OptionError(
+                "GuidanceOptions: lazy takes gains for bounds, but with band_limit='growing' the "
+                "light of every step is another; leave one of them out."
+            )
         require(self, self.texels >= 1, "texels", "at least 1")
         require(self, 1 <= self.hypotheses <= 4096, "hypotheses", "in [1, 4096]")
         require(self, 0 <= self.seed < 2**32, "seed", "in [0, 2^32)")

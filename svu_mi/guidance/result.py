@@ -57,7 +57,7 @@ class Guidance:
             strategy (mean change of E[H], if by entropy); NaN where not reachable. With
             ``lazy``, an upper bound for candidates that were not looked at.
         entropy: of the photographs so far, as ``estimate`` has it: mean over all texels, of which
-            unseen ones count as 1.
+            unseen ones count as H of the prior (``Posterior.prior_entropy``).
         texels: the T texels.
         options: how candidates were judged.
         method: of the estimate.

@@ -11,6 +11,7 @@ Only S_L' depends on the views, and a candidate's is a rank-1 change of the fit 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +33,11 @@ from svu_mi.visibility import Surface
 from svu_mi.visibility.observe import Observation, mirror_direction
 from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import mirror_free
+
+NEGLIGIBLE = 1e-9  # probability of a truth that nothing depends on
+
+Keep = Callable[[list[list[Any]]], list[Any]]
+"""A spectrum by degree and channel -> what is kept of it."""
 
 
 def columns(switches: Preset) -> int:
@@ -89,36 +95,53 @@ class SpectrumForecast(Forecast):
         return result.reshape(sees.shape)
 
     def _powers(self, views: np.ndarray, candidates: np.ndarray | None, lane: Any) -> Any:
-        """sum over channels of S_L'(l)^2 / (2 sigma^2), (A, l*, L) Float64.
+        """What ``_kept`` keeps of candidates' spectra, (A, K, L) Float64.
 
-        Without candidates, (1, l*, L) of the views alone.
+        Without candidates, (1, K, L) of the views alone.
         """
         asked = np.empty(0, np.int64) if candidates is None else candidates
-        rows, degree = self.responses.at(lane), self.switches.degree
+        rows = self.responses.at(lane)
         size = dr.width(lane)
         stride, place = dr.opaque(mi.UInt32, size), dr.arange(mi.UInt32, size)
-        scale = dr.opaque(mi.Float64, 0.5 / self.sigma**2)
-        result = dr.zeros(mi.Float64, max(len(asked), 1) * degree * size)
+        kept, keep = self._kept(lane)
+        result = dr.zeros(mi.Float64, max(len(asked), 1) * kept * size)
         dr.eval(result)
 
         def write(j: Any, power: list[list[Any]]) -> None:
-            for l in range(degree):
-                value = scale * sum(S * S for S in power[l + 1])
-                index = (j * degree + l) * stride + place
+            for k, value in enumerate(keep(power)):
+                index = (j * kept + k) * stride + place
                 dr.scatter(result, value, index, True, dr.ReduceMode.NoConflicts)
 
         known = extend_lanes(
             _samples(rows, views), dr.opaque(mi.UInt32, len(views)),
             _samples(rows, asked), dr.opaque(mi.UInt32, len(asked)), write,
-            degree=degree, channels=self.switches.colors, regularizer=self.switches.regularizer,
+            degree=self.switches.degree, channels=self.switches.colors,
+            regularizer=self.switches.regularizer,
             penalize_constant=self.switches.penalize_constant,
         )  # fmt: skip
         if len(asked):
             dr.eval(result)
             return result
-        values = [scale * sum(S * S for S in row) for row in known[1:]]
+        values = keep(known)
         dr.eval(values)
         return owned(mi.Float64, np.concatenate([value.numpy() for value in values]))
+
+    def _kept(self, lane: Any) -> tuple[int, Keep]:
+        """Return K, and what picks K Float64 of a spectrum, by degree and channel, of texels.
+
+        Here sum over channels of S_L'(l)^2 / (2 sigma^2), l = 1 ... l*.
+        """
+        del lane
+        scale = dr.opaque(mi.Float64, 0.5 / self.sigma**2)
+
+        def keep(power: list[list[Any]]) -> list[Any]:
+            return [scale * sum(S * S for S in row) for row in power[1:]]
+
+        return self.switches.degree, keep
+
+    def _cells(self, texel: Any, kept: list[Any]) -> Cells:
+        """Return the cells of the lanes of a launch, from what was kept of their light."""
+        return Cells(self, texel, kept)
 
     def _entropies(self, powers: Any, lane: Any, pairs: Any) -> np.ndarray:
         """E[H] of pairs, numbered candidate * L + texel."""
@@ -126,12 +149,12 @@ class SpectrumForecast(Forecast):
         candidate = pairs // size
         place = pairs - candidate * size
         texel = dr.gather(mi.UInt32, lane, place)
-        degree = self.switches.degree
-        light = [
-            dr.gather(mi.Float64, powers, (candidate * degree + l) * size + place)
-            for l in range(degree)
+        count, _ = self._kept(lane)
+        kept = [
+            dr.gather(mi.Float64, powers, (candidate * count + k) * size + place)
+            for k in range(count)
         ]
-        H = _average(_Cells(self, texel, light), dr.opaque(mi.UInt32, self.grid.shape[0]))
+        H = _average(self._cells(texel, kept), dr.opaque(mi.UInt32, self.grid.shape[0]))
         dr.eval(H)
         return H.numpy()
 
@@ -148,12 +171,12 @@ def _samples(rows: Responses, views: np.ndarray) -> Any:
     return sample
 
 
-class _Cells:
+class Cells:
     """Distances of Eq. 11 between cells, for the light of each lane."""
 
     def __init__(self, forecast: SpectrumForecast, texel: Any, light: list[Any]) -> None:
         grid, switches = forecast.grid, forecast.switches
-        self._hypotheses, self._texel = forecast.hypotheses, texel
+        self._truths, self._texel = forecast.hypotheses, texel
         self.measure = forecast.measure
         self.hypotheses = dr.gather(mi.UInt32, forecast.hypotheses.counts, texel)
         self._light, self._prior = light, forecast.prior
@@ -163,13 +186,9 @@ class _Cells:
 
     def truth(self, number: Any) -> tuple[Any, list[Any], Any]:
         """Probability of a hypothesis, its Ks_0^2 e_l, and its -log prior."""
-        cell, weight = self._hypotheses.at(number, self._texel)
-        count = len(self._squares)
-        square = dr.gather(mi.Float64, self._nodes, cell % count)
-        prior = mi.Float64(0)
-        if self._prior is not None:
-            prior = mi.Float64(dr.gather(mi.Float, self._prior, cell))
-        return weight, [square * e for e in self._falloff(cell // count)], prior
+        cell, weight = self._truths.at(number, self._texel)
+        square, fall = self._cell(cell)
+        return weight, [square * e for e in fall], self._prior_of(cell)
 
     def energies(self, level: Any, truth: list[Any], prior: Any) -> list[Any]:
         """d / (2 sigma^2) - log prior of the cells of a roughness, less the truth's: Float."""
@@ -184,23 +203,35 @@ class _Cells:
             found.append(mi.Float(dr.clip(x, -FAR, FAR)))
         return found
 
+    def _cell(self, cell: Any) -> tuple[Any, list[Any]]:
+        """Ks^2 and e_l of a cell."""
+        count = len(self._squares)
+        return dr.gather(mi.Float64, self._nodes, cell % count), self._falloff(cell // count)
+
+    def _prior_of(self, cell: Any) -> Any:
+        """-log prior of a cell, Float64."""
+        if self._prior is None:
+            return mi.Float64(0)
+        return mi.Float64(dr.gather(mi.Float, self._prior, cell))
+
     def _falloff(self, level: Any) -> list[Any]:
         q = dr.gather(mi.Float64, self._decay, level)
         return falloff(q, mi.Float64(1), len(self._light))
 
 
 @dr.syntax
-def _average(cells: _Cells, levels: Any) -> Any:
+def _average(cells: Cells, levels: Any) -> Any:
     """sum over psi_0 of p(psi_0) H."""
     total = mi.Float(0)
     h = mi.UInt32(0)
     while h < cells.hypotheses:
         weight, truth, prior = cells.truth(h)
-        sums = cells.measure.start()
-        level = mi.UInt32(0)
-        while level < levels:
-            sums = cells.measure.add(sums, row_of(cells.energies(level, truth, prior)), ())
-            level += 1
-        total += weight * cells.measure.value(sums)
+        if weight > NEGLIGIBLE:
+            sums = cells.measure.start()
+            level = mi.UInt32(0)
+            while level < levels:
+                sums = cells.measure.add(sums, row_of(cells.energies(level, truth, prior)), ())
+                level += 1
+            total += weight * cells.measure.value(sums)
         h += 1
     return total

@@ -140,7 +140,7 @@ def _reach(profile: Profile, rows: int) -> int:
     """Rows to either side of a node that its lobe covers."""
     angle = np.pi * np.arange(rows) / (rows - 1)
     weight = profile(np.cos(angle))
-    above = np.flatnonzero(weight > NEGLIGIBLE * weight[0])
+    above = np.flatnonzero(np.abs(weight) > NEGLIGIBLE * weight[0])
     return int(above[-1]) + 1
 
 

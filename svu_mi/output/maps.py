@@ -20,9 +20,10 @@ GUTTER = 4  # texels; enough for bilinear lookups down to a quarter of the resol
 def write_maps(estimate: Any, folder: str | Path, *, gutter: int = GUTTER) -> None:
     """Write ``entropy.exr`` and ``coverage.exr``, both with the one float32 channel Y.
 
-    Entropy is in [0, 1] and exactly 1 in texels nobody saw; coverage is the number of views
-    that see a texel. Outside the charts they are 1 and 0, but for a gutter that repeats the
-    border of the charts in both: wherever coverage is 0, entropy is 1.
+    Entropy is in [0, 1]; coverage is the number of views that see a texel. Texels nobody saw
+    have the entropy of the prior, exactly 1 without one of one's own: that they are unseen is
+    what coverage 0 says. Outside the charts entropy is 1 and coverage 0, but for a gutter that
+    repeats the border of the charts in both.
 
     Args:
         estimate: the ``Estimate``.

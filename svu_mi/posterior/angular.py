@@ -44,6 +44,11 @@ class AngularPosterior(Posterior):
         """3 when each colour channel has its own base colour or Ks, else 1."""
         return self.problem.factors.channels * self.problem.copies
 
+    @property
+    def prior(self) -> np.ndarray:
+        """Prior probability of every cell, (R, M, K) or (R, S) float64; of each channel."""
+        return streaming.prior_of(self.problem.prior, self.grid.shape)
+
     def _entropy_of_all(self) -> Any:
         everywhere = dr.full(mi.Float, 1, self.count)
         dr.eval(everywhere)
@@ -90,10 +95,10 @@ def angular_posterior(
 ) -> AngularPosterior:
     """Compare photographs with what every cell of a grid predicts for them.
 
-        p ~ exp(-d / (2 sigma^2)) prior,    d = 1/n sum_i w_i (b_i - r_i(psi))^2
+        p ~ exp(-d / (2 sigma^2)) prior,    d = 1/n sum_i w_i (b_i - r_i(psi))^2   (Eq. 3, 4)
 
     The *mean* squared error: the model's own error is the same from many views as from few,
-    and must not be averaged away.
+    and must not be averaged away. With ``errors="sum"``, as printed, there is no 1/n.
 
     Args:
         statistics: of S texels, or their factors; the levels are the grid's roughness.
@@ -148,6 +153,7 @@ def angular_posterior(
         rows=streaming.possible_rows(tables, int(np.prod(grid.shape[:-1]))),
         total=int(np.prod(grid.shape)),
         sigma=dr.opaque(mi.Float, sigma),
+        averaged=switches.errors == "mean",
         power=owned(mi.Float, power) if switches.noise == "marginal" else None,
         metallic=grid.metallic_nodes if isinstance(grid, PrincipledGrid) else None,
         cells=cells,

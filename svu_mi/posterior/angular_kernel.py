@@ -33,6 +33,7 @@ class Problem:
         rows: UInt32, rows of the grid that the prior does not exclude.
         total: number of cells of the grid.
         sigma: Float, opaque: standard deviation of a texel's error, in radiance.
+        averaged: whether d is the mean over views of their squared errors, or the sum.
         power: (S,) Float nu / 2 of d^(-nu/2), or None for exp(-d / (2 sigma^2)); sigma^2 is
             then the floor that is added to d.
         metallic: (M,) nodes, or None for a grid of Ks.
@@ -46,6 +47,7 @@ class Problem:
     rows: Any
     total: int
     sigma: Any
+    averaged: bool
     power: Any | None
     metallic: np.ndarray | None
     cells: np.ndarray
@@ -73,9 +75,10 @@ def tables(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def _row_energies(problem: Problem, lane: Any) -> streaming.RowEnergies:
     factors = problem.factors
     reader = factors.at(lane)
-    # The mean over views: errors are per unit of weight, and weights are at most 1.
-    views = dr.maximum(dr.gather(mi.UInt32, factors.views, lane), 1)
-    scale = dr.sqrt(reader.weight() / (2 * mi.Float(views))) / problem.sigma
+    square = reader.weight() / 2  # errors are per unit of weight
+    if problem.averaged:  # over views, whose weights are at most 1
+        square /= mi.Float(dr.maximum(dr.gather(mi.UInt32, factors.views, lane), 1))
+    scale = dr.sqrt(square) / problem.sigma
     power = None if problem.power is None else dr.gather(mi.Float, problem.power, lane)
     # Squares may leave single precision where their roots do not: 0 times infinity is NaN.
     least = [

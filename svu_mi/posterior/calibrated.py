@@ -77,12 +77,21 @@ class CalibratedPosterior(Posterior):
         """Prior probability of every cell, (R, M, K) float64."""
         return prior_masses(self.problem)
 
+    @property
+    def most(self) -> float:
+        """Nats that entropies are a part of: those of the prior, the mean over channels."""
+        tables = prior_tables(self.problem)
+        return float(np.mean([streaming.entropy_of(p) for p in np.moveaxis(tables, -1, 0)]))
+
+    @property
+    def prior_entropy(self) -> float:
+        """Normalised entropy of a texel nobody saw: 1, that of the prior in units of itself."""
+        return 1.0
+
     def _entropy_of_all(self) -> Any:
         everywhere = dr.full(mi.Float, 1, self.count)
         dr.eval(everywhere)
-        tables = prior_tables(self.problem)
-        most = np.mean([streaming.entropy_of(tables[..., k]) for k in range(tables.shape[-1])])
-        if most > 0:
+        if (most := self.most) > 0:
             # Opaque: as a literal, every prior would compile a kernel of its own.
             usual = dr.opaque(mi.Float, most)
             relative = dr.clip(self._summary_of_lanes.entropy / usual, 0, 1)

@@ -20,6 +20,7 @@ from svu_mi.posterior.cells import draw_cells, marginals_of
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.intervals import shortest
 from svu_mi.posterior.nodes import cell_edges, cells_of
+from svu_mi.posterior.streaming import entropy_of
 from svu_mi.statistics.blocks import in_blocks
 
 CHUNK = 1 << 22  # cells per pass of everything that is not the entropy
@@ -33,7 +34,7 @@ class Posterior(ABC):
     Attributes:
         grid: the parameter grid; its ``axes`` name the parameters, in the order of the axes of
             ``probabilities``.
-        observed: (T,) bool; a texel nobody saw has the prior for its posterior, and entropy 1.
+        observed: (T,) bool; a texel nobody saw has the prior for its posterior.
     """
 
     grid: Grid
@@ -56,8 +57,23 @@ class Posterior(ABC):
 
     @property
     def prior(self) -> np.ndarray:
-        """Probability of every cell where nobody looked: float64 of the grid's shape."""
+        """Probability of every cell where nobody looked: float64 of the grid's shape, of sum 1."""
         return np.full(self.grid.shape, 1 / np.prod(self.grid.shape))
+
+    @property
+    def most(self) -> float:
+        """Nats that entropies are a part of: log n, of the n cells of the grid (Eq. 5)."""
+        return float(np.log(np.prod(self.grid.shape)))
+
+    @property
+    def prior_entropy(self) -> float:
+        """Normalised entropy of a texel nobody saw, in [0, 1]: that of the prior (Eq. 5).
+
+        1 without weights of one's own, or if all are equal. The part of log n otherwise: a prior
+        that leaves k of n cells, all as likely, says log k / log n. Always 1 where entropies are
+        parts of the prior's.
+        """
+        return min(entropy_of(self.prior) / self.most, 1.0)
 
     @abstractmethod
     def _entropy_of_all(self) -> Any:
@@ -77,8 +93,9 @@ class Posterior(ABC):
     def entropy(self) -> Any:
         """Return H = -1/log(n) sum p log p, (T,) TensorXf in [0, 1] (Eq. 5).
 
-        n is the number of cells of the grid. A calibrated posterior has the prior's entropy in
-        place of log(n), of which more is cut off: 1 says that photographs add nothing. When each
+        n is the number of cells of the grid, also of those that a prior excludes; a texel nobody
+        saw has ``prior_entropy``. A calibrated posterior has the prior's entropy in place of
+        log(n), of which more is cut off: 1 says that photographs add nothing. When each
         channel has a distribution of its own, the mean of their entropies. Computed in one kernel,
         without the probabilities.
         """
@@ -88,7 +105,9 @@ class Posterior(ABC):
     def _entropy(self) -> Any:
         if self.count == 0:
             return mi.Float()
-        value = dr.select(owned(mi.Bool, self.observed), self._entropy_of_all(), 1)
+        # Opaque: as a literal, every prior would compile a kernel of its own.
+        unseen = dr.opaque(mi.Float, self.prior_entropy)
+        value = dr.select(owned(mi.Bool, self.observed), self._entropy_of_all(), unseen)
         dr.eval(value)
         return value
 
@@ -161,7 +180,9 @@ class Posterior(ABC):
     def map(self, chosen: Any | None = None) -> dict[str, Any]:
         """Return the most probable cell by parameter: (T,), or (T, 3) per channel.
 
-        A texel nobody saw gets the middle of the grid.
+        A texel nobody saw gets the most probable cell of the prior; of several that are as
+        likely none is better, and it gets the middle of the grid, or that of them which is
+        nearest to the middle if the prior excludes that.
 
         Args:
             chosen: (t,) indices of texels; all by default.
@@ -191,7 +212,7 @@ class Posterior(ABC):
             for axis, marginal in enumerate(marginals.values(), 1):
                 others = tuple(k for k in range(1, len(axes) + 1) if k != axis)
                 marginal[span][seen] = p.sum(axis=others)[seen]
-        best[~observed] = np.array(self.grid.shape)[:, None] // 2
+        best[~observed] = _best_of_prior(self.prior)[:, None]
         values: dict[str, Any] = {
             name: nodes[best[:, k]] for k, (name, nodes) in enumerate(axes.items())
         }
@@ -375,6 +396,16 @@ class Posterior(ABC):
         if name not in self.axes:
             known = " or ".join(self.axes)
             raise OptionError(f"Posterior: there is no parameter {name!r}; use {known}.")
+
+
+def _best_of_prior(prior: np.ndarray) -> np.ndarray:
+    """Return the index (axes,) of the cell that stands for a prior; see ``Posterior.map``."""
+    middle = np.array(prior.shape) // 2
+    # The tables that a prior is kept in are rounded, some in single precision.
+    likely = np.argwhere(prior >= (1 - 1e-5) * prior.max())
+    if len(likely) > 1 and prior[tuple(middle)] > 0:
+        return middle
+    return np.asarray(likely[((likely - middle) ** 2).sum(axis=1).argmin()])
 
 
 def _tensor(values: np.ndarray) -> Any:

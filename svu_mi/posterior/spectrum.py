@@ -40,6 +40,11 @@ class SpectrumPosterior(Posterior):
         """Number of Ks per texel: 3 when each colour channel has its own, else 1."""
         return len(self.problem.groups)
 
+    @property
+    def prior(self) -> np.ndarray:
+        """Prior probability of every cell, (R, S) or (R, M, K) float64; of each channel."""
+        return streaming.prior_of(self.problem.prior, self.grid.shape)
+
     def _entropy_of_all(self) -> Any:
         return kernel.entropy(self.problem, self.count)
 

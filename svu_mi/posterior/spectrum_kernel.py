@@ -98,7 +98,7 @@ class Problem:
 
 
 def entropy(problem: Problem, count: int) -> Any:
-    """Return the normalised entropy (T,) of Eq. 5, before unseen texels are set to 1."""
+    """Return the normalised entropy (T,) of Eq. 5, as if all texels were seen."""
     energies = _row_energies(problem, dr.arange(mi.UInt32, count))
     return streaming.entropy(energies, count, problem.rows, problem.total)
 

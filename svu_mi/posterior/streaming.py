@@ -224,6 +224,21 @@ def log_prior(
         )
 
 
+def prior_of(tables: tuple[Any, Any] | None, shape: tuple[int, ...]) -> np.ndarray:
+    """Return the prior probability of every cell, float64 of the grid's shape and of sum 1.
+
+    Args:
+        tables: -log prior of a row, and of a cell given its row, as ``log_prior`` returns them,
+            or the same as Dr.Jit arrays; None is uniform.
+        shape: of the grid.
+    """
+    if tables is None:
+        return np.full(shape, 1 / np.prod(shape))
+    of_row, of_cell = (np.array(table, np.float64) for table in tables)
+    p = np.exp(-of_row)[:, None] * np.exp(-of_cell.reshape(len(of_row), -1))
+    return np.asarray(p / p.sum()).reshape(shape)
+
+
 def node(kind: Any, nodes: np.ndarray, index: Any) -> Any:
     """Return one of evenly spaced nodes as ``kind``, Float or Float64; index UInt32."""
     if len(nodes) == 1:  # known: read, so that another value needs no kernel of its own

@@ -22,7 +22,7 @@ import numpy as np
 from svu_mi.errors import OptionError, OutputError
 from svu_mi.files import replacing
 
-FORMAT = 2  # raised whenever a resumed run would go on otherwise than the one that saved
+FORMAT = 3  # raised whenever a resumed run would go on otherwise than the one that saved
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -42,7 +42,7 @@ def fingerprint(
         "light": _checksum((light.radiance, light.to_local, light.disk_radiance)),
         "texels": _checksum((texels.index, texels.position, texels.normal)),
         "start": None if start is None else _checksum(tensor for _, tensor in start.items()),
-        "seeds": _checksum((sharing.weights, sharing.seeds))
+        "seeds": _checksum((sharing.weights, sharing.seeds, [sharing.anchored]))
         if isinstance(sharing, GlobalSharing) else None,
         "posterior": None if posterior is None else _checksum(
             (posterior.prior, *posterior.axes.values(), getattr(posterior, "noise", np.empty(0)),

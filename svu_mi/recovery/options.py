@@ -15,6 +15,7 @@ from svu_mi.settings import require, require_one_of, require_types
 
 ShLoss = Literal["statistics", "angular", "coefficients", "spectrum"]
 PathLoss = Literal["l1", "l2", "relative"]
+TvSpace = Literal["surface", "texture"]
 Method = Literal["sh", "path", "sh+path"]
 
 
@@ -72,7 +73,6 @@ class ShOptions:
         loss: ``statistics``: what photographs say by the calibrated posterior, which costs the same
             for any number of them; or, as in the paper, ``angular``: mean absolute error over
             all samples; ``coefficients`` and ``spectrum``: those of SH expansions.
-        levels: roughness levels that the light is filtered for (``angular``).
         closed_form: start from the mean of every texel's posterior, smoothed, instead of 0.5
             everywhere (``statistics``).
         smoothing: how to descend where this start is smoothed; with ``tv`` 0 it is not.
@@ -80,21 +80,26 @@ class ShOptions:
             an absolute one (``statistics``).
         tv: weight of total variation; with ``statistics`` in nats per texel and multiplied by the
             square root of the number of texels, as steps from one to the next get smaller.
+        tv_space: where neighbours are: on the ``surface``, across the seams of UV charts; or, as
+            in the paper, in the ``texture``, to the right and below.
+        tv_epsilon: differences far below it count as squares; 0, as printed, for absolute values.
         sharing: weight of a ``GlobalSharing``, if there is any. A prior in common has none, but
             there is none either if this is 0.
         common_prior: share by a prior that texels have in common (``posterior/object_prior.py``);
-            else by pulling them towards the most certain ones (Eq. 14, 15).
+            else as the paper prints Eq. 14 and 15 (``GlobalSharing.printed``), by the posterior
+            of Eq. 11.
         descent: how to descend.
     """
 
     loss: ShLoss = "statistics"
-    levels: int = 12
     closed_form: bool = True
     smoothing: DescentOptions = field(
         default_factory=lambda: DescentOptions(steps=240, learning_rate=0.05)
     )
     robust: int = 0
     tv: float = 0.6
+    tv_space: TvSpace = "surface"
+    tv_epsilon: float = 1e-2
     sharing: float = 160.0
     common_prior: bool = True
     descent: DescentOptions = field(
@@ -104,10 +109,8 @@ class ShOptions:
     def __post_init__(self) -> None:
         require_types(self)
         require_one_of(self, "loss", ShLoss)
-        require(self, 4 <= self.levels <= 64, "levels", "in [4, 64]")
         require(self, 0 <= self.robust <= 20, "robust", "in [0, 20]")
-        require(self, 0 <= self.tv < inf, "tv", "at least 0")
-        require(self, 0 <= self.sharing < inf, "sharing", "at least 0")
+        _require_weights(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +119,10 @@ class PathOptions:
 
     Attributes:
         epochs: times every usable pixel is looked at; ``descent.steps`` is not used.
-        pixels_per_batch: of one step, drawn from all views.
+        pixels_per_batch: of one step, drawn from all views; None for as many as a photograph has on
+            average.
+        tile: pixels per side of the squares that stay together when the order is shuffled; 1, as
+            in the paper, shuffles single pixels, whose paths are less coherent.
         spp: paths per pixel.
         max_depth: longest path; 2 is direct light only; None takes that of the scene's integrator.
         loss: of a pixel: ``l2``; ``l1``, as in the paper; or ``relative``: l2 over the squared
@@ -124,20 +130,24 @@ class PathOptions:
         halves: trace a batch in two passes instead of the three of ``mi.render``, where paths
             serve each other in halves; an odd ``spp`` has none.
         tv: weight of total variation.
+        tv_space, tv_epsilon: as for ``ShOptions``.
         sharing: weight of global sharing, if there is any; 0 for none.
         common_prior: share by a prior that texels have in common: they are pulled towards what
-            they probably are under it; else as the paper's Eq. 14 and 15 have it.
+            they probably are under it; else as for ``ShOptions``.
         seed: of batches and paths.
         descent: how to descend.
     """
 
     epochs: float = 60.0
-    pixels_per_batch: int = 1 << 16
+    pixels_per_batch: int | None = 1 << 16
+    tile: int = 4
     spp: int = 2
     max_depth: int | None = None
     loss: PathLoss = "l2"
     halves: bool = True
     tv: float = 2.0
+    tv_space: TvSpace = "surface"
+    tv_epsilon: float = 1e-2
     sharing: float = 8.0
     common_prior: bool = True
     seed: int = 0
@@ -152,20 +162,39 @@ class PathOptions:
     def __post_init__(self) -> None:
         require_types(self)
         require(self, 0 < self.epochs < inf, "epochs", "positive")
-        require(self, 1 <= self.pixels_per_batch < 2**32, "pixels_per_batch", "at least 1")
+        size = self.pixels_per_batch
+        require(self, size is None or (isinstance(size, int) and 1 <= size < 2**32),
+                "pixels_per_batch", "at least 1, or None")  # fmt: skip
+        require(self, 1 <= self.tile <= 64, "tile", "in [1, 64]")
         require(self, 1 <= self.spp < 2**16, "spp", "in [1, 65535]")
         depth = self.max_depth
         require(self, depth is None or (isinstance(depth, int) and (depth >= 2 or depth == -1)),
                 "max_depth", "at least 2, -1 for paths of any length, or None")  # fmt: skip
         require_one_of(self, "loss", PathLoss)
-        require(self, 0 <= self.tv < inf, "tv", "at least 0")
-        require(self, 0 <= self.sharing < inf, "sharing", "at least 0")
+        _require_weights(self)
         require(self, 0 <= self.seed < 2**32, "seed", "in [0, 2^32)")
 
 
+def _require_weights(options: ShOptions | PathOptions) -> None:
+    """Refuse regularisers that are none."""
+    require(options, 0 <= options.tv < inf, "tv", "at least 0")
+    require_one_of(options, "tv_space", TvSpace)
+    require(options, 0 <= options.tv_epsilon < inf, "tv_epsilon", "at least 0")
+    require(options, 0 <= options.sharing < inf, "sharing", "at least 0")
+
+
 _PAPER = ShOptions(
-    loss="angular", tv=1e-2, sharing=1e-2, common_prior=False,
+    loss="angular", closed_form=False, tv=1e-2, tv_space="texture", tv_epsilon=0.0,
+    sharing=1e-2, common_prior=False,
     descent=DescentOptions(steps=200, learning_rate=0.01, final_rate=1.0),
+)  # fmt: skip
+
+_PAPER_PATH = PathOptions(
+    # As many rays as a photograph has, and ten epochs: the paper does not say; its code does so.
+    # In halves, the error of 32 paths would be that of twice 16: an absolute error is not linear.
+    epochs=10.0, pixels_per_batch=None, spp=32, loss="l1", tile=1, halves=False,
+    tv=1e-2, tv_space="texture", tv_epsilon=0.0, sharing=1e-2, common_prior=False,
+    descent=DescentOptions(learning_rate=0.02, final_rate=1.0),
 )  # fmt: skip
 
 SH_PRESETS: dict[str, ShOptions] = {
@@ -177,14 +206,21 @@ SH_PRESETS: dict[str, ShOptions] = {
 
 PATH_PRESETS: dict[str, PathOptions] = {
     "default": PathOptions(),
-    "paper": PathOptions(
-        spp=32, loss="l1", tv=1e-2, sharing=1e-2, common_prior=False,
-        descent=DescentOptions(learning_rate=0.02),
-    ),
+    "paper": _PAPER_PATH,
     "polish": PathOptions(
         epochs=1.0, pixels_per_batch=1 << 14, spp=4, tv=0.5,
         descent=DescentOptions(learning_rate=0.005, beta_2=0.99),
     ),
+    "paper_polish": replace(_PAPER_PATH, epochs=1.0, spp=16),
+}
+
+# Of sh+path: the presets of its two parts. After sh, the start is as good as many epochs: what is
+# left is detail, no cause for noise.
+BOTH_PRESETS: dict[str, tuple[str, str]] = {
+    "default": ("default", "polish"),
+    "paper": ("paper", "paper_polish"),
+    "coefficients": ("coefficients", "paper_polish"),
+    "spectrum": ("spectrum", "paper_polish"),
 }
 
 
@@ -230,12 +266,16 @@ class Options:
         method: Method, preset: str, sh: ShOptions | None, path: PathOptions | None,
         tv: float | None,
     ) -> Options:
-        """Take the preset's options where none are given."""
-        # After sh, the start is as good as many epochs: what is left is detail, no cause for noise.
-        own = {"sh": "default", "path": preset, "sh+path": "polish"}[method]
-        chosen = Options(
-            sh_preset("default" if method == "path" else preset), path_preset(own)
-        )
+        """Take the preset's options where none are given.
+
+        Raises:
+            OptionError: the method has no such preset.
+        """
+        if method == "sh+path":
+            first, second = _preset(BOTH_PRESETS, preset, method)
+        else:
+            first, second = (preset, "default") if method == "sh" else ("default", preset)
+        chosen = Options(sh_preset(first), path_preset(second))
         chosen = Options(sh or chosen.sh, path or chosen.path)
         if tv is not None:
             chosen = Options(replace(chosen.sh, tv=tv), replace(chosen.path, tv=tv))

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_args
 
@@ -103,10 +103,13 @@ def recover(
         method: ``sh`` compares photographs with a reflection model; ``path`` with renderings by
             Mitsuba's ``prb``; ``sh+path`` goes on from the result of the first with one epoch
             of the second.
-        preset: ``default``, ``paper``, or, for ``sh``, ``coefficients`` or ``spectrum``.
+        preset: ``default`` or ``paper``; ``coefficients`` and ``spectrum`` are the paper's other
+            losses, of ``sh`` and of that part of ``sh+path``, whose epoch is then the paper's, too.
+            For ``path``, also ``polish`` and ``paper_polish``, those epochs by themselves.
         sharing: let uncertain texels be like others. True learns from all texels what the object is
             made of, a prior that they have in common (``posterior/object_prior.py``); with presets
-            of the paper's losses, it pulls them towards the most certain ones (Eq. 14, 15). Or a
+            of the paper's, it is Eq. 14 and 15 as printed, by the posterior of Eq. 11: that of
+            ``source`` if it is one over (roughness, Ks), or one made for it. Or a
             ``GlobalSharing`` of one's own making.
         tv: weight of total variation, instead of the options'.
         parameters: names of the textures to recover; others stay as ``start``, or the scene's
@@ -120,7 +123,8 @@ def recover(
         progress: shows what is going on and collects timings.
 
     Raises:
-        OptionError: an unknown method, preset or parameter, a checkpoint of another run.
+        OptionError: an unknown method or parameter, a preset that the method does not have, a
+            checkpoint of another run.
         ShapeError: ``start`` has another resolution than the texels.
         CaptureError: no texel is seen in any photograph.
         SvuError: the loss or a gradient is NaN or infinite.
@@ -144,10 +148,7 @@ def recover(
         _ = observed.lighting  # refused before any work: a black light shows nothing
     given = source if isinstance(source, Estimate) else None
     run = Run(method, observed, given, names, chosen, start, sharing, progress)
-    settings = chosen.settings(method) | {"parameters": list(run.names), "sharing": bool(sharing)}
-    if given is not None:
-        settings["estimate"] = {"method": given.method, **asdict(given.preset), "known": run.known}
-    saved = None
+    settings, saved = run.settings(), None
     if checkpoint is not None:
         light = observed.lighting.environment
         owner = settings | fingerprint(

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cached_property
 from math import sqrt
+from typing import Any
 
 from svu_mi.errors import OptionError
 from svu_mi.observed import Observed
 from svu_mi.options import preset
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
-from svu_mi.posterior import CalibratedPosterior
+from svu_mi.posterior import CalibratedPosterior, ParameterGrid, SpectrumPosterior
 from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import Descent, Objective, descend
@@ -25,8 +26,9 @@ from svu_mi.recovery.sh.spectral import spectral_objective
 from svu_mi.recovery.start import estimate_for_textures, known_values, posterior_means
 from svu_mi.recovery.textures import Textures, lay_out, scene_textures, uniform
 from svu_mi.regularization import GlobalSharing, TotalVariation
+from svu_mi.regularization.sharing import PRINTED, SEEDS
 from svu_mi.surface import Texels
-from svu_mi.surface.neighbors import neighbors
+from svu_mi.surface.neighbors import Neighbors, neighbors
 
 # Chosen on our own scenes:
 GENTLE = 0.6  # part of total variation that smooths a start, whose texels must tell materials apart
@@ -52,9 +54,54 @@ class Run:
             )
         self.options, self.start, self.progress = options, start, progress
         self.sharing, self.asked = sharing, False  # whether anybody asked for the estimate
-        with progress.stage("Finding neighbours"):
-            self.around = neighbors(self.texels, self.capture.mesh)
-            self.variation = each(TotalVariation(self.texels, self.around))
+        self._variations: dict[tuple[str, float], Rule] = {}
+
+    def settings(self) -> dict[str, Any]:
+        """Return everything that the result depends on, besides the capture, as JSON has it."""
+        found = self.options.settings(self.method)
+        found |= {"parameters": list(self.names), "sharing": self._shares()}
+        given = self.given
+        if given is not None:
+            found["estimate"] = {
+                "method": given.method, **asdict(given.preset), "known": self.known
+            }  # fmt: skip
+        return found
+
+    def _shares(self) -> bool | dict[str, Any]:
+        """Return how texels share: not at all, by a prior in common, or by which rule."""
+        if isinstance(self.sharing, GlobalSharing):
+            return self.sharing.record()
+        used = self.options.used(self.method).values()
+        if not self.sharing or all(one.common_prior or not one.sharing for one in used):
+            return self.sharing
+        given = self._given_spectra()
+        switches = "paper" if given is None else given.preset.name
+        return {
+            "seeds": SEEDS, **PRINTED, "posterior": {"method": "spectrum", "preset": switches}
+        }  # fmt: skip
+
+    @cached_property
+    def around(self) -> Neighbors:
+        """The texels' neighbours on the surface."""
+        with self.progress.stage("Finding neighbours"):
+            return neighbors(self.texels, self.capture.mesh)
+
+    @cached_property
+    def printed(self) -> GlobalSharing:
+        """The paper's sharing; both parts of a recovery have the same."""
+        certain = self._given_spectra() or estimate(
+            self.observed, method="spectrum", preset="paper", progress=self.progress
+        )
+        around = self.around
+        with self.progress.stage("Finding seeds"):
+            return GlobalSharing.printed(certain, around)
+
+    def _given_spectra(self) -> Estimate | None:
+        """Return the estimate to go on from if it has a posterior of Eq. 11."""
+        posterior = None if self.given is None else self.given.posterior
+        if isinstance(posterior, SpectrumPosterior) and isinstance(posterior.grid, ParameterGrid):
+            return self.given
+        return None
 
     @cached_property
     def estimate(self) -> Estimate:
@@ -103,7 +150,7 @@ class Run:
         with self.progress.stage("Gathering statistics"):
             if options.loss == "angular":
                 switches = preset("paper", method="angular", channels="joint")
-                return angular_objective(self.observed, switches, options.levels)
+                return angular_objective(self.observed, switches)
             of_spectra = preset("paper", method="spectrum")
             return spectral_objective(self.observed, of_spectra, options.loss)
 
@@ -115,7 +162,8 @@ class Run:
             return start
         pull = Pull.of(self.posterior, self.texels)
         fixed = {name: tensor for name, tensor in start.items() if name not in self.names}
-        objective = regularized(pull, [(GENTLE * self._tv(options), self.variation)], fixed)
+        smooth = self._variation(options)
+        objective = regularized(pull, [(GENTLE * self._tv(options), smooth)], fixed)
         with self.progress.stage("Smoothing the start", options.smoothing.steps) as stage:
             found = descend(objective, self._free(start), options.smoothing, progress=stage)
         return replace(start, **found.values)
@@ -125,6 +173,16 @@ class Run:
         resolution, whose steps from texel to texel are the smaller, the more there are."""
         in_nats = isinstance(options, ShOptions) and options.loss == "statistics"
         return options.tv * (sqrt(self.texels.count) if in_nats else 1.0)
+
+    def _variation(self, options: ShOptions | PathOptions) -> Rule:
+        """Return total variation, which both parts of a recovery may have in common."""
+        key = options.tv_space, options.tv_epsilon
+        if key not in self._variations:
+            around = self.around if options.tv_space == "surface" else neighbors(self.texels)
+            self._variations[key] = each(
+                TotalVariation(self.texels, around, epsilon=options.tv_epsilon)
+            )
+        return self._variations[key]
 
     def _free(self, textures: Textures) -> dict[str, object]:
         return {name: tensor for name, tensor in textures.items() if name in self.names}
@@ -146,7 +204,8 @@ class Run:
         sharing: Rule | None, checkpoint: Checkpoint | None,
     ) -> tuple[Textures, Descent]:  # fmt: skip
         fixed = {name: tensor for name, tensor in start.items() if name not in self.names}
-        rules = [(self._tv(options), self.variation), (options.sharing, sharing)]
+        variation = self._variation(options) if options.tv else None
+        rules = [(self._tv(options), variation), (options.sharing, sharing)]
         objective = regularized(data, [(w, rule) for w, rule in rules if w and rule], fixed)
         with self.progress.stage(title, options.descent.steps) as stage:
             descent = descend(
@@ -168,9 +227,7 @@ class Run:
                 Pull.by_trust(self.posterior, self.texels)
                 if isinstance(options, PathOptions) else None
             )  # fmt: skip
-        certain = estimate(self.given or self.observed, progress=self.progress)
-        with self.progress.stage("Finding seeds"):
-            return each(GlobalSharing(certain, self.around, divergence="forward", anchored=False))
+        return each(self.printed)
 
     def _given_or_middle(self) -> Textures:
         """Return textures to start from: 0.5, what is known, and what the scene says of others."""

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from svu_mi.errors import OptionError
-from svu_mi.options import AngularPreset
+from svu_mi.options import AngularPreset, Errors
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.reference.deviations import CORNERS
 
@@ -32,6 +32,7 @@ class Options:
     method: Method
     seed: int
     noise: Noise = "relative"
+    errors: Errors = "mean"
 
     def __post_init__(self) -> None:
         label = "reference_posterior()"
@@ -53,6 +54,15 @@ class Options:
         if self.noise not in get_args(Noise):
             raise OptionError(
                 f"{label}: noise must be {' or '.join(get_args(Noise))}, got {self.noise!r}."
+            )
+        if self.errors not in get_args(Errors):
+            raise OptionError(
+                f"{label}: errors must be {' or '.join(get_args(Errors))}, got {self.errors!r}."
+            )
+        if self.noise == "estimated" and self.errors == "sum":
+            raise OptionError(
+                f"{label}: a noise that is estimated counts every view already; use errors='mean', "
+                "or noise='relative'."
             )
         if self.noise == "estimated" and self.method != "linear":
             raise OptionError(

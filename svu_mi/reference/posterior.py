@@ -15,7 +15,7 @@ from svu_mi.capture import Capture
 from svu_mi.errors import CaptureError
 from svu_mi.interop import owned
 from svu_mi.observed import Observed
-from svu_mi.options import AngularPreset
+from svu_mi.options import AngularPreset, Errors
 from svu_mi.pipeline import Estimate, observed_of, subject_of
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.progress import Progress
@@ -45,6 +45,7 @@ def reference_posterior(
     method: Method = "linear",
     seed: int = 0,
     noise: Noise = "relative",
+    errors: Errors = "mean",
     cache: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Reference:
@@ -71,6 +72,8 @@ def reference_posterior(
             ``heteroscedastic``: it grows with a sample's own radiance b,
             w = 1 / (1 + (b / mean)^2); ``estimated``: the likelihood of the angular preset
             ``default``, of all views and in colour, and ``sigma`` is not used.
+        errors: of views: their ``mean``; or their ``sum``, as the paper prints Eq. 3, for which
+            ``sigma`` should be larger.
         max_depth: longest path; 2 is direct light.
         method: ``linear`` renders 4 psi per roughness and derives the others, exactly, for
             direct light; ``brute`` renders all.
@@ -83,7 +86,9 @@ def reference_posterior(
         CaptureError: no texel is seen in any photograph, or all that is seen is black.
         OutputError: the cache cannot be written.
     """
-    options = Options(spp, grid or PrincipledGrid(), sigma, max_depth, method, seed, noise)
+    options = Options(
+        spp, grid or PrincipledGrid(), sigma, max_depth, method, seed, noise, errors
+    )
     capture, layout = subject_of(source, texels)
     wanted = check_subset(subset, layout.count)
     progress = progress or Progress()

@@ -19,7 +19,8 @@ class Traced:
     """What was traced, with the mean of both halves of the samples, and with each of them.
 
     Attributes:
-        tables: (3, n, R, M, C) float64 energies; or (3, R, 3, 10, n) sums (``Statistics``).
+        tables: (3, n, R, M, C) float64 energies, means over views; or (3, R, 3, 10, n) sums
+            (``Statistics``).
         weight: (n,) float64 of those sums; None with energies.
         coverage: (n,) int64, number of views used.
     """
@@ -37,8 +38,9 @@ class Traced:
         """
         grid, seen = options.grid, self.coverage > 0
         if self.weight is None:
+            views = self.coverage[:, None, None, None] if options.errors == "sum" else 1
             return [
-                TabulatedPosterior(energies=table, grid=grid, observed=seen)
+                TabulatedPosterior(energies=views * table, grid=grid, observed=seen)
                 for table in self.tables
             ]
         kappa = AngularPreset().knee * unit
@@ -117,7 +119,8 @@ class Reference:
 
     @property
     def unbiased_energies(self) -> np.ndarray:
-        """(n, R, M, C) float64 energies free of the renders' variance; may be negative.
+        """(n, R, M, C) float64 energies, means over views, free of the renders' variance; may be
+        negative.
 
         (b - A)(b - B) of the halves A and B, whose noise makes them worse for a posterior.
 

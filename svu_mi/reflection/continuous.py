@@ -37,6 +37,7 @@ from svu_mi.reflection.lobes import (
 )
 from svu_mi.reflection.narrow import NarrowLobes
 from svu_mi.reflection.principled import alpha_from_roughness
+from svu_mi.reflection.shading import Shading
 from svu_mi.visibility.observe import mirror_direction
 
 NARROWEST = 1e-3  # cosine: more grazing views are treated like this one
@@ -83,36 +84,6 @@ def continuous(
         table[..., :2], table[..., 2] = split_sum(lobes.alpha), dielectric_albedo(lobes.alpha)
     narrow = switches.lobe == "ggx" and switches.off_specular
     return Continuous(switches, stack(lobes.levels), owned(mi.Float, table.ravel()), narrow)
-
-
-@dataclass(frozen=True)
-class Shading:
-    """e, p, q and d of one sample per lane: a Float per channel of the light each."""
-
-    diffuse: list[Any]
-    scaled: list[Any]
-    added: list[Any]
-    dielectric: list[Any]
-
-    @property
-    def parts(self) -> tuple[list[Any], ...]:
-        """e, p, q and d."""
-        return self.diffuse, self.scaled, self.added, self.dielectric
-
-    def radiance(self, base_color: Any, metallic: Any) -> list[Any]:
-        """Outgoing radiance, a Float per channel of the base colour.
-
-        Args:
-            base_color: sequence of Floats in [0, 1].
-            metallic: Float in [0, 1].
-        """
-        result = []
-        for k, color in enumerate(base_color):
-            c = k % len(self.diffuse)  # grey light has one channel for all
-            dielectric = dr.fma(color, self.diffuse[c], self.dielectric[c])
-            metal = dr.fma(color, self.scaled[c], self.added[c])
-            result.append(dr.lerp(dielectric, metal, metallic))
-        return result
 
 
 def shade(

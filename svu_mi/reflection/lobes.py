@@ -13,12 +13,16 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
+from numpy.polynomial import legendre
 
 from svu_mi.options import Fresnel, Lobe
 from svu_mi.reflection.principled import F0
 
 INDEX = 1.5  # of refraction of dielectrics: specular = 0.5
 ALBEDO_NODES = 32  # of cos theta_o, at (i + 0.5) / 32
+FLAT = 0.01  # alpha below which a Gaussian lobe does not feel that the sphere is curved
+ANGLES = 4097  # that wider ones are tabulated at
+SERIES = 6.0  # alpha l from which on degrees are left out, exp(-36)
 LEAST = 0.3  # part of its peak that a lobe keeps over a disk that is too large for it
 _U, _V = 64, 16  # stratified samples of visible normals per table entry
 
@@ -26,9 +30,10 @@ _U, _V = 64, 16  # stratified samples of visible normals per table entry
 def zonal_profile(lobe: Lobe, alpha: float, cosine: np.ndarray) -> np.ndarray:
     """Weight of light at an angle theta from the centre of a lobe, up to a factor.
 
-    ``gaussian`` is the function on the sphere whose degrees fall off like Eq. 6's
-    exp(-(alpha l)^2). ``ggx`` is D(theta / 2) G1(theta), the lobe seen along the normal, where
-    the half vector turns by half the angle [Walter et al. 2007].
+    ``gaussian`` is the function on the sphere whose degree l is exp(-(alpha l)^2) times that of
+    a direction (Eq. 6); wide ones have a negative part. ``ggx`` is D(theta / 2) G1(theta), the
+    lobe seen along the normal, where the half vector turns by half the angle
+    [Walter et al. 2007].
 
     Args:
         lobe: which shape.
@@ -36,9 +41,20 @@ def zonal_profile(lobe: Lobe, alpha: float, cosine: np.ndarray) -> np.ndarray:
         cosine: cos theta, in [-1, 1].
     """
     if lobe == "gaussian":
-        return np.exp(-((np.arccos(cosine) / (2 * alpha)) ** 2))
+        if alpha < FLAT:  # the sphere is flat under it
+            return np.exp(-((np.arccos(cosine) / (2 * alpha)) ** 2))
+        return np.interp(np.arccos(cosine), *_gaussian(alpha))
     distribution = (alpha / ((1 + cosine) / 2 * (alpha**2 - 1) + 1)) ** 2
     return np.where(cosine > 0, distribution * smith_g1(np.maximum(cosine, 1e-6), alpha), 0)
+
+
+@lru_cache(maxsize=64)
+def _gaussian(alpha: float) -> tuple[np.ndarray, np.ndarray]:
+    """Angles from 0 to pi, and sum_l (2 l + 1) exp(-(alpha l)^2) P_l there, 1 in the middle."""
+    angle = np.pi * np.linspace(0, 1, ANGLES) ** 2  # dense where narrow ones are steep
+    l = np.arange(int(np.ceil(SERIES / alpha)) + 1)
+    decay = (2 * l + 1) * np.exp(-((alpha * l) ** 2))
+    return angle, legendre.legval(np.cos(angle), decay / decay.sum())
 
 
 @lru_cache
@@ -54,6 +70,13 @@ def smith_g1(cosine: Any, alpha: Any) -> Any:
     """
     root = _root(cosine)(cosine * cosine * (1 - alpha * alpha) + alpha * alpha)
     return 2 * cosine / (cosine + root)
+
+
+def smith_g1_slope(cosine: Any, alpha: Any) -> Any:
+    """Derivative of ``smith_g1`` for alpha."""
+    square = 1 - cosine * cosine
+    root = _root(cosine)(cosine * cosine + alpha * alpha * square)
+    return -2 * cosine * alpha * square / (root * (cosine + root) ** 2)
 
 
 def ggx(cosine: Any, alpha: Any) -> Any:

@@ -7,7 +7,8 @@ Mitsuba's ``principled`` BSDF of base colour c and metallic m reflects
 of the light: e is diffuse shading, d the lobe of a dielectric, and p and q are the two parts of
 a metal's, that which R0 = c scales and that which Fresnel adds. They are what photographs are
 compared with, in every part of svu_mi. Narrow lobes look filtered light up, wide ones sum cells
-of it; the presets ``fast`` and ``paper`` look all of them up, and trace nothing.
+of it; the preset ``fast`` looks all of them up and traces nothing, ``paper`` expands the light that
+each texel mirrors in spherical harmonics.
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError
+from svu_mi.frequency.gather import MirroredLight
 from svu_mi.light.lighting import Lighting
 from svu_mi.light.moments import moment_map
 from svu_mi.options import AngularPreset
 from svu_mi.reflection.diffuse import diffuse_shading
+from svu_mi.reflection.fitted import FittedLobes
 from svu_mi.reflection.narrow import NarrowLobes
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.wide import NARROW, WideLobes
@@ -43,6 +46,7 @@ class Model:
         switches: which model.
         narrow: the lobes of the first levels, or None.
         wide: those of the others, or None.
+        fitted: all of them, where light is fitted at every texel; or None.
         moments: of the diffuse light that arrives, 8 Floats (S,) for each of C channels.
     """
 
@@ -51,12 +55,13 @@ class Model:
     switches: AngularPreset
     narrow: NarrowLobes | None
     wide: WideLobes | None
+    fitted: FittedLobes | None
     moments: list[list[Any]]
 
     @staticmethod
     def of(
         lighting: Lighting, surface: Surface, reach: Reach | None, roughness: np.ndarray,
-        switches: AngularPreset, channels: int,
+        switches: AngularPreset, channels: int, mirrored: MirroredLight | None = None,
     ) -> Model:  # fmt: skip
         """Filter the light, and put together what reaches every texel.
 
@@ -67,6 +72,7 @@ class Model:
             roughness: (R,) levels, ascending.
             switches: which model.
             channels: 3, or 1 for the mean of R, G and B.
+            mirrored: light to fit; None if the switches ask for no fit.
 
         Raises:
             OptionError: levels that do not ascend.
@@ -75,8 +81,10 @@ class Model:
             raise OptionError(f"Roughness levels must ascend, got {roughness.tolist()}.")
         alpha = alpha_from_roughness(roughness)
         split = len(alpha) if reach is None else int(np.searchsorted(alpha, NARROW, "right"))
-        narrow, wide = None, None
-        if split > 0:
+        narrow, wide, lobes = None, None, None
+        if mirrored is not None:
+            lobes = FittedLobes.of(mirrored, alpha, switches, surface.index)
+        elif split > 0:
             narrow = NarrowLobes.of(
                 lighting, alpha[:split], switches, channels, disk=reach is None
             )
@@ -87,7 +95,7 @@ class Model:
             moments = light.in_world(surface.normal)
         else:
             moments = reach.diffuse(surface, lighting, channels)
-        return Model(roughness, surface, switches, narrow, wide, moments)
+        return Model(roughness, surface, switches, narrow, wide, lobes, moments)
 
     @property
     def channels(self) -> int:
@@ -116,6 +124,8 @@ class Model:
             For each level and channel (e, p, q, d).
         """
         normal, lobes = mi.Vector3f(self.surface.normal), []
+        if self.fitted is not None:
+            lobes += self.fitted.reflect(direction, cosine)
         if self.narrow is not None:
             lobes += self.narrow.reflect(normal, direction, cosine, free)
         if self.wide is not None:

@@ -65,20 +65,45 @@ def smoothed(values: np.ndarray, around: Neighbors) -> np.ndarray:
     return total / (1 + linked.sum(axis=0))
 
 
-def minima(values: np.ndarray, allowed: np.ndarray, around: Neighbors) -> np.ndarray:
-    """Return one texel of every local minimum, in order of their numbers.
+def least_minima(
+    entropy: np.ndarray, observed: np.ndarray, around: Neighbors, count: int = 20
+) -> np.ndarray:
+    """Return the seeds of the paper: the least local minima of the entropy, (S,) int64.
 
-    A minimum is the lowest within ``RINGS`` texels; a plateau of equal values is one minimum.
+    A texel is a local minimum if no neighbour has a lower entropy. Neighbours of exactly equal
+    entropy are one plateau; it is a minimum if no neighbour of any of its texels is lower, and
+    the texel of the lowest number stands for it.
 
     Args:
-        values: (T,), compared in steps of ``RESOLUTION``.
+        entropy: (T,).
+        observed: (T,) bool; a texel that nobody saw is no minimum, and does not keep its
+            neighbours from being one.
+        around: the neighbours of each texel.
+        count: at most so many; ordered by entropy, then by number.
+    """
+    found = minima(entropy, observed, around, rings=1, resolution=0.0)
+    return found[np.argsort(entropy[found], kind="stable")][:count]
+
+
+def minima(
+    values: np.ndarray, allowed: np.ndarray, around: Neighbors, *,
+    rings: int = RINGS, resolution: float = RESOLUTION,
+) -> np.ndarray:  # fmt: skip
+    """Return one texel of every local minimum, in order of their numbers.
+
+    A minimum is the lowest within some rings of texels; a plateau of equal values is one minimum.
+
+    Args:
+        values: (T,).
         allowed: (T,) bool; others are no minima, and do not keep others from being one.
         around: the neighbours of each texel.
+        rings: steps from texel to texel within which nothing is lower.
+        resolution: values are compared in steps of it; exactly if it is 0.
     """
-    level = np.where(allowed, np.round(values / RESOLUTION), np.inf)
+    level = np.where(allowed, np.round(values / resolution) if resolution else values, np.inf)
     table = around.table()
     lowest = level
-    for _ in range(RINGS):
+    for _ in range(rings):
         lowest = np.minimum(lowest, lowest[table].min(axis=0))
     plateau = _plateaus(level, table)
     beaten = np.zeros(plateau.max(initial=-1) + 1, bool)

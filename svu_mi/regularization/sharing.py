@@ -15,10 +15,17 @@ from svu_mi.interop import owned
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import Posterior
 from svu_mi.regularization.gradients import Regularizer
-from svu_mi.regularization.seeds import find_seeds
+from svu_mi.regularization.seeds import find_seeds, least_minima
+from svu_mi.settings import require_one_of
 from svu_mi.surface import Texels
 
 Divergence = Literal["forward", "reverse"]
+Seeding = Literal["spread", "least"]
+
+SEEDS, TAU = 20, 0.4  # as in the paper
+PRINTED: dict[str, Any] = {
+    "tau": TAU, "seeding": "least", "divergence": "forward", "anchored": False,
+}  # fmt: skip
 
 CHUNK = 1 << 22  # probabilities in memory at a time
 LEAST = 1e-30  # probability that stands for 0 in a logarithm
@@ -26,7 +33,7 @@ LEAST = 1e-30  # probability that stands for 0 in a logarithm
 
 @dataclass(frozen=True, eq=False)
 class GlobalSharing(Regularizer):
-    """Squared distance to seeds: the most certain texels of the surface.
+    """Squared distance to seeds: certain texels of the surface.
 
         L_S(psi) = 1/T sum over texels p, sum over seeds q of w_pq |psi_p - psi_q|^2   (Eq. 14)
         w_pq = exp(-KL_pq^2 / (2 tau'^2)),  tau' = tau times the mean of all KL_pq     (Eq. 15)
@@ -36,6 +43,8 @@ class GlobalSharing(Regularizer):
     normalised: a texel that is like no seed is left alone. A texel that nobody saw has the
     prior for its posterior, which says next to nothing of how far it is from a seed.
 
+    As the paper prints it: ``GlobalSharing.printed``. The defaults are ours.
+
     Attributes:
         estimate: what the photographs say about T texels.
         mesh: the mesh they lie on; or their ``Neighbors``, if these are at hand; or None, to
@@ -43,28 +52,31 @@ class GlobalSharing(Regularizer):
         seeds: how many at most; or the numbers of texels to use, in [0, T). Afterwards those
             numbers, (S,) int64; none if no texel was ever seen.
         tau: width of the weights, as a part of the mean KL divergence; 0.4 in the paper.
+        seeding: how a number of seeds is chosen: ``spread`` over the materials, among smoothed
+            minima of the entropy (``find_seeds``); or the paper's ``least`` of all local minima
+            (``least_minima``), which may all be of one material.
         divergence: ``reverse`` is KL(P_q || P_p), which asks whether what p saw allows for the
             seed; ``forward`` is the paper's KL(P_p || P_q), which asks whether the seed allows
             for all that p does, and is far for every uncertain p.
-        anchored: seeds pull and are not pulled: the gradient reaches p only.
+        anchored: seeds pull and are not pulled: the gradient reaches p only. If not, it is that
+            of Eq. 14 by both psi_p and psi_q.
         weights: (S T,) Float, that of seed s and texel p at s T + p.
     """
 
     estimate: Estimate
     mesh: Any | None = None
     _: KW_ONLY
-    seeds: Any = 20
-    tau: float = 0.4
+    seeds: Any = SEEDS
+    tau: float = TAU
+    seeding: Seeding = "spread"
     divergence: Divergence = "reverse"
     anchored: bool = True
     weights: Any = field(init=False, repr=False)
     _seeds: Any = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.divergence not in ("forward", "reverse"):
-            raise OptionError(
-                f"GlobalSharing: divergence must be forward or reverse, got {self.divergence!r}."
-            )
+        require_one_of(self, "divergence", Divergence)
+        require_one_of(self, "seeding", Seeding)
         if not (np.isfinite(self.tau) and self.tau > 0):
             raise OptionError(f"GlobalSharing: tau must be positive, got {self.tau!r}.")
         posterior = self.estimate.posterior
@@ -73,6 +85,32 @@ class GlobalSharing(Regularizer):
         object.__setattr__(self, "seeds", chosen)
         object.__setattr__(self, "weights", owned(mi.Float, weights.ravel()))
         object.__setattr__(self, "_seeds", owned(mi.UInt32, chosen.astype(np.uint32)))
+
+    @classmethod
+    def printed(
+        cls, estimate: Estimate, mesh: Any | None = None, *, seeds: Any = SEEDS
+    ) -> GlobalSharing:
+        """Return the sharing that the paper prints (Sec. 5.2, Eq. 14 and 15).
+
+        Seeds are the 20 least local minima of the entropy on the surface, KL(P_p || P_q) is the
+        forward one, tau' is 0.4 times its mean over seeds and all texels, and both texels of a
+        pair are pulled. P is that of the estimate: in the paper that of Eq. 11, over 8 x 8 cells
+        of (roughness, Ks), ``estimate(..., method="spectrum", preset="paper")``.
+
+        Args:
+            estimate: what the photographs say about T texels.
+            mesh: as for the class.
+            seeds: as for the class.
+
+        Raises:
+            OptionError: fewer than one seed.
+        """
+        return cls(estimate, mesh, seeds=seeds, **PRINTED)
+
+    def record(self) -> dict[str, Any]:
+        """Return how texels share, for a run's settings: all but posteriors and seeds' places."""
+        names = ("tau", "seeding", "divergence", "anchored")
+        return {"seeds": len(self.seeds)} | {name: getattr(self, name) for name in names}
 
     def _texels(self) -> Texels:
         return self.estimate.texels
@@ -94,7 +132,11 @@ class GlobalSharing(Regularizer):
             return chosen[np.sort(np.unique(chosen, return_index=True)[1])]
         if self.seeds < 1:
             raise OptionError(f"GlobalSharing: it takes at least one seed, got {self.seeds}.")
-        return find_seeds(self.estimate, self._neighbors(self.mesh), int(self.seeds))
+        around, count = self._neighbors(self.mesh), int(self.seeds)
+        if self.seeding == "spread":
+            return find_seeds(self.estimate, around, count)
+        entropy = np.array(self.estimate.entropy, np.float64)
+        return least_minima(entropy, np.array(self.estimate.coverage) > 0, around, count)
 
     def _of(self, values: Any, channels: int) -> tuple[Any, Any]:
         """Value and gradient: every lane is a texel that reads from all seeds."""

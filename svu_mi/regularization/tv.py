@@ -28,18 +28,24 @@ class TotalVariation(Regularizer):
     A plain function of a texture, to be added to any loss; the paper gives it a weight of
     1e-2. Texels that no photograph shows take part, so that values spread into them.
 
-    Differences are taken on the surface: over the seams of the UV charts, and not between
-    charts that touch in the map. Texels outside the charts have no influence and no gradient.
+    With a mesh, differences are taken on the surface: over the seams of the UV charts, and not
+    between charts that touch in the map. Without one they are the paper's, in texture space:
+    between every texel and its right and its lower neighbour in the map, wherever they are on
+    the object. Texels outside the charts have no influence and no gradient in either case.
+
+    With ``epsilon`` 0, a term is |psi_i - psi_j| as printed, and its derivative the sign of the
+    difference, 0 for equal values.
 
     Attributes:
         texels: T texels.
         mesh: the mesh they lie on; or their ``Neighbors``, if these are at hand; or None, for
-            differences in the map only, blind to seams.
+            texture space, blind to seams.
         valid: (T,) bool; pairs count if both texels are valid. All by default.
-        epsilon: differences far below it count as squares, those far above as they are.
+        epsilon: differences far below it count as squares, those far above as they are; 0 for
+            absolute values.
 
     Raises:
-        OptionError: an epsilon that is not positive.
+        OptionError: an epsilon that is negative, infinite or NaN.
         ShapeError: ``valid`` or the neighbours are not those of T texels.
     """
 
@@ -52,8 +58,8 @@ class TotalVariation(Regularizer):
     _epsilon: Any = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.epsilon) and self.epsilon > 0):
-            raise OptionError(f"TotalVariation: epsilon must be positive, got {self.epsilon}.")
+        if not (np.isfinite(self.epsilon) and self.epsilon >= 0):
+            raise OptionError(f"TotalVariation: epsilon must be at least 0, got {self.epsilon}.")
         around, pairs = _table(self.texels, self._neighbors(self.mesh), self.valid)
         columns = tuple(owned(mi.UInt32, column) for column in around)
         object.__setattr__(self, "_around", columns)
@@ -74,13 +80,22 @@ class TotalVariation(Regularizer):
             difference = values - dr.gather(mi.Float, values, other * channels + channel)
             # A texel without a neighbour may hold anything, NaN included.
             difference = dr.select(other == texel, 0, difference)
-            smooth = dr.sqrt(dr.fma(difference, difference, dr.square(self._epsilon)))
-            # Without cancellation: sqrt(d^2 + e^2) - e = d^2 / (sqrt(d^2 + e^2) + e).
-            total += dr.square(difference) / (smooth + self._epsilon)
-            gradient += difference / smooth
+            size, slope = self._absolute(difference)
+            total += size
+            gradient += slope
         gradient *= self._scale
         dr.eval(total, gradient)
         return dr.sum(total) * (0.5 * self._scale), gradient  # every pair was seen from both ends
+
+    def _absolute(self, difference: Any) -> tuple[Any, Any]:
+        """Return the size of differences, smoothed by epsilon, and its derivative."""
+        if self.epsilon == 0:
+            # dr.sign(0) is 1, but equal values are at rest.
+            sign = dr.select(difference == 0, 0, dr.sign(difference))
+            return dr.abs(difference), sign
+        smooth = dr.sqrt(dr.fma(difference, difference, dr.square(self._epsilon)))
+        # Without cancellation: sqrt(d^2 + e^2) - e = d^2 / (sqrt(d^2 + e^2) + e).
+        return dr.square(difference) / (smooth + self._epsilon), difference / smooth
 
 
 def _table(texels: Texels, around: Neighbors, valid: Any) -> tuple[np.ndarray, int]:

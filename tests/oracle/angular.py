@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from scipy.special import eval_legendre
 
 from svu_mi.bench.oracle import energies as energies
 from svu_mi.bench.oracle import joint as joint
@@ -94,10 +95,13 @@ def reflected(toward, flux, radius, o, n, alpha: float) -> np.ndarray:
 def lobe(kind: str, alpha: float, angle: np.ndarray) -> np.ndarray:
     """Weight of light at an angle from a lobe's centre, seen along the normal; any scale.
 
-    The Gaussian of variance 2 alpha^2 falls off as exp(-(alpha l)^2) in degree.
+    Degree l of the Gaussian is exp(-(alpha l)^2) times that of a direction (Eq. 6).
     """
     if kind == "gaussian":
-        return np.exp(-(angle**2) / (4 * alpha**2))
+        x, total = np.cos(angle), np.zeros(np.shape(angle))
+        for l in range(int(7 / alpha) + 2):
+            total = total + (2 * l + 1) * np.exp(-((alpha * l) ** 2)) * eval_legendre(l, x)
+        return total
     up = angle < np.pi / 2 - 1e-9
     masking = g1(np.cos(np.where(up, angle, 0)), alpha)
     return np.where(up, ggx(np.cos(angle / 2), alpha) * masking, 0)

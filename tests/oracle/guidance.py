@@ -44,6 +44,32 @@ def spectrum_distances(
     return np.einsum("abl,lc->ab", difference**2, S_L[1:] ** 2) / (2 * sigma**2)
 
 
+def printed(
+    S_B: np.ndarray | None, S_L: np.ndarray, alphas: np.ndarray, Ks: np.ndarray, sigma: float,
+    prior: np.ndarray | None = None,
+) -> float:  # fmt: skip
+    """E[H] = sum over psi of p(psi | B, L') H(B'_psi, L') of one texel, all with L' (Eq. 13).
+
+    Args:
+        S_B: (L + 1, C) power of the photographs that there are; None if none shows the texel.
+        S_L: (L + 1, C) power of L', the light of the views so far and the candidate.
+        alphas: (R,).
+        Ks: (S,).
+        sigma: of a degree's power.
+        prior: (R S,), uniform by default.
+    """
+    p = np.ones(len(alphas) * len(Ks)) if prior is None else np.array(prior, np.float64)
+    if S_B is not None:
+        d = np.zeros(len(p))
+        for cell, (a, k) in enumerate((a, k) for a in alphas for k in Ks):
+            for l in range(1, len(S_L)):
+                model = k**2 * np.exp(-2 * (a * l) ** 2) * S_L[l]
+                d[cell] += ((S_B[l] - model) ** 2).sum()
+        d /= 2 * sigma**2
+        p[p > 0] *= np.exp(-(d[p > 0] - d[p > 0].min()))
+    return expected(p / p.sum(), spectrum_distances(S_L, alphas, Ks, sigma), prior)
+
+
 def refitted_power(
     directions: np.ndarray, weights: np.ndarray, values: np.ndarray, lmax: int,
     regularizer: float, penalize_constant: bool,

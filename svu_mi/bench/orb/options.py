@@ -26,7 +26,8 @@ class OrbRow(Row):
 # Those of the paper's Table 1: SH model, power spectrum, SH and one epoch of paths, Mitsuba.
 ROWS = tuple(
     OrbRow(row.label, row.method, row.sh, row.path, row.sharing)
-    for row in (ways.SH, ways.SH_PAPER, ways.SPECTRUM, ways.SH_PATH, ways.PATH)
+    for row in (ways.SH, ways.SH_PATH, ways.PATH, ways.SH_PAPER, ways.SPECTRUM,
+                ways.SH_PAPER_PATH, ways.PATH_PAPER)
 )
 
 

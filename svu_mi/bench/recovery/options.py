@@ -67,7 +67,7 @@ class Sizes:
 
 FULL = Sizes()
 QUICK = Sizes(
-    rows=("SH (ours)", "SH + sharing", "SH (paper)", "spectrum", "SH + path", "path"),
+    rows=("SH (ours)", "SH + sharing", "SH (paper)", "spectrum (paper)", "SH + path", "path"),
     even_cells=1, relit_views=1, relit_spp=8, dense_views=24, front=9, back=2, path_cells=0,
     repeats=1, step_views=(6, 24), step_film=48, step_steps=30, turns=1, steps=30,
     soak_texels=48, soak_views=6, soak_film=32, scale=0.05, cold=False, warm=False,

@@ -64,6 +64,7 @@ def facing(estimate: Any, chosen: np.ndarray, up: np.ndarray) -> str | None:
 def skipped(estimate: Any) -> list[str]:
     """Return what was not computed as sentences, without what there is nothing of."""
     of = {name: int(number) for name, number in estimate.skipped.items() if number}
+    unseen = f"{estimate.posterior.prior_entropy:.3g}"
     fixed = ", ".join(f"{words(n)} = {value:g}" for n, value in known(estimate).items())
     sentences: Mapping[str, tuple[str, str]] = {
         "texels outside the charts": (
@@ -75,9 +76,9 @@ def skipped(estimate: Any) -> list[str]:
             "{n} points are used twice by the texture (overlapping charts) and were left out.",
         ),
         "texels never seen": (
-            "One point of the surface is in no photograph; its entropy is 1.",
+            f"One point of the surface is in no photograph; its entropy is {unseen}.",
             "{n} points of the surface are in no photograph; nothing was computed for them, and "
-            "their entropy is 1.",
+            f"their entropy is {unseen}.",
         ),
         "views left out": (
             "One photograph was left out.", "{n} photographs were left out."

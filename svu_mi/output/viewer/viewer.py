@@ -203,7 +203,8 @@ class Viewer:
 
     def _heading(self) -> str:
         seen = np.array(self._estimate.coverage) > 0
-        mean = np.array(self._estimate.entropy)[seen].mean() if seen.any() else 1
+        entropy = np.array(self._estimate.entropy)  # where nothing is seen, that of the prior
+        mean = (entropy[seen] if seen.any() else entropy).mean()
         return (
             f"**{self._capture.shape.id() or 'object'}**: {sum(self._capture.used)} views, "
             f"{self._estimate.texels.count} texels, {percent(seen.mean())} seen, mean entropy "

@@ -115,7 +115,9 @@ def path_objective(
         gradient = PathGradient(target, integrator, LOSSES[options.loss], options.spp)
     return PathObjective(
         target=target,
-        batches=PixelBatches(capture, options.pixels_per_batch, options.seed, views),
+        batches=PixelBatches(
+            capture, options.pixels_per_batch, options.seed, views, tile=options.tile
+        ),
         integrator=integrator,
         gradient=gradient,
         options=options,

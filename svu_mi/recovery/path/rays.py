@@ -19,7 +19,7 @@ from svu_mi.interop import owned
 from svu_mi.visibility.rays import film_ray, ray_floats
 from svu_mi.visibility.views import Views, pack_views
 
-TILE = 4  # pixels per side that stay together when the order is shuffled
+TILE = 4  # pixels per side that stay together when the order is shuffled, unless asked otherwise
 
 
 def proxy_sensor(sensor: Any, size: tuple[int, int], label: str = "view") -> Any:
@@ -59,8 +59,8 @@ class PixelBatches:
     """What to render at each step, and what it should look like.
 
     A batch is a function of its step: every ``epoch`` steps all usable pixels come once, in
-    squares of 4 x 4 pixels that are shuffled anew for each epoch. (Those of the last batch
-    are filled up with pixels of the first.)
+    squares of pixels, or one by one, that are shuffled anew for each epoch. (Those of the last
+    batch are filled up with pixels of the first.)
 
     Attributes:
         sensors: V sensors with films of one size.
@@ -72,30 +72,35 @@ class PixelBatches:
     """
 
     def __init__(
-        self, capture: Capture, size: int, seed: int = 0, views: Views | None = None
-    ) -> None:
+        self, capture: Capture, size: int | None, seed: int = 0, views: Views | None = None, *,
+        tile: int = TILE,
+    ) -> None:  # fmt: skip
         """Find the usable pixels of all used views.
 
         Args:
             capture: the photographs.
-            size: pixels per batch; fewer if there are not as many.
+            size: pixels per batch; fewer if there are not as many; None for as many as a used
+                photograph has on average.
             seed: of the order.
             views: the views as ``pack_views`` lays them out, if that was done already.
+            tile: pixels per side of a square that stays together.
 
         Raises:
-            OptionError: an empty batch, or a negative seed.
+            OptionError: an empty batch, a negative seed, or an empty square.
             CaptureError: no photograph shows the object in a usable pixel.
         """
-        if size < 1 or seed < 0:
+        if (size is not None and size < 1) or seed < 0:
             raise OptionError(
                 f"Batches need at least 1 pixel and a seed that is not negative, got {size} and "
                 f"{seed}."
             )
+        if tile < 1:
+            raise OptionError(f"Squares of pixels need at least 1 per side, got {tile}.")
         views = pack_views(capture) if views is None else views
         kept = [index for index in range(capture.count) if capture.used[index]]
         sizes = np.array([film_size(capture.sensors[index]) for index in kept])
         # Smaller films than a tile are a special case of the loader's.
-        width, height = np.maximum(sizes.max(axis=0), TILE + 1).tolist()
+        width, height = np.maximum(sizes.max(axis=0), tile + 1).tolist()
         common = (width, height)
         self.sensors = tuple(
             proxy_sensor(capture.sensors[index], common, capture.names[index]) for index in kept
@@ -106,12 +111,13 @@ class PixelBatches:
             raise CaptureError(
                 "No photograph shows the object in a pixel that can be used; check masks and poses."
             )
-        self.size = min(size, self.pixels)
+        self.size = min(size or -(-self.pixels // len(kept)), self.pixels)
         self.mean = sum(float(t.sum(dtype=np.float64)) for t in targets) / (3 * self.pixels)
         tensors = [mi.TensorXf(owned(mi.Float, t.ravel()), shape=t.shape) for t in targets]
         self.loader = _classes(mi.variant())[1](
-            list(self.sensors), tensors, owned(mi.Bool, usable.ravel()), self.size, seed
-        )
+            list(self.sensors), tensors, owned(mi.Bool, usable.ravel()), self.size, seed,
+            tile,
+        )  # fmt: skip
         self.epoch = int(self.loader.iter_shuffle)
 
     def at(self, step: int) -> tuple[Any, Any]:
@@ -183,14 +189,17 @@ def _classes(variant: str) -> tuple[Any, Any]:
         """Mitsuba's loader, of chosen pixels only, and with a batch for any step."""
 
         def __init__(
-            self, sensors: list[Any], targets: list[Any], usable: Any, size: int, seed: int
-        ) -> None:
-            super().__init__(sensors, targets, size, seed=seed, tile_size=TILE)
+            self, sensors: list[Any], targets: list[Any], usable: Any, size: int, seed: int,
+            tile: int,
+        ) -> None:  # fmt: skip
+            super().__init__(sensors, targets, size, seed=seed, tile_size=tile)
             me: Any = self  # what Mitsuba's own loader defines is not typed
             aimed: Any = mi.load_dict({"type": "svu_film_rays", "film": me.flat_sensor.film()})
             aimed.initialize(sensors, size)
             aimed.aim(_ray_floats(sensors))
             me.flat_sensor = aimed
+            if tile == 1:  # for which the loader makes no table
+                me._initialize_tile_pixel_table()
             # The loader itself marks what lies outside a film in this way.
             table, nothing = me.tile_pixel_table, me.total_pixels
             chosen = dr.gather(mi.Bool, usable, table, table < nothing)
@@ -200,6 +209,12 @@ def _classes(variant: str) -> tuple[Any, Any]:
             self.iter_shuffle = -(-count // size)
             self.effective_total_pixels = self.iter_shuffle * size
             self._first = -1
+
+        def shuffle_pixel_index(self, seed: Any) -> None:
+            # By the table for single pixels, too: the loader's own way does not look at it.
+            me: Any = self
+            me._shuffle_pixel_index_tiled(seed)
+            me._update_target_image_buffer()
 
         def at(self, step: int) -> tuple[Any, Any]:
             first = step - step % self.iter_shuffle

@@ -1,9 +1,9 @@
-"""Mean absolute error between photographs and filtered light, over all samples.
+"""Mean absolute error between photographs and the SH model (Eq. 6), over all samples.
 
-The loss of the paper's recovery in the angular domain (Sec. 5.1), for models that look light up
-and trace nothing: every step goes through all views of all texels. Loss and derivatives are
-summed in the same pass, in one kernel; derivatives then reach the textures by one gather per
-texel, so that no addition is atomic.
+The loss of the paper's recovery in the angular domain (Sec. 5.1): every step convolves the light
+of every texel with its lobe and goes through all views. Loss and derivatives are summed in the
+same pass; derivatives then reach the textures by one gather per texel, so that no addition is
+atomic.
 """
 
 from __future__ import annotations
@@ -17,17 +17,20 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import CaptureError, OptionError
+from svu_mi.frequency.gather import MirroredLight
 from svu_mi.interop import owned
 from svu_mi.light.moments import moment_map
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset
 from svu_mi.recovery.sh.gradient import carry, look_up
-from svu_mi.reflection.continuous import Continuous, continuous, shade
-from svu_mi.statistics.gather import Values
+from svu_mi.reflection.diffuse import diffuse_shading
+from svu_mi.reflection.fitted import Convolved
+from svu_mi.reflection.lobes import reflected_at_view
+from svu_mi.reflection.principled import alpha_from_roughness
+from svu_mi.reflection.shading import Shading
+from svu_mi.statistics.gather import GRAZING, Values
 from svu_mi.visibility import Observation, Surface, Survey, Views
 from svu_mi.visibility.pixels import as_channels
-
-FEWEST_LEVELS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +41,9 @@ class AngularObjective:
         views: the packed capture, in C = 3 channels.
         surface: the S texels that some view sees.
         found: who sees whom.
-        model: the light and the lobes.
+        switches: of the model.
+        light: that the texels mirror.
+        lane: (T,) UInt32, which of the S lanes a texel has.
         moments: of the diffuse light that arrives, 8 Floats (S,) per channel.
         place: (S,) UInt32, where in a texture each of them is.
         factor: opaque Float, 1 / (n C unit).
@@ -47,7 +52,9 @@ class AngularObjective:
     views: Views
     surface: Surface
     found: Survey
-    model: Continuous
+    switches: AngularPreset
+    light: MirroredLight
+    lane: Any
     moments: list[list[Any]]
     place: Any
     factor: Any
@@ -68,11 +75,11 @@ class AngularObjective:
 
     def _sums(self, values: Values) -> tuple[Any, ...]:
         """Loss and its derivatives for R, G, B, roughness and metallic, summed per texel."""
-        normal = mi.Vector3f(self.surface.normal)
+        lobes = Convolved.of(self.light, values.roughness, self.lane)
 
         def consume(seen: Observation, _: Any, *sums: Any) -> tuple[Any, ...]:
             def add(values: Values, *sums: Any) -> tuple[Any, ...]:
-                return self._add(seen, normal, values, sums)
+                return self._add(seen, lobes, values, sums)
 
             asked = self.found.asked(seen.seen)
             found = dr.if_stmt(
@@ -84,14 +91,14 @@ class AngularObjective:
         return self.found.over_views(self.views, self.surface, consume, zeros)
 
     def _add(
-        self, seen: Observation, normal: Any, values: Values, sums: tuple[Any, ...]
+        self, seen: Observation, lobes: Convolved, values: Values, sums: tuple[Any, ...]
     ) -> tuple[Any, ...]:
         """Add one sample of every texel to the sums."""
         base_color, metallic = [values.red, values.green, values.blue], values.metallic
         with dr.resume_grad():
             roughness = mi.Float(values.roughness)
             dr.enable_grad(roughness)
-            shading = shade(self.model, roughness, normal, seen.direction, self.moments)
+            shading = self._shade(seen, lobes, roughness)
             modelled = shading.radiance(base_color, metallic)
             dr.forward_from(roughness)
             rise = [dr.grad(value) for value in modelled]
@@ -109,42 +116,63 @@ class AngularObjective:
         added += [to_roughness, to_metallic]
         return tuple(old + new for old, new in zip(sums, added, strict=True))
 
+    def _shade(self, seen: Observation, lobes: Convolved, roughness: Any) -> Shading:
+        """Evaluate Eq. 6 towards the camera of every sample, with derivatives for roughness."""
+        cosine = dr.maximum(seen.cosine, GRAZING)
+        moved = roughness - dr.detach(roughness)  # 0, with a derivative
+        found = lobes.towards(seen.direction, self.surface.index)
+        light = [dr.fma(slope, moved, value) for value, slope in found]
+        A, B, D = reflected_at_view(self.switches.fresnel, cosine, alpha_from_roughness(roughness))
+        diffuse = [
+            diffuse_shading(self.switches.diffuse, each, seen.direction, cosine)
+            for each in self.moments
+        ]
+        return Shading(
+            diffuse=[dr.fma(roughness, b, a) for a, b in diffuse],
+            scaled=[A * value for value in light],
+            added=[B * value for value in light],
+            dielectric=[D * value for value in light],
+        )
+
 
 def angular_objective(
-    observed: Observed, switches: AngularPreset, levels: int = 16
+    observed: Observed, switches: AngularPreset
 ) -> AngularObjective:
-    """Prepare the loss: filter the light.
+    """Prepare the loss: fit the light of every texel that some view sees.
 
     Args:
         observed: the photographs, and their light.
         switches: the reflection model; ``paper`` for the paper's.
-        levels: of roughness that the light is filtered for.
 
     Raises:
-        OptionError: fewer than two levels, or a model that traces what hides light.
+        OptionError: a model that does not fit its light.
         CaptureError: all photographs are black where a texel is seen.
     """
     found, texels = observed.found, observed.texels
-    if levels < FEWEST_LEVELS:
-        raise OptionError(f"Recovery needs {FEWEST_LEVELS} or more roughness levels, got {levels}.")
-    if switches.traced:
+    channels = 1 if observed.lighting.environment.grey else 3
+    seen = np.flatnonzero(observed.coverage)
+    light = observed.mirrored(switches.fit, channels, seen)
+    if light is None:
         raise OptionError(
-            f"The angular loss looks light up, but preset {switches.name!r} traces "
-            f"{switches.cells} cells; use cells=0."
+            f"The angular loss is that of the SH model, whose light is fitted to every texel, but "
+            f"preset {switches.name!r} has no fit; use preset('paper', method='angular')."
         )
     if not found.scale > 0:
         raise CaptureError("No texel is seen with any radiance; check poses, masks and exposures.")
-    channels = 1 if observed.lighting.environment.grey else 3
-    selection = owned(mi.UInt32, np.flatnonzero(observed.coverage).astype(np.uint32))
+    selection = owned(mi.UInt32, seen.astype(np.uint32))
     surface = Surface.of(texels, selection)
-    light = moment_map(observed.lighting.environment, channels)
+    diffuse = moment_map(observed.lighting.environment, channels)
     samples = 3.0 * int(observed.coverage.sum(dtype=np.int64))
+    lane = np.zeros(texels.count, np.uint32)
+    lane[seen] = np.arange(len(seen))
     return AngularObjective(
         views=observed.views,
         surface=surface,
         found=found,
-        model=continuous(observed.lighting, switches, levels, channels),
-        moments=light.in_world(surface.normal),
+        switches=switches,
+        light=light,
+        lane=owned(mi.UInt32, lane),
+        moments=diffuse.in_world(surface.normal),
         place=dr.gather(mi.UInt32, texels.index, selection),
         factor=dr.opaque(mi.Float, 1 / (samples * found.scale)),
     )

@@ -1,0 +1,141 @@
+"""Expected entropy (Eq. 13) as printed: in the light of one view more than there are.
+
+    E[H] = sum_psi p(psi | B, L') H(B'_psi, L')
+
+L' is the light that a texel mirrors into v' views and the candidate, band-limited for that many:
+alpha' = (v' + 1)^(-1/2). Not only what photographs of a truth would say depends on it, but also how
+likely that truth is: with the spectrum S_B of the photographs that there are,
+
+    p(psi | B, L') ~ exp(-sum_l (S_B(l) - Ks^2 e_l S_L'(l))^2 / (2 sigma^2)) p(psi).
+
+So no E[H] outlasts a step, and every candidate has truths of its own. S_B stays a fit to fewer
+samples than S_L' is, whose regulariser takes more off it: a candidate that adds power to the light
+makes weaker reflections likely, which say less. On ``vase`` and ``knot`` with 10 views, that moves
+E[H] of a texel by .03 in the mean and .5 at most, the sharper light alone by .006.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.guidance.responses import Responses
+from svu_mi.guidance.spectral import Cells, Keep, SpectrumForecast
+from svu_mi.posterior.spectrum_kernel import Products, row_distances
+
+Relight = Callable[[int], tuple[Responses, float]]
+"""Number of views -> responses of all views in light band-limited for so many, and its alpha'."""
+
+
+@dataclass(frozen=True)
+class GrowingForecast(SpectrumForecast):
+    """``SpectrumForecast`` in light that is sharper with every view.
+
+    Responses, ``prefilter`` and the weights of ``hypotheses`` are those of the start; cells of
+    these are all that the prior allows.
+
+    Attributes:
+        photographs: (T (l* + 1) C,) Float, power spectra S_B, by texel, degree and channel.
+        observed: (T,) Bool, which texels a photograph shows; of others there is only the prior.
+        relight: looks again.
+    """
+
+    photographs: Any
+    observed: Any
+    relight: Relight
+    _lights: dict[int, GrowingForecast] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+
+    @property
+    def lasting(self) -> bool:
+        """Every view changes the light."""
+        return False
+
+    def _evaluate(
+        self, views: np.ndarray, candidates: np.ndarray | None, texels: np.ndarray
+    ) -> np.ndarray:
+        evaluate = super(GrowingForecast, self._lit_for(len(views) + 1))._evaluate
+        return evaluate(views, candidates, texels)
+
+    def _lit_for(self, views: int) -> GrowingForecast:
+        """Return the forecast in the light for so many views; the last one is kept."""
+        if views not in self._lights:
+            self._lights.clear()  # responses are large
+            responses, prefilter = self.relight(views)
+            self._lights[views] = replace(self, responses=responses, prefilter=prefilter)
+        return self._lights[views]
+
+    def _kept(self, lane: Any) -> tuple[int, Keep]:
+        """Keep S_L'^2 by degree, S_L' S_B by degree, and the sum of S_B^2; all over 2 sigma^2."""
+        count, of_light = super()._kept(lane)
+        scale = dr.opaque(mi.Float64, 0.5 / self.sigma**2)
+        channels = self.switches.colors
+        first = lane * dr.opaque(mi.UInt32, (count + 1) * channels)
+        shown = [
+            [
+                mi.Float64(dr.gather(mi.Float, self.photographs, first + l * channels + c))
+                for c in range(channels)
+            ]
+            for l in range(1, count + 1)
+        ]
+        energy = scale * sum(B * B for row in shown for B in row)
+
+        def keep(power: list[list[Any]]) -> list[Any]:
+            both = [
+                scale * sum(S * B for S, B in zip(light, row, strict=True))
+                for light, row in zip(power[1:], shown, strict=True)
+            ]
+            return [*of_light(power), *both, energy]
+
+        return 2 * count + 1, keep
+
+    def _cells(self, texel: Any, kept: list[Any]) -> Cells:
+        return _Weighted(self, texel, kept)
+
+
+class _Weighted(Cells):
+    """``Cells`` that are as likely as the photographs make them in the light of each lane."""
+
+    def __init__(self, forecast: GrowingForecast, texel: Any, kept: list[Any]) -> None:
+        degree = forecast.switches.degree
+        light, both = kept[:degree], kept[degree : 2 * degree]
+        super().__init__(forecast, texel, light)
+        seen = dr.gather(mi.Bool, forecast.observed, texel)
+        self._known = Products(
+            [dr.select(seen, x, 0) for x in light],
+            [dr.select(seen, x, 0) for x in both],
+            dr.select(seen, kept[-1], 0),
+        )
+        self._least, self._total = self._sums()
+
+    def truth(self, number: Any) -> tuple[Any, list[Any], Any]:
+        """As ``Cells`` has it, but for the probability."""
+        _, fall, prior = super().truth(number)
+        away = mi.Float(dr.minimum(self._energy(number) - self._least, 1e3))
+        return dr.exp(-away) / self._total, fall, prior
+
+    def _energy(self, number: Any) -> Any:
+        """-log p(psi | B, L') of a hypothesis, up to a constant: Float64."""
+        cell, _ = self._truths.at(number, self._texel)
+        square, fall = self._cell(cell)
+        return row_distances([square], self._known, fall)[0] + self._prior_of(cell)
+
+    def _sums(self) -> tuple[Any, Any]:
+        """The smallest energy of all hypotheses, and the sum of exp(smallest - energy)."""
+
+        def add(number: Any, least: Any, total: Any) -> tuple[Any, Any, Any]:
+            x = self._energy(number)
+            lower = dr.minimum(least, x)
+            old, new = (mi.Float(dr.minimum(y - lower, 1e3)) for y in (least, x))
+            return number + 1, lower, dr.fma(dr.exp(-old), total, dr.exp(-new))
+
+        count = dr.width(self._texel)
+        start = (mi.UInt32(0), dr.full(mi.Float64, 1e300, count), dr.zeros(mi.Float, count))
+        _, least, total = dr.while_loop(start, lambda number, *_: number < self.hypotheses, add)
+        return least, total

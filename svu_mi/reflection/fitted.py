@@ -1,0 +1,231 @@
+"""Lobes by spherical harmonics of the light that every texel mirrors: the paper's SH model (Eq. 6).
+
+    B(omega_o) = Kd / pi E + F(theta_o) G1(theta_o; alpha) [S_alpha * G1(theta_i; alpha) L](omega_o)
+
+Light is parametrised by the direction that it is mirrored to, so that L(omega_o) is what arrives
+from the mirror direction of omega_o, and theta_i = theta_o where it is sampled. Texel by texel,
+G1(theta_i) L is expanded to degree l* from the directions of its photographs (Eq. 12), and the
+convolution multiplies degree l by exp(-(alpha l)^2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.frequency import harmonics
+from svu_mi.frequency.arrays import scatter_strided
+from svu_mi.frequency.gather import MirroredLight
+from svu_mi.options import AngularPreset, Fresnel
+from svu_mi.reflection.lobes import reflected_at_view, smith_g1, smith_g1_slope
+from svu_mi.reflection.principled import alpha_from_roughness
+from svu_mi.reflection.wide import Lobe
+
+
+@dataclass(frozen=True)
+class FittedLobes:
+    """Lobes of a few widths, the same for all texels.
+
+    Attributes:
+        fresnel: which Fresnel term.
+        alpha: (K,) float64 widths.
+        values: (K n C T,) Float, n = (l* + 1)^2: coefficients of S_alpha * G1 L, of the width, then
+            l*l + l + m, then channel, one per texel, in radiance; 0 for one that no view sees.
+        light: what they were fitted to.
+        texel: UInt32, which of all T texels each lane is.
+    """
+
+    fresnel: Fresnel
+    alpha: np.ndarray
+    values: Any
+    light: MirroredLight
+    texel: Any
+
+    @staticmethod
+    def of(
+        light: MirroredLight, alpha: np.ndarray, switches: AngularPreset, texel: Any
+    ) -> FittedLobes:
+        """Fit and convolve the light with a lobe of each width.
+
+        Memory: 4 n C bytes per texel and width.
+
+        Args:
+            light: of T texels.
+            alpha: (K,) widths.
+            switches: the model.
+            texel: UInt32, which of the T each lane is.
+        """
+        rows, count = (light.fit.degree + 1) ** 2 * light.channels, light.texels.count
+        values = dr.zeros(mi.Float, len(alpha) * rows * count)
+        dr.eval(values)
+        for level, width in enumerate(alpha.tolist()):
+            square = dr.opaque(mi.Float, float(_square(light, width)))
+            for chosen, coefficients in light.solutions(_masking(width), 1):
+                convolved = [
+                    _decay(square, row) * value
+                    for row, values_of in enumerate(coefficients) for value in values_of
+                ]  # fmt: skip
+                start = chosen + dr.opaque(mi.UInt32, level * rows * count)
+                stride = dr.opaque(mi.UInt32, count)
+                values = scatter_strided(values, convolved, start, stride)
+                dr.eval(values)
+        return FittedLobes(switches.fresnel, alpha, values, light, texel)
+
+    def reflect(self, direction: Any, cosine: Any) -> list[Lobe]:
+        """Reflect light towards a camera.
+
+        Args:
+            direction: unit Vector3f to the camera.
+            cosine: Float between it and the normal, positive.
+
+        Returns:
+            The lobe of each width.
+        """
+        light, channels = self.light, self.light.channels
+        stride, rows = light.texels.count, (light.fit.degree + 1) ** 2 * channels
+        columns = [
+            dr.opaque(mi.UInt32, (level * rows + c) * stride)
+            for level in range(len(self.alpha)) for c in range(channels)
+        ]  # fmt: skip
+        found = _evaluate(
+            self.values, direction, light.fit.degree, self.texel,
+            dr.opaque(mi.UInt32, channels * stride), columns,
+        )  # fmt: skip
+        result = []
+        for level, alpha in enumerate(self.alpha.tolist()):
+            A, B, D = reflected_at_view(self.fresnel, cosine, alpha)
+            own = found[level * channels : (level + 1) * channels]
+            result.append([(A * value, B * value, D * value) for value in own])
+        return result
+
+
+@dataclass(frozen=True)
+class Convolved:
+    """Light under a lobe of every texel's own width.
+
+    Attributes:
+        values: (2 n C T,) Float: of the coefficient, then value and derivative for roughness, then
+            channel, one per texel.
+        light: what they were fitted to.
+    """
+
+    values: Any
+    light: MirroredLight
+
+    @staticmethod
+    def of(light: MirroredLight, roughness: Any, lane: Any) -> Convolved:
+        """Fit and convolve, exactly: every texel's light is fitted under its own masking.
+
+        Args:
+            light: of T texels.
+            roughness: Float in [0, 1], evaluated, one per lane.
+            lane: (T,) UInt32, which lane a texel has.
+        """
+        count = light.texels.count
+        values = dr.zeros(mi.Float, 2 * (light.fit.degree + 1) ** 2 * light.channels * count)
+        dr.eval(values)
+
+        def masking(cosine: Any, texel: Any) -> list[Any]:
+            alpha, slope = _widths(_at(roughness, lane, texel))
+            return [smith_g1(cosine, alpha), slope * smith_g1_slope(cosine, alpha)]
+
+        for chosen, coefficients in light.solutions(masking, 2):
+            alpha, slope = _widths(_at(roughness, lane, chosen))
+            square = _square(light, alpha)
+            rise = dr.select(square > 0, 2 * alpha * slope, 0)
+            convolved = []
+            for row, both in enumerate(coefficients):
+                decay, l = _decay(square, row), int(row**0.5)
+                value, change = both[: light.channels], both[light.channels :]
+                convolved += [decay * c for c in value]
+                convolved += [
+                    decay * (d - rise * (l * l) * c) for c, d in zip(value, change, strict=True)
+                ]
+            values = scatter_strided(values, convolved, chosen, dr.opaque(mi.UInt32, count))
+            dr.eval(values)
+        return Convolved(values, light)
+
+    def towards(self, direction: Any, texel: Any) -> list[tuple[Any, Any]]:
+        """Evaluate in angle: (S_alpha * G1 L, its derivative for roughness) of each channel.
+
+        Args:
+            direction: unit Vector3f to the camera, one per lane.
+            texel: UInt32, which of the T each lane is.
+        """
+        channels, count = self.light.channels, dr.opaque(mi.UInt32, self.light.texels.count)
+        columns = [k * count for k in range(2 * channels)]
+        found = _evaluate(
+            self.values, direction, self.light.fit.degree, texel, 2 * channels * count, columns
+        )
+        return list(zip(found[:channels], found[channels:], strict=True))
+
+
+def _masking(alpha: float) -> Callable[[Any, Any], list[Any]]:
+    """G1(theta_i; alpha), with an opaque alpha."""
+    width = dr.opaque(mi.Float, alpha)
+    return lambda cosine, _: [smith_g1(cosine, width)]
+
+
+def _at(roughness: Any, lane: Any, texel: Any) -> Any:
+    return dr.gather(mi.Float, roughness, dr.gather(mi.UInt32, lane, texel))
+
+
+def _widths(roughness: Any) -> tuple[Any, Any]:
+    """Return alpha, and its derivative for roughness."""
+    alpha = alpha_from_roughness(roughness)
+    return alpha, dr.select(roughness * roughness < alpha, 0, 2 * roughness)
+
+
+def _square(light: MirroredLight, alpha: Any) -> Any:
+    """alpha^2; less alpha'^2, what light is filtered by already, if that is undone."""
+    undone = light.lighting.prefilter**2 if light.fit.undo_prefilter else 0.0
+    maximum = dr.maximum if dr.is_array_v(alpha) else np.maximum
+    return maximum(alpha * alpha - undone, 0)
+
+
+def _decay(square: Any, row: int) -> Any:
+    """exp(-(alpha l)^2) of coefficient l*l + l + m."""
+    l = int(row**0.5)
+    return dr.exp(-square * (l * l))
+
+
+@dr.syntax
+def _evaluate(
+    values: Any, direction: Any, degree: int, place: Any, advance: Any, columns: list[Any]
+) -> list[Any]:
+    """Evaluate expansions: the sum over coefficients of Y_lm(direction) times each of some columns.
+
+    Args:
+        values: flat array of coefficients.
+        direction: unit Vector3f.
+        degree: l*.
+        place: UInt32, where each lane's first coefficient is.
+        advance: UInt32, from one coefficient to the next.
+        columns: UInt32, where each column begins.
+    """
+    number = (degree + 1) ** 2
+    basis = dr.alloc_local(mi.Float, number)
+    for k, y in enumerate(harmonics.basis(mi.Vector3f(direction), degree)):
+        basis[k] = y
+    sums = [0 * direction[0] for _ in columns]
+    index = mi.UInt32(0)
+    while index < number:
+        y = basis[index]
+        sums = _add(sums, y, values, place, columns)
+        place = place + advance
+        index += 1
+    return sums
+
+
+def _add(
+    sums: list[Any], factor: Any, values: Any, place: Any, columns: list[Any]
+) -> list[Any]:
+    return [
+        dr.fma(factor, dr.gather(mi.Float, values, place + column), total)
+        for column, total in zip(columns, sums, strict=True)
+    ]

@@ -1,0 +1,341 @@
+"""Presets of recovery: what they say, written down here again, and that runs do as they say."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, get_args, get_type_hints
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from helpers import render_ball
+
+import svu_mi as svu
+from svu_mi.cli.recover import Recover
+from svu_mi.errors import OptionError, SvuError
+from svu_mi.options import PRESETS, preset
+from svu_mi.posterior import ParameterGrid, SpectrumPosterior
+from svu_mi.recovery import run as running
+from svu_mi.recovery.fingerprint import fingerprint
+from svu_mi.recovery.options import (
+    BOTH_PRESETS,
+    PATH_PRESETS,
+    SH_PRESETS,
+    DescentOptions,
+    Options,
+    PathOptions,
+    ShOptions,
+)
+from svu_mi.recovery.path.objective import PathObjective
+from svu_mi.recovery.sh.angular import AngularObjective
+from svu_mi.recovery.sh.spectral import SpectralObjective
+from svu_mi.regularization import GlobalSharing, TotalVariation
+from svu_mi.regularization.tv import EPSILON
+from svu_mi.surface import neighbors
+
+# Of Adam everywhere; the paper has no other.
+ADAM = {
+    "tolerance": 0.0, "window": 25, "low": 0.0, "high": 1.0, "scales": {}, "beta_1": 0.9,
+    "beta_2": 0.999, "mask_updates": False,
+}  # fmt: skip
+PRINTED = {"tv": 1e-2, "tv_space": "texture", "tv_epsilon": 0.0, "sharing": 1e-2,
+           "common_prior": False}  # fmt: skip
+OURS = {"tv_space": "surface", "tv_epsilon": 1e-2, "common_prior": True}
+SMOOTHING = {**ADAM, "steps": 240, "learning_rate": 0.05, "final_rate": 0.1}
+
+SH = {
+    "default": {
+        **OURS, "loss": "statistics", "closed_form": True, "smoothing": SMOOTHING,
+        "robust": 0, "tv": 0.6, "sharing": 160.0,
+        "descent": {**ADAM, "steps": 100, "learning_rate": 0.02, "final_rate": 0.1},
+    },
+    **{
+        name: {
+            **PRINTED, "loss": loss, "closed_form": False, "smoothing": SMOOTHING,
+            "robust": 0,
+            "descent": {**ADAM, "steps": 200, "learning_rate": 0.01, "final_rate": 1.0},
+        }
+        for name, loss in
+        {"paper": "angular", "coefficients": "coefficients", "spectrum": "spectrum"}.items()
+    },
+}  # fmt: skip
+
+PATH_PAPER = {
+    **PRINTED, "epochs": 10.0, "pixels_per_batch": None, "tile": 1, "spp": 32, "max_depth": None,
+    "loss": "l1", "halves": False, "seed": 0,
+    "descent": {**ADAM, "steps": 200, "learning_rate": 0.02, "final_rate": 1.0},
+}  # fmt: skip
+PATH = {
+    "default": {
+        **OURS, "epochs": 60.0, "pixels_per_batch": 65536, "tile": 4, "spp": 2, "max_depth": None,
+        "loss": "l2", "halves": True, "tv": 2.0, "sharing": 8.0, "seed": 0,
+        "descent": {**ADAM, "steps": 200, "learning_rate": 0.05, "final_rate": 0.02,
+                    "beta_2": 0.99, "scales": {"roughness": 0.2, "metallic": 0.2}},
+    },
+    "paper": PATH_PAPER,
+    "polish": {
+        **OURS, "epochs": 1.0, "pixels_per_batch": 16384, "tile": 4, "spp": 4, "max_depth": None,
+        "loss": "l2", "halves": True, "tv": 0.5, "sharing": 8.0, "seed": 0,
+        "descent": {**ADAM, "steps": 200, "learning_rate": 0.005, "final_rate": 0.1,
+                    "beta_2": 0.99},
+    },
+    "paper_polish": {**PATH_PAPER, "epochs": 1.0, "spp": 16},
+}  # fmt: skip
+
+BOTH = {
+    "default": ("default", "polish"),
+    "paper": ("paper", "paper_polish"),
+    "coefficients": ("coefficients", "paper_polish"),
+    "spectrum": ("spectrum", "paper_polish"),
+}
+ASKED = [
+    *(("sh", name) for name in SH), *(("path", name) for name in PATH),
+    *(("sh+path", name) for name in BOTH),
+]  # fmt: skip
+
+
+def expected(method: str, name: str) -> dict[str, dict[str, Any]]:
+    """What the tables above say of a preset, by part."""
+    if method == "sh+path":
+        return {"sh": SH[BOTH[name][0]], "path": PATH[BOTH[name][1]]}
+    return {method: {"sh": SH, "path": PATH}[method][name]}
+
+
+def test_presets_are_what_is_written_down():
+    assert {name: asdict(options) for name, options in SH_PRESETS.items()} == SH
+    assert {name: asdict(options) for name, options in PATH_PRESETS.items()} == PATH
+    assert BOTH_PRESETS == BOTH
+    assert ShOptions().tv_epsilon == PathOptions().tv_epsilon == EPSILON
+
+
+def test_a_preset_that_a_method_does_not_have_is_refused_and_others_are_listed():
+    for method, table in (("sh", SH), ("path", PATH), ("sh+path", BOTH)):
+        for name in {*SH, *PATH, "best"} - set(table):
+            for given in (None, ShOptions()):
+                with pytest.raises(OptionError) as refused:
+                    Options.of(method, name, given, None, None)
+                assert str(refused.value) == (
+                    f"Unknown preset {name!r} of method {method!r}; there are {', '.join(table)}."
+                )
+
+
+def test_the_command_offers_every_preset_there_is():
+    offered = get_args(get_type_hints(Recover)["preset"])
+    assert set(offered) == {*SH, *PATH, *BOTH}
+
+
+@pytest.mark.parametrize("wrong", [{"tv_space": "map"}, {"tv_epsilon": -1.0}, {"tile": 0}])
+def test_options_out_of_range_are_refused(wrong):
+    kinds = [PathOptions] if "tile" in wrong else [ShOptions, PathOptions]
+    for kind in kinds:
+        with pytest.raises(OptionError, match=next(iter(wrong))):
+            kind(**wrong)
+
+
+# ---- runs ----
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    sky = np.full((16, 32, 3), 0.3, np.float32)
+    sky[3:6, 5:9] = (9, 7, 5)
+    sky[8:10, 20:24] = (2, 4, 6)
+    light = {"type": "envmap", "bitmap": mi.Bitmap(sky)}
+    paint = {"type": "principled", "base_color": {"type": "rgb", "value": [0.6, 0.4, 0.2]},
+             "roughness": 0.35, "metallic": 0.4, "specular": 0.5}  # fmt: skip
+    folder = tmp_path_factory.mktemp("ball")
+    return render_ball(folder, light, paint, views=8, resolution=(40, 40), spp=16)
+
+
+@pytest.fixture(scope="module")
+def grid(capture):
+    return svu.texels(capture.mesh, (16, 12))
+
+
+@pytest.fixture(scope="module")
+def seen(capture, grid):
+    return svu.estimate(capture, grid)
+
+
+@dataclass
+class Told:
+    """What the parts of a recovery were told."""
+
+    descents: list[DescentOptions] = field(default_factory=list)
+    rules: list[list[tuple[float, Any]]] = field(default_factory=list)
+    data: list[Any] = field(default_factory=list)
+    variations: list[TotalVariation] = field(default_factory=list)
+    sharing: list[GlobalSharing] = field(default_factory=list)
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """Every descent is one step, and all that it was asked for is written down."""
+    found = Told()
+    descend, regularized = running.descend, running.regularized
+
+    def brief(objective, start, options, **rest):
+        found.descents.append(options)
+        return descend(objective, start, replace(options, steps=1), **rest)
+
+    def with_rules(data, rules, fixed=None):
+        found.data.append(data)
+        found.rules.append(list(rules))
+        return regularized(data, rules, fixed)
+
+    def watch(kind, made):
+        ready = kind.__post_init__
+
+        def done(self):
+            ready(self)
+            made.append(self)
+
+        monkeypatch.setattr(kind, "__post_init__", done)
+
+    monkeypatch.setattr(running, "descend", brief)
+    monkeypatch.setattr(running, "regularized", with_rules)
+    watch(TotalVariation, found.variations)
+    watch(GlobalSharing, found.sharing)
+    return found
+
+
+def is_of_texture(variation: TotalVariation, grid: Any) -> bool:
+    """Whether neighbours are those of the map; those of the ball meet at its border, too."""
+    return variation.mesh.seams == 0 and len(variation.mesh.pairs[0]) == len(
+        neighbors(grid).pairs[0]
+    )
+
+
+@pytest.mark.parametrize(("method", "name"), ASKED)
+def test_a_run_uses_what_its_preset_says(seen, grid, told, method, name):
+    found = svu.recover(seen.observed, None, method, name)
+    parts = expected(method, name)
+    said = json.loads(json.dumps(found.settings))
+    assert {part: said[part] for part in parts} == parts
+    assert set(said) == {"method", "parameters", "sharing", *parts}
+    assert said["sharing"] is False
+    last = dict(zip(reversed(parts), reversed(told.descents), strict=False))
+    for part, options in parts.items():
+        steps = {"steps": last[part].steps} if part == "path" else {}  # those of its epochs
+        assert asdict(last[part]) == options["descent"] | steps
+    pairs = list(zip(reversed(parts), reversed(told.data), reversed(told.rules), strict=False))
+    for part, data, rules in pairs:
+        check_data(part, data, parts[part])
+        ((weight, _),) = rules
+        nats = np.sqrt(grid.count) if parts[part].get("loss") == "statistics" else 1
+        assert weight == pytest.approx(parts[part]["tv"] * nats)
+    wanted = {(one["tv_space"], one["tv_epsilon"]) for one in parts.values()}
+    made = {("texture" if is_of_texture(v, grid) else "surface", v.epsilon)
+            for v in told.variations}  # fmt: skip
+    assert made == wanted and len(told.variations) == len(wanted)
+
+
+def check_data(part: str, data: Any, options: dict[str, Any]) -> None:
+    """What is compared with the photographs is what the options say."""
+    if part == "path":
+        assert isinstance(data, PathObjective)
+        used = asdict(data.options) | {"max_depth": None, "descent": options["descent"]}
+        assert used == options
+        assert data.batches.loader.tile_size == options["tile"]
+        assert (data.gradient is None) == (not options["halves"])
+    elif options["loss"] == "angular":
+        assert isinstance(data, AngularObjective)
+    elif options["loss"] != "statistics":
+        assert isinstance(data, SpectralObjective)
+        assert data.domain == options["loss"]
+
+
+def test_a_start_is_that_of_the_preset(seen, told):
+    """The paper starts from 0.5 everywhere: nothing smooths a closed form before."""
+    svu.recover(seen, preset="paper")
+    assert len(told.descents) == 1
+    svu.recover(seen)
+    assert len(told.descents) == 3
+
+
+# ---- sharing as printed ----
+
+
+@pytest.mark.parametrize(
+    ("method", "name"),
+    [("sh", "paper"), ("sh", "coefficients"), ("sh", "spectrum"), ("path", "paper"),
+     ("path", "paper_polish"), ("sh+path", "paper"), ("sh+path", "spectrum")],
+)  # fmt: skip
+@pytest.mark.parametrize("source", ["observed", "estimate"])
+def test_the_paper_s_presets_share_as_printed(seen, grid, told, method, name, source):
+    """By power spectra over 8 x 8 cells, also where a recovery goes on from another estimate."""
+    given = seen if source == "estimate" else seen.observed
+    found = svu.recover(given, None, method, name, sharing=True)
+    (sharing,) = told.sharing  # both parts of sh+path have the same one
+    posterior = sharing.estimate.posterior
+    assert isinstance(posterior, SpectrumPosterior)
+    assert posterior.grid == ParameterGrid(8, 8, "uniform")
+    assert sharing.estimate.preset == PRESETS["paper"]
+    assert sharing.mesh.seams > 0  # minima are those on the surface
+    assert (sharing.divergence, sharing.seeding, sharing.anchored) == ("forward", "least", False)
+    assert sharing.tau == 0.4
+    assert 1 <= len(sharing.seeds) <= 20
+    for rules in told.rules:
+        assert [weight for weight, _ in rules] == [1e-2, 1e-2]
+    assert found.settings["sharing"] == {
+        "seeds": 20, "tau": 0.4, "seeding": "least", "divergence": "forward", "anchored": False,
+        "posterior": {"method": "spectrum", "preset": "paper"},
+    }  # fmt: skip
+    json.dumps(found.settings)
+
+
+def test_sharing_goes_on_from_power_spectra_that_are_there(seen, told):
+    own = svu.estimate(
+        seen.observed, method="spectrum", preset=preset("paper", name="mine", sigma=0.05)
+    )
+    found = svu.recover(own, preset="paper", sharing=True)
+    assert told.sharing[0].estimate is own
+    assert found.settings["sharing"]["posterior"]["preset"] == "mine"
+    principled = svu.estimate(seen.observed, method="spectrum")
+    svu.recover(principled, preset="paper", sharing=True)
+    assert told.sharing[1].estimate.preset == PRESETS["paper"]
+
+
+def test_our_presets_share_by_a_prior_in_common(seen, told):
+    found = svu.recover(seen, sharing=True)
+    assert not told.sharing
+    assert found.settings["sharing"] is True
+
+
+def test_a_rule_of_one_s_own_is_written_down(seen, told):
+    rule = GlobalSharing(seen, seeds=[3, 8], tau=0.3)
+    found = svu.recover(seen, sharing=rule)
+    assert found.settings["sharing"] == {
+        "seeds": 2, "tau": 0.3, "seeding": "spread", "divergence": "reverse", "anchored": True,
+    }  # fmt: skip
+    assert told.sharing == [rule]
+
+
+# ---- checkpoints ----
+
+
+def brief(**changes: Any) -> ShOptions:
+    return replace(
+        SH_PRESETS["paper"], descent=DescentOptions(steps=2, learning_rate=0.01), **changes
+    )
+
+
+@pytest.mark.parametrize("change", [{"tv_space": "surface"}, {"tv_epsilon": 0.01}])
+def test_a_checkpoint_of_another_variation_is_refused(seen, tmp_path, change):
+    kept = tmp_path / "checkpoint.npz"
+    svu.recover(seen, preset="paper", sh=brief(), checkpoint=kept)
+    svu.recover(seen, preset="paper", sh=brief(), checkpoint=kept, resume=True)
+    with pytest.raises(SvuError, match=next(iter(change))):
+        svu.recover(seen, preset="paper", sh=brief(**change), checkpoint=kept, resume=True)
+
+
+def test_whether_seeds_are_pulled_is_part_of_a_fingerprint(seen, capture, grid):
+    light = seen.observed.lighting.environment
+    marks = [
+        fingerprint(
+            capture, light, grid, None, GlobalSharing(seen, seeds=[3, 8], anchored=a), None
+        )["seeds"]
+        for a in (True, False)
+    ]
+    assert marks[0] != marks[1]

@@ -1,0 +1,60 @@
+"""What a posterior says of texels nobody saw, held against the prior."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from oracle.posterior import Prior
+
+
+def assert_unseen_have_the_prior(posterior: Any, weights: np.ndarray) -> None:
+    """Hold everything that is said of unseen texels against the prior, in double precision.
+
+    Args:
+        posterior: on a grid whose nodes are all there is; entropy is a part of log n.
+        weights: what its prior was asked for with, of cells or of roughnesses.
+    """
+    names, unseen = list(posterior.axes), ~posterior.observed
+    truth = Prior.of(weights, list(posterior.axes.values()))
+    assert unseen.any()
+    np.testing.assert_allclose(posterior.prior, truth.p, rtol=1e-6)
+    p = np.array(posterior.probabilities, np.float64)[unseen]
+    p = p.reshape(unseen.sum(), *truth.p.shape, posterior.groups)
+    expected = np.broadcast_to(truth.p[..., None], p.shape)
+    np.testing.assert_allclose(p, expected, rtol=1e-6)
+    np.testing.assert_allclose(np.array(posterior.entropy())[unseen], truth.entropy(), rtol=1e-6)
+    drawn, count = posterior.draw(1500, seed=3), 1500 * int(unseen.sum())
+    for axis, name in enumerate(names):
+        marginal, nodes = truth.marginal(axis), truth.nodes[axis]
+        for found, value in (
+            (posterior.mean(name), truth.mean(axis)), (posterior.sd(name), truth.sd(axis)),
+        ):  # fmt: skip
+            np.testing.assert_allclose(np.array(found)[unseen], value, rtol=1e-5, atol=1e-7)
+        own = np.array(posterior.marginal(name))[unseen]
+        own = own.reshape(len(own), len(nodes), -1)
+        np.testing.assert_allclose(own, np.broadcast_to(marginal[:, None], own.shape), rtol=1e-6)
+        low, high = (np.array(end)[unseen] for end in posterior.interval(name))
+        allowed = nodes[marginal > 0]
+        assert (low <= allowed[0]).all() and (high >= allowed[-1]).all()
+        assert ((low > nodes[0]) == (marginal[0] == 0)).all()  # no further than that
+        values = np.array(drawn[name])[:, unseen]
+        values = values.reshape(*values.shape[:2], -1)[..., 0]
+        for node, q in zip(nodes, marginal, strict=True):
+            share = np.isclose(values, node, atol=1e-6).mean()
+            assert abs(share - q) <= 5 * np.sqrt(q * (1 - q) / count) + 1e-12
+    best, middle = truth.best(), [len(nodes) // 2 for nodes in truth.nodes]
+    if best is None and truth.p[tuple(middle)] > 0:
+        best = middle
+    found = [np.array(posterior.map()[name])[unseen] for name in names]
+    if best is None:  # the middle is excluded: one of the most probable cells
+        nearest = (np.abs(axis - x.flat[0]) for axis, x in zip(truth.nodes, found, strict=True))
+        assert truth.p[tuple(int(distance.argmin()) for distance in nearest)] == truth.p.max()
+    else:
+        for x, nodes, k in zip(found, truth.nodes, best, strict=True):
+            np.testing.assert_allclose(x, nodes[k], atol=1e-6)
+    p, q = (np.maximum(x, 1e-30) for x in (truth.p, np.array(posterior.probabilities)[0]))
+    if posterior.groups == 1:
+        divergence = np.array(posterior.kl(posterior))[unseen][:, 0]
+        exact = (truth.p * np.log(p / q)).sum()
+        np.testing.assert_allclose(divergence, exact, rtol=1e-4, atol=1e-5)
