@@ -27,6 +27,7 @@ Parameters = Literal["principled", "specular"]
 AngularChannels = Literal["grey", "joint"]
 AngularNoise = Literal["estimated", "fixed", "relative", "heteroscedastic", "marginal"]
 Errors = Literal["mean", "sum"]
+BandLimit = Literal["photographs", "growing"]
 
 Method = Literal["angular", "spectrum"]
 
@@ -56,6 +57,10 @@ class Preset(_Channels):
 
     penalize_constant: bool = False
     """R_00 = e^0 = 1 as Eq. 12 prints it; False leaves l = 0, the diffuse term, free."""
+
+    band_limit: BandLimit = "photographs"
+    """Light that guidance judges candidates in: that of the estimate, or (Eq. 13 as printed) one
+    that is sharper with every view chosen; see ``GuidanceOptions``."""
 
     undo_prefilter: bool = False
     """Use alpha^2 - alpha'^2 in the likelihood: the photographs are not band-limited, the
@@ -113,6 +118,7 @@ class Preset(_Channels):
         require_one_of(self, "spacing", GridSpacing)
         require_one_of(self, "channels", ChannelRule)
         require_one_of(self, "noise", NoiseRule)
+        require_one_of(self, "band_limit", BandLimit)
 
     @property
     def principled(self) -> bool:
@@ -318,7 +324,7 @@ PRESETS: dict[str, Preset] = {
     "paper": Preset(
         name="paper", penalize_constant=True, undo_prefilter=False, bounded_alpha=False,
         regularizer=1e-3, occluded=False, albedo=False, parameters="specular",
-        spacing="uniform", channels="sum", noise="fixed", sigma=0.1,
+        spacing="uniform", channels="sum", noise="fixed", sigma=0.1, band_limit="growing",
     ),
 }  # fmt: skip
 

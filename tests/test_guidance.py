@@ -393,7 +393,9 @@ class TestGrowing:
         estimate = svu.estimate(some(capture, used), texels, "spectrum", SHARP)
         around = svu.Candidates.at(capture, [1, 2])
         forecast = prospect(estimate, around, band_limit="growing").forecast
-        same = prospect(estimate, around, hypotheses=64).forecast
+        same = prospect(
+            estimate, around, hypotheses=64, band_limit="photographs"
+        ).forecast  # fmt: skip
         assert isinstance(forecast, GrowingForecast)
         four, _ = forecast.relight(4)
         np.testing.assert_array_equal(four.table(), same.responses.table())
@@ -401,6 +403,15 @@ class TestGrowing:
         exact = same.now(np.arange(4))
         np.testing.assert_allclose(lit.now(np.arange(4)), exact, atol=1e-4)
         assert np.abs(forecast.now(np.arange(4)) - exact).max() > 1e-3
+
+    def test_the_preset_says_which_light(self):
+        """``paper`` does what is printed, unless it is told not to."""
+        for base, own in (("paper", "growing"), ("default", "photographs")):
+            assert svu.GuidanceOptions().resolved(preset(base)).band_limit == own
+        told = svu.GuidanceOptions(band_limit="photographs").resolved(preset("paper"))
+        assert told.band_limit == "photographs"
+        with pytest.raises(svu.SvuError, match="lazy takes gains for bounds"):
+            svu.GuidanceOptions(lazy=True).resolved(preset("paper"))
 
     def test_the_light_is_that_of_one_view_more(self, sunny):
         capture, texels = sunny

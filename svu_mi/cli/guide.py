@@ -66,9 +66,10 @@ class Guide(Estimated):
     """Most texels that candidates are judged by."""
     hypotheses: int = 8
     """Most materials that are taken for the truth, per texel."""
-    band_limit: Literal["photographs", "growing"] = "photographs"
+    band_limit: Literal["preset", "photographs", "growing"] = "preset"
     """Light that candidates are judged in, by --method spectrum: filtered for the photographs there
-    are, or for one view more than are taken, which is Eq. 13 as printed."""
+    are, or for one view more than are taken, which is Eq. 13 as printed and goes with --preset
+    paper."""
     lazy: bool = False
     """Evaluate a candidate again only while its last gain is above the best."""
     seed: int = 0

@@ -51,6 +51,7 @@ def forecast_of(
         OptionError: an estimate that was not made from a capture, or is over parameters that
             do not say what photographs would show.
     """
+    options = options.resolved(estimate.preset)
     refuse_growing(estimate.method, options)
     observed = observed_of(estimate, None)
     # A texel draws the same, whichever others are looked at.

@@ -65,7 +65,8 @@ def next_best_view(
         raise OptionError(
             f"next_best_view(): count must be at least 1, a whole number, got {count!r}."
         )
-    options, progress = _options(options, switches), progress or Progress()
+    options = _options(options, switches).resolved(estimate.preset)
+    progress = progress or Progress()
     strategy, observed = _strategy(options, estimate), observed_of(estimate, None)
     if candidates is None:
         candidates = _default(observed.capture)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from svu_mi.errors import OptionError
 from svu_mi.guidance.strategies import Name
+from svu_mi.options import AnyPreset, Preset
 from svu_mi.settings import require, require_one_of, require_types
 
-BandLimit = Literal["photographs", "growing"]
+Light = Literal["preset", "photographs", "growing"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,10 +32,10 @@ class GuidanceOptions:
     """Most psi of Eq. 13 per texel, drawn from its posterior: cells of roughness and metallic, of
     the colour that the photographs then give; if there are no more cells, the sum is over all."""
 
-    band_limit: BandLimit = "photographs"
-    """Of the light that candidates of a ``method="spectrum"`` estimate are judged in.
-    ``photographs``: that of the estimate, alpha' = v^(-1/2) for v photographs, whatever is added,
-    and truths as likely as the estimate has them. ``growing``: Eq. 13 as printed; the light of
+    band_limit: Light = "preset"
+    """Of the light that candidates of a ``method="spectrum"`` estimate are judged in; by default
+    what its preset says, ``growing`` for ``paper``. ``photographs``: that of the estimate,
+    alpha' = v^(-1/2) for v photographs, whatever is added, and truths as likely as the estimate has them. ``growing``: Eq. 13 as printed; the light of
     v' views and a candidate has alpha' = (v' + 1)^(-1/2), it is sharper with every view chosen,
     and truths are as likely as the photographs make them in that light: a sum over all cells,
     whatever ``hypotheses`` is. A gain then compares both numbers of views in the same light."""
@@ -49,7 +50,7 @@ class GuidanceOptions:
     def __post_init__(self) -> None:
         require_types(self)
         require_one_of(self, "strategy", Name)
-        require_one_of(self, "band_limit", BandLimit)
+        require_one_of(self, "band_limit", Light)
         if self.lazy and self.band_limit == "growing":
             raise OptionError(
                 "GuidanceOptions: lazy takes gains for bounds, but with band_limit='growing' the "
@@ -58,3 +59,14 @@ class GuidanceOptions:
         require(self, self.texels >= 1, "texels", "at least 1")
         require(self, 1 <= self.hypotheses <= 4096, "hypotheses", "in [1, 4096]")
         require(self, 0 <= self.seed < 2**32, "seed", "in [0, 2^32)")
+
+    def resolved(self, preset: AnyPreset) -> GuidanceOptions:
+        """Return the options with the band limit of an estimate's preset, if they have none.
+
+        Raises:
+            OptionError: they are lazy, and the preset's light is another at every step.
+        """
+        if self.band_limit != "preset":
+            return self
+        own = preset.band_limit if isinstance(preset, Preset) else "photographs"
+        return replace(self, band_limit=own)

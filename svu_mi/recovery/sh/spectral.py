@@ -7,7 +7,7 @@ views. With R the directional albedo of a lobe, 1 unless the preset says otherwi
     c_model(0, 0) = 2 Kd E / sqrt(pi) + Ks R c_L(0, 0)
     S_model(l)    = the same, squared, with S_L(l) for c_L(l, m)^2          (Eq. 11)
 
-and the loss is the sum of absolute differences over (l, m) or l, its mean over S texels and C
+and the loss is the mean absolute difference over n coefficients (l, m) or degrees l, S texels and C
 channels, in units of the capture's mean radiance or power.
 """
 
@@ -56,7 +56,7 @@ class SpectralObjective:
         place: (S,) UInt32, where in a texture it is.
         prefilter: opaque Float, alpha'^2 to be undone, or 0.
         albedo: (ALBEDO_LEVELS,) Float, R by roughness.
-        factor: opaque Float, 1 / (S C unit).
+        factor: opaque Float, 1 / (S C n unit).
     """
 
     domain: Domain
@@ -150,6 +150,7 @@ def spectral_objective(
     )
     power, mean_power = _powers(fitted, texel)
     unit = found.scale if domain == "coefficients" else mean_power
+    terms = (switches.degree + 1) ** (2 if domain == "coefficients" else 1)
     if domain == "spectrum":
         fitted = replace(fitted, values=mi.Float())
     undone = lighting.prefilter**2 if switches.undo_prefilter else 0.0
@@ -165,7 +166,7 @@ def spectral_objective(
         place=dr.gather(mi.UInt32, texels.index, texel),
         prefilter=dr.opaque(mi.Float, undone),
         albedo=_albedo_table(switches),
-        factor=dr.opaque(mi.Float, 1 / (3.0 * dr.width(texel) * unit)),
+        factor=dr.opaque(mi.Float, 1 / (3.0 * dr.width(texel) * terms * unit)),
     )
 
 
