@@ -35,10 +35,11 @@ class GuidanceOptions:
     band_limit: Light = "preset"
     """Of the light that candidates of a ``method="spectrum"`` estimate are judged in; by default
     what its preset says, ``growing`` for ``paper``. ``photographs``: that of the estimate,
-    alpha' = v^(-1/2) for v photographs, whatever is added, and truths as likely as the estimate has them. ``growing``: Eq. 13 as printed; the light of
-    v' views and a candidate has alpha' = (v' + 1)^(-1/2), it is sharper with every view chosen,
-    and truths are as likely as the photographs make them in that light: a sum over all cells,
-    whatever ``hypotheses`` is. A gain then compares both numbers of views in the same light."""
+    alpha' = v^(-1/2) for v photographs, whatever is added, and truths as likely as the estimate
+    has them. ``growing``: Eq. 13 as printed; the light of v' views and a candidate has
+    alpha' = (v' + 1)^(-1/2), it is sharper with every view chosen, and truths are as likely as
+    the photographs make them in that light: a sum over all cells, whatever ``hypotheses`` is. A
+    gain then compares both numbers of views in the same light."""
 
     lazy: bool = False
     """Evaluate candidates again only while their last gain is above the best: right if a gain never
