@@ -503,7 +503,7 @@ def test_names_are_looked_up_before_anything_is_run(data):
     with pytest.raises(OptionError, match="no row 'best'"):
         some(data, rows=["best"]).chosen_rows()
     assert [row.label for row in Options(data=data).chosen_rows()] == [
-        "SH (ours)", "SH (paper)", "spectrum",
+        "SH (ours)", "SH (paper)", "spectrum (paper)",
     ]  # fmt: skip
     assert all(row.options()[1].max_depth is None for row in ROWS)
 

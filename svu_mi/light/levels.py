@@ -132,7 +132,7 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
         for row, seen in ((i, spectrum), (rows - 1 - i, spectrum[::-1])):
             summed = np.einsum("jm,jmc->mc", wave, seen[near])
             result[row] = np.fft.irfft(summed, n=columns, axis=0)
-    # FFT rounding can leave black a hair below zero.
+    # FFT rounding can leave black a hair below zero, a lobe that is negative somewhere more.
     return np.maximum(result if even else result[..., :-1] / result[..., -1:], 0)
 
 

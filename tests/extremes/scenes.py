@@ -120,9 +120,11 @@ def _sun_level(kind: Any, alpha: float, peak: float) -> Found:
     errors = np.concatenate([
         negative.errors, np.abs(level / peak - dim).ravel(), [abs(lost / whole - 1)],
     ])  # fmt: skip
-    # Linear in the light to rounding; energy to what the coarser grid resolves.
+    # Linear in the light to rounding; energy to what the coarser grid resolves. The Gaussian's
+    # series is negative around its peak, where radiance is cut off at 0.
+    energy = 0.05 if kind == "gaussian" else 2e-3
     bounds = np.concatenate([
-        0 * negative.errors, np.full(dim.size, 1e-13 * max(dim.max(), 1.0)), [2e-3],
+        0 * negative.errors, np.full(dim.size, 1e-13 * max(dim.max(), 1.0)), [energy],
     ])  # fmt: skip
     return Found(errors, bounds, np.zeros(0))
 
