@@ -4,7 +4,7 @@
     python tests/records/table2.py --table table2.json
 
 9 cells of our own (vase, knot and spheres under three lights) and 6 x 3 of DATA: 24 photographs
-of 128 x 128 with 32 samples, 20 of them from one side, 128 x 128 texels, direct light. Rows are the
+of 96 x 96 with 32 samples, 20 of them from one side, 96 x 96 texels, direct light. Rows are the
 paper's as printed (presets ``paper`` and ``spectrum``) and ours. Beside the PSNR of textures over
 texels that a photograph shows:
 
@@ -33,7 +33,7 @@ import svu_mi as svu  # before Mitsuba: it chooses LLVM
 
 import mitsuba as mi  # isort: skip
 
-FILM, DENSE, FRONT, BACK, TEXELS, SPP = 128, 48, 20, 4, 128, 32
+FILM, DENSE, FRONT, BACK, TEXELS, SPP = 96, 48, 20, 4, 96, 32
 OWN_LIGHTS = ["window", "studio", "overcast"]
 LIGHTS = ["photo_studio_01", "rural_asphalt_road", "st_fagans_interior"]
 PARTS = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9]
