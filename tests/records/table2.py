@@ -107,9 +107,10 @@ def masked(error: np.ndarray, order: np.ndarray) -> list[float]:
 
 def rows(traced: bool) -> list[Any]:
     """Return the ways of recovery, the paper's first."""
-    from svu_mi.bench.recovery.rows import OURS, PAPER
+    from svu_mi.bench.recovery.rows import OURS, PAPER, PATH_SHARING
 
-    return [row for row in (*PAPER, *OURS) if traced or not row.traced]
+    ours = [row for row in OURS if row is not PATH_SHARING]  # BENCHMARKS, "Textures"
+    return [row for row in (*PAPER, *ours) if traced or not row.traced]
 
 
 def groups(record: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
