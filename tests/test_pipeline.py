@@ -1,4 +1,4 @@
-"""The pipeline as a whole: against the oracle, against invariances, and on the paper's figures."""
+"""The pipeline as a whole: against the oracle, and against invariances."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from oracle import posterior as oracle_posterior
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
-from svu_mi.capture.scene import load_scene
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.frequency.gather import Samples, fit_spectra
 from svu_mi.observed import observe
@@ -251,66 +250,6 @@ def test_memory_does_not_grow_with_texels_times_views(tmp_path, method):
         peak.append(dr.detail.malloc_watermark(dr.JitBackend.LLVM))
     per_view = (peak[2] - peak[0]) / 64
     assert per_view < 0.5 * texels.count  # one byte per texel and view would be 2 times that
-
-
-# --- the paper's figures --------------------------------------------------------------------
-
-
-def planes_entropy(light_name, method, switches):
-    """Mean entropy of the matte and the glossy plane."""
-    scene = load_scene(scenes.path("planes"), {"light": light_name, "resolution": "96"})
-    capture = svu.render_capture(scene, spp=64)
-    texels = svu.texels(capture.mesh, 48)
-    result = estimate(capture, texels, method, switches)
-    entropy, seen = np.array(result.entropy), np.array(result.coverage) > 3
-    left = texels.uv.x.numpy() < 0.5
-    return entropy[seen & left].mean(), entropy[seen & ~left].mean()
-
-
-@pytest.mark.parametrize("method, name", [("angular", "fixed"), ("spectrum", "default")])
-def test_figure_2_clear_light_tells_more_about_the_glossy_plane(method, name):
-    """Overcast light says little about either plane; clear light much about the glossy one.
-
-    Over (roughness, Ks), as in the figure.
-    """
-    switches = preset(name, method=method, parameters="specular")
-    overcast_matte, overcast_glossy = planes_entropy("overcast", method, switches)
-    clear_matte, clear_glossy = planes_entropy("clear", method, switches)
-    assert overcast_matte > 0.5
-    assert overcast_glossy > 0.5
-    assert clear_glossy < 0.4  # a third is what 24 views leave open: roughness below 0.45
-    assert clear_glossy < clear_matte
-    assert clear_glossy < 0.6 * overcast_glossy
-
-
-def test_clear_light_tells_more_about_the_glossy_plane_where_noise_is_estimated():
-    """Of renders, which the model explains well, even overcast light says much."""
-    switches = preset(method="angular")
-    overcast_matte, overcast_glossy = planes_entropy("overcast", "angular", switches)
-    clear_matte, clear_glossy = planes_entropy("clear", "angular", switches)
-    assert clear_glossy < 0.5 * clear_matte
-    assert clear_glossy < 0.6 * overcast_glossy
-    assert overcast_glossy < overcast_matte < 0.5
-
-
-@METHODS
-def test_figure_4_ordering(tmp_path, method):
-    """Sharp light pins a metal down best; low-frequency light and low specular do not."""
-    dielectric = {**GLOSSY, "metallic": 0.0}
-
-    def mean(name, emitter, bsdf):
-        (tmp_path / name).mkdir()
-        capture = render_ball(tmp_path / name, emitter, bsdf, views=30, spp=64)
-        result = estimate(capture, svu.texels(capture.mesh, 24), method)
-        seen = np.array(result.coverage) > 5
-        return float(np.array(result.entropy)[seen].mean())
-
-    overcast = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "overcast.exr")}
-    sharp = mean("sharp", studio(), GLOSSY)
-    low_frequency = mean("low", overcast, GLOSSY)
-    low_specular = mean("dielectric", studio(), dielectric)
-    assert sharp < low_frequency
-    assert sharp < low_specular
 
 
 def test_the_oracle_and_the_posterior_agree_on_a_rendered_object(glossy):
