@@ -274,6 +274,7 @@ class AngularPreset(_Channels):
         require(self, self.lobe == "gaussian", "lobe", "'gaussian' with a fit")
         require(self, self.fresnel != "split_sum", "fresnel", "'schlick' or 'none' with a fit")
         require(self, not self.off_specular, "off_specular", "False with a fit")
+        require(self, not self.occluded, "occluded", "False with a fit")
 
     @property
     def traced(self) -> bool:
@@ -336,7 +337,8 @@ ANGULAR_PRESETS: dict[str, AngularPreset] = {
     # 60 cameras, which weighs as much as .08 does for their mean.
     "paper": AngularPreset(
         name="paper", channels="grey", noise="relative", sigma=0.4, errors="sum", fit=Fit(),
-        fresnel="schlick", lobe="gaussian", off_specular=False, cells=0, diffuse="lambert",
+        fresnel="schlick", lobe="gaussian", off_specular=False, cells=0, occluded=False,
+        diffuse="lambert",
     ),
 }  # fmt: skip
 

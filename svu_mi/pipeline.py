@@ -6,7 +6,8 @@
 Memory at its peak, measured (BENCHMARKS.md): 20 bytes per pixel of all photographs (float32
 RGB as read, two flags, what reading takes), 560 bytes per texel (most of it double-precision
 temporaries of the texel layout; 1200 with statistics in grey, and what of the light reaches each
-texel; 3000 with those of three channels, their factors and marginals), and one bit per texel and
+texel; 3000 with those of three channels, their factors and marginals; 2500 where light is fitted
+at every texel), and one bit per texel and
 view, two with statistics.
 """
 

@@ -41,8 +41,8 @@ WRITTEN: dict[tuple[str, str], dict[str, Any]] = {
     # Eq. 3 to 6 and 12 as printed.
     ("angular", "paper"): ANGULAR | {
         "fresnel": "schlick", "lobe": "gaussian", "off_specular": False, "cells": 0,
-        "diffuse": "lambert", "channels": "grey", "noise": "relative", "sigma": 0.4,
-        "errors": "sum",
+        "occluded": False, "diffuse": "lambert", "channels": "grey", "noise": "relative",
+        "sigma": 0.4, "errors": "sum",
         "fit": {"degree": 6, "regularizer": 1e-3, "penalize_constant": True,
                 "undo_prefilter": False},
     },
@@ -96,6 +96,7 @@ def test_an_estimate_uses_its_preset(seen, monkeypatch, method, name):
         ({"lobe": "ggx"}, "lobe must be 'gaussian' with a fit"),
         ({"fresnel": "split_sum"}, "fresnel must be 'schlick' or 'none' with a fit"),
         ({"off_specular": True}, "off_specular must be False with a fit"),
+        ({"occluded": True}, "occluded must be False with a fit"),
         ({"fit": True}, "fit must be a Fit, or None"),
         ({"noise": "estimated"}, "noise='estimated' has its own count of views"),
         ({"errors": "median"}, "errors must be one of mean, sum"),

@@ -14,7 +14,7 @@ from helpers import render_ball
 import svu_mi as svu
 from svu_mi.cli.recover import Recover
 from svu_mi.errors import OptionError, SvuError
-from svu_mi.options import PRESETS, preset
+from svu_mi.options import PRESETS, Fit, preset
 from svu_mi.posterior import ParameterGrid, SpectrumPosterior
 from svu_mi.recovery import run as running
 from svu_mi.recovery.fingerprint import fingerprint
@@ -280,21 +280,71 @@ def test_the_paper_s_presets_share_as_printed(seen, grid, told, method, name, so
         assert [weight for weight, _ in rules] == [1e-2, 1e-2]
     assert found.settings["sharing"] == {
         "seeds": 20, "tau": 0.4, "seeding": "least", "divergence": "forward", "anchored": False,
-        "posterior": {"method": "spectrum", "preset": "paper"},
+        "posterior": {
+            "method": "spectrum", **asdict(PRESETS["paper"]), "prior": None,
+            "grid": asdict(ParameterGrid()),
+        },
     }  # fmt: skip
     json.dumps(found.settings)
 
 
 def test_sharing_goes_on_from_power_spectra_that_are_there(seen, told):
     own = svu.estimate(
-        seen.observed, method="spectrum", preset=preset("paper", name="mine", sigma=0.05)
+        seen.observed, method="spectrum", preset=preset("paper", sigma=0.05)
     )
     found = svu.recover(own, preset="paper", sharing=True)
     assert told.sharing[0].estimate is own
-    assert found.settings["sharing"]["posterior"]["preset"] == "mine"
+    assert found.settings["sharing"]["posterior"]["sigma"] == 0.05
     principled = svu.estimate(seen.observed, method="spectrum")
     svu.recover(principled, preset="paper", sharing=True)
     assert told.sharing[1].estimate.preset == PRESETS["paper"]
+
+
+def test_what_is_known_of_roughness_is_known_to_the_printed_posterior(seen, told):
+    own = svu.estimate(seen, known={"roughness": 0.4})
+    found = svu.recover(own, preset="paper", sharing=True)
+    assert list(told.sharing[0].estimate.posterior.axes["roughness"]) == [0.4]
+    assert found.settings["sharing"]["posterior"]["grid"]["known"] == {"roughness": 0.4}
+    doubted = svu.estimate(seen, prior=np.arange(8.0))
+    svu.recover(doubted, preset="paper", sharing=True)
+    prior = told.sharing[1].estimate.posterior.prior
+    np.testing.assert_allclose(prior.sum(axis=1), np.arange(8) / 28, atol=1e-9)
+    few = svu.estimate(seen, grid=svu.PrincipledGrid(roughness=4), prior=np.ones(4))
+    with pytest.raises(SvuError, match="has 4 roughness nodes"):
+        svu.recover(few, preset="paper", sharing=True)
+
+
+@pytest.mark.parametrize("name", ["paper", "coefficients", "spectrum"])
+def test_a_run_fits_as_the_given_estimate_of_the_paper_does(seen, told, name):
+    """Another degree, another lambda: what is written down is what is used."""
+    method = "angular" if name == "paper" else "spectrum"
+    other = {"fit": Fit(degree=2, regularizer=1e-2)} if name == "paper" else {"degree": 2}
+    own = svu.estimate(seen, method=method, preset=preset("paper", method=method, **other))
+    svu.recover(own, preset=name)
+    svu.recover(seen, preset=name)
+    mine, usual = told.data
+    if name == "paper":
+        assert mine.switches == replace(own.preset, channels="joint")
+        assert (mine.light.fit.degree, usual.light.fit.degree) == (2, 6)
+    else:
+        assert (mine.coefficients.degree, usual.coefficients.degree) == (2, 6)
+
+
+@pytest.mark.parametrize("method", ["sh", "path"])
+@pytest.mark.parametrize("name", ["default", "fixed", "fast", "paper"])
+def test_recovery_goes_on_from_every_angular_preset(seen, told, method, name):
+    own = svu.estimate(seen, preset=name)
+    found = svu.recover(own, None, method, sharing=True)
+    assert found.settings["sharing"] is True and np.isfinite(found.losses).all()
+
+
+def test_a_prior_in_common_is_no_empty_promise(seen, told):
+    """Losses of the paper do not know it by themselves; a weight of 0 is none."""
+    mixed = replace(SH_PRESETS["paper"], common_prior=True, sharing=8.0)
+    found = svu.recover(seen, sharing=True, sh=mixed)
+    assert found.settings["sharing"] is True and len(told.rules[-1]) == 2
+    none = svu.recover(seen, sharing=True, sh=replace(mixed, sharing=0.0))
+    assert none.settings["sharing"] is False
 
 
 def test_our_presets_share_by_a_prior_in_common(seen, told):

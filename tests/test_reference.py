@@ -431,6 +431,24 @@ def test_a_texel_nobody_sees_has_entropy_one(capture, layout, noise):
     assert np.array_equal(drawn.subset, np.flatnonzero(~unseen))
 
 
+@pytest.mark.parametrize("noise", ["relative", "heteroscedastic"])
+def test_errors_may_be_summed_over_views(capture, layout, tmp_path, noise):
+    """Eq. 3 as printed: so many views say so much more. From a cache, too."""
+    asked = {"subset": 30, "spp": 8, "grid": GRID, "seed": SEED, "noise": noise}
+    mean = reference_posterior(capture, layout, sigma=0.5, **asked)
+    energies = mean.traced.tables[0] * mean.coverage[:, None, None, None]
+    p = np.exp(-(energies - energies.min(axis=(1, 2, 3), keepdims=True)))
+    p /= p.sum(axis=(1, 2, 3), keepdims=True)
+    for again in (False, True):
+        total = reference_posterior(
+            capture, layout, sigma=0.5, errors="sum", cache=tmp_path, **asked
+        )
+        assert total.cached == again
+        found = np.array(total.posterior.probabilities)
+        np.testing.assert_allclose(found[total.coverage > 0], p[total.coverage > 0], atol=1e-6)
+    assert total.entropy.mean() < mean.entropy.mean() - 0.05
+
+
 def test_split_half_tells_noise(capture, layout):
     reference = reference_posterior(capture, layout, 100, 64, grid=PrincipledGrid(4, 4, 4))
     halves = reference.split_half()
@@ -610,6 +628,8 @@ def test_a_damaged_cache_is_traced_again(capture, layout, tmp_path, damage):
         ),
         ({"noise": "estimated", "method": "brute"}, "needs method='linear', whose sums it is"),
         ({"noise": "estimated", "max_depth": 3}, "use method='brute' for max_depth 3"),
+        ({"errors": "median"}, "errors must be mean or sum, got 'median'"),
+        ({"noise": "estimated", "errors": "sum"}, "counts every view already"),
         ({"seed": -1}, "seed must be a whole number >= 0"),
     ],
 )

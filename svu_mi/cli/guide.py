@@ -65,7 +65,7 @@ class Guide(Estimated):
     texels: int = 4096
     """Most texels that candidates are judged by."""
     hypotheses: int = 8
-    """Most materials that are taken for the truth, per texel."""
+    """Most materials that are taken for the truth, per texel; all of them with --preset paper."""
     band_limit: Literal["preset", "photographs", "growing"] = "preset"
     """Light that candidates are judged in, by --method spectrum: filtered for the photographs there
     are, or for one view more than are taken, which is Eq. 13 as printed and goes with --preset

@@ -108,6 +108,7 @@ class Recover(Photographed):
         from svu_mi.observed import observe
         from svu_mi.output.recovery import write_recovery
         from svu_mi.pipeline import estimate
+        from svu_mi.recovery.options import PRINTED_PRESETS
         from svu_mi.recovery.recover import recover
 
         options = self._options()  # refused before any work
@@ -119,7 +120,9 @@ class Recover(Photographed):
             parameters=self.parameters, start=initial, checkpoint=checkpoint, resume=self.resume,
             checkpoint_seconds=self.checkpoint_seconds, progress=progress, **options,
         )  # fmt: skip
-        known = recovery.estimate or estimate(seen, progress=progress)
+        # Beside textures by the paper's losses, the posterior of the model that they come from.
+        model = "paper" if self.preset in PRINTED_PRESETS else "default"
+        known = recovery.estimate or estimate(seen, preset=model, progress=progress)
         with progress.stage("Writing the results") as stage:
             write_recovery(
                 capture, recovery, self.output, estimate=known, settings=given(self),

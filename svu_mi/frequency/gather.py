@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.errors import OptionError
 from svu_mi.frequency.arrays import scatter_rows, scatter_strided
 from svu_mi.frequency.fit import fit_lanes
 from svu_mi.frequency.groups import SolverGroup, solver_groups
 from svu_mi.frequency.spectrum import power_lanes
+from svu_mi.interop import owned
 from svu_mi.light import Lighting
 from svu_mi.options import Fit, Preset
 from svu_mi.surface import Texels
@@ -209,7 +212,7 @@ class MirroredLight:
         found: who sees whom.
         fit: degree, regulariser and R_00.
         channels: C of the light, 3 or 1.
-        chosen: (t,) numbers of the texels to fit.
+        chosen: (S,) numbers of the texels to fit: their lanes.
     """
 
     views: Views
@@ -220,6 +223,30 @@ class MirroredLight:
     channels: int
     chosen: np.ndarray
 
+    def room(self, rows: int) -> Any:
+        """Return zeros for so many numbers per lane, evaluated: (rows S,) Float.
+
+        Raises:
+            OptionError: more than one array can hold.
+        """
+        size = rows * len(self.chosen)
+        if size >= 2**32:
+            raise OptionError(
+                f"The SH model keeps {rows} numbers per texel, which is too much for "
+                f"{len(self.chosen)} texels that are seen: {(2**32 - 1) // rows} at most; lower "
+                "the resolution, or the degree of the fit."
+            )
+        values = dr.zeros(mi.Float, size)
+        dr.eval(values)
+        return values
+
+    @cached_property
+    def lane(self) -> Any:
+        """(T,) UInt32, which lane a texel has; 0 for others."""
+        lane = np.zeros(self.texels.count, np.uint32)
+        lane[self.chosen] = np.arange(len(self.chosen))
+        return owned(mi.UInt32, lane)
+
     def solutions(self, masking: Masking, count: int) -> Iterator[tuple[Any, list[list[Any]]]]:
         """Fit masked light.
 
@@ -229,7 +256,7 @@ class MirroredLight:
             count: F, how many factors it returns.
 
         Yields:
-            UInt32 numbers of texels that some view sees, and their (l* + 1)^2 coefficients: lists
+            UInt32 lanes of texels that some view sees, and their (l* + 1)^2 coefficients: lists
             of F C Floats, not evaluated yet.
         """
         counts = np.zeros(self.texels.count, np.uint32)
@@ -239,7 +266,7 @@ class MirroredLight:
             counts, masking, count,
         )  # fmt: skip
         for group, coefficients in job.solutions():
-            yield group.selection, coefficients
+            yield dr.gather(mi.UInt32, self.lane, group.selection), coefficients
 
 
 @dataclass(frozen=True)

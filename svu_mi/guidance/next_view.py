@@ -158,6 +158,8 @@ def _choices(
         gains = np.where(free, judge.gains(), np.nan)
         best = int(np.nanargmax(gains))
         change = np.full(1, np.nan) if greedy is None else greedy.texel_gains(best)
+        if greedy is not None and not greedy.forecast.lasting:
+            entropy = float(greedy.entropy.mean())  # in the light of this step
         entropy -= float(change.mean())
         sees = seen[known.photographs + best]
         yield Proposal(

@@ -181,8 +181,7 @@ class Posterior(ABC):
         """Return the most probable cell by parameter: (T,), or (T, 3) per channel.
 
         A texel nobody saw gets the most probable cell of the prior; of several that are as
-        likely none is better, and it gets the middle of the grid, or that of them which is
-        nearest to the middle if the prior excludes that.
+        likely, that which is nearest to the middle of the grid, and the first of these.
 
         Args:
             chosen: (t,) indices of texels; all by default.
@@ -400,12 +399,11 @@ class Posterior(ABC):
 
 def _best_of_prior(prior: np.ndarray) -> np.ndarray:
     """Return the index (axes,) of the cell that stands for a prior; see ``Posterior.map``."""
-    middle = np.array(prior.shape) // 2
     # The tables that a prior is kept in are rounded, some in single precision.
     likely = np.argwhere(prior >= (1 - 1e-5) * prior.max())
-    if len(likely) > 1 and prior[tuple(middle)] > 0:
-        return middle
-    return np.asarray(likely[((likely - middle) ** 2).sum(axis=1).argmin()])
+    away = likely - (np.array(prior.shape) // 2 if len(likely) == prior.size
+                     else (np.array(prior.shape) - 1) / 2)  # fmt: skip
+    return np.asarray(likely[(away**2).sum(axis=1).argmin()])
 
 
 def _tensor(values: np.ndarray) -> Any:

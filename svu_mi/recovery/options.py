@@ -214,6 +214,8 @@ PATH_PRESETS: dict[str, PathOptions] = {
     "paper_polish": replace(_PAPER_PATH, epochs=1.0, spp=16),
 }
 
+PRINTED_PRESETS = ("paper", "coefficients", "spectrum", "paper_polish")
+
 # Of sh+path: the presets of its two parts. After sh, the start is as good as many epochs: what is
 # left is detail, no cause for noise.
 BOTH_PRESETS: dict[str, tuple[str, str]] = {

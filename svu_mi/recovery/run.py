@@ -9,15 +9,15 @@ from typing import Any
 
 from svu_mi.errors import OptionError
 from svu_mi.observed import Observed
-from svu_mi.options import preset
 from svu_mi.parameters import NAMES
-from svu_mi.pipeline import Estimate, estimate
-from svu_mi.posterior import CalibratedPosterior, ParameterGrid, SpectrumPosterior
+from svu_mi.pipeline import Estimate
+from svu_mi.posterior import CalibratedPosterior
 from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import Descent, Objective, descend
 from svu_mi.recovery.options import Method, Options, PathOptions, ShOptions
 from svu_mi.recovery.path.objective import path_objective
+from svu_mi.recovery.printed import Printed
 from svu_mi.recovery.regularized import Rule, each, regularized
 from svu_mi.recovery.relight import path_length
 from svu_mi.recovery.sh.angular import angular_objective
@@ -26,7 +26,6 @@ from svu_mi.recovery.sh.spectral import spectral_objective
 from svu_mi.recovery.start import estimate_for_textures, known_values, posterior_means
 from svu_mi.recovery.textures import Textures, lay_out, scene_textures, uniform
 from svu_mi.regularization import GlobalSharing, TotalVariation
-from svu_mi.regularization.sharing import PRINTED, SEEDS
 from svu_mi.surface import Texels
 from svu_mi.surface.neighbors import Neighbors, neighbors
 
@@ -46,6 +45,7 @@ class Run:
         self.method, self.observed, self.given = method, observed, given
         self.capture, self.texels = observed.capture, observed.texels
         self.known = {} if given is None else known_values(given)
+        self.printed = Printed(given, self.known)
         self.names = tuple(name for name in names if name not in self.known)
         if not self.names:
             raise OptionError(
@@ -68,17 +68,18 @@ class Run:
         return found
 
     def _shares(self) -> bool | dict[str, Any]:
-        """Return how texels share: not at all, by a prior in common, or by which rule."""
+        """Return how texels share: not at all, by a prior in common (True), or by which rule."""
         if isinstance(self.sharing, GlobalSharing):
             return self.sharing.record()
-        used = self.options.used(self.method).values()
-        if not self.sharing or all(one.common_prior or not one.sharing for one in used):
-            return self.sharing
-        given = self._given_spectra()
-        switches = "paper" if given is None else given.preset.name
-        return {
-            "seeds": SEEDS, **PRINTED, "posterior": {"method": "spectrum", "preset": switches}
-        }  # fmt: skip
+        used = [one for one in self.options.used(self.method).values() if one.sharing]
+        if not self.sharing or not used:
+            return False
+        if all(one.common_prior for one in used):
+            return True
+        found = self.printed.record()
+        if any(one.common_prior for one in used):  # one part of sh+path has it so, one so
+            found["prior in common, too"] = True
+        return found
 
     @cached_property
     def around(self) -> Neighbors:
@@ -87,21 +88,9 @@ class Run:
             return neighbors(self.texels, self.capture.mesh)
 
     @cached_property
-    def printed(self) -> GlobalSharing:
+    def _printed_sharing(self) -> GlobalSharing:
         """The paper's sharing; both parts of a recovery have the same."""
-        certain = self._given_spectra() or estimate(
-            self.observed, method="spectrum", preset="paper", progress=self.progress
-        )
-        around = self.around
-        with self.progress.stage("Finding seeds"):
-            return GlobalSharing.printed(certain, around)
-
-    def _given_spectra(self) -> Estimate | None:
-        """Return the estimate to go on from if it has a posterior of Eq. 11."""
-        posterior = None if self.given is None else self.given.posterior
-        if isinstance(posterior, SpectrumPosterior) and isinstance(posterior.grid, ParameterGrid):
-            return self.given
-        return None
+        return self.printed.sharing(self.observed, self.around, self.progress)
 
     @cached_property
     def estimate(self) -> Estimate:
@@ -149,9 +138,9 @@ class Run:
             return lambda textures, step: likelihood(textures, step) + HOLD * pull(textures, step)
         with self.progress.stage("Gathering statistics"):
             if options.loss == "angular":
-                switches = preset("paper", method="angular", channels="joint")
-                return angular_objective(self.observed, switches)
-            of_spectra = preset("paper", method="spectrum")
+                model = replace(self.printed.switches("angular"), channels="joint")
+                return angular_objective(self.observed, model)
+            of_spectra = self.printed.switches("spectrum")
             return spectral_objective(self.observed, of_spectra, options.loss)
 
     def _smoothed(self, start: Textures) -> Textures:
@@ -222,12 +211,11 @@ class Run:
             return None
         if isinstance(self.sharing, GlobalSharing):
             return each(self.sharing)
-        if options.common_prior:  # which the statistics' posterior has already
-            return (
-                Pull.by_trust(self.posterior, self.texels)
-                if isinstance(options, PathOptions) else None
-            )  # fmt: skip
-        return each(self.printed)
+        if not options.common_prior:
+            return each(self._printed_sharing)
+        if isinstance(options, ShOptions) and options.loss == "statistics":
+            return None  # its posterior has the prior already
+        return Pull.by_trust(self.posterior, self.texels)
 
     def _given_or_middle(self) -> Textures:
         """Return textures to start from: 0.5, what is known, and what the scene says of others."""

@@ -71,15 +71,23 @@ def _in_colour(found: Estimate, observed: Observed, progress: Progress) -> Estim
     switches = found.preset if isinstance(found.preset, AngularPreset) else preset(method="angular")
     name = f"{found.preset.name}, in colour with its noise"
     switches = replace(
-        switches, name=name, channels="joint", noise="estimated", parameters="principled"
-    )
+        switches, name=name, channels="joint", noise="estimated", errors="mean",
+        parameters="principled",
+    )  # fmt: skip
     grid, prior = found.posterior.grid, found.prior
     if isinstance(grid, ParameterGrid):  # of (roughness, Ks): what is said of roughness stays
-        if prior is not None:
-            prior = np.asarray(prior, np.float64).reshape(grid.shape[0], -1).sum(axis=1)
+        prior = of_roughness(found)
         grid = PrincipledGrid(roughness=grid.roughness, known=known_values(found))
     assert isinstance(grid, PrincipledGrid)
     return estimate(observed, preset=switches, grid=grid, prior=prior, progress=progress)
+
+
+def of_roughness(found: Estimate) -> np.ndarray | None:
+    """Return the weights that an estimate was asked with, summed to one per roughness, if any."""
+    if found.prior is None:
+        return None
+    rows = found.posterior.grid.shape[0]
+    return np.asarray(found.prior, np.float64).reshape(rows, -1).sum(axis=1)
 
 
 def known_values(found: Estimate) -> dict[str, float]:

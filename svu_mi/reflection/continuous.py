@@ -1,4 +1,6 @@
-"""The reflection model (Eq. 6) at any roughness, differentiable in it.
+"""Reflection by light that was filtered once for all texels, at any roughness: for rendering.
+
+No photographs are needed, unlike for the paper's SH model (``fitted.py``); nothing is traced here.
 
 ``narrow.py`` looks a few levels of roughness up for all lanes; here every lane has its own.
 What it needs of a level is interpolated linearly in roughness between two levels: the light

@@ -34,47 +34,44 @@ class FittedLobes:
     Attributes:
         fresnel: which Fresnel term.
         alpha: (K,) float64 widths.
-        values: (K n C T,) Float, n = (l* + 1)^2: coefficients of S_alpha * G1 L, of the width, then
-            l*l + l + m, then channel, one per texel, in radiance; 0 for one that no view sees.
-        light: what they were fitted to.
-        texel: UInt32, which of all T texels each lane is.
+        values: (K n C S,) Float, n = (l* + 1)^2: coefficients of S_alpha * G1 L, of the width, then
+            l*l + l + m, then channel, one per lane, in radiance; 0 for a texel that no view sees.
+        light: what they were fitted to, of S texels.
     """
 
     fresnel: Fresnel
     alpha: np.ndarray
     values: Any
     light: MirroredLight
-    texel: Any
 
     @staticmethod
-    def of(
-        light: MirroredLight, alpha: np.ndarray, switches: AngularPreset, texel: Any
-    ) -> FittedLobes:
+    def of(light: MirroredLight, alpha: np.ndarray, switches: AngularPreset) -> FittedLobes:
         """Fit and convolve the light with a lobe of each width.
 
         Memory: 4 n C bytes per texel and width.
 
         Args:
-            light: of T texels.
+            light: of S texels.
             alpha: (K,) widths.
             switches: the model.
-            texel: UInt32, which of the T each lane is.
+
+        Raises:
+            OptionError: more texels than an array can hold the coefficients of.
         """
-        rows, count = (light.fit.degree + 1) ** 2 * light.channels, light.texels.count
-        values = dr.zeros(mi.Float, len(alpha) * rows * count)
-        dr.eval(values)
+        rows, count = (light.fit.degree + 1) ** 2 * light.channels, len(light.chosen)
+        values = light.room(len(alpha) * rows)
         for level, width in enumerate(alpha.tolist()):
             square = dr.opaque(mi.Float, float(_square(light, width)))
-            for chosen, coefficients in light.solutions(_masking(width), 1):
+            for lane, coefficients in light.solutions(_masking(width), 1):
                 convolved = [
                     _decay(square, row) * value
                     for row, values_of in enumerate(coefficients) for value in values_of
                 ]  # fmt: skip
-                start = chosen + dr.opaque(mi.UInt32, level * rows * count)
+                start = lane + dr.opaque(mi.UInt32, level * rows * count)
                 stride = dr.opaque(mi.UInt32, count)
                 values = scatter_strided(values, convolved, start, stride)
                 dr.eval(values)
-        return FittedLobes(switches.fresnel, alpha, values, light, texel)
+        return FittedLobes(switches.fresnel, alpha, values, light)
 
     def reflect(self, direction: Any, cosine: Any) -> list[Lobe]:
         """Reflect light towards a camera.
@@ -87,18 +84,19 @@ class FittedLobes:
             The lobe of each width.
         """
         light, channels = self.light, self.light.channels
-        stride, rows = light.texels.count, (light.fit.degree + 1) ** 2 * channels
+        stride, rows = len(light.chosen), (light.fit.degree + 1) ** 2 * channels
         columns = [
             dr.opaque(mi.UInt32, (level * rows + c) * stride)
             for level in range(len(self.alpha)) for c in range(channels)
         ]  # fmt: skip
         found = _evaluate(
-            self.values, direction, light.fit.degree, self.texel,
+            self.values, direction, light.fit.degree, dr.arange(mi.UInt32, stride),
             dr.opaque(mi.UInt32, channels * stride), columns,
         )  # fmt: skip
         result = []
         for level, alpha in enumerate(self.alpha.tolist()):
-            A, B, D = reflected_at_view(self.fresnel, cosine, alpha)
+            # Opaque: as a literal, every grid would compile kernels of its own.
+            A, B, D = reflected_at_view(self.fresnel, cosine, dr.opaque(mi.Float, alpha))
             own = found[level * channels : (level + 1) * channels]
             result.append([(A * value, B * value, D * value) for value in own])
         return result
@@ -109,33 +107,35 @@ class Convolved:
     """Light under a lobe of every texel's own width.
 
     Attributes:
-        values: (2 n C T,) Float: of the coefficient, then value and derivative for roughness, then
-            channel, one per texel.
-        light: what they were fitted to.
+        values: (2 n C S,) Float: of the coefficient, then value and derivative for roughness, then
+            channel, one per lane.
+        light: what they were fitted to, of S texels.
     """
 
     values: Any
     light: MirroredLight
 
     @staticmethod
-    def of(light: MirroredLight, roughness: Any, lane: Any) -> Convolved:
+    def of(light: MirroredLight, roughness: Any) -> Convolved:
         """Fit and convolve, exactly: every texel's light is fitted under its own masking.
 
         Args:
-            light: of T texels.
-            roughness: Float in [0, 1], evaluated, one per lane.
-            lane: (T,) UInt32, which lane a texel has.
+            light: of S texels.
+            roughness: (S,) Float in [0, 1], evaluated.
+
+        Raises:
+            OptionError: more texels than an array can hold the coefficients of.
         """
-        count = light.texels.count
-        values = dr.zeros(mi.Float, 2 * (light.fit.degree + 1) ** 2 * light.channels * count)
-        dr.eval(values)
+        values = light.room(2 * (light.fit.degree + 1) ** 2 * light.channels)
+        stride = dr.opaque(mi.UInt32, len(light.chosen))
 
         def masking(cosine: Any, texel: Any) -> list[Any]:
-            alpha, slope = _widths(_at(roughness, lane, texel))
+            lane = dr.gather(mi.UInt32, light.lane, texel)
+            alpha, slope = _widths(dr.gather(mi.Float, roughness, lane))
             return [smith_g1(cosine, alpha), slope * smith_g1_slope(cosine, alpha)]
 
-        for chosen, coefficients in light.solutions(masking, 2):
-            alpha, slope = _widths(_at(roughness, lane, chosen))
+        for lane, coefficients in light.solutions(masking, 2):
+            alpha, slope = _widths(dr.gather(mi.Float, roughness, lane))
             square = _square(light, alpha)
             rise = dr.select(square > 0, 2 * alpha * slope, 0)
             convolved = []
@@ -146,22 +146,22 @@ class Convolved:
                 convolved += [
                     decay * (d - rise * (l * l) * c) for c, d in zip(value, change, strict=True)
                 ]
-            values = scatter_strided(values, convolved, chosen, dr.opaque(mi.UInt32, count))
+            values = scatter_strided(values, convolved, lane, stride)
             dr.eval(values)
         return Convolved(values, light)
 
-    def towards(self, direction: Any, texel: Any) -> list[tuple[Any, Any]]:
+    def towards(self, direction: Any) -> list[tuple[Any, Any]]:
         """Evaluate in angle: (S_alpha * G1 L, its derivative for roughness) of each channel.
 
         Args:
             direction: unit Vector3f to the camera, one per lane.
-            texel: UInt32, which of the T each lane is.
         """
-        channels, count = self.light.channels, dr.opaque(mi.UInt32, self.light.texels.count)
-        columns = [k * count for k in range(2 * channels)]
+        channels, count = self.light.channels, len(self.light.chosen)
+        stride = dr.opaque(mi.UInt32, count)
         found = _evaluate(
-            self.values, direction, self.light.fit.degree, texel, 2 * channels * count, columns
-        )
+            self.values, direction, self.light.fit.degree, dr.arange(mi.UInt32, count),
+            2 * channels * stride, [k * stride for k in range(2 * channels)],
+        )  # fmt: skip
         return list(zip(found[:channels], found[channels:], strict=True))
 
 
@@ -169,10 +169,6 @@ def _masking(alpha: float) -> Callable[[Any, Any], list[Any]]:
     """G1(theta_i; alpha), with an opaque alpha."""
     width = dr.opaque(mi.Float, alpha)
     return lambda cosine, _: [smith_g1(cosine, width)]
-
-
-def _at(roughness: Any, lane: Any, texel: Any) -> Any:
-    return dr.gather(mi.Float, roughness, dr.gather(mi.UInt32, lane, texel))
 
 
 def _widths(roughness: Any) -> tuple[Any, Any]:

@@ -83,7 +83,7 @@ class Model:
         split = len(alpha) if reach is None else int(np.searchsorted(alpha, NARROW, "right"))
         narrow, wide, lobes = None, None, None
         if mirrored is not None:
-            lobes = FittedLobes.of(mirrored, alpha, switches, surface.index)
+            lobes = FittedLobes.of(mirrored, alpha, switches)
         elif split > 0:
             narrow = NarrowLobes.of(
                 lighting, alpha[:split], switches, channels, disk=reach is None

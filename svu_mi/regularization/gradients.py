@@ -48,6 +48,11 @@ def known(texture: Any, value: Any, gradient: Any) -> Any:
     return dr.custom(_Known, texture, value, gradient)
 
 
+def sign(value: Any) -> Any:
+    """Return the derivative of an absolute value: -1, 1, or 0 at 0, where ``dr.sign`` is 1."""
+    return dr.select(value == 0, 0, dr.sign(value))
+
+
 class Regularizer:
     """A loss of one texture, whose value and gradient are computed together by ``_of``."""
 

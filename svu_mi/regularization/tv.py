@@ -11,7 +11,7 @@ import numpy as np
 
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
-from svu_mi.regularization.gradients import Regularizer
+from svu_mi.regularization.gradients import Regularizer, sign
 from svu_mi.surface import Texels
 from svu_mi.surface.neighbors import Neighbors
 
@@ -90,9 +90,7 @@ class TotalVariation(Regularizer):
     def _absolute(self, difference: Any) -> tuple[Any, Any]:
         """Return the size of differences, smoothed by epsilon, and its derivative."""
         if self.epsilon == 0:
-            # dr.sign(0) is 1, but equal values are at rest.
-            sign = dr.select(difference == 0, 0, dr.sign(difference))
-            return dr.abs(difference), sign
+            return dr.abs(difference), sign(difference)
         smooth = dr.sqrt(dr.fma(difference, difference, dr.square(self._epsilon)))
         # Without cancellation: sqrt(d^2 + e^2) - e = d^2 / (sqrt(d^2 + e^2) + e).
         return dr.square(difference) / (smooth + self._epsilon), difference / smooth

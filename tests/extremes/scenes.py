@@ -121,8 +121,9 @@ def _sun_level(kind: Any, alpha: float, peak: float) -> Found:
         negative.errors, np.abs(level / peak - dim).ravel(), [abs(lost / whole - 1)],
     ])  # fmt: skip
     # Linear in the light to rounding; energy to what the coarser grid resolves. The Gaussian's
-    # series is negative around its peak, where radiance is cut off at 0.
-    energy = 0.05 if kind == "gaussian" else 2e-3
+    # series is negative around its peak, where radiance is cut off at 0: under a sun alone in the
+    # dark that adds 1.6 % at alpha .09 and 4.2 % at .36.
+    energy = {0.09: 0.02, 0.36: 0.05}.get(round(alpha, 2), 2e-3) if kind == "gaussian" else 2e-3
     bounds = np.concatenate([
         0 * negative.errors, np.full(dim.size, 1e-13 * max(dim.max(), 1.0)), [energy],
     ])  # fmt: skip

@@ -50,8 +50,3 @@ class Prior:
         """Standard deviation of a parameter."""
         away = (self.nodes[axis] - self.mean(axis)) ** 2
         return float(np.sqrt((self.marginal(axis) * away).sum()))
-
-    def best(self) -> list[int] | None:
-        """Indices of the most probable cell, None if there are several."""
-        cells = np.argwhere(np.isclose(self.p, self.p.max()))
-        return cells[0].tolist() if len(cells) == 1 else None

@@ -18,7 +18,8 @@ is 1. Tables have the mean over cells, how many views each strategy needs for +1
 curve: added ones, interpolated), and a test of what best views gain over farthest ones in every
 cell, as a mean over the added views: Wilcoxon's signed ranks, two-sided.
 
-Finished cells of the same commit are kept; so are photographs. A cell takes SECONDS.
+Finished cells of the same commit are kept; so are photographs. A cell takes two to four minutes on
+two cores, most of it recovery as in the paper: 16 times 200 steps.
 """
 
 from __future__ import annotations

@@ -28,6 +28,7 @@ from svu_mi.reflection.fitted import Convolved
 from svu_mi.reflection.lobes import reflected_at_view
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.shading import Shading
+from svu_mi.regularization.gradients import sign
 from svu_mi.statistics.gather import GRAZING, Values
 from svu_mi.visibility import Observation, Surface, Survey, Views
 from svu_mi.visibility.pixels import as_channels
@@ -43,7 +44,6 @@ class AngularObjective:
         found: who sees whom.
         switches: of the model.
         light: that the texels mirror.
-        lane: (T,) UInt32, which of the S lanes a texel has.
         moments: of the diffuse light that arrives, 8 Floats (S,) per channel.
         place: (S,) UInt32, where in a texture each of them is.
         factor: opaque Float, 1 / (n C unit).
@@ -54,7 +54,6 @@ class AngularObjective:
     found: Survey
     switches: AngularPreset
     light: MirroredLight
-    lane: Any
     moments: list[list[Any]]
     place: Any
     factor: Any
@@ -75,7 +74,7 @@ class AngularObjective:
 
     def _sums(self, values: Values) -> tuple[Any, ...]:
         """Loss and its derivatives for R, G, B, roughness and metallic, summed per texel."""
-        lobes = Convolved.of(self.light, values.roughness, self.lane)
+        lobes = Convolved.of(self.light, values.roughness)
 
         def consume(seen: Observation, _: Any, *sums: Any) -> tuple[Any, ...]:
             def add(values: Values, *sums: Any) -> tuple[Any, ...]:
@@ -105,14 +104,14 @@ class AngularObjective:
         shading, modelled = dr.detach(shading), dr.detach(modelled)
         observed = as_channels(seen.radiance, len(base_color))
         away = [r - b for r, b in zip(modelled, observed, strict=True)]
-        sign = [dr.select(seen.seen, dr.sign(difference), 0) for difference in away]
+        side = [dr.select(seen.seen, sign(difference), 0) for difference in away]
         added = [sum(dr.select(seen.seen, dr.abs(difference), 0) for difference in away)]
         to_metallic = mi.Float(0)
         for k, color in enumerate(base_color):
             e, p, q, d = (part[k % len(part)] for part in shading.parts)
-            added.append(sign[k] * dr.lerp(e, p, metallic))
-            to_metallic += sign[k] * (color * (p - e) + q - d)
-        to_roughness = sum(s * slope for s, slope in zip(sign, rise, strict=True))
+            added.append(side[k] * dr.lerp(e, p, metallic))
+            to_metallic += side[k] * (color * (p - e) + q - d)
+        to_roughness = sum(s * slope for s, slope in zip(side, rise, strict=True))
         added += [to_roughness, to_metallic]
         return tuple(old + new for old, new in zip(sums, added, strict=True))
 
@@ -120,7 +119,7 @@ class AngularObjective:
         """Evaluate Eq. 6 towards the camera of every sample, with derivatives for roughness."""
         cosine = dr.maximum(seen.cosine, GRAZING)
         moved = roughness - dr.detach(roughness)  # 0, with a derivative
-        found = lobes.towards(seen.direction, self.surface.index)
+        found = lobes.towards(seen.direction)
         light = [dr.fma(slope, moved, value) for value, slope in found]
         A, B, D = reflected_at_view(self.switches.fresnel, cosine, alpha_from_roughness(roughness))
         diffuse = [
@@ -163,15 +162,12 @@ def angular_objective(
     surface = Surface.of(texels, selection)
     diffuse = moment_map(observed.lighting.environment, channels)
     samples = 3.0 * int(observed.coverage.sum(dtype=np.int64))
-    lane = np.zeros(texels.count, np.uint32)
-    lane[seen] = np.arange(len(seen))
     return AngularObjective(
         views=observed.views,
         surface=surface,
         found=found,
         switches=switches,
         light=light,
-        lane=owned(mi.UInt32, lane),
         moments=diffuse.in_world(surface.normal),
         place=dr.gather(mi.UInt32, texels.index, selection),
         factor=dr.opaque(mi.Float, 1 / (samples * found.scale)),

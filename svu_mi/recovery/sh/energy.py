@@ -13,7 +13,7 @@ import mitsuba as mi
 
 from svu_mi.statistics.factors import COLUMNS, PAIRS, Factors
 from svu_mi.statistics.gather import Values
-from svu_mi.statistics.spline import between_levels
+from svu_mi.statistics.spline import catmull_rom
 
 
 def energy(factors: Factors, values: Values) -> tuple[Any, list[Any]]:
@@ -26,7 +26,7 @@ def energy(factors: Factors, values: Values) -> tuple[Any, list[Any]]:
     Returns:
         Float (S,), squared radiance, and its derivatives by every parameter.
     """
-    levels, weights, slopes = between_levels(values.roughness, factors.levels)
+    levels, weights, slopes = _spline(factors, values.roughness)
     m, colors = values.metallic, values[:3]
     error, by_roughness, by_metallic = mi.Float(0), mi.Float(0), mi.Float(0)
     by_color = []
@@ -73,6 +73,22 @@ def _dot(a: list[Any], b: list[Any]) -> Any:
     for x, y in zip(a, b, strict=True):
         total = dr.fma(x, y, total)
     return total
+
+
+def _spline(factors: Factors, roughness: Any) -> tuple[list[Any], list[Any], list[Any]]:
+    """Return four levels around a roughness, their weights, and the derivatives of these."""
+    last = dr.opaque(mi.Float, factors.levels - 1)
+    place = dr.clip(roughness, 0, 1) * last
+    first = dr.maximum(dr.minimum(dr.floor(place), last - 1), 0)  # one level is all there is
+    t = place - first
+    slopes = [
+        0.5 * last * (-1 + t * (4 - 3 * t)),
+        0.5 * last * t * (-10 + 9 * t),
+        0.5 * last * (1 + t * (8 - 9 * t)),
+        0.5 * last * t * (3 * t - 2),
+    ]
+    levels = [mi.UInt32(dr.clip(first + step, 0, last)) for step in (-1, 0, 1, 2)]
+    return levels, catmull_rom(t), slopes
 
 
 def _interpolate(

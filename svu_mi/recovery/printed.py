@@ -1,0 +1,100 @@
+"""The paper's side of a recovery: its models, and the posterior of Eq. 11 that it shares by.
+
+A recovery that goes on from an estimate takes its switches over if it is one of preset ``paper``,
+say with another degree, and what it says of roughness: a value that is known, and a prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from svu_mi.errors import OptionError
+from svu_mi.observed import Observed
+from svu_mi.options import preset
+from svu_mi.pipeline import Estimate, estimate
+from svu_mi.posterior import ParameterGrid
+from svu_mi.progress import Progress
+from svu_mi.recovery.start import of_roughness
+from svu_mi.regularization import GlobalSharing
+from svu_mi.regularization.sharing import PRINTED, SEEDS
+from svu_mi.surface.neighbors import Neighbors
+
+
+@dataclass(frozen=True)
+class Printed:
+    """What is printed, for one recovery.
+
+    Attributes:
+        given: the estimate that it goes on from, or None.
+        known: parameters that are not in question, by name.
+    """
+
+    given: Estimate | None
+    known: Mapping[str, float]
+
+    def switches(self, method: Literal["angular", "spectrum"]) -> Any:
+        """Return preset ``paper`` of a method, as the given estimate has it if it is one."""
+        given = self.given
+        if given is not None and given.method == method and given.preset.name == "paper":
+            return given.preset
+        return preset("paper", method=method)
+
+    def record(self) -> dict[str, Any]:
+        """Return the rule of Eq. 14 and 15, and the posterior that it goes by."""
+        grid, prior = self._question()
+        posterior = {
+            "method": "spectrum", **asdict(self.switches("spectrum")), "grid": asdict(grid),
+            "prior": None if prior is None else np.asarray(prior).tolist(),
+        }  # fmt: skip
+        return {"seeds": SEEDS, **PRINTED, "posterior": posterior}
+
+    def sharing(
+        self, observed: Observed, around: Neighbors, progress: Progress
+    ) -> GlobalSharing:
+        """Find the most certain texels by the posterior of Eq. 11.
+
+        Args:
+            observed: the photographs.
+            around: the neighbours of each texel.
+            progress: shows what is going on.
+
+        Raises:
+            OptionError: a prior of another number of roughness nodes.
+        """
+        certain = self._spectra()
+        if certain is None:
+            grid, prior = self._question()
+            certain = estimate(
+                observed, method="spectrum", preset=self.switches("spectrum"), grid=grid,
+                prior=prior, progress=progress,
+            )  # fmt: skip
+        with progress.stage("Finding seeds"):
+            return GlobalSharing.printed(certain, around)
+
+    def _spectra(self) -> Estimate | None:
+        """Return the given estimate if it is the paper's, over (roughness, Ks)."""
+        given = self.given
+        if given is None or given.method != "spectrum" or given.preset.name != "paper":
+            return None
+        return given if isinstance(given.posterior.grid, ParameterGrid) else None
+
+    def _question(self) -> tuple[ParameterGrid, Any | None]:
+        """Return the grid of Eq. 11 and the prior, as far as they are about roughness."""
+        if (given := self._spectra()) is not None:
+            grid = given.posterior.grid
+            assert isinstance(grid, ParameterGrid)
+            return grid, given.prior
+        grid = ParameterGrid(
+            known={name: value for name, value in self.known.items() if name == "roughness"}
+        )
+        prior = None if self.given is None else of_roughness(self.given)
+        if prior is not None and len(prior) != grid.shape[0]:
+            raise OptionError(
+                f"recover(): the estimate's prior has {len(prior)} roughness nodes, that of "
+                f"Eq. 11 {grid.shape[0]}; estimate with a grid of as many, or without a prior."
+            )
+        return grid, prior
