@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 LAYERS = (
-    "errors", "_llvm", "interop", "files", "exr", "progress", "settings", "parameters", "options",
-    "capture", "formats", "surface", "light", "visibility", "frequency", "reflection",
+    "errors", "_llvm", "interop", "files", "exr", "progress", "settings", "parameters", "switches",
+    "options", "capture", "formats", "surface", "light", "visibility", "frequency", "reflection",
     "statistics", "observed", "posterior", "skipping", "pipeline", "guidance", "regularization",
     "recovery", "reference", "metrics", "checking", "output", "export", "bench", "cli",
 )  # fmt: skip

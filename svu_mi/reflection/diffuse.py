@@ -7,7 +7,7 @@ from typing import Any
 
 import drjit as dr
 
-from svu_mi.options import Diffuse
+from svu_mi.switches import Diffuse
 
 
 def diffuse_shading(

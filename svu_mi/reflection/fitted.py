@@ -21,10 +21,11 @@ import numpy as np
 from svu_mi.frequency import harmonics
 from svu_mi.frequency.arrays import scatter_strided
 from svu_mi.frequency.gather import MirroredLight
-from svu_mi.options import AngularPreset, Fresnel
+from svu_mi.options import AngularPreset
 from svu_mi.reflection.lobes import reflected_at_view, smith_g1, smith_g1_slope
 from svu_mi.reflection.principled import alpha_from_roughness
 from svu_mi.reflection.wide import Lobe
+from svu_mi.switches import Fresnel
 
 
 @dataclass(frozen=True)
