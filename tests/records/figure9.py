@@ -14,9 +14,9 @@ point sampling from the first; the other 90 are candidates, of which one after a
 After each view, the first two know its photograph, and estimate anew. After three, six and ten,
 textures are recovered as in the paper (SH model) and by ours. PSNR, the mean over parameters as in
 Table 2, and entropy are over the texels that any of the 100 views sees; where nobody has looked
-yet, entropy is 1. Tables have the mean over cells, how many views each strategy needs for +1 dB (of the mean
-curve: added ones, interpolated), and a test of what best views gain over farthest ones in every
-cell, as a mean over the added views: Wilcoxon's signed ranks, two-sided.
+yet, entropy is 1. Tables have the mean over cells, how many views each strategy needs for +1 dB (of
+the mean curve: added ones, interpolated), and a test of what best views gain over farthest ones in
+every cell, as a mean over the added views: Wilcoxon's signed ranks, two-sided.
 
 Finished cells of the same commit are kept; so are photographs. A cell takes one to three minutes on
 two cores, most of it recovery as in the paper: 10 times 200 steps.
