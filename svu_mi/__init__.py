@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from svu_mi.guidance.next_view import next_best_view
     from svu_mi.guidance.options import GuidanceOptions
     from svu_mi.guidance.result import Guidance
-    from svu_mi.options import AngularPreset, Preset, Skip, preset
+    from svu_mi.options import AngularPreset, Fit, Preset, Skip, preset
     from svu_mi.output.report.report import write_report
     from svu_mi.pipeline import Estimate, estimate
     from svu_mi.posterior import (
@@ -56,7 +56,7 @@ _HOME = {
     "ParameterGrid": "posterior", "PrincipledGrid": "posterior", "Posterior": "posterior",
     "angular_posterior": "posterior", "calibrated_posterior": "posterior",
     "spectrum_posterior": "posterior",
-    "AngularPreset": "options", "Preset": "options", "Skip": "options",
+    "AngularPreset": "options", "Fit": "options", "Preset": "options", "Skip": "options",
     "preset": "options",
     "Check": "checking", "check": "checking",
     "Candidates": "guidance.candidates", "Guidance": "guidance.result",
@@ -75,8 +75,8 @@ _HOME = {
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "AngularPreset", "Asset", "Candidates", "Capture", "Check", "DescentOptions", "Estimate",
-    "ExportOptions", "GlobalSharing", "Guidance", "GuidanceOptions", "ImportOptions", "Light",
-    "ParameterGrid", "PathOptions", "Posterior", "Preset", "PrincipledGrid", "Recovery",
+    "ExportOptions", "Fit", "GlobalSharing", "Guidance", "GuidanceOptions", "ImportOptions",
+    "Light", "ParameterGrid", "PathOptions", "Posterior", "Preset", "PrincipledGrid", "Recovery",
     "Reference", "ShOptions", "Skip", "SvuError", "SvuWarning", "Texels", "TotalVariation",
     "angular_posterior",
     "calibrated_posterior", "check", "estimate",

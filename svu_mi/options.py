@@ -116,8 +116,11 @@ def preset(
     unknown = sorted(set(switches) - known)
     if unknown:
         names = ", ".join(sorted(known))
+        other, others = ("spectrum", Preset) if method == "angular" else ("angular", AngularPreset)
+        elsewhere = unknown[0] in {field.name for field in fields(others)}
         raise OptionError(
             f"Unknown switch {unknown[0]!r}; a preset of {method!r} has {names}."
+            + (f" {unknown[0]!r} is one of method={other!r}." if elsewhere else "")
         )
     if not isinstance(base, str | kind):
         raise OptionError(

@@ -197,6 +197,11 @@ EARLY = {  # refused before anything is loaded
     "d-optimal": (
         ["--method", "spectrum", "--preset", "paper", "--strategy", "d-optimal"], "--strategy",
     ),
+    "SH model": (["--preset", "paper", "--strategy", "coverage"], "--preset paper is the SH model"),
+    "lazy paper": (
+        ["--method", "spectrum", "--preset", "paper", "--lazy"],
+        "--lazy is of no use to --preset paper",
+    ),
     "growing": (["--band-limit", "growing"], "--band-limit growing needs --method spectrum"),
     "lazy": (
         ["--method", "spectrum", "--preset", "paper", "--band-limit", "growing", "--lazy"],

@@ -15,7 +15,7 @@ from svu_mi.cli.inputs import Estimated, given, say
 from svu_mi.errors import OptionError
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.guidance.strategies import Name as Strategy
-from svu_mi.options import Preset
+from svu_mi.options import AngularPreset, Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.progress import Progress
 
@@ -200,6 +200,17 @@ class Guide(Estimated):
                 f"--method spectrum --preset {self.preset} does not say what photographs to come "
                 "would show; add --preset paper, or leave --method out."
             )
+        if isinstance(switches, AngularPreset) and switches.fit is not None:
+            raise OptionError(
+                f"--preset {self.preset} is the SH model, which knows light only where photographs "
+                "are; add --method spectrum for Eq. 13, or leave --preset out."
+            )
+        own = switches.band_limit if isinstance(switches, Preset) else "photographs"
+        if self.lazy and self.band_limit == "preset" and own == "growing":
+            raise OptionError(
+                f"--lazy is of no use to --preset {self.preset}, whose light is another at every "
+                "step; add --band-limit photographs, or leave it out."
+            )
         if self.band_limit == "growing" and self.method != "spectrum":
             raise OptionError("--band-limit growing needs --method spectrum.")
         needed = TABLE[self.strategy].method
@@ -278,6 +289,11 @@ def _print(console: Console, estimate: Estimate, guidance: Guidance) -> None:
     )
     if TABLE[guidance.options.strategy].forecasts:
         words += " What each photograph is expected to take off the latter (gain), and to leave:"
+    if guidance.options.band_limit == "growing":
+        words += (
+            " Each is judged in light for one photograph more (Eq. 13), sharper than that of the "
+            "entropy now: what it leaves may be above it."
+        )
     console.print(words, highlight=False, soft_wrap=True)
     console.print(table, markup=False, highlight=False)
 

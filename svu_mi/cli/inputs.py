@@ -169,8 +169,9 @@ class Estimated(Photographed):
     """Options of every command that estimates what photographs say."""
 
     method: Literal["angular", "spectrum"] = "angular"
-    """angular compares radiance by statistics of all views; spectrum, power spectra (the paper)."""
+    """angular compares radiance by statistics of all views; spectrum, power spectra."""
     preset: Literal["default", "fixed", "fast", "paper"] = "default"
+    """paper: the published method as printed, the SH model (angular) or power spectra."""
     known: Known = ()
     """Parameters that are not in question, such as metallic=0: they leave the grid. "scene" stands
     for those that the scene's own material does not vary."""

@@ -61,7 +61,9 @@ def write_guidance_overview(
     style.color_bar(figure, place, drawn, label, (0.2, -0.06, 0.6, 0.028))
     line = figure.add_axes((0.535, 0.545, 0.195, 0.33))
     draw_expected(line, capture, guidance)
-    style.title(line, "Mean entropy of all texels, now and expected")
+    growing = guidance.options.band_limit == "growing"
+    light = ", each in the light for so many views" if growing else ""
+    style.title(line, f"Mean entropy of all texels, now and expected{light}")
     ranked = figure.add_axes((0.79, 0.545, 0.195, 0.33))
     draw_ranking(ranked, guidance)
     style.title(ranked, "All candidates as the next photograph")

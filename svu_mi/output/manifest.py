@@ -68,18 +68,20 @@ def run_record(capture: Any, estimate: Any, knowledge: Knowledge | None = None) 
     )
 
 
-def recovery_record(capture: Any, recovery: Any) -> dict[str, Any]:
+def recovery_record(capture: Any, recovery: Any, estimate: Any | None = None) -> dict[str, Any]:
     """Return what a capture and a recovery from it say about the run.
 
     Args:
         capture: the ``Capture``.
         recovery: its ``Recovery``.
+        estimate: whose entropy and standard deviations are written beside it, or None.
     """
     losses = np.asarray(recovery.losses, np.float64)
     settings = {
         "method": recovery.method,
         "resolution": recovery.texels.resolution,
         "used": recovery.settings,
+        "entropy_of": None if estimate is None else _settings(estimate),
     }
     result = {
         "texels": recovery.texels.count,

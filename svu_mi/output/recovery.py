@@ -84,7 +84,7 @@ def write_recovery(
     report(3, 4)
     write_recovery_overview(capture, recovery, comparisons, folder / PAGE, estimate)
     report(4, 4)
-    write_run(folder / RECORD, recovery_record(capture, recovery), settings, kernels)
+    write_run(folder / RECORD, recovery_record(capture, recovery, estimate), settings, kernels)
 
 
 def write_losses(losses: Any, path: str | Path) -> None:

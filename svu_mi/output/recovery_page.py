@@ -45,7 +45,7 @@ def write_recovery_overview(
         OutputError: the file cannot be written.
     """
     figure = style.new_figure(*SIZE)
-    _heading(figure, capture, recovery)
+    _heading(figure, capture, recovery, estimate)
     maps = figure.add_gridspec(1, 7, left=LEFT, right=0.83, top=0.875, bottom=0.63, wspace=0.12)
     plot = figure.add_gridspec(1, 1, left=0.87, right=RIGHT, top=0.875, bottom=0.64)
     rows = figure.add_gridspec(
@@ -69,7 +69,7 @@ def write_recovery_overview(
     style.save_figure(figure, path)
 
 
-def _heading(figure: Figure, capture: Any, recovery: Any) -> None:
+def _heading(figure: Figure, capture: Any, recovery: Any, estimate: Any | None) -> None:
     width, height = recovery.texels.resolution
     coverage = np.array(recovery.coverage)
     seen = 100 * float((coverage > 0).mean()) if len(coverage) else 0.0
@@ -78,6 +78,7 @@ def _heading(figure: Figure, capture: Any, recovery: Any) -> None:
         f"{sum(capture.used)} of {capture.count} views",
         f"{width} × {height} texels, {style.spaced(len(coverage))} in charts",
         f"{seen:.0f} % seen",
+        *([] if estimate is None else [f"sd and entropy of preset {estimate.preset.name}"]),
         "with sharing" if recovery.settings.get("sharing") else "without sharing",
         f"{len(recovery.losses)} step" + ("s" if len(recovery.losses) != 1 else ""),
         f"{np.nansum(list(recovery.timings.values())):.1f} s",

@@ -74,7 +74,7 @@ def reference_posterior(
             w = 1 / (1 + (b / mean)^2); ``estimated``: the likelihood of the angular preset
             ``default``, of all views and in colour, and ``sigma`` is not used.
         errors: of views: their ``mean``; or their ``sum``, as the paper prints Eq. 3, for which
-            ``sigma`` should be larger.
+            ``sigma`` should be larger: .4 is that of the preset ``paper``.
         max_depth: longest path; 2 is direct light.
         method: ``linear`` renders 4 psi per roughness and derives the others, exactly, for
             direct light; ``brute`` renders all.
