@@ -287,13 +287,13 @@ def _print(console: Console, estimate: Estimate, guidance: Guidance) -> None:
         f"{guidance.entropy:.3f} of all, of which unseen ones are "
         f"{estimate.posterior.prior_entropy:.3g}."
     )
-    if TABLE[guidance.options.strategy].forecasts:
-        words += " What each photograph is expected to take off the latter (gain), and to leave:"
     if guidance.options.band_limit == "growing":
         words += (
-            " Each is judged in light for one photograph more (Eq. 13), sharper than that of the "
-            "entropy now: what it leaves may be above it."
+            " Candidates are judged in light that is filtered for one photograph more (Eq. 13), "
+            "which is sharper: what they leave may be above the entropy now."
         )
+    if TABLE[guidance.options.strategy].forecasts:
+        words += " What each photograph is expected to take off the latter (gain), and to leave:"
     console.print(words, highlight=False, soft_wrap=True)
     console.print(table, markup=False, highlight=False)
 

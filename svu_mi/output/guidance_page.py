@@ -61,9 +61,7 @@ def write_guidance_overview(
     style.color_bar(figure, place, drawn, label, (0.2, -0.06, 0.6, 0.028))
     line = figure.add_axes((0.535, 0.545, 0.195, 0.33))
     draw_expected(line, capture, guidance)
-    growing = guidance.options.band_limit == "growing"
-    light = ", each in the light for so many views" if growing else ""
-    style.title(line, f"Mean entropy of all texels, now and expected{light}")
+    style.title(line, "Mean entropy of all texels, now and expected")
     ranked = figure.add_axes((0.79, 0.545, 0.195, 0.33))
     draw_ranking(ranked, guidance)
     style.title(ranked, "All candidates as the next photograph")
@@ -99,7 +97,9 @@ def draw_expected(axes: Axes, capture: Any, guidance: Any) -> None:
     axes.legend(fontsize=9, frameon=False, labelcolor=INK, loc="upper right", borderaxespad=0.2,
                 handletextpad=0.2)  # fmt: skip
     axes.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True))
-    axes.set_xlabel("photographs", size=9.5, color=FAINT)
+    growing = guidance.options.band_limit == "growing"
+    light = ", each in the light filtered for so many" if growing else ""
+    axes.set_xlabel(f"photographs{light}", size=9.5, color=FAINT)
     axes.set_ylabel("mean entropy", size=9.5, color=FAINT)
     style.plain(axes)
 
