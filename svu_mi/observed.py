@@ -17,7 +17,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.errors import CaptureError
-from svu_mi.frequency.gather import MirroredLight
+from svu_mi.frequency.mirrored import MirroredLight
 from svu_mi.interop import owned
 from svu_mi.light import Lighting, light, light_cells
 from svu_mi.options import AngularPreset, Fit, Preset

@@ -16,7 +16,8 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.frequency.gather import Samples, fit_spectra
+from svu_mi.frequency.gather import fit_spectra
+from svu_mi.frequency.samples import Samples
 from svu_mi.observed import observe
 from svu_mi.options import preset
 from svu_mi.pipeline import estimate

@@ -20,7 +20,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError
-from svu_mi.frequency.gather import MirroredLight
+from svu_mi.frequency.mirrored import MirroredLight
 from svu_mi.light.lighting import Lighting
 from svu_mi.light.moments import moment_map
 from svu_mi.options import AngularPreset

@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.frequency.gather import MirroredLight
+from svu_mi.frequency.mirrored import MirroredLight
 from svu_mi.interop import owned
 from svu_mi.light.moments import moment_map
 from svu_mi.observed import Observed
