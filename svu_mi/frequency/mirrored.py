@@ -78,11 +78,15 @@ class MirroredLight:
             UInt32 lanes of texels that some view sees, and their (l* + 1)^2 coefficients: lists
             of F C Floats, not evaluated yet.
         """
+        for group, coefficients in self._job.solutions(masking, count):
+            yield dr.gather(mi.UInt32, self.lane, group.selection), coefficients
+
+    @cached_property
+    def _job(self) -> Job:
+        """Of all steps of a recovery: who is solved by which kernel does not change."""
         counts = np.zeros(self.texels.count, np.uint32)
         counts[self.chosen] = self.found.coverage.numpy()[self.chosen]
-        job = Job(
+        return Job(
             self.views, self.lighting, self.texels, self.found, self.fit, False, 0, self.channels,
-            counts, masking, count,
+            counts,
         )  # fmt: skip
-        for group, coefficients in job.solutions():
-            yield dr.gather(mi.UInt32, self.lane, group.selection), coefficients

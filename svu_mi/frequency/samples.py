@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -93,18 +94,29 @@ class Job:
     channels: int
     light_channels: int
     counts: np.ndarray
-    masking: Masking | None = None
-    factors: int = 1
 
-    def solutions(self) -> Iterator[tuple[SolverGroup, list[list[Any]]]]:
-        """Yield the lanes of each solver and their coefficients, not evaluated yet."""
+    @cached_property
+    def launches(self) -> list[tuple[SolverGroup, Surface]]:
+        """The texels of each solver."""
+        groups = solver_groups(self.counts, self.switches.degree)
+        return [(group, Surface.of(self.texels, group.selection)) for group in groups]
+
+    def solutions(
+        self, masking: Masking | None = None, factors: int = 1
+    ) -> Iterator[tuple[SolverGroup, list[list[Any]]]]:
+        """Yield the lanes of each solver and their coefficients, not evaluated yet.
+
+        Args:
+            masking: of the light, as for ``Samples``.
+            factors: how many it returns.
+        """
         switches = self.switches
         # Made now: a texture that is made while a loop is recorded does not outlive the recording.
         dr.eval(self.lighting.filtered)
-        for group in solver_groups(self.counts, switches.degree):
+        for group, surface in self.launches:
             samples = Samples(
-                self.views, self.lighting, Surface.of(self.texels, group.selection), self.found,
-                self.occluded, self.channels, self.light_channels, self.masking,
+                self.views, self.lighting, surface, self.found, self.occluded, self.channels,
+                self.light_channels, masking,
             )  # fmt: skip
             yield (
                 group,
@@ -112,7 +124,7 @@ class Job:
                     samples.at,
                     self.found.count,
                     degree=switches.degree,
-                    channels=self.channels + self.factors * self.light_channels,
+                    channels=self.channels + factors * self.light_channels,
                     regularizer=switches.regularizer,
                     penalize_constant=switches.penalize_constant,
                     method=group.method,

@@ -124,13 +124,7 @@ def shade(
     if visible is not None:
         seen = visible(mirror, alpha)
         lobe = [seen * value for value in lobe]
-    A, B, D = _reflected(model, place, alpha, cosine)
-    return Shading(
-        diffuse=[dr.fma(roughness, b, a) for a, b in shading],
-        scaled=[A * value for value in lobe],
-        added=[B * value for value in lobe],
-        dielectric=[D * value for value in lobe],
-    )
+    return Shading.of(shading, roughness, _reflected(model, place, alpha, cosine), lobe)
 
 
 def _narrower(model: Continuous, center: Any, direction: Any) -> Any:

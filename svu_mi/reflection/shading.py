@@ -17,6 +17,27 @@ class Shading:
     added: list[Any]
     dielectric: list[Any]
 
+    @staticmethod
+    def of(
+        diffuse: list[tuple[Any, Any]], roughness: Any, reflected: tuple[Any, Any, Any],
+        light: list[Any],
+    ) -> Shading:  # fmt: skip
+        """Put diffuse and specular light together.
+
+        Args:
+            diffuse: a and b of a + b roughness, per channel (``diffuse_shading``).
+            roughness: Float.
+            reflected: (A, B, D), what a lobe reflects: R0 A + B, and that of a dielectric D.
+            light: under the lobe, per channel.
+        """
+        A, B, D = reflected
+        return Shading(
+            diffuse=[dr.fma(roughness, b, a) for a, b in diffuse],
+            scaled=[A * value for value in light],
+            added=[B * value for value in light],
+            dielectric=[D * value for value in light],
+        )
+
     @property
     def parts(self) -> tuple[list[Any], ...]:
         """e, p, q and d."""

@@ -24,7 +24,6 @@ About 5 minutes on two cores when the photographs are there; references take 20 
 
 from __future__ import annotations
 
-import argparse
 import json
 from datetime import date
 from pathlib import Path
@@ -70,16 +69,11 @@ SHOWN = {
 
 def main() -> None:
     """Measure what is asked for, and keep it; or print tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path)
-    parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--work", type=Path, default=Path("out/records"))
-    parser.add_argument("--only", default="", help="cells whose name contains this")
+    parser = record.arguments(__doc__)
     parser.add_argument("--objects", nargs="*", default=[], help="others of DATA than usual")
     parser.add_argument("--reference", type=int, default=0, help="texels to path trace")
     parser.add_argument("--footprints", action="store_true")
     parser.add_argument("--switches", action="store_true")
-    parser.add_argument("--table", type=Path)
     asked = parser.parse_args()
     if asked.table:
         print(tables(json.loads(asked.table.read_text())))

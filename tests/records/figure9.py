@@ -28,7 +28,6 @@ import argparse
 import json
 import time
 from collections.abc import Sequence
-from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -45,25 +44,6 @@ OWN_LIGHTS, LIGHTS = ["window", "studio"], ["photo_studio_01"]
 PAPER, OURS, FARTHEST = "best view (paper)", "best view (ours)", "farthest"
 STRATEGIES = (PAPER, OURS, FARTHEST)
 WAYS = {"paper": "recovered by the SH model (paper)", "default": "recovered by ours"}
-
-
-def cells_of(data: Path | None, work: Path) -> list[Any]:
-    """Return our own cells, then those of DATA."""
-    from svu_mi.bench.cells import data_cells, own_cells
-
-    theirs = data_cells(data, work, records.OBJECTS, LIGHTS) if data else ()
-    return [*own_cells(lights=OWN_LIGHTS), *theirs]
-
-
-def photographs(cell: Any, work: Path) -> Any:
-    """Return a cell's photographs from all around; rendered once."""
-    folder = work / f"{cell.name}_{FILM}_of_{VIEWS}"
-    if not (folder / "capture.json").exists():
-        svu.render_capture(
-            cell.scene, SPP, 0, folder=folder, views=VIEWS, resolution=(FILM, FILM),
-            defines=cell.defines,
-        )  # fmt: skip
-    return svu.load_capture(folder)
 
 
 class Shoot:
@@ -146,13 +126,10 @@ def gains(cells: Sequence[dict[str, Any]], strategy: str, what: str, way: str) -
 
 def groups(record: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
     """Return all cells, those of our own, and those of DATA; or the only ones there are."""
-    from svu_mi.bench.cells import OWN_OBJECTS
-
-    cells = record["cells"]
-    own = [cell for name, cell in cells.items() if name.split("__")[0] in OWN_OBJECTS]
-    theirs = [cell for name, cell in cells.items() if name.split("__")[0] not in OWN_OBJECTS]
-    both = {"all": own + theirs, "own": own, "DATA": theirs}
-    return both if own and theirs else {"own" if own else "DATA": own + theirs}
+    found = records.groups(record["cells"])
+    if len(found) < 2:
+        return found
+    return {"all": [cell for cells in found.values() for cell in cells], **found}
 
 
 def needed(mean: np.ndarray, step: float) -> str:
@@ -289,12 +266,7 @@ def draw(place: Any, cells: Sequence[dict[str, Any]], what: str, way: str) -> No
 
 def main() -> None:
     """Record all cells; finished ones of the same commit are kept."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path)
-    parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--work", type=Path, default=Path("out/records"))
-    parser.add_argument("--only", default="", help="cells whose name contains this")
-    parser.add_argument("--table", type=Path, help="print the tables of a record, and do no more")
+    parser = records.arguments(__doc__)
     parser.add_argument("--plot", type=Path, help="draw the curves into this PNG file")
     asked = parser.parse_args()
     record: dict[str, Any]
@@ -310,13 +282,12 @@ def main() -> None:
 def run(asked: argparse.Namespace) -> dict[str, Any]:
     """Return the record, with the cells that were asked for."""
     mi.set_variant("llvm_ad_rgb")
-    record: dict[str, Any] = {"commit": records.commit(), "date": str(date.today()), "cells": {}}
-    if asked.output.exists():
-        before = json.loads(asked.output.read_text())
-        record["cells"] = before["cells"] if before["commit"] == record["commit"] else {}
-    for cell in cells_of(asked.data, asked.work):
+    record = records.resumed(asked.output)
+    for cell in records.some_cells(asked.data, asked.work, OWN_LIGHTS, LIGHTS):
         if asked.only in cell.name and cell.name not in record["cells"]:
-            capture, began = photographs(cell, asked.work), time.perf_counter()
+            folder = asked.work / f"{cell.name}_{FILM}_of_{VIEWS}"
+            capture = records.rendered(cell, folder, FILM, VIEWS, SPP)
+            began = time.perf_counter()
             curves = Shoot(capture).run()
             record["cells"][cell.name] = {"seconds": time.perf_counter() - began, "curves": curves}
             ends = {s: f"{gains([record['cells'][cell.name]], s, 'psnr', 'paper')[0, -1]:+.2f} dB"

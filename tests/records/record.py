@@ -223,6 +223,54 @@ def means(cells: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
     }
 
 
+def arguments(description: str) -> argparse.ArgumentParser:
+    """Return what every record is asked: data, output, working folder, cells, or a table."""
+    parser = argparse.ArgumentParser(description=description.splitlines()[0])
+    parser.add_argument("--data", type=Path)
+    parser.add_argument("-o", "--output", type=Path)
+    parser.add_argument("--work", type=Path, default=Path("out/records"))
+    parser.add_argument("--only", default="", help="cells whose name contains this")
+    parser.add_argument("--table", type=Path, help="print the tables of a record, and do no more")
+    return parser
+
+
+def some_cells(data: Path | None, work: Path, own: list[str], theirs: list[str]) -> list[Any]:
+    """Return our own objects under some lights, then those of DATA under others."""
+    from svu_mi.bench.cells import data_cells, own_cells
+
+    others = data_cells(data, work, OBJECTS, theirs) if data else ()
+    return [*own_cells(lights=own), *others]
+
+
+def rendered(cell: Any, folder: Path, film: int, views: int, spp: int) -> Any:
+    """Return a capture of square photographs from all around a cell; rendered once."""
+    if not (folder / "capture.json").exists():
+        svu.render_capture(
+            cell.scene, spp, 0, folder=folder, views=views, resolution=(film, film),
+            defines=cell.defines,
+        )  # fmt: skip
+    return svu.load_capture(folder)
+
+
+def groups(cells: dict[str, Any]) -> dict[str, list[Any]]:
+    """Return the records of cells by name as those of our own, and of DATA; no empty group."""
+    from svu_mi.bench.cells import OWN_OBJECTS
+
+    found: dict[str, list[Any]] = {"own": [], "DATA": []}
+    for name, cell in cells.items():
+        found["own" if name.split("__")[0] in OWN_OBJECTS else "DATA"].append(cell)
+    return {name: chosen for name, chosen in found.items() if chosen}
+
+
+def resumed(file: Path) -> dict[str, Any]:
+    """Return a record to fill, with the cells that this commit has finished already."""
+    record: dict[str, Any] = {"commit": commit(), "date": str(date.today()), "cells": {}}
+    if file.exists():
+        before = json.loads(file.read_text())
+        record["cells"] = before["cells"] if before["commit"] == record["commit"] else {}
+    return record
+
+
 def commit() -> str:
     """Return the commit that is recorded."""
     asked = ["git", "rev-parse", "--short", "HEAD"]

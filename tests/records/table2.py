@@ -19,10 +19,8 @@ most of it path tracing (``--untraced`` leaves that out: 10 minutes).
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
-from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -39,25 +37,12 @@ LIGHTS = ["photo_studio_01", "rural_asphalt_road", "st_fagans_interior"]
 PARTS = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9]
 
 
-def cells_of(data: Path | None, work: Path) -> list[Any]:
-    """Return our own cells, then those of DATA."""
-    from svu_mi.bench.cells import data_cells, own_cells
-
-    theirs = data_cells(data, work, records.OBJECTS, LIGHTS) if data else ()
-    return [*own_cells(lights=OWN_LIGHTS), *theirs]
-
-
 def photographs(cell: Any, work: Path) -> Any:
     """Return a cell's photographs from one side mostly; rendered once."""
     from svu_mi.bench.captures import uneven_views
 
     folder = work / f"{cell.name}_{FILM}_of_{DENSE}"
-    if not (folder / "capture.json").exists():
-        svu.render_capture(
-            cell.scene, SPP, 0, folder=folder, views=DENSE, resolution=(FILM, FILM),
-            defines=cell.defines,
-        )  # fmt: skip
-    return uneven_views(svu.load_capture(folder), FRONT, BACK)
+    return uneven_views(records.rendered(cell, folder, FILM, DENSE, SPP), FRONT, BACK)
 
 
 class Judge:
@@ -113,20 +98,10 @@ def rows(traced: bool) -> list[Any]:
     return [row for row in (*PAPER, *ours) if traced or not row.traced]
 
 
-def groups(record: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
-    """Return the cells of our own, and those of DATA."""
-    from svu_mi.bench.cells import OWN_OBJECTS
-
-    found: dict[str, list[dict[str, Any]]] = {"own": [], "DATA": []}
-    for name, cell in record["cells"].items():
-        found["own" if name.split("__")[0] in OWN_OBJECTS else "DATA"].append(cell)
-    return {name: cells for name, cells in found.items() if cells}
-
-
 def tables(record: dict[str, Any]) -> str:
     """Return Table 2 of both groups, and the errors of Fig. 8, as Markdown."""
     parts = []
-    for group, cells in groups(record).items():
+    for group, cells in records.groups(record["cells"]).items():
         labels = [label for label in cells[0] if all(label in cell for cell in cells)]
         lines = [f"{len(cells)} cells, {group}", "",
                  "| recovery | base colour | roughness | metallic | average | error with entropy | "
@@ -151,23 +126,15 @@ def tables(record: dict[str, Any]) -> str:
 
 def main() -> None:
     """Record all cells; finished rows of the same commit are kept."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path)
-    parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--work", type=Path, default=Path("out/records"))
-    parser.add_argument("--only", default="", help="cells whose name contains this")
+    parser = records.arguments(__doc__)
     parser.add_argument("--untraced", action="store_true", help="leave path tracing out")
-    parser.add_argument("--table", type=Path, help="print the tables of a record, and do no more")
     asked = parser.parse_args()
     if asked.table:
         print(tables(json.loads(asked.table.read_text())))
         return
     mi.set_variant("llvm_ad_rgb")
-    record: dict[str, Any] = {"commit": records.commit(), "date": str(date.today()), "cells": {}}
-    if asked.output.exists():
-        before = json.loads(asked.output.read_text())
-        record["cells"] = before["cells"] if before["commit"] == record["commit"] else {}
-    for cell in cells_of(asked.data, asked.work):
+    record = records.resumed(asked.output)
+    for cell in records.some_cells(asked.data, asked.work, OWN_LIGHTS, LIGHTS):
         if asked.only not in cell.name:
             continue
         done, judge = record["cells"].setdefault(cell.name, {}), None

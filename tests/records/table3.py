@@ -19,7 +19,6 @@ second time 4.
 
 from __future__ import annotations
 
-import argparse
 import json
 from datetime import date
 from pathlib import Path
@@ -132,12 +131,7 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 def table(record: dict[str, Any]) -> str:
     """Return means over the cells of both groups, and the lowest of each, as Markdown."""
-    from svu_mi.bench.cells import OWN_OBJECTS
-
-    groups: dict[str, list[dict[str, float]]] = {"own": [], "DATA": []}
-    for name, cell in record["cells"].items():
-        groups["own" if name.split("__")[0] in OWN_OBJECTS else "DATA"].append(cell)
-    groups = {name: cells for name, cells in groups.items() if cells}
+    groups = records.groups(record["cells"])
     head = [f"mean of {len(cells)}, {name} | lowest" for name, cells in groups.items()]
     lines = [f"| row | {' | '.join(head)} |", "| --- |" + " --- |" * (2 * len(groups))]
     for label in next(iter(record["cells"].values())):
@@ -149,13 +143,7 @@ def table(record: dict[str, Any]) -> str:
 
 def main() -> None:
     """Record all cells; finished ones of the same version are kept."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path)
-    parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--work", type=Path, default=Path("out/records"))
-    parser.add_argument("--only", default="", help="cells whose name contains this")
-    parser.add_argument("--table", type=Path, help="print the table of a record, and do no more")
-    asked = parser.parse_args()
+    asked = records.arguments(__doc__).parse_args()
     if asked.table:
         print(table(json.loads(asked.table.read_text())))
         return

@@ -121,22 +121,16 @@ class AngularObjective:
         moved = roughness - dr.detach(roughness)  # 0, with a derivative
         found = lobes.towards(seen.direction)
         light = [dr.fma(slope, moved, value) for value, slope in found]
-        A, B, D = reflected_at_view(self.switches.fresnel, cosine, alpha_from_roughness(roughness))
+        alpha = alpha_from_roughness(roughness)
         diffuse = [
             diffuse_shading(self.switches.diffuse, each, seen.direction, cosine)
             for each in self.moments
         ]
-        return Shading(
-            diffuse=[dr.fma(roughness, b, a) for a, b in diffuse],
-            scaled=[A * value for value in light],
-            added=[B * value for value in light],
-            dielectric=[D * value for value in light],
-        )
+        reflected = reflected_at_view(self.switches.fresnel, cosine, alpha)
+        return Shading.of(diffuse, roughness, reflected, light)
 
 
-def angular_objective(
-    observed: Observed, switches: AngularPreset
-) -> AngularObjective:
+def angular_objective(observed: Observed, switches: AngularPreset) -> AngularObjective:
     """Prepare the loss: fit the light of every texel that some view sees.
 
     Args:
