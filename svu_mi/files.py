@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import json
+import os
+import re
 import secrets
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 from svu_mi.errors import CaptureError, OutputError, excerpt
 
 MAX_RATIO, FREE = 2000, 2**26  # no codec packs more; bytes that are no danger anyway
+TEMPORARY = re.compile(r"\..*\.(\d+)-[0-9a-f]{8}\.tmp(\..*)?", re.DOTALL)
+STEM = 100  # letters of a name that its temporary name has, too: names have an end
+
+_stamp: ContextVar[Mapping[str, str] | None] = ContextVar("stamp", default=None)
 
 
 def prepare_folder(folder: str | Path) -> Path:
@@ -71,7 +79,9 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     # The suffix stays last: writers such as matplotlib go by it.
-    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.tmp{path.suffix}")
+    unique = f"{os.getpid()}-{secrets.token_hex(4)}"
+    temporary = path.with_name(f".{path.stem[:STEM]}.{unique}.tmp{path.suffix[:STEM]}")
+    _clear_temporaries(path)
     try:
         # Opened here because the operating system's reason is clearer than OpenEXR's.
         temporary.open("xb").close()
@@ -84,6 +94,52 @@ def replacing(path: str | Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _clear_temporaries(path: Path) -> None:
+    """Remove what killed processes have left of a file."""
+    with contextlib.suppress(OSError, ValueError):
+        for old in list(path.parent.glob(f".{glob.escape(path.stem[:STEM])}.*.tmp*")):
+            if is_temporary_of_dead(old):
+                old.unlink(missing_ok=True)
+
+
+def is_temporary_of_dead(path: Path) -> bool:
+    """Return whether a file is a temporary one of ``replacing`` whose process is no more."""
+    found = TEMPORARY.fullmatch(path.name)
+    if found is None or os.name == "nt":  # where asking for a process ends it
+        return False
+    try:
+        os.kill(int(found.group(1)), 0)
+    except ProcessLookupError:
+        return True
+    except (OSError, OverflowError):
+        return False
+    return False
+
+
+@contextlib.contextmanager
+def stamped(marks: Mapping[str, str]) -> Iterator[None]:
+    """Put marks into the header of every EXR, PLY and scene file that is written in the block.
+
+    Args:
+        marks: text by name, such as the id of the run; one line of plain letters each.
+    """
+    token = _stamp.set(marks)
+    try:
+        yield
+    finally:
+        _stamp.reset(token)
+
+
+def stamp() -> Mapping[str, str]:
+    """Return the marks of what is being written; none outside of ``stamped``."""
+    return _stamp.get() or {}
+
+
+def mark_text() -> str:
+    """Return the marks as ``name=text name=text``, for formats that have comments only."""
+    return " ".join(f"{name}={text}" for name, text in stamp().items())
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,14 @@ from svu_mi.capture.poses import sphere_sensors
 from svu_mi.capture.record import Capture
 from svu_mi.cli.main import main
 from svu_mi.exr import write_exr
+from svu_mi.files import write_json
 from svu_mi.formats import fixes
 from svu_mi.formats.resampling import squared
 from svu_mi.formats.source import Frame, Source
 from svu_mi.output.scene_xml import write_scene as write_recovered
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.textures import Textures, lay_out
+from svu_mi.results.writing import writing
 from svu_mi.scenes import meshes
 from svu_mi.surface import texels
 
@@ -60,6 +63,15 @@ def fails(capsys: Any, *words: object, warnings: int = 0) -> str:
 def names(folder: Path) -> list[str]:
     """Return the names of a folder's files, in order."""
     return sorted(path.name for path in folder.iterdir())
+
+
+def write_older(folder: Path, command: str, record: str, files: Iterable[str]) -> None:
+    """Write what an older run of a command has left: files that hold no more than a word."""
+    with writing(folder, command, record) as draft:
+        for name in files:
+            (draft.folder / name).parent.mkdir(exist_ok=True)
+            (draft.folder / name).write_text("older")
+        write_json(draft.folder / record, draft.entries())
 
 
 def ball(columns: int = 48, rows: int = 24) -> capture_mesh.MeshArrays:

@@ -136,6 +136,13 @@ def test_without_photographs_the_scene_is_rendered_once(
     assert "the scene is rendered" in capsys.readouterr().err
     photograph = tmp_path / "out" / "capture" / "view_0003.exr"
     before = photograph.stat().st_mtime_ns
+    assert run(*words, "--resume", "--spp", 3) == 2
+    assert "was rendered with --spp 2; take that back, or" in capsys.readouterr().err
+    text = path.read_text()
+    path.write_text(text.replace('value="35"', 'value="36"', 1))
+    assert run(*words, "--resume") == 2
+    assert "rendered from other sensors than the scene has now" in capsys.readouterr().err
+    path.write_text(text)
     assert run(*words, "--resume") == 0
     assert photograph.stat().st_mtime_ns == before
 
@@ -287,7 +294,7 @@ def test_a_checkpoint_is_of_one_run(shot, tmp_path, tmp_path_factory, capsys, mo
     assert "another run" in last_line(capsys)
     other = brighter(shot, tmp_path_factory.mktemp("other"))
     assert recover(other, tmp_path, "--resume") == 2
-    assert "photographs was" in last_line(capsys)
+    assert "changed since then: photographs" in last_line(capsys)
     assert recover(shot, tmp_path) == 2
     assert "--resume" in last_line(capsys)
     assert names(tmp_path) == ["checkpoint.npz"]

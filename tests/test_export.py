@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import trimesh
-from helpers import ball, lettered, recovered_folder, write_known
+from helpers import ball, lettered, recovered_folder, write_known, write_older
 from PIL import Image
 
 import svu_mi as svu
@@ -24,7 +24,6 @@ from svu_mi.capture import mesh as meshes
 from svu_mi.cli.main import main
 from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError, ShapeError
 from svu_mi.export.charts import at_vertices, inside_charts, with_gutters
-from svu_mi.export.export import EVERY
 from svu_mi.export.mesh import front_faces
 from svu_mi.export.options import FORMATS
 from svu_mi.exr import read_exr, write_exr
@@ -93,7 +92,13 @@ def test_the_record_names_every_file(exported, result):
     ]
 
 
-EVERY_HERE = [name for name in EVERY if name != "textures/orm.exr"]
+IMAGES = ("base_color", "roughness", "metallic", "orm", "entropy", "coverage")
+EVERY_HERE = [
+    *(f"textures/{name}.png" for name in IMAGES),
+    *(f"textures/{name}.exr" for name in IMAGES if name != "orm"),
+    "asset.glb", "entropy.glb", "object.xml", "preview.xml", "mesh.ply", "material.mtlx",
+    "mesh.obj",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("formats", "names"), [
@@ -104,33 +109,28 @@ EVERY_HERE = [name for name in EVERY if name != "textures/orm.exr"]
 def test_a_format_brings_what_it_refers_to_and_replaces_an_older_export(
     asset, tmp_path, formats, names
 ):
-    (tmp_path / "textures").mkdir()
     older = ("entropy.glb", "textures/roughness.png", "textures/coverage.exr", "mesh.obj")
-    for name in (*older, "mine.txt", "object.xml"):
-        (tmp_path / name).write_text("of an older export")
-    named = [{"file": name} for name in (*older, "mine.txt", "../asset.json")]
-    (tmp_path / "asset.json").write_text(json.dumps({"files": named}))
+    write_older(tmp_path, "export", "asset.json", older)
+    (tmp_path / "mine.txt").write_text("mine")
     svu.export_asset(asset, tmp_path, svu.ExportOptions(formats=formats))
     record = json.loads((tmp_path / "asset.json").read_text())
     named = {each["file"] for each in record["files"]}
     assert set(names) <= named
-    # Nothing is removed that an export does not write, or that the older one had not.
-    assert set(files(tmp_path)) == {*named, "asset.json", "mine.txt", "object.xml"}
-    assert b"of an older" not in b"".join((tmp_path / name).read_bytes() for name in named)
+    assert set(files(tmp_path)) == {*named, "asset.json", "mine.txt"}
+    assert b"older" not in {(tmp_path / name).read_bytes() for name in named}
 
 
-def test_a_failed_export_has_no_record(exported, asset, tmp_path):
+def test_a_failed_export_leaves_all_as_it_was(asset, tmp_path):
     (tmp_path / "asset.json").write_text("{}")
     (tmp_path / "asset.glb").mkdir()
     with pytest.raises(OutputError, match=r"asset\.glb: is a folder"):
         svu.export_asset(asset, tmp_path, svu.ExportOptions(formats=("glb",)))
-    assert not (tmp_path / "asset.json").exists()
-    assert not [name for name in files(tmp_path) if ".tmp" in name]
+    assert files(tmp_path) == ["asset.json"] and (tmp_path / "asset.json").read_text() == "{}"
 
 
-def test_a_record_that_cannot_be_removed_is_one_sentence(asset, tmp_path):
+def test_a_record_that_is_a_folder_is_one_sentence(asset, tmp_path):
     (tmp_path / "asset.json").mkdir()
-    with pytest.raises(OutputError, match=r"asset\.json: cannot be removed \(Is a directory\)"):
+    with pytest.raises(OutputError, match=r"asset\.json: is a folder; remove it"):
         svu.export_asset(asset, tmp_path)
 
 

@@ -11,6 +11,7 @@ import matplotlib
 import mitsuba as mi
 import numpy as np
 import pytest
+from helpers import write_older
 from matplotlib.figure import Figure
 
 import svu_mi as svu
@@ -54,9 +55,8 @@ def vase():
 def written(vase, tmp_path_factory):
     """The folder of that guidance, in which an older run has left its files."""
     folder = tmp_path_factory.mktemp("written")
-    (folder / "thumbnails").mkdir()
-    for name in ("gain_7.exr", "thumbnails/proposal_7.png", "gain_of_mine.exr"):
-        (folder / name).write_text("older")
+    write_older(folder, "guide", "run.json", ["gain_7.exr", "thumbnails/proposal_7.png"])
+    (folder / "gain_of_mine.exr").write_text("mine")
     steps = []
     write_guidance(
         vase.capture, vase.estimate, vase.guidance, folder, settings={"add": 3}, kernels={"a": 1},
@@ -119,13 +119,13 @@ def test_the_record_comes_last_and_says_what_was_run(vase, written):
     assert record["environment"]["versions"]["mitsuba"] == mi.__version__
 
 
-def test_a_failed_write_leaves_no_record(vase, written, tmp_path):
+def test_a_failed_write_leaves_all_as_it_was(vase, tmp_path):
     (tmp_path / "run.json").write_text("{}")
     (tmp_path / "guidance.png").mkdir()
     with pytest.raises(OutputError, match="guidance.png"):
         write_guidance(vase.capture, vase.estimate, vase.guidance, tmp_path)
-    assert not (tmp_path / "run.json").exists()
-    assert not [p for p in tmp_path.rglob("*") if ".tmp" in p.name]
+    assert (tmp_path / "run.json").read_text() == "{}"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["guidance.png", "run.json"]
 
 
 def test_maps_sum_to_the_gain(vase, written):

@@ -12,9 +12,11 @@ import numpy as np
 from svu_mi.bench.cells import Cell, Settings
 from svu_mi.bench.store import Store, key_of
 from svu_mi.capture import Capture, load_capture, render_capture
+from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
+from svu_mi.results.record import digest_of, is_as_written
 
 FRONT = (0.0, 0.3, 1.0)  # direction from the object to the middle of the crowded side
 MARK = "bench"  # bench.json in the capture's folder: the key it was rendered under
@@ -34,10 +36,10 @@ def capture_of(cell: Cell, settings: Settings, folder: Path, progress: Progress)
         OutputError: the folder cannot be written.
     """
     key = key_of(
-        str(cell.scene), cell.defines, settings.views, settings.film, settings.spp, settings.seed
+        _contents(cell), cell.defines, settings.views, settings.film, settings.spp, settings.seed
     )
     store = Store(folder)
-    if store.load(MARK, key) is not None:
+    if store.load(MARK, key) is not None and is_as_written(folder, capture_folder.FILE):
         with progress.stage(f"Loading {cell.title}"):
             return load_capture(folder)
     store.path(MARK).unlink(missing_ok=True)
@@ -49,6 +51,14 @@ def capture_of(cell: Cell, settings: Settings, folder: Path, progress: Progress)
         )  # fmt: skip
     store.save(MARK, key, {"cell": cell.name, "settings": settings})
     return capture
+
+
+def _contents(cell: Cell) -> list[tuple[str, str]]:
+    """Return digests of the scene, of all that lies beside it, of lights and of files given."""
+    folders = (cell.scene.parent, cell.scene.parent.parent / "lights")
+    beside = sorted(path for folder in folders for path in folder.rglob("*"))
+    given = map(Path, cell.defines.values())
+    return [(path.name, digest_of(path)) for path in (*beside, *given) if path.is_file()]
 
 
 def some_views(capture: Capture, count: int) -> Capture:

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import check_sensor
+from svu_mi.capture.sensor_record import LARGEST
 from svu_mi.errors import CaptureError, excerpt
 from svu_mi.files import read_json, write_json
+from svu_mi.limits import require_views
+from svu_mi.results.writing import Draft, settle
 
 FILE = "capture.json"
 FORMAT = "svu-capture"
 VERSION = 1
+MAX_BYTES = 2**26  # of capture.json; ten times what as many sensors as possible take
+MAX_SENSORS = 10_000  # photographs are called view_0000 to view_9999
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +34,7 @@ class Description:
         exposures: one gain per view, empty = all 1.
         sensors: descriptions of the sensors, empty = those of the scene.
         imported: what it was imported from, and how; empty = it was not.
+        rendered: ``spp`` and ``seed`` that it was rendered with; empty = it was not.
     """
 
     scene: Path | None = None
@@ -37,12 +43,19 @@ class Description:
     exposures: Sequence[float] = ()
     sensors: Sequence[Mapping[str, Any]] = ()
     imported: Mapping[str, Any] = field(default_factory=dict)
+    rendered: Mapping[str, Any] = field(default_factory=dict)
 
     def make_sensors(self, path: Path) -> tuple[Any, ...]:
-        """Make the sensors that the photographs of this folder were taken with."""
+        """Make the sensors that the photographs of this folder were taken with.
+
+        Raises:
+            CaptureError: a description is not complete, or has a value out of range.
+            SceneError: a pose is mirrored or not rigid.
+        """
+        require_views(len(self.sensors), f"{path / FILE}: sensors", CaptureError)
         made = []
         for index, record in enumerate(self.sensors):
-            label = f"{path}: sensor {index}"
+            label = f"{path / FILE}: sensor {index}"
             made.append(make_sensor(record, label))
             check_sensor(made[-1], label)
         return tuple(made)
@@ -54,9 +67,12 @@ def read(folder: Path) -> Description | None:
     Raises:
         CaptureError: the file is not JSON or not a capture.
     """
+    settle(folder)
     path = folder / FILE
     if not path.is_file():
         return None
+    if path.stat().st_size > MAX_BYTES:
+        raise CaptureError(f"{path}: has {path.stat().st_size} bytes, more than any capture.")
     record = read_json(path)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise CaptureError(f'{path}: not a capture; expected "format": "{FORMAT}".')
@@ -65,33 +81,85 @@ def read(folder: Path) -> Description | None:
             f"{path}: version {excerpt(record['version'])} is not known, only {VERSION}; update "
             "svu_mi."
         )
+    for key, (is_fine, what) in FIELDS.items():
+        if key in record and not is_fine(record[key]):
+            raise CaptureError(
+                f"{path}: {key} has the wrong type; it must be {what}, got "
+                f"{excerpt(repr(record[key]), 60)}."
+            )
+    scene = record.get("scene")
     try:
-        scene = record.get("scene")
-        return Description(
-            scene=None if scene is None else (folder / scene).resolve(),
-            defines={str(k): str(v) for k, v in record.get("define", {}).items()},
-            shape=record.get("shape"),
-            exposures=tuple(float(gain) for gain in record.get("exposure", ())),
-            sensors=tuple(record.get("sensors", ())),
-            imported=dict(record.get("import", {})),
-        )
-    except (TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise CaptureError(f"{path}: a value has the wrong type ({excerpt(error)}).") from error
-    except (OSError, RuntimeError) as error:  # a link to itself
+        scene = None if scene is None else (folder / scene).resolve()
+        _ = scene is None or scene.is_file()
+    except (OSError, ValueError, RuntimeError) as error:  # a link to itself, a name without end
         raise CaptureError(f"{path}: the scene cannot be found ({excerpt(error)}).") from error
+    return Description(
+        scene=scene,
+        defines={key: str(value) for key, value in record.get("define", {}).items()},
+        shape=record.get("shape"),
+        exposures=tuple(float(gain) for gain in record.get("exposure", ())),
+        sensors=tuple(record.get("sensors", ())),
+        imported=record.get("import", {}),
+        rendered=record.get("rendered", {}),
+    )
 
 
-def write(folder: Path, description: Description, sensors: Sequence[Any]) -> None:
-    """Write ``capture.json`` (atomically); the scene's path is kept relative if it can be."""
-    scene = description.scene
+def _is_number(value: Any) -> bool:
+    """Return whether JSON's number fits a float; NaN does, and is refused where it matters."""
+    return isinstance(value, int | float) and not abs(value) > LARGEST
+
+
+def _is_gain(value: Any) -> bool:
+    """Return whether photographs in single precision can be divided by it, if it is positive."""
+    return _is_number(value) and not 0 < value < 1 / LARGEST
+
+
+def _are_defines(value: Any) -> bool:
+    return isinstance(value, dict) and all(
+        isinstance(entry, str | bool) or _is_number(entry) for entry in value.values()
+    )
+
+
+# Keys of capture.json that are read; others are left to whoever wrote them.
+FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "scene": (lambda value: value is None or isinstance(value, str), "a path or null"),
+    "define": (_are_defines, "text or numbers by name"),
+    "shape": (lambda value: value is None or isinstance(value, str), "an id or null"),
+    "exposure": (
+        lambda value: isinstance(value, list) and all(map(_is_gain, value)),
+        f"a list of numbers from {1 / LARGEST:g} to {LARGEST:g}",
+    ),
+    "sensors": (
+        lambda value: isinstance(value, list) and len(value) <= MAX_SENSORS,
+        f"a list of at most {MAX_SENSORS} sensors",
+    ),
+    "import": (lambda value: isinstance(value, dict), "an object"),
+    "rendered": (lambda value: isinstance(value, dict), "an object"),
+}
+
+
+def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> None:
+    """Write ``capture.json``, the last file of a draft.
+
+    Args:
+        draft: of the capture.
+        description: what it says; the scene's path is kept relative if it can be, to where the
+            capture will lie.
+        sensors: V perspective sensors.
+    """
+    scene, target = description.scene, draft.target.resolve()
+    if scene is not None and scene.resolve().is_relative_to(draft.folder.resolve()):
+        scene = draft.target / scene.resolve().relative_to(draft.folder.resolve())
     record = {
         "format": FORMAT,
         "version": VERSION,
-        "scene": None if scene is None else os.path.relpath(scene.resolve(), folder.resolve()),
+        "scene": None if scene is None else os.path.relpath(scene.resolve(), target),
         "define": dict(description.defines),
         "shape": description.shape,
         "exposure": list(description.exposures),
         "sensors": [describe(sensor) for sensor in sensors],
         **({"import": description.imported} if description.imported else {}),
+        **({"rendered": description.rendered} if description.rendered else {}),
+        **draft.entries(),
     }
-    write_json(folder / FILE, record)
+    write_json(draft.folder / FILE, record)

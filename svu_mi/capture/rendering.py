@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -15,7 +16,7 @@ import numpy as np
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.folder import Description
 from svu_mi.capture.loading import read_capture
-from svu_mi.capture.poses import film_size, sphere_sensors
+from svu_mi.capture.poses import describe, film_size, sphere_sensors
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import (
     find_environment,
@@ -25,9 +26,11 @@ from svu_mi.capture.scene import (
     load_scene,
     require_variant,
 )
-from svu_mi.errors import OptionError, OutputError, SceneError
+from svu_mi.capture.unwrap import UNWRAPPED
+from svu_mi.errors import OptionError, SceneError, excerpt
 from svu_mi.exr import write_exr
-from svu_mi.files import prepare_folder
+from svu_mi.limits import require_render, require_spp
+from svu_mi.results.writing import exchanging, require_own
 
 MASK_GRID = 3  # mask rays per pixel side; any miss puts a pixel off the object
 
@@ -43,6 +46,7 @@ def render_capture(
     resolution: tuple[int, int] = (512, 512),
     defines: Mapping[str, str] | None = None,
     unwrap: bool = False,
+    trust: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Capture:
     """Render one photograph per sensor and read them back as a capture.
@@ -51,29 +55,33 @@ def render_capture(
         scene: a ``mi.Scene``, or the path of an XML file.
         spp: samples per pixel.
         seed: seed of the first view; view i uses a seed derived from it.
-        folder: where ``capture.json`` and ``view_NNNN.exr`` (RGB, alpha = object mask) are
-            written. By default a temporary folder that is gone after reading.
+        folder: where ``capture.json`` and ``view_NNNN.exr`` (RGB, alpha = object mask) are put, in
+            one step when all are rendered. A capture that was rendered there earlier is replaced;
+            a folder that holds anything else is refused. By default a temporary folder that is
+            gone after reading.
         shape: id of the target (see ``load_capture``).
         views: place this many sensors on a sphere around the target instead of using the
             scene's own.
         resolution: (width, height) of those sensors' films, in pixels.
         defines: values for the scene's ``<default>`` parameters, when it is a path.
         unwrap: lay out new UVs even if the mesh has some (see ``load_capture``).
+        trust: let the scene load libraries, when it is a path (see ``load_capture``).
         progress: called with (views done, views in all).
 
     Raises:
         SvuEnvironmentError: no suitable Mitsuba variant is active.
         SceneError: the scene cannot be loaded or lacks something.
         OptionError: ``spp`` is below 1 or ``seed`` negative.
-        OutputError: the folder cannot be written.
+        OutputError: the folder cannot be written, or holds what was not rendered there.
     """
     require_variant()
-    if spp < 1:
-        raise OptionError(f"spp must be at least 1, got {spp}.")
+    require_spp(spp)
     if seed < 0:
         raise OptionError(f"The seed must not be negative, got {seed}.")
+    if folder is not None:
+        require_own(folder, "render", capture_folder.FILE, [UNWRAPPED])
     path = None if isinstance(scene, mi.Scene) else Path(scene)
-    scene = scene if path is None else load_scene(path, defines)
+    scene = scene if path is None else load_scene(path, defines, trust=trust)
     label = str(path or "scene")
     find_environment(scene, label)
     target = find_shape(scene, shape, label)
@@ -81,12 +89,15 @@ def render_capture(
         sensors = find_sensors(scene, label)
     else:
         sensors = sphere_sensors(target, views, resolution)
-    description = Description(scene=path, defines=defines or {}, shape=target.id() or None)
+    require_render([film_size(sensor) for sensor in sensors], spp, label)
+    description = Description(
+        scene=path, defines=defines or {}, shape=target.id() or None,
+        rendered={"spp": spp, "seed": seed},
+    )  # fmt: skip
     if folder is not None:
-        # The description first: an interrupted run leaves a folder that can be rendered again,
-        # and never the poses of an older run beside new pictures.
-        capture_folder.write(_emptied(Path(folder)), description, sensors)
-        _render_views(scene, target, sensors, Path(folder), spp, seed, progress)
+        with exchanging(folder, "render", capture_folder.FILE, [UNWRAPPED]) as draft:
+            _render_views(scene, target, sensors, draft.folder, spp, seed, progress)
+            capture_folder.write(draft, description, sensors)
         return read_capture(scene, sensors, Path(folder), description, unwrap=unwrap)
     with tempfile.TemporaryDirectory(prefix="svu-capture-") as temporary:
         _render_views(scene, target, sensors, Path(temporary), spp, seed, progress)
@@ -94,18 +105,28 @@ def render_capture(
         return replace(capture, source=None)
 
 
-def _emptied(folder: Path) -> Path:
-    """Make the folder, and remove the photographs of an earlier run."""
-    prepare_folder(folder)
-    stale = sorted(folder.glob("view_*"))
-    if stale and not (folder / capture_folder.FILE).exists():
-        raise OutputError(
-            f"{folder}: holds photographs ({stale[0].name}, ...) that this program did not "
-            "render; choose another folder."
-        )
-    for old in stale:
-        old.unlink()
-    return folder
+def require_rendered(capture: Capture, spp: int) -> None:
+    """Refuse photographs that were rendered otherwise than they would be now.
+
+    Args:
+        capture: that ``render_capture`` has left in a folder.
+        spp: samples per pixel that it would take now.
+
+    Raises:
+        OptionError: the scene has other sensors now, or another ``spp`` is wanted.
+    """
+    if capture.source is None or (found := capture_folder.read(capture.source)) is None:
+        return
+    own = [describe(sensor) for sensor in find_sensors(capture.scene, str(found.scene))]
+    changed = "from other sensors than the scene has now"
+    if json.loads(json.dumps(own)) == list(found.sensors):
+        if found.rendered.get("spp", spp) == spp:
+            return
+        changed = f"with --spp {excerpt(found.rendered['spp'], 20)}"
+    raise OptionError(
+        f"{capture.source}: was rendered {changed}; take that back, or leave --resume out to start "
+        "again."
+    )
 
 
 def _render_views(

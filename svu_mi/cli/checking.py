@@ -42,18 +42,20 @@ class CheckCapture(Common):
         """Check, print what was found, and write the page."""
         from svu_mi.capture import load_capture
         from svu_mi.checking import check
-        from svu_mi.files import prepare_folder
         from svu_mi.output.check_page import write_check
+        from svu_mi.results.writing import claimed
 
         defines = parse_defines(self.define)
-        prepare_folder(self.output)
-        self.start()
-        progress = Progress(console)
-        with progress.stage("Loading the capture"):
-            capture = load_capture(self.scene, self.images, shape=self.shape, defines=defines)
-        found = check(capture, progress=progress)
-        with progress.stage("Writing the page"):
-            write_check(capture, found, self.output, settings=given(self))
+        with claimed(self.output, "svu check"):
+            self.start()
+            progress = Progress(console)
+            with progress.stage("Loading the capture"):
+                capture = load_capture(
+                    self.scene, self.images, shape=self.shape, defines=defines, trust=self.trust
+                )
+            found = check(capture, progress=progress)
+            with progress.stage("Writing the page"):
+                write_check(capture, found, self.output, settings=given(self))
         _print(console, found)
         say(console, f"Wrote {self.output / 'check.html'}")
         return WRONG if self.strict and not found.fits else 0
@@ -62,7 +64,7 @@ class CheckCapture(Common):
 def _print(console: Console, found: Check) -> None:
     from svu_mi.output.check_page import remedy, verdict
 
-    console.print(_views(found))
+    console.print(_views(found), markup=False)
     for one in found.findings:
         line = f"{one.question} ({MARKS[one.verdict]}): {one.sentence}"
         say(console, line)

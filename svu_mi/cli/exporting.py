@@ -51,15 +51,17 @@ class Export(Common):
         from svu_mi.export.export import export_asset
         from svu_mi.export.options import ExportOptions
         from svu_mi.export.reading import load_asset
+        from svu_mi.results.writing import claimed
 
         options = ExportOptions(
             formats=self.formats, bits=self.bits, half=self.half, gutter=self.gutter, up=self.up
         )  # refused before any work
-        self.start()
-        progress = Progress(console)
-        with progress.stage("Reading the result"):
-            asset = load_asset(self.result, self.entropy)
-        with progress.stage("Writing the asset"):
-            export_asset(asset, self.output, options)
+        with claimed(self.output, "svu export", tidy=True):
+            self.start()
+            progress = Progress(console)
+            with progress.stage("Reading the result"):
+                asset = load_asset(self.result, self.entropy)
+            with progress.stage("Writing the asset"):
+                export_asset(asset, self.output, options)
         say(console, f"Wrote {self.output}")
         return 0

@@ -15,6 +15,7 @@ from svu_mi.cli.inputs import Estimated, given, say
 from svu_mi.errors import OptionError
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.guidance.strategies import Name as Strategy
+from svu_mi.limits import require_views
 from svu_mi.options import AngularPreset, Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.progress import Progress
@@ -77,20 +78,20 @@ class Guide(Estimated):
 
     def run(self, console: Console) -> int:
         """Judge the candidates, and write the results."""
-        from svu_mi.files import prepare_folder
         from svu_mi.output.guidance import write_guidance
+        from svu_mi.results.writing import claimed
 
         self.check()
         options = self._options()
-        prepare_folder(self.output)
-        self.start()
-        progress = Progress(console)
-        capture, estimate, guidance = self._guide(progress, options)
-        with progress.stage("Writing the results") as stage:
-            write_guidance(
-                capture, estimate, guidance, self.output, up=self.up, settings=given(self),
-                kernels=progress.kernels, progress=stage.update,
-            )  # fmt: skip
+        with claimed(self.output, "svu guide"):
+            self.start()
+            progress = Progress(console)
+            capture, estimate, guidance = self._guide(progress, options)
+            with progress.stage("Writing the results") as stage:
+                write_guidance(
+                    capture, estimate, guidance, self.output, up=self.up, settings=given(self),
+                    kernels=progress.kernels, progress=stage.update,
+                )  # fmt: skip
         _print(console, estimate, guidance)
         say(console, f"Wrote {self.output}")
         return 0
@@ -178,6 +179,7 @@ class Guide(Estimated):
         count = _number(self.candidates)
         if count is not None and count < 1:
             raise OptionError(f"--candidates must be at least 1, got {count}.")
+        require_views(count or 0, "--candidates")
         for option in ("lowest", "distance"):
             if count is None and getattr(self, option) is not None:
                 raise OptionError(

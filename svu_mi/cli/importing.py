@@ -75,17 +75,26 @@ class Import(Common):
 
     def run(self, console: Console) -> int:
         """Import the capture and say what was found."""
+        from svu_mi.results.writing import claimed
+
+        with claimed(self.output, "svu import", tidy=True):
+            self.start()
+            notes = self._import(Progress(console))
+        for note in notes:
+            say(console, note)
+        say(console, f"Wrote {self.output}; look at it with: svu check {self.output}")
+        return 0
+
+    def _import(self, progress: Progress) -> list[str]:
         from svu_mi.formats.colmap.undistortion import undistort
         from svu_mi.formats.importing import import_capture
         from svu_mi.formats.reading import ReadOptions, read_source
 
-        self.start()
         kind = None if self.format == "auto" else self.format
         reading = ReadOptions(
             format=kind, images=self.images, masks=self.masks, split=self.split,
             environment_view=self.environment_view, original_world=self.original_world,
         )  # fmt: skip
-        progress = Progress(console)
         with tempfile.TemporaryDirectory(prefix="svu-undistorted-") as scratch:
             path = self.source
             if self.undistort:
@@ -99,11 +108,7 @@ class Import(Common):
                 if self.undistort:
                     source = replace(source, root=self.source)
             with progress.stage("Converting photographs") as stage:
-                notes = import_capture(source, self.output, self._options(), progress=stage.update)
-        for note in notes:
-            say(console, note)
-        say(console, f"Wrote {self.output}; look at it with: svu check {self.output}")
-        return 0
+                return import_capture(source, self.output, self._options(), progress=stage.update)
 
     def _options(self) -> ImportOptions:
         from svu_mi.formats.importing import ImportOptions

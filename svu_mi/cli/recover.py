@@ -67,26 +67,25 @@ class Recover(Photographed):
 
     def run(self, console: Console) -> int:
         """Recover, and write the results."""
-        from svu_mi.files import prepare_folder
+        from svu_mi.results.writing import claimed
 
         self.check()
         checkpoint = self.output / CHECKPOINT
-        prepare_folder(self.output)
-        self.start()
-        progress = Progress(console)
-        try:
-            self._run(progress, checkpoint)
-        except BaseException as error:
-            if was_interrupted(error):
-                raise Interrupted(self._advice(checkpoint)) from None
-            raise
+        with claimed(self.output, "svu recover"):
+            self._check_checkpoint(checkpoint)
+            self.start()
+            try:
+                self._run(Progress(console), checkpoint)
+            except BaseException as error:
+                if was_interrupted(error):
+                    raise Interrupted(self._advice(checkpoint)) from None
+                raise
         say(console, f"Wrote {self.output}")
         return 0
 
     def check(self) -> None:
         """Refuse options that make no sense, before any work (see ``Photographed``)."""
         super().check()
-        checkpoint = self.output / CHECKPOINT
         if not self.parameters:
             raise OptionError("--parameters names no texture; give at least one.")
         if self.seed < 0:
@@ -95,6 +94,8 @@ class Recover(Photographed):
             raise OptionError(
                 f"--checkpoint-seconds must be at least 0, got {self.checkpoint_seconds}."
             )
+
+    def _check_checkpoint(self, checkpoint: Path) -> None:
         if self.resume and not checkpoint.exists():
             raise OptionError(
                 f"{checkpoint}: there is no checkpoint to go on from; leave --resume out."
@@ -126,9 +127,8 @@ class Recover(Photographed):
         with progress.stage("Writing the results") as stage:
             write_recovery(
                 capture, recovery, self.output, estimate=known, settings=given(self),
-                kernels=progress.kernels, progress=stage.update,
+                kernels=progress.kernels, consumed=[CHECKPOINT], progress=stage.update,
             )  # fmt: skip
-        checkpoint.unlink(missing_ok=True)  # all that it was for is written
 
     def _initial(self, texels: Texels) -> Textures | None:
         """Read the textures of --start.

@@ -33,16 +33,23 @@ class Report(Estimated):
     def run(self, console: Console) -> int:
         """Estimate, and write the page."""
         from svu_mi.files import prepare_folder
-        from svu_mi.output.report.report import write_report
-        from svu_mi.output.textures import read_textures
+        from svu_mi.results.lock import locked
 
         self.check()
         if self.output.is_dir():
             raise OptionError(f"{self.output}: is a folder; -o takes a file, such as report.html.")
         prepare_folder(self.output.parent)
+        with locked(self.output, "svu report"):
+            self._write(Progress(console))
+        say(console, f"Wrote {self.output}")
+        return 0
+
+    def _write(self, progress: Progress) -> None:
+        from svu_mi.output.report.report import write_report
+        from svu_mi.output.textures import read_textures
+
         self.start()
         textures = None if self.recovered is None else read_textures(self.recovered)
-        progress = Progress(console)
         capture, texels = self.load(progress)
         found = self.estimate(progress, capture, texels)
         with progress.stage("Writing the report") as stage:
@@ -50,8 +57,6 @@ class Report(Estimated):
                 capture, found, self.output, textures=textures, title=self.title,
                 settings=given(self), progress=stage.update,
             )  # fmt: skip
-        say(console, f"Wrote {self.output}")
-        return 0
 
     @property
     def rendered(self) -> Path:

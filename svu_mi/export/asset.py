@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.repaint import is_two_sided
 from svu_mi.errors import MeshError, OptionError, ShapeError
+from svu_mi.names import plain_name
 from svu_mi.output.maps import padded
 from svu_mi.output.upright import Axis, nearest_axis, upright
 from svu_mi.recovery.textures import Textures
@@ -22,7 +24,7 @@ class Asset:
     """A mesh in textures of the ``principled`` BSDF, in the world space of its capture.
 
     Attributes:
-        name: of the object, in all files.
+        name: of the object, in all files; made one printable line.
         mesh: with UVs in the unit square; v = 0 is the first row of an image.
         textures: over these UVs.
         entropy: (H, W) float32 in [0, 1] over these UVs, 1 = nothing known; of any resolution,
@@ -31,6 +33,7 @@ class Asset:
         two_sided: whether the surface reflects on its back, too.
         up: axis of the world that points upwards.
         source: where all this comes from, for the record.
+        capture: key of the capture that it was recovered from, or empty.
     """
 
     name: str
@@ -41,8 +44,10 @@ class Asset:
     two_sided: bool = False
     up: Axis = "y"
     source: str | None = None
+    capture: str = ""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "name", plain_name(self.name))
         _check_mesh(self.name, self.mesh)
         for name, tensor in self.textures.items():
             _check_values(name, np.array(tensor), 1)
@@ -84,6 +89,7 @@ class Asset:
             two_sided=is_two_sided(capture.shape.bsdf()),
             up=nearest_axis(upright(capture)),
             source=capture.source,
+            capture=capture_key(capture),
         )
 
 

@@ -9,26 +9,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from svu_mi.errors import CaptureError
 from svu_mi.export import glb, materialx, mitsuba_xml
 from svu_mi.export.asset import RECORD, TEXTURES, Asset, Written
 from svu_mi.export.charts import at_vertices, with_gutters
 from svu_mi.export.images import write_exr_images, write_png_images
 from svu_mi.export.options import ExportOptions
 from svu_mi.export.reading import load_asset
-from svu_mi.files import prepare_folder, read_json, remove
+from svu_mi.files import prepare_folder
 from svu_mi.output.manifest import environment_record, write_manifest
-from svu_mi.parameters import NAMES
+from svu_mi.results.writing import writing
 
 FORMAT, VERSION = "svu-asset", 1
 MODEL = "principled, specular 0.5 (F0 = 0.04), alpha = roughness^2: glTF's metallic-roughness"
-IMAGES = (*NAMES, "orm", "entropy", "coverage")
-EVERY = (
-    *(f"{TEXTURES}/{name}.{suffix}" for name in IMAGES for suffix in ("exr", "png")),
-    glb.ASSET, glb.ENTROPY, mitsuba_xml.OBJECT, mitsuba_xml.PREVIEW, mitsuba_xml.MESH,
-    materialx.MATERIAL, materialx.MESH,
-)  # fmt: skip
-"""All files that an export can consist of, but for its record."""
 
 
 def export_asset(
@@ -36,9 +28,8 @@ def export_asset(
 ) -> Path:
     """Write an object with its textures for other programs.
 
-    Each file replaces an older one only when it is complete. ``asset.json``, which says what each
-    file is, comes last, so a folder that has it has everything. Files that an older one names and
-    that are not written now are removed.
+    All of it takes the place of an older export in one step (``results.writing``); ``asset.json``
+    says what each file is. Files that an older one names and that are not written now are removed.
 
     Args:
         asset: an ``Asset``, or the folder that ``svu recover`` wrote.
@@ -56,24 +47,12 @@ def export_asset(
     options = options or ExportOptions()
     asset = asset if isinstance(asset, Asset) else load_asset(asset)
     asset = with_gutters(asset, options.gutter)
-    folder = prepare_folder(folder)
-    prepare_folder(folder / TEXTURES)
-    older = _named(folder / RECORD)
-    remove(folder / RECORD)
-    files = _write(asset, folder, options)
-    for name in older - {each.file for each in files}:
-        remove(folder / name)
-    write_manifest(folder / RECORD, _record(asset, options, files))
-    return folder / RECORD
-
-
-def _named(record: Path) -> set[str]:
-    """Return the files that an older export has written, and no others, whatever it says."""
-    try:
-        named = {each["file"] for each in read_json(record)["files"]}
-    except (CaptureError, KeyError, TypeError):
-        return set()
-    return {name for name in EVERY if name in named and (record.parent / name).is_file()}
+    with writing(folder, "export", RECORD, capture=asset.capture) as draft:
+        prepare_folder(draft.folder / TEXTURES)
+        files = _write(asset, draft.folder, options)
+        record = _record(asset, options, files)
+        write_manifest(draft.folder / RECORD, {**record, **draft.entries()})
+    return Path(folder) / RECORD
 
 
 def _write(asset: Asset, folder: Path, options: ExportOptions) -> list[Written]:

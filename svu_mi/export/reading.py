@@ -9,15 +9,19 @@ from xml.etree import ElementTree
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.mesh import MeshArrays, arrays
+from svu_mi.capture.mesh import MeshArrays, arrays, read_ply
 from svu_mi.capture.scene import last_sentence
+from svu_mi.capture.trust import pin_own_plugins
 from svu_mi.errors import CaptureError, MeshError
 from svu_mi.export.asset import Asset, bad_values
 from svu_mi.exr import read_exr
+from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import COVERAGE, ENTROPY
 from svu_mi.output.scene_xml import MESH, SCENE
 from svu_mi.output.textures import FILES, read_textures
 from svu_mi.output.upright import nearest_axis, up_of
+from svu_mi.results.reading import marks_of, require_one_capture, require_one_run
+from svu_mi.results.writing import settle
 
 HEADER = 4096  # bytes that hold the header of a PLY file
 
@@ -32,14 +36,22 @@ def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
             resolution may be another.
 
     Raises:
-        CaptureError: something is missing, damaged, or does not fit.
+        CaptureError: something is missing, damaged, does not fit, or is of another run or capture
+            than the textures.
         MeshError: the mesh cannot be read, or has no UVs.
     """
     folder = Path(folder)
+    if folder.is_dir():
+        settle(folder)
     _require_recovery(folder)
+    require_one_run(folder, [*FILES.values(), SCENE, MESH], RECORD, "recover")
     maps = Path(folder if entropy is None else entropy)
-    if entropy is not None and not (maps / ENTROPY).is_file():
-        raise CaptureError(f"{maps}: has no {ENTROPY}; give the folder that svu entropy wrote.")
+    if entropy is not None:
+        settle(maps)
+        if not (maps / ENTROPY).is_file():
+            raise CaptureError(f"{maps}: has no {ENTROPY}; give the folder that svu entropy wrote.")
+    textured = folder / FILES["base_color"]
+    _require_same_capture(maps, textured)
     scene = _parsed(folder / SCENE)
     shape = _shape(scene, folder / SCENE)
     smooth = shape.find("boolean[@name='face_normals']") is None
@@ -52,7 +64,20 @@ def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
         two_sided=shape.find("bsdf[@type='twosided']") is not None,
         up=nearest_axis(up_of(_poses(scene))),
         source=str(folder),
+        capture=marks_of(textured)[1],
     )
+
+
+def _require_same_capture(folder: Path, textured: Path) -> None:
+    """Refuse maps of two runs, and maps of another capture than that of the textures."""
+    maps = [name for name in (ENTROPY, COVERAGE) if (folder / name).is_file()]
+    runs = {marks_of(folder / name)[0] for name in maps}
+    if len(runs) > 1:
+        raise CaptureError(
+            f"{folder}: {ENTROPY} and {COVERAGE} are of different runs; run svu entropy again."
+        )
+    for name in maps:
+        require_one_capture(textured, folder / name)
 
 
 def _require_recovery(folder: Path) -> None:
@@ -98,8 +123,9 @@ def _mesh(path: Path, smooth: bool) -> MeshArrays:
     with path.open("rb") as stream:
         header = stream.read(HEADER).partition(b"end_header")[0]
     if smooth and b" nx\n" not in header.replace(b"\r", b""):
-        # Mitsuba would make some, and end the process if a face names a missing vertex.
         raise MeshError(f"{path}: has no vertex normals (nx, ny, nz); run svu recover again.")
+    pin_own_plugins()
+    read_ply(path)  # so that no face names a missing vertex
     try:
         found: Any = mi.load_dict(
             {"type": "ply", "filename": str(path), "face_normals": not smooth}

@@ -6,15 +6,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from svu_mi.capture.fingerprint import capture_key
 from svu_mi.files import prepare_folder as prepare_folder
-from svu_mi.files import remove
 from svu_mi.output.knowledge import Knowledge as Knowledge
+from svu_mi.output.manifest import RECORD as RECORD
 from svu_mi.output.manifest import environment_record as environment_record
 from svu_mi.output.manifest import run_record as run_record
 from svu_mi.output.manifest import write_manifest as write_manifest
 from svu_mi.output.manifest import write_run as write_run
 from svu_mi.output.maps import write_maps as write_maps
 from svu_mi.output.overview import write_overview as write_overview
+from svu_mi.results.writing import writing
 
 
 def write_outputs(
@@ -28,8 +30,7 @@ def write_outputs(
 ) -> None:
     """Write ``entropy.exr``, ``coverage.exr``, ``overview.png`` and ``run.json``.
 
-    Each file replaces an older one only when it is complete. ``run.json`` comes last, so a
-    folder that has it has everything.
+    All of it takes the place of an older result in one step (``results.writing``).
 
     Args:
         capture: the ``Capture``.
@@ -42,10 +43,9 @@ def write_outputs(
     Raises:
         OutputError: the folder or a file cannot be written.
     """
-    folder = prepare_folder(folder)
-    remove(folder / "run.json")  # of an older run
-    write_maps(estimate, folder)
     knowledge = knowledge or Knowledge.of(estimate)
-    write_overview(capture, estimate, folder / "overview.png", knowledge)
-    record = run_record(capture, estimate, knowledge)
-    write_run(folder / "run.json", record, settings, kernels)
+    with writing(folder, "entropy", RECORD, capture=capture_key(capture)) as draft:
+        write_maps(estimate, draft.folder)
+        write_overview(capture, estimate, draft.folder / "overview.png", knowledge)
+        record = run_record(capture, estimate, knowledge)
+        write_run(draft, record, settings, kernels)

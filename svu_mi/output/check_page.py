@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.poses import bounding_sphere
 from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.checking.apply import apply_fixes
 from svu_mi.checking.frames import Frames, reduced
 from svu_mi.checking.record import Check, Finding, Summary
 from svu_mi.checking.silhouettes import outline, silhouettes
-from svu_mi.files import prepare_folder
 from svu_mi.formats.fixes import fixes_named
 from svu_mi.light.environment import nearest_node, read_environment
 from svu_mi.light.levels import resolved
@@ -23,8 +23,9 @@ from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.output.page import THUMBNAIL, Picture, photograph, write_page
 from svu_mi.output.upright import facing, up_of
 from svu_mi.output.views import tone_mapped
+from svu_mi.results.writing import writing
 
-TEMPLATE = "check.html"
+TEMPLATE, RECORD = "check.html", "check.json"
 MOST = 120  # thumbnails; the worst
 ROWS = 8  # of each table of hypotheses
 LIGHT = (480, 240)  # pixels of a panorama
@@ -49,11 +50,20 @@ def write_check(
     Raises:
         OutputError: a file cannot be written.
     """
-    folder = prepare_folder(folder)
+    with writing(folder, "check", RECORD, capture=capture_key(capture)) as draft:
+        _write_page(capture, found, draft.folder / TEMPLATE)
+        record = {"fits": found.fits, "fixes": found.fixes, "check": found, "settings": settings}
+        write_manifest(
+            draft.folder / RECORD,
+            {**record, "environment": environment_record(), **draft.entries()},
+        )
+
+
+def _write_page(capture: Capture, found: Check, path: Path) -> None:
     fixes = fixes_named(found.fixes)
     corrected = apply_fixes(capture, fixes, found.camera_axes) if fixes else capture
     write_page(
-        folder / "check.html",
+        path,
         TEMPLATE,
         verdict=verdict(found),
         remedy=remedy(found),
@@ -65,8 +75,6 @@ def write_check(
         source=str(capture.source or ""),
         is_corrected=bool(fixes),
     )
-    record = {"fits": found.fits, "fixes": found.fixes, "check": found, "settings": settings}
-    write_manifest(folder / "check.json", {**record, "environment": environment_record()})
 
 
 def verdict(found: Check) -> str:

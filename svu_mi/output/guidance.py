@@ -11,20 +11,22 @@ from PIL import Image
 
 import svu_mi
 from svu_mi.capture import nodes
+from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.picture import quantized
 from svu_mi.capture.poses import describe
 from svu_mi.exr import write_exr
-from svu_mi.files import prepare_folder, remove, replacing
+from svu_mi.files import prepare_folder, replacing
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output.guidance_page import gain_picture, write_guidance_overview
-from svu_mi.output.manifest import guidance_record, write_manifest, write_run
+from svu_mi.output.manifest import RECORD, guidance_record, write_manifest, write_run
 from svu_mi.output.maps import GUTTER, padded
 from svu_mi.output.upright import UP
 from svu_mi.progress import Stage
+from svu_mi.results.writing import writing
 
-RECORD, PLAN, PAGE = "run.json", "guidance.json", "guidance.png"
+PLAN, PAGE = "guidance.json", "guidance.png"
 POSES, SENSORS, THUMBNAILS = "transforms.json", "sensors.xml", "thumbnails"
 
 
@@ -41,9 +43,8 @@ def write_guidance(
 ) -> None:
     """Write proposals as poses, maps and pictures, with ``guidance.json`` and ``run.json``.
 
-    Each file replaces an older one only when it is complete, and what an older run has left for
-    proposals that there are no longer is removed. ``run.json`` comes last, so a folder that has it
-    has everything.
+    All of it takes the place of an older result in one step (``results.writing``), and what that
+    one has left for proposals that there are no longer is removed.
 
     Args:
         capture: the ``Capture``.
@@ -58,10 +59,17 @@ def write_guidance(
     Raises:
         OutputError: the folder or a file cannot be written.
     """
-    folder = prepare_folder(folder)
+    with writing(folder, "guide", RECORD, capture=capture_key(capture)) as draft:
+        _write_all(capture, estimate, guidance, draft.folder, up, progress or Stage().update)
+        write_run(draft, guidance_record(capture, estimate, guidance), settings, kernels)
+
+
+def _write_all(
+    capture: Any, estimate: Any, guidance: Any, folder: Path, up: tuple[float, float, float],
+    report: Callable[[int, int], None],
+) -> None:  # fmt: skip
+    """Write everything but the record."""
     prepare_folder(folder / THUMBNAILS)
-    report = progress or Stage().update
-    _remove_stale(folder)
     names, sensors = file_names(capture, guidance), [p.sensor for p in guidance.proposals]
     frames = [frame_of(s, Path(name)) for s, name in zip(sensors, names, strict=True)]
     write_transforms(folder / POSES, frames)
@@ -76,7 +84,6 @@ def write_guidance(
     report(3, 4)
     write_guidance_overview(capture, estimate, guidance, maps, pictures, folder / PAGE, up=up)
     report(4, 4)
-    write_run(folder / RECORD, guidance_record(capture, estimate, guidance), settings, kernels)
 
 
 def plan(capture: Any, estimate: Any, guidance: Any) -> dict[str, Any]:
@@ -182,10 +189,3 @@ def _write_thumbnails(pictures: Sequence[np.ndarray], folder: Path) -> None:
     for k, picture in enumerate(pictures):
         with replacing(folder / f"proposal_{k}.png") as temporary:
             Image.fromarray(quantized(picture[..., :3])).save(temporary)
-
-
-def _remove_stale(folder: Path) -> None:
-    remove(folder / RECORD)
-    for old in (*folder.glob("gain_*.exr"), *(folder / THUMBNAILS).glob("proposal_*.png")):
-        if old.stem.rpartition("_")[2].isdigit():
-            remove(old)

@@ -20,7 +20,9 @@ from svu_mi import _llvm
 from svu_mi.errors import OutputError
 from svu_mi.files import write_text
 from svu_mi.output.knowledge import Knowledge
+from svu_mi.results.writing import Draft
 
+RECORD = "run.json"
 PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "trimesh", "xatlas")
 
 
@@ -145,7 +147,7 @@ def _record(
 
 
 def write_run(
-    path: str | Path,
+    draft: Draft,
     record: Mapping[str, Any],
     settings: Mapping[str, Any] | None = None,
     kernels: Mapping[str, int] | None = None,
@@ -153,7 +155,7 @@ def write_run(
     """Write ``run.json``: a record of this module, and where the run took place.
 
     Args:
-        path: the file.
+        draft: of the run, with everything else in it.
         record: of the run.
         settings: what the caller was asked for (command-line options, seeds).
         kernels: number of kernels compiled per stage, ``Progress.kernels``.
@@ -161,9 +163,9 @@ def write_run(
     Raises:
         OutputError: as ``write_manifest``.
     """
-    write_manifest(path, {
+    write_manifest(draft.folder / RECORD, {
         **record, "settings": {**record["settings"], "given": settings},
-        "kernels_compiled": kernels, "environment": environment_record(),
+        "kernels_compiled": kernels, "environment": environment_record(), **draft.entries(),
     })  # fmt: skip
 
 

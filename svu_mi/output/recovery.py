@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import svu_mi
+from svu_mi.capture.fingerprint import capture_key
 from svu_mi.exr import write_exr
-from svu_mi.files import prepare_folder, remove, write_text
+from svu_mi.files import write_text
 from svu_mi.output import views
-from svu_mi.output.manifest import recovery_record, write_run
-from svu_mi.output.maps import (
-    COVERAGE,
-    ENTROPY,
-    UNCERTAINTY,
-    padded,
-    write_maps,
-    write_uncertainty,
-)
+from svu_mi.output.manifest import RECORD, recovery_record, write_run
+from svu_mi.output.maps import COVERAGE, padded, write_maps, write_uncertainty
 from svu_mi.output.recovery_page import write_recovery_overview
 from svu_mi.output.relit import compare, write_relit
 from svu_mi.output.scene_xml import write_scene
 from svu_mi.progress import Stage
+from svu_mi.results.writing import writing
 
-RECORD = "run.json"
 LOSSES = "losses.csv"
 PAGE, RELIT = "recovery.png", "relit.png"
 VIEWS = 3  # that pictures are made of
@@ -41,12 +35,12 @@ def write_recovery(
     estimate: Any | None = None,
     settings: Mapping[str, Any] | None = None,
     kernels: Mapping[str, int] | None = None,
+    consumed: Sequence[str] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
     """Write textures, ``recovered.xml`` with its assets, maps, pictures, losses and ``run.json``.
 
-    Each file replaces an older one only when it is complete. ``run.json`` comes last, so a
-    folder that has it has everything.
+    All of it takes the place of an older result in one step (``results.writing``).
 
     Args:
         capture: the ``Capture``.
@@ -56,16 +50,24 @@ def write_recovery(
             default the one that the textures were recovered from, if there is one.
         settings: what the caller was asked for (command-line options, seeds).
         kernels: number of kernels compiled per stage, ``Progress.kernels``.
+        consumed: files of the folder that are of no use when the result is there: checkpoints.
         progress: called with (parts done, parts in all); rendering pictures takes longest.
 
     Raises:
         OutputError: the folder or a file cannot be written.
     """
-    folder = prepare_folder(folder)
-    report = progress or Stage().update
     estimate = recovery.estimate if estimate is None else estimate
-    for name in (RECORD, ENTROPY, UNCERTAINTY):  # of an older run
-        remove(folder / name)
+    key = capture_key(capture)
+    with writing(folder, "recover", RECORD, capture=key, consumed=consumed) as draft:
+        _write_all(capture, recovery, draft.folder, estimate, progress or Stage().update)
+        write_run(draft, recovery_record(capture, recovery, estimate), settings, kernels)
+
+
+def _write_all(
+    capture: Any, recovery: Any, folder: Path, estimate: Any | None,
+    report: Callable[[int, int], None],
+) -> None:  # fmt: skip
+    """Write everything but the record."""
     attributes = {"svu:version": svu_mi.__version__, "svu:method": recovery.method}
     used = json.dumps(recovery.settings, default=str)
     write_scene(capture, recovery.textures, folder, attributes={**attributes, "svu:settings": used})
@@ -84,7 +86,6 @@ def write_recovery(
     report(3, 4)
     write_recovery_overview(capture, recovery, comparisons, folder / PAGE, estimate)
     report(4, 4)
-    write_run(folder / RECORD, recovery_record(capture, recovery, estimate), settings, kernels)
 
 
 def write_losses(losses: Any, path: str | Path) -> None:

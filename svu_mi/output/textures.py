@@ -10,8 +10,11 @@ import numpy as np
 import svu_mi
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr, write_exr
+from svu_mi.output.manifest import RECORD
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.textures import Textures
+from svu_mi.results.reading import require_one_run
+from svu_mi.results.writing import settle
 
 FILES = {name: f"{name}.exr" for name in NAMES}
 
@@ -52,12 +55,14 @@ def read_textures(folder: str | Path) -> Textures:
             may also have the one channel R, or three equal ones.
 
     Raises:
-        CaptureError: one is missing, damaged, of another size or has other channels, or holds a
-            value outside [0, 1].
+        CaptureError: one is missing, damaged, of another size or has other channels, holds a value
+            outside [0, 1], or is of another run than the others.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise CaptureError(f"{folder}: no such folder; give one with {', '.join(FILES.values())}.")
+    settle(folder)
+    require_one_run(folder, list(FILES.values()), RECORD, "recover")
     images = {name: _image(folder / FILES[name], CHANNELS[name]) for name in NAMES}
     sizes = {name: image.shape[:2] for name, image in images.items()}
     if len(set(sizes.values())) > 1:

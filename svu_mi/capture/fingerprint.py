@@ -1,0 +1,184 @@
+"""What a capture is, as digests: files that belong to another one are told by them.
+
+    capture_key(capture)            # "5d1f0c..."
+    capture_parts(capture)          # {"shapes": "a81e...", "light": "07c3...", ...}
+
+Digests go by content alone: the same files give the same ones in every process, wherever they
+lie, and whatever the photographs are called.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import re
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture.poses import describe
+from svu_mi.capture.record import Capture
+from svu_mi.capture.repaint import is_same
+
+LETTERS = 32  # of a digest
+ALIKE = 1e-4  # between normals of a file and of the faces around a vertex, beyond rounding
+# Words and single numbers of what Mitsuba prints; arrays are parameters, which are added whole.
+PRINTED = re.compile(r"^\s*([\w ]+) = ([A-Za-z]\w*\[?|[-+.\de]+),?$", re.MULTILINE)
+# Files have any name; the radius of a light is that of the scene it was last used in.
+NOT_ITS_OWN = ("name", "filename", "radius")
+UNWRAPPED = ("faces", "vertex_positions", "vertex_texcoords")
+ADDRESS = re.compile(r"0x[0-9a-f]+|object_\d+")
+
+
+class Key:
+    """A digest (SHA-256) over a sequence of values; arrays with their type and shape."""
+
+    def __init__(self, *values: Any) -> None:
+        self._hash = hashlib.sha256()  # processors have instructions for it
+        self.add(*values)
+
+    def add(self, *values: Any) -> None:
+        """Add arrays, numbers, text, None, and lists, dictionaries and dataclasses of these.
+
+        Raises:
+            TypeError: a value of another type, whose text might be its address.
+        """
+        for value in values:
+            self._add(value)
+
+    def add_node(self, node: Any) -> None:
+        """Add a Mitsuba object: its classes, parameters and settings, nested objects included."""
+        self.add("node", node.class_name(), _settings(node))
+        for name, value in mi.traverse(node):
+            # Objects without an id are named by their address.
+            self.add(ADDRESS.sub("", name), np.asarray(getattr(value, "matrix", value)))
+
+    def digest(self) -> str:
+        """Return the key as a hexadecimal string."""
+        return self._hash.hexdigest()[:LETTERS]
+
+    def _add(self, value: Any) -> None:
+        if isinstance(value, np.ndarray):
+            self._text(f"{value.dtype}{value.shape}")
+            self._hash.update(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
+        elif isinstance(value, np.generic):
+            self._add(value.item())
+        elif value is None or isinstance(value, bool | int | float | str):
+            self._text(repr(value))
+        elif isinstance(value, list | tuple):
+            self._text(f"list {len(value)}")
+            self.add(*value)
+        elif isinstance(value, Mapping):
+            self._text(f"dict {len(value)}")
+            self.add(*sorted(value.items()))
+        elif dataclasses.is_dataclass(value):
+            self._text(type(value).__name__)
+            self.add({f.name: getattr(value, f.name) for f in dataclasses.fields(value)})
+        else:
+            raise TypeError(f"Key: a {type(value).__name__} has no digest.")
+
+    def _text(self, text: str) -> None:
+        self._hash.update(text.encode("utf-8", "surrogatepass") + b"\0")
+
+
+def capture_key(capture: Capture) -> str:
+    """Return one digest of a whole capture: 32 hexadecimal letters (see ``capture_parts``)."""
+    return Key(capture_parts(capture)).digest()
+
+
+def capture_parts(capture: Capture) -> dict[str, str]:
+    """Return digests of what a capture consists of.
+
+    Returns:
+        ``shapes`` (geometry and materials, and which one is the object), ``light``,
+        ``integrator``, ``sensors``, ``photographs`` (and which are used), ``masks`` and
+        ``exposures``. Pixels of a view that is not used count for nothing.
+    """
+    used = [view for view in range(capture.count) if capture.used[view]]
+    pixels = _digests(capture.images[view] for view in used)
+    masks = _digests(capture.masks[view] for view in used)
+    integrator = capture.scene.integrator()
+    keys = {
+        "shapes": _shapes(capture),
+        "light": _light(capture.scene),
+        "integrator": Key(
+            ADDRESS.sub("", str(integrator)), getattr(integrator, "hide_emitters", None)
+        ),
+        "sensors": Key([describe(sensor) for sensor in capture.sensors]),
+        "photographs": Key(list(map(bool, capture.used)), pixels),
+        "masks": Key(masks),
+        "exposures": Key(list(map(float, capture.exposures))),
+    }
+    return {name: key.digest() for name, key in keys.items()}
+
+
+def _digests(arrays: Iterable[np.ndarray | None]) -> list[str]:
+    """Return a digest of each array, on as many threads as Dr.Jit has."""
+    with ThreadPoolExecutor(max(1, dr.thread_count())) as threads:
+        return list(threads.map(lambda array: Key(array).digest(), arrays))
+
+
+def _shapes(capture: Capture) -> Key:
+    key = Key()
+    for shape in capture.scene.shapes():
+        key.add(shape.id(), is_same(shape, capture.shape))
+        _add_shape(key, shape)
+    if not is_same(capture.mesh, capture.shape):  # the same surface, unwrapped
+        params = mi.traverse(capture.mesh)
+        key.add(*(np.asarray(params[name]) for name in UNWRAPPED))
+    return key
+
+
+def _add_shape(key: Key, shape: Any) -> None:
+    """Add a shape; vertex normals only where they are not those of the faces around.
+
+    Mitsuba computes missing ones by a sum whose order, and so its last bits, are left to chance.
+    """
+    bsdf = shape.bsdf()
+    key.add(shape.class_name(), shape.has_flipped_normals(), _settings(shape))
+    key.add(None if bsdf is None else bsdf.class_name())
+    for name, value in mi.traverse(shape):
+        array = np.asarray(getattr(value, "matrix", value))
+        computed = name.endswith("vertex_normals") and array.size and _are_computed(shape, array)
+        key.add(ADDRESS.sub("", name), "of faces" if computed else array)
+
+
+def _light(scene: Any) -> Key:
+    key = Key()
+    for emitter in scene.emitters():
+        key.add_node(emitter)
+    return key
+
+
+def _settings(node: Any) -> list[Any]:
+    """Return what a Mitsuba object prints beside its parameters, such as a distribution."""
+    return [found for found in PRINTED.findall(str(node)) if found[0] not in NOT_ITS_OWN]
+
+
+def _are_computed(mesh: Any, normals: np.ndarray) -> bool:
+    """Return whether normals are means over the faces around, weighted by angle, as Mitsuba's."""
+    params = mi.traverse(mesh)
+    positions = np.array(params["vertex_positions"], np.float64).reshape(-1, 3)
+    faces = np.asarray(params["faces"]).reshape(-1, 3)
+    if not np.isfinite(positions).all() or (faces >= len(positions)).any():
+        return False
+    corners = positions[faces]
+    across = _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    total = np.zeros_like(positions)
+    for corner in range(3):
+        here, after, before = (corners[:, (corner + k) % 3] for k in range(3))
+        cosine = np.einsum("fi,fi->f", _unit(after - here), _unit(before - here))
+        weighted = np.arccos(np.clip(cosine, -1, 1))[:, None] * across
+        for axis in range(3):
+            total[:, axis] += np.bincount(faces[:, corner], weighted[:, axis], len(total))
+    sound = np.linalg.norm(total, axis=1) > ALIKE  # faces around cancel out: any direction will do
+    return bool(np.abs(_unit(total) - normals.reshape(-1, 3))[sound].max(initial=0) < ALIKE)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.where(length > 0, length, 1))

@@ -1,0 +1,118 @@
+"""Folders with files of two runs, and folders that hold somebody else's photographs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from helpers import fails, names, run, write_scene
+
+from svu_mi.exr import read_attributes, write_exr
+from svu_mi.results.reading import marks_of
+
+SMALL = ("--resolution", 16)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Two captures of different light, with entropy and textures of each."""
+    at = tmp_path_factory.mktemp("made")
+    for which, light in (("a", "constant"), ("b", "sunsky")):
+        (at / which).mkdir()
+        path = write_scene(at / which, emitter=light)
+        shot, textures, maps = (at / which / name for name in ("shot", "r", "e"))
+        assert run("render", path, "-o", shot, "--spp", 1) == 0
+        assert run("recover", shot, *SMALL, "--steps", 2, "-o", textures) == 0
+        assert run("entropy", shot, *SMALL, "-o", maps) == 0
+    return at
+
+
+@pytest.fixture
+def result(made, tmp_path):
+    """A copy of the first recovery."""
+    return shutil.copytree(made / "a" / "r", tmp_path / "r")
+
+
+def test_every_file_of_a_result_has_the_id_of_its_run(made):
+    folder = made / "a" / "r"
+    entry = json.loads((folder / "run.json").read_text())["written"]
+    assert entry["command"] == "recover" and len(entry["capture"]) == 32
+    marked = [name for name in entry["files"] if name.endswith((".exr", ".xml", ".ply"))]
+    assert len(marked) == 8
+    for name in marked:
+        assert marks_of(folder / name) == (entry["run"], entry["capture"]), name
+    found = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+    assert found == sorted([*entry["files"], "run.json"])
+    assert read_attributes(made / "a" / "shot" / "view_0000.exr")["svu:run"]
+
+
+@pytest.mark.parametrize(
+    "name", ["roughness.exr", "metallic.exr", "recovered.xml", "assets/mesh.ply", "run.json"]
+)
+def test_a_file_of_another_run_is_refused(made, result, tmp_path, capsys, name):
+    shutil.copy(made / "b" / "r" / name, result / name)
+    line = fails(capsys, "export", result, "-o", tmp_path / "asset")
+    assert f"base_color.exr and {name} are of different runs; run svu recover again" in line
+    assert names(tmp_path) == ["r"]
+    if name.endswith(".exr") or name == "run.json":
+        words = ("report", made / "a" / "shot", *SMALL, "--recovered", result)
+        assert "are of different runs" in fails(capsys, *words, "-o", tmp_path / "page.html")
+        again = ("recover", made / "a" / "shot", *SMALL, "--start", result, "-o", tmp_path / "o")
+        assert "are of different runs" in fails(capsys, *again)
+
+
+def test_maps_of_another_capture_are_refused(made, result, tmp_path, capsys):
+    other = made / "b" / "e"
+    line = fails(capsys, "export", result, "--entropy", other, "-o", tmp_path / "asset")
+    assert "entropy.exr: is about another capture than" in line
+    shutil.copy(other / "coverage.exr", result / "coverage.exr")
+    line = fails(capsys, "export", result, "-o", tmp_path / "asset")
+    assert "entropy.exr and coverage.exr are of different runs" in line
+    same = made / "a" / "e"
+    assert run("export", result, "--entropy", same, "-o", tmp_path / "asset") == 0
+
+
+def test_entropy_computed_again_beside_textures_still_fits(made, result, tmp_path):
+    """Another run, but of the same capture: both remain whole, and an export takes them."""
+    assert run("entropy", made / "a" / "shot", *SMALL, "-o", result) == 0
+    assert run("export", result, "-o", tmp_path / "asset") == 0
+
+
+def test_textures_made_by_hand_are_anybody_s(result, tmp_path):
+    for name, channels in (("base_color", "RGB"), ("roughness", "Y"), ("metallic", "Y")):
+        shape = (16, 16, 3) if channels == "RGB" else (16, 16)
+        write_exr(result / f"{name}.exr", {channels: np.full(shape, 0.5)})
+    assert run("export", result, "-o", tmp_path / "asset") == 0
+
+
+# --- photographs of others ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["render", "import"])
+@pytest.mark.parametrize("what", ["photograph", "edited", "notes", "imported"])
+def test_a_capture_that_others_have_worked_on_is_left_alone(made, tmp_path, capsys, command, what):
+    """Both write to ``capture`` by default; neither deletes what it has not made there."""
+    shot = shutil.copytree(made / "a" / "shot", tmp_path / "capture")
+    name = {"photograph": "view_0003.exr", "notes": "notes.txt"}.get(what, "view_0000.exr")
+    if what == "imported":
+        record = json.loads((shot / "capture.json").read_text())
+        record["written"]["command"] = "import" if command == "render" else "render"
+        (shot / "capture.json").write_text(json.dumps(record))
+    else:
+        (shot / name).write_bytes(b"mine")
+    before = {path.name: path.read_bytes() for path in shot.iterdir()}
+    given = {"render": made / "a" / "scene.xml", "import": made / "none"}[command]
+    line = fails(capsys, command, given, "-o", shot)
+    assert command == "import" or "holds other files" in line
+    assert {path.name: path.read_bytes() for path in shot.iterdir()} == before
+
+
+def test_a_scene_that_cannot_be_rendered_costs_no_photograph(made, tmp_path, capsys):
+    shot = shutil.copytree(made / "a" / "shot", tmp_path / "capture")
+    before = {path.name: path.read_bytes() for path in shot.iterdir()}
+    (tmp_path / "scene.xml").write_text("<scene version='3.0.0'></scene>")
+    fails(capsys, "render", tmp_path / "scene.xml", "-o", shot)
+    assert {path.name: path.read_bytes() for path in shot.iterdir()} == before
+    assert run("render", made / "b" / "scene.xml", "-o", shot, "--spp", 1) == 0  # its own may go
