@@ -65,7 +65,7 @@ class Store:
         """
         try:
             record = json.loads(self.path(name).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             return None
         matches = isinstance(record, dict) and record.get("key") == key
         return record if matches else None

@@ -10,11 +10,11 @@ import numpy as np
 
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.scene import last_sentence, to_world
-from svu_mi.errors import CaptureError, OptionError, excerpt
+from svu_mi.capture.sensor_record import check_record
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.limits import require_views
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
-MAX_SIDE = 2**16  # pixels of a film
-LARGEST = 1e30  # of any number of a sensor; single precision ends soon after
 
 
 def affine(linear: Any, offset: Any = 0.0) -> np.ndarray:
@@ -68,10 +68,10 @@ def make_sensor(record: Mapping[str, Any], label: str) -> Any:
     """Make a perspective sensor from its description.
 
     Raises:
-        CaptureError: a key is missing or Mitsuba refuses a value.
+        CaptureError: a key is missing, out of its range, or Mitsuba refuses a value.
     """
+    check_record(record, label)
     try:
-        _check_numbers(record, label)
         return mi.load_dict(
             {
                 "type": "perspective",
@@ -98,11 +98,6 @@ def make_sensor(record: Mapping[str, Any], label: str) -> Any:
                 "sampler": {"type": "independent"},
             }
         )
-    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
-        raise CaptureError(
-            f"{label}: the sensor's description is not complete ({excerpt(repr(error))}); "
-            "render or import the capture again."
-        ) from error
     except RuntimeError as error:
         reason = last_sentence(str(error))
         raise CaptureError(f"{label}: Mitsuba refuses the sensor: {reason}") from error
@@ -145,22 +140,6 @@ def principal_point(sensor: Any) -> tuple[float, float]:
     return x, y
 
 
-def _check_numbers(record: Mapping[str, Any], label: str) -> None:
-    """Refuse numbers that Mitsuba would take and then see nothing with."""
-    pose = np.array(record["to_world"], np.float64)
-    numbers = [pose.ravel(), record["x_fov"], *record["principal_point_offset"], *record["clip"]]
-    if not all((np.abs(np.array(number, np.float64)) < LARGEST).all() for number in numbers):
-        raise CaptureError(
-            f"{label}: the sensor's description has a NaN or infinite number, or one beyond "
-            f"{LARGEST:g}."
-        )
-    if pose.shape != (4, 4) or not np.allclose(pose[3], [0, 0, 0, 1]):
-        raise CaptureError(f"{label}: to_world must be a 4 x 4 matrix with last row 0 0 0 1.")
-    sides = [int(side) for key in ("film", "crop_offset", "crop_size") for side in record[key]]
-    if not all(0 <= side <= MAX_SIDE for side in sides):
-        raise CaptureError(f"{label}: a film has 1 to {MAX_SIDE} pixels per side.")
-
-
 def sphere_sensors(
     shape: Any, count: int, resolution: tuple[int, int], fov: float = 35.0, *,
     distance: float | None = None, up: tuple[float, float, float] = (0.0, 1.0, 0.0),
@@ -178,13 +157,15 @@ def sphere_sensors(
         lowest: sine of the lowest elevation: -1 for the sphere, 0 for the upper hemisphere.
 
     Raises:
-        OptionError: fewer than one sensor, an empty film, no direction, or nothing of the sphere.
+        OptionError: fewer than one sensor, too many, an empty film, no direction, or nothing of
+            the sphere.
     """
     if count < 1 or min(resolution) < 1:
         raise OptionError(
             f"Cannot place {count} sensors of {resolution[0]} x {resolution[1]} pixels; "
             "there must be at least one of each."
         )
+    require_views(count, "Sensors around an object")
     if not -1 <= lowest < 1:
         raise OptionError(f"The lowest elevation's sine must be in [-1, 1), got {lowest}.")
     center, radius = bounding_sphere(shape)

@@ -3,13 +3,12 @@
     checkpoint = Checkpoint("run/checkpoint.npz", {"seed": 0, ...}, resume=True)
     descend(objective, start, options, checkpoint=checkpoint)
 
-The settings are everything that the result depends on, as far as the caller can say it; a
-checkpoint that was saved under others is refused.
+The settings are everything that the result depends on, as far as the caller can say it, and the
+content is what it works on, by digests; a checkpoint that was saved under others is refused.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 from collections.abc import Mapping
@@ -19,10 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.errors import OptionError, OutputError
-from svu_mi.files import replacing
+from svu_mi.errors import OptionError, OutputError, excerpt
+from svu_mi.npz import read_arrays, write_arrays
 
-FORMAT = 3  # raised whenever a resumed run would go on otherwise than the one that saved
+FORMAT = 4  # raised whenever a resumed run would go on otherwise than the one that saved
+GROUPS = ("values", "first", "second")  # of a state's arrays by name of the parameter
+RECORDS = ("format", "settings", "content", "step", "losses")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +43,29 @@ class State:
     second: dict[str, np.ndarray]
     losses: np.ndarray
 
+    def require_fit(self, label: str, shapes: Mapping[str, tuple[int, ...]], steps: int) -> None:
+        """Refuse a state of other parameters, or behind the end of a run.
+
+        Args:
+            label: names the file in messages.
+            shapes: of the run's parameters, by name.
+            steps: that the run takes at most.
+
+        Raises:
+            OptionError: it does not fit.
+        """
+        stored = {name: value.shape for name, value in self.values.items()}
+        if dict(shapes) != stored:
+            raise OptionError(
+                f"{label}: the checkpoint has the parameters {excerpt(stored)}, this run has "
+                f"{shapes}; remove it and start again."
+            )
+        if self.step > steps:
+            raise OptionError(
+                f"{label}: the checkpoint has {self.step} steps, this run takes {steps} at most; "
+                "remove it and start again."
+            )
+
 
 class Checkpoint:
     """A file that states of one run are saved to.
@@ -49,6 +73,7 @@ class Checkpoint:
     Attributes:
         path: the file; there is none before the first state is saved.
         settings: what the run's result depends on, as JSON has it.
+        content: digests of what it works on, by words for messages, such as ``sensors``.
         resume: go on from the file, if there is one.
         every: seconds between two states.
     """
@@ -58,6 +83,7 @@ class Checkpoint:
         path: str | Path,
         settings: Mapping[str, Any],
         *,
+        content: Mapping[str, str] | None = None,
         resume: bool = False,
         every: float = 30.0,
     ) -> None:
@@ -67,6 +93,7 @@ class Checkpoint:
             path: the file, ``.npz``; its folder must exist.
             settings: names and values that JSON can hold; nested dictionaries and lists are
                 fine.
+            content: digests of what the run works on, by name.
             resume: whether a descent starts from what the file holds.
             every: seconds between two states; 0 saves whenever losses are read.
 
@@ -76,6 +103,7 @@ class Checkpoint:
         if not every >= 0:
             raise OptionError(f"Checkpoint: every must be seconds, at least 0, got {every!r}.")
         self.path, self.resume, self.every = Path(path), resume, every
+        self.content = dict(content or {})
         try:
             self.settings: dict[str, Any] = json.loads(_canonical(settings))
         except (TypeError, ValueError) as error:
@@ -97,19 +125,15 @@ class Checkpoint:
             OutputError: the file cannot be written.
         """
         arrays: dict[str, Any] = {
-            "step": np.array(state.step),
+            "format": FORMAT,
+            "settings": _canonical(self.settings),
+            "content": _canonical(self.content),
+            "step": state.step,
             "losses": np.asarray(state.losses, np.float32),
         }
-        for group in ("values", "first", "second"):
+        for group in GROUPS:
             arrays |= {f"{group}/{name}": a for name, a in getattr(state, group).items()}
-        text = _canonical(self.settings)
-        arrays |= {
-            "format": np.array(FORMAT),
-            "settings": np.array(text),
-            "digest": np.array(_digest(text, arrays)),
-        }
-        with replacing(self.path) as temporary:
-            np.savez(temporary, **arrays)
+        write_arrays(self.path, arrays)
         self._saved = time.monotonic()
 
     def load(self) -> State | None:
@@ -117,69 +141,110 @@ class Checkpoint:
 
         Raises:
             OutputError: the file is damaged.
-            OptionError: it was saved by a run with other settings.
+            OptionError: it was saved by another run, or by another version of svu_mi.
         """
         if not self.path.exists():
             return None
-        stored = self._read()
-        self._require_same(json.loads(str(stored["settings"])))
-        groups: dict[str, dict[str, np.ndarray]] = {"values": {}, "first": {}, "second": {}}
-        for key, array in stored.items():
-            group, _, name = key.partition("/")
-            if name:
-                groups[group][name] = array
-        return State(step=int(stored["step"]), losses=stored["losses"], **groups)
-
-    def _read(self) -> dict[str, np.ndarray]:
-        """Read all arrays and see whether they are those that were written."""
         try:
-            # Opened here: NumPy leaves its own file open when the archive is broken.
-            with self.path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-                stored = dict(archive)
-            found = int(stored.pop("format"))
-            digest = str(stored.pop("digest"))
-            text = str(stored["settings"])
-            whole = digest == _digest(text, {k: a for k, a in stored.items() if k != "settings"})
-        except Exception as error:  # a broken archive fails in any way that a zip file can
+            stored = read_arrays(self.path)
+            if _whole(stored, "format") != FORMAT:
+                raise OptionError(
+                    f"{self.path}: the checkpoint was written by another version of svu_mi; "
+                    "remove it and start again."
+                )
+            settings, content = _object(stored, "settings"), _object(stored, "content")
+            state = _state(stored)
+        except ValueError as error:
             raise OutputError(
                 f"{self.path}: the checkpoint is damaged ({error}); remove it and start again."
             ) from error
-        if found != FORMAT:
+        self._require_content(content)
+        self._require_same(settings)
+        return state
+
+    def _require_content(self, stored: dict[str, Any]) -> None:
+        """Refuse the checkpoint of a run that worked on something else, and say what it is."""
+        mine = self.content
+        changed = sorted(key for key in mine | stored if mine.get(key) != stored.get(key))
+        if changed:
             raise OptionError(
-                f"{self.path}: the checkpoint was written by another version of svu_mi; remove "
+                f"{self.path}: the checkpoint belongs to another run (changed since then: "
+                f"{excerpt(', '.join(changed))}); resume with what it was started with, or remove "
                 "it and start again."
             )
-        if not whole:
-            raise OutputError(
-                f"{self.path}: the checkpoint is damaged (its digest does not fit); remove it "
-                "and start again."
-            )
-        return stored
 
     def _require_same(self, stored: dict[str, Any]) -> None:
         """Refuse the checkpoint of another run, and say what is different."""
-        mine, other = _flat(self.settings), _flat(stored)
+        mine, other = _flat(self.settings), stored
         changed = sorted(key for key in mine | other if mine.get(key) != other.get(key))
         if changed:
             key = changed[0]
             raise OptionError(
-                f"{self.path}: the checkpoint belongs to another run ({key} was "
-                f"{other.get(key)!r} there and is {mine.get(key)!r} here); resume with the same "
-                "settings, or choose another file."
+                f"{self.path}: the checkpoint belongs to another run ({excerpt(key, 80)} was "
+                f"{_shown(other.get(key))} there and is {_shown(mine.get(key))} here); resume with "
+                "the same settings, or remove it and start again."
             )
+
+
+def _shown(value: Any) -> str:
+    return excerpt(repr(value), 80)
 
 
 def _canonical(settings: Mapping[str, Any]) -> str:
     return json.dumps(settings, sort_keys=True, allow_nan=False)
 
 
-def _digest(text: str, arrays: Mapping[str, np.ndarray]) -> str:
-    total = hashlib.sha256(text.encode())
-    for key in sorted(arrays):
-        array = np.ascontiguousarray(arrays[key])
-        total.update(f"{key} {array.dtype} {array.shape} ".encode())
-        total.update(array.tobytes())
-    return total.hexdigest()
+def _state(stored: Mapping[str, np.ndarray]) -> State:
+    """Return what was read as a state.
+
+    Raises:
+        ValueError: something is missing, or is not what a descent saves.
+    """
+    groups: dict[str, dict[str, np.ndarray]] = {group: {} for group in GROUPS}
+    for key, array in stored.items():
+        group, separator, name = key.partition("/")
+        if separator and group in groups:
+            groups[group][name] = array
+        elif key not in RECORDS:
+            raise ValueError(f"it has an array {excerpt(key, 40)!r}")
+    step, values = _whole(stored, "step"), groups["values"]
+    shapes = {
+        "values": {name: values[name].shape for name in values},
+        "first": {name: (values[name].size,) for name in values},
+        "second": {name: (values[name].size,) for name in values},
+    }
+    for group, wanted in shapes.items():
+        if {name: array.shape for name, array in groups[group].items()} != wanted:
+            raise ValueError(f"the arrays of {group!r} are not those of its parameters")
+    if "losses" not in stored or stored["losses"].shape != (step,):
+        raise ValueError(f"it has not one loss for each of its {step} steps")
+    for array in (stored["losses"], *(a for group in groups.values() for a in group.values())):
+        if array.dtype != np.float32 or not np.isfinite(array).all():
+            raise ValueError("it has numbers that are NaN, infinite or no float32")
+    if any(array.size and array.min() < 0 for array in groups["second"].values()):
+        raise ValueError("a mean of squares is negative")
+    return State(step=step, losses=stored["losses"], **groups)
+
+
+def _whole(stored: Mapping[str, np.ndarray], name: str) -> int:
+    array = stored.get(name)
+    if array is None or array.shape or array.dtype.kind not in "iu" or array < 0:
+        raise ValueError(f"{name!r} is no whole number")
+    return int(array)
+
+
+def _object(stored: Mapping[str, np.ndarray], name: str) -> dict[str, Any]:
+    """Return a JSON object, nested names and all (``_flat``)."""
+    array = stored.get(name)
+    if array is None or array.shape or array.dtype.kind != "U":
+        raise ValueError(f"{name!r} is no text")
+    try:
+        found = json.loads(str(array))
+        if isinstance(found, dict):
+            return _flat(found)
+    except RecursionError:
+        pass
+    raise ValueError(f"{name!r} is no JSON object")
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -217,16 +217,11 @@ class _Run:
         """Go on from a state.
 
         Raises:
-            OptionError: it is one of other parameters.
+            OptionError: it is one of other parameters, or of more steps.
         """
         optimizer = self._optimizer
         shapes = {name: tuple(value.shape) for name, value in optimizer.items()}
-        stored = {name: value.shape for name, value in state.values.items()}
-        if shapes != stored:
-            raise OptionError(
-                f"{label}: the checkpoint has the parameters {stored}, this run has {shapes}; "
-                "choose another file."
-            )
+        state.require_fit(label, shapes, self._options.steps)
         for name, shape in shapes.items():
             optimizer[name] = mi.TensorXf(owned(mi.Float, state.values[name].ravel()), shape=shape)
             value, promoted, own_rate, (_, _, _, most) = optimizer.state[name]

@@ -150,12 +150,13 @@ def recover(
     run = Run(method, observed, given, names, chosen, start, sharing, progress)
     settings, saved = run.settings(), None
     if checkpoint is not None:
-        light = observed.lighting.environment
-        owner = settings | fingerprint(
-            observed.capture, light, observed.texels, start, sharing,
+        content = fingerprint(
+            observed.capture, observed.texels, start, sharing,
             None if given is None else given.posterior,
         )  # fmt: skip
-        saved = Checkpoint(checkpoint, owner, resume=resume, every=checkpoint_seconds)
+        saved = Checkpoint(
+            checkpoint, settings, content=content, resume=resume, every=checkpoint_seconds
+        )
     textures, descent = run.run(saved)
     return Recovery(
         method=method,

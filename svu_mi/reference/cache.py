@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import warnings
-import zipfile
 from pathlib import Path
-from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 import svu_mi
 from svu_mi.capture import Capture
-from svu_mi.capture.mesh import arrays
-from svu_mi.capture.poses import describe
-from svu_mi.capture.repaint import is_same, is_two_sided
-from svu_mi.errors import SvuError, SvuWarning
-from svu_mi.files import prepare_folder, replacing
+from svu_mi.capture.fingerprint import Key, capture_parts
+from svu_mi.errors import SvuError, SvuWarning, excerpt
+from svu_mi.files import prepare_folder
+from svu_mi.npz import read_arrays, write_arrays
 from svu_mi.reference.options import Options
 from svu_mi.reference.record import Reference, Traced
 from svu_mi.surface import Texels
 
 log = logging.getLogger(__name__)
 
-FORMAT = 3  # raised whenever the same input would give another result, or another file
+FORMAT = 4  # raised whenever the same input would give another result, or another file
 
 
 def locate(
@@ -40,27 +36,22 @@ def locate(
     Raises:
         OutputError: the folder cannot be made or written.
     """
-    key = _Key()
-    key.add(FORMAT, svu_mi.__version__, mi.__version__, mi.variant(), options, subset)
-    _add_geometry(key, capture, texels)
-    _add_light(key, capture.scene)
-    for view in range(capture.count):
-        if capture.used[view]:
-            key.add(describe(capture.sensors[view]), capture.images[view], capture.masks[view])
+    key = Key(FORMAT, svu_mi.__version__, mi.__version__, mi.variant(), options, subset)
+    key.add(capture_parts(capture))
+    for values in (texels.position, texels.geometric_normal):  # others are in the capture
+        key.add(values.numpy())
     return prepare_folder(folder) / f"reference-{key.digest()}.npz"
 
 
 def load(path: Path, options: Options) -> Reference | None:
-    """Read a reference back; None, with a warning, when the file is damaged."""
+    """Read a reference back; None, with a warning, when the file is damaged or another one's."""
     if not path.exists():
         return None
     try:
-        # Opened here: NumPy leaves its own file open when the archive is broken.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            return _unpack(dict(stored), options)
-    except (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile, SvuError) as e:
+        return _unpack(read_arrays(path), path.stem, options)
+    except (ValueError, SvuError) as error:
         warnings.warn(
-            f"{path}: the cached reference cannot be read ({e}); it is traced again.",
+            f"{path}: the cached reference cannot be read ({error}); it is traced again.",
             SvuWarning,
             stacklevel=3,
         )
@@ -75,22 +66,32 @@ def store(path: Path, reference: Reference) -> None:
     """
     traced = reference.traced
     weight = {} if traced.weight is None else {"weight": traced.weight}
-    with replacing(path) as temporary:
-        np.savez(
-            temporary,
-            subset=reference.subset,
-            tables=traced.tables,
-            **weight,  # type: ignore[arg-type]
-            unit=reference.unit,
-            brightness=reference.brightness,
-            coverage=reference.coverage,
-            scalars=np.array([reference.scale, reference.seconds]),
-            counts=np.array([reference.rays, reference.dropped]),
-        )
+    write_arrays(
+        path,
+        {
+            "name": path.stem,
+            "subset": reference.subset,
+            "tables": traced.tables,
+            **weight,
+            "unit": reference.unit,
+            "brightness": reference.brightness,
+            "coverage": reference.coverage,
+            "scalars": np.array([reference.scale, reference.seconds]),
+            "counts": np.array([reference.rays, reference.dropped]),
+        },
+    )
     log.debug("%s: reference stored", path)
 
 
-def _unpack(stored: dict[str, np.ndarray], options: Options) -> Reference:
+def _unpack(stored: dict[str, np.ndarray], name: str, options: Options) -> Reference:
+    """Return what was read as a reference.
+
+    Raises:
+        ValueError: it belongs to another file name, or is not what is stored.
+    """
+    if str(stored.get("name")) != name:
+        raise ValueError("it is that of another capture or of other options")
+    _require_shapes(stored, options)
     found = Traced(stored["tables"], stored.get("weight"), stored["coverage"])
     unit = float(stored["unit"])
     whole, first, second = found.posteriors(options, unit)
@@ -115,49 +116,25 @@ def _unpack(stored: dict[str, np.ndarray], options: Options) -> Reference:
     )
 
 
-def _add_geometry(key: _Key, capture: Capture, texels: Texels) -> None:
-    mesh = arrays(capture.shape)
-    key.add(mesh.positions, mesh.faces, mesh.normals, is_two_sided(capture.shape.bsdf()))
-    for values in (texels.position, texels.normal, texels.geometric_normal):
-        key.add(values.numpy())
-    for shape in capture.scene.shapes():
-        if not is_same(shape, capture.shape):
-            key.add(shape.id(), shape.class_name())
-            key.add_parameters(shape)
+def _require_shapes(stored: dict[str, np.ndarray], options: Options) -> None:
+    """Refuse arrays that no reference with these options has.
 
-
-def _add_light(key: _Key, scene: Any) -> None:
-    for emitter in scene.emitters():
-        if emitter.is_environment():
-            key.add(emitter.class_name(), np.array(emitter.world_transform().matrix))
-            key.add_parameters(emitter)
-
-
-class _Key:
-    """SHA-256 over a sequence of values; arrays with their type and shape."""
-
-    def __init__(self) -> None:
-        self._hash = hashlib.sha256()
-
-    def add(self, *values: Any) -> None:
-        """Add arrays, and anything else by its ``repr``."""
-        for value in values:
-            if isinstance(value, np.ndarray):
-                self._text(f"{value.dtype}{value.shape}")
-                self._hash.update(np.ascontiguousarray(value).data)
-            else:
-                self._text(repr(value))
-
-    def add_parameters(self, node: Any) -> None:
-        """Add all that ``mi.traverse`` finds in a node, nested nodes included."""
-        for name, value in mi.traverse(node):
-            # Nodes without an id are named by their address.
-            self._text(name.rsplit(".", 1)[-1])
-            self.add(np.array(getattr(value, "matrix", value)))
-
-    def digest(self) -> str:
-        """Return the key as a hexadecimal string."""
-        return self._hash.hexdigest()
-
-    def _text(self, text: str) -> None:
-        self._hash.update(text.encode() + b"\0")
+    Raises:
+        ValueError: one is missing or of another type or shape.
+    """
+    grid, count = options.grid, stored["subset"].size if "subset" in stored else 0
+    wanted: dict[str, tuple[str, tuple[int, ...]]] = {
+        "subset": ("i", (count,)), "unit": ("f", ()), "brightness": ("f", (count,)),
+        "coverage": ("i", (count,)), "scalars": ("f", (2,)), "counts": ("i", (2,)),
+        "name": ("U", ()),
+    }  # fmt: skip
+    if options.noise == "estimated":
+        sums = (3, len(options.levels), 3, 10, count)
+        wanted |= {"tables": ("f", sums), "weight": ("f", (count,))}
+    else:
+        axes = (grid.roughness_nodes, grid.metallic_nodes, grid.base_color_nodes)
+        wanted |= {"tables": ("f", (3, count, *map(len, axes)))}
+    found = {name: (array.dtype.kind, array.shape) for name, array in stored.items()}
+    if found != wanted:
+        wrong = sorted(k for k in found | wanted if found.get(k) != wanted.get(k))
+        raise ValueError(f"its arrays are others: {excerpt(', '.join(wrong))}")

@@ -1,0 +1,257 @@
+"""Checkpoints and cached references: damaged or forged ones are told, and cost no memory."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import tracemalloc
+import warnings
+import zipfile
+
+import drjit as dr
+import fuzz_records as rows
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from svu_mi.bench.store import Store
+from svu_mi.errors import OptionError, OutputError, SvuError, SvuWarning
+from svu_mi.npz import DIGEST, read_arrays, write_arrays
+from svu_mi.recovery.checkpoint import Checkpoint
+from svu_mi.recovery.descent import descend
+from svu_mi.recovery.options import DescentOptions
+from svu_mi.reference import cache
+
+BOMB = 2**28  # bytes that a packed file of 256 KiB unpacks to
+
+
+@pytest.fixture
+def path(tmp_path):
+    rows.write_checkpoint(tmp_path)
+    return tmp_path / "checkpoint.npz"
+
+
+def load(path):
+    return Checkpoint(path, rows.SETTINGS, content=rows.CONTENT).load()
+
+
+def bomb(path):
+    """Write an array that takes BOMB bytes, packed into a thousandth of that."""
+    header = io.BytesIO()
+    array = np.broadcast_to(np.float32(0), BOMB // 4)
+    np.lib.format.write_array_header_1_0(header, np.lib.format.header_data_from_array_1_0(array))
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("values/roughness.npy", "w") as member,
+    ):
+        member.write(header.getvalue())
+        for _ in range(BOMB // 2**20):
+            member.write(bytes(2**20))
+
+
+def liar(path, shape):
+    """Write an array whose header promises another shape than there is."""
+    member = io.BytesIO()
+    np.save(member, np.zeros(16, np.float32))
+    told = member.getvalue().replace(b"(16,), }", shape.ljust(8), 1)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("losses.npy", told)
+
+
+def test_a_packed_file_is_refused_before_it_is_unpacked(path):
+    bomb(path)
+    assert path.stat().st_size < 2**21
+    tracemalloc.start()
+    with pytest.raises(OutputError, match="damaged .a part of it is packed.; remove it and start"):
+        load(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2**22
+
+
+@pytest.mark.parametrize("shape", [b"(2**9,)}", b"(-16,),}", b"(10**9)}", b"(9**99,}", b"(8,), }"])
+def test_an_array_that_promises_what_there_is_not_is_refused(path, shape):
+    liar(path, shape)
+    with pytest.raises(OutputError, match="checkpoint is damaged"):
+        load(path)
+
+
+def test_objects_are_never_unpickled(path):
+    np.savez(path, step=np.array([print], object))
+    with pytest.raises(OutputError, match="checkpoint is damaged .an array says"):
+        load(path)
+
+
+def test_a_pipe_or_a_folder_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe.npz")
+    (tmp_path / "folder.npz").mkdir()
+    for name in ("pipe.npz", "folder.npz"):
+        with pytest.raises(OutputError, match="damaged .it is not a file"):
+            load(tmp_path / name)
+
+
+def test_what_is_written_is_read_again(tmp_path):
+    arrays = {"a/b": np.arange(6.0).reshape(2, 3), "text": "ä", "none": np.zeros((0, 3)), "n": 3,
+              "turned": np.asfortranarray(np.arange(6, dtype="f4").reshape(2, 3))}  # fmt: skip
+    write_arrays(tmp_path / "a.npz", arrays)
+    found = read_arrays(tmp_path / "a.npz")
+    assert found.keys() == arrays.keys() and str(found["text"]) == "ä"
+    for name in ("a/b", "none", "n", "turned"):
+        np.testing.assert_array_equal(found[name], arrays[name])
+        assert found[name].dtype == np.asarray(arrays[name]).dtype
+    with np.load(tmp_path / "a.npz") as plain:
+        assert DIGEST in plain.files
+
+
+def test_an_array_that_was_exchanged_is_told(path):
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    arrays["step"] = np.array(2)
+    np.savez(path, **arrays)
+    with pytest.raises(OutputError, match="digest does not fit"):
+        load(path)
+
+
+FLOATS = np.full((4, 6, 1), 0.5, np.float32)
+DEEP = "[" * 100_000
+FORGED = {
+    "step -1": ({"step": -1}, "'step' is no whole number"),
+    "step 10^9": ({"step": 10**9}, "not one loss for each of its 1000000000 steps"),
+    "step 2.0": ({"step": 2.0}, "'step' is no whole number"),
+    "two steps": ({"step": [2, 2]}, "'step' is no whole number"),
+    "step True": ({"step": True}, "'step' is no whole number"),
+    "no step": ({"step": None}, "'step' is no whole number"),
+    "no format": ({"format": None}, "'format' is no whole number"),
+    "no losses": ({"losses": None}, "not one loss for each"),
+    "too few losses": ({"losses": np.zeros(3, np.float32)}, "not one loss for each"),
+    "losses of NaN": ({"losses": np.full(4, np.nan, np.float32)}, "NaN, infinite or no float32"),
+    "double losses": ({"losses": np.zeros(4)}, "NaN, infinite or no float32"),
+    "no values": ({"values/roughness": None}, "arrays of 'first' are not those"),
+    "no means": ({"second/roughness": None}, "arrays of 'second' are not those"),
+    "shaped means": ({"first/roughness": FLOATS}, "arrays of 'first' are not those"),
+    "few means": ({"first/roughness": FLOATS.ravel()[1:]}, "arrays of 'first' are not those"),
+    "infinite": ({"values/roughness": FLOATS * np.float32(np.inf)}, "NaN, infinite"),
+    "text": ({"values/roughness": np.full((4, 6, 1), "a")}, "NaN, infinite or no float32"),
+    "negative squares": ({"second/roughness": -FLOATS.ravel()}, "mean of squares is negative"),
+    "another array": ({"other": 1}, "it has an array 'other'"),
+    "another group": ({"third/roughness": FLOATS}, "it has an array 'third/roughness'"),
+    "settings of numbers": ({"settings": 3}, "'settings' is no text"),
+    "no settings": ({"settings": None}, "'settings' is no text"),
+    "no JSON": ({"settings": "{"}, "Expecting"),
+    "a list": ({"settings": "[]"}, "'settings' is no JSON object"),
+    "deep": ({"settings": DEEP}, "'settings' is no JSON object"),
+    "deep objects": ({"content": '{"a":' * 5000 + "1" + "}" * 5000}, "'content' is no JSON object"),
+}
+
+
+@pytest.mark.parametrize("case", FORGED)
+def test_every_field_is_looked_at_even_if_the_digest_fits(path, case):
+    change, words = FORGED[case]
+    arrays = read_arrays(path) | change
+    write_arrays(path, {name: value for name, value in arrays.items() if value is not None})
+    with pytest.raises(OutputError) as caught:
+        load(path)
+    sentence = str(caught.value)
+    assert sentence.startswith(f"{path}: the checkpoint is damaged (") and words in sentence
+    assert sentence.endswith("; remove it and start again.") and len(sentence) < 400
+
+
+def test_what_a_run_has_not_is_refused(path, tmp_path):
+    def objective(textures, step):
+        return dr.mean(textures["roughness"].array)
+
+    def resumed(shape, steps):
+        start = {"roughness": dr.full(mi.TensorXf, 0.5, shape=shape)}
+        checkpoint = Checkpoint(path, {}, resume=True)
+        return descend(objective, start, DescentOptions(steps=steps), checkpoint=checkpoint)
+
+    start = {"roughness": dr.full(mi.TensorXf, 0.5, shape=(4, 6, 1))}
+    path.unlink()
+    descend(objective, start, DescentOptions(steps=12), checkpoint=Checkpoint(path, {}))
+    assert resumed((4, 6, 1), 12).steps == 12
+    with pytest.raises(OptionError, match="has 12 steps, this run takes 11 at most; remove it"):
+        resumed((4, 6, 1), 11)
+    with pytest.raises(OptionError, match="the checkpoint has the parameters"):
+        resumed((6, 4, 1), 12)
+
+
+def test_foreign_words_are_shortened_and_printable(path):
+    settings = {**rows.SETTINGS, "\x1b[31m" + "x" * 5000: "\n" * 5000}
+    content = {"\x1b[31m" + "x" * 5000: "a"}
+    for changes in ({"settings": settings}, {"content": content}):
+        rows.write_checkpoint(path.parent)
+        text = {name: json.dumps(value) for name, value in changes.items()}
+        write_arrays(path, read_arrays(path) | text)
+        with pytest.raises(OptionError, match="another run") as caught:
+            load(path)
+        assert str(caught.value).isprintable() and len(str(caught.value)) < 700
+
+
+def test_a_result_of_a_benchmark_that_is_no_record_is_computed_again(tmp_path):
+    store = Store(tmp_path)
+    for text in (DEEP, '{"key": "a"', "[]", '{"key": "b"}', "\0"):
+        store.path("x").write_text(text)
+        assert store.load("x", "a") is None
+    store.path("x").unlink()
+    store.path("x").mkdir()
+    assert store.load("x", "a") is None
+
+
+# --- references ----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def reference(tmp_path):
+    rows.write_reference(tmp_path)
+    return tmp_path / rows.REFERENCE
+
+
+def told(path):
+    """Return the warning with which a cached reference is made again."""
+    with pytest.warns(SvuWarning, match="it is traced again") as caught:
+        assert cache.load(path, rows.OPTIONS) is None
+    return str(caught[0].message)
+
+
+def test_a_sound_reference_is_taken(reference):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert cache.load(reference, rows.OPTIONS).count == 3
+
+
+def test_a_packed_reference_is_not_unpacked(reference):
+    bomb(reference)
+    tracemalloc.start()
+    assert "a part of it is packed" in told(reference)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2**22
+
+
+def test_a_reference_under_another_name_is_not_taken(reference):
+    other = reference.with_name(f"reference-{'1b' * 16}.npz")
+    reference.rename(other)
+    assert "another capture" in told(other)
+
+
+@pytest.mark.parametrize("name", ["tables", "subset", "coverage", "brightness", "unit", "counts"])
+def test_a_reference_with_other_numbers_is_not_taken(reference, name):
+    with np.load(reference) as archive:
+        arrays = dict(archive)
+    arrays[name] = arrays[name] + np.ones((), arrays[name].dtype)
+    np.savez(reference, **arrays)
+    assert "digest does not fit" in told(reference)
+    del arrays[DIGEST]
+    write_arrays(reference, {**arrays, name: np.stack([arrays[name]] * 2)})
+    assert "arrays are others" in told(reference)
+    write_arrays(reference, {k: v for k, v in arrays.items() if k != name})
+    assert "arrays are others" in told(reference)
+
+
+def test_the_fuzzed_rows_are_refused_as_users_see_it(path, reference):
+    for file, read in ((path, rows.read_checkpoint), (reference, rows.read_reference)):
+        read(file.parent, file.parent)
+        file.write_bytes(file.read_bytes()[:-30])
+        with pytest.raises(SvuError, match=str(file)):
+            read(file.parent, file.parent)
