@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import logging
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import mitsuba as mi
 import numpy as np
@@ -20,11 +22,13 @@ from helpers import ball, sensor_xml, write_scene
 from PIL import Image
 
 from svu_mi.capture import folder as capture_folder
+from svu_mi.capture import loading
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.folder import Description
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.picture import image_size
-from svu_mi.capture.unwrap import unwrap
+from svu_mi.capture.scene import load_scene
+from svu_mi.capture.unwrap import UNWRAPPED, unwrap, unwrapped
 from svu_mi.cli.main import main
 from svu_mi.errors import SvuError
 from svu_mi.exr import write_exr
@@ -40,6 +44,7 @@ from svu_mi.formats.source import Frame, Light, Source
 from svu_mi.formats.stanford_orb_writer import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.formats.textures import write_pictures
 from svu_mi.formats.transforms import write_transforms
+from svu_mi.results.writing import writing
 
 WIDTH, HEIGHT = 16, 8  # of all pictures, so that each may be a lat-long map
 
@@ -108,8 +113,39 @@ def exposures(folder: Path, out: Path) -> None:
 
 
 def capture(folder: Path, out: Path) -> None:
-    """Read a capture folder."""
-    load_capture(folder)
+    """Read a capture folder, without what is kept there when a mesh has lost its UVs."""
+    with mock.patch.object(loading, "unwrapped", lambda shape, _: unwrapped(shape, None)):
+        load_capture(folder)
+
+
+def scene(folder: Path, out: Path) -> None:
+    """Load a scene; the library that lies about, here a text, must not be tried."""
+    try:
+        load_scene(folder / "scene.xml")
+    except SvuError as error:
+        assert ".so" not in str(error) or "Mitsuba would run" in str(error), error
+        raise
+
+
+def kept_uvs(folder: Path, out: Path) -> None:
+    """Take UVs that were kept, or make them again."""
+    for path in out.iterdir():
+        path.unlink()
+    with contextlib.suppress(OSError):  # a folder or a link in its place
+        shutil.copy(folder / UNWRAPPED, out)
+    said: list[str] = []
+    found = capture_mesh.arrays(_made_again(out, said))
+    assert found.uvs.min() >= 0 and found.uvs.max() <= 1 and np.isfinite(found.normals).all()
+    if said:
+        raise SvuError(*said)
+
+
+def _made_again(folder: Path, said: list[str]) -> Any:
+    """Unwrap a ball, and keep what is logged about the file in the folder."""
+    bare = capture_mesh.make("ball", replace(ball(6, 4), uvs=None))
+    log = logging.getLogger(unwrapped.__module__)
+    with mock.patch.object(log, "warning", lambda text, *values: said.append(text % values)):
+        return unwrapped(bare, folder)
 
 
 def program(folder: Path, out: Path) -> None:
@@ -230,9 +266,24 @@ def _orb(folder: Path) -> None:
 def write_scene_capture(folder: Path) -> None:
     scene = write_scene(folder, sensors=sensor_xml(2, WIDTH, HEIGHT))
     sensors = mi.load_file(str(scene)).sensors()
-    for number in range(len(sensors)):
-        write_exr(folder / f"view_{number:04d}.exr", {"RGB": _pixels()})
-    capture_folder.write(folder, Description(scene=scene, exposures=[1.0, 2.0]), sensors)
+    with writing(folder, "import", capture_folder.FILE) as draft:
+        for number in range(len(sensors)):
+            write_exr(draft.folder / f"view_{number:04d}.exr", {"RGB": _pixels()})
+        capture_folder.write(draft, Description(scene=scene, exposures=[1.0, 2.0]), sensors)
+
+
+def _scene(folder: Path) -> None:
+    """A scene that includes another, with libraries where only a trick leads to them."""
+    extra = '<default name="kind" value="diffuse"/>\n<include filename="more.xml"/>\n'
+    write_scene(folder, extra=f'{extra}<path value="other"/>\n<bsdf type="$kind" id="more"/>')
+    (folder / "more.xml").write_text(
+        '<scene version="3.0.0">\n<shape type="merge" id="both">\n<shape type="ply">\n'
+        '<string name="filename" value="ball.ply"/>\n</shape>\n</shape>\n</scene>'
+    )
+    for name in ("other", "plugins", "kept/plugins"):  # "../evil" needs a folder to leave
+        (folder / name).mkdir(parents=True)
+    for place in (".", "..", "kept", "kept/plugins", "other"):
+        (folder / place / "evil.so").write_text("no library, and Mitsuba would say so")
 
 
 def _all_formats() -> Iterator[Format]:
@@ -269,6 +320,9 @@ def _all_formats() -> Iterator[Format]:
     yield Format(name="svu import", make=_imported, read=program, share=10)
     yield Format(name="exposures", make=_exposures, read=exposures)
     yield Format(name="capture", make=write_scene_capture, read=capture, share=4)
+    yield Format(name="scene", make=_scene, read=scene, targets="*.xml", share=2)
+    make = partial(_made_again, said=[])
+    yield Format(name="unwrapped", make=make, read=kept_uvs, share=4)
 
 
 FORMATS = tuple(_all_formats())

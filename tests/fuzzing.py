@@ -32,6 +32,7 @@ from svu_mi.errors import SvuError, SvuWarning
 # isort: split
 # Behind svu_mi, which chooses LLVM before Dr.Jit is imported.
 from fuzz_formats import FORMATS, Format
+from fuzz_records import RECORDS
 from mutations import damaged
 
 SEED = 5417
@@ -219,7 +220,8 @@ def main(
     warnings.simplefilter("always")  # an error of ours would hide in a reader's
     for category in (SvuWarning, ResourceWarning, DeprecationWarning):
         warnings.simplefilter("ignore", category)
-    fuzzer = Fuzzer(Path(folder), [kind for kind in FORMATS if name in ("", kind.name)])
+    formats = [kind for kind in (*FORMATS, *RECORDS) if name in ("", kind.name)]
+    fuzzer = Fuzzer(Path(folder), formats)
     fuzzer.try_all(int(count), int(seed), int(first))
     Path(folder, "report.json").write_text(json.dumps(fuzzer.report(), indent=1))
 

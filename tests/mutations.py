@@ -23,6 +23,31 @@ NAMES = [
     "https://example.org/a.png", "data:image/png;base64,AAAA", "data:,", "nul\n\x1b[31m", "*",
 ]  # fmt: skip
 VALUES = [None, True, "", "text", [], {}, [[]], [[[[1]]]], {"a": 1}, [None], *NUMBERS, *NAMES]
+TARGETS = [
+    "evil", "../evil", "../../evil", "kept/evil", "../kept/evil", "evil.x", "./evil",
+    "/evil", "principled", "ply", "obj", "serialized", "scene", "twosided", "merge", "$", "$kind",
+    "\\$kind", "scene.xml", "more.xml", "ball.ply", "kept", "more", "ball", "&#46;./evil", "&kind;",
+    *NAMES,
+]  # fmt: skip
+NODES = [
+    '<bsdf type="{}" id="{}"/>',
+    '<shape type="{}"><string name="filename" value="{}"/></shape>',
+    '<path value="{}"/><bsdf type="{}"/>',
+    '<include filename="{}" name="{}"/>',
+    '<ref id="{}"/>',
+    '<alias id="{}" as="{}"/>',
+    '<default name="kind" value="{}"/><rfilter type="$kind"/>',
+    '<spectrum type="{}" filename="{}"/>',
+    '<texture type="{}"/>',
+    "<?xml {}?>",
+    "<!-- {} -->",
+    '<!DOCTYPE scene [<!ENTITY kind "{}">]>',
+    '<medium type="{}"><phase type="{}"/></medium>',
+    '<bsdf type="diffuse" type="{}"/>',
+    "<![CDATA[{}]]>",
+    '<transform name="{}">',
+    "</{}>",
+]
 PACKED = [*(b"\0" * n for n in (1, 4)), *(b"\xff" * n for n in (1, 2, 4, 8)), *(
     struct.pack(f, v) for f, v in (
         ("<i", 2**31 - 1), ("<I", 2**31), ("<i", 2**28), ("<i", 65536), ("<q", 2**62), ("<H", 1),
@@ -181,6 +206,18 @@ def resized_jpeg(data: bytes, draw: random.Random) -> bytes:
     return data[:at] + value + data[at + len(value) :]
 
 
+def pointed(data: bytes, draw: random.Random) -> bytes:
+    """Change what a scene's XML points to: a type, an id, or a file; or add such a node."""
+    if draw.random() < 0.3:
+        places = [match.end() for match in re.finditer(rb">", data)]
+        at = draw.choice(places or [len(data)])
+        node = draw.choice(NODES).format(draw.choice(TARGETS), draw.choice(TARGETS))
+        return data[:at] + _text(node) + data[at:]
+    key = draw.choice((rb"type", rb"id", rb"filename", rb"value", rb"version", rb"name"))
+    place = draw.choice(list(re.finditer(key + rb'="([^"]*)"', data)))
+    return data[: place.start(1)] + _text(draw.choice(TARGETS)) + data[place.end(1) :]
+
+
 BINARY = (flipped, truncated, moved, packed)
 TEXT = (flipped, truncated, moved, spelled, spelled, worded, worded, lined)
 BY_SUFFIX: dict[str, tuple[Callable[[bytes, random.Random], bytes], ...]] = {
@@ -189,6 +226,7 @@ BY_SUFFIX: dict[str, tuple[Callable[[bytes, random.Random], bytes], ...]] = {
     ".exr": (*BINARY, resized_exr), ".jpg": (*BINARY, resized_jpeg), ".bin": BINARY,
     ".hdr": (*BINARY, spelled), ".pfm": (*BINARY, spelled), ".stl": (*BINARY, spelled),
     ".ply": (*BINARY, spelled, worded, lined),
+    ".xml": (pointed, pointed, pointed, pointed, pointed, *TEXT),
 }  # fmt: skip
 
 

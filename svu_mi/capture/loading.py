@@ -25,6 +25,11 @@ from svu_mi.capture.scene import (
 from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
 from svu_mi.errors import CaptureError, OptionError, SvuWarning
 
+NOT_HDR = {
+    8: "an 8-bit image, not HDR; decoded as sRGB, ",
+    16: "a 16-bit image, not HDR; decoded as sRGB, ",
+}
+
 
 def load_capture(
     path: str | Path,
@@ -34,6 +39,7 @@ def load_capture(
     defines: Mapping[str, str] | None = None,
     unwrap: bool = False,
     missing: Missing = "refuse",
+    trust: bool = False,
 ) -> Capture:
     """Read a scene and its photographs.
 
@@ -49,6 +55,9 @@ def load_capture(
         missing: what to do with sensors that have no photograph: ``refuse``, or ``leave out``
             (they become views that are not used, of NaN that takes no memory, so that
             ``Candidates.without_photograph`` finds them).
+        trust: let the scene load libraries as Mitsuba plugins, from ``plugins`` beside it or in
+            the working directory; only for scenes of people you know. A library never replaces
+            a plugin of Mitsuba's own.
 
     Raises:
         OptionError: another word for ``missing``.
@@ -80,7 +89,7 @@ def load_capture(
         shape=shape or description.shape,
         defines={**description.defines, **(defines or {})},
     )
-    scene = load_scene(xml, description.defines)
+    scene = load_scene(xml, description.defines, trust=trust)
     sensors = description.make_sensors(folder) or find_sensors(scene, str(xml))
     return read_capture(scene, sensors, folder, description, unwrap=unwrap, missing=missing)
 
@@ -183,10 +192,11 @@ def _judge(
     for photograph, name in zip(photographs, names, strict=True):
         if name is None:
             continue
-        if photograph.low_range:
+        notes += [f"{name}: {remark}" for remark in photograph.remarks]
+        if photograph.bits:
             notes.append(
-                f"{name}: an 8-bit image, not HDR; decoded as sRGB, {photograph.saturated} "
-                "saturated pixels left out. Clipped highlights hide what gloss says: use HDR."
+                f"{name}: {NOT_HDR[photograph.bits]}{photograph.saturated} saturated pixels left "
+                "out. Clipped highlights hide what gloss says: use HDR."
             )
         if photograph.invalid:
             notes.append(

@@ -7,6 +7,7 @@ UVs are Mitsuba's: v = 0 is the first row of a bitmap.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.files import replacing
+from svu_mi.errors import MeshError, excerpt
+from svu_mi.files import mark_text, replacing
+
+# What Mitsuba raises for a damaged mesh; the second where it quotes bytes that are no text.
+READING = (RuntimeError, UnicodeDecodeError)
 
 
 @dataclass(frozen=True)
@@ -75,14 +80,62 @@ def face_normals(mesh: Any, face: Any, active: Any) -> Any:
     return dr.normalize(mi.Normal3f(dr.cross(b - a, c - a)))
 
 
-def write_ply(path: Path, name: str, mesh: MeshArrays) -> None:
+def missing_corner(mesh: Any) -> str | None:
+    """Say which corner of a face names a vertex that there is not, None if all are there.
+
+    Mitsuba takes what a PLY or serialized file says; an index out of range ends the process as
+    soon as it computes vertex normals, or a ray meets the triangle.
+
+    Args:
+        mesh: an ``mi.Mesh`` that was loaded with ``face_normals``.
+    """
+    faces, count = mesh.faces_buffer().numpy(), mesh.vertex_count()
+    if faces.size == 0 or faces.max() < count:
+        return None
+    return f"a face has a corner that there is not (vertex {faces.max()} of {count})"
+
+
+def read_ply(path: Path) -> MeshArrays:
+    """Read a PLY file with Mitsuba's reader, but for its normals.
+
+    Raises:
+        MeshError: it cannot be read, or a face names a vertex that there is not.
+    """
+    try:
+        found: Any = mi.load_dict({"type": "ply", "filename": str(path), "face_normals": True})
+    except READING as error:
+        raise MeshError(f"{path}: cannot be read: {refusal(error)}") from error
+    if problem := missing_corner(found):
+        raise MeshError(f"{path}: {problem}")
+    return arrays(found)
+
+
+def refusal(error: Exception) -> str:
+    """Return why Mitsuba refuses a mesh file, without the places in its code."""
+    text = " ".join(str(error).split()).split('plugin of type "', 1)[-1].split('": ', 1)[-1]
+    return excerpt(re.sub(r"\[\w+(\.\w+:\d+)?\] ", "", text)).rstrip(".!")
+
+
+def write_ply(path: Path, name: str, mesh: MeshArrays, comment: str = "") -> None:
     """Write a mesh as PLY, atomically.
+
+    Args:
+        path: the file.
+        name: the id of the mesh.
+        mesh: its buffers.
+        comment: one line of ASCII for the header, beside the marks of ``files.stamped``.
 
     Raises:
         OutputError: it cannot be written.
     """
+    stream = mi.MemoryStream()  # to a file on a full disk, Mitsuba loses the last bytes in silence
+    make(name, mesh).write_ply(stream)
+    data = stream.raw_buffer()[: stream.size()]
+    lines = "".join(f"comment {line}\n" for line in (comment, mark_text()) if line)
+    head, mark, rest = data.partition(b"element ")
+    data = head + lines.encode("ascii") + mark + rest
     with replacing(path) as temporary:
-        make(name, mesh).write_ply(str(temporary))
+        temporary.write_bytes(data)
 
 
 def make(name: str, mesh: MeshArrays) -> Any:

@@ -2,23 +2,40 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from svu_mi import _llvm
 from svu_mi.capture.mesh import MeshArrays, arrays
-from svu_mi.errors import SceneError, SvuEnvironmentError, excerpt
+from svu_mi.capture.nesting import check_nesting
+from svu_mi.capture.scene_files import check_files
+from svu_mi.capture.trust import (
+    pin_own_plugins,
+    refuse_libraries,
+    refuse_types,
+    require_own_plugins,
+    searched_folders,
+    searching,
+)
+from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
+from svu_mi.limits import require_few_sensors
 
 LONGEST = 400  # letters of what Mitsuba says
+FEWEST_THREADS = 2
+RESERVED = frozenset(("config", "filename"))  # arguments of mi.parser.parse_file itself
 
 
 def require_variant() -> str:
     """Return the active variant if it can run the method.
+
+    From then on, Mitsuba's own plugins cannot be replaced by libraries (see ``trust``).
 
     Raises:
         SvuEnvironmentError: no variant is set, or a scalar, spectral or monochrome one, or
@@ -36,27 +53,58 @@ def require_variant() -> str:
         )
     if variant.startswith("llvm"):
         _llvm.require()
+    pin_own_plugins()
     return variant
 
 
-def load_scene(path: Path, defines: Mapping[str, str] | None = None) -> Any:
+def load_scene(path: Path, defines: Mapping[str, str] | None = None, *, trust: bool = False) -> Any:
     """Load a Mitsuba XML file without merging its shapes or textures.
+
+    What is judged (see ``trust`` and ``scene_files``) is what Mitsuba has parsed, and that is
+    what is made.
 
     Args:
         path: the XML file.
         defines: values for the scene's ``<default>`` parameters.
+        trust: load the scene's own libraries, too, from ``plugins`` beside it.
 
     Raises:
-        SceneError: the file is missing or Mitsuba refuses it; the sentence is Mitsuba's own
-            last one, with the file's name.
+        SceneError: the file is missing, Mitsuba refuses it (the sentence is Mitsuba's own last
+            one, with the file's name), it would load a library, a mesh is damaged, or there are
+            too many sensors.
     """
     if not path.is_file():
         raise SceneError(f"{path}: no such scene file; give the path of a Mitsuba XML scene.")
-    try:
-        # optimize=True would merge equal textures and meshes, and lose their ids.
-        return mi.load_file(str(path), optimize=False, **dict(defines or {}))
-    except Exception as error:  # Mitsuba raises RuntimeError for everything
-        raise SceneError(f"{path}: {last_sentence(str(error))}") from error
+    require_few_sensors(path)
+    defines = dict(defines or {})
+    for name in RESERVED & defines.keys():
+        raise SceneError(f"{path}: {name!r} cannot be the name of a scene parameter.")
+    require_own_plugins(trust)
+    config = mi.parser.ParserConfig(mi.variant())
+    # Merging would lose the ids of equal textures and meshes.
+    config.merge_equivalent = config.merge_meshes = False
+    # Mitsuba has Dr.Jit's workers decode EXR files: with none, on one core, it waits for ever.
+    dr.set_thread_count(max(dr.thread_count(), FEWEST_THREADS))
+    with searching(os.path.dirname(path)):
+        try:
+            check_nesting(path)
+            state = mi.parser.parse_file(config, str(path), **defines)
+            mi.parser.transform_all(config, state)
+            if not trust:
+                _judge(state, str(path))
+            check_files(state, str(path))
+            return mi.parser.instantiate(config, state)
+        except SvuError:
+            raise
+        except Exception as error:  # Mitsuba raises RuntimeError for everything
+            raise SceneError(f"{path}: {last_sentence(str(error))}") from error
+
+
+def _judge(state: Any, label: str) -> None:
+    """Refuse a scene that would load a library, or whose folders have one."""
+    files = [Path(str(file)).parent for file in state.files]
+    refuse_libraries([*files, *searched_folders()])
+    refuse_types(state, label)
 
 
 def last_sentence(message: str) -> str:
@@ -193,8 +241,10 @@ def _is_closed(mesh: MeshArrays) -> bool:
 
 def _check_buffers(mesh: MeshArrays, label: str) -> None:
     """Refuse what Mitsuba takes from a damaged file."""
-    if not np.isfinite(mesh.positions).all():
-        raise SceneError(f"{label} has positions that are NaN or infinite; export its mesh again.")
+    buffers = {"positions": mesh.positions, "normals": mesh.normals}
+    for name, values in buffers.items():
+        if values is not None and not np.isfinite(values).all():
+            raise SceneError(f"{label} has {name} that are NaN or infinite; export its mesh again.")
     if mesh.faces.size and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.positions):
         raise SceneError(f"{label} has a corner that there is not; export its mesh again.")
 

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import hashlib
+import importlib.metadata
 import logging
 import os
+import re
 from pathlib import Path
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.mesh import MeshArrays, arrays, make
+from svu_mi.capture.mesh import MeshArrays, arrays, make, read_ply, write_ply
 from svu_mi.errors import MeshError
-from svu_mi.files import replacing
 
 log = logging.getLogger(__name__)
 
 UNWRAPPED = "unwrapped.ply"
+KEY = "svu_mi unwrapped "  # a comment in the header of the file, before its digest
+HEADER = 4096  # bytes that hold the header of a PLY file
 MAX_CHART = 4096  # texels of an atlas of about 1024; packing a longer sliver takes for ever
 
 
@@ -59,28 +62,80 @@ def unwrap(mesh: Any, label: str = "") -> Any:
 
 
 def unwrapped(mesh: Any, folder: Path | None) -> Any:
-    """Unwrap a mesh, or take the result that an earlier run left in the capture's folder.
+    """Unwrap a mesh, or take the UVs that an earlier run left in the capture's folder.
+
+    A file that belongs to another mesh, that was changed, or that is damaged is made again, with
+    a warning in the log.
 
     Args:
         mesh: an ``mi.Mesh``.
         folder: where ``unwrapped.ply`` is looked for and written; None keeps it in memory.
+
+    Raises:
+        MeshError: the mesh cannot be unwrapped.
+        OutputError: the file cannot be written, although files of the folder can.
     """
-    path = None if folder is None else folder / UNWRAPPED
+    path, source = None if folder is None else folder / UNWRAPPED, arrays(mesh)
     if path is not None and path.exists():
-        saved = mi.load_dict({"type": "ply", "filename": str(path)})
-        if _same_surface(arrays(saved), arrays(mesh)):
-            return saved
-        log.warning("%s belongs to another mesh; it is made again.", path)
+        try:
+            return make(mesh.id(), _saved(path, source))
+        except MeshError as error:
+            log.warning("%s; it is made again.", error)
     made = unwrap(mesh)
     if path is not None and os.access(path.parent, os.W_OK):
-        with replacing(path) as temporary:
-            made.write_ply(str(temporary))
+        flat = arrays(made)
+        version = importlib.metadata.version("xatlas")
+        write_ply(path, mesh.id(), flat, f"{KEY}{_key(source, flat)} xatlas {version}")
     return made
 
 
-def _same_surface(a: MeshArrays, b: MeshArrays) -> bool:
-    """Compare face by face: unwrapping duplicates vertices and keeps the order of faces."""
-    if len(a.faces) != len(b.faces):
-        return False
-    difference = np.abs(a.positions[a.faces] - b.positions[b.faces]).max()
-    return bool(difference <= 1e-5 * np.ptp(b.positions, axis=0).max())
+def _saved(path: Path, source: MeshArrays) -> MeshArrays:
+    """Lay the UVs of a file on a mesh, whose positions and normals are taken.
+
+    Raises:
+        MeshError: they cannot be read, or are not those of this mesh.
+    """
+    key = _key_in(path)
+    saved = read_ply(path)
+    if saved.uvs is None or not np.isfinite(saved.uvs).all():
+        raise MeshError(f"{path}: has no finite UVs")
+    if key != _key(source, saved) or saved.faces.shape != source.faces.shape:
+        raise MeshError(f"{path}: belongs to another mesh, or was changed")
+    # Unwrapping only repeats vertices and keeps the order of faces, so corners tell which.
+    vertex = np.zeros(len(saved.positions), np.int64)
+    vertex[saved.faces] = source.faces
+    if not np.array_equal(vertex[saved.faces], source.faces):
+        raise MeshError(f"{path}: joins vertices that differ")
+    normals = None if source.normals is None else source.normals[vertex]
+    return MeshArrays(source.positions[vertex], saved.faces, normals, saved.uvs)
+
+
+def _key(source: MeshArrays, flat: MeshArrays) -> str:
+    """Return a digest of a mesh and its UVs, in the precision of files.
+
+    The version of xatlas is no part of it: what was laid out by another one is still valid, and
+    keeps texels where they were.
+    """
+    key = hashlib.blake2b(digest_size=16)
+    for rows in (source.positions, source.normals, flat.uvs):
+        key.update(b"-" if rows is None else np.ascontiguousarray(rows, "<f4").tobytes())
+    for faces in (source.faces, flat.faces):
+        key.update(np.ascontiguousarray(faces, "<i8").tobytes())
+    return key.hexdigest()
+
+
+def _key_in(path: Path) -> str | None:
+    """Return the digest in the header of a PLY file, None if there is none.
+
+    Raises:
+        MeshError: it is no file, or cannot be opened.
+    """
+    if not path.is_file():  # opening a pipe would wait
+        raise MeshError(f"{path}: is no file")
+    try:
+        with path.open("rb") as stream:
+            header = stream.read(HEADER).partition(b"end_header")[0].decode("ascii", "replace")
+    except OSError as error:
+        raise MeshError(f"{path}: cannot be opened ({error.strerror})") from error
+    found = re.search(rf"^comment {KEY}([0-9a-f]+)", header, re.MULTILINE)
+    return found and found[1]

@@ -6,14 +6,18 @@ import dataclasses
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 
 from svu_mi.cli.inputs import (  # isort: skip
     Common, Defines, Estimated, Output, Resolution, Scene, given, pair, parse_defines, say,
 )  # fmt: skip
+from svu_mi.limits import require_spp, require_views
 from svu_mi.progress import Progress
+
+if TYPE_CHECKING:
+    from svu_mi.output import Knowledge
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,11 +33,19 @@ class Entropy(Estimated):
 
     def run(self, console: Console) -> int:
         """Run the pipeline, write the four files, and say what is known."""
-        from svu_mi.options import NOTHING, Skip
-        from svu_mi.output import Knowledge, prepare_folder, write_outputs
+        from svu_mi.results.writing import claimed
 
         self.check()
-        prepare_folder(self.output)
+        with claimed(self.output, "svu entropy"):
+            knowledge = self._run(console)
+        say(console, f"Wrote {self.output}")
+        say(console, knowledge.sentence())
+        return 0
+
+    def _run(self, console: Console) -> Knowledge:
+        from svu_mi.options import NOTHING, Skip
+        from svu_mi.output import Knowledge, write_outputs
+
         self.start()
         progress = Progress(console)
         capture, grid = self.load(progress)
@@ -44,9 +56,7 @@ class Entropy(Estimated):
                 capture, result, self.output, settings=given(self), kernels=progress.kernels,
                 knowledge=knowledge,
             )  # fmt: skip
-        say(console, f"Wrote {self.output}")
-        say(console, knowledge.sentence())
-        return 0
+        return knowledge
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,16 +83,30 @@ class Render(Common):
     def run(self, console: Console) -> int:
         """Render the views."""
         from svu_mi.capture import render_capture
+        from svu_mi.results.writing import claimed
 
-        self.start()
-        with Progress(console).stage("Rendering photographs") as stage:
-            capture = render_capture(
-                self.scene, self.spp, self.seed, folder=self.output, shape=self.shape,
-                views=self.views, resolution=pair(self.resolution, "--resolution"),
-                defines=parse_defines(self.define), progress=stage.update,
-            )  # fmt: skip
+        self.check()
+        with claimed(self.output, "svu render", tidy=True):
+            self.start()
+            with Progress(console).stage("Rendering photographs") as stage:
+                capture = render_capture(
+                    self.scene, self.spp, self.seed, folder=self.output, shape=self.shape,
+                    views=self.views, resolution=pair(self.resolution, "--resolution"),
+                    defines=parse_defines(self.define), progress=stage.update, trust=self.trust,
+                )  # fmt: skip
         say(console, f"Wrote {capture.count} photographs to {self.output}")
         return 0
+
+    def check(self) -> None:
+        """Refuse options that make no sense, before any work.
+
+        Raises:
+            OptionError: there is one.
+        """
+        pair(self.resolution, "--resolution")
+        parse_defines(self.define)
+        require_spp(self.spp, "--spp")
+        require_views(self.views or 0, "--views")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,8 +123,12 @@ class Demo(Common):
     def run(self, console: Console) -> int:
         """Run ``entropy`` on the vase."""
         from svu_mi import scenes
+        from svu_mi.results.writing import claimed
 
-        with tempfile.TemporaryDirectory(prefix="svu-demo-") as folder:
+        with (
+            claimed(self.output, "svu demo"),
+            tempfile.TemporaryDirectory(prefix="svu-demo-") as folder,
+        ):
             common = {f.name: getattr(self, f.name) for f in dataclasses.fields(Common)}
             define = (f"light={self.light}",)
             status = Render(

@@ -189,7 +189,7 @@ def check_exr() -> Check:
 
 def _child(function: str, *arguments: str) -> tuple[int, str, str]:
     """Run a function of this file in a fresh interpreter: exit code, stdout, stderr."""
-    command = [sys.executable, "-c", CHILD.format(function), *arguments]
+    command = [sys.executable, "-P", "-c", CHILD.format(function), *arguments]
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, errors="replace", timeout=TIMEOUT_S
@@ -257,7 +257,10 @@ def render_test(variant: str) -> None:
     import mitsuba as mi
     import numpy as np
 
+    from svu_mi.capture.trust import pin_own_plugins
+
     mi.set_variant(variant)
+    pin_own_plugins()
     # Minimum and maximum are what LLVM 15 and 16 cannot compile; 16 bits are the worst case.
     for kind in (mi.Float16, mi.Float, mi.Float64):
         if variant.startswith("metal") and kind is mi.Float64:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,8 @@ import tyro
 from rich.console import Console
 
 from svu_mi import _llvm
-from svu_mi.errors import OptionError, SvuEnvironmentError
+from svu_mi.errors import OptionError, SvuEnvironmentError, printable
+from svu_mi.limits import require_spp, require_texels
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
@@ -21,10 +23,15 @@ if TYPE_CHECKING:
     from svu_mi.pipeline import Estimate
     from svu_mi.surface import Texels
 
+log = logging.getLogger(__name__)
+
 VARIANTS = ("cuda_ad_rgb", "metal_ad_rgb", "llvm_ad_rgb")  # the first that this machine can run
 
 MAX_THREADS = 1024
-RESERVED = ("parallel", "optimize")  # arguments of mi.load_file itself
+# Mitsuba has Dr.Jit's workers decode EXR files, and waits for them: for ever if there is none,
+# that is with one thread, which is the default on a machine, or a share of one, with one core.
+FEWEST_THREADS = 2
+RESERVED = ("parallel", "optimize", "config", "filename")  # arguments of Mitsuba's own loaders
 
 Defines = Annotated[
     tuple[str, ...],
@@ -36,7 +43,13 @@ Known = Annotated[
     tyro.conf.arg(metavar="NAME=VALUE | scene", help_behavior_hint="(can be repeated)"),
     tyro.conf.UseAppendAction,
 ]
-Threads = Annotated[int, tyro.conf.arg(aliases=["-t"], help="CPU threads; 0 = all.")]
+Threads = Annotated[
+    int,
+    tyro.conf.arg(
+        aliases=["-t"],
+        help="CPU threads; 0 = all. At least 2: Mitsuba cannot read EXR files with one.",
+    ),
+]
 Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"], help="Log more; errors with traceback.")]
 Variant = Annotated[str, tyro.conf.arg(aliases=["-m"], help="Mitsuba variant.")]
 Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder for the results.")]
@@ -52,6 +65,9 @@ class Common:
     """Mitsuba variant; auto takes the first usable of cuda, metal and llvm _ad_rgb."""
     threads: Threads = 0
     verbose: Verbose = False
+    trust: bool = False
+    """Let Mitsuba load libraries that lie in a folder named plugins beside the scene, or here: they
+    can do all that you can. Without it they are refused."""
 
     def start(self) -> None:
         """Set the variant and the number of threads.
@@ -59,6 +75,7 @@ class Common:
         Raises:
             SvuEnvironmentError: the variant does not exist or cannot run here.
             OptionError: a negative number of threads.
+            SceneError: the working directory has libraries that Mitsuba would load.
         """
         if self.threads < 0:
             raise OptionError(f"--threads must be 0 (all) or more, got {self.threads}.")
@@ -76,10 +93,14 @@ class Common:
                 f"{', '.join(mi.variants())}."
             ) from error
         import svu_mi.plugins  # noqa: F401 - registers them for the variant
+        from svu_mi.capture.trust import require_own_plugins
 
-        if self.threads:
-            # One thread means one worker: without any, Mitsuba's scene loader waits for ever.
-            dr.set_thread_count(max(self.threads, 2))
+        require_own_plugins(self.trust)
+
+        wanted = self.threads or dr.thread_count()
+        if self.threads == 1:
+            log.warning(f"--threads 1: {FEWEST_THREADS} are used, which Mitsuba needs to read EXR.")
+        dr.set_thread_count(max(wanted, FEWEST_THREADS))
         mi.set_log_level(mi.LogLevel.Info if self.verbose else mi.LogLevel.Error)
 
 
@@ -113,7 +134,8 @@ class Photographed(Common):
         Raises:
             OptionError: there is one.
         """
-        pair(self.resolution, "--resolution")
+        require_texels(pair(self.resolution, "--resolution"), "--resolution")
+        require_spp(self.spp, "--spp")
         parse_defines(self.define)
 
     def load(
@@ -140,6 +162,7 @@ class Photographed(Common):
 
     def _capture(self, progress: Progress, again: bool, missing: Missing) -> Capture:
         from svu_mi.capture import has_photographs, load_capture, photographs_of, render_capture
+        from svu_mi.capture.rendering import require_rendered
 
         images, defines = self.images, parse_defines(self.define)
         live = images is None and self.scene.suffix.lower() == ".xml" and missing == "refuse"
@@ -149,7 +172,7 @@ class Photographed(Common):
                 with progress.stage("Rendering photographs") as stage:
                     capture = render_capture(
                         self.scene, self.spp, folder=images, shape=self.shape, defines=defines,
-                        unwrap=self.unwrap, progress=stage.update,
+                        unwrap=self.unwrap, progress=stage.update, trust=self.trust,
                     )  # fmt: skip
                 warnings.warn(
                     f"No photographs beside {self.scene} and no --images: the scene is rendered "
@@ -158,10 +181,13 @@ class Photographed(Common):
                 )
                 return capture
         with progress.stage("Loading the capture"):
-            return load_capture(
+            capture = load_capture(
                 self.scene, images, shape=self.shape, defines=defines, unwrap=self.unwrap,
-                missing=missing,
+                missing=missing, trust=self.trust,
             )  # fmt: skip
+            if images is not None and self.images is None:
+                require_rendered(capture, self.spp)
+            return capture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,7 +221,7 @@ class Estimated(Photographed):
 
 def say(console: Console, text: str) -> None:
     """Print a line as it is: a log has no width, and a name may hold [brackets]."""
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
+    console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
 
 def pair(size: tuple[int, ...], option: str) -> tuple[int, int]:
