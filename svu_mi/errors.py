@@ -5,6 +5,10 @@ The command line prints the sentence and exits with status 2; Python callers cat
 ``SvuWarning`` and goes through the standard ``warnings`` module.
 """
 
+from __future__ import annotations
+
+from unicodedata import category
+
 
 class SvuError(Exception):
     """Base of every error a user can cause and repair."""
@@ -42,8 +46,22 @@ class SvuWarning(UserWarning):
     """Something the user should know although the run goes on."""
 
 
+def printable(value: object) -> str:
+    """Return foreign text so that a terminal shows it as it is, in one line.
+
+    A file's name may hold whatever it likes: what would end the line becomes a space; escape
+    sequences, bidirectional controls, lone surrogates and the like become question marks.
+    """
+    return "".join(map(_printable, str(value)))
+
+
+def _printable(letter: str) -> str:
+    if letter.isprintable() or category(letter) == "Zs":  # the spaces, narrow ones too
+        return letter
+    return " " if letter.isspace() else "?"
+
+
 def excerpt(value: object, longest: int = 160) -> str:
     """Return what a file or a library says so that it fits in a sentence: printable, and short."""
-    text = " ".join(str(value)[: longest + 1].split())
-    text = "".join(letter if letter.isprintable() else "?" for letter in text)
+    text = printable(" ".join(str(value)[: longest + 1].split()))
     return text if len(text) <= longest else text[:longest] + "..."

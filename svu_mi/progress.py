@@ -18,8 +18,10 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
+
+from svu_mi.errors import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -91,9 +93,12 @@ class Progress:
         self._say(f"{name}: {seconds:.2f} s{note}")
 
     def _say(self, line: str) -> None:
-        if self._console is not None:
+        if self._console is None:
+            return
+        # Nobody may read any more, which rich ends the process for.
+        with suppress(OSError, ValueError, SystemExit):
             # Soft wrap: a log has no width, and a name may hold [brackets].
-            self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+            self._console.print(printable(line), markup=False, highlight=False, soft_wrap=True)
 
     @contextmanager
     def _shown(self, name: str, total: int | None) -> Iterator[Stage]:
@@ -103,7 +108,7 @@ class Progress:
         self._live = True
         try:
             with _bar(self._console) as bar:
-                yield Stage(bar, bar.add_task(name, total=total, state=None))
+                yield Stage(bar, bar.add_task(printable(name), total=total, state=None))
         finally:
             self._live = False
 
@@ -125,10 +130,10 @@ def _bar(console: Console) -> Any:
             if state is None:
                 silent = task.completed == 0 and (task.elapsed or 0.0) > PATIENCE
                 state = COMPILING if silent else ""
-            return Text(state, style="dim")
+            return Text(printable(state), style="dim")
 
     return rich.Progress(
-        rich.SpinnerColumn(),
+        rich.SpinnerColumn("dots" if console.encoding.startswith("utf") else "line"),
         rich.TextColumn("{task.description}", markup=False),
         rich.BarColumn(bar_width=24),
         rich.TimeElapsedColumn(),

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import logging
+import os
 import sys
 import warnings
 from collections.abc import Sequence
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from svu_mi.cli.bench import Bench
 from svu_mi.cli.checking import CheckCapture
@@ -18,10 +19,12 @@ from svu_mi.cli.exporting import Export
 from svu_mi.cli.guide import Guide
 from svu_mi.cli.importing import Import
 from svu_mi.cli.inputs import was_interrupted
+from svu_mi.cli.pictures import import_matplotlib
 from svu_mi.cli.recover import Recover
 from svu_mi.cli.reporting import Report
+from svu_mi.cli.terminal import LogLines, OneLine, forgiving_streams
 from svu_mi.cli.viewing import View
-from svu_mi.errors import SvuError
+from svu_mi.errors import OptionError, SvuError, excerpt, printable
 
 Command = (
     Annotated[Import, tyro.conf.subcommand("import")]
@@ -39,8 +42,18 @@ Command = (
 )
 
 
+ZERO = "embedded null"  # how Python says that a path has a zero byte, which no system allows
+LONGEST = 200  # letters of a path in a sentence
+REMEDIES = {
+    errno.ENAMETOOLONG: "give a shorter one",
+    errno.ENOSPC: "make room, or write to another disk",
+    errno.EDQUOT: "make room, or write to another disk",
+    errno.EROFS: "write to another disk",
+}
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command.
+    """Run one command. Nobody needs to read what it prints: its work and its status are the same.
 
     Args:
         arguments: the words after ``svu``; those of this process by default.
@@ -48,7 +61,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         0 on success, 2 on bad input (one line on stderr), 130 when interrupted.
     """
-    console = Console()  # stderr is for the one line that says what went wrong
+    with forgiving_streams():
+        return _run(sys.argv[1:] if arguments is None else arguments)
+
+
+def _run(arguments: Sequence[str]) -> int:
+    for word in arguments:
+        if problem := _problem(word):
+            return _fail(f"{excerpt(word, LONGEST)}: {problem}.", 2)
     command = tyro.cli(
         Command,  # type: ignore[arg-type]
         prog="svu",
@@ -57,18 +77,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
     )
     verbose = command.verbose
-    logging.basicConfig(
-        level=logging.INFO if verbose else logging.WARNING, format="svu: %(message)s"
-    )
+    logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[LogLines()])
     warnings.showwarning = _show_warning
     try:
-        return command.run(console)
+        _require_a_place()
+        import_matplotlib()
+        return command.run(OneLine())  # stderr is for the one line that says what went wrong
     except KeyboardInterrupt as stop:
         return _fail(str(stop) or "interrupted", 130)
-    except SvuError as error:
-        if verbose:
-            raise
-        return _fail(str(error), 2)
     except MemoryError:
         return _fail("out of memory; use a smaller --resolution or fewer views", 2)
     except Exception as error:
@@ -76,15 +92,59 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _fail("interrupted", 130)
         if verbose:
             raise
-        kind = type(error).__name__
-        return _fail(f"internal error ({kind}: {error}); please report it with the output of -v", 1)
+        return _fail(*_sentence(error))
+
+
+def _problem(word: str) -> str | None:
+    """Say what no file's name, and so no argument, may have; None if all is well."""
+    if "\0" in word:
+        return "a zero byte is not possible in a name"
+    try:
+        word.encode()
+    except UnicodeEncodeError:  # Mitsuba and OpenEXR take UTF-8 only
+        encoding = sys.getfilesystemencoding()
+        remedy = "rename it" if encoding == "utf-8" else "set PYTHONUTF8=1, or rename it"
+        return f"a part of it is no text in {encoding}; {remedy}"
+    return None
+
+
+def _require_a_place() -> None:
+    """Refuse a working directory that has been removed: Mitsuba would abort the process."""
+    try:
+        os.getcwd()
+    except OSError as error:
+        raise OptionError(
+            f"The working directory cannot be used ({error.strerror}); change to another one."
+        ) from error
+
+
+def _sentence(error: Exception) -> tuple[str, int]:
+    """Say what an error means, and with which status the process ends."""
+    if isinstance(error, SvuError):
+        return str(error), 2
+    if isinstance(error, OSError):  # of the system: no space, no permission, a name too long, ...
+        place = f"{excerpt(os.fsdecode(error.filename), LONGEST)}: " if _named(error) else ""
+        remedy = f"; {REMEDIES[error.errno]}" if error.errno in REMEDIES else ""
+        return f"{place}{error.strerror or error}{remedy}.", 2
+    if isinstance(error, ValueError) and ZERO in str(error):
+        return "a zero byte is not possible in the name of a file.", 2
+    kind = type(error).__name__
+    return f"internal error ({kind}: {error}); please report it with the output of -v", 1
+
+
+def _named(error: OSError) -> bool:
+    return isinstance(error.filename, str | bytes | os.PathLike)
 
 
 def _fail(sentence: str, status: int) -> int:
     # Not through rich: the line must stay one line, whatever the terminal's width.
-    sys.stderr.write(f"svu: {' '.join(sentence.split())}\n")
+    sys.stderr.write(f"svu: {_line(sentence)}\n")
     return status
 
 
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
-    sys.stderr.write(f"svu: warning: {' '.join(str(message).split())}\n")
+    sys.stderr.write(f"svu: warning: {_line(message)}\n")
+
+
+def _line(text: object) -> str:
+    return printable(" ".join(str(text).split()))

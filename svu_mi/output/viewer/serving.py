@@ -1,4 +1,4 @@
-"""viser's server, started and stopped without a word."""
+"""viser's server: started behind a guard, and stopped, without a word."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from svu_mi.errors import OptionError, SvuEnvironmentError
+from svu_mi.output.viewer.guard import Guard, is_closed
 
-HOST = "127.0.0.1"  # nobody else's browser
+HOST = "127.0.0.1"  # no other machine
 
 
 def require_viser() -> Any:
@@ -39,21 +40,29 @@ def require_port(port: int) -> None:
 
 
 def serve(port: int) -> tuple[Any, str]:
-    """Start a ``ViserServer`` for this machine alone, and return it and the page's address.
+    """Start a ``ViserServer`` for who knows the page's address, and return it and the address.
 
     Args:
         port: where; the next free one if it is taken, any free one if it is 0.
 
     Raises:
-        SvuEnvironmentError: viser is not installed.
+        SvuEnvironmentError: viser is not installed, or this version of it cannot be guarded.
         OptionError: no port.
     """
     require_port(port)
+    viser = require_viser()
     # A browser that goes away in the middle is nothing to log.
     logging.getLogger("websockets").setLevel(logging.CRITICAL)
-    with _silence():
-        server = require_viser().ViserServer(host=HOST, port=port, label="svu view", verbose=False)
-    return server, f"http://{HOST}:{server.get_port()}"
+    guard = Guard()
+    with _silence(), guard.installed():
+        server = viser.ViserServer(host=HOST, port=port, label="svu view", verbose=False)
+    if not is_closed(server.get_port()):
+        stop(server)
+        raise SvuEnvironmentError(
+            f"The viewer cannot be protected from other pages and programs with viser "
+            f"{viser.__version__}: pip install 'svu_mi[viewer]'."
+        )
+    return server, f"http://{HOST}:{server.get_port()}/{guard.secret}/"
 
 
 def stop(server: Any) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.capture.poses import bounding_sphere
 from svu_mi.metrics.images import srgb
+from svu_mi.names import obj_name
 from svu_mi.output.knowledge import Intervals
 from svu_mi.output.page import percent
 from svu_mi.output.upright import DIRECTION, Axis, front_and_right, upright
@@ -40,7 +41,7 @@ class Viewer:
     """A page with an object, its cameras and its posterior; open from when it is made.
 
     Attributes:
-        url: of the page.
+        url: of the page; its path is a secret, without which nothing is answered.
         picked: the texel clicked last, if any.
 
     Args:
@@ -51,7 +52,7 @@ class Viewer:
         up: axis of the world that points upwards; None is as the cameras have it.
 
     Raises:
-        SvuEnvironmentError: viser is not installed.
+        SvuEnvironmentError: viser is not installed, or cannot be guarded (see ``serve``).
         OptionError: no port.
         ShapeError: textures of another resolution.
     """
@@ -202,11 +203,12 @@ class Viewer:
             self._plot = gui.add_image(draw_scale(None), format="png", visible=False)
 
     def _heading(self) -> str:
+        # The page takes more than Markdown for its own: an id in braces would be run.
         seen = np.array(self._estimate.coverage) > 0
         entropy = np.array(self._estimate.entropy)  # where nothing is seen, that of the prior
         mean = (entropy[seen] if seen.any() else entropy).mean()
         return (
-            f"**{self._capture.shape.id() or 'object'}**: {sum(self._capture.used)} views, "
+            f"**{obj_name(self._capture.shape.id())}**: {sum(self._capture.used)} views, "
             f"{self._estimate.texels.count} texels, {percent(seen.mean())} seen, mean entropy "
             f"{mean:.2f}. Grey: never seen."
         )

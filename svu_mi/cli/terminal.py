@@ -1,0 +1,125 @@
+"""The terminal: whatever becomes of it, the work is done, and nothing but text is sent to it."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from typing import Any, TextIO, cast
+
+from rich.console import Console
+from rich.text import Text
+
+from svu_mi.errors import printable
+
+# What this program and its help print, where a terminal knows only ASCII.
+PLAIN = str.maketrans({"±": "+-", "·": "-", "•": "*", "×": "x", "\u2009": " ", "\u202f": " "})
+
+
+class Forgiving:
+    """A stream that loses what cannot be written, instead of ending the work behind it.
+
+    Nobody may read any more (``svu ... | head``), or the disk may be full; from then on nothing
+    is kept. Letters that the encoding does not have are spelt out or escaped.
+
+    Args:
+        stream: where text goes as long as it can.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write text if possible; return its length all the same."""
+        try:
+            self._stream.write(text)
+        except UnicodeEncodeError:
+            encoding = self._stream.encoding
+            plain = text.translate(PLAIN).encode(encoding, "backslashreplace")
+            self.write(plain.decode(encoding))
+        except (OSError, ValueError):  # ValueError: it is closed
+            self._give_up()
+        return len(text)
+
+    def flush(self) -> None:
+        """Send what was written, if possible."""
+        try:
+            self._stream.flush()
+        except (OSError, ValueError):
+            self._give_up()
+
+    def _give_up(self) -> None:
+        # What is left in the buffer must go somewhere: Python tries again when it ends, and
+        # would complain and change the exit status.
+        with suppress(OSError, ValueError):
+            null = os.open(os.devnull, os.O_WRONLY)
+            try:
+                os.dup2(null, self._stream.fileno())
+            finally:
+                os.close(null)
+            self._stream.flush()
+
+
+@contextmanager
+def forgiving_streams() -> Iterator[None]:
+    """Make ``sys.stdout`` and ``sys.stderr`` forgiving for a while."""
+    _open_standard_files()
+    before = sys.stdout, sys.stderr
+    with ExitStack() as opened:
+        found = [
+            Forgiving(stream or opened.enter_context(open(os.devnull, "w", encoding="utf-8")))
+            for stream in before
+        ]
+        sys.stdout, sys.stderr = cast(list[TextIO], found)
+        try:
+            yield
+        finally:
+            for stream in found:
+                stream.flush()
+            sys.stdout, sys.stderr = before
+
+
+def _open_standard_files() -> None:
+    """Fill the places of standard files that are closed (``svu >&-``).
+
+    The next file to be opened would take the place, and get what C++ libraries print.
+    """
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            with suppress(OSError):
+                os.open(os.devnull, os.O_RDWR)  # takes the lowest free one: this
+
+
+class OneLine(Console):
+    """A console that prints strings, in tables too, without line ends or control characters."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Return a string as rich text; ``options`` are rich's."""
+        return super().render_str(printable(text), **options)
+
+
+class LogLines(logging.Handler):
+    """Writes records to the ``sys.stderr`` of their time, one line each."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setFormatter(_Line("svu: %(message)s"))
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a record."""
+        try:
+            sys.stderr.write(f"{self.format(record)}\n")
+        except Exception:
+            self.handleError(record)
+
+
+class _Line(logging.Formatter):
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's name
+        return printable(super().formatMessage(record))  # a traceback follows in its own lines

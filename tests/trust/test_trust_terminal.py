@@ -1,0 +1,292 @@
+"""Terminals: closed, full, deaf or ASCII only, the work is done; foreign names stay text."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import logging
+import os
+import pty
+import subprocess
+import sys
+import warnings
+
+import pytest
+from helpers import write_scene
+from rich.console import Console
+from rich.table import Table
+
+from svu_mi.cli import main as program
+from svu_mi.cli.inputs import say
+from svu_mi.cli.main import main
+from svu_mi.cli.terminal import Forgiving, LogLines, OneLine, forgiving_streams
+from svu_mi.errors import SvuWarning, printable
+from svu_mi.progress import Progress
+
+SECONDS = 120
+NASTY = "a\nb\r\x1b[31mred\x1b]0;title\x07\u202etxt\u2066.\x9b2J\udcff[/bold][link]"
+
+
+def svu(redirection: str, *words: object, **environment: str) -> subprocess.CompletedProcess:
+    """Run svu in a shell, with some redirection behind it; the status is that of svu."""
+    script = f'"$@" {redirection}; exit ${{PIPESTATUS[0]}}'
+    return subprocess.run(
+        ["bash", "-c", script, "bash", sys.executable, "-m", "svu_mi", *map(str, words)],
+        env=os.environ | environment, stdin=subprocess.DEVNULL, capture_output=True,
+        timeout=SECONDS,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return write_scene(tmp_path_factory.mktemp("scene"))
+
+
+def rendering(scene, folder):
+    return ("render", scene, "--resolution", 8, 8, "--spp", 1, "-o", folder)
+
+
+UNREAD = ("| head -c 1", "| true", ">/dev/full", ">&-", ">&- 2>&- <&-", ">/dev/full 2>/dev/full")
+
+
+@pytest.mark.parametrize("redirection", UNREAD)
+def test_work_is_done_though_nobody_reads(scene, tmp_path, redirection):
+    done = svu(redirection, *rendering(scene, tmp_path / "out"))
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert (tmp_path / "out" / "view_0000.exr").stat().st_size > 100
+    assert (tmp_path / "out" / "capture.json").stat().st_size > 100
+
+
+@pytest.mark.parametrize("redirection", ("| head -n 1", *UNREAD))
+@pytest.mark.parametrize("words", [("--help",), ("entropy", "--help")])
+def test_help_that_nobody_reads_is_no_error(redirection, words):
+    done = svu(redirection, *words)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert not done.stdout.count(b"\n") or redirection.startswith("| head")
+
+
+@pytest.mark.parametrize("redirection", ["2>&-", "2>/dev/full", ">&- 2>&-", "2>&1 | true"])
+def test_a_mistake_that_nobody_reads_is_status_2(tmp_path, redirection):
+    done = svu(redirection, "entropy", tmp_path / "nowhere.xml", "-o", tmp_path / "out")
+    assert (done.returncode, done.stdout, done.stderr) == (2, b"", b"")
+
+
+def test_a_closed_descriptor_gets_no_file_of_ours():
+    """Else what C++ prints to descriptor 1 would land in a result."""
+    code = (
+        "import os; from svu_mi.cli.terminal import forgiving_streams\n"
+        "with forgiving_streams(): print('x'); assert os.open(os.devnull, os.O_RDONLY) > 2"
+    )
+    done = subprocess.run(
+        ["bash", "-c", '"$@" >&- 2>&- <&-', "bash", sys.executable, "-c", code], timeout=SECONDS
+    )
+    assert done.returncode == 0
+
+
+def test_streams_come_back():
+    before = sys.stdout, sys.stderr
+    with forgiving_streams():
+        assert sys.stdout is not before[0] and sys.stdout.encoding == before[0].encoding
+    assert (sys.stdout, sys.stderr) == before
+
+
+class Broken(io.StringIO):
+    def write(self, _text):
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+
+def closed() -> io.StringIO:
+    stream = io.StringIO()
+    stream.close()
+    return stream
+
+
+@pytest.mark.parametrize("stream", [Broken, closed])
+def test_progress_goes_on_without_its_console(stream):
+    progress = Progress(Console(file=stream()))
+    with progress.stage("work") as stage:
+        stage.update(1, 2)
+    assert list(progress.timings) == ["work"]
+
+
+# --- letters ------------------------------------------------------------------------------
+
+POOR = (
+    {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    {"PYTHONIOENCODING": "ascii"},
+    {"PYTHONIOENCODING": "cp1252"},
+)
+
+
+@pytest.mark.parametrize("environment", POOR, ids=lambda e: next(iter(e.values())))
+def test_terminals_without_unicode(scene, environment):
+    for words in ("--help", "entropy --help", "bench --help", "entropy nowhere --speed"):
+        done = svu("", *words.split(), **environment)
+        assert b"Error" not in done.stderr.replace(b"Error:", b"")
+        assert b"Traceback" not in done.stderr + done.stdout
+        assert done.returncode == (0 if "--help" in words else 2)
+
+
+@pytest.mark.parametrize("environment", POOR[1:], ids=lambda e: next(iter(e.values())))
+def test_names_outside_of_ascii_are_escaped(scene, tmp_path, environment):
+    folder = tmp_path / "größe_\u4e2d"
+    done = svu("", *rendering(scene, folder), **environment)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"\\u4e2d" in done.stdout and (folder / "view_0000.exr").is_file()
+
+
+def test_a_live_line_on_a_terminal_without_unicode():
+    ours, theirs = pty.openpty()
+    code = (
+        "from svu_mi.cli.terminal import *; from svu_mi.progress import Progress; import time\n"
+        "with forgiving_streams():\n"
+        "    with Progress(OneLine()).stage('\\xe9'): time.sleep(0.3)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], stdout=theirs, stderr=subprocess.PIPE, timeout=SECONDS,
+        env=os.environ | {"PYTHONIOENCODING": "ascii", "TERM": "xterm"},
+    )  # fmt: skip
+    os.close(theirs)
+    shown = os.read(ours, 1 << 16)
+    os.close(ours)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"\\xe9" in shown and b"\\u" not in shown and shown.isascii()
+
+
+def test_an_ascii_stream_spells_out_what_it_can():
+    raw = io.BytesIO()
+    stream = Forgiving(io.TextIOWrapper(raw, "ascii", write_through=True))
+    assert stream.write("±0.05\u202f% \u4e2d") == 9
+    assert raw.getvalue() == b"+-0.05 % \\u4e2d"
+
+
+@pytest.mark.parametrize("utf8", ["0", "1"])
+def test_arguments_that_are_no_text_are_one_sentence(tmp_path, utf8):
+    words = [b"-m", b"svu_mi", b"entropy", b"x.xml", b"-o", b"out_\xff"]
+    done = subprocess.run(
+        [sys.executable.encode(), *words], capture_output=True, cwd=tmp_path, timeout=SECONDS,
+        env=os.environ | {"PYTHONUTF8": utf8, "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"},
+    )  # fmt: skip
+    assert done.returncode == 2 and done.stderr.count(b"\n") == 1
+    assert done.stderr.startswith(b"svu: out_?: a part of it is no text in ")
+
+
+# --- foreign names in messages --------------------------------------------------------------
+
+
+def one_line(text: str) -> bool:
+    return text.isprintable() and "red" in text and "\u202e" not in text
+
+
+def test_printable_keeps_letters_and_spaces():
+    for text in ("", "größe 中文 שלום  two", "12\u202f%", "\u2009"):
+        assert printable(text) == text
+    assert one_line(printable(NASTY))
+    assert printable("a\u2028b\u0085c\td\x00e\ud800") == "a b c d?e?"
+
+
+def test_messages_warnings_and_log_lines_are_one_line_each(capsys):
+    assert program._fail(NASTY, 2) == 2
+    program._show_warning(SvuWarning(NASTY))
+    record = logging.LogRecord("svu", logging.WARNING, "", 0, "%s", (NASTY,), None)
+    LogLines().emit(record)
+    lines = capsys.readouterr().err.split("\n")
+    assert len(lines) == 4 and all(map(one_line, lines[:3]))
+    assert all(line.startswith("svu: ") for line in lines[:3])
+
+
+def test_the_program_logs_that_way(tmp_path):
+    """Under pytest logging is set up already, so that this takes a process."""
+    code = (
+        "import logging, svu_mi.cli.main as program\n"
+        "program.Doctor.run = lambda self, console: logging.warning(chr(27) + '[31mred\\nx') or 0\n"
+        "program.main(['doctor'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=SECONDS)
+    assert done.stderr == b"svu: ?[31mred x\n"
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_lines_tables_and_stages_are_printable(terminal):
+    stream = io.StringIO()
+    console = OneLine(file=stream, width=200, force_terminal=terminal, color_system=None)
+    say(console, NASTY)
+    console.print(NASTY, markup=False)
+    table = Table("name", box=None)
+    table.add_row(NASTY)
+    console.print(table, markup=False)
+    if not terminal:  # where cursor movements of our own are among it
+        with Progress(console).stage(NASTY):
+            pass
+    lines = stream.getvalue().split("\n")
+    shown = [line for line in lines if "red" in line]
+    assert len(shown) == (3 if terminal else 4) and all(map(one_line, shown))
+    assert all("[/bold]" in line for line in shown)
+
+
+def test_a_scene_with_a_nasty_name(tmp_path, capsys):
+    assert main(["entropy", str(tmp_path / "x\x1b[31mred\ny.xml"), "-o", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and one_line(error[:-1])
+
+
+# --- what the system refuses ----------------------------------------------------------------
+
+LONG = "x" * 300
+COMMANDS = {
+    "entropy": ("entropy", "{bad}", "-o", "{out}"),
+    "check": ("check", "{bad}", "-o", "{out}"),
+    "guide": ("guide", "{bad}", "-o", "{out}"),
+    "recover": ("recover", "{bad}", "-o", "{out}"),
+    "report": ("report", "{bad}", "-o", "{out}.html"),
+    "export": ("export", "{bad}", "-o", "{out}"),
+    "import": ("import", "{bad}", "-o", "{out}"),
+    "render": ("render", "{bad}", "-o", "{out}"),
+    "view": ("view", "{bad}"),
+    "images": ("entropy", "{scene}", "--images", "{bad}", "-o", "{out}", "--resolution", "8"),
+    "shape": ("entropy", "{scene}", "--shape", "{bad}", "-o", "{out}", "--resolution", "8"),
+    "recovered": ("view", "{scene}", "--recovered", "{bad}"),
+    "output": ("entropy", "{scene}", "-o", "{bad}"),
+    "rendered": ("render", "{scene}", "-o", "{bad}"),
+    "page": ("report", "{scene}", "-o", "{bad}"),
+}
+
+
+@pytest.mark.parametrize("bad", [LONG, "/" + "y" * 5000, "a\0b"], ids=["name", "path", "zero"])
+@pytest.mark.parametrize("words", COMMANDS.values(), ids=COMMANDS)
+def test_impossible_names_are_one_sentence(scene, tmp_path, capsys, variant, words, bad):
+    out = tmp_path / "out"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SvuWarning)
+        status = main([word.format(bad=bad, out=out, scene=scene) for word in words])
+    error = capsys.readouterr().err
+    assert status == 2 and error.startswith("svu: ") and error.count("\n") == 1
+    assert "internal" not in error and "\0" not in error
+
+
+REFUSALS = {
+    OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "out/a\x1b.exr"): (
+        "svu: out/a?.exr: No space left on device; make room, or write to another disk.\n"
+    ),
+    PermissionError(errno.EACCES, os.strerror(errno.EACCES), b"out"): (
+        "svu: out: Permission denied.\n"
+    ),
+    OSError(errno.EIO, os.strerror(errno.EIO)): "svu: Input/output error.\n",
+    OSError("truncated file"): "svu: truncated file.\n",
+    ValueError("embedded null byte"): (
+        "svu: a zero byte is not possible in the name of a file.\n"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("error", "sentence"), REFUSALS.items(), ids=map(repr, REFUSALS))
+def test_what_the_system_refuses_is_one_sentence(monkeypatch, capsys, error, sentence):
+    def refuse(*_):
+        raise error
+
+    monkeypatch.setattr(program.Doctor, "run", refuse)
+    assert main(["doctor"]) == 2
+    assert capsys.readouterr().err == sentence
+    with contextlib.suppress(AttributeError), pytest.raises(type(error)):
+        main(["doctor", "-v"])
