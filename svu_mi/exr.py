@@ -9,9 +9,6 @@ contiguous copies, read back and compared before it takes its final name.
 from __future__ import annotations
 
 import contextlib
-import os
-import sys
-import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,12 +17,19 @@ import numpy as np
 import OpenEXR
 
 from svu_mi.errors import CaptureError, OutputError, ShapeError
-from svu_mi.files import may_hold, replacing
+from svu_mi.files import may_hold, replacing, stamp
+from svu_mi.limits import require_memory
+from svu_mi.quiet import quiet
 
 MAGIC = b"\x76\x2f\x31\x01"
 GROUPS = ("RGBA", "RGB")  # last part of a channel name that stands for several channels
 INT_LIMIT = 2**31
 MAX_SIDE = 2**17  # pixels
+MAX_CHANNELS = 1024  # of a part; Blender's most passes make a tenth
+READ_BYTES = 8  # per value: as stored, and as float32
+DEEP = (OpenEXR.deepscanline, OpenEXR.deeptile)
+REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x, y of red, green, blue, white
+SAME = 5e-3  # of chromaticities: what rounding makes of them
 
 
 def write_exr(
@@ -42,7 +46,8 @@ def write_exr(
         channels: real arrays of one size by channel name: (H, W) or (H, W, 1) for ``R``,
             ``Y``, ``layer.R``, ...; (H, W, 3) for ``RGB`` and (H, W, 4) for ``RGBA`` (also
             ``layer.RGB``), stored as single channels. Any memory layout, any real type.
-        attributes: extra header entries; numbers are stored as 32-bit int or float.
+        attributes: extra header entries beside those of ``files.stamped``; numbers are stored as
+            32-bit int or float.
         half: store half floats (magnitudes up to 65504) instead of float32.
 
     Raises:
@@ -53,13 +58,13 @@ def write_exr(
     path = Path(path)
     planes = _planes(path, channels, np.float16 if half else np.float32)
     header = {
-        **_attributes(path, attributes or {}),
+        **_attributes(path, {**stamp(), **(attributes or {})}),
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
     }
     with replacing(path) as temporary:
         try:
-            with _quiet, OpenEXR.File(header, dict(planes)) as file:
+            with quiet, OpenEXR.File(header, dict(planes)) as file:
                 file.write(str(temporary))
             written = _read_channels(temporary)
         except (RuntimeError, ValueError, TypeError, CaptureError) as error:
@@ -93,7 +98,7 @@ def read_attributes(path: str | Path) -> dict[str, str | int | float]:
     Raises:
         CaptureError: as ``read_exr``.
     """
-    with _header(Path(path)) as header:
+    with _headers(Path(path)) as (header, *_):
         return {key: value for key, value in header.items() if isinstance(value, str | int | float)}
 
 
@@ -101,19 +106,50 @@ def exr_size(path: str | Path) -> tuple[int, int]:
     """Return (width, height) of the first part's data window.
 
     Raises:
-        CaptureError: as ``read_exr``, or the header promises more pixels than the file can hold.
+        CaptureError: as ``read_exr``, or the header promises more pixels than the file, or this
+            machine's memory, can hold.
     """
     path = Path(path)
-    with _header(path) as header:
-        low, high = (np.array(corner, np.int64) for corner in header["dataWindow"])
-        width, height = (int(side) for side in high - low + 1)
-        channels = len(header["channels"])
-    is_size = 0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE
-    if not (is_size and may_hold(path, width * height * channels * 2)):
+    with _headers(path) as headers:  # all parts are read
+        layouts = [(*_window(header), len(header["channels"])) for header in headers]
+        is_deep = any(header.get("type") in DEEP for header in headers)
+    width, height, channels = layouts[0]
+    if is_deep:
+        raise CaptureError(f"{path}: a deep EXR file; export it as a flat image.")
+    if max(layout[2] for layout in layouts) > MAX_CHANNELS:
+        raise CaptureError(
+            f"{path}: has {channels} channels, but {MAX_CHANNELS} are the most; export its colours "
+            "alone."
+        )
+    values = sum(w * h * count for w, h, count in layouts)
+    is_size = all(0 < side <= MAX_SIDE for w, h, _ in layouts for side in (w, h))
+    if not (is_size and may_hold(path, values * 2)):
         raise CaptureError(
             f"{path}: the header says {width} x {height} pixels, more than a file of "
             f"{path.stat().st_size} bytes can hold; export it again."
         )
+    require_memory(
+        values * READ_BYTES, f"{path}: {values} values", "export its colours alone, or smaller",
+        CaptureError,
+    )  # fmt: skip
+    return width, height
+
+
+def has_foreign_colors(path: str | Path) -> bool:
+    """Return whether the first part says that its red, green, blue or white are not Rec. 709's.
+
+    Raises:
+        CaptureError: as ``read_exr``.
+    """
+    with _headers(Path(path)) as (header, *_):
+        given = np.array(header.get("chromaticities", REC_709), np.float64)
+        return not np.allclose(given.ravel(), REC_709, atol=SAME)
+
+
+def _window(header: Mapping[str, Any]) -> tuple[int, int]:
+    """Return (width, height) of a part's data window."""
+    low, high = (np.array(corner, np.int64) for corner in header["dataWindow"])
+    width, height = (int(side) for side in high - low + 1)
     return width, height
 
 
@@ -123,7 +159,7 @@ def is_cropped(path: str | Path) -> bool:
     Raises:
         CaptureError: as ``read_exr``.
     """
-    with _header(Path(path)) as header:
+    with _headers(Path(path)) as (header, *_):
         return not np.array_equal(header["dataWindow"], header["displayWindow"])
 
 
@@ -186,12 +222,15 @@ def _attributes(path: Path, given: Mapping[str, Any]) -> dict[str, str | int | f
 
 
 @contextlib.contextmanager
-def _header(path: Path) -> Iterator[dict[str, Any]]:
-    """Give the header of the first part; what fails in the block is a damage of the file."""
+def _headers(path: Path) -> Iterator[list[dict[str, Any]]]:
+    """Give the headers of all parts; what fails in the block is a damage of the file."""
     _check_magic(path)
     try:
-        with _quiet, OpenEXR.File(str(path), header_only=True) as file:
-            yield dict(file.parts[0].header)
+        with quiet, OpenEXR.File(str(path), header_only=True) as file:
+            found = [dict(part.header) for part in file.parts]
+            if not found:
+                raise ValueError("no part")
+            yield found
     except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
         raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
 
@@ -214,7 +253,7 @@ def _check_magic(path: Path) -> None:
 def _read_channels(path: Path) -> dict[str, np.ndarray]:
     """Return (H, W) arrays of the first part, in the types stored."""
     try:
-        with _quiet, OpenEXR.File(str(path), separate_channels=True) as file:
+        with quiet, OpenEXR.File(str(path), separate_channels=True) as file:
             # Damaged pixels end in a file without parts or channels, not in an exception.
             found = dict(file.parts[0].channels)
             pixels = {name: np.asarray(channel.pixels) for name, channel in found.items()}
@@ -225,42 +264,3 @@ def _read_channels(path: Path) -> dict[str, np.ndarray]:
     if any(c.xSampling != 1 or c.ySampling != 1 for c in found.values()):
         raise CaptureError(f"{path}: channels are subsampled; export the EXR as plain RGB.")
     return pixels
-
-
-class _Quiet:
-    """Silence the library's own lines on stdout and stderr; our exception says it better.
-
-    Both belong to the whole process: the first thread that comes in turns them off and the
-    last one that leaves turns them on again.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._inside = 0
-        self._undo = contextlib.ExitStack()
-
-    def __enter__(self) -> None:
-        with self._lock:
-            if self._inside == 0:
-                self._undo.enter_context(contextlib.redirect_stdout(None))
-                with contextlib.suppress(OSError, ValueError, AttributeError):
-                    self._silence_stderr()
-            self._inside += 1
-
-    def __exit__(self, *_: object) -> None:
-        with self._lock:
-            self._inside -= 1
-            if self._inside == 0:
-                self._undo.close()
-
-    def _silence_stderr(self) -> None:
-        sys.stderr.flush()
-        kept = os.dup(2)
-        self._undo.callback(os.close, kept)
-        sink = os.open(os.devnull, os.O_WRONLY)
-        self._undo.callback(os.close, sink)
-        os.dup2(sink, 2)
-        self._undo.callback(os.dup2, kept, 2)
-
-
-_quiet = _Quiet()

@@ -138,7 +138,7 @@ def test_eight_bits_are_decoded_and_clipped_pixels_left_out(tmp_path):
     pixels[1, 2] = (255, 10, 10)
     found = convert(frame(tmp_path, pixels), tmp_path / "view.exr", (1, 1))
     image = read_exr(tmp_path / "view.exr")
-    assert found.low_range and found.saturated == 1 and not found.masked and "A" not in image
+    assert found.bits == 8 and found.saturated == 1 and not found.masked and "A" not in image
     assert image["R"][0, 0] == pytest.approx(0.2158605, rel=1e-3)  # half floats
     assert image["R"][1, 2] == UNUSABLE
     convert(frame(tmp_path, pixels, transfer="gamma 2.2"), tmp_path / "view.exr", (1, 1))

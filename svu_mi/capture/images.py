@@ -12,12 +12,14 @@ import drjit as dr
 import numpy as np
 
 from svu_mi.capture.block import allocate
-from svu_mi.capture.picture import SUFFIXES, decoded, read_planes
+from svu_mi.capture.picture import SUFFIXES, bits_of, decoded, image_size, read_planes, remarks
 from svu_mi.errors import CaptureError
+from svu_mi.limits import require_photographs
 
 Missing = Literal["refuse", "leave out"]
 
-SATURATED = 0.98  # of an 8-bit photograph's encoded range; a clipped highlight is no measurement
+# Of the encoded range, by bits; a clipped highlight is no measurement. JPEG blurs it, too.
+SATURATED = {8: 0.98, 16: 0.995}
 UNUSABLE = -1.0  # radiance of a pixel that is not to be used, in all channels of an EXR
 ON_OBJECT = 0.999  # alpha from which a pixel shows nothing but the object
 IN_MASK = 0.5  # the same for 8-bit masks, which say inside or outside, with noise if JPEG
@@ -32,9 +34,10 @@ class Photograph:
         mask: (H, W) bool, True on the object, or None.
         invalid: number of pixels that were NaN, infinite or negative.
         marked: number of pixels that whoever wrote the photograph has marked as unusable.
-        saturated: number of clipped pixels of an 8-bit photograph.
-        low_range: True for an 8-bit photograph.
+        saturated: number of clipped pixels of a photograph of integers.
+        bits: 8 or 16 for a photograph of integers, which is no HDR; 0 for floats.
         black: True where no usable pixel holds any light.
+        remarks: what the file says about itself that is not followed (``picture.remarks``).
     """
 
     pixels: np.ndarray
@@ -42,8 +45,9 @@ class Photograph:
     invalid: int
     marked: int
     saturated: int
-    low_range: bool
+    bits: int
     black: bool
+    remarks: tuple[str, ...] = ()
 
 
 def not_taken(size: tuple[int, int]) -> Photograph:
@@ -53,7 +57,7 @@ def not_taken(size: tuple[int, int]) -> Photograph:
         size: (width, height) that it would have.
     """
     pixels = np.broadcast_to(np.float32(np.nan), (size[1], size[0], 3))
-    return Photograph(pixels, None, 0, 0, 0, False, True)
+    return Photograph(pixels, None, 0, 0, 0, 0, True)
 
 
 def find_images(folder: Path, count: int, missing: Missing = "refuse") -> list[Path | None]:
@@ -106,13 +110,18 @@ def read_photographs(
     block of memory, one photograph after the other, where kernels can look them up.
 
     Args:
-        paths: V EXR, HDR, PFM (linear), PNG or JPEG (8-bit sRGB) files.
+        paths: V EXR, HDR, PFM (linear), PNG or JPEG (sRGB of 8 or 16 bits) files.
         sizes: V (width, height) of the sensors' films (their crop windows).
         exposures: V gains of the photographs; pixels are divided by them.
 
     Raises:
-        CaptureError: one is unreadable or of another size than its film; the first in order.
+        CaptureError: one is unreadable or of another size than its film, the first in order; or
+            there is not enough memory for all.
     """
+    for path, size in zip(paths, sizes, strict=True):  # films may promise any size
+        _require_size(path, image_size(path), size)
+    if paths:
+        require_photographs(sizes, str(paths[0].parent))
     with ThreadPoolExecutor(max(1, dr.thread_count())) as threads:
         return list(threads.map(_read_photograph, paths, allocate(sizes), exposures))
 
@@ -121,26 +130,32 @@ def _read_photograph(path: Path, room: np.ndarray, exposure: float) -> Photograp
     """Read one photograph into ``room`` (H, W, 3)."""
     planes, low_range = read_planes(path)
     shape = planes[0].shape
-    if shape != room.shape[:2]:
-        raise CaptureError(
-            f"{path}: the photograph has {shape[1]} x {shape[0]} pixels but its sensor's film has "
-            f"{room.shape[1]} x {room.shape[0]}; resample it, or set the film's size (or crop "
-            "window)."
-        )
+    _require_size(path, shape[::-1], room.shape[1::-1])
     for channel in range(3):
         room[..., channel] = planes[channel]
-    saturated = _linearise(room) if low_range else 0
+    bits = bits_of(path) if low_range else 0
+    saturated = _linearise(room, SATURATED[bits]) if bits else 0
     invalid, marked, black = _mark(room, exposure)
     mask = _mask_beside(path, shape)
     if len(planes) > 3:
         mask = planes[3] >= (IN_MASK if low_range else ON_OBJECT)
     invalid -= saturated + marked
-    return Photograph(room, mask, invalid, marked, saturated, low_range, black)
+    found = tuple(remarks(path))
+    return Photograph(room, mask, invalid, marked, saturated, bits, black, found)
 
 
-def _linearise(color: np.ndarray) -> int:
-    """Decode sRGB in place, clipped pixels as NaN; return how many those are."""
-    clipped = (color > SATURATED).any(axis=-1)
+def _require_size(path: Path, found: Sequence[int], film: Sequence[int]) -> None:
+    """Refuse a photograph of another (width, height) than its film."""
+    if tuple(found) != tuple(film):
+        raise CaptureError(
+            f"{path}: the photograph has {found[0]} x {found[1]} pixels but its sensor's film has "
+            f"{film[0]} x {film[1]}; resample it, or set the film's size (or crop window)."
+        )
+
+
+def _linearise(color: np.ndarray, most: float) -> int:
+    """Decode sRGB in place, pixels above ``most`` as NaN; return how many those are."""
+    clipped = (color > most).any(axis=-1)
     color[:] = decoded(color)
     color[clipped] = np.nan
     return int(clipped.sum())

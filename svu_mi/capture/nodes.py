@@ -6,7 +6,6 @@ may never have been a file. Its ids, which that function leaves out, are written
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,8 @@ import numpy as np
 
 import svu_mi
 from svu_mi.capture.poses import describe
-from svu_mi.files import write_text
+from svu_mi.files import mark_text, stamp, write_text
+from svu_mi.names import xml_id
 
 FILTERS = {
     "BoxFilter": "box", "TentFilter": "tent", "GaussianFilter": "gaussian",
@@ -29,7 +29,7 @@ SAMPLES = 64  # per pixel, unless -D spp=N
 
 def plugin(tag: str, kind: str, name: str | None = None, *, id: str | None = None) -> Element:
     """Return ``<tag type="kind" name="name" id="id"/>``."""
-    attributes = {"type": kind, "name": name, "id": None if id is None else _legal(id)}
+    attributes = {"type": kind, "name": name, "id": None if id is None else xml_id(id)}
     return Element(tag, {key: value for key, value in attributes.items() if value is not None})
 
 
@@ -37,6 +37,8 @@ def scene() -> Element:
     """Return an empty scene with the parameter ``spp``, which ``sensor`` refers to."""
     root = Element("scene", version="3.0.0")
     root.append(Comment(f" Written by svu_mi {svu_mi.__version__}; needs nothing but Mitsuba. "))
+    if stamp():
+        root.append(Comment(f" {mark_text()} "))
     SubElement(root, "default", name="spp", value=str(SAMPLES))
     return root
 
@@ -123,8 +125,3 @@ def _property(value: Any) -> tuple[str, str]:
 def text_of(values: Any) -> str:
     """Return numbers as text that reads back as they were."""
     return " ".join(repr(float(value)) for value in values)
-
-
-def _legal(name: str) -> str:
-    """Return an id that Mitsuba takes: it keeps leading underscores and dots for itself."""
-    return re.sub(r"[^\w-]", "_", name).lstrip("_") or "node"

@@ -15,14 +15,18 @@ import numpy as np
 
 from svu_mi.capture.float_picture import hdr_size, pfm_size, read_hdr, read_pfm
 from svu_mi.errors import CaptureError, excerpt
-from svu_mi.exr import exr_size, read_exr
+from svu_mi.exr import exr_size, has_foreign_colors, read_exr
 from svu_mi.files import may_hold
 
 SUFFIXES = (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg")
+INTEGERS = (".png", ".jpg", ".jpeg")
 MAX_PIXELS = 2**28  # 16384 x 16384; a damaged header may promise any number
 ORIENTATION = 0x0112  # tag of EXIF
 PNG = b"\x89PNG\r\n\x1a\n"  # how its files begin
+HAS_EXIF = (b"eXIf", b"Raw profile type")  # words without which a PNG file has no EXIF data
 PNG_CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # by the kind of colour that it says
+
+OTHER_COLORS = {("X", "Y", "Z"): "CIE XYZ", ("Y", "RY", "BY"): "luminance and chroma"}
 
 _opening = threading.Lock()  # for what several threads must not do at a time
 
@@ -62,13 +66,45 @@ def is_turned(path: Path) -> bool:
     """
     from PIL import Image
 
-    if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+    if path.suffix.lower() not in INTEGERS:
         return False
     try:
+        if _is_png(path) and not any(word in path.read_bytes() for word in HAS_EXIF):
+            return False  # Pillow would decode all pixels to find that out
         with Image.open(path) as image:
             return int(image.getexif().get(ORIENTATION, 1)) > 1
     except Exception as error:  # whatever its parsers meet
         raise CaptureError(f"{path}: not a readable image; write it again as EXR.") from error
+
+
+def bits_of(path: Path) -> int:
+    """Return 16 for a PNG file of 16 bits per channel, 8 for any other picture of integers.
+
+    Raises:
+        CaptureError: the file is damaged.
+    """
+    with _readable(path):
+        return 16 if _is_png(path) and _png_header(path)[2] == 16 else 8
+
+
+def remarks(path: Path) -> list[str]:
+    """Say what a picture states about itself that is not followed: clauses without its name.
+
+    Raises:
+        CaptureError: the file is damaged.
+    """
+    found = []
+    if path.suffix.lower() == ".exr" and has_foreign_colors(path):
+        found.append(
+            "its chromaticities are not those of Rec. 709; its numbers are taken as they are: "
+            "convert it if colours matter."
+        )
+    if is_turned(path):
+        found.append(
+            "is upright by its EXIF data alone, which are left out: poses must be of the pixels as "
+            "stored."
+        )
+    return found
 
 
 def read_planes(path: Path) -> tuple[list[np.ndarray], bool]:
@@ -122,13 +158,18 @@ def quantized(image: np.ndarray, bits: int = 8) -> np.ndarray:
 
 def _exr_planes(path: Path) -> list[np.ndarray]:
     channels = _of_one_layer(read_exr(path))
+    for names, what in OTHER_COLORS.items():
+        if set(names) <= set(channels) and not set("RGB") <= set(channels):
+            raise CaptureError(
+                f"{path}: holds {what} ({', '.join(names)}), not colours; export it as plain RGB."
+            )
     grey = channels.get("Y")
     found = [channels.get(name, grey) for name in "RGB"]
     planes = [plane for plane in found if plane is not None]
     if len(planes) < 3:
         raise CaptureError(
-            f"{path}: expected the channels R, G, B (or Y), found {excerpt(', '.join(channels))}; "
-            "export it as plain RGB or RGBA."
+            f"{path}: expected the channels R, G, B (or Y) in its first part, found "
+            f"{excerpt(', '.join(channels))}; export it as plain RGB or RGBA."
         )
     return planes + ([channels["A"]] if "A" in channels else [])
 
@@ -165,8 +206,7 @@ def _integer_size(path: Path) -> tuple[int, int]:
         with _jpeg(path) as image:
             size, pixel = image.size, len(image.getbands())
     else:
-        with path.open("rb") as stream:
-            *size, bits, kind = struct.unpack(">16xIIBB", stream.read(26))
+        *size, bits, kind = _png_header(path)
         pixel = PNG_CHANNELS[kind] * max(1, bits // 8)
     if not may_hold(path, size[0] * size[1] * pixel):
         raise CaptureError(
@@ -182,8 +222,17 @@ def _integers(path: Path) -> np.ndarray:
         values = np.array(mi.Bitmap(str(path)))  # Pillow has no 16-bit colours
     else:
         with _jpeg(path) as image:  # Mitsuba's reader prints what is damaged
+            if image.mode == "CMYK":
+                raise CaptureError(f"{path}: holds inks (CMYK), not light; export it as sRGB.")
             values = np.array(image if image.mode in ("L", "RGB") else image.convert("RGB"))
     return values[..., None] if values.ndim == 2 else values
+
+
+def _png_header(path: Path) -> tuple[int, int, int, int]:
+    """Return width, height, bits per channel, and the number of the kind of colour."""
+    with path.open("rb") as stream:
+        width, height, bits, kind = struct.unpack(">16xIIBB", stream.read(26))
+    return width, height, bits, kind
 
 
 def _is_png(path: Path) -> bool:

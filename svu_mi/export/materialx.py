@@ -6,7 +6,6 @@ In the OBJ, v runs upwards accordingly; a program that reads the GLB turns its v
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
@@ -14,6 +13,7 @@ from svu_mi.capture.nodes import write_document
 from svu_mi.export.asset import TEXTURES, Asset, Written
 from svu_mi.export.mesh import as_trimesh, upward_uvs
 from svu_mi.files import write_text
+from svu_mi.names import materialx_name, obj_name
 
 MATERIAL, MESH = "material.mtlx", "mesh.obj"
 DIGITS = 10  # after the point: objects of a millimetre in metres keep single precision
@@ -33,9 +33,7 @@ def write_materialx(asset: Asset, folder: Path) -> list[Written]:
     Raises:
         OutputError: a file cannot be written.
     """
-    # Names are of ASCII letters, digits and underscores, a digit not first.
-    name = re.sub(r"\W", "_", asset.name, flags=re.ASCII)
-    write_document(_document(f"_{name}" if name[0].isdigit() else name), folder / MATERIAL)
+    write_document(_document(materialx_name(asset.name)), folder / MATERIAL)
     _write_obj(asset, folder / MESH)
     return [
         Written(file=MATERIAL, format="materialx", holds="material",
@@ -82,4 +80,4 @@ def _write_obj(asset: Asset, path: Path) -> None:
     # trimesh names a material of its own, which is grey; ours is in the other file.
     left_out = ("mtllib", "usemtl")
     kept = [line for line in text.splitlines() if line and not line.startswith(left_out)]
-    write_text(path, "\n".join([f"o {asset.name}", *kept]))
+    write_text(path, "\n".join([f"o {obj_name(asset.name)}", *kept]))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import Context, copy_context
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -22,7 +22,6 @@ from svu_mi.capture.scene import require_variant
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.exr import is_cropped
-from svu_mi.files import replacing_folder
 from svu_mi.formats.exposures import with_exif_exposures, with_exposures
 from svu_mi.formats.fixes import FIXES, Fix, corrected_mesh, corrected_poses, fixes_named
 from svu_mi.formats.geometry import Geometry, read_geometry
@@ -32,14 +31,10 @@ from svu_mi.formats.photographs import Converted, about, convert
 from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Light, Source
 from svu_mi.formats.textures import write_pictures
-from svu_mi.parameters import NAMES
+from svu_mi.limits import require_views
+from svu_mi.results.writing import exchanging, require_own
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
-OWN = {
-    SCENE, MESH, ENVIRONMENT, capture_folder.FILE, UNWRAPPED,
-    *(f"{name}.png" for name in NAMES), ".DS_Store", "Thumbs.db",
-}  # fmt: skip
-VIEW = re.compile(r"view_\d{4,}\.exr")
 MAX_DEPTH = 6  # of the paths that a scene without a say of its own is rendered with
 PIXELS_AT_A_TIME = 2**26  # of the photographs in memory, some 40 bytes each
 
@@ -85,12 +80,12 @@ def import_capture(
 ) -> list[str]:
     """Write a capture folder: ``scene.xml`` with all it refers to, photographs, ``capture.json``.
 
-    Everything is written beside the folder first: it is complete, or as it was.
+    All of it is put there in one step at the end: the folder is complete, or as it was.
 
     Args:
         source: what a reader has found.
-        folder: made if missing. A capture that was imported earlier is replaced, unless it holds
-            other files, too.
+        folder: made if missing. A capture that was imported there earlier is replaced; a folder
+            that holds anything else, or a file that was changed since, is refused.
         options: see there.
         progress: called with (photographs done, photographs in all).
 
@@ -104,6 +99,7 @@ def import_capture(
         OutputError: the folder cannot be written, or holds something else.
     """
     require_variant()
+    require_own(folder, "import", capture_folder.FILE, [UNWRAPPED])
     options = options or ImportOptions()
     fixes = _fixes(options)
     frames = _frames(source, options, fixes)
@@ -115,7 +111,8 @@ def import_capture(
             f"{source.root}: names no environment map; the method needs the light that the "
             "photographs were taken under: give it with --environment."
         )
-    with replacing_folder(folder, _was_imported) as made:
+    with exchanging(folder, "import", capture_folder.FILE, [UNWRAPPED]) as draft:
+        made = draft.folder
         geometry = _placed(read_geometry(mesh, geometry_only=options.geometry_only), options, fixes)
         found = _write_photographs(frames, made, options.shrink, progress)
         sensors = [frame.sensor(_clip(frame, geometry.mesh)) for frame, _ in found]
@@ -137,16 +134,8 @@ def import_capture(
                 "notes": notes,
             },
         )  # fmt: skip
-        capture_folder.write(made, description, sensors)
+        capture_folder.write(draft, description, sensors)
     return notes
-
-
-def _was_imported(folder: Path) -> bool:
-    """Return whether a folder holds an earlier import, and nothing that somebody added."""
-    description = capture_folder.read(folder)
-    if description is None or not description.imported:
-        return False
-    return all(path.name in OWN or VIEW.fullmatch(path.name) for path in folder.iterdir())
 
 
 def _fixes(options: ImportOptions) -> tuple[Fix, ...]:
@@ -163,6 +152,7 @@ def _fixes(options: ImportOptions) -> tuple[Fix, ...]:
 
 def _frames(source: Source, options: ImportOptions, fixes: Sequence[Fix]) -> list[Frame]:
     """Return the frames that are asked for, as large as their photographs, with fixed cameras."""
+    require_views(len(source.frames[:: options.every]), f"{source.root}: photographs", CaptureError)
     frames = []
     for frame in _exposed(source.frames[:: options.every], options):
         poses = frame.to_world[None]
@@ -231,14 +221,16 @@ def _write_photographs(
     """Write ``view_0000.exr``, ...; return the frames with square pixels, and what was found."""
     squares = [squared(frame, shrink) for frame in frames]
 
-    def write(index: int) -> Converted:
-        return convert(frames[index], folder / f"view_{index:04d}.exr", squares[index][1])
+    def write(index: int, context: Context) -> Converted:
+        view = folder / f"view_{index:04d}.exr"
+        return context.run(convert, frames[index], view, squares[index][1])
 
     found = []
     largest = max(frame.size[0] * frame.size[1] for frame in frames)
     workers = max(1, min(dr.thread_count(), PIXELS_AT_A_TIME // largest))
     with ThreadPoolExecutor(workers) as threads:
-        for converted in threads.map(write, range(len(frames))):
+        contexts = [copy_context() for _ in frames]  # threads know nothing of the run's marks
+        for converted in threads.map(write, range(len(frames)), contexts):
             found.append(converted)
             if progress is not None:
                 progress(len(found), len(frames))

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from svu_mi.capture.picture import read_planes
+from svu_mi.capture.picture import read_planes, remarks
 from svu_mi.capture.poses import affine
+from svu_mi.capture.radiance import positive
 from svu_mi.errors import CaptureError
 from svu_mi.exr import write_exr
 from svu_mi.formats.source import Light
@@ -44,7 +45,8 @@ def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str
         and sentences about the map.
 
     Raises:
-        CaptureError: the map cannot be read, has 8 bits, holds NaN, or is no lat-long map.
+        CaptureError: the map cannot be read, has 8 bits, holds NaN or much that is
+            negative, or is no lat-long map.
     """
     if light.path.suffix.lower() not in SUFFIXES:
         raise CaptureError(
@@ -61,10 +63,9 @@ def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str
         )
     if not np.isfinite(pixels).all():
         raise CaptureError(f"{light.path}: some pixels are NaN or infinite; repair the map.")
-    notes = []
-    if (pixels < 0).any():
-        notes.append(f"{light.path}: {int((pixels < 0).any(axis=-1).sum())} negative pixels are 0.")
-        pixels = np.maximum(pixels, 0)
+    notes = [f"{light.path}: {remark}" for remark in remarks(light.path)]
+    pixels, note = positive(pixels, str(light.path))
+    notes += note
     if not pixels.any():
         raise CaptureError(f"{light.path}: the map is entirely black.")
     rotation = light.to_world

@@ -187,7 +187,7 @@ def _fitting_exposure(frames: Sequence[Frame]) -> float:
         peaks = radiance.max(axis=-1)[... if mask is None else mask >= IN_MASK]
         peaks = peaks[np.isfinite(peaks)]
         brightest = max(brightest, float(peaks.max(initial=0)))
-    return float(np.clip(np.log2(SATURATED**GAMMA / brightest), -STOPS, STOPS))
+    return float(np.clip(np.log2(SATURATED[8] ** GAMMA / brightest), -STOPS, STOPS))
 
 
 def _write_frame(inputs: Path, index: int, frame: Frame, exposure: float) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from svu_mi.capture.images import IN_MASK, ON_OBJECT, SATURATED, UNUSABLE, read_mask
-from svu_mi.capture.picture import decoded, is_turned, read_planes
-from svu_mi.exr import write_exr
+from svu_mi.capture.picture import bits_of, decoded, is_turned, read_planes
+from svu_mi.exr import has_foreign_colors, write_exr
 from svu_mi.formats.resampling import resampled
 from svu_mi.formats.source import Frame
 
@@ -23,7 +23,8 @@ class Converted:
     """What was found in a photograph.
 
     Attributes:
-        low_range: it holds 8- or 16-bit integers.
+        bits: 8 or 16 if it holds integers; 0 for floats.
+        foreign: whether its chromaticities are not those of Rec. 709.
         saturated: number of its pixels that are clipped, on the object if there is a mask.
         invalid: number of its pixels that are NaN, infinite or negative.
         masked: whether it has a mask; an alpha channel that is opaque everywhere is none.
@@ -31,7 +32,8 @@ class Converted:
         inverted: whether its mask has the border of the photograph, and leaves something out.
     """
 
-    low_range: bool
+    bits: int
+    foreign: bool
     saturated: int
     invalid: int
     masked: bool
@@ -55,12 +57,13 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
         OutputError: the file cannot be written.
     """
     planes, low_range = read_planes(frame.image)
+    bits = bits_of(frame.image) if low_range else 0
     mask = _mask(frame, planes, low_range)
     del planes[3:]
     clipped, invalid = np.zeros((2, *planes[0].shape), bool)
     for channel, plane in enumerate(planes):  # one at a time: photographs may be huge
         if low_range:
-            clipped |= plane > SATURATED
+            clipped |= plane > SATURATED[bits]
             planes[channel] = decoded(plane, frame.transfer)
         invalid |= ~(np.isfinite(plane) & (plane >= 0))
     bad = clipped | invalid
@@ -74,9 +77,10 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
     if mask is not None:
         channels["A"] = _resampled(mask, scale)
         clipped &= mask
-    write_exr(path, channels, half=low_range)  # eight bits lose nothing there
+    write_exr(path, channels, half=bits == 8)  # eight bits lose nothing there
     return Converted(
-        low_range=low_range,
+        bits=bits,
+        foreign=frame.image.suffix.lower() == ".exr" and has_foreign_colors(frame.image),
         saturated=int(clipped.sum()),
         invalid=int(invalid.sum()),
         masked=mask is not None,
@@ -113,11 +117,13 @@ def about(frames: Sequence[Frame], found: Sequence[Converted]) -> list[str]:
         found: V times what was found in them.
     """
     notes = []
-    count, low = len(found), sum(c.low_range for c in found)
+    count, low = len(found), [c.bits for c in found if c.bits]
     if low:
         saturated = sum(c.saturated for c in found)
+        kinds = " and ".join(f"{bits}" for bits in sorted(set(low)))
         notes.append(
-            f"{low} of {count} photographs are not HDR: decoded as {frames[0].transfer}, "
+            f"{len(low)} of {count} photographs are not HDR: of {kinds} bits, decoded as "
+            f"{frames[0].transfer}, "
             f"{saturated} clipped pixels left out. Clipped highlights hide what gloss says."
         )
     turned = [frame.image.name for frame in frames if is_turned(frame.image)]
@@ -126,6 +132,13 @@ def about(frames: Sequence[Frame], found: Sequence[Converted]) -> list[str]:
             f"{len(turned)} of {count} photographs, {turned[0]} first, are stored turned, and "
             "upright by their EXIF data alone, which are left out: poses must be of the pixels as "
             "stored. If svu check shows them turned, write them upright and import again."
+        )
+    foreign = [f.image.name for f, c in zip(frames, found, strict=True) if c.foreign]
+    if foreign:
+        notes.append(
+            f"{len(foreign)} of {count} photographs, {foreign[0]} first, have chromaticities other "
+            "than those of Rec. 709; their numbers are taken as they are: convert them if colours "
+            "matter."
         )
     bad = [f.image.name for f, c in zip(frames, found, strict=True) if c.invalid]
     if bad:

@@ -17,6 +17,7 @@ from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.errors import MeshError
 from svu_mi.exr import write_exr
 from svu_mi.files import prepare_folder, replacing, write_json, write_text
+from svu_mi.formats.paths import inside
 from svu_mi.formats.source import OPENGL
 from svu_mi.formats.stanford_orb import ALBEDO, ENVIRONMENTS, MESH, SUFFIXES, TRUTH
 
@@ -77,11 +78,13 @@ def write_orb(root: str | Path, mesh: MeshArrays, captures: Sequence[OrbCapture]
 
     Raises:
         MeshError: the mesh has no normals or no UVs.
+        CaptureError: a capture's name is no name of a folder.
         OutputError: a file cannot be written.
     """
     if mesh.normals is None or mesh.uvs is None:
         raise MeshError("write_orb(): the mesh needs normals and UVs, as the scans have them.")
     for capture in captures:
+        inside(Path(root), capture.name, "write_orb()")
         others = [other for other in captures if other is not capture]
         for kind in SUFFIXES:
             _write_photographs(Path(root) / kind, capture, others)

@@ -12,6 +12,7 @@ third axis. Power spectra do not depend on that choice of frame.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,11 +21,11 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import scene
-from svu_mi.errors import SceneError
+from svu_mi.capture.radiance import positive
+from svu_mi.errors import SceneError, SvuWarning
 from svu_mi.interop import owned
+from svu_mi.light.grid import grid_size, label_of, map_of
 
-SKY_GRID = (512, 257)  # columns, rows at which a procedural sky is sampled
-FINEST = 130  # columns and rows that resolve degree 64; smaller maps are sampled finer
 GREY = 1e-6  # part of the brightest channel: others that differ by less are equal
 SUN_RINGS, SUN_SPOKES = 16, 64  # nodes on a sun's disk, finer than any sky grid
 
@@ -72,39 +73,28 @@ def read_environment(emitter: Any) -> Environment:
         emitter: an ``envmap``, ``constant`` or ``sunsky`` emitter.
 
     Raises:
-        SceneError: ``to_world`` is not a rotation, or the light is not finite or all black.
+        SceneError: ``to_world`` is not a rotation, or the light is not finite, all black, or in
+            good part negative.
     """
     to_world = scene.to_world(emitter)[:3, :3]
     if not np.allclose(to_world.T @ to_world, np.eye(3), atol=1e-3):
         raise SceneError(
             f"Emitter '{emitter.id()}': to_world must be a rotation; remove its scale or shear."
         )
-    columns, rows = _grid(emitter)
+    columns, rows = grid_size(emitter)
     local = directions(columns, rows)
     grid = radiance_from(emitter, local.reshape(-1, 3) @ to_world.T).reshape(rows, columns, 3)
     disk = (np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
     if emitter.class_name() == "SunskyEmitter":
         grid, disk = _split_sun(emitter, grid, local, to_world)
     if not np.isfinite(grid).all():
-        raise SceneError(f"Emitter '{emitter.id()}' has NaN or infinite radiance; repair its map.")
+        raise SceneError(f"{label_of(emitter)} has NaN or infinite radiance; repair its map.")
+    for note in positive(map_of(emitter, grid), label_of(emitter), SceneError)[1]:
+        warnings.warn(note, SvuWarning, stacklevel=2)
+    grid = np.maximum(grid, 0)
     if not (grid.max() > 0 or disk[2].max(initial=0) > 0):
         raise SceneError(f"Emitter '{emitter.id()}' is black; there is no light to reflect.")
     return Environment(grid, *disk, to_local=to_world.T)
-
-
-def _grid(emitter: Any) -> tuple[int, int]:
-    """Return (columns, rows): the map's own nodes, so that quadrature sees each texel once.
-
-    On too few nodes a constant is not orthogonal to high degrees. A small map is sampled
-    between its nodes too, an odd number of times so that they stay among the samples.
-    """
-    if emitter.class_name() != "EnvironmentMapEmitter":
-        return SKY_GRID
-    rows, columns = mi.traverse(emitter)["data"].shape[:2]
-    columns -= 2  # Mitsuba 3.9 keeps one halo column on each side
-    finer = int(np.ceil(max(FINEST / columns, FINEST / (rows - 1))))
-    finer += 1 - finer % 2
-    return columns * finer, (rows - 1) * finer + 1
 
 
 def directions(columns: int, rows: int) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from svu_mi.capture.poses import film_size, resized_sensor
 from svu_mi.guidance.strategies import TABLE
+from svu_mi.names import plain_name
 from svu_mi.output import style, views
 from svu_mi.output.directions import color_range, draw_directions, numbered
 from svu_mi.output.figures import all_seen, draw_map, map_colors
@@ -178,7 +179,6 @@ def _heading(figure: Figure, capture: Any, estimate: Any, guidance: Any) -> None
         f"{reachable} of {guidance.candidates.count} candidates can be reached",
         f"{width} × {height} texels, {style.spaced(looked_at)} of "
         f"{style.spaced(guidance.texels.count)} looked at",
-        f"{np.nansum(list(guidance.timings.values())):.1f} s",
     )
     style.heading(figure, "Which photograph to take next", words, (0.968, 0.936))
 
@@ -199,7 +199,7 @@ def _objects(
             axes.set(anchor="N")
             axes.set_axis_off()
             words = _short(proposal.name) if row == 0 else _worth(proposal)
-            axes.set_title(words, loc="center", size=10, color=INK, pad=4)
+            axes.set_title(words, loc="center", size=10, color=INK, pad=4, parse_math=False)
             if row == 0:
                 numbered(axes, 0.06, 0.93, column + 1, "white", 260, transform=axes.transAxes)
             if column == 0:
@@ -256,4 +256,5 @@ def _worth(proposal: Any) -> str:
 
 
 def _short(name: str) -> str:
+    name = plain_name(name)
     return name if len(name) <= 24 else f"{name[:11]}…{name[-12:]}"

@@ -85,7 +85,6 @@ def _heading(figure: Figure, capture: Any, estimate: Any, result: Result) -> Non
         f"{width} × {height} texels, {style.spaced(texels)} in charts",
         f"{style.spaced(seen)} seen ({100 * seen / max(texels, 1):.0f} %)",
         mean,
-        f"{np.nansum(list(estimate.timings.values())):.1f} s",
     )
     style.heading(figure, "What the photographs say about the reflectance", notes, (0.962, 0.922))
 
@@ -140,7 +139,7 @@ def _hatch(axes: Axes, result: Result) -> None:
     from matplotlib.patches import Patch
 
     height, width = result.inside.shape
-    if not result.inside.all():
+    if not result.inside.all() and min(height, width) > 1:  # no contour is of a line
         stripes = axes.contourf(
             ~result.inside, levels=(0.5, 1.5), colors="none", hatches=("////",),
             extent=(-0.5, width - 0.5, -0.5, height - 0.5),

@@ -84,7 +84,8 @@ def write_page(path: str | Path, template: str, **context: Any) -> None:
         OutputError: the file cannot be written.
     """
     page = _environment().get_template(template).render(context)
-    write_text(path, page)
+    # Names of files need not be UTF-8, and then hold halves of surrogate pairs.
+    write_text(path, page.encode("utf-8", "replace").decode("utf-8"))
 
 
 def grouped(number: float) -> str:

@@ -81,7 +81,6 @@ def _heading(figure: Figure, capture: Any, recovery: Any, estimate: Any | None) 
         *([] if estimate is None else [f"sd and entropy of preset {estimate.preset.name}"]),
         "with sharing" if recovery.settings.get("sharing") else "without sharing",
         f"{len(recovery.losses)} step" + ("s" if len(recovery.losses) != 1 else ""),
-        f"{np.nansum(list(recovery.timings.values())):.1f} s",
     )
     text = "The reflectance that the photographs were taken of"
     style.heading(figure, text, notes, (0.962, 0.925))

@@ -46,8 +46,9 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 
 def heading(figure: Figure, text: str, notes: Sequence[str], places: tuple[float, float]) -> None:
     """Write a page's title, and notes in a line below; places are heights on the page."""
-    figure.text(LEFT, places[0], text, size=19, weight="bold", color=INK, va="center")
-    figure.text(LEFT, places[1], "   ·   ".join(notes), size=11.5, color=FAINT, va="center")
+    same: Any = {"va": "center", "parse_math": False}  # a $ in a name is a $
+    figure.text(LEFT, places[0], text, size=19, weight="bold", color=INK, **same)
+    figure.text(LEFT, places[1], "   ·   ".join(notes), size=11.5, color=FAINT, **same)
 
 
 def spaced(number: int) -> str:
@@ -57,7 +58,7 @@ def spaced(number: int) -> str:
 
 def title(axes: Axes, text: str, pad: float = 6) -> None:
     """Write a title over the left end of axes."""
-    axes.set_title(text, loc="left", size=11.5, color=INK, pad=pad)
+    axes.set_title(text, loc="left", size=11.5, color=INK, pad=pad, parse_math=False)
 
 
 def subtitle(axes: Axes, text: str) -> None:

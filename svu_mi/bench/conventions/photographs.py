@@ -37,7 +37,7 @@ def eight_bit(capture: Capture) -> Capture:
     images = []
     for image in capture.images:
         encoded = np.round(255 * srgb(np.clip(image / white, 0, 1))) / 255
-        clipped = ~(encoded <= SATURATED).all(axis=-1, keepdims=True)  # NaN too
+        clipped = ~(encoded <= SATURATED[8]).all(axis=-1, keepdims=True)  # NaN too
         images.append(np.where(clipped, np.nan, decoded(encoded)).astype(np.float32))
     return replace(capture, images=tuple(images))
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import math
 import mmap
+import os
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -139,7 +140,7 @@ def write_model(folder: Path, cameras: Mapping[int, Camera], views: Sequence[Vie
     for number, view in enumerate(views, 1):
         files["images"] += [
             pack("<I7dI", number, *view.rotation, *view.translation, view.camera),
-            view.name.encode() + b"\0",
+            os.fsencode(view.name) + b"\0",
             pack("<Q", 0),
         ]
     for stem, parts in files.items():

@@ -1,0 +1,171 @@
+"""What is too large to begin with: sizes are held against the machine before any work."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from svu_mi.errors import CaptureError, OptionError, SceneError, SvuError
+
+MAX_LANES = 2**32 - 1  # of one kernel: Dr.Jit counts them in 32 bits
+MAX_VIEWS = 2**14  # Mitsuba takes a second to load 2600 sensors
+MAX_TEXELS = 2**14  # per side
+MIN_TEXELS = 2  # per side; Mitsuba has no texture below
+TEXEL_BYTES = 2**10  # of the grid; measured: 2100, of which charts may fill half
+PIXEL_BYTES = 16  # of a photograph in memory: three floats, a mask, and what can be used
+RENDER_BYTES = 100  # per pixel of a film while it is rendered; measured: 90
+MASK_LANES = 9  # rays per pixel that find the object
+LIGHT_BYTES = 180  # per node of an environment map; measured
+GIGA = 1e9
+MEMINFO = Path("/proc/meminfo")
+GROUP_LIMITS = (  # of containers, version 2 and 1
+    Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"),
+)  # fmt: skip
+
+Size = tuple[int, int]  # width and height
+
+
+def free_memory() -> int | None:
+    """Return bytes that can still be had, all that there are at worst; None where nobody says."""
+    found = [_available(), *map(_group_limit, GROUP_LIMITS)]
+    known = [size for size in found if size is not None]
+    return min(known, default=None)
+
+
+def require_memory(size: float, what: str, fix: str, error: type[SvuError] = OptionError) -> None:
+    """Refuse what takes more memory than there is.
+
+    Args:
+        size: bytes that it takes at least.
+        what: begins the sentence, in the plural, such as ``"scene.xml: 8 photographs"``.
+        fix: ends it.
+        error: what is raised.
+
+    Raises:
+        SvuError: there is less.
+    """
+    free = free_memory()
+    if free is not None and size > free:
+        raise error(
+            f"{what} take at least {size / GIGA:.3g} GB of memory, but {free / GIGA:.3g} GB are "
+            f"free; {fix}."
+        )
+
+
+def require_texels(resolution: Size, option: str) -> None:
+    """Refuse a grid of texels that cannot be laid out.
+
+    Raises:
+        OptionError: a side is out of range, or there is not enough memory.
+    """
+    width, height = resolution
+    if min(resolution) < MIN_TEXELS or max(resolution) > MAX_TEXELS:
+        raise OptionError(
+            f"{option} takes {MIN_TEXELS} to {MAX_TEXELS} texels per side, got {width} x {height}."
+        )
+    require_memory(
+        width * height * TEXEL_BYTES, f"{option}: {width} x {height} texels", "give fewer"
+    )
+
+
+def require_views(count: int, what: str, error: type[SvuError] = OptionError) -> None:
+    """Refuse more sensors than can be worked with.
+
+    Args:
+        count: of them.
+        what: begins the sentence, such as ``"--views"`` or ``"scene.xml: sensors"``.
+        error: what is raised.
+
+    Raises:
+        SvuError: there are more.
+    """
+    if count > MAX_VIEWS:
+        raise error(f"{what}: there may be {MAX_VIEWS} at most, got {count}; leave some out.")
+
+
+def require_few_sensors(path: Path) -> None:
+    """Refuse a scene file with too many sensors before Mitsuba loads it, which takes minutes.
+
+    Raises:
+        SceneError: there are too many.
+    """
+    with suppress(OSError):  # the loader says it better
+        require_views(path.read_bytes().count(b"<sensor"), f"{path}: sensors", SceneError)
+
+
+def require_spp(spp: int, option: str = "spp") -> None:
+    """Refuse a number of samples per pixel that no film can take.
+
+    Raises:
+        OptionError: it is out of range.
+    """
+    if not 1 <= spp <= MAX_LANES:
+        raise OptionError(f"{option} must be at least 1 and below 2^32, got {spp}.")
+
+
+def require_render(sizes: Sequence[Size], spp: int, label: str) -> None:
+    """Refuse films that cannot be rendered, or not be kept.
+
+    Args:
+        sizes: (width, height) of each film.
+        spp: samples per pixel.
+        label: the scene, for the message.
+
+    Raises:
+        SceneError: a film has more pixels than one kernel takes, or than there is memory.
+        OptionError: it takes fewer samples.
+    """
+    width, height = max(sizes, key=lambda size: size[0] * size[1], default=(1, 1))
+    pixels = width * height
+    if pixels * MASK_LANES > MAX_LANES:
+        raise SceneError(
+            f"{label}: a film of {width} x {height} pixels is too large to render; "
+            f"{MAX_LANES // MASK_LANES} pixels are the most."
+        )
+    if pixels * spp > MAX_LANES:
+        raise OptionError(
+            f"spp must be at most {MAX_LANES // pixels} for a film of {width} x {height} pixels "
+            f"(2^32 samples at a time), got {spp}."
+        )
+    kept = PIXEL_BYTES * sum(w * h for w, h in sizes)
+    _require_photographs(kept + RENDER_BYTES * pixels, sizes, label, "make the films smaller")
+
+
+def require_photographs(sizes: Sequence[Size], label: str) -> None:
+    """Refuse photographs that do not fit into memory.
+
+    Args:
+        sizes: (width, height) of each.
+        label: where they are, for the message.
+
+    Raises:
+        CaptureError: they do not.
+    """
+    kept = PIXEL_BYTES * sum(width * height for width, height in sizes)
+    _require_photographs(kept, sizes, label, "shrink them (svu import --shrink)")
+
+
+def _require_photographs(size: float, sizes: Sequence[Size], label: str, fix: str) -> None:
+    width, height = max(sizes, default=(0, 0))
+    require_memory(
+        size, f"{label}: {len(sizes)} photographs of up to {width} x {height} pixels",
+        f"{fix}, or use fewer", CaptureError,
+    )  # fmt: skip
+
+
+def _available() -> int | None:
+    with suppress(OSError, ValueError, IndexError):
+        for line in MEMINFO.read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024
+    with suppress(OSError, ValueError, AttributeError):  # not on Windows
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return None
+
+
+def _group_limit(path: Path) -> int | None:
+    with suppress(OSError, ValueError):  # "max" is no number
+        return int(path.read_text())
+    return None
