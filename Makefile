@@ -1,4 +1,4 @@
-# The two commands of the README, demo and test. Each first installs what it needs into .venv,
+# The commands of the README: demo, test and test-all. Each first installs what it needs into .venv,
 # once per change of pyproject.toml; nothing else on the machine is touched.
 
 PYTHON ?= python3
@@ -10,12 +10,15 @@ NO_VENV := Python cannot make a virtual environment here; on Debian and Ubuntu: 
 VENV_WITHOUT_ENSUREPIP = $(PYTHON) -m venv --clear --without-pip .venv && \
   $(PYTHON) -m pip --python $(PY) install --quiet pip
 
-.PHONY: demo test lint clean
+.PHONY: demo test test-all lint clean
 
 demo: .venv/installed
 	.venv/bin/svu demo -o out/demo
 
 test: lint
+	$(PY) -m pytest -n 2 --dist loadfile -m 'not slow'
+
+test-all: lint
 	$(PY) -m pytest -n 2 --dist loadfile
 
 lint: .venv/installed-test
