@@ -10,7 +10,7 @@ import re
 import secrets
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
@@ -158,38 +158,27 @@ def write_json(path: str | Path, record: Any, indent: int = 1) -> None:
 
 
 @contextlib.contextmanager
-def replacing_folder(folder: str | Path, may_replace: Callable[[Path], bool]) -> Iterator[Path]:
+def making_folder(folder: str | Path) -> Iterator[Path]:
     """Give a new, empty folder that becomes ``folder`` when the block succeeds.
 
-    Args:
-        folder: the name it gets; its parents are made.
-        may_replace: whether a folder of that name that is not empty may be replaced.
-
     Raises:
-        OutputError: it cannot be made, or one is there that must not be replaced.
+        OutputError: it cannot be made, or one is there with anything in it.
     """
-    folder = Path(folder).resolve()  # what a link points to is replaced, not the link
+    folder = Path(folder).resolve()
     prepare_folder(folder.parent)
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file, not a folder; choose another folder.")
-    if folder.is_dir() and any(folder.iterdir()) and not may_replace(folder):
+    if folder.is_dir() and any(folder.iterdir()):
         raise OutputError(f"{folder}: holds other files; choose another folder, or empty it.")
-    made, old = (
-        folder.with_name(f".{folder.name}.{secrets.token_hex(4)}.{what}") for what in ("tmp", "old")
-    )
+    made = folder.with_name(f".{folder.name[:STEM]}.{secrets.token_hex(4)}.tmp")
     try:
         made.mkdir()
         yield made
-        if folder.exists():
-            folder.rename(old)
-        made.rename(folder)
+        made.replace(folder)
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written ({_reason(folder, error)}).") from error
     finally:
-        if old.exists() and not folder.exists():  # stopped between the two steps
-            old.rename(folder)
         shutil.rmtree(made, ignore_errors=True)
-        shutil.rmtree(old, ignore_errors=True)
 
 
 def copy_file(source: Path, target: Path) -> None:

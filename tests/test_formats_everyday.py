@@ -18,7 +18,7 @@ from svu_mi.capture.picture import read_planes
 from svu_mi.capture.poses import film_size, focal_length
 from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError
 from svu_mi.exr import read_exr, write_exr
-from svu_mi.files import read_json, replacing_folder
+from svu_mi.files import making_folder, read_json
 from svu_mi.formats.colmap import write_colmap
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.importing import ImportOptions, import_capture
@@ -31,31 +31,25 @@ from svu_mi.guidance.candidates import Candidates
 # --- folders ------------------------------------------------------------------------------
 
 
-def test_a_folder_that_cannot_be_replaced_stays(tmp_path, monkeypatch):
-    folder = tmp_path / "capture"
-    folder.mkdir()
-    (folder / "old").touch()
-    rename = Path.rename
-
+def test_a_folder_that_cannot_be_made_leaves_nothing(tmp_path, monkeypatch):
     def refused(path: Path, target: Path) -> Path:
-        if path.suffix == ".tmp":
-            raise OSError(28, "No space left on device")
-        return rename(path, target)
+        raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "rename", refused)
-    with pytest.raises(OutputError, match="No space"), replacing_folder(folder, lambda _: True):
-        pass
-    assert (folder / "old").exists() and list(tmp_path.iterdir()) == [folder]
-
-
-def test_the_folder_that_a_link_points_to_is_replaced(tmp_path):
-    (tmp_path / "disk").mkdir()
-    (tmp_path / "disk" / "old").touch()
-    (tmp_path / "capture").symlink_to(tmp_path / "disk")
-    with replacing_folder(tmp_path / "capture", lambda _: True) as made:
+    monkeypatch.setattr(Path, "replace", refused)
+    with pytest.raises(OutputError, match="No space"), making_folder(tmp_path / "project") as made:
         (made / "new").touch()
-    assert (tmp_path / "capture").is_symlink() and (tmp_path / "disk" / "new").exists()
-    assert {path.name for path in tmp_path.iterdir()} == {"capture", "disk"}
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_is_made_where_there_is_none_or_an_empty_one(tmp_path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "project").symlink_to(tmp_path / "disk")
+    with making_folder(tmp_path / "project") as made:
+        (made / "new").touch()
+    assert (tmp_path / "project").is_symlink() and (tmp_path / "disk" / "new").exists()
+    assert {path.name for path in tmp_path.iterdir()} == {"project", "disk"}
+    with pytest.raises(OutputError, match="holds other files"), making_folder(tmp_path / "disk"):
+        pass
 
 
 def test_json_with_a_mark_of_its_encoding(tmp_path):

@@ -36,7 +36,7 @@ def capture_of(cell: Cell, settings: Settings, folder: Path, progress: Progress)
         OutputError: the folder cannot be written.
     """
     key = key_of(
-        _contents(cell), cell.defines, settings.views, settings.film, settings.spp, settings.seed
+        contents(cell), cell.defines, settings.views, settings.film, settings.spp, settings.seed
     )
     store = Store(folder)
     if store.load(MARK, key) is not None and is_as_written(folder, capture_folder.FILE):
@@ -53,7 +53,7 @@ def capture_of(cell: Cell, settings: Settings, folder: Path, progress: Progress)
     return capture
 
 
-def _contents(cell: Cell) -> list[tuple[str, str]]:
+def contents(cell: Cell) -> list[tuple[str, str]]:
     """Return digests of the scene, of all that lies beside it, of lights and of files given."""
     folders = (cell.scene.parent, cell.scene.parent.parent / "lights")
     beside = sorted(path for folder in folders for path in folder.rglob("*"))

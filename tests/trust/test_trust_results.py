@@ -128,6 +128,21 @@ def test_completing_can_be_killed_too(tmp_path):
         assert set(contents(folder).values()) == {"n"}
 
 
+def test_a_single_file_is_the_old_or_the_new_one_too(tmp_path):
+    """So are written: checkpoints, pages, caches and texture coordinates beside a capture."""
+    path, step, found = tmp_path / "unwrapped.ply", 0, []
+    stopped = True
+    while stopped:
+        path.write_text("old\n")
+        stopped = killed_at(step, lambda: write_text(path, "new"))
+        found.append(path.read_text())
+        with claimed(tmp_path, "test"):
+            pass
+        assert names(tmp_path) == [path.name]
+        step += 1
+    assert set(found) == {"old\n", "new\n"} and found == sorted(found, reverse=True)
+
+
 def test_a_failed_run_leaves_what_was_there(tmp_path):
     write(tmp_path, "o", ("a", "b"))
     before = contents(tmp_path)

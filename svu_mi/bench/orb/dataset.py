@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from svu_mi.bench.accuracy import Bench
+from svu_mi.bench.captures import contents
 from svu_mi.bench.cells import Cell, own_cells
 from svu_mi.bench.orb.targets import albedo_pictures
 from svu_mi.bench.store import Store, key_of
@@ -74,7 +75,8 @@ def own_dataset(bench: Bench) -> Path:
         render_dataset(folder, cells, sizes, bench.progress)
         return {"sizes": sizes}
 
-    store.recall("data", key_of(sizes, [cell.name for cell in cells]), render, fresh=bench.fresh)
+    key = key_of(sizes, [(cell.name, contents(cell)) for cell in cells])
+    store.recall("data", key, render, fresh=bench.fresh)
     return folder
 
 

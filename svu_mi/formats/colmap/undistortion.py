@@ -21,7 +21,7 @@ from PIL import Image
 from svu_mi.capture.images import read_mask
 from svu_mi.capture.picture import quantized, read_planes
 from svu_mi.errors import CaptureError, SvuEnvironmentError
-from svu_mi.files import prepare_folder, replacing_folder
+from svu_mi.files import making_folder, prepare_folder
 from svu_mi.formats.colmap.model import Camera, View, read_model, write_model
 from svu_mi.formats.colmap.project import IMAGES, MASKS, read_project
 
@@ -62,7 +62,7 @@ def undistort(
         for view, file in zip(project.views, project.photographs, strict=True)
     ]
     cameras = {view.camera: project.cameras[view.camera] for view in views}
-    with replacing_folder(output, lambda _: False) as made, TemporaryDirectory(dir=made) as name:
+    with making_folder(output) as made, TemporaryDirectory(dir=made) as name:
         scratch = Path(name)
         masked = []
         for view, file, found in zip(views, project.photographs, project.masks, strict=True):
