@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import glob
+import functools
+import hashlib
 import json
 import os
 import re
 import secrets
 import shutil
+import socket
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextvars import ContextVar
@@ -18,7 +20,7 @@ from typing import Any
 from svu_mi.errors import CaptureError, OutputError, excerpt
 
 MAX_RATIO, FREE = 2000, 2**26  # no codec packs more; bytes that are no danger anyway
-TEMPORARY = re.compile(r"\..*\.(\d+)-[0-9a-f]{8}\.tmp(\..*)?", re.DOTALL)
+TEMPORARY = re.compile(r"\..*\.([0-9a-f]{8})-(\d+)-[0-9a-f]{8}\.tmp(\..*)?", re.DOTALL)
 STEM = 100  # letters of a name that its temporary name has, too: names have an end
 
 _stamp: ContextVar[Mapping[str, str] | None] = ContextVar("stamp", default=None)
@@ -52,20 +54,6 @@ def prepare_folder(folder: str | Path) -> Path:
     return folder
 
 
-def remove(path: Path) -> None:
-    """Remove a file of an older run, if there is one.
-
-    Raises:
-        OutputError: it cannot be removed, or is a folder.
-    """
-    try:
-        path.unlink(missing_ok=True)
-    except OSError as error:
-        raise OutputError(
-            f"{path}: cannot be removed ({error.strerror}); choose another folder."
-        ) from error
-
-
 @contextlib.contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
     """Give a new, empty temporary file that becomes ``path`` when the block succeeds.
@@ -79,9 +67,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     # The suffix stays last: writers such as matplotlib go by it.
-    unique = f"{os.getpid()}-{secrets.token_hex(4)}"
+    unique = f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}"
     temporary = path.with_name(f".{path.stem[:STEM]}.{unique}.tmp{path.suffix[:STEM]}")
-    _clear_temporaries(path)
     try:
         # Opened here because the operating system's reason is clearer than OpenEXR's.
         temporary.open("xb").close()
@@ -96,26 +83,38 @@ def replacing(path: str | Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
-def _clear_temporaries(path: Path) -> None:
-    """Remove what killed processes have left of a file."""
-    with contextlib.suppress(OSError, ValueError):
-        for old in list(path.parent.glob(f".{glob.escape(path.stem[:STEM])}.*.tmp*")):
-            if is_temporary_of_dead(old):
-                old.unlink(missing_ok=True)
+def clear_temporaries(folder: Path) -> None:
+    """Remove the temporary files that killed processes have left in a folder."""
+    with contextlib.suppress(OSError):
+        for path in list(folder.iterdir()):
+            if is_temporary_of_dead(path):
+                path.unlink(missing_ok=True)
 
 
 def is_temporary_of_dead(path: Path) -> bool:
-    """Return whether a file is a temporary one of ``replacing`` whose process is no more."""
+    """Return whether a file is a temporary one of ``replacing`` whose process is no more.
+
+    Of processes on other machines, or in other containers, nothing is known: theirs are left.
+    """
     found = TEMPORARY.fullmatch(path.name)
-    if found is None or os.name == "nt":  # where asking for a process ends it
+    if found is None or found.group(1) != _machine() or os.name == "nt":  # there, asking kills
         return False
     try:
-        os.kill(int(found.group(1)), 0)
+        os.kill(int(found.group(2)), 0)
     except ProcessLookupError:
         return True
     except (OSError, OverflowError):
         return False
     return False
+
+
+@functools.cache
+def _machine() -> str:
+    """Return 8 letters for where numbers of processes mean the same: host and container."""
+    words = [socket.gethostname()]
+    with contextlib.suppress(OSError):
+        words.append(os.readlink("/proc/self/ns/pid"))
+    return hashlib.blake2b(" ".join(words).encode(), digest_size=4).hexdigest()
 
 
 @contextlib.contextmanager

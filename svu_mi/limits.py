@@ -12,6 +12,9 @@ from svu_mi.errors import CaptureError, OptionError, SceneError, SvuError
 MAX_LANES = 2**32 - 1  # of one kernel: Dr.Jit counts them in 32 bits
 MAX_VIEWS = 2**14  # Mitsuba takes a second to load 2600 sensors
 MAX_TEXELS = 2**14  # per side
+# Mitsuba has Dr.Jit's workers decode EXR files, and waits for them: for ever if there is none,
+# that is with one thread, which is the default on a machine, or a share of one, with one core.
+FEWEST_THREADS = 2
 MIN_TEXELS = 2  # per side; Mitsuba has no texture below
 TEXEL_BYTES = 2**10  # of the grid; measured: 2100, of which charts may fill half
 PIXEL_BYTES = 16  # of a photograph in memory: three floats, a mask, and what can be used
@@ -83,16 +86,6 @@ def require_views(count: int, what: str, error: type[SvuError] = OptionError) ->
     """
     if count > MAX_VIEWS:
         raise error(f"{what}: there may be {MAX_VIEWS} at most, got {count}; leave some out.")
-
-
-def require_few_sensors(path: Path) -> None:
-    """Refuse a scene file with too many sensors before Mitsuba loads it, which takes minutes.
-
-    Raises:
-        SceneError: there are too many.
-    """
-    with suppress(OSError):  # the loader says it better
-        require_views(path.read_bytes().count(b"<sensor"), f"{path}: sensors", SceneError)
 
 
 def require_spp(spp: int, option: str = "spp") -> None:

@@ -382,5 +382,5 @@ def test_a_checkpoint_of_another_variation_is_refused(seen, tmp_path, change):
 
 def test_whether_seeds_are_pulled_is_part_of_a_fingerprint(seen, capture, grid):
     rules = (GlobalSharing(seen, seeds=[3, 8], anchored=anchored) for anchored in (True, False))
-    marks = [fingerprint(capture, grid, None, rule, None)["seeds"] for rule in rules]
+    marks = [fingerprint(capture, grid, None, rule, None)["seeds of sharing"] for rule in rules]
     assert marks[0] != marks[1]

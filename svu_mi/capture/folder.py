@@ -14,7 +14,10 @@ from svu_mi.capture.sensor_record import LARGEST
 from svu_mi.errors import CaptureError, excerpt
 from svu_mi.files import read_json, write_json
 from svu_mi.limits import require_views
-from svu_mi.results.writing import Draft, settle
+from svu_mi.results.reading import marks_of
+from svu_mi.results.record import RESULT, Entry, entries
+from svu_mi.results.settling import settle
+from svu_mi.results.writing import Draft
 
 FILE = "capture.json"
 FORMAT = "svu-capture"
@@ -35,6 +38,7 @@ class Description:
         sensors: descriptions of the sensors, empty = those of the scene.
         imported: what it was imported from, and how; empty = it was not.
         rendered: ``spp`` and ``seed`` that it was rendered with; empty = it was not.
+        run: id of the run that wrote it; empty = it is not known.
     """
 
     scene: Path | None = None
@@ -44,6 +48,7 @@ class Description:
     sensors: Sequence[Mapping[str, Any]] = ()
     imported: Mapping[str, Any] = field(default_factory=dict)
     rendered: Mapping[str, Any] = field(default_factory=dict)
+    run: str = ""
 
     def make_sensors(self, path: Path) -> tuple[Any, ...]:
         """Make the sensors that the photographs of this folder were taken with.
@@ -87,7 +92,7 @@ def read(folder: Path) -> Description | None:
                 f"{path}: {key} has the wrong type; it must be {what}, got "
                 f"{excerpt(repr(record[key]), 60)}."
             )
-    scene = record.get("scene")
+    scene, written = record.get("scene"), Entry.parse(record.get(RESULT))
     try:
         scene = None if scene is None else (folder / scene).resolve()
         _ = scene is None or scene.is_file()
@@ -101,6 +106,7 @@ def read(folder: Path) -> Description | None:
         sensors=tuple(record.get("sensors", ())),
         imported=record.get("import", {}),
         rendered=record.get("rendered", {}),
+        run=written.run if written else "",
     )
 
 
@@ -136,6 +142,29 @@ FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "import": (lambda value: isinstance(value, dict), "an object"),
     "rendered": (lambda value: isinstance(value, dict), "an object"),
 }
+
+
+def require_one_run(folder: Path, paths: Sequence[Path | None], run: str) -> None:
+    """Refuse photographs of another run than the capture's, and a capture that was exchanged.
+
+    Args:
+        folder: of the capture.
+        paths: of its photographs, after they were read.
+        run: of the capture, as ``read`` has found it before; empty = not known.
+
+    Raises:
+        CaptureError: there is one, or the capture is another one now.
+    """
+    if run and [entry.run for entry in entries(folder / FILE)][:1] != [run]:
+        raise CaptureError(f"{folder}: was written anew while it was read; load it again.")
+    for path in paths:
+        if run and path is not None and path.suffix.lower() == ".exr":
+            other = marks_of(path)[0]
+            if other and other != run:
+                raise CaptureError(
+                    f"{path}: is of another run than {FILE} beside it; take its own photograph, or "
+                    "render or import the capture again."
+                )
 
 
 def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> None:

@@ -23,7 +23,7 @@ from svu_mi.capture.scene import (
     require_variant,
 )
 from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
-from svu_mi.errors import CaptureError, OptionError, SvuWarning
+from svu_mi.errors import CaptureError, OptionError, SvuWarning, excerpt
 
 NOT_HDR = {
     8: "an 8-bit image, not HDR; decoded as sRGB, ",
@@ -82,6 +82,11 @@ def load_capture(
             f"{path}: not a Mitsuba XML scene, and no capture folder that names one; give the "
             "scene, and this folder as --images."
         )
+    if xml != path and not xml.is_file():
+        raise CaptureError(
+            f"{folder / capture_folder.FILE}: its scene {excerpt(xml, 300)} is not there; bring it "
+            "along, or give the scene, and this folder as --images."
+        )
     # What the caller says wins over what the folder remembers.
     description = dataclasses.replace(
         description,
@@ -110,6 +115,7 @@ def read_capture(
     paths = find_images(folder, len(sensors), missing)
     exposures = _exposures(description.exposures, len(sensors), folder)
     photographs = _photographs(paths, [film_size(sensor) for sensor in sensors], exposures)
+    capture_folder.require_one_run(folder, paths, description.run)
     notes, used = _judge(photographs, paths)
     mesh, note = _texel_mesh(target, unwrap, folder)
     for sentence in notes + note:

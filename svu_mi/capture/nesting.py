@@ -1,7 +1,12 @@
-"""XML that Mitsuba's parser would not survive: nested without end, or included from a pipe."""
+"""XML that Mitsuba's parser would not survive: nested without end, or read from a pipe.
+
+It is read here by another parser, one that takes less: what is no sound XML is refused, because
+Mitsuba's would go on with its own idea of it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from os.path import exists, isfile  # unlike Path's, they raise nothing for long names
 from pathlib import Path
 from xml.parsers import expat
@@ -9,69 +14,106 @@ from xml.parsers import expat
 import mitsuba as mi
 
 from svu_mi.errors import SceneError, excerpt
+from svu_mi.limits import require_views
 
 DEEPEST = 500  # elements in one another; the parser calls itself for each, and 10 000 are too many
 LONGEST = 300  # letters of a path, in messages
 
 
-def check_nesting(path: Path) -> None:
+def check_xml(path: Path, defines: Mapping[str, str]) -> None:
     """Look through a scene's XML, and what it includes, before Mitsuba parses it.
-
-    What is not XML is left to Mitsuba, and so are included names with ``$parameters``.
 
     Args:
         path: the XML file; files are found as ``mi.file_resolver()`` does.
+        defines: values of parameters, which names of files may have.
 
     Raises:
-        SceneError: elements are nested too deeply, or what it includes is a folder or a pipe.
+        SceneError: it is not sound, elements are nested too deeply, what it includes is a folder
+            or a pipe, or there are too many sensors, which take Mitsuba minutes.
     """
-    waiting, seen = [path], set()
+    parameters = dict(defines)
+    waiting, seen, sensors = [path], set(), 0
     while waiting:
         file = waiting.pop()
-        if file in seen or not exists(file):
+        if file in seen or not exists(file):  # the latter is for Mitsuba to say
             continue
-        if not isfile(file):  # reading a pipe would wait for ever
-            raise SceneError(
-                f"{path}: includes {excerpt(file, LONGEST)}, which is no file; name a file."
-            )
+        _require_file(file, path)
         seen.add(file)
-        for name in _named(file):
-            beside, other = file.parent / name, Path(str(mi.file_resolver().resolve(name)))
-            waiting.append(beside if exists(beside) else other)
+        found = _Reader(file, parameters)
+        sensors += found.sensors
+        for name in found.others:
+            _require_file(_found(name, file), path)
+        waiting += [_found(name, file) for name in found.includes]
+    require_views(sensors, f"{path}: sensors", SceneError)
 
 
-def _named(path: Path) -> list[str]:
-    """Return the files that an XML file names in its tags.
+def _require_file(file: Path, path: Path) -> None:
+    if exists(file) and not isfile(file):  # reading a pipe would wait for ever
+        raise SceneError(
+            f"{path}: includes {excerpt(file, LONGEST)}, which is no file; name a file."
+        )
 
-    Raises:
-        SceneError: elements are nested too deeply.
+
+def _found(name: str, file: Path) -> Path:
+    """Return the file of a name: beside the one that names it, or where Mitsuba looks."""
+    beside = file.parent / name
+    return beside if exists(beside) else Path(str(mi.file_resolver().resolve(name)))
+
+
+class _Reader:
+    """What one XML file says.
+
+    Attributes:
+        includes: names of XML files in it.
+        others: names of other files that Mitsuba reads while it parses: spectra.
+        sensors: how many there are.
     """
-    names: list[str] = []
-    depth = 0
 
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal depth
-        depth += 1
-        if depth > DEEPEST:
+    def __init__(self, path: Path, parameters: dict[str, str]) -> None:
+        """Read a file; ``<default>`` adds to the parameters.
+
+        Raises:
+            SceneError: it is not sound, or nested too deeply.
+        """
+        self.includes: list[str] = []
+        self.others: list[str] = []
+        self.sensors = 0
+        self._path, self._parameters, self._depth = path, parameters, 0
+        self._parser = expat.ParserCreate()
+        self._parser.StartElementHandler, self._parser.EndElementHandler = self._start, self._end
+        try:
+            with path.open("rb") as stream:
+                self._parser.ParseFile(stream)
+        except expat.ExpatError as error:
             raise SceneError(
-                f"{excerpt(path, LONGEST)}: more than {DEEPEST} elements are nested in one another "
-                f"at line {parser.CurrentLineNumber}; close them before."
+                f"{excerpt(path, LONGEST)}: no sound XML ({error}); mend it there."
+            ) from error
+        except OSError as error:
+            raise SceneError(
+                f"{excerpt(path, LONGEST)}: cannot be read ({error.strerror})."
+            ) from error
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise SceneError(
+                f"{excerpt(self._path, LONGEST)}: more than {DEEPEST} elements are nested in one "
+                f"another at line {self._parser.CurrentLineNumber}; close them before."
             )
-        del tag  # <include> or <spectrum>, which Mitsuba reads while it parses
-        name = attributes.get("filename")
-        if name and "$" not in name:
-            names.append(name)
+        self.sensors += tag == "sensor"
+        if tag == "default":
+            name, value = attributes.get("name", ""), attributes.get("value", "")
+            self._parameters.setdefault(name, self._filled(value))
+        elif "filename" in attributes:
+            names = self.includes if tag == "include" else self.others
+            names.append(self._filled(attributes["filename"]))
 
-    def end(tag: str) -> None:
+    def _end(self, tag: str) -> None:
         del tag
-        nonlocal depth
-        depth -= 1
+        self._depth -= 1
 
-    parser = expat.ParserCreate()
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    try:
-        with path.open("rb") as stream:
-            parser.ParseFile(stream)
-    except (expat.ExpatError, OSError):
-        pass  # Mitsuba says what is wrong, and where
-    return names
+    def _filled(self, text: str) -> str:
+        """Put in the values of ``$parameters``, long names first, as Mitsuba does."""
+        for name in sorted(filter(None, self._parameters), key=len, reverse=True):
+            text = text.replace(f"${name}", self._parameters[name])
+        return text

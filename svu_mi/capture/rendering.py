@@ -30,7 +30,7 @@ from svu_mi.capture.unwrap import UNWRAPPED
 from svu_mi.errors import OptionError, SceneError, excerpt
 from svu_mi.exr import write_exr
 from svu_mi.limits import require_render, require_spp
-from svu_mi.results.writing import exchanging, require_own
+from svu_mi.results.writing import exchanging
 
 MASK_GRID = 3  # mask rays per pixel side; any miss puts a pixel off the object
 
@@ -78,8 +78,6 @@ def render_capture(
     require_spp(spp)
     if seed < 0:
         raise OptionError(f"The seed must not be negative, got {seed}.")
-    if folder is not None:
-        require_own(folder, "render", capture_folder.FILE, [UNWRAPPED])
     path = None if isinstance(scene, mi.Scene) else Path(scene)
     scene = scene if path is None else load_scene(path, defines, trust=trust)
     label = str(path or "scene")

@@ -14,7 +14,7 @@ import numpy as np
 
 from svu_mi import _llvm
 from svu_mi.capture.mesh import MeshArrays, arrays
-from svu_mi.capture.nesting import check_nesting
+from svu_mi.capture.nesting import check_xml
 from svu_mi.capture.scene_files import check_files
 from svu_mi.capture.trust import (
     pin_own_plugins,
@@ -25,10 +25,9 @@ from svu_mi.capture.trust import (
     searching,
 )
 from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
-from svu_mi.limits import require_few_sensors
+from svu_mi.limits import FEWEST_THREADS
 
 LONGEST = 400  # letters of what Mitsuba says
-FEWEST_THREADS = 2
 RESERVED = frozenset(("config", "filename"))  # arguments of mi.parser.parse_file itself
 
 
@@ -75,7 +74,6 @@ def load_scene(path: Path, defines: Mapping[str, str] | None = None, *, trust: b
     """
     if not path.is_file():
         raise SceneError(f"{path}: no such scene file; give the path of a Mitsuba XML scene.")
-    require_few_sensors(path)
     defines = dict(defines or {})
     for name in RESERVED & defines.keys():
         raise SceneError(f"{path}: {name!r} cannot be the name of a scene parameter.")
@@ -83,11 +81,10 @@ def load_scene(path: Path, defines: Mapping[str, str] | None = None, *, trust: b
     config = mi.parser.ParserConfig(mi.variant())
     # Merging would lose the ids of equal textures and meshes.
     config.merge_equivalent = config.merge_meshes = False
-    # Mitsuba has Dr.Jit's workers decode EXR files: with none, on one core, it waits for ever.
     dr.set_thread_count(max(dr.thread_count(), FEWEST_THREADS))
     with searching(os.path.dirname(path)):
         try:
-            check_nesting(path)
+            check_xml(path, defines)
             state = mi.parser.parse_file(config, str(path), **defines)
             mi.parser.transform_all(config, state)
             if not trust:

@@ -64,6 +64,19 @@ def pin_own_plugins() -> frozenset[str]:
     return names
 
 
+def own_plugin(description: dict[str, Any]) -> Any:
+    """Make a plugin that is registered in Python, not what a folder has under its name.
+
+    Args:
+        description: as ``mi.load_dict`` takes it.
+
+    Raises:
+        SceneError: Mitsuba would load a library instead.
+    """
+    _refuse_files_of(description["type"])
+    return mi.load_dict(description)
+
+
 def refuse_libraries(folders: Iterable[Path]) -> None:
     """Refuse folders from which Mitsuba could load a library as a plugin.
 
@@ -93,10 +106,7 @@ def refuse_types(state: Any, label: str) -> None:
                 f"{label}: {excerpt(repr(name))} is a path, and no type of a plugin; give the "
                 "name of a plugin of Mitsuba or svu_mi."
             )
-        for file in _libraries(name):
-            found = Path(str(mi.file_resolver().resolve(file)))
-            if os.path.exists(found) and not _is_own(found):
-                raise _refused(found)
+        _refuse_files_of(name)
 
 
 def searched_folders() -> list[Path]:
@@ -120,10 +130,17 @@ def searching(folder: str) -> Iterator[None]:
         mi.set_file_resolver(before)
 
 
+def _refuse_files_of(name: str) -> None:
+    for file in _libraries(name):
+        found = Path(str(mi.file_resolver().resolve(file)))
+        if os.path.exists(found) and not _is_own(found):
+            raise _refused(found)
+
+
 def _refused(path: Path) -> SceneError:
     return SceneError(
-        f"{excerpt(path, LONGEST)}: Mitsuba would run this library as a plugin; remove it, or pass "
-        "--trust (trust=True in Python) if you know who made it."
+        f"{excerpt(path, LONGEST)}: Mitsuba would run this library as a plugin; remove it, run "
+        "from another folder if it lies here, or pass --trust (trust=True) if you know who made it."
     )
 
 

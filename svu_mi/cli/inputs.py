@@ -14,7 +14,7 @@ from rich.console import Console
 
 from svu_mi import _llvm
 from svu_mi.errors import OptionError, SvuEnvironmentError, printable
-from svu_mi.limits import require_spp, require_texels
+from svu_mi.limits import FEWEST_THREADS, require_spp, require_texels
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
@@ -28,10 +28,6 @@ log = logging.getLogger(__name__)
 VARIANTS = ("cuda_ad_rgb", "metal_ad_rgb", "llvm_ad_rgb")  # the first that this machine can run
 
 MAX_THREADS = 1024
-# Mitsuba has Dr.Jit's workers decode EXR files, and waits for them: for ever if there is none,
-# that is with one thread, which is the default on a machine, or a share of one, with one core.
-FEWEST_THREADS = 2
-RESERVED = ("parallel", "optimize", "config", "filename")  # arguments of Mitsuba's own loaders
 
 Defines = Annotated[
     tuple[str, ...],
@@ -246,8 +242,6 @@ def parse_defines(words: tuple[str, ...]) -> dict[str, str]:
         key, separator, value = word.partition("=")
         if not (key and separator):
             raise OptionError(f"-D takes KEY=VALUE, got {word!r}.")
-        if key in RESERVED:
-            raise OptionError(f"-D {word}: {key!r} cannot be the name of a scene parameter.")
         defines[key] = value
     return defines
 

@@ -141,7 +141,7 @@ class Recover(Photographed):
             return None
         from svu_mi.output.textures import read_textures
 
-        textures = read_textures(self.initial)
+        textures = read_textures(self.initial, one_run=False)
         if textures.resolution != texels.resolution:
             width, height = textures.resolution
             raise OptionError(

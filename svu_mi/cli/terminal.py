@@ -69,6 +69,9 @@ class Forgiving:
 def forgiving_streams() -> Iterator[None]:
     """Make ``sys.stdout`` and ``sys.stderr`` forgiving for a while."""
     _open_standard_files()
+    for descriptor in (1, 2):  # of a pipe that does not wait, a slow reader would miss the rest
+        with suppress(OSError, AttributeError):  # not on Windows
+            os.set_blocking(descriptor, True)
     before = sys.stdout, sys.stderr
     with ExitStack() as opened:
         found = [

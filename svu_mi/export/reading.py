@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -12,7 +13,7 @@ import numpy as np
 from svu_mi.capture.mesh import MeshArrays, arrays, read_ply
 from svu_mi.capture.scene import last_sentence
 from svu_mi.capture.trust import pin_own_plugins
-from svu_mi.errors import CaptureError, MeshError
+from svu_mi.errors import CaptureError, MeshError, SvuWarning
 from svu_mi.export.asset import Asset, bad_values
 from svu_mi.exr import read_exr
 from svu_mi.output.manifest import RECORD
@@ -20,8 +21,9 @@ from svu_mi.output.maps import COVERAGE, ENTROPY
 from svu_mi.output.scene_xml import MESH, SCENE
 from svu_mi.output.textures import FILES, read_textures
 from svu_mi.output.upright import nearest_axis, up_of
-from svu_mi.results.reading import marks_of, require_one_capture, require_one_run
-from svu_mi.results.writing import settle
+from svu_mi.results.reading import are_of_one_capture, marks_of, require_one_run
+from svu_mi.results.record import entries
+from svu_mi.results.settling import settle
 
 HEADER = 4096  # bytes that hold the header of a PLY file
 
@@ -51,7 +53,7 @@ def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
         if not (maps / ENTROPY).is_file():
             raise CaptureError(f"{maps}: has no {ENTROPY}; give the folder that svu entropy wrote.")
     textured = folder / FILES["base_color"]
-    _require_same_capture(maps, textured)
+    _require_same_capture(maps, textured, asked=entropy is not None)
     scene = _parsed(folder / SCENE)
     shape = _shape(scene, folder / SCENE)
     smooth = shape.find("boolean[@name='face_normals']") is None
@@ -68,16 +70,24 @@ def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
     )
 
 
-def _require_same_capture(folder: Path, textured: Path) -> None:
-    """Refuse maps of two runs, and maps of another capture than that of the textures."""
+def _require_same_capture(folder: Path, textured: Path, *, asked: bool) -> None:
+    """Refuse maps of two runs, and those of another capture that nobody has asked for."""
     maps = [name for name in (ENTROPY, COVERAGE) if (folder / name).is_file()]
     runs = {marks_of(folder / name)[0] for name in maps}
     if len(runs) > 1:
         raise CaptureError(
             f"{folder}: {ENTROPY} and {COVERAGE} are of different runs; run svu entropy again."
         )
-    for name in maps:
-        require_one_capture(textured, folder / name)
+    for path in (folder / name for name in maps):
+        if are_of_one_capture(textured, path):
+            continue
+        sentence = f"{path}: is about another capture than {textured}"
+        if not asked:
+            raise CaptureError(
+                f"{sentence}; compute both from one, or give the folder of the maps with --entropy."
+            )
+        warnings.warn(f"{sentence}; its values are taken as they are.", SvuWarning, stacklevel=3)
+        return
 
 
 def _require_recovery(folder: Path) -> None:
@@ -86,7 +96,10 @@ def _require_recovery(folder: Path) -> None:
     missing = [name for name in (*FILES.values(), SCENE, MESH) if not (folder / name).is_file()]
     if not missing:
         return
-    words = f"{folder}: has no {', '.join(missing)}, so it is no result of svu recover"
+    words = f"{folder}: has no {', '.join(missing)}"
+    if any(entry.command == "recover" for entry in entries(folder / RECORD)):
+        raise CaptureError(f"{words}, which svu recover had written; run it again.")
+    words += ", so it is no result of svu recover"
     if (folder / ENTROPY).is_file():
         raise CaptureError(
             f"{words} but of svu entropy; run svu recover on the same capture, export what it "

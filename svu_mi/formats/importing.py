@@ -32,7 +32,7 @@ from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Light, Source
 from svu_mi.formats.textures import write_pictures
 from svu_mi.limits import require_views
-from svu_mi.results.writing import exchanging, require_own
+from svu_mi.results.writing import exchanging
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
 MAX_DEPTH = 6  # of the paths that a scene without a say of its own is rendered with
@@ -99,7 +99,6 @@ def import_capture(
         OutputError: the folder cannot be written, or holds something else.
     """
     require_variant()
-    require_own(folder, "import", capture_folder.FILE, [UNWRAPPED])
     options = options or ImportOptions()
     fixes = _fixes(options)
     frames = _frames(source, options, fixes)

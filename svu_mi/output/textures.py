@@ -14,7 +14,7 @@ from svu_mi.output.manifest import RECORD
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.textures import Textures
 from svu_mi.results.reading import require_one_run
-from svu_mi.results.writing import settle
+from svu_mi.results.settling import settle
 
 FILES = {name: f"{name}.exr" for name in NAMES}
 
@@ -47,12 +47,13 @@ def write_textures(
         write_exr(Path(folder) / FILES[name], {channels: image}, header, half=half)
 
 
-def read_textures(folder: str | Path) -> Textures:
+def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:
     """Read the three files that ``write_textures`` writes, from wherever they come.
 
     Args:
         folder: holds ``base_color.exr``, ``roughness.exr`` and ``metallic.exr``; the latter two
             may also have the one channel R, or three equal ones.
+        one_run: refuse files of different runs, as far as they say.
 
     Raises:
         CaptureError: one is missing, damaged, of another size or has other channels, holds a value
@@ -62,7 +63,8 @@ def read_textures(folder: str | Path) -> Textures:
     if not folder.is_dir():
         raise CaptureError(f"{folder}: no such folder; give one with {', '.join(FILES.values())}.")
     settle(folder)
-    require_one_run(folder, list(FILES.values()), RECORD, "recover")
+    if one_run:
+        require_one_run(folder, list(FILES.values()), RECORD, "recover")
     images = {name: _image(folder / FILES[name], CHANNELS[name]) for name in NAMES}
     sizes = {name: image.shape[:2] for name, image in images.items()}
     if len(set(sizes.values())) > 1:

@@ -13,6 +13,7 @@ from svu_mi.capture import mesh as meshes
 from svu_mi.capture import picture as pictures
 from svu_mi.capture.poses import bounding_sphere, directions_of, scaled_sensor
 from svu_mi.capture.rendering import object_mask
+from svu_mi.capture.trust import own_plugin
 from svu_mi.guidance.baselines import farthest
 
 SIDE = 512  # pixels of the longer side of a picture
@@ -68,7 +69,7 @@ def painted(scene: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
         "wrap_mode": "clamp",
     }
     integrator = {"type": "svu_entropy", "colormap": "none", "shading": True, "map": bitmap}
-    integrator = mi.load_dict({**integrator, "background": [1.0, 1.0, 1.0]})
+    integrator = own_plugin({**integrator, "background": [1.0, 1.0, 1.0]})
     small = scaled_sensor(sensor, SIDE)
     image = np.array(mi.render(scene, sensor=small, integrator=integrator, spp=SAMPLES))
     covered = object_mask(scene, scene.shapes()[0], small)

@@ -7,11 +7,12 @@ import errno
 import logging
 import os
 import socket
+import stat
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
 
 from svu_mi.errors import OutputError, excerpt
 
@@ -25,13 +26,25 @@ log = logging.getLogger(__name__)
 LOCK = ".svu-lock"
 UNKNOWN = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
 PAUSE = 0.05  # seconds between two tries
+LONGEST = 200  # letters of the name of a file that is locked, and of who has locked it
+# The file may be a stranger's: a link is not followed, a pipe not waited for.
+FLAGS = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
-_held: dict[Path, tuple[int, int]] = {}  # thread, and how often it has locked, by lock file
-_guard = threading.Lock()
+
+@dataclass
+class _Held:
+    """What this process has of a lock: which thread is in, how often, and the open file."""
+
+    gate: threading.RLock = field(default_factory=threading.RLock)
+    depth: int = 0
+    descriptor: int | None = None
+
+
+_held: dict[Path, _Held] = {}
 
 
 @contextlib.contextmanager
-def locked(place: Path, who: str, wait: float = 0) -> Iterator[None]:
+def locked(place: Path, who: str, wait: float = 0) -> Iterator[bool]:
     """Keep other processes, and other threads of this one, from writing to a place.
 
     The operating system gives the lock up when a process ends, however it ends: no lock is ever
@@ -40,110 +53,106 @@ def locked(place: Path, who: str, wait: float = 0) -> Iterator[None]:
     Args:
         place: a folder that exists, or a file, which need not.
         who: what the others are told is at work, such as ``svu recover``.
-        wait: seconds to wait for another process.
+        wait: seconds to wait for the others.
+
+    Yields:
+        Whether others are kept out; False where the file system knows no locks.
 
     Raises:
         OutputError: another one is at work there.
     """
     path = _file_of(place)
-    if _enter_again(path, place, who):
+    held = _held.setdefault(path, _Held())
+    if not held.gate.acquire(timeout=max(wait, 0)):
+        raise _occupied(place, "another thread of this process")
+    try:
+        if held.depth == 0:
+            held.descriptor = _acquire(path, place, who, wait)
+        held.depth += 1
         try:
-            yield
+            yield held.descriptor is not None
         finally:
-            _leave(path)
-        return
-    try:
-        stream = _acquire(path, place, who, wait)
-    except BaseException:
-        _leave(path)
-        raise
-    try:
-        yield
+            held.depth -= 1
+            if held.depth == 0 and held.descriptor is not None:
+                # Removed while it is held: whoever has opened it meanwhile sees that it is gone.
+                with contextlib.suppress(OSError):
+                    path.unlink()
+                os.close(held.descriptor)
     finally:
-        if stream is not None:
-            # Removed while it is held: whoever has opened it meanwhile sees that it is gone.
-            with contextlib.suppress(OSError):
-                path.unlink()
-            stream.close()
-        _leave(path)
+        held.gate.release()
 
 
 def _file_of(place: Path) -> Path:
     place = place.resolve()
-    return place / LOCK if place.is_dir() else place.with_name(f".{place.name[:200]}{LOCK}")
+    return place / LOCK if place.is_dir() else place.with_name(f".{place.name[:LONGEST]}{LOCK}")
 
 
-def _enter_again(path: Path, place: Path, who: str) -> bool:
-    """Note that this thread is in; return whether it was before."""
-    mine = threading.get_ident()
-    with _guard:
-        thread, depth = _held.get(path, (mine, 0))
-        if thread != mine:
-            raise _occupied(place, f"another thread ({who})")
-        _held[path] = (mine, depth + 1)
-    return depth > 0
-
-
-def _leave(path: Path) -> None:
-    with _guard:
-        thread, depth = _held.pop(path)
-        if depth > 1:
-            _held[path] = (thread, depth - 1)
-
-
-def _acquire(path: Path, place: Path, who: str, wait: float) -> IO[str] | None:
-    """Return the locked file; None where the file system knows no locks."""
+def _acquire(path: Path, place: Path, who: str, wait: float) -> int | None:
+    """Return the descriptor of the locked file; None where the file system knows no locks."""
     deadline = time.monotonic() + wait
     while True:
+        descriptor = _open(path, place)
         try:
-            stream = path.open("a+", encoding="utf-8", errors="replace")
+            _try(descriptor)
+            if _is_at(descriptor, path):
+                _sign(descriptor, f"{who}, process {os.getpid()} on {socket.gethostname()}")
+                return descriptor
+            os.close(descriptor)  # the one before has removed it in between
         except OSError as error:
-            raise OutputError(
-                f"{place}: cannot be locked for writing ({error.strerror}); choose another folder."
-            ) from error
-        try:
-            _try(stream)
-            if _is_at(stream, path):
-                stream.truncate(0)
-                stream.write(f"{who}, process {os.getpid()} on {socket.gethostname()}")
-                stream.flush()
-                return stream
-            stream.close()  # the one before has removed it in between
-        except OSError as error:
-            other = _reader(stream)
-            stream.close()
+            other = _signature(descriptor)
+            os.close(descriptor)
             if error.errno in UNKNOWN:
                 log.warning("%s: locks are not known there; let no two runs write to it.", place)
                 return None
-            if error.errno == errno.ENOSPC:
-                raise OutputError(f"{place}: cannot be written ({error.strerror}).") from error
             if time.monotonic() >= deadline:
                 raise _occupied(place, other) from error
             time.sleep(PAUSE)
 
 
-def _try(stream: IO[str]) -> None:
+def _open(path: Path, place: Path) -> int:
+    reason = "it is no file of ours"
+    try:
+        descriptor = os.open(path, FLAGS, 0o666)
+        status = os.fstat(descriptor)
+        if stat.S_ISREG(status.st_mode) and status.st_nlink <= 1:
+            return descriptor
+        os.close(descriptor)
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+    raise OutputError(
+        f"{place}: cannot be locked for writing by {path.name} ({reason}); remove that, or choose "
+        "another folder."
+    )
+
+
+def _try(descriptor: int) -> None:
     if fcntl is not None:
-        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return
     import msvcrt
 
-    stream.seek(0)
-    msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+    os.lseek(descriptor, 0, os.SEEK_SET)
+    msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
 
 
-def _is_at(stream: IO[str], path: Path) -> bool:
+def _is_at(descriptor: int, path: Path) -> bool:
     try:
-        return os.path.samestat(os.fstat(stream.fileno()), path.stat())
+        return os.path.samestat(os.fstat(descriptor), path.lstat())
     except OSError:
         return False
 
 
-def _reader(stream: IO[str]) -> str:
+def _sign(descriptor: int, text: str) -> None:
+    with contextlib.suppress(OSError):  # a full disk; it is a courtesy
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, text.encode(errors="replace"))
+
+
+def _signature(descriptor: int) -> str:
     """Return who holds the lock, as it has said itself."""
     try:
-        stream.seek(0)
-        return excerpt(stream.read(200))
+        os.lseek(descriptor, 0, os.SEEK_SET)
+        return excerpt(os.read(descriptor, LONGEST).decode(errors="replace"))
     except OSError:
         return ""
 

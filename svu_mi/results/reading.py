@@ -58,19 +58,16 @@ def require_one_run(folder: Path, names: Sequence[str], record: str, command: st
     other = next((n for n, run in runs.items() if run and first and run != runs[first]), None)
     if other is not None:
         raise CaptureError(
-            f"{folder}: {first} and {other} are of different runs; run svu {command} again, into "
-            "an empty folder."
+            f"{folder}: {first} and {other} are of different runs; take both from one, or run svu "
+            f"{command} again, into an empty folder."
         )
 
 
-def require_one_capture(first: Path, second: Path) -> None:
-    """Refuse two files that are about different captures, as far as they say.
+def are_of_one_capture(first: Path, second: Path) -> bool:
+    """Return whether two files are about one capture, as far as they say.
 
     Raises:
-        CaptureError: they are.
+        CaptureError: one cannot be read.
     """
     keys = [marks_of(path)[1] for path in (first, second)]
-    if all(keys) and keys[0] != keys[1]:
-        raise CaptureError(
-            f"{second}: is about another capture than {first}; compute both from the same one."
-        )
+    return not all(keys) or keys[0] == keys[1]

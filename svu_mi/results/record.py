@@ -17,7 +17,9 @@ from svu_mi.errors import CaptureError
 from svu_mi.files import read_json
 
 RESULT, BESIDE = "written", "beside"
+RECORDS = ("run.json", "asset.json", "check.json", "capture.json")
 LONGEST = 1024  # letters of a name
+MAX_BYTES = 2**26  # of a record
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,9 +56,9 @@ class Entry:
         try:
             return (
                 name in self.files
+                and link_above(folder, name) is None
                 and path.is_file()
                 and not path.is_symlink()
-                and path.parent.resolve().is_relative_to(folder.resolve())
                 and digest_of(path) == self.files[name]
             )
         except OSError:
@@ -66,14 +68,20 @@ class Entry:
 def entries(record: Path) -> list[Entry]:
     """Return the results that a record names, the last one first; none if it cannot be read."""
     try:
-        found = read_json(record) if record.is_file() else {}
-    except CaptureError:
+        short = record.is_file() and record.stat().st_size <= MAX_BYTES
+        found = read_json(record) if short else {}
+    except (CaptureError, OSError):
         return []
     if not isinstance(found, dict):
         return []
     beside = found.get(BESIDE)
     values = [found.get(RESULT), *(beside if isinstance(beside, list) else [])]
     return [entry for entry in map(Entry.parse, values) if entry is not None]
+
+
+def entries_in(folder: Path) -> list[Entry]:
+    """Return the results that any record of a folder names."""
+    return [entry for record in RECORDS for entry in entries(folder / record)]
 
 
 def is_as_written(folder: Path, record: str) -> bool:
@@ -89,6 +97,16 @@ def is_inside(name: Any) -> bool:
     path = PurePosixPath(name)
     plain = "\\" not in name and ":" not in name and name == path.as_posix()
     return plain and not path.is_absolute() and ".." not in path.parts and name != "."
+
+
+def link_above(folder: Path, name: str) -> Path | None:
+    """Return what stands in the way to a file: a link, or anything but a folder, if any does."""
+    here = folder
+    for part in PurePosixPath(name).parts[:-1]:
+        here = here / part
+        if here.is_symlink() or (here.exists() and not here.is_dir()):
+            return here
+    return None
 
 
 def digest_of(path: Path) -> str:

@@ -12,24 +12,46 @@ that comes, a writer or a reader (``settle``).
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import secrets
 import shutil
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from svu_mi.errors import CaptureError, OutputError, SvuWarning, excerpt
-from svu_mi.files import is_temporary_of_dead, prepare_folder, read_json, stamped, write_json
+from svu_mi.errors import OutputError, SvuWarning, excerpt
+from svu_mi.files import (
+    clear_temporaries,
+    is_temporary_of_dead,
+    prepare_folder,
+    stamped,
+)
 from svu_mi.results.lock import LOCK, locked
-from svu_mi.results.record import BESIDE, RESULT, Entry, digest_of, entries, is_inside
+from svu_mi.results.record import (
+    BESIDE,
+    RECORDS,
+    RESULT,
+    Entry,
+    digest_of,
+    entries,
+    entries_in,
+    link_above,
+)
+from svu_mi.results.settling import (
+    JOURNAL,
+    READY,
+    complete,
+    is_folder,
+    names_in,
+    walk,
+)
 
-DRAFT, READY, JOURNAL = ".svu-draft-", ".svu-ready-", ".journal.json"
+DRAFT = ".svu-draft-"
 IGNORED = {LOCK, ".DS_Store", "Thumbs.db"}
-PATIENCE = 10.0  # seconds that a reader waits for files that are being moved
 RUN, CAPTURE = "svu:run", "svu:capture"  # header entries of every EXR
 
 
@@ -43,7 +65,8 @@ class Draft:
         run: id of the run, 16 hexadecimal digits.
         command: that writes it.
         capture: key of the capture that it is about, or empty.
-        earlier: results that lie in the target.
+        earlier: results that its record names.
+        known: those that any record in the target names.
     """
 
     folder: Path
@@ -52,6 +75,7 @@ class Draft:
     command: str
     capture: str
     earlier: tuple[Entry, ...]
+    known: tuple[Entry, ...]
 
     def entries(self) -> dict[str, Any]:
         """Return what the record says of the files: those of the draft, and others beside them.
@@ -85,9 +109,10 @@ def claimed(folder: str | Path, who: str, *, tidy: bool = False) -> Iterator[Pat
     existed = Path(folder).exists()
     folder = prepare_folder(folder)
     try:
-        with locked(folder, who):
-            _complete(folder)
-            _sweep(folder)
+        with locked(folder, who) as alone:
+            complete(folder)
+            if alone:
+                _sweep(folder)
             yield folder
     finally:
         if tidy and not existed:
@@ -125,12 +150,13 @@ def writing(
         draft = Draft(
             folder=target / f"{DRAFT}{run}", target=target, run=run, command=command,
             capture=capture, earlier=tuple(entries(target / record)),
+            known=tuple(entries_in(target)),
         )  # fmt: skip
         try:
             draft.folder.mkdir()
             with stamped({RUN: run, CAPTURE: capture} if capture else {RUN: run}):
                 yield draft
-            _put_in_place(draft, record, consumed)
+            ready = _make_count(draft, record, consumed)
         except OutputError as error:
             # Nobody has asked for a file in the draft.
             sentence = str(error).replace(f"{draft.folder}{os.sep}", f"{target}{os.sep}")
@@ -142,6 +168,7 @@ def writing(
             ) from error
         finally:
             shutil.rmtree(draft.folder, ignore_errors=True)
+        complete(target, ready)
 
 
 @contextlib.contextmanager
@@ -155,11 +182,11 @@ def exchanging(
             yield draft
 
 
-def require_own(folder: str | Path, command: str, record: str, caches: Sequence[str] = ()) -> None:
+def require_own(folder: Path, command: str, record: str, caches: Sequence[str] = ()) -> None:
     """Refuse a folder that holds anything but an earlier result of a command.
 
     Args:
-        folder: need not exist.
+        folder: that is locked.
         command: that is about to write there.
         record: name of its record.
         caches: names of files that may be lost, because they are made again.
@@ -167,97 +194,68 @@ def require_own(folder: str | Path, command: str, record: str, caches: Sequence[
     Raises:
         OutputError: it holds something else, or a file was changed since.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
-        return
-    settle(folder)
     earlier = [entry for entry in entries(folder / record) if entry.command == command]
     allowed = {record, *caches} if earlier else set()
-    for name in names_in(folder, empty=True):
+    for name in walk(folder, empty=True):
         if name in allowed or name in IGNORED or is_temporary_of_dead(Path(name)):
             continue
         if name.startswith(DRAFT) or any(entry.owns(folder, name) for entry in earlier):
             continue
-        what = f"was not written by svu {command}"
+        what = f"was not written by svu {command}, or by an older version of it"
         if any(name in entry.files for entry in earlier):
             what = f"was changed since svu {command} wrote it"
         raise OutputError(
-            f"{folder}: holds other files: {excerpt(name)} {what}; choose another folder, or empty "
-            "this one."
+            f"{folder}: holds other files: {excerpt(name)} {what}; choose another folder, or "
+            "empty this one."
         )
 
 
-def settle(folder: str | Path) -> None:
-    """Complete a result that a killed run had finished writing but not moved to its place.
-
-    Every reader of a folder calls this first; it costs one look into the folder.
-
-    Raises:
-        OutputError: it cannot be completed, as the folder is read only, or is being written.
-    """
-    folder = Path(folder)
-    if _ready(folder):
-        with locked(folder, "svu", wait=PATIENCE):
-            _complete(folder)
-
-
-def names_in(folder: Path, *, empty: bool = False) -> list[str]:
-    """Return the files below a folder, with slashes; a link to a folder counts as a file.
-
-    Args:
-        folder: to look into.
-        empty: name folders without anything in them, too.
-    """
-    found = []
-    for root, folders, files in os.walk(folder):
-        here = Path(root)
-        found += [here / name for name in (*files, *folders) if not is_folder(here / name)]
-        if empty and here != folder and not (files or folders):
-            found.append(here)
-    return sorted(path.relative_to(folder).as_posix() for path in found)
-
-
-def is_folder(path: Path) -> bool:
-    """Return whether a path is a folder itself, and no link to one."""
-    return path.is_dir() and not path.is_symlink()
-
-
-def _put_in_place(draft: Draft, record: str, consumed: Sequence[str]) -> None:
-    """Say what is to be moved and removed, make the draft count, and do it."""
+def _make_count(draft: Draft, record: str, consumed: Sequence[str]) -> Path:
+    """Say what is to be moved and removed, and give the draft the name that makes it count."""
     new = names_in(draft.folder)
     if record not in new:
         raise OutputError(f"{draft.target / record}: was not written.")
-    old = {n for e in draft.earlier if e.command == draft.command for n in e.files
-           if n not in new and e.owns(draft.target, n)}  # fmt: skip
+    old = {name for e in draft.earlier if e.command == draft.command for name in e.files}
+    own = {name for name in {*old, *new} if any(e.owns(draft.target, name) for e in draft.known)}
+    written = {name.casefold() for name in new}  # some systems know no case
+    gone = {name for name in own - set(new) if name.casefold() not in written}
     journal = {
         "record": record,
-        "remove": sorted(old | {n for n in consumed if (draft.target / n).is_file()}),
-        "keep": _kept(draft, new, record),
+        "remove": sorted(gone | {name for name in consumed if (draft.target / name).is_file()}),
+        "keep": _kept(draft, new, own),
     }
-    write_json(draft.folder / JOURNAL, journal)
+    (draft.folder / JOURNAL).write_text(json.dumps(journal), encoding="utf-8")
     ready = draft.target / f"{READY}{draft.run}"
     draft.folder.rename(ready)
-    _move(draft.target, ready)
+    return ready
 
 
-def _kept(draft: Draft, new: Sequence[str], record: str) -> dict[str, str]:
-    """Return other names for files that would be overwritten and are no run's own."""
+def _kept(draft: Draft, new: Sequence[str], own: Collection[str]) -> dict[str, str]:
+    """Return other names for what is in the way of the new files and is no run's own."""
     kept: dict[str, str] = {}
     for name in new:
-        path = draft.target / name
+        path = link_above(draft.target, name) or draft.target / name
+        at = path.relative_to(draft.target).as_posix()
         if is_folder(path):
             raise OutputError(f"{path}: is a folder; remove it, or choose another folder.")
-        if not os.path.lexists(path) or any(e.owns(draft.target, name) for e in draft.earlier):
+        if at in kept or at in own or not os.path.lexists(path) or _is_record(draft, at):
             continue
-        if name == record and draft.earlier:
-            continue
-        kept[name] = _free(path).relative_to(draft.target).as_posix()
+        kept[at] = _free(path).relative_to(draft.target).as_posix()
+    if kept:
+        old, other = next(iter(kept.items()))
+        more = f" (and {len(kept) - 1} more likewise)" if len(kept) > 1 else ""
         warnings.warn(
-            f"{path}: not written by svu, or changed since; kept as {kept[name]}.",
+            f"{draft.target}: {old}, not written by this version of svu or changed since, is kept "
+            f"as {other}{more}; remove it when you need it no more.",
             SvuWarning,
             stacklevel=6,
         )
     return kept
+
+
+def _is_record(draft: Draft, name: str) -> bool:
+    """Return whether a file is a record, which no entry lists, but which has some of its own."""
+    return name in RECORDS and bool(draft.earlier)
 
 
 def _free(path: Path) -> Path:
@@ -269,82 +267,10 @@ def _free(path: Path) -> Path:
     raise OutputError(f"{path}: cannot be kept under another name; move it away.")
 
 
-def _ready(folder: Path) -> list[Path]:
-    try:
-        with os.scandir(folder) as found:
-            names = [e.name for e in found if re.fullmatch(rf"{READY}[0-9a-f]{{16}}", e.name)]
-    except OSError:
-        return []
-    return [folder / name for name in sorted(names)]
-
-
-def _complete(folder: Path) -> None:
-    for ready in _ready(folder):
-        try:
-            _move(folder, ready)
-        except OSError as error:
-            raise OutputError(
-                f"{folder}: the result of a run that was stopped cannot be completed "
-                f"({error.strerror or type(error).__name__}); give the folder back its permissions."
-            ) from error
-
-
-def _move(folder: Path, ready: Path) -> None:
-    """Do what is left of the journal; may be stopped and begun again at any point."""
-    journal = _journal(ready)
-    if journal is not None:
-        for name, other in journal["keep"].items():
-            if (ready / name).exists() and not os.path.lexists(folder / other):
-                with contextlib.suppress(FileNotFoundError):
-                    (folder / name).rename(folder / other)
-        for name in journal["remove"]:
-            (folder / name).unlink(missing_ok=True)
-            _remove_if_empty((folder / name).parent, folder)
-        names = [name for name in names_in(ready) if name not in (JOURNAL, journal["record"])]
-        for name in (*names, journal["record"]):
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            with contextlib.suppress(FileNotFoundError):  # moved before
-                (ready / name).replace(folder / name)
-    shutil.rmtree(ready, ignore_errors=True)
-
-
-def _journal(ready: Path) -> dict[str, Any] | None:
-    """Return what is to be done; None when nothing is left, as the journal is removed last.
-
-    The folder may be a stranger's: nothing outside it is touched.
-
-    Raises:
-        OutputError: it is no journal, or names something outside.
-    """
-    path, folder = ready / JOURNAL, ready.parent
-    if ready.is_symlink() or not path.is_file():
-        return None
-    try:
-        found = read_json(path)
-        names = [found["record"], *found["remove"], *found["keep"], *found["keep"].values()]
-    except (CaptureError, KeyError, TypeError, AttributeError):
-        names = [None]
-    for name in (*names, *names_in(ready)):
-        inside = is_inside(name)
-        if not inside or not (folder / name).parent.resolve().is_relative_to(folder.resolve()):
-            raise OutputError(
-                f"{ready}: its {JOURNAL} is not one of svu; remove this folder, and compute the "
-                "result again."
-            )
-    return dict(found)
-
-
 def _sweep(folder: Path) -> None:
     """Remove what killed runs have left; nobody else writes, as the folder is locked."""
     with contextlib.suppress(OSError):
         for path in list(folder.iterdir()):
-            if re.fullmatch(rf"{DRAFT}[0-9a-f]{{16}}", path.name) and not path.is_symlink():
+            if re.fullmatch(rf"{DRAFT}[0-9a-f]{{16}}", path.name) and is_folder(path):
                 shutil.rmtree(path, ignore_errors=True)
-            elif is_temporary_of_dead(path):
-                path.unlink(missing_ok=True)
-
-
-def _remove_if_empty(place: Path, folder: Path) -> None:
-    with contextlib.suppress(OSError):
-        if place != folder:
-            place.rmdir()
+    clear_temporaries(folder)

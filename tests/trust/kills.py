@@ -38,7 +38,8 @@ from svu_mi.exr import read_exr, write_exr
 from svu_mi.files import read_json
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.results.record import entries
-from svu_mi.results.writing import DRAFT, names_in, settle
+from svu_mi.results.settling import names_in, settle
+from svu_mi.results.writing import DRAFT
 
 SMALL = ("--resolution", "24")
 LIMIT = 300.0  # seconds that a command may take

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from helpers import write_scene
 
 import svu_mi as svu
 from svu_mi.capture.scene import load_scene, require_variant
-from svu_mi.capture.trust import SUFFIXES
+from svu_mi.capture.trust import SUFFIXES, own_plugin
 from svu_mi.cli.main import main
 from svu_mi.errors import SceneError
 
@@ -159,6 +160,26 @@ def test_mitsubas_own_plugins_are_not_replaced_later(tmp_path, monkeypatch, libr
     monkeypatch.chdir(tmp_path)
     assert "RoughConductor" in str(mi.load_dict({"type": "roughconductor"}))
     assert not loaded.exists()
+
+
+@pytest.mark.parametrize("name", ["prb", "svu_entropy"])
+def test_plugins_in_python_are_not_replaced_later(tmp_path, monkeypatch, library, loaded, name):
+    """Mitsuba looks for a library of that name every time, wherever the process is by then."""
+    plant(library, tmp_path / "plugins" / f"{name}.so")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SceneError, match=rf"{name}.so: Mitsuba would run this library as a plugin"):
+        own_plugin({"type": name})
+    assert not loaded.exists()
+    plant(library, tmp_path / "elsewhere" / "plugins" / "another.so")
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert own_plugin({"type": "prb"}) is not None
+
+
+def test_every_plugin_in_python_is_made_that_way(root):
+    """All that is made by a name that Mitsuba has no library for."""
+    names = re.compile(r"load_dict\(\s*{\s*(\*\*\w+, )?\"type\": \"(prb|svu_\w+)")
+    for path in (root / "svu_mi").rglob("*.py"):
+        assert not names.search(path.read_text()), path
 
 
 def test_plugins_that_the_caller_registers_need_no_trust(tmp_path):

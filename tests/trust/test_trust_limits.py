@@ -17,6 +17,7 @@ from svu_mi.capture import render_capture
 from svu_mi.capture.folder import Description
 from svu_mi.capture.images import read_photographs
 from svu_mi.capture.poses import sphere_sensors
+from svu_mi.capture.scene import load_scene
 from svu_mi.errors import CaptureError, OptionError, SceneError
 from svu_mi.exr import exr_size, read_exr, write_exr
 from svu_mi.light.environment import radiance_from, read_environment
@@ -72,6 +73,16 @@ def test_a_scene_with_80000_sensors_is_refused_unread(tmp_path, capsys):
     line = fails(capsys, "entropy", path, "-o", tmp_path / "out")
     assert "sensors: there may be 16384 at most, got 80000" in line
     assert time.perf_counter() - begin < SECONDS
+
+
+def test_sensors_are_counted_wherever_they_are_and_nowhere_else(tmp_path):
+    comment = f"<!-- {'<sensor' * 20_000} -->"
+    assert load_scene(write_scene(tmp_path, extra=comment)).sensors()
+    more = f'<scene version="3.0.0">{sensor_xml(1) * 20_000}</scene>'
+    (tmp_path / "more.xml").write_text(more, encoding="utf-16")
+    path = write_scene(tmp_path, extra='<include filename="more.xml"/>')
+    with pytest.raises(SceneError, match="sensors: there may be 16384 at most, got 20003"):
+        load_scene(path)
 
 
 def test_a_capture_with_80000_sensors_is_refused_unread(tmp_path):

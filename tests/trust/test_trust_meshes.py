@@ -141,6 +141,31 @@ def test_elements_nested_without_end_are_refused(tmp_path, depth):
         load_scene(write_scene(tmp_path, extra='<include filename="more.xml"/>'))
 
 
+@pytest.mark.parametrize("words", [
+    '<string name="x" value="&foo;"/>', '<bsdf type="diffuse" type="plastic"/>',
+    '<bsdf type="diffuse" id="\xe9"/>',
+])  # fmt: skip
+def test_xml_that_another_parser_would_refuse_is_refused(tmp_path, words):
+    """Mitsuba's would go on, and read what was not looked through."""
+    deep = '<bsdf type="twosided">' * 600 + "</bsdf>" * 600
+    path = write_scene(tmp_path, extra=words + deep)
+    path.write_bytes(path.read_text().encode("latin-1"))
+    with pytest.raises(SceneError, match=r"scene\.xml: no sound XML \("):
+        load_scene(path)
+
+
+def test_what_is_included_by_a_parameter_is_looked_through(tmp_path):
+    deep = '<bsdf type="twosided">' * 600 + "</bsdf>" * 600
+    (tmp_path / "more.xml").write_text(f'<scene version="3.0.0">{deep}</scene>')
+    words = '<default name="f" value="less"/><include filename="$f.xml"/>'
+    path = write_scene(tmp_path, extra=words)
+    with pytest.raises(SceneError, match=r"more\.xml: more than 500 elements are nested"):
+        load_scene(path, {"f": "more"})
+    os.mkfifo(tmp_path / "less.xml")
+    with pytest.raises(SceneError, match="less.xml, which is no file"):
+        load_scene(path)
+
+
 @pytest.mark.parametrize(
     "words",
     [

@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 from helpers import fails, names, run, write_scene
 
+from svu_mi.capture import loading
+from svu_mi.errors import CaptureError, SvuWarning
+from svu_mi.export.reading import load_asset
 from svu_mi.exr import read_attributes, write_exr
 from svu_mi.results.reading import marks_of
 
@@ -54,24 +57,61 @@ def test_every_file_of_a_result_has_the_id_of_its_run(made):
 def test_a_file_of_another_run_is_refused(made, result, tmp_path, capsys, name):
     shutil.copy(made / "b" / "r" / name, result / name)
     line = fails(capsys, "export", result, "-o", tmp_path / "asset")
-    assert f"base_color.exr and {name} are of different runs; run svu recover again" in line
+    assert f"base_color.exr and {name} are of different runs; take both from one" in line
     assert names(tmp_path) == ["r"]
     if name.endswith(".exr") or name == "run.json":
         words = ("report", made / "a" / "shot", *SMALL, "--recovered", result)
         assert "are of different runs" in fails(capsys, *words, "-o", tmp_path / "page.html")
-        again = ("recover", made / "a" / "shot", *SMALL, "--start", result, "-o", tmp_path / "o")
-        assert "are of different runs" in fails(capsys, *again)
 
 
 def test_maps_of_another_capture_are_refused(made, result, tmp_path, capsys):
     other = made / "b" / "e"
-    line = fails(capsys, "export", result, "--entropy", other, "-o", tmp_path / "asset")
-    assert "entropy.exr: is about another capture than" in line
     shutil.copy(other / "coverage.exr", result / "coverage.exr")
     line = fails(capsys, "export", result, "-o", tmp_path / "asset")
     assert "entropy.exr and coverage.exr are of different runs" in line
-    same = made / "a" / "e"
-    assert run("export", result, "--entropy", same, "-o", tmp_path / "asset") == 0
+    shutil.copy(other / "entropy.exr", result / "entropy.exr")
+    line = fails(capsys, "export", result, "-o", tmp_path / "asset")
+    assert "entropy.exr: is about another capture than" in line
+    with pytest.warns(SvuWarning, match="is about another capture"):  # as asked for
+        load_asset(result, other)
+    assert run("export", result, "--entropy", made / "a" / "e", "-o", tmp_path / "asset") == 0
+
+
+def test_a_file_that_is_missing_is_named(made, result, tmp_path, capsys):
+    (result / "metallic.exr").unlink()
+    line = fails(capsys, "export", result, "-o", tmp_path / "asset")
+    assert "has no metallic.exr, which svu recover had written; run it again" in line
+
+
+def test_a_capture_that_was_moved_without_its_scene_says_so(made, tmp_path, capsys):
+    shutil.copytree(made / "a" / "shot", tmp_path / "far" / "away")
+    line = fails(capsys, "entropy", tmp_path / "far" / "away", "-o", tmp_path / "out")
+    assert "capture.json: its scene" in line and "is not there; bring it along" in line
+
+
+def test_a_photograph_of_another_run_is_refused(made, tmp_path, capsys):
+    shot = shutil.copytree(made / "a" / "shot", made / "a" / "mixed")
+    shutil.copy(made / "b" / "shot" / "view_0001.exr", shot / "view_0001.exr")
+    line = fails(capsys, "entropy", shot, *SMALL, "-o", tmp_path / "out")
+    assert "view_0001.exr: is of another run than capture.json beside it" in line
+    write_exr(shot / "view_0001.exr", {"RGB": np.full((24, 24, 3), 0.5)})  # one's own
+    assert run("entropy", shot, *SMALL, "-o", tmp_path / "out") == 0
+
+
+def test_a_capture_that_is_exchanged_while_it_is_read_is_refused(made, monkeypatch):
+    shot = shutil.copytree(made / "a" / "shot", made / "a" / "exchanged")
+
+    read = loading._photographs
+
+    def exchange(*arguments):
+        found = read(*arguments)
+        shutil.copy(made / "b" / "shot" / "capture.json", shot / "capture.json")
+        return found
+
+    with monkeypatch.context() as patch:
+        patch.setattr(loading, "_photographs", exchange)
+        with pytest.raises(CaptureError, match="was written anew while it was read; load it again"):
+            loading.load_capture(shot)
 
 
 def test_entropy_computed_again_beside_textures_still_fits(made, result, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import multiprocessing
 import os
@@ -19,21 +20,11 @@ from helpers import names
 from svu_mi.errors import CaptureError, OutputError, SvuWarning
 from svu_mi.exr import read_attributes, write_exr
 from svu_mi.files import replacing, stamp, stamped, write_json, write_text
-from svu_mi.results import writing as writing_module
 from svu_mi.results.lock import LOCK, locked
-from svu_mi.results.reading import marks_of, require_one_capture, require_one_run
+from svu_mi.results.reading import are_of_one_capture, marks_of, require_one_run
 from svu_mi.results.record import entries, is_inside
-from svu_mi.results.writing import (
-    DRAFT,
-    JOURNAL,
-    READY,
-    claimed,
-    exchanging,
-    names_in,
-    require_own,
-    settle,
-    writing,
-)
+from svu_mi.results.settling import JOURNAL, READY, names_in, settle
+from svu_mi.results.writing import DRAFT, claimed, exchanging, require_own, writing
 
 KILLED = 9
 STEPS = ("rename", "replace", "unlink", "mkdir", "rmdir")  # of Path, that change a folder
@@ -118,7 +109,7 @@ def test_completing_can_be_killed_too(tmp_path):
         write(folder, "o", ("a", "b"))
         if not killed_at(first, lambda at=folder: write(at, "n", ("a", "b"))):
             break
-        if not writing_module._ready(folder):
+        if not list(folder.glob(f"{READY}*")):
             continue
         second = 0
         while killed_at(second, lambda at=folder: settle(at)):
@@ -160,7 +151,7 @@ def test_a_folder_made_for_nothing_is_removed(tmp_path):
 
 def test_files_of_others_are_kept(tmp_path):
     (tmp_path / "a").write_text("mine")
-    with pytest.warns(SvuWarning, match=r"a: not written by svu, or changed since; kept as a.bef"):
+    with pytest.warns(SvuWarning, match=r": a, not written by .* or changed since, is kept as a"):
         write(tmp_path, "o", ("a",))
     assert contents(tmp_path) == {"a": "o", "a.before": "mine", "run.json": "o"}
     (tmp_path / "a").write_text("edited")
@@ -191,12 +182,11 @@ def test_results_of_several_commands_share_a_folder(tmp_path):
 
 def test_a_folder_of_its_own(tmp_path):
     """What render and import ask of theirs."""
-    require_own(tmp_path / "none", "render", "run.json")
     require_own(tmp_path, "render", "run.json")
     write(tmp_path, "o", ("view",), "render")
     (tmp_path / "cache").write_text("x")
     require_own(tmp_path, "render", "run.json", ["cache"])
-    with pytest.raises(OutputError, match=r"cache was not written by svu render; choose another"):
+    with pytest.raises(OutputError, match=r"cache was not written by svu render, or by an ol"):
         require_own(tmp_path, "render", "run.json")
     with pytest.raises(OutputError, match="was not written by svu import"):
         require_own(tmp_path, "import", "run.json", ["cache"])
@@ -225,7 +215,7 @@ def test_names_that_leave_the_folder_are_none(name):
     assert is_inside("assets/a.exr")
 
 
-@pytest.mark.parametrize("key", ["remove", "keep", "kept as", "link", "moved"])
+@pytest.mark.parametrize("key", ["remove", "keep", "kept as", "link", "moved", "kept link"])
 def test_a_journal_of_a_stranger_touches_nothing_outside(tmp_path, key):
     """A reader completes what it finds, but never beyond the folder."""
     outside, folder = tmp_path / "outside", tmp_path / "folder"
@@ -243,12 +233,17 @@ def test_a_journal_of_a_stranger_touches_nothing_outside(tmp_path, key):
         (folder / "run.json").write_text("x")
         journal["keep"] = {"run.json": "../outside/a"}
     else:
-        (folder / "assets").symlink_to(outside)
-        journal["remove"] = ["assets/a"] if key == "link" else []
+        name = "x" if key == "kept link" else "assets"
+        (folder / name).symlink_to(outside)
+        journal["remove"] = ["assets/a"] if key != "moved" else []
+        if key == "kept link":  # a link that only the journal puts in the way
+            journal["keep"] = {"x": "assets"}
+            (ready / "x").write_text("x")
         (ready / "assets").mkdir()
         (ready / "assets" / "a").write_text("evil")
     (ready / JOURNAL).write_text(json.dumps(journal))
-    with pytest.raises(OutputError, match=r"journal.json is not one of svu; remove this folder"):
+    wrong = r"journal.json is not one of svu; remove this folder|leads elsewhere; remove the hid"
+    with pytest.raises(OutputError, match=wrong):
         settle(folder)
     assert (outside / "a").read_text() == "mine" and names(outside) == ["a"]
 
@@ -259,17 +254,17 @@ def test_what_killed_runs_have_left_is_cleared(tmp_path):
     draft = tmp_path / f"{DRAFT}{'a' * 16}"
     draft.mkdir()
     (draft / "half").write_text("x")
-    stale = tmp_path / f".page.{dead}-0123abcd.tmp.html"
-    alive = tmp_path / f".page.{os.getpid()}-0123abcd.tmp.html"
-    for path in (stale, alive, tmp_path / ".page.tmp.html", tmp_path / f"{DRAFT}mine"):
-        path.write_text("x")
+    with replacing(tmp_path / "page.html") as temporary:
+        alive = temporary.name
+    mine = f"-{os.getpid()}-"
+    stale, elsewhere = alive.replace(mine, f"-{dead}-"), f".page.00000000-{dead}-0123abcd.tmp.html"
+    assert mine in alive
+    for name in (stale, alive, elsewhere, ".page.tmp.html", f"{DRAFT}mine"):
+        (tmp_path / name).write_text("x")
     with claimed(tmp_path, "test"):
         pass
-    assert names(tmp_path) == sorted([alive.name, ".page.tmp.html", f"{DRAFT}mine"])
-    stale.write_text("x")
-    with replacing(tmp_path / "page.html") as temporary:
-        temporary.write_text("new")
-    assert not stale.exists() and alive.exists()
+    left = [alive, elsewhere, ".page.tmp.html", f"{DRAFT}mine", "page.html"]
+    assert names(tmp_path) == sorted(left)  # of another machine nothing is known
 
 
 def test_one_writer_at_a_time(tmp_path):
@@ -316,6 +311,92 @@ def test_a_thread_may_lock_again_and_another_may_not(tmp_path):
     assert len(refused) == 1
 
 
+@pytest.mark.parametrize("kind", ["link", "hard link", "dangling", "pipe", "folder"])
+def test_a_lock_that_a_stranger_has_laid_is_not_touched(tmp_path, kind):
+    """It is a file that is written to, and removed."""
+    folder, keys = tmp_path / "folder", tmp_path / "keys"
+    folder.mkdir()
+    keys.write_text("mine")
+    lock = folder / LOCK
+    match kind:
+        case "link":
+            lock.symlink_to(keys)
+        case "hard link":
+            lock.hardlink_to(keys)
+        case "dangling":
+            lock.symlink_to(tmp_path / "made")
+        case "pipe":
+            os.mkfifo(lock)
+        case "folder":
+            lock.mkdir()
+    with pytest.raises(OutputError, match=r"cannot be locked for writing by .svu-lock \("):
+        write(folder, "n", ("a",))
+    assert keys.read_text() == "mine" and not (tmp_path / "made").exists()
+    assert names(folder) == [LOCK]
+
+
+def test_without_locks_nobody_s_draft_is_cleared(tmp_path, monkeypatch, caplog):
+    def unknown(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", unknown)
+    draft = tmp_path / f"{DRAFT}{'a' * 16}"
+    draft.mkdir()
+    write(tmp_path, "n", ("a",))
+    assert draft.is_dir() and (tmp_path / "a").read_text() == "n\n"
+
+
+def test_what_is_in_the_way_of_a_folder_is_kept(tmp_path):
+    """A file, or a link to another disk, where the result has a folder."""
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "assets").symlink_to(tmp_path / "disk")
+    (tmp_path / "out" / "textures").write_text("mine")
+    with pytest.warns(SvuWarning, match=r"kept as assets.before \(and 1 more likewise\)"):
+        write(tmp_path / "out", "n", ("assets/a", "assets/b", "textures/c"))
+    assert names(tmp_path / "disk") == []
+    assert names(tmp_path / "out") == [
+        "assets", "assets.before", "run.json", "textures", "textures.before"
+    ]  # fmt: skip
+    assert (tmp_path / "out" / "assets.before").is_symlink()
+    write(tmp_path / "out", "n", ("assets/a", "textures/c"))
+    assert names_in(tmp_path / "out") == [
+        "assets.before", "assets/a", "run.json", "textures.before", "textures/c"
+    ]  # fmt: skip
+
+
+def test_a_result_that_cannot_be_moved_is_not_lost(tmp_path, monkeypatch):
+    write(tmp_path, "o", ("a", "b"))
+
+    def refused(self: Path, target: Path) -> Path:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", refused)
+        with pytest.raises(OutputError, match=r"the result is complete in .svu-ready-\w+, but can"):
+            write_without_replacing(tmp_path)
+    settle(tmp_path)
+    assert contents(tmp_path) == {"a": "n", "b": "n", "run.json": "n"}
+
+
+def write_without_replacing(folder: Path) -> None:
+    with writing(folder, "recover", "run.json") as draft:
+        for name in ("a", "b"):
+            (draft.folder / name).write_text("n\n")
+        record = {"letter": "n", **draft.entries()}
+        (draft.folder / "run.json").write_text(json.dumps(record))
+
+
+def test_files_of_another_command_in_the_folder_are_known(tmp_path):
+    """Two that take turns do not keep each other's files for ever."""
+    for _ in range(3):
+        write(tmp_path, "r", ("mesh",))
+        with writing(tmp_path, "export", "asset.json") as draft:
+            write_text(draft.folder / "mesh", "e")
+            write_json(draft.folder / "asset.json", {"letter": "e", **draft.entries()})
+    assert names(tmp_path) == ["asset.json", "mesh", "run.json"]
+
+
 def test_a_page_can_be_locked(tmp_path):
     with locked(tmp_path / "report.html", "one"):
         assert names(tmp_path) == [f".report.html{LOCK}"]
@@ -343,10 +424,10 @@ def test_readers_refuse_files_of_two_runs(tmp_path):
     files = ["a.exr", "b.exr", "mine.exr"]
     require_one_run(tmp_path, files, "run.json", "recover")
     marked("b.exr", "34cd", "02")
-    with pytest.raises(CaptureError, match=r"a.exr and b.exr are of different runs; run svu recov"):
+    with pytest.raises(CaptureError, match=r"a.exr and b.exr are of different runs; take both"):
         require_one_run(tmp_path, files, "run.json", "recover")
-    with pytest.raises(CaptureError, match=r"b.exr: is about another capture than .*a.exr"):
-        require_one_capture(tmp_path / "a.exr", tmp_path / "b.exr")
+    assert not are_of_one_capture(tmp_path / "a.exr", tmp_path / "b.exr")
+    assert are_of_one_capture(tmp_path / "a.exr", tmp_path / "mine.exr")
     entry = {"run": "56ef", "command": "recover", "capture": "", "files": {}}
     write_json(tmp_path / "run.json", {"written": entry})
     with pytest.raises(CaptureError, match=r"a.exr and run.json are of different runs"):

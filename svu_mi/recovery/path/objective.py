@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.capture import Capture
+from svu_mi.capture.trust import own_plugin
 from svu_mi.errors import ShapeError
 from svu_mi.recovery.options import PathOptions
 from svu_mi.recovery.path.gradient import PathGradient
@@ -109,7 +110,7 @@ def path_objective(
             f"{fixed.resolution}."
         )
     target = PathScene.of(capture, fixed)
-    integrator = mi.load_dict({"type": "prb", "max_depth": options.max_depth})
+    integrator = own_plugin({"type": "prb", "max_depth": options.max_depth})
     gradient = None
     if options.halves and options.spp % 2 == 0:
         gradient = PathGradient(target, integrator, LOSSES[options.loss], options.spp)

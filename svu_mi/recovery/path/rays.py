@@ -14,6 +14,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.capture.poses import describe, film_size, make_sensor
+from svu_mi.capture.trust import own_plugin
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.interop import owned
 from svu_mi.visibility.rays import film_ray, ray_floats
@@ -194,7 +195,7 @@ def _classes(variant: str) -> tuple[Any, Any]:
         ) -> None:  # fmt: skip
             super().__init__(sensors, targets, size, seed=seed, tile_size=tile)
             me: Any = self  # what Mitsuba's own loader defines is not typed
-            aimed: Any = mi.load_dict({"type": "svu_film_rays", "film": me.flat_sensor.film()})
+            aimed = own_plugin({"type": "svu_film_rays", "film": me.flat_sensor.film()})
             aimed.initialize(sensors, size)
             aimed.aim(_ray_floats(sensors))
             me.flat_sensor = aimed
