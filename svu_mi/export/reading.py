@@ -74,7 +74,7 @@ def _require_same_capture(folder: Path, textured: Path, *, asked: bool) -> None:
     """Refuse maps of two runs, and those of another capture that nobody has asked for."""
     maps = [name for name in (ENTROPY, COVERAGE) if (folder / name).is_file()]
     runs = {marks_of(folder / name)[0] for name in maps}
-    if len(runs) > 1:
+    if len(runs - {""}) > 1:
         raise CaptureError(
             f"{folder}: {ENTROPY} and {COVERAGE} are of different runs; run svu entropy again."
         )
