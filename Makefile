@@ -1,4 +1,4 @@
-# The commands of the README: demo, test and test-all. Each first installs what it needs into .venv,
+# The commands of the README: demo, test, test-all and docs. Each first installs what it needs into .venv,
 # once per change of pyproject.toml; nothing else on the machine is touched.
 
 PYTHON ?= python3
@@ -10,7 +10,7 @@ NO_VENV := Python cannot make a virtual environment here; on Debian and Ubuntu: 
 VENV_WITHOUT_ENSUREPIP = $(PYTHON) -m venv --clear --without-pip .venv && \
   $(PYTHON) -m pip --python $(PY) install --quiet pip
 
-.PHONY: demo test test-all lint clean
+.PHONY: demo test test-all lint docs clean
 
 demo: .venv/installed
 	.venv/bin/svu demo -o out/demo
@@ -25,6 +25,10 @@ lint: .venv/installed-test
 	$(PY) -m ruff check .
 	$(PY) -m mypy
 
+docs: .venv/installed-docs
+	$(PY) -m sphinx --quiet --fail-on-warning --keep-going --conf-dir notebooks . out/docs
+	@echo "Wrote out/docs/README.html"
+
 .venv/installed: pyproject.toml .venv/here
 	@echo "Installing svu_mi and what it needs into .venv"
 	$(PIP) install --quiet -e .
@@ -32,7 +36,12 @@ lint: .venv/installed-test
 
 .venv/installed-test: pyproject.toml .venv/here
 	@echo "Installing svu_mi, what it needs, and its test tools into .venv"
-	$(PIP) install --quiet -e '.[test]'
+	$(PIP) install --quiet -e '.[test,docs]'
+	@touch .venv/installed .venv/installed-docs $@
+
+.venv/installed-docs: pyproject.toml .venv/here
+	@echo "Installing svu_mi, what it needs, and Sphinx into .venv"
+	$(PIP) install --quiet -e '.[docs]'
 	@touch .venv/installed $@
 
 # Checked every time, touched only when something changed: an environment whose interpreter or

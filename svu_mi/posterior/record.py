@@ -113,7 +113,7 @@ class Posterior(ABC):
 
     @property
     def probabilities(self) -> Any:
-        """p, TensorXf (T, *grid); or (T, *grid, 3) when each channel has its own.
+        """p, TensorXf ``(T, *grid)``; or ``(T, *grid, 3)`` when each channel has its own.
 
         The last axis then holds one distribution per channel, each with the other channels
         marginalised.
@@ -130,7 +130,7 @@ class Posterior(ABC):
             chosen: (t,) indices of texels.
 
         Returns:
-            TensorXf (t, *grid) or (t, *grid, 3), as ``probabilities`` has it.
+            TensorXf ``(t, *grid)`` or ``(t, *grid, 3)``, as ``probabilities`` has it.
 
         Raises:
             OptionError: an index outside [0, T), or a result of more than 2 GiB.

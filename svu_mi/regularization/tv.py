@@ -33,7 +33,7 @@ class TotalVariation(Regularizer):
     between every texel and its right and its lower neighbour in the map, wherever they are on
     the object. Texels outside the charts have no influence and no gradient in either case.
 
-    With ``epsilon`` 0, a term is |psi_i - psi_j| as printed, and its derivative the sign of the
+    With ``epsilon`` 0, a term is ``|psi_i - psi_j|`` as printed, its derivative the sign of the
     difference, 0 for equal values.
 
     Attributes:

@@ -1,0 +1,153 @@
+"""How Sphinx makes pages of the README, of this folder and of the docstrings (make docs)."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+from typing import Any, get_args
+
+import svu_mi  # first: it finds a usable LLVM
+
+import mitsuba as mi
+from docutils import nodes
+from docutils.parsers.rst.directives.tables import ListTable
+from sphinx.application import Sphinx
+from sphinx.directives.code import CodeBlock
+from sphinx.ext.napoleon import Config, GoogleDocstring
+from sphinx.util.docutils import SphinxDirective
+
+from svu_mi.cli.main import Command, main
+
+mi.set_variant("llvm_ad_rgb")  # classes of plugins exist only in a variant
+os.environ["COLUMNS"] = "100"  # of the commands' help
+
+project, version = "svu_mi", svu_mi.__version__
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
+root_doc = "README"
+include_patterns = ["*.md", "notebooks/*.md", "notebooks/*.rst", "notebooks/*.ipynb"]
+exclude_patterns = [".*", "build", "dist", "out", "scenes", "svu_mi", "tests"]
+nb_execution_mode = "off"  # notebooks are stored executed
+myst_heading_anchors = 4
+html_theme_options = {"page_width": "80em", "body_max_width": "60em", "sidebar_width": "16em"}
+toc_object_entries_show_parents = "hide"
+html_show_copyright = html_show_sphinx = False
+maximum_signature_line_length = 80
+
+autodoc_default_options = {"members": True}
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+GOOGLE = Config(napoleon_use_ivar=True)
+
+# The names of Mitsuba's own manual, in which plugins are documented.
+TYPES = "bool exposed false float int rgb string texture true".split()
+rst_prolog = "\n".join(f".. |{name}| replace:: ``{name}``" for name in TYPES)
+MANUAL = "https://mitsuba.readthedocs.io/en/stable/src/generated/plugins_{}s.html#{}"
+
+CONTENTS = """
+```{toctree}
+:hidden:
+:caption: Pages
+notebooks/capture
+notebooks/methods
+notebooks/guiding
+notebooks/recovering
+notebooks/results
+notebooks/limits
+notebooks/promises
+notebooks/troubleshooting
+notebooks/paper
+BENCHMARKS
+```
+```{toctree}
+:hidden:
+:caption: Notebooks
+notebooks/entropy
+notebooks/guidance
+notebooks/recovery
+notebooks/import
+notebooks/conventions
+```
+```{toctree}
+:hidden:
+:caption: Reference
+notebooks/python
+notebooks/commands
+notebooks/plugins
+CONTRIBUTING
+CHANGELOG
+```
+"""
+
+
+class PluginParameters(ListTable):
+    """The table of a plugin's parameters: name, type, meaning."""
+
+
+class Tabs(SphinxDirective):
+    """Alternatives, one below the other."""
+
+    has_content = True
+
+    def run(self) -> list[nodes.Node]:
+        return self.parse_content_to_nodes()
+
+
+def in_mitsubas_manual(app: Sphinx, env: Any, node: Any, text: nodes.Node) -> nodes.Node | None:
+    """Resolve references of plugins to Mitsuba's, such as ``bsdf-principled``."""
+    kind = node["reftarget"].partition("-")[0]
+    if kind not in ("bsdf", "integrator"):
+        return None
+    return nodes.reference("", "", text, refuri=MANUAL.format(kind, node["reftarget"]))
+
+
+def help_of(command: str) -> str:
+    """Return what ``svu COMMAND --help`` prints."""
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
+        main([command, "--help"])
+    return text.getvalue()
+
+
+def complete(app: Sphinx, page: str, source: list[str]) -> None:
+    """Add what a page does not hold in the repository: the contents, and the help of commands."""
+    if page == root_doc:
+        source[0] += CONTENTS
+    if page == "notebooks/commands":
+        names = [each.__metadata__[0].name for each in get_args(Command)]
+        source[0] += "".join(f"\n## svu {n}\n\n```text\n{help_of(n)}```\n" for n in names)
+
+
+def read_docstring(
+    app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: list[str]
+) -> None:
+    """Turn a docstring into reST: sections in Google's style, formulas that stand indented."""
+    text, last = [], ""
+    for before, line in zip(["", *lines], lines, strict=False):
+        if line.startswith(" ") and not before and last and not last.startswith((" ", "*", "..")):
+            text += ["::", ""]
+        text.append(line)
+        last = line or last
+    # Of an attribute, a colon on the first line would end its type.
+    kind = "method" if what in ("attribute", "property") else what
+    lines[:] = GoogleDocstring(text, GOOGLE, app, kind, name, thing, options).lines()
+
+
+def without_factories(
+    app: Sphinx, what: str, name: str, thing: Any, options: Any, signature: str, returned: str
+) -> tuple[str, str] | None:
+    """Replace the defaults of dataclasses that Sphinx could not read."""
+    return (signature.replace("<factory>", "..."), returned) if signature else None
+
+
+def setup(app: Sphinx) -> None:
+    """Register the above."""
+    app.add_directive("pluginparameters", PluginParameters)
+    app.add_directive("tabs", Tabs)
+    app.add_directive("code-tab", CodeBlock)
+    app.add_generic_role("monosp", nodes.literal)
+    app.add_generic_role("math", nodes.emphasis, override=True)  # MathJax is loaded from elsewhere
+    app.connect("missing-reference", in_mitsubas_manual)
+    app.connect("source-read", complete)
+    app.connect("autodoc-process-docstring", read_docstring)
+    app.connect("autodoc-process-signature", without_factories)

@@ -1,0 +1,75 @@
+"""The documentation builds without a warning, and everything public is in it."""
+
+from __future__ import annotations
+
+import html
+import re
+import subprocess
+import sys
+from typing import get_args
+
+import pytest
+
+pytest.importorskip("myst_nb", reason="the extra docs is not installed")
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def pages(root, tmp_path_factory):
+    """Text of every page, by its name."""
+    folder = tmp_path_factory.mktemp("docs")
+    words = ["--quiet", "--fail-on-warning", "--keep-going", "--conf-dir", "notebooks"]
+    run = subprocess.run(
+        [sys.executable, "-m", "sphinx", *words, ".", folder],
+        cwd=root, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0 and not run.stderr, run.stderr
+    return {
+        path.relative_to(folder).with_suffix("").as_posix(): path.read_text(encoding="utf-8")
+        for path in folder.rglob("*.html")
+    }
+
+
+def headings(page: str) -> list[str]:
+    """Return the headings of a page, without tags and link marks."""
+    found = re.findall(r"<h\d>(.*?)</h\d>", page, re.S)
+    return [html.unescape(re.sub(r"<a class=.*|<[^>]+>", "", text)) for text in found]
+
+
+def test_every_public_name_is_documented(pages):
+    import svu_mi
+
+    documented = set(re.findall(r'id="svu_mi\.([\w.]+)"', pages["notebooks/python"]))
+    assert set(svu_mi.__all__) <= documented
+    assert {"Posterior.entropy", "Estimate.image", "Preset.degree"} <= documented  # members, too
+
+
+def test_every_command_is_documented(pages):
+    from svu_mi.cli.main import Command
+
+    page = pages["notebooks/commands"]
+    for name in (each.__metadata__[0].name for each in get_args(Command)):
+        assert f"svu {name}" in headings(page) and f"usage: svu {name} [-h]" in page, name
+
+
+def test_every_plugin_is_documented(pages):
+    from svu_mi.plugins import registry
+
+    page = pages["notebooks/plugins"]
+    for name in registry.MODULES:
+        assert any(f"({name})" in heading for heading in headings(page)), name
+        assert f"svu_mi.plugins.{name}." in page
+
+
+def test_every_page_and_notebook_is_there(pages, root):
+    written = [*root.glob("*.md"), *(root / "notebooks").iterdir()]
+    written = [path for path in written if path.suffix in (".md", ".rst", ".ipynb")]
+    assert len(written) > 15
+    for path in written:
+        assert path.relative_to(root).with_suffix("").as_posix() in pages, path
+
+
+def test_pages_need_no_network(pages):
+    for name, page in pages.items():
+        loaded = re.findall(r'<(?:script|link|img)[^>]*(?:src|href)="(https?:[^"]*)"', page)
+        assert not loaded, (name, loaded)

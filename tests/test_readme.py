@@ -1,0 +1,107 @@
+"""What README, pages and CONTRIBUTING print works: commands, Python, the names of files."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tyro
+
+LINES = {"README.md": 15, "notebooks/recovering.md": 30}  # of the scripts, at most
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "notebooks").glob("*.md"))]
+
+
+def script(page: str, heading: str) -> str:
+    """Return the code block of a section."""
+    text = (ROOT / page).read_text(encoding="utf-8") + "\n## "
+    section = re.search(rf"^## {heading}\n(.*?)^## ", text, re.M | re.S)
+    assert section is not None
+    blocks = re.findall(r"^```python\n(.*?)^```", section[1], re.M | re.S)
+    assert len(blocks) == 1
+    return blocks[0]
+
+
+def commands(page: Path) -> list[list[str]]:
+    """Return the words of each command of svu that stands on a line of its own."""
+    lines = re.findall(r"^    svu (.*)$", page.read_text(encoding="utf-8"), re.M)
+    return [shlex.split(line, comments=True) for line in lines]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_commands_are_understood(page, capsys):
+    from svu_mi.cli.main import Command
+
+    config = (tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands)
+    for words in commands(page):
+        try:
+            tyro.cli(Command, args=words, config=config)  # type: ignore[arg-type]
+        except SystemExit as stop:
+            pytest.fail(f"svu {shlex.join(words)}: {stop.code} {capsys.readouterr()}")
+
+
+def test_there_are_commands():
+    assert len(commands(ROOT / "README.md")) > 10
+    assert sum(len(commands(page)) for page in PAGES) > 30
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_python_names_exist(page):
+    import svu_mi
+
+    text = page.read_text(encoding="utf-8")
+    assert set(re.findall(r"\bsvu\.([A-Za-z_]+)", text)) <= set(svu_mi.__all__)
+
+
+def test_contributing_names_files_that_exist():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`((?:svu_mi|tests|plugins|notebooks)/[\w./]+)`", text))
+    assert len(named) > 40
+    missing = [name for name in named if "NAME" not in name and not (ROOT / name).exists()]
+    for name in re.findall(r"`(\w+\.py)`", text):  # of the folder that was named before
+        missing += [] if list((ROOT / "svu_mi").rglob(name)) else [name]
+    assert not missing
+
+
+@pytest.mark.parametrize(
+    "page, heading", [("README.md", "From Python"), ("notebooks/recovering.md", "In your own loop")]
+)
+def test_scripts_are_short(page, heading):
+    code = script(page, heading)
+    assert len([line for line in code.splitlines() if line.strip()]) <= LINES[page]
+
+
+@pytest.mark.slow
+def test_the_script_of_the_readme_runs(tmp_path, monkeypatch):
+    from svu_mi.cli.main import main
+
+    monkeypatch.chdir(tmp_path)
+    scene = ROOT / "scenes" / "vase" / "vase.xml"
+    small = ("-D", "resolution=64", "--spp", "8")
+    assert main(["render", str(scene), "-D", "light=window", *small, "-o", "capture"]) == 0
+    names: dict[str, Any] = {}
+    code = script("README.md", "From Python").replace("256", "64").replace("100", "20")
+    exec(compile(code, "README.md", "exec"), names)
+    assert names["entropy"].shape == names["doubt"].shape == names["roughness"].shape == (64, 64)
+    assert (np.array(names["low"]) <= np.array(names["high"])).all()
+    assert len(names["views"].proposals) == 5
+
+
+@pytest.mark.slow
+def test_the_loop_recovers_textures(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    page = "notebooks/recovering.md"
+    names: dict[str, Any] = {}
+    exec(compile(script(page, "In your own loop"), page, "exec"), names)
+    inside = names["texels"].inside()
+    ratios = []
+    for key in names["keys"]:
+        truth, found = (np.array(names[x][key])[inside] for x in ("truth", "optimizer"))
+        assert np.isfinite(found).all() and found.min() >= 0 and found.max() <= 1
+        ratios.append(np.sqrt(((found - truth) ** 2).mean() / ((0.5 - truth) ** 2).mean()))
+    # A start of 0.5 everywhere, 72 steps: base colour 0.71, roughness 0.95, metallic 0.90.
+    assert max(ratios) < 1 and np.mean(ratios) < 0.93, ratios
