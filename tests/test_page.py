@@ -10,7 +10,7 @@ import pytest
 
 from svu_mi.errors import OutputError
 from svu_mi.output import page
-from svu_mi.output.plots import plot
+from svu_mi.output.chart import plot
 
 TEMPLATE = """{% extends "base.html" %}
 {% import "parts.html" as parts %}

@@ -22,11 +22,11 @@ from svu_mi.cli.main import main
 from svu_mi.cli.viewing import View
 from svu_mi.errors import OptionError, ShapeError, SvuEnvironmentError
 from svu_mi.output import views
+from svu_mi.output.surface_maps import surface_maps
 from svu_mi.output.viewer.frusta import frustum
 from svu_mi.output.viewer.model import GAIN, before_tone_mapping, tone_mapped
 from svu_mi.output.viewer.panels import says
 from svu_mi.output.viewer.picking import Picker, nearest_texel
-from svu_mi.output.viewer.surface_maps import surface_maps
 from svu_mi.output.viewer.viewer import Viewer
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.textures import Textures
@@ -155,9 +155,9 @@ def test_the_panel_says_mean_and_interval_of_every_channel(capture, known):
 def test_uncertainty_is_half_the_width_of_the_interval(known):
     count = known.texels.count
     given = SimpleNamespace(level=0.8, half_width=lambda _: np.linspace(0, 0.4, count))
-    shown = surface_maps(known, intervals=given)["uncertainty of roughness"]()
+    shown = surface_maps(known, intervals=given)["uncertainty of roughness"]
     assert shown.scale.label == "half the width of the 80 % interval"
-    own = shown.colors.reshape(-1, 3)[known.texels.index.numpy()]
+    own = shown.colors(np.inf).reshape(-1, 3)[known.texels.index.numpy()]
     expected = colormaps[shown.scale.colormap](np.linspace(0, 0.4 / shown.scale.high, count))
     seen = np.array(known.coverage) > 0
     assert np.allclose(own[seen], expected[seen, :3], atol=0.01)
@@ -186,7 +186,7 @@ def test_an_unseen_texel_is_grey_and_nothing_is_known_of_it(capture, known, pick
     assert "seen by none of 4 views" in says(capture, found)
     assert "nothing is known" in says(capture, found)
     for name in ("entropy", "coverage", "most probable base colour", "entropy of metallic"):
-        colors = surface_maps(known)[name]().colors
+        colors = surface_maps(known)[name].colors(np.inf)
         assert np.allclose(colors[found.row, found.column], (0.55, 0.55, 0.58))
 
 
@@ -194,12 +194,12 @@ def test_maps_reach_over_all_that_is_outside_the_charts(known, quarters):
     """What is drawn anywhere is the nearest texel's, which is what a click there finds."""
     table = nearest_texel(known.texels)
     assert (table >= 0).all()
-    colors = surface_maps(known)["entropy"]().colors
+    colors = surface_maps(known)["entropy"].colors(np.inf)
     own = colors.reshape(-1, 3)[known.texels.index.numpy()]
     assert np.array_equal(colors, own[table])
-    shown = surface_maps(known, quarters)["recovered base colour"]()
+    shown = surface_maps(known, quarters)["recovered base colour"]
     assert shown.scale is None
-    assert np.allclose(shown.colors, views.srgb(np.array(quarters.base_color)))
+    assert np.allclose(shown.colors(), views.srgb(np.array(quarters.base_color)))
     with pytest.raises(ShapeError, match="textures have"):
         surface_maps(replace(known, texels=texels_of_another_size(known)), quarters)
 

@@ -1,4 +1,23 @@
-"""Results as files: maps, an overview, and the record of the run."""
+"""Results as files, and pages about them.
+
+Where a page is made, and where its look is:
+
+=================  =======================  ==================================================
+``overview.png``   ``overview.py``          what photographs tell (``svu entropy``)
+``guidance.png``   ``guidance_page.py``     which to take next; all its files: ``guidance.py``
+``recovery.png``   ``recovery_page.py``     what was recovered; all its files: ``recovery.py``
+``relit.png``      ``relit.py``             textures under another light
+``report.html``    ``report/report.py``     one file to send; ``templates/report.html``
+``check.html``     ``check_page.py``        whether a capture fits; ``templates/check.html``
+a browser          ``viewer/viewer.py``     ``svu view``
+=================  =======================  ==================================================
+
+Colours, headings, titles and colour bars of all of them are in ``style.py``. PNG pages are lists
+of panels, and what several draw is in ``figures.py``, also for notebooks. HTML pages extend
+``templates/base.html`` and share the macros of ``templates/parts.html`` and ``templates/page.css``;
+``page.py`` writes them. What maps of the object there are, report and viewer take from
+``surface_maps.py``; numbers and words for all are in ``result.py`` and ``knowledge.py``.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plots of a page: bars and lines in the coordinates of a small SVG, drawn by ``parts.html``."""
+"""Charts of an HTML page: bars and lines in the coordinates of a small SVG; see ``parts.html``."""
 
 from __future__ import annotations
 

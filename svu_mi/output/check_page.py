@@ -21,6 +21,7 @@ from svu_mi.light.environment import nearest_node, read_environment
 from svu_mi.light.levels import resolved
 from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.output.page import THUMBNAIL, Picture, photograph, write_page
+from svu_mi.output.style import AFTER, BEFORE
 from svu_mi.output.upright import facing, up_of
 from svu_mi.output.views import tone_mapped
 from svu_mi.results.writing import writing
@@ -29,7 +30,6 @@ TEMPLATE, RECORD = "check.html", "check.json"
 MOST = 120  # thumbnails; the worst
 ROWS = 8  # of each table of hypotheses
 LIGHT = (480, 240)  # pixels of a panorama
-BEFORE, AFTER = (1.0, 0.25, 0.2), (0.1, 0.85, 0.35)  # outlines
 QUESTIONS = {
     "poses": "Cameras and mesh", "light": "Environment map", "texture": "Texture coordinates",
 }  # fmt: skip
@@ -74,6 +74,8 @@ def _write_page(capture: Capture, found: Check, path: Path) -> None:
         panoramas=_panoramas(capture, corrected),
         source=str(capture.source or ""),
         is_corrected=bool(fixes),
+        before=BEFORE,
+        after=AFTER,
     )
 
 

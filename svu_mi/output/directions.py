@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture.poses import bounding_sphere, directions_of
-from svu_mi.output.style import COLORMAP, FAINT, INK, RULE, UNSEEN
+from svu_mi.output import style
+from svu_mi.output.style import FAINT, INK, RULE, UNSEEN
 from svu_mi.output.upright import UP, facing
 
 if TYPE_CHECKING:
@@ -36,15 +37,12 @@ def draw_directions(
     Returns:
         What was drawn, to hand to ``figure.colorbar``.
     """
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     used = capture.used_sensors
     center, _ = bounding_sphere(capture.shape)
     frame = facing(np.array(up, np.float64), directions_of(used, center)[0])
     x, y = _hammer(directions_of(guidance.candidates.sensors, center) @ frame.T)
     gains, reachable = guidance.gains, guidance.candidates.reachable
-    drawn = ScalarMappable(Normalize(*color_range(gains[reachable])), COLORMAP)
+    drawn = style.scale(color_range(gains[reachable]))
     _graticule(axes)
     size = _dot(axes, len(gains))
     axes.scatter(x[~reachable], y[~reachable], size, facecolors="none", edgecolors=UNSEEN, lw=1)
@@ -72,10 +70,10 @@ def _graticule(axes: Axes) -> None:
     """Draw the border of the map, and lines every 30 degrees of elevation and 45 of azimuth."""
     t = np.linspace(-np.pi, np.pi, 181)
 
-    def line(azimuth: Any, elevation: Any, **style: Any) -> None:
+    def line(azimuth: Any, elevation: Any, **options: Any) -> None:
         level = np.cos(elevation)
         parts = (level * np.sin(azimuth), np.sin(elevation) + 0 * azimuth, level * np.cos(azimuth))
-        axes.plot(*_hammer(np.stack(parts, axis=-1)), color=RULE, zorder=0, **style)
+        axes.plot(*_hammer(np.stack(parts, axis=-1)), color=RULE, zorder=0, **options)
 
     edge = np.pi - 1e-6
     for elevation in np.radians([-60, -30, 0, 30, 60]):
@@ -98,9 +96,9 @@ def _key(axes: Axes, unreachable: bool) -> None:
     axes.scatter([], [], 60, c=[(0.13, 0.57, 0.55)], lw=0, label="other candidates")
     if unreachable:
         axes.scatter([], [], 60, facecolors="none", edgecolors=UNSEEN, label="out of reach")
-    axes.legend(
-        fontsize=9.5, frameon=False, labelcolor=INK, loc="lower left", borderaxespad=0,
-        bbox_to_anchor=(-0.01, 1.03), handletextpad=0.1, ncol=4, columnspacing=1.4,
+    style.legend(
+        axes, 9.5, loc="lower left", borderaxespad=0, bbox_to_anchor=(-0.01, 1.03),
+        handletextpad=0.1, ncol=4, columnspacing=1.4,
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Building blocks of figures, for notebooks and papers: each draws into axes of yours.
+"""Panels of pages, notebooks and papers: each draws into axes of yours.
 
 ```python
 figure, axes = plt.subplots(1, 2)
@@ -9,6 +9,7 @@ figure.colorbar(draw_map(axes[1], estimate), ax=axes[1], label="entropy")
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -17,9 +18,8 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
 from svu_mi.metrics import GroundTruth
-from svu_mi.output import views
-from svu_mi.output.result import prior_marginal, words
-from svu_mi.output.style import COLORMAP, INK, OUTSIDE, UNSEEN, framed
+from svu_mi.output import style, views
+from svu_mi.output.result import is_seen, prior_marginal, words
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import Posterior
 from svu_mi.surface import Texels
@@ -28,28 +28,33 @@ from svu_mi.surface.gutter import dilate
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import QuadMesh
+    from matplotlib.colorbar import Colorbar
     from matplotlib.colors import Colormap
     from matplotlib.image import AxesImage
 
 GUTTER = 3  # texels that charts grow by on the object, so that their borders show no seam
 KNOWN_WIDTH = 0.05  # at which the only node of a known parameter is drawn
-DENSITY, TRUTH = "magma", "#e8453c"  # colours of a posterior, and of the true values
 
 
-def draw_photograph(axes: Axes, capture: Capture, view: int) -> None:
+def draw_photograph(
+    axes: Axes,
+    capture: Capture,
+    view: int,
+    window: tuple[float, float, float, float] | None = None,
+) -> None:
     """Draw a photograph, exposed for the object and cropped to it.
 
     Args:
         axes: where to.
         capture: the ``Capture``.
         view: index of the photograph; without a mask all of it is shown.
+        window: what to show, as ``views.object_window`` returns it; that of the mask by default.
     """
-    mask = capture.masks[view]
+    mask = capture.masks[view] if capture.masks else None
     image = views.tone_mapped(capture.images[view], mask)
-    if mask is not None:
-        image = views.crop(image, views.object_window(mask))
-    axes.imshow(image)
-    axes.set_axis_off()
+    if window is None and mask is not None:
+        window = views.object_window(mask)
+    style.draw_image(axes, image if window is None else views.crop(image, window))
 
 
 def draw_map(
@@ -58,7 +63,8 @@ def draw_map(
     values: Any | None = None,
     *,
     limits: tuple[float, float] = (0, 1),
-    colormap: str | Colormap = COLORMAP,
+    colormap: str | Colormap = style.COLORMAP,
+    interpolation: str | None = None,
 ) -> AxesImage:
     """Draw a value of every texel in the layout of the texture; row 0 is v = 0.
 
@@ -71,18 +77,45 @@ def draw_map(
         values: (T,) one value per texel; the entropy by default.
         limits: values at the two ends of the colormap.
         colormap: one of matplotlib's, or its name.
+        interpolation: of ``imshow``.
 
     Returns:
         What was drawn, to hand to ``figure.colorbar``.
     """
-    inside, seen = estimate.texels.inside(), estimate.texels.to_image(_seen(estimate), True)
+    inside, seen = estimate.texels.inside(), estimate.texels.to_image(is_seen(estimate), True)
     image = estimate.texels.to_image(_values(estimate, values), np.nan)
-    drawn = axes.imshow(image, cmap=colormap, vmin=limits[0], vmax=limits[1])
+    drawn = axes.imshow(
+        image, cmap=colormap, vmin=limits[0], vmax=limits[1], interpolation=interpolation
+    )
     cover = np.zeros((*image.shape, 4), np.float32)
-    cover[~seen], cover[~inside] = (*UNSEEN, 1), (*OUTSIDE, 1)
+    cover[~seen], cover[~inside] = (*style.UNSEEN, 1), (*style.OUTSIDE, 1)
     axes.imshow(cover, interpolation="nearest")
-    framed(axes)
+    style.framed(axes)
     return drawn
+
+
+def draw_scaled_map(
+    axes: Axes,
+    estimate: Estimate,
+    values: Any | None = None,
+    label: str = "",
+    *,
+    ticks: Sequence[float] = (),
+    **options: Any,
+) -> Colorbar:
+    """Draw a map as ``draw_map`` does with its options, and the scale of its colours below.
+
+    Args:
+        axes: where to.
+        estimate: says which texels there are and which are seen.
+        values: (T,) one value per texel; the entropy by default.
+        label: what the numbers are.
+        ticks: numbers of the scale, where matplotlib's own would be too many.
+        options: of ``draw_map``.
+    """
+    drawn = draw_map(axes, estimate, values, **options)
+    bar: Colorbar = style.color_bar(axes, drawn, label, ticks=ticks)
+    return bar
 
 
 def draw_on_object(
@@ -93,7 +126,7 @@ def draw_on_object(
     values: Any | None = None,
     *,
     limits: tuple[float, float] = (0, 1),
-    colormap: str = COLORMAP,
+    colormap: str = style.COLORMAP,
 ) -> None:
     """Draw a value of every texel on the object, as a camera of the capture sees it.
 
@@ -113,8 +146,7 @@ def draw_on_object(
 def draw_texture(axes: Axes, capture: Capture, view: int, colors: np.ndarray) -> None:
     """Draw screen colours (H, W, 3) on the object, as a camera of the capture sees it."""
     shown = views.picture(capture, colors, capture.sensors[view])
-    axes.imshow(views.crop(shown[..., :3], views.object_window(shown[..., 3] > 0)))
-    axes.set_axis_off()
+    style.draw_image(axes, views.crop(shown[..., :3], views.object_window(shown[..., 3] > 0)))
 
 
 def map_colors(
@@ -122,27 +154,40 @@ def map_colors(
     values: Any | None = None,
     *,
     limits: tuple[float, float] = (0, 1),
-    colormap: str | Colormap = COLORMAP,
+    colormap: str | Colormap = style.COLORMAP,
     gutter: float = GUTTER,
 ) -> np.ndarray:
     """Return a value of every texel as screen colours (H, W, 3), nearly white outside the charts.
 
     Args:
-        estimate: says which texels there are; those that no view sees are grey.
+        estimate: says which texels there are and which are seen.
         values: (T,) one value per texel; the entropy by default.
         limits: values at the two ends of the colormap.
         colormap: one of matplotlib's, or its name.
         gutter: texels that charts grow by.
     """
-    from matplotlib import colormaps
-    from matplotlib.colors import Normalize
+    colors = style.colors(_values(estimate, values), limits, colormap)
+    return _laid_out(estimate, colors, gutter, style.UNSEEN)
 
-    image = estimate.texels.to_image(_values(estimate, values), limits[0])
-    colors = colormaps.get_cmap(colormap)(Normalize(*limits)(image))[..., :3].astype(np.float32)
-    inside = estimate.texels.inside()
-    colors[~estimate.texels.to_image(_seen(estimate), True)] = UNSEEN
-    colors[~inside] = OUTSIDE
-    return dilate(colors, inside, gutter)
+
+def albedo_colors(
+    estimate: Estimate, values: Any, *, gutter: float = GUTTER, unseen: Any = style.UNSEEN
+) -> np.ndarray:
+    """Return a linear colour (T, 3) of every texel as ``map_colors`` does a value.
+
+    ``unseen`` is what texels that no view sees look like: one colour, or a picture (H, W, 3).
+    """
+    colors = views.srgb(np.clip(np.array(values), 0, 1))
+    return _laid_out(estimate, colors, gutter, unseen)
+
+
+def _laid_out(estimate: Estimate, colors: np.ndarray, gutter: float, unseen: Any) -> np.ndarray:
+    """Lay screen colours (T, 3) out as a texture."""
+    image, inside = estimate.texels.to_image(colors, 0), estimate.texels.inside()
+    not_seen = ~estimate.texels.to_image(is_seen(estimate), True)
+    image[not_seen] = np.broadcast_to(unseen, image.shape)[not_seen]
+    image[~inside] = style.OUTSIDE
+    return dilate(image, inside, gutter)
 
 
 def all_seen(texels: Texels) -> Any:
@@ -185,12 +230,12 @@ def draw_posterior(
     p = p.sum(axis=tuple(k for k, name in enumerate(order) if name not in (x, y)))
     if order.index(x) < order.index(y):
         p = p.T  # rows along y
-    edges_x, edges_y = cell_edges(posterior.axes[x]), cell_edges(posterior.axes[y])
-    drawn = axes.pcolormesh(edges_x, edges_y, p, cmap=DENSITY, vmin=0, vmax=p.max())
+    edges_x, edges_y = bar_edges(posterior.axes[x]), bar_edges(posterior.axes[y])
+    drawn = axes.pcolormesh(edges_x, edges_y, p, cmap=style.DENSITY_COLORMAP, vmin=0, vmax=p.max())
     if truth is not None:
         point = [truth.grey(name)[texel] for name in (x, y)]
         axes.plot(*point, "x", color="white", ms=9, mew=4, clip_on=False)
-        axes.plot(*point, "x", color=TRUTH, ms=8, mew=2, clip_on=False)
+        axes.plot(*point, "x", color=style.MARK, ms=8, mew=2, clip_on=False)
     axes.set(xlabel=_words(x), ylabel=_words(y), xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
     return drawn
 
@@ -215,25 +260,21 @@ def draw_marginal(
     p = np.array(posterior.marginal(name, [texel]), np.float64)
     nodes = posterior.axes[name]
     heights = p.reshape(len(nodes), -1).mean(axis=1)
-    edges = cell_edges(nodes)
-    axes.bar(edges[:-1], heights, 0.9 * np.diff(edges), align="edge", color=INK, alpha=0.75)
-    axes.plot(nodes, prior_marginal(posterior, name), color=INK, lw=1, ls=(0, (2, 2)))
+    edges = bar_edges(nodes)
+    axes.bar(edges[:-1], heights, 0.9 * np.diff(edges), align="edge", color=style.INK, alpha=0.75)
+    axes.plot(nodes, prior_marginal(posterior, name), color=style.INK, lw=1, ls=(0, (2, 2)))
     if truth is not None:
-        axes.axvline(truth.grey(name)[texel], color=TRUTH, lw=2)
+        axes.axvline(truth.grey(name)[texel], color=style.MARK, lw=2)
     axes.set(xlabel=_words(name), ylim=(0, 1), xlim=(edges[0], edges[-1]), xticks=[0, 0.5, 1])
     axes.spines[["top", "right"]].set_visible(False)
-
-
-def _seen(estimate: Estimate) -> np.ndarray:
-    return np.array(estimate.coverage) > 0
 
 
 def _values(estimate: Estimate, values: Any | None) -> np.ndarray:
     return np.array(estimate.entropy if values is None else values).astype(np.float32)
 
 
-def cell_edges(nodes: np.ndarray) -> np.ndarray:
-    """Borders of cells around the nodes: half-way, and mirrored at both ends."""
+def bar_edges(nodes: np.ndarray) -> np.ndarray:
+    """Borders of bars around the nodes: half-way, and mirrored at both ends."""
     if len(nodes) == 1:  # of a parameter that is known
         return nodes[0] + np.array([-KNOWN_WIDTH, KNOWN_WIDTH]) / 2
     middle = (nodes[1:] + nodes[:-1]) / 2

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-import svu_mi
 from svu_mi.capture import nodes
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.picture import quantized
@@ -21,7 +20,7 @@ from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output.guidance_page import gain_picture, write_guidance_overview
 from svu_mi.output.manifest import RECORD, guidance_record, write_manifest, write_run
-from svu_mi.output.maps import GUTTER, padded
+from svu_mi.output.maps import GUTTER, header, padded
 from svu_mi.output.upright import UP
 from svu_mi.progress import Stage
 from svu_mi.results.writing import writing
@@ -174,14 +173,9 @@ def _ranked(guidance: Any) -> list[dict[str, Any]]:
 def _write_maps(guidance: Any, maps: np.ndarray, folder: Path) -> None:
     """Write one EXR per proposal, channel Y: the gain of every texel, 0 outside the charts."""
     for k, (proposal, gains) in enumerate(zip(guidance.proposals, maps, strict=True)):
-        attributes = {
-            "svu:version": svu_mi.__version__,
-            "svu:method": guidance.method,
-            "svu:candidate": proposal.candidate,
-            "svu:name": proposal.name,
-            "svu:gutter": GUTTER,
-        }
-        write_exr(folder / f"gain_{k}.exr", {"Y": padded(guidance, gains, fill=0)}, attributes)
+        image = padded(guidance, gains, fill=0)
+        about = header(guidance, candidate=proposal.candidate, name=proposal.name, gutter=GUTTER)
+        write_exr(folder / f"gain_{k}.exr", {"Y": image}, about)
 
 
 def _write_thumbnails(pictures: Sequence[np.ndarray], folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,8 @@ from svu_mi.names import plain_name
 from svu_mi.output import style, views
 from svu_mi.output.directions import color_range, draw_directions, numbered
 from svu_mi.output.figures import all_seen, draw_map, map_colors
-from svu_mi.output.style import COLORMAP, FAINT, INK, LEFT, RIGHT, RULE
+from svu_mi.output.page import grouped
+from svu_mi.output.style import GAIN_COLORS, INK, LEFT, RIGHT, RULE
 from svu_mi.output.upright import UP
 
 if TYPE_CHECKING:
@@ -23,10 +25,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIZE = (18.0, 11.2)  # inches
+HEADING = "Which photograph to take next"
+PLACES = (
+    (LEFT, 0.51, 0.455, 0.355), (0.535, 0.545, 0.195, 0.33), (0.79, 0.545, 0.195, 0.33),
+)  # fmt: skip
 SHOWN = 5  # proposals that are drawn on the object
 WHITE = 0.99  # part of the positive gains of texels that colours do not clip
 CROWDED = 0.04  # part of the candidates within which two numbers would overlap
-GAIN_COLORS = ("#c6c6cc", "#f6c06b", "#e8743b", "#b3243f", "#5b0f3a")  # grey: nothing gained
 
 
 def write_guidance_overview(
@@ -53,25 +58,43 @@ def write_guidance_overview(
     Raises:
         OutputError: the file cannot be written.
     """
-    figure = style.new_figure(*SIZE)
-    _heading(figure, capture, estimate, guidance)
-    place = figure.add_axes((LEFT, 0.51, 0.455, 0.355))
-    drawn = draw_directions(place, capture, guidance, up=up)
-    style.title(place, "Directions from which the object can be photographed", pad=34)
-    label = f"as the next photograph: {TABLE[guidance.options.strategy].unit}"
-    style.color_bar(figure, place, drawn, label, (0.2, -0.06, 0.6, 0.028))
-    line = figure.add_axes((0.535, 0.545, 0.195, 0.33))
-    draw_expected(line, capture, guidance)
-    style.title(line, "Mean entropy of all texels, now and expected")
-    ranked = figure.add_axes((0.79, 0.545, 0.195, 0.33))
-    draw_ranking(ranked, guidance)
-    style.title(ranked, "All candidates as the next photograph")
+    figure = style.new_page(SIZE, HEADING, _notes(capture, estimate, guidance), (0.968, 0.936))
+    style.draw_panels(figure, PLACES, [
+        ("", partial(_directions, capture=capture, guidance=guidance, up=up)),
+        ("Mean entropy of all texels, now and expected",
+         partial(draw_expected, capture=capture, guidance=guidance)),
+        ("All candidates as the next photograph", partial(draw_ranking, guidance=guidance)),
+    ])  # fmt: skip
     rows = figure.add_gridspec(
         2, SHOWN + 1, left=LEFT + 0.012, right=RIGHT, top=0.42, bottom=0.01, hspace=0.2, wspace=0.1
     )
     _objects(figure, rows, capture, estimate, guidance, pictures)
     _maps(figure, rows, estimate, guidance, maps)
     style.save_figure(figure, path)
+
+
+def _notes(capture: Any, estimate: Any, guidance: Any) -> list[str]:
+    width, height = guidance.texels.resolution
+    options, reachable = guidance.options, int(guidance.candidates.reachable.sum())
+    looked_at = min(options.texels, guidance.texels.count)
+    return [
+        f"method {guidance.method}",
+        f"preset {estimate.preset.name}",
+        f"by {options.strategy}",
+        f"{sum(capture.used)} photographs",
+        f"{reachable} of {guidance.candidates.count} candidates can be reached",
+        f"{width} × {height} texels, {grouped(looked_at)} of "
+        f"{grouped(guidance.texels.count)} looked at",
+    ]
+
+
+def _directions(
+    axes: Axes, capture: Any, guidance: Any, up: tuple[float, float, float]
+) -> None:  # fmt: skip
+    drawn = draw_directions(axes, capture, guidance, up=up)
+    style.title(axes, "Directions from which the object can be photographed", pad=34)
+    label = f"as the next photograph: {TABLE[guidance.options.strategy].unit}"
+    style.color_bar(axes, drawn, label, (0.2, -0.06, 0.6, 0.028))
 
 
 def draw_expected(axes: Axes, capture: Any, guidance: Any) -> None:
@@ -95,13 +118,11 @@ def draw_expected(axes: Axes, capture: Any, guidance: Any) -> None:
     room = max(0.12 * float(np.ptp(values)), 0.01)
     axes.set(xlim=(first - 0.5, first + len(values) - 0.5))
     axes.set(ylim=(max(float(values.min()) - room, -0.02), float(values.max()) + 2.2 * room))
-    axes.legend(fontsize=9, frameon=False, labelcolor=INK, loc="upper right", borderaxespad=0.2,
-                handletextpad=0.2)  # fmt: skip
+    style.legend(axes, loc="upper right", borderaxespad=0.2, handletextpad=0.2)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True))
     growing = guidance.options.band_limit == "growing"
     light = ", each in the light filtered for so many" if growing else ""
-    axes.set_xlabel(f"photographs{light}", size=9.5, color=FAINT)
-    axes.set_ylabel("mean entropy", size=9.5, color=FAINT)
+    style.labels(axes, f"photographs{light}", "mean entropy", 9.5)
     style.plain(axes)
 
 
@@ -112,13 +133,11 @@ def draw_ranking(axes: Axes, guidance: Any) -> None:
         axes: where to.
         guidance: candidates, their gains, and the proposals.
     """
-    from matplotlib import colormaps
-    from matplotlib.colors import Normalize
     from matplotlib.ticker import MaxNLocator
 
     order = guidance.ranking
     gains = guidance.gains[order]
-    colors = colormaps[COLORMAP](Normalize(*color_range(gains))(gains))
+    colors = style.colors(gains, color_range(gains))
     axes.bar(np.arange(1, len(order) + 1), gains, width=1 if len(order) > 60 else 0.9, color=colors)
     for place, gain, rank, level in _labels(order, gains, guidance.proposals):
         axes.annotate(
@@ -129,9 +148,8 @@ def draw_ranking(axes: Axes, guidance: Any) -> None:
     axes.set(xlim=(0.25, len(order) + 0.75), ylim=(min(float(gains.min()), 0), 1.2 * top))
     axes.axhline(0, color=RULE, lw=1)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
-    axes.set_xlabel("candidates, the best first", size=9.5, color=FAINT)
-    axes.set_ylabel("gain" if guidance.options.strategy == "entropy" else "worth", size=9.5,
-                    color=FAINT)  # fmt: skip
+    what = "gain" if guidance.options.strategy == "entropy" else "worth"
+    style.labels(axes, "candidates, the best first", what, 9.5)
     style.plain(axes)
 
 
@@ -167,22 +185,6 @@ def gain_colors() -> Colormap:
     return LinearSegmentedColormap.from_list("gain", GAIN_COLORS)
 
 
-def _heading(figure: Figure, capture: Any, estimate: Any, guidance: Any) -> None:
-    width, height = guidance.texels.resolution
-    options, reachable = guidance.options, int(guidance.candidates.reachable.sum())
-    looked_at = min(options.texels, guidance.texels.count)
-    words = (
-        f"method {guidance.method}",
-        f"preset {estimate.preset.name}",
-        f"by {options.strategy}",
-        f"{sum(capture.used)} photographs",
-        f"{reachable} of {guidance.candidates.count} candidates can be reached",
-        f"{width} × {height} texels, {style.spaced(looked_at)} of "
-        f"{style.spaced(guidance.texels.count)} looked at",
-    )
-    style.heading(figure, "Which photograph to take next", words, (0.968, 0.936))
-
-
 def _objects(
     figure: Figure, rows: Any, capture: Any, estimate: Any, guidance: Any,
     pictures: Sequence[np.ndarray],
@@ -195,11 +197,9 @@ def _objects(
         window = views.object_window(before[..., 3] > 0)
         for row, image in enumerate((before, gain)):
             axes = figure.add_subplot(rows[row, column])
-            axes.imshow(views.crop(image[..., :3], window))
-            axes.set(anchor="N")
-            axes.set_axis_off()
-            words = _short(proposal.name) if row == 0 else _worth(proposal)
-            axes.set_title(words, loc="center", size=10, color=INK, pad=4, parse_math=False)
+            style.draw_image(axes, views.crop(image[..., :3], window))
+            axes.set_anchor("N")
+            style.caption(axes, _short(proposal.name) if row == 0 else _worth(proposal))
             if row == 0:
                 numbered(axes, 0.06, 0.93, column + 1, "white", 260, transform=axes.transAxes)
             if column == 0:
@@ -213,15 +213,13 @@ def _maps(figure: Figure, rows: Any, estimate: Any, guidance: Any, maps: np.ndar
     column = min(len(guidance.proposals), SHOWN)
     above, below = (figure.add_subplot(rows[row, column]) for row in (0, 1))
     gains = maps[0] if len(maps) else np.zeros(guidance.texels.count, np.float32)
-    limits = (0, gain_limit(maps))
-    seen = all_seen(guidance.texels)
-    drawn = draw_map(below, seen, gains, limits=limits, colormap=gain_colors())
+    scale: Any = {"limits": (0, gain_limit(maps)), "colormap": gain_colors()}
     for axes, what, words in (
         (above, draw_map(above, estimate), "entropy of every texel"),
-        (below, drawn, "gain by proposal 1"),
+        (below, draw_map(below, all_seen(guidance.texels), gains, **scale), "gain by proposal 1"),
     ):
-        style.color_bar(figure, axes, what, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
-        axes.set_title(words, loc="center", size=10, color=INK, pad=4)
+        style.color_bar(axes, what, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
+        style.caption(axes, words)
         axes.set_anchor("NW")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.output.page import NARROW_SPACE, percent
-from svu_mi.output.result import open_axes, words
+from svu_mi.output.result import areas, is_seen, open_axes, words
 from svu_mi.posterior import CalibratedPosterior
 from svu_mi.posterior.nodes import cell_edges
 
@@ -47,10 +47,6 @@ class Intervals:
             low, high = (np.array(end) for end in found)
             self._ends[name] = low.reshape(len(low), -1), high.reshape(len(high), -1)
         return self._ends[name]
-
-    def channels(self, name: str) -> int:
-        """Return how many intervals there are of a parameter: 1, or 3 by channel."""
-        return self.ends(name)[0].shape[1]
 
     def half_width(self, name: str) -> np.ndarray:
         """Return half the width of the intervals, (t,); of several channels, that of the widest.
@@ -98,10 +94,10 @@ class Knowledge:
                 is seen, which tells parts of the surface to a percent or two.
             tolerance: a half-width.
         """
-        seen = np.array(estimate.coverage) > 0
+        seen = is_seen(estimate)
         if intervals is None:
             intervals = Intervals(estimate.posterior, chosen=_spread(np.flatnonzero(seen)))
-        area = estimate.texels.footprint.numpy().astype(np.float64) ** 2
+        area = areas(estimate)
         seen_part = part(area, seen)
         area, seen = area[intervals.chosen], seen[intervals.chosen]
         names = list(open_axes(estimate)) if seen.any() else []

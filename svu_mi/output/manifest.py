@@ -20,6 +20,7 @@ from svu_mi import _llvm
 from svu_mi.errors import OutputError
 from svu_mi.files import write_text
 from svu_mi.output.knowledge import Knowledge
+from svu_mi.output.result import is_seen
 from svu_mi.results.writing import Draft
 
 RECORD = "run.json"
@@ -58,7 +59,7 @@ def run_record(capture: Any, estimate: Any, knowledge: Knowledge | None = None) 
         estimate: its ``Estimate``.
         knowledge: what it says in units; computed if not given.
     """
-    entropy, seen = np.asarray(estimate.entropy), _seen(estimate)
+    entropy, seen = np.asarray(estimate.entropy), is_seen(estimate)
     result = {
         "texels": estimate.texels.count,
         "texels_seen": int(seen.sum()),
@@ -87,7 +88,7 @@ def recovery_record(capture: Any, recovery: Any, estimate: Any | None = None) ->
     }
     result = {
         "texels": recovery.texels.count,
-        "texels_seen": int((np.asarray(recovery.coverage) > 0).sum()),
+        "texels_seen": int(is_seen(recovery).sum()),
         "steps": len(losses),
         "first_loss": float(losses[0]) if len(losses) else None,
         "last_loss": float(losses[-1]) if len(losses) else None,
@@ -106,7 +107,7 @@ def guidance_record(capture: Any, estimate: Any, guidance: Any) -> dict[str, Any
     settings = {**_settings(estimate), "used": guidance.options}
     result = {
         "texels": guidance.texels.count,
-        "texels_seen": int(_seen(estimate).sum()),
+        "texels_seen": int(is_seen(estimate).sum()),
         "mean_entropy": float(np.asarray(estimate.entropy).mean()),
         "candidates": guidance.candidates.count,
         "proposals": [proposal.name for proposal in guidance.proposals],
@@ -123,10 +124,6 @@ def _settings(estimate: Any) -> dict[str, Any]:
         "grid": getattr(estimate.posterior, "grid", None),
         "resolution": estimate.texels.resolution,
     }
-
-
-def _seen(estimate: Any) -> np.ndarray:
-    return np.asarray(np.asarray(estimate.coverage) > 0)
 
 
 def _record(

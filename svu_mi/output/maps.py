@@ -34,7 +34,7 @@ def write_maps(estimate: Any, folder: str | Path, *, gutter: int = GUTTER) -> No
         OutputError: a file cannot be written, or a value is NaN.
     """
     folder = Path(folder)
-    attributes = _attributes(estimate, gutter)
+    attributes = header(estimate, preset=estimate.preset.name, gutter=gutter)
     entropy = padded(estimate, np.asarray(estimate.entropy, np.float32), gutter)
     coverage = padded(estimate, np.asarray(estimate.coverage).astype(np.float32), gutter, 0)
     write_exr(folder / ENTROPY, {"Y": entropy}, attributes)
@@ -63,16 +63,19 @@ def write_uncertainty(estimate: Any, folder: str | Path, *, gutter: int = GUTTER
         letters = [""] if len(columns) == 1 else [".R", ".G", ".B"]
         for letter, column in zip(letters, columns, strict=True):
             channels[f"{name}.sd{letter}"] = padded(estimate, column, gutter, 0)
-    write_exr(Path(folder) / UNCERTAINTY, channels, _attributes(estimate, gutter))
+    attributes = header(estimate, preset=estimate.preset.name, gutter=gutter)
+    write_exr(Path(folder) / UNCERTAINTY, channels, attributes)
 
 
-def _attributes(estimate: Any, gutter: int) -> dict[str, Any]:
-    return {
-        "svu:version": svu_mi.__version__,
-        "svu:method": estimate.method,
-        "svu:preset": estimate.preset.name,
-        "svu:gutter": gutter,
-    }
+def header(made: Any, **more: Any) -> dict[str, Any]:
+    """Return what the header of each file of a result says, and more by name.
+
+    Args:
+        made: an ``Estimate``, a ``Guidance`` or a ``Recovery``.
+        more: entries of the file.
+    """
+    found = {"version": svu_mi.__version__, "method": made.method, **more}
+    return {f"svu:{name}": value for name, value in found.items()}
 
 
 def padded(estimate: Any, values: np.ndarray, gutter: int = GUTTER, fill: float = 1) -> np.ndarray:

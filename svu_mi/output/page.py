@@ -20,6 +20,7 @@ import numpy as np
 from svu_mi.capture.picture import quantized
 from svu_mi.errors import OutputError
 from svu_mi.files import write_text
+from svu_mi.output.style import css
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -137,5 +138,5 @@ def _environment() -> Environment:
         "style": Markup((TEMPLATES / STYLE).read_text(encoding="utf-8")),
         "script": Markup(script),
     }
-    environment.filters |= {"grouped": grouped, "percent": percent}
+    environment.filters |= {"css": css, "grouped": grouped, "percent": percent}
     return environment

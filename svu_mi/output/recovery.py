@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
-import svu_mi
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.exr import write_exr
 from svu_mi.files import write_text
 from svu_mi.output import views
 from svu_mi.output.manifest import RECORD, recovery_record, write_run
-from svu_mi.output.maps import COVERAGE, padded, write_maps, write_uncertainty
+from svu_mi.output.maps import COVERAGE, header, padded, write_maps, write_uncertainty
 from svu_mi.output.recovery_page import write_recovery_overview
 from svu_mi.output.relit import compare, write_relit
 from svu_mi.output.scene_xml import write_scene
@@ -68,12 +67,11 @@ def _write_all(
     report: Callable[[int, int], None],
 ) -> None:  # fmt: skip
     """Write everything but the record."""
-    attributes = {"svu:version": svu_mi.__version__, "svu:method": recovery.method}
-    used = json.dumps(recovery.settings, default=str)
-    write_scene(capture, recovery.textures, folder, attributes={**attributes, "svu:settings": used})
+    about = header(recovery, settings=json.dumps(recovery.settings, default=str))
+    write_scene(capture, recovery.textures, folder, attributes=about)
     if estimate is None:
         coverage = padded(recovery, np.asarray(recovery.coverage).astype(np.float32), fill=0)
-        write_exr(folder / COVERAGE, {"Y": coverage}, attributes)
+        write_exr(folder / COVERAGE, {"Y": coverage}, header(recovery))
     else:
         write_maps(estimate, folder)
         write_uncertainty(estimate, folder)

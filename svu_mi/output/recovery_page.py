@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from svu_mi.output import style, views
-from svu_mi.output.figures import all_seen, draw_map, draw_on_object, draw_texture
-from svu_mi.output.relit import Relit, draw_comparison, draw_relit
-from svu_mi.output.result import words
-from svu_mi.output.style import FAINT, GREY, INK, LEFT, OUTSIDE, RIGHT, RULE, VIEWS_COLORMAP
+from svu_mi.output.figures import all_seen, draw_on_object, draw_scaled_map, draw_texture
+from svu_mi.output.page import grouped
+from svu_mi.output.relit import Relit
+from svu_mi.output.result import is_seen, words
+from svu_mi.output.style import GREY, INK, LEFT, OUTSIDE, RIGHT, RULE, VIEWS_COLORMAP
 from svu_mi.parameters import NAMES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+
+    from svu_mi.output.style import Panel
 
 SIZE = (18.0, 10.2)  # inches
+HEADING = "The reflectance that the photographs were taken of"
 TITLES = tuple(words(name).capitalize() for name in NAMES)
+GREYS = "grey: never seen"
 WIDEST_SD = 0.3  # at the upper end of the colours; an even prior's is 0.29, that of metals 0.46
 SMOOTH = 50  # losses are averaged over this part of the steps
 
@@ -44,88 +49,78 @@ def write_recovery_overview(
     Raises:
         OutputError: the file cannot be written.
     """
-    figure = style.new_figure(*SIZE)
-    _heading(figure, capture, recovery, estimate)
+    figure = style.new_page(SIZE, HEADING, _notes(capture, recovery, estimate), (0.962, 0.925))
     maps = figure.add_gridspec(1, 7, left=LEFT, right=0.83, top=0.875, bottom=0.63, wspace=0.12)
     plot = figure.add_gridspec(1, 1, left=0.87, right=RIGHT, top=0.875, bottom=0.64)
     rows = figure.add_gridspec(
         2, 6, left=LEFT, right=RIGHT, top=0.545, bottom=0.015, hspace=0.13, wspace=0.1
     )
-    _maps(figure, [figure.add_subplot(maps[0, k]) for k in range(7)], recovery, estimate)
-    _losses(figure.add_subplot(plot[0, 0]), recovery)
-    for row, comparison in enumerate(comparisons[:2]):
-        cells = [figure.add_subplot(rows[row, k]) for k in range(6)]
-        for axes in cells:
-            axes.set_anchor("NW")
-        draw_comparison(cells[:3], comparison)
-        error = comparison.mean_difference
-        style.title(cells[0], f"Photograph {comparison.view}")
-        style.title(cells[1], "Rendered as recovered")
-        style.title(cells[2], "Difference" if error is None else f"Difference, mean {error:.3f}")
-        if row == 0:
-            _parameters(cells[3:], capture, recovery, comparison.view)
-        else:
-            _rest(cells[3:], capture, recovery, comparison, estimate)
+    style.draw_panels(figure, maps, _maps(recovery, estimate), "NW")
+    style.draw_panels(figure, plot, [("Loss by step", partial(_losses, recovery=recovery))])
+    objects = []
+    for comparison, rest in zip(comparisons, (_parameters, _rest), strict=False):
+        objects += [*_compared(comparison), *rest(capture, recovery, comparison, estimate)]
+    style.draw_panels(figure, rows, objects, "NW")
     style.save_figure(figure, path)
 
 
-def _heading(figure: Figure, capture: Any, recovery: Any, estimate: Any | None) -> None:
+def _notes(capture: Any, recovery: Any, estimate: Any | None) -> list[str]:
     width, height = recovery.texels.resolution
-    coverage = np.array(recovery.coverage)
-    seen = 100 * float((coverage > 0).mean()) if len(coverage) else 0.0
-    notes = (
+    seen = is_seen(recovery)
+    return [
         f"method {recovery.method}",
         f"{sum(capture.used)} of {capture.count} views",
-        f"{width} × {height} texels, {style.spaced(len(coverage))} in charts",
-        f"{seen:.0f} % seen",
+        f"{width} × {height} texels, {grouped(len(seen))} in charts",
+        f"{100 * seen.sum() / max(len(seen), 1):.0f} % seen",
         *([] if estimate is None else [f"sd and entropy of preset {estimate.preset.name}"]),
         "with sharing" if recovery.settings.get("sharing") else "without sharing",
         f"{len(recovery.losses)} step" + ("s" if len(recovery.losses) != 1 else ""),
-    )
-    text = "The reflectance that the photographs were taken of"
-    style.heading(figure, text, notes, (0.962, 0.925))
+    ]
 
 
-def _maps(figure: Figure, cells: Sequence[Axes], recovery: Any, estimate: Any | None) -> None:
+def _maps(recovery: Any, estimate: Any | None) -> list[Panel]:
+    """The recovered textures, and what is known of each, in the layout of the texture."""
     inside = recovery.texels.inside()
     color = views.srgb(np.clip(recovery.image("base_color"), 0, 1))
-    cells[0].imshow(np.where(inside[..., None], color, OUTSIDE))
-    style.framed(cells[0])
-    shown = all_seen(recovery.texels)
-    for axes, name in zip(cells[1:], NAMES[1:], strict=False):
-        values = recovery.textures.at(recovery.texels, name)
-        style.color_bar(figure, axes, draw_map(axes, shown, values, colormap=GREY))
-    drawn = [f"{title}, sd" for title in TITLES]
+    values = partial(recovery.textures.at, recovery.texels)
+    return [
+        (TITLES[0], partial(_texture, image=np.where(inside[..., None], color, OUTSIDE))),
+        *((title, partial(_scaled, estimate=all_seen(recovery.texels), values=values(name),
+                          colormap=GREY))
+          for title, name in zip(TITLES[1:], NAMES[1:], strict=True)),
+        *((f"{title}, sd", partial(_uncertainty, estimate=estimate, name=name))
+          for title, name in zip(TITLES, NAMES, strict=True)),
+        ("Entropy", partial(_scaled, estimate=estimate, label=GREYS)),
+    ]  # fmt: skip
+
+
+def _texture(axes: Axes, image: np.ndarray) -> None:
+    axes.imshow(image)
+    style.framed(axes)
+
+
+def _scaled(axes: Axes, estimate: Any | None, **options: Any) -> None:
+    """Draw a map, narrow as it is, or say that there is none."""
     if estimate is None:
-        for axes in cells[3:]:
-            _nothing(axes, "not estimated")
+        _empty(axes, "not estimated")
     else:
-        for axes, name in zip(cells[3:6], NAMES, strict=True):
-            _uncertainty(figure, axes, estimate, name)
-        colors = draw_map(cells[6], estimate)
-        style.color_bar(figure, cells[6], colors, "grey: never seen")
-    for axes, text in zip(cells, (*TITLES, *drawn, "Entropy"), strict=True):
-        axes.set_anchor("NW")
-        style.title(axes, text)
+        draw_scaled_map(axes, estimate, **{"ticks": (0, 0.5, 1), **options})
 
 
-def _uncertainty(figure: Figure, axes: Axes, estimate: Any, name: str) -> None:
+def _uncertainty(axes: Axes, estimate: Any | None, name: str) -> None:
     """Draw the standard deviation of a parameter, of base colour that of the worst channel."""
-    if name not in estimate.posterior.axes:
-        _nothing(axes, "not estimated")
+    if estimate is None or name not in estimate.posterior.axes:
+        _empty(axes, "not estimated")
         return
     sd = np.asarray(estimate.posterior.sd(name), np.float32)
     worst = sd.reshape(len(sd), -1).max(axis=1, initial=0)
-    colors = draw_map(axes, estimate, worst, limits=(0, WIDEST_SD))
-    bar = style.color_bar(figure, axes, colors, "grey: never seen")
-    bar.set_ticks([0, 0.1, 0.2], labels=["0", "0.1", "0.2"])
+    _scaled(axes, estimate, values=worst, limits=(0, WIDEST_SD), ticks=(0, 0.1, 0.2), label=GREYS)
 
 
 def _losses(axes: Axes, recovery: Any) -> None:
-    style.title(axes, "Loss by step")
     losses = np.array(recovery.losses, np.float64)
     if len(losses) < 2:
-        _nothing(axes, "no descent")
+        _empty(axes, "no descent")
         return
     width = max(len(losses) // SMOOTH, 1)
     mean = np.convolve(losses, np.ones(width) / width, "valid")
@@ -136,41 +131,47 @@ def _losses(axes: Axes, recovery: Any) -> None:
     style.plain(axes)
 
 
-def _parameters(cells: Sequence[Axes], capture: Any, recovery: Any, view: int) -> None:
-    """Draw the three parameters on the object."""
-    shown = all_seen(recovery.texels)
-    color = np.array(recovery.textures.base_color, np.float32)
-    draw_texture(cells[0], capture, view, views.srgb(np.clip(color, 0, 1)))
-    for axes, name in zip(cells[1:], NAMES[1:], strict=True):
-        values = recovery.textures.at(recovery.texels, name)
-        draw_on_object(axes, capture, shown, view, values, colormap=GREY)
-    for axes, text in zip(cells, TITLES, strict=True):
-        style.title(axes, text)
-
-
-def _rest(
-    cells: Sequence[Axes], capture: Any, recovery: Any, comparison: Relit, estimate: Any | None
-) -> None:
-    """Draw the other light, and what is known of the object from there."""
-    draw_relit(cells[0], comparison)
-    style.title(cells[0], "Under another light")
-    if estimate is not None:
-        draw_on_object(cells[1], capture, estimate, comparison.view)
-        style.title(cells[1], "Entropy")
-    else:
-        cells[1].set_axis_off()
-    coverage = np.array(recovery.coverage)
-    most = (0.0, max(float(coverage.max(initial=0)), 1.0))
-    draw_on_object(
-        cells[2], capture, recovery, comparison.view, coverage, limits=most,
-        colormap=VIEWS_COLORMAP,
+def _compared(comparison: Relit) -> list[Panel]:
+    """A photograph, what the textures make of it, and the difference."""
+    error = comparison.mean_difference
+    titles = (
+        f"Photograph {comparison.view}", "Rendered as recovered",
+        "Difference" if error is None else f"Difference, mean {error:.3f}",
     )  # fmt: skip
-    style.title(cells[2], "Coverage")
+    images = comparison.cropped()
+    return [(title, partial(style.draw_image, image=image))
+            for title, image in zip(titles, images, strict=False)]  # fmt: skip
 
 
-def _nothing(axes: Axes, text: str) -> None:
+def _parameters(capture: Any, recovery: Any, comparison: Relit, _: Any) -> list[Panel]:
+    """The three parameters on the object."""
+    color = views.srgb(np.clip(np.array(recovery.textures.base_color, np.float32), 0, 1))
+    on_object = partial(
+        draw_on_object, capture=capture, estimate=all_seen(recovery.texels),
+        view=comparison.view, colormap=GREY,
+    )  # fmt: skip
+    return [
+        (TITLES[0], partial(draw_texture, capture=capture, view=comparison.view, colors=color)),
+        *((title, partial(on_object, values=recovery.textures.at(recovery.texels, name)))
+          for title, name in zip(TITLES[1:], NAMES[1:], strict=True)),
+    ]  # fmt: skip
+
+
+def _rest(capture: Any, recovery: Any, comparison: Relit, estimate: Any | None) -> list[Panel]:
+    """The other light, and what is known of the object from there."""
+    coverage = np.array(recovery.coverage)
+    on_object = partial(draw_on_object, capture=capture, view=comparison.view)
+    most = max(float(coverage.max(initial=0)), 1.0)
+    return [
+        ("Under another light", partial(style.draw_image, image=comparison.cropped()[3])),
+        ("", lambda axes: axes.set_axis_off()) if estimate is None else
+        ("Entropy", partial(on_object, estimate=estimate)),
+        ("Coverage", partial(on_object, estimate=recovery, values=coverage, limits=(0, most),
+                             colormap=VIEWS_COLORMAP)),
+    ]  # fmt: skip
+
+
+def _empty(axes: Axes, text: str) -> None:
     style.framed(axes)
     axes.set_box_aspect(1)
-    axes.text(
-        0.5, 0.5, text, color=FAINT, ha="center", va="center", size=11, transform=axes.transAxes
-    )
+    style.nothing(axes, text)

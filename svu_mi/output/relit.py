@@ -5,27 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.capture.poses import film_size, scaled_sensor
 from svu_mi.capture.rendering import object_mask
-from svu_mi.output import views
-from svu_mi.output.style import FAINT, INK, new_figure, save_figure
+from svu_mi.output import style, views
+from svu_mi.output.style import DIFFERENCE_COLORMAP, FAINT, INK
 from svu_mi.recovery.relight import novel_light, relight
 from svu_mi.recovery.textures import Textures
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 COLUMNS = ("Photograph", "Recovered", "Difference", "Under another light")
 CELL = 2.9  # inches
 SIDE = 320  # pixels of the longer side: renders are what takes time
 SAMPLES = 48
 WORST = 0.25  # difference of sRGB values at the end of the scale
-DIFFERENCE_COLORMAP = "magma"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,20 +57,26 @@ class Comparison:
         error = self.difference()
         return float(np.nanmean(error)) if np.isfinite(error).any() else None
 
-    def pictures(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def pictures(self) -> tuple[np.ndarray, ...]:
         """Return photograph, render and difference as screen colours (h, w, 3), white outside.
 
         The difference is of sRGB values, from 0 (black) to a quarter (yellow).
         """
-        from matplotlib import colormaps
-
         difference = self.difference()
-        colors = colormaps[DIFFERENCE_COLORMAP](np.clip(difference / WORST, 0, 1))[..., :3]
+        colors = style.colors(difference, (0, WORST), DIFFERENCE_COLORMAP)
         return (
             views.tone_mapped(self.photograph, white=self.white),
-            _on_white(views.tone_mapped(self.render, white=self.white), self),
+            self._on_white(views.tone_mapped(self.render, white=self.white)),
             np.where(np.isnan(difference)[..., None], 1, colors),
         )
+
+    def cropped(self) -> list[np.ndarray]:
+        """Return ``pictures``, cut to the object."""
+        window = views.object_window(self.inside)
+        return [views.crop(image, window) for image in self.pictures()]
+
+    def _on_white(self, image: np.ndarray) -> np.ndarray:
+        return np.where(self.inside[..., None], image, np.float32(1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +88,14 @@ class Relit(Comparison):
     """
 
     relit: np.ndarray
+
+    def pictures(self) -> tuple[np.ndarray, ...]:
+        """Return what a ``Comparison`` does, and the object under the other light.
+
+        That one is exposed for itself.
+        """
+        relit = self._on_white(views.tone_mapped(self.relit, self.inside))
+        return (*super().pictures(), relit)
 
 
 def explain(
@@ -151,11 +160,11 @@ def write_relit(comparisons: Sequence[Relit], path: str | Path) -> None:
         OutputError: the file cannot be written.
     """
     rows = len(comparisons)
-    figure = new_figure(CELL * len(COLUMNS), CELL * rows + 0.4, layout="constrained")
+    figure = style.new_figure(CELL * len(COLUMNS), CELL * rows + 0.4, layout="constrained")
     cells = figure.subplots(rows, len(COLUMNS), squeeze=False)
     for row, comparison in zip(cells, comparisons, strict=True):
-        draw_comparison(row[:3], comparison)
-        draw_relit(row[3], comparison)
+        for axes, image in zip(row, comparison.cropped(), strict=True):
+            style.draw_image(axes, image)
         error = comparison.mean_difference
         notes = {0: f"view {comparison.view}", 2: "" if error is None else f"mean {error:.3f}"}
         for column, note in notes.items():
@@ -165,32 +174,4 @@ def write_relit(comparisons: Sequence[Relit], path: str | Path) -> None:
             )  # fmt: skip
     for axes, title in zip(cells[0], COLUMNS, strict=True):
         axes.set_title(title, size=12, color=INK)
-    save_figure(figure, path)
-
-
-def draw_comparison(axes: Sequence[Axes], comparison: Comparison) -> None:
-    """Draw a photograph, the render and their difference into three axes, cropped to the object.
-
-    The difference is of sRGB values, from 0 (black) to a quarter (yellow).
-
-    Args:
-        axes: three of them.
-        comparison: what to draw.
-    """
-    for place, image in zip(axes, comparison.pictures(), strict=True):
-        _draw(place, image, comparison)
-
-
-def draw_relit(axes: Axes, comparison: Relit) -> None:
-    """Draw the object under the other light, exposed for itself."""
-    image = views.tone_mapped(comparison.relit, comparison.inside)
-    _draw(axes, _on_white(image, comparison), comparison)
-
-
-def _draw(axes: Axes, image: np.ndarray, comparison: Comparison) -> None:
-    axes.imshow(views.crop(image, views.object_window(comparison.inside)))
-    axes.set_axis_off()
-
-
-def _on_white(image: np.ndarray, comparison: Comparison) -> np.ndarray:
-    return np.where(comparison.inside[..., None], image, np.float32(1))
+    style.save_figure(figure, path)

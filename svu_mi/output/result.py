@@ -29,6 +29,11 @@ class Result:
     inside: np.ndarray
     unseen: np.ndarray
 
+    @property
+    def most_views(self) -> int:
+        """Largest number of views that see one texel, 1 if none does: the end of a scale."""
+        return max(int(self.coverage.max(initial=0)), 1)
+
     @classmethod
     def of(cls, estimate: Any) -> Result:
         """Copy what an estimate says."""
@@ -41,6 +46,22 @@ class Result:
             inside=texels.to_image(np.ones(texels.count, bool), False),
             unseen=texels.to_image(~seen, False),
         )
+
+
+def is_seen(estimate: Any) -> np.ndarray:
+    """Return which texels any view sees, (T,) bool."""
+    return np.array(estimate.coverage) > 0
+
+
+def areas(estimate: Any) -> np.ndarray:
+    """Return how much of the surface each texel stands for, (T,) float64."""
+    return np.array(estimate.texels.footprint, np.float64) ** 2
+
+
+def place_of(estimate: Any, texel: int) -> tuple[int, int]:
+    """Return column and row of a texel in the texture."""
+    row, column = divmod(int(estimate.texels.index.numpy()[texel]), estimate.texels.resolution[0])
+    return column, row
 
 
 def words(name: str) -> str:

@@ -1,25 +1,43 @@
-"""The look of all pages: colours, margins, titles and colour bars."""
+"""The look of all pages: colours, margins, headings, titles, axes and colour bars.
+
+A page is lists of panels in grids of a figure: ``new_page`` makes it with its heading, and
+``draw_panels`` fills a grid. What several pages draw into a panel is in ``figures.py``. Pages in
+HTML have the same colours from here, and their layout from ``templates/page.css``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from svu_mi.files import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
+
+    Panel = tuple[str, Callable[[Axes], Any]]  # its title, and what draws into its axes
 
 DPI = 100
 LEFT, RIGHT = 0.018, 0.985  # margins of a page
 COLORMAP, VIEWS_COLORMAP, GREY = "viridis", "magma", "gray"
+VALUES_COLORMAP = "plasma"  # of parameters: has no grey, which means unseen
+DENSITY_COLORMAP = DIFFERENCE_COLORMAP = "magma"  # of a posterior; of two pictures
+GAIN_COLORS = ("#c6c6cc", "#f6c06b", "#e8743b", "#b3243f", "#5b0f3a")  # grey: nothing gained
+CHANNEL_COLORS = ("#c23b3b", "#2f8f4e", "#3566b8")
+SETTLED_COLORS = ("#414487", "#22a884", "#e3d523")  # settled, roughly known, wide open
+MARK = (0.91, 0.27, 0.235)  # a true value, or what is meant
+BEFORE, AFTER = (1.0, 0.25, 0.2), (0.1, 0.85, 0.35)  # outlines of a mesh, as it was and corrected
 UNSEEN = (0.55, 0.55, 0.58)  # grey: in no colormap but GREY, and darker than the page
 OUTSIDE = (0.95, 0.95, 0.96)
 INK, FAINT, RULE = "#26262b", "#6f6f78", "#c4c4cb"
 ENTROPY_ENDS = "0 = one material left, 1 = nothing known"
-THIN_SPACE = "\u2009"
+TEXT = 9  # points: numbers on axes, keys
 BELOW = (0.0, -0.075, 1.0, 0.035)  # place of a colour bar, in parts of its axes
 
 
@@ -31,6 +49,15 @@ def new_figure(width: float, height: float, dpi: float = DPI, **options: Any) ->
 
     figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white", **options)
     FigureCanvasAgg(figure)
+    return figure
+
+
+def new_page(
+    size: tuple[float, float], text: str, notes: Sequence[str], places: tuple[float, float]
+) -> Figure:
+    """Return a figure of so many inches with a ``heading``."""
+    figure = new_figure(*size)
+    heading(figure, text, notes, places)
     return figure
 
 
@@ -51,14 +78,51 @@ def heading(figure: Figure, text: str, notes: Sequence[str], places: tuple[float
     figure.text(LEFT, places[1], "   ·   ".join(notes), size=11.5, color=FAINT, **same)
 
 
-def spaced(number: int) -> str:
-    """Write a whole number with a thin space between thousands."""
-    return f"{number:_}".replace("_", THIN_SPACE)
+def draw_panels(
+    figure: Figure, cells: Any, panels: Iterable[Panel], anchor: str = "C"
+) -> None:
+    """Draw panels into cells, each below its title.
+
+    Args:
+        figure: of the cells.
+        cells: a grid of the figure, of which the first cells are filled; or a list of cells, or
+            of places: left, bottom, width and height in parts of the figure.
+        panels: titles, and what draws into axes.
+        anchor: side of its cell at which a picture is that does not fill it.
+    """
+    for k, (text, draw) in enumerate(panels):
+        is_place = isinstance(cells[k], tuple)
+        axes = figure.add_axes(cells[k]) if is_place else figure.add_subplot(cells[k])
+        axes.set_anchor(anchor)
+        title(axes, text)
+        draw(axes)
 
 
 def title(axes: Axes, text: str, pad: float = 6) -> None:
     """Write a title over the left end of axes."""
     axes.set_title(text, loc="left", size=11.5, color=INK, pad=pad, parse_math=False)
+
+
+def caption(axes: Axes, text: str, size: float = 10, pad: float = 4) -> None:
+    """Write a smaller title over the middle of axes."""
+    axes.set_title(text, loc="center", size=size, color=INK, pad=pad, parse_math=False)
+
+
+def labels(axes: Axes, across: str = "", up: str = "", size: float = TEXT) -> None:
+    """Say what axes count."""
+    axes.set_xlabel(across, size=size, color=FAINT)
+    axes.set_ylabel(up, size=size, color=FAINT)
+
+
+def legend(axes: Axes, size: float = TEXT, **options: Any) -> None:
+    """Write a key without a frame; ``options`` are matplotlib's."""
+    axes.legend(fontsize=size, frameon=False, labelcolor=INK, **options)
+
+
+def nothing(axes: Axes, text: str) -> None:
+    """Say in the middle of axes why there is nothing in them."""
+    same: Any = {"ha": "center", "va": "center", "transform": axes.transAxes}
+    axes.text(0.5, 0.5, text, color=FAINT, size=11, **same)
 
 
 def subtitle(axes: Axes, text: str) -> None:
@@ -82,13 +146,64 @@ def framed(axes: Axes) -> None:
     axes.spines[:].set_color(RULE)
 
 
+def draw_image(axes: Axes, image: np.ndarray) -> None:
+    """Draw a picture, without axes around it."""
+    axes.imshow(image)
+    axes.set_axis_off()
+
+
+def scale(limits: tuple[float, float], colormap: str | Colormap = COLORMAP) -> ScalarMappable:
+    """Return what makes colours of numbers; a colour bar can be drawn of it."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    return ScalarMappable(Normalize(*limits), colormap)
+
+
+def colors(
+    values: np.ndarray, limits: tuple[float, float] = (0, 1), colormap: str | Colormap = COLORMAP
+) -> np.ndarray:
+    """Return numbers of any shape as screen colours (..., 3), float32."""
+    drawn = scale(limits, colormap)
+    return np.array(drawn.get_cmap()(drawn.norm(values))[..., :3], np.float32)
+
+
+def css(color: Sequence[float]) -> str:
+    """Return a colour as CSS has it."""
+    return "#" + "".join(f"{round(255 * float(value)):02x}" for value in color)
+
+
+def css_colors(values: np.ndarray, colormap: str = COLORMAP) -> list[str]:
+    """Return colours of numbers in [0, 1] as CSS has them."""
+    return [css(color) for color in colors(values, colormap=colormap)]
+
+
+def css_gradient(colormap: str) -> str:
+    """Return a whole colormap as CSS has it."""
+    return ", ".join(css_colors(np.linspace(0, 1, 9), colormap))
+
+
 def color_bar(
-    figure: Figure, axes: Axes, drawn: Any, label: str = "",
-    place: tuple[float, float, float, float] = BELOW, size: float = 9,
+    axes: Axes, drawn: Any, label: str = "",
+    place: tuple[float, float, float, float] | None = BELOW, size: float = TEXT,
+    ticks: Sequence[float] = (),
 ) -> Any:  # fmt: skip
-    """Draw the scale of what was drawn, below its axes or at a place of them, and return it."""
-    orientation = "horizontal" if place[2] > place[3] else "vertical"
-    bar: Any = figure.colorbar(drawn, cax=axes.inset_axes(place), orientation=orientation)
+    """Draw the scale of what was drawn and return it.
+
+    Args:
+        axes: of what was drawn.
+        drawn: an image, or what ``scale`` returns.
+        label: what the numbers are.
+        place: left, bottom, width and height in parts of the axes; None fills them.
+        size: of the words, in points.
+        ticks: numbers to write; by default as many as fit a wide bar.
+    """
+    figure: Any = axes.figure
+    inside = axes if place is None else axes.inset_axes(place)
+    upright = place is not None and place[2] <= place[3]
+    bar = figure.colorbar(drawn, cax=inside, orientation="vertical" if upright else "horizontal")
+    if ticks:
+        bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
     bar.outline.set_visible(False)
     bar.set_label(label, size=size, color=FAINT)
     bar.ax.tick_params(labelsize=size, color=FAINT, labelcolor=INK, length=3)

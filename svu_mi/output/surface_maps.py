@@ -1,4 +1,4 @@
-"""Everything there is to see on an object's surface, as textures in screen colours."""
+"""What there is to see on an object's surface: values, their colours, and words for both."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.output import views
-from svu_mi.output.figures import map_colors
-from svu_mi.output.knowledge import WIDEST, Intervals
-from svu_mi.output.result import open_axes, words
-from svu_mi.output.style import COLORMAP, ENTROPY_ENDS, GREY, UNSEEN, VIEWS_COLORMAP
+from svu_mi.output import style, views
+from svu_mi.output.figures import GUTTER, albedo_colors, map_colors
+from svu_mi.output.knowledge import TOLERANCE, WIDEST, Intervals
+from svu_mi.output.result import Result, open_axes, words
+from svu_mi.output.style import COLORMAP, ENTROPY_ENDS, UNSEEN, VALUES_COLORMAP, VIEWS_COLORMAP
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.textures import Textures
-from svu_mi.surface.gutter import dilate
+
+ENDS = {"base_color": ("0: black", "1: white"), "roughness": ("0: mirror", "1: matt"),
+        "metallic": ("0: no metal", "1: metal"),
+        "specular": ("0: no gloss", "1: mirror of all light")}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,37 +30,68 @@ class Scale:
         colormap: a name of matplotlib's.
         high: value at the upper end; 0 is at the lower.
         label: what the numbers are.
+        ends: words for the lower and the upper end.
     """
 
-    colormap: str
-    high: float
+    colormap: str = COLORMAP
+    high: float = 1
     label: str
+    ends: tuple[str, str]
+
+
+ENTROPY = Scale(label=ENTROPY_ENDS, ends=("one material left", "nothing known"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceMap:
-    """A texture to look at.
+    """A value of every texel.
 
     Attributes:
-        colors: (H, W, 3) float32 screen colours in [0, 1], row 0 at v = 0; charts reach over all
-            that is outside, so that no seam shows.
-        scale: what the colours stand for; None if they are colours.
+        name: what it is.
+        sentence: what it means.
+        estimate: which texels there are and which are seen; None if the values are a texture.
+        values: returns numbers (T,), or (T, 3), whose mean counts; without a scale linear colours
+            (T, 3). Of a texture (H, W, 1) or (H, W, 3).
+        scale: how numbers become colours; None if they are colours.
     """
 
-    colors: np.ndarray
+    name: str
+    sentence: str
+    estimate: Estimate | None
+    values: Callable[[], Any]
     scale: Scale | None
+
+    def colors(self, gutter: float = GUTTER, unseen: Any = UNSEEN) -> np.ndarray:
+        """Return screen colours (H, W, 3), float32 in [0, 1]; row 0 is v = 0.
+
+        Args:
+            gutter: texels that charts grow by.
+            unseen: what texels that no view sees look like where there is no scale, which tells
+                grey from its colours: one colour, or a picture (H, W, 3).
+        """
+        values = np.array(self.values(), np.float32)
+        if self.estimate is None:
+            image = np.clip(values, 0, 1)
+            if self.scale is None:
+                return views.srgb(image)
+            return style.colors(image[..., 0], (0, self.scale.high), self.scale.colormap)
+        if self.scale is None:
+            return albedo_colors(self.estimate, values, gutter=gutter, unseen=unseen)
+        return map_colors(
+            self.estimate, values.reshape(len(values), -1).mean(axis=1, dtype=np.float64),
+            limits=(0, self.scale.high), colormap=self.scale.colormap, gutter=gutter,
+        )  # fmt: skip
 
 
 def surface_maps(
     estimate: Estimate,
     recovered: Textures | None = None,
     intervals: Intervals | None = None,
-) -> dict[str, Callable[[], SurfaceMap]]:
-    """Return what can be shown, by name; each is computed when it is called.
+) -> dict[str, SurfaceMap]:
+    """Return what can be shown, by name; its colours are computed when they are asked for.
 
     Entropy, coverage, the most probable parameters, how well each is known (half the width of its
-    interval, and the entropy of its marginal); and recovered textures. Texels that no view sees are
-    grey, but in recovered textures, which have a value everywhere.
+    interval, and the entropy of its marginal); and recovered textures.
 
     Args:
         estimate: what the photographs say.
@@ -67,57 +101,84 @@ def surface_maps(
     Raises:
         ShapeError: they are of another one.
     """
-    coverage = np.array(estimate.coverage).astype(np.float32)
-    most = max(float(coverage.max(initial=0)), 1.0)
-    entropy = Scale(colormap=COLORMAP, high=1, label=ENTROPY_ENDS)
-    count = Scale(colormap=VIEWS_COLORMAP, high=most, label="views that see the texel")
-    maps: dict[str, Callable[[], SurfaceMap]] = {
-        "entropy": partial(_numbers, estimate, lambda: estimate.entropy, entropy),
-        "coverage": partial(_numbers, estimate, lambda: coverage, count),
-    }
-    unknown = open_axes(estimate)
-    for name in unknown:
-        # Not in greys: these are for what nobody sees.
-        best = Scale(colormap=VIEWS_COLORMAP, high=1, label=words(name))
-        maps[f"most probable {words(name)}"] = partial(_best, estimate, name, best)
     intervals = intervals or Intervals(estimate.posterior)
-    for name in unknown:
-        label = f"half the width of the {100 * intervals.level:g} % interval"
-        scale = Scale(colormap=COLORMAP, high=WIDEST, label=label)
-        width = partial(intervals.half_width, name)
-        maps[f"uncertainty of {words(name)}"] = partial(_numbers, estimate, width, scale)
-    for name in unknown:
-        marginal = partial(estimate.posterior.marginal_entropy, name)
-        maps[f"entropy of {words(name)}"] = partial(_numbers, estimate, marginal, entropy)
+    unknown = open_axes(estimate)
+    maps = entropy_maps(estimate)
+    maps += [most_probable(estimate, name) for name in unknown]
+    maps += [uncertainty(estimate, name, intervals) for name in unknown]
+    maps += [_marginal_entropy(estimate, name) for name in unknown]
     if recovered is not None:
         recovered.require_resolution(estimate.texels)
-        for name, tensor in recovered.items():
-            maps[f"recovered {words(name)}"] = partial(_recovered, name, tensor)
-    return maps
+        maps += recovered_maps(recovered)
+    return {one.name: one for one in maps}
 
 
-def _best(estimate: Estimate, name: str, scale: Scale) -> SurfaceMap:
-    values = np.array(estimate.posterior.map()[name])
-    if values.ndim == 1:
-        return _numbers(estimate, lambda: values, scale)
-    colors = views.srgb(values)  # R, G and B
-    colors[np.array(estimate.coverage) == 0] = UNSEEN
-    image = dilate(estimate.texels.to_image(colors), estimate.texels.inside(), np.inf)
-    return SurfaceMap(colors=image, scale=None)
+def entropy_maps(estimate: Estimate) -> list[SurfaceMap]:
+    """Return maps of the entropy and of the coverage."""
+    result = Result.of(estimate)
+    most = result.most_views
+    return [
+        SurfaceMap(
+            name="entropy", estimate=estimate, values=lambda: result.entropy, scale=ENTROPY,
+            sentence="What the photographs leave open of all parameters together.",
+        ),
+        SurfaceMap(
+            name="coverage", estimate=estimate, values=lambda: result.coverage,
+            scale=Scale(
+                colormap=VIEWS_COLORMAP, high=most, label="views that see the texel",
+                ends=("no photograph", f"{most} photographs"),
+            ),
+            sentence="How many photographs see each point; being seen often does not make it "
+            "known.",
+        ),
+    ]  # fmt: skip
 
 
-def _numbers(estimate: Estimate, values: Callable[[], Any], scale: Scale) -> SurfaceMap:
-    """One number per texel; of one per colour channel, the mean."""
-    numbers = np.array(values(), np.float64)
-    numbers = numbers.reshape(len(numbers), -1).mean(axis=1)
-    limits = (0, scale.high)
-    colors = map_colors(estimate, numbers, limits=limits, colormap=scale.colormap, gutter=np.inf)
-    return SurfaceMap(colors=colors, scale=scale)
+def most_probable(estimate: Estimate, name: str) -> SurfaceMap:
+    """Return the map of a parameter of the most probable material."""
+    scale: Scale | None = Scale(colormap=VALUES_COLORMAP, label=words(name), ends=ENDS[name])
+    sentence = "Of the material that explains the photographs best."
+    if name == "base_color" and estimate.posterior.groups == 3:
+        scale = None
+        sentence = "The colour that explains the photographs best; chequered where unseen."
+    elif name == "base_color":
+        sentence = "Of the material that explains the photographs best; of its colour, brightness."
+    return SurfaceMap(
+        name=f"most probable {words(name)}", sentence=sentence, estimate=estimate,
+        values=lambda: estimate.posterior.map()[name], scale=scale,
+    )  # fmt: skip
 
 
-def _recovered(name: str, tensor: Any) -> SurfaceMap:
-    image = np.clip(np.array(tensor, np.float32), 0, 1)
-    if name == "base_color":
-        return SurfaceMap(colors=views.srgb(image), scale=None)
-    scale = Scale(colormap=GREY, high=1, label=words(name))
-    return SurfaceMap(colors=np.repeat(image, 3, axis=2), scale=scale)
+def uncertainty(estimate: Estimate, name: str, intervals: Intervals) -> SurfaceMap:
+    """Return the map of half the width of a parameter's interval."""
+    half = f"half the width of the {100 * intervals.level:g} % interval"
+    several = name == "base_color" and estimate.posterior.groups == 3
+    widest = "; of the three channels, the least known" if several else ""
+    return SurfaceMap(
+        name=f"uncertainty of {words(name)}", estimate=estimate,
+        values=lambda: intervals.half_width(name),
+        scale=Scale(high=WIDEST, label=half, ends=("±0", f"±{WIDEST:g} and more")),
+        sentence=f"Half the width of its {100 * intervals.level:g} % interval{widest}. Settled is "
+        f"±{TOLERANCE:g}, the darkest sixth of these colours.",
+    )  # fmt: skip
+
+
+def recovered_maps(textures: Textures) -> list[SurfaceMap]:
+    """Return recovered textures as maps."""
+    return [
+        SurfaceMap(
+            name=f"recovered {words(name)}", estimate=None, values=partial(np.array, tensor),
+            scale=None if name == "base_color" else
+            Scale(colormap=VALUES_COLORMAP, label=words(name), ends=ENDS[name]),
+            sentence="As the recovered texture has it, also where nothing was seen.",
+        )
+        for name, tensor in textures.items()
+    ]  # fmt: skip
+
+
+def _marginal_entropy(estimate: Estimate, name: str) -> SurfaceMap:
+    return SurfaceMap(
+        name=f"entropy of {words(name)}", estimate=estimate,
+        values=lambda: estimate.posterior.marginal_entropy(name), scale=ENTROPY,
+        sentence=f"What the photographs leave open of {words(name)}.",
+    )  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 
 from svu_mi.output.knowledge import TOLERANCE, part, within
 from svu_mi.output.page import grouped
-from svu_mi.output.result import Result, known, words
+from svu_mi.output.result import Result, areas, known, words
 
 ROUGHLY = 0.15  # half-width of an interval up to which a parameter counts as roughly known
 STEEP = 0.5  # mean sine of elevation from which a part of the surface faces up, or down
@@ -39,7 +39,7 @@ class Parts:
             result: what it says; some texel must be seen.
             half_width: (T,) of the parameter's intervals.
         """
-        area = estimate.texels.footprint.numpy().astype(np.float64)[result.seen] ** 2
+        area = areas(estimate)[result.seen]
         settled, roughly = (within(half_width[result.seen], x) for x in (TOLERANCE, ROUGHLY))
         return cls(part(area, settled), part(area, roughly & ~settled), part(area, ~roughly))
 
@@ -52,9 +52,8 @@ def facing(estimate: Any, chosen: np.ndarray, up: np.ndarray) -> str | None:
         chosen: (T,) bool.
         up: unit vector.
     """
-    texels = estimate.texels
-    area = texels.footprint.numpy().astype(np.float64)[chosen] ** 2
-    heights = np.array(texels.normal, np.float64).T[chosen] @ up
+    area = areas(estimate)[chosen]
+    heights = np.array(estimate.texels.normal, np.float64).T[chosen] @ up
     if not area.sum() > 0:
         return None
     mean = float((area * heights).sum() / area.sum())

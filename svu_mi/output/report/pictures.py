@@ -8,26 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.output import views
-from svu_mi.output.figures import GUTTER, map_colors
-from svu_mi.output.knowledge import TOLERANCE, WIDEST, Intervals
+from svu_mi.output import surface_maps, views
+from svu_mi.output.figures import map_colors
+from svu_mi.output.knowledge import Intervals
 from svu_mi.output.page import THUMBNAIL, Picture, drawing, grouped, percent
 from svu_mi.output.page import photograph as embedded
 from svu_mi.output.report.findings import why_left_out
 from svu_mi.output.report.turntable import Turntable
-from svu_mi.output.result import Result, open_axes, words
-from svu_mi.output.style import COLORMAP, VIEWS_COLORMAP
-from svu_mi.parameters import NAMES
+from svu_mi.output.result import is_seen, open_axes
+from svu_mi.output.style import css_gradient
+from svu_mi.output.surface_maps import SurfaceMap
 from svu_mi.recovery.textures import Textures
-from svu_mi.surface.gutter import dilate
 
 SHOWN = 60  # photographs in a report; of more, every other, or fewer
 FIRST = 12  # of them that are shown without asking
 SHOWN_LEFT_OUT = 12
 OVERSAMPLED = 4  # pixels that a thumbnail's is averaged over, along each side
-VALUES_COLORMAP = "plasma"  # has no grey, which means unseen
-ENDS = {"roughness": ("0: mirror", "1: matt"), "metallic": ("0: no metal", "1: metal"),
-        "specular": ("0: no gloss", "1: mirror of all light")}  # fmt: skip
 MAP_SIDE = 512  # pixels
 CHECKS, LIGHT, DARK = 24, 0.72, 0.5  # fields across a texture and greys of what was not seen
 
@@ -51,7 +47,7 @@ class Thumbnail:
 
 @dataclass(frozen=True)
 class Map:
-    """A value of every texel.
+    """A ``SurfaceMap`` of a page.
 
     Attributes:
         name: what it is.
@@ -121,52 +117,25 @@ def turning(table: Turntable, estimate: Any) -> list[tuple[Picture, str, str]]:
     return frames
 
 
-def entropy_maps(table: Turntable, estimate: Any, result: Result) -> list[Map]:
-    """Return maps of the entropy and of the coverage."""
-    most = max(int(result.coverage.max(initial=0)), 1)
-    return [
-        _scaled(
-            table, estimate, "Entropy", result.entropy, COLORMAP,
-            ("one material left", "nothing known"),
-            "What the photographs leave open of all parameters together.",
-        ),
-        _scaled(
-            table, estimate, "Coverage", result.coverage, VIEWS_COLORMAP,
-            ("no photograph", f"{most} photographs"),
-            "How many photographs see each point; being seen often does not make it known.",
-            most,
-        ),
-    ]  # fmt: skip
-
-
-def parameter_maps(table: Turntable, estimate: Any, intervals: Intervals) -> list[Map]:
-    """Return maps of the most probable value of each open parameter, and of how well it is known.
+def maps(table: Turntable, estimate: Any, intervals: Intervals) -> list[Map]:
+    """Return maps of entropy and coverage, and of each open parameter, if any texel is seen.
 
     Args:
         table: shows the object.
         estimate: the ``Estimate``.
         intervals: of its posterior.
     """
-    maps = []
-    best = estimate.posterior.map()
-    for name in open_axes(estimate):
-        values = np.array(best[name], np.float32)
-        label = words(name)
-        if name == "base_color":
-            maps.append(_colored(table, estimate, values))
-        else:
-            maps.append(_scaled(
-                table, estimate, f"Most probable {label}", values, VALUES_COLORMAP, ENDS[name],
-                "Of the material that explains the photographs best.",
-            ))  # fmt: skip
-        widest = "; of the three channels, the least known" if intervals.channels(name) > 1 else ""
-        maps.append(_scaled(
-            table, estimate, f"Uncertainty of {label}", intervals.half_width(name), COLORMAP,
-            ("±0", f"±{WIDEST:g} and more"),
-            f"Half the width of its {100 * intervals.level:g} % interval{widest}. Settled is "
-            f"±{TOLERANCE:g}, the darkest sixth of these colours.", WIDEST,
-        ))  # fmt: skip
-    return maps
+    shown = surface_maps.entropy_maps(estimate)
+    for name in open_axes(estimate) if is_seen(estimate).any() else ():
+        shown += [
+            surface_maps.most_probable(estimate, name),
+            surface_maps.uncertainty(estimate, name, intervals),
+        ]
+    inside, chequers = estimate.texels.inside(), _chequers(estimate)
+    return [
+        _map(table, one, one.colors(unseen=chequers), inside)
+        for one in shown
+    ]
 
 
 def texture_maps(table: Turntable, estimate: Any, textures: Textures) -> list[Map]:
@@ -174,70 +143,23 @@ def texture_maps(table: Turntable, estimate: Any, textures: Textures) -> list[Ma
     inside = estimate.texels.inside()
     if textures.resolution != estimate.texels.resolution:
         inside = np.ones(textures.resolution[::-1], bool)
-    maps = []
-    for name in NAMES:
-        image = np.clip(np.array(getattr(textures, name), np.float32), 0, 1)
-        colors, scale = views.srgb(image), None
-        if image.shape[2] == 1:
-            colors = _shades(image[..., 0], VALUES_COLORMAP)
-            scale = gradient(VALUES_COLORMAP), *ENDS[name]
-        maps.append(_map(
-            table, f"Recovered {words(name)}", colors, inside, scale,
-            "As the recovered texture has it, also where nothing was seen.",
-        ))  # fmt: skip
-    return maps
+    return [
+        _map(table, one, one.colors(), inside) for one in surface_maps.recovered_maps(textures)
+    ]
 
 
-def _scaled(
-    table: Turntable, estimate: Any, name: str, values: np.ndarray, colormap: str,
-    ends: tuple[str, str], sentence: str, most: float = 1,
-) -> Map:  # fmt: skip
-    colors = map_colors(estimate, values, limits=(0, most), colormap=colormap)
-    return _map(
-        table, name, colors, estimate.texels.inside(), (gradient(colormap), *ends), sentence
-    )
-
-
-def _colored(table: Turntable, estimate: Any, values: np.ndarray) -> Map:
-    """Base colour: grey is a colour here, so what nobody saw is chequered."""
-    colors = views.srgb(np.clip(values.reshape(len(values), -1), 0, 1))
-    image = estimate.texels.to_image(np.broadcast_to(colors, (len(colors), 3)), 0)
-    height, width = image.shape[:2]
+def _chequers(estimate: Any) -> np.ndarray:
+    """Return what nobody saw where grey is a colour: fields (H, W, 3) of two greys."""
+    width, height = estimate.texels.resolution
     rows, columns = np.mgrid[:height, :width]
     size = max(max(height, width) / CHECKS, 1)
     odd = (rows // size + columns // size) % 2 > 0
-    unseen = ~estimate.texels.to_image(np.array(estimate.coverage) > 0, True)
-    image[unseen] = np.where(odd, LIGHT, DARK)[unseen][:, None]
-    inside = estimate.texels.inside()
-    grey = ", in grey: brightness alone was estimated" if values.ndim == 1 else ""
-    sentence = f"The colour that explains the photographs best{grey}; chequered where unseen."
-    return _map(
-        table, "Most probable base colour", dilate(image, inside, GUTTER), inside, None, sentence
-    )
+    return np.repeat(np.where(odd, LIGHT, DARK)[..., None], 3, axis=2)
 
 
-def _map(
-    table: Turntable, name: str, colors: np.ndarray, inside: np.ndarray,
-    scale: tuple[str, str, str] | None, sentence: str,
-) -> Map:  # fmt: skip
+def _map(table: Turntable, one: SurfaceMap, colors: np.ndarray, inside: np.ndarray) -> Map:
     opaque = np.dstack([colors, inside.astype(np.float32)])
     front = drawing(table.frame(colors, 0))
-    return Map(name, sentence, front, drawing(opaque, MAP_SIDE), scale)
-
-
-def _shades(values: np.ndarray, colormap: str) -> np.ndarray:
-    from matplotlib import colormaps
-
-    return np.array(colormaps[colormap](values)[..., :3], np.float32)
-
-
-def gradient(colormap: str) -> str:
-    """Return a colormap as CSS has it."""
-    return ", ".join(hexadecimal(np.linspace(0, 1, 9), colormap))
-
-
-def hexadecimal(values: np.ndarray, colormap: str = COLORMAP) -> list[str]:
-    """Return colours of a colormap as CSS has them."""
-    from matplotlib.colors import to_hex
-
-    return [to_hex(color) for color in _shades(values, colormap)]
+    scale = None if one.scale is None else (css_gradient(one.scale.colormap), *one.scale.ends)
+    name = one.name[0].upper() + one.name[1:]
+    return Map(name, one.sentence, front, drawing(opaque, MAP_SIDE), scale)

@@ -9,16 +9,24 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.output import views
-from svu_mi.output.figures import cell_edges
+from svu_mi.output.chart import Plot, plot
+from svu_mi.output.figures import bar_edges
 from svu_mi.output.knowledge import Intervals
 from svu_mi.output.page import NARROW_SPACE, Picture, drawing, grouped
 from svu_mi.output.page import photograph as embedded
-from svu_mi.output.plots import Plot, plot
 from svu_mi.output.relit import SIDE as LARGE
 from svu_mi.output.relit import Comparison, explain
-from svu_mi.output.report.pictures import hexadecimal, spread
+from svu_mi.output.report.pictures import spread
 from svu_mi.output.report.turntable import Turntable
-from svu_mi.output.result import Result, mean_marginals, open_axes, prior_marginal, words
+from svu_mi.output.result import (
+    Result,
+    mean_marginals,
+    open_axes,
+    place_of,
+    prior_marginal,
+    words,
+)
+from svu_mi.output.style import css_colors
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.textures import Textures, lay_out
 
@@ -97,7 +105,7 @@ def histogram(result: Result) -> Plot | None:
     return plot(
         edges, parts, f"Histogram of entropy; the median is {np.median(values):.2f}.",
         top=top, y_ticks=[(0, "0"), (parts.max(), f"{100 * parts.max():.0f} %")],
-        x_ticks=ZEROS_AND_ONE, colors=hexadecimal(centers), labels=labels,
+        x_ticks=ZEROS_AND_ONE, colors=css_colors(centers), labels=labels,
     )  # fmt: skip
 
 
@@ -126,8 +134,7 @@ def examples(
         place = table.find(estimate.texels, alike)
         texel, number, x, y = place or (int(order[rank]), -1, 0.0, 0.0)
         count = int(result.coverage[texel])
-        column, row = (int(v) for v in divmod(int(estimate.texels.index.numpy()[texel]),
-                                              estimate.texels.resolution[0])[::-1])  # fmt: skip
+        column, row = place_of(estimate, texel)
         found.append(Example(
             name,
             f"Entropy {result.entropy[texel]:.2f}, in {grouped(count)} "
@@ -233,7 +240,7 @@ def _marginal(
 ) -> Plot:  # fmt: skip
     """Bars, or lines for three channels; dashed: of lowest entropy; dotted: knowing nothing."""
     several = p.shape[1] == 3
-    edges = cell_edges(nodes)
+    edges = bar_edges(nodes)
     lines = [("prior", nodes, prior)]
     if several:
         lines += [(style, nodes, p[:, k]) for k, style in enumerate(CHANNEL_STYLES)]

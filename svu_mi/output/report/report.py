@@ -13,10 +13,11 @@ import numpy as np
 
 import svu_mi
 from svu_mi.capture import Capture
+from svu_mi.output import style
 from svu_mi.output.knowledge import Intervals, Knowledge
 from svu_mi.output.manifest import environment_record
 from svu_mi.output.page import NARROW_SPACE, grouped, percent, write_page
-from svu_mi.output.relit import DIFFERENCE_COLORMAP, WORST
+from svu_mi.output.relit import WORST
 from svu_mi.output.report import findings, pictures, plots
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import Result, known, open_axes, words
@@ -66,9 +67,7 @@ def write_report(
     report(1, 5)
     frames = pictures.turning(table, estimate)
     report(2, 5)
-    maps = pictures.entropy_maps(table, estimate, result)
-    if result.seen.any():
-        maps += pictures.parameter_maps(table, estimate, intervals)
+    maps = pictures.maps(table, estimate, intervals)
     recovered = [] if textures is None else pictures.texture_maps(table, estimate, textures)
     report(3, 5)
     examples = plots.examples(table, estimate, result, intervals, [frame[0] for frame in frames])
@@ -83,8 +82,8 @@ def write_report(
         count=capture.count, used=sum(capture.used), frames=frames, maps=maps, recovered=recovered,
         histogram=plots.histogram(result),
         marginals=plots.marginals(estimate, result), examples=examples, errors=errors,
-        error_colors=pictures.gradient(DIFFERENCE_COLORMAP),
-        error_end=percent(WORST), textured=textures is not None,
+        error_colors=style.css_gradient(style.DIFFERENCE_COLORMAP), error_end=percent(WORST),
+        colors=style.SETTLED_COLORS, unseen=style.UNSEEN, textured=textures is not None,
         color=estimate.posterior.groups == 3, skipped=findings.skipped(estimate),
         warnings=warnings[:WARNINGS], more_warnings=warnings[WARNINGS:],
         **_record(capture, estimate, settings),
@@ -129,7 +128,7 @@ def _summary(
             ("Seen", percent(knowledge.seen_part),
              f"of the surface; a point seen is in {views:g} photographs (median)"),
             ("Mean entropy", f"{seen.mean():.2f}" if len(seen) else "–",
-             "of the points seen: 0 = one material left, 1 = nothing known"),
+             f"of the points seen: {style.ENTROPY_ENDS}"),
         ],
         "cells": grouped(np.prod(estimate.posterior.grid.shape)),
         "parameters": [words(name) for name in open_axes(estimate)],

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.output.figures import TRUTH, draw_marginal
+from svu_mi.output import style
+from svu_mi.output.figures import draw_marginal
 from svu_mi.output.result import open_axes, words
-from svu_mi.output.style import INK, new_figure
+from svu_mi.output.style import MARK, new_figure
+from svu_mi.output.surface_maps import Scale
 from svu_mi.output.viewer.picking import Pick
-from svu_mi.output.viewer.surface_maps import Scale
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.textures import Textures
 
@@ -78,9 +79,9 @@ def draw_pick(estimate: Estimate, pick: Pick, recovered: Textures | None = None)
         value = None if recovered is None else getattr(recovered, name, None)
         if value is not None:
             # Of a colour the mean, as of the marginals.
-            axes.axvline(np.array(value)[pick.row, pick.column].mean(), color=TRUTH, lw=2)
-            axes.plot([], [], color=TRUTH, lw=2, label="recovered")
-            axes.legend(fontsize=8, frameon=False, handlelength=1)
+            axes.axvline(np.array(value)[pick.row, pick.column].mean(), color=MARK, lw=2)
+            axes.plot([], [], color=MARK, lw=2, label="recovered")
+            style.legend(axes, 8, handlelength=1)
     return _pixels(figure)
 
 
@@ -88,17 +89,9 @@ def draw_scale(scale: Scale | None) -> np.ndarray:
     """Draw a colour bar, (h, w, 3) uint8; one white pixel without a scale."""
     if scale is None:
         return np.full((1, 1, 3), 255, np.uint8)
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     figure = new_figure(WIDTH, 0.55, DPI, layout="constrained")
-    bar = figure.colorbar(
-        ScalarMappable(Normalize(0, scale.high), scale.colormap),
-        cax=figure.add_subplot(), orientation="horizontal",
-    )  # fmt: skip
-    bar.outline.set_visible(False)
-    bar.set_label(scale.label, size=9, color=INK)
-    bar.ax.tick_params(labelsize=8, labelcolor=INK, length=3)
+    drawn = style.scale((0, scale.high), scale.colormap)
+    style.color_bar(figure.add_subplot(), drawn, scale.label, None)
     return _pixels(figure)
 
 

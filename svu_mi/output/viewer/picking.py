@@ -14,6 +14,7 @@ from svu_mi.errors import OptionError
 from svu_mi.interop import owned
 from svu_mi.output import views
 from svu_mi.output.knowledge import Intervals
+from svu_mi.output.result import place_of
 from svu_mi.pipeline import Estimate
 from svu_mi.surface import Texels
 from svu_mi.surface.gutter import dilate
@@ -94,13 +95,13 @@ class Picker:
         texels, posterior = self._estimate.texels, self._estimate.posterior
         if not 0 <= texel < texels.count:
             raise OptionError(f"Texels are numbered 0 to {texels.count - 1}, got {texel}.")
-        index = int(texels.index.numpy()[texel])
+        column, row = place_of(self._estimate, texel)
         seen_by = self._seen_by(texel)
         names = list(posterior.axes)
         return Pick(
             texel=texel,
-            column=index % texels.resolution[0],
-            row=index // texels.resolution[0],
+            column=column,
+            row=row,
             position=np.array(texels.position, np.float64)[:, texel],
             entropy=float(np.array(self._estimate.entropy)[texel]),
             seen_by=seen_by,

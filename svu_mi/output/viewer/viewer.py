@@ -18,20 +18,22 @@ from svu_mi.metrics.images import srgb
 from svu_mi.names import obj_name
 from svu_mi.output.knowledge import Intervals
 from svu_mi.output.page import percent
+from svu_mi.output.result import is_seen
+from svu_mi.output.style import MARK
+from svu_mi.output.surface_maps import surface_maps
 from svu_mi.output.upright import DIRECTION, Axis, front_and_right, upright
 from svu_mi.output.viewer.frusta import Frustum, frustum
 from svu_mi.output.viewer.model import GAIN, material_colors, model
 from svu_mi.output.viewer.panels import draw_pick, draw_scale, says
 from svu_mi.output.viewer.picking import Pick, Picker
 from svu_mi.output.viewer.serving import require_viser, serve, stop
-from svu_mi.output.viewer.surface_maps import SurfaceMap, surface_maps
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.textures import Textures
 
 HOME = (2.2, 1.2, 0.8)  # in front, to the right and above, in radii: the first look at the object
 NOWHERE = "anywhere"
 THUMBNAIL, PHOTOGRAPH = 160, 1024  # pixels of the longer side
-CAMERA, SEEING = (70, 70, 80), (232, 69, 60)  # colours of frusta
+CAMERA, SEEING = (70, 70, 80), tuple(round(255 * c) for c in MARK)  # colours of frusta
 CAMERA_SIZE = 0.12  # in parts of the object's radius
 SHADE = 0.75  # brightness of what faces down, so that shapes are seen
 PATIENCE = 0.5  # seconds between looks for Ctrl-C, which some systems do not tell a waiting queue
@@ -72,7 +74,7 @@ class Viewer:
         self._maps = surface_maps(estimate, recovered, intervals)
         self._picker = Picker(capture, estimate, intervals)
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self._shown: dict[str, tuple[Any, SurfaceMap]] = {}
+        self._shown: dict[str, Any] = {}
         self._center, self._radius = bounding_sphere(capture.mesh)
         self._up = upright(capture) if up is None else np.array(DIRECTION[up])
         front, right = front_and_right(capture, self._center, self._up)
@@ -90,7 +92,7 @@ class Viewer:
     def _prepare(self) -> None:
         """Compile and compute now what the first click needs."""
         self._picker.pick(self._center, self._up)
-        seen = np.flatnonzero(np.array(self._estimate.coverage))
+        seen = np.flatnonzero(is_seen(self._estimate))
         if len(seen):
             self._picker.describe(int(seen[0]))
 
@@ -121,18 +123,17 @@ class Viewer:
         """Show a map on the object; ``maps`` names them."""
         if name not in self._shown:
             self._status.content = f"Computing *{name}* ..."
-            drawn = self._maps[name]()
-            glb = model(self._capture.mesh, drawn.colors)
-            handle = self._server.scene.add_glb(f"/object/{name}", glb)
-            self._shown[name] = handle, drawn
+            # Charts reach over all that is outside, so that no seam shows.
+            glb = model(self._capture.mesh, self._maps[name].colors(np.inf))
+            self._shown[name] = self._server.scene.add_glb(f"/object/{name}", glb)
             self._status.content = self._heading()
-        for other, (handle, _) in self._shown.items():
+        for other, handle in self._shown.items():
             handle.visible = other == name
         self._choice.value = name
-        drawn = self._shown[name][1]
-        self._bar.visible = drawn.scale is not None
-        if drawn.scale is not None:
-            self._bar.image = draw_scale(drawn.scale)
+        scale = self._maps[name].scale
+        self._bar.visible = scale is not None
+        if scale is not None:
+            self._bar.image = draw_scale(scale)
 
     @property
     def maps(self) -> tuple[str, ...]:
@@ -165,7 +166,7 @@ class Viewer:
         self._text.content = says(self._capture, found)
         self._plot.image = draw_pick(self._estimate, found, self._recovered)
         self._plot.visible = True
-        red = material_colors(np.array(SEEING) / 255)
+        red = material_colors(np.array(MARK))
         self._server.scene.add_icosphere(
             "/texel", 0.012 * self._radius, color=tuple(red.tolist()), position=found.position,
             cast_shadow=False, receive_shadow=False,
@@ -204,7 +205,7 @@ class Viewer:
 
     def _heading(self) -> str:
         # The page takes more than Markdown for its own: an id in braces would be run.
-        seen = np.array(self._estimate.coverage) > 0
+        seen = is_seen(self._estimate)
         entropy = np.array(self._estimate.entropy)  # where nothing is seen, that of the prior
         mean = (entropy[seen] if seen.any() else entropy).mean()
         return (
