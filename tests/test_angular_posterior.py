@@ -99,11 +99,11 @@ def brute_force(switches, samples, prior=None):
             d = oracle.specular_errors(w, *own[:3], b[c], nodes)
         sigma = switches.sigma * (1 if switches.noise == "fixed" else SCALE)
         views = len(w) if switches.noise == "marginal" else None
-        energies.append(oracle.energies(d, sigma, views))
-    together = oracle.joint(energies, prior)
+        energies.append(oracle_posterior.energies(d, sigma, views))
+    together = oracle_posterior.joint(energies, prior)
     row, *own = np.unravel_index(together.argmax(), together.shape)
     shared = np.unravel_index(row, grid.shape[:-1])
-    return oracle.of_channels(together, grid.shape), [(*shared, k) for k in own]
+    return oracle_posterior.of_channels(together, grid.shape), [(*shared, k) for k in own]
 
 
 def random_prior(rng, grid):
@@ -128,7 +128,7 @@ def test_every_rule_agrees_with_brute_force(switches, with_prior):
     for t in range(8):
         truth, cells = brute_force(switches, samples[t], prior)
         np.testing.assert_allclose(p[t], truth, atol=5e-6)
-        assert abs(H[t] - oracle.mean_entropy(truth)) < 5e-6
+        assert abs(H[t] - oracle_posterior.mean_entropy(truth)) < 5e-6
         for axis, (name, nodes) in enumerate(grid.axes.items()):
             others = tuple(k for k in range(len(grid.shape)) if k != axis)
             marginal = truth.sum(axis=others)
@@ -147,7 +147,7 @@ def test_entropy_is_exact_for_sharp_and_flat_likelihoods(channels, sigma):
     H = np.array(angular_posterior(of(samples), PRINCIPLED, SCALE, switches).entropy())
     for t in range(12):
         truth, _ = brute_force(switches, [x[t] for x in samples])
-        assert abs(H[t] - oracle.mean_entropy(truth)) < 2e-5
+        assert abs(H[t] - oracle_posterior.mean_entropy(truth)) < 2e-5
 
 
 @pytest.mark.parametrize("switches", RULES, ids=rule)
@@ -158,7 +158,7 @@ def test_entropy_is_that_of_the_probabilities(switches):
     posterior = angular_posterior(of(samples), grid_of(switches), SCALE, switches)
     p = np.array(posterior.probabilities, np.float64)
     p = p.reshape(40, *posterior.grid.shape, posterior.groups)
-    truth = [oracle.mean_entropy(x) for x in p]
+    truth = [oracle_posterior.mean_entropy(x) for x in p]
     np.testing.assert_allclose(np.array(posterior.entropy()), truth, atol=3e-6)
 
 
@@ -319,13 +319,13 @@ def test_statistics_and_posterior_together_are_brute_force(scene, channels):
     for t in range(0, statistics.count, 12):
         w, columns, b = samples.of(t)
         energies = [
-            oracle.energies(oracle.principled_errors(
+            oracle_posterior.energies(oracle.principled_errors(
                 w, *(x[:, c] for x in columns), b[c], np.linspace(0, 1, 3), np.linspace(0, 1, 3)
             ), 0.4)
             for c in range(switches.colors)
         ]  # fmt: skip
-        truth = oracle.of_channels(oracle.joint(energies), grid.shape)
-        assert abs(H[t] - oracle.mean_entropy(truth)) < 5e-6
+        truth = oracle_posterior.of_channels(oracle_posterior.joint(energies), grid.shape)
+        assert abs(H[t] - oracle_posterior.mean_entropy(truth)) < 5e-6
 
 
 @pytest.mark.parametrize("gain", [0.25, 4.0])

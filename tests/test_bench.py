@@ -15,9 +15,10 @@ from PIL import Image
 from svu_mi import scenes
 from svu_mi.bench import accuracy, run_bench, speed
 from svu_mi.bench.captures import capture_of, some_views
-from svu_mi.bench.cells import QUICK, Settings, data_cells, own_cells
+from svu_mi.bench.cells import data_cells, own_cells
 from svu_mi.bench.glb import convert_glb
 from svu_mi.bench.judge import judge_posterior
+from svu_mi.bench.sizes import QUICK, Sizes
 from svu_mi.bench.store import Store, key_of
 from svu_mi.bench.text import seconds, table
 from svu_mi.bench.variants import VARIANTS, Variant, available, base_of
@@ -29,9 +30,9 @@ from svu_mi.metrics import GroundTruth
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.progress import Progress
 
-TINY = Settings(views=6, film=32, spp=4, texels=48, speed_texels=48, reference_texels=20,
-                reference_spp=4, brute_texels=6, brute_spp=2, checked=1, speed_film=32,
-                repeats=1)  # fmt: skip
+TINY = Sizes(views=6, film=32, spp=4, texels=48, speed_texels=48, reference_texels=20,
+             reference_spp=4, brute_texels=6, brute_spp=2, checked=1, speed_film=32,
+             repeats=1)  # fmt: skip
 TWO = (Variant("spectrum paper", "spectrum", "paper", main=True),
        Variant("spectrum default", "spectrum", "default", main=True),
        Variant("spectrum degree 4", "spectrum", "default", {"degree": 4}))  # fmt: skip
@@ -250,6 +251,20 @@ def test_what_run_bench_refuses(tmp_path):
         run_bench(bench_in(tmp_path), ())
 
 
+@pytest.mark.parametrize("what", ["kernels", "conventions", "orb"])
+def test_what_left_the_package_is_told_where_it_is(what, tmp_path, capsys, variant):
+    assert main(["bench", what, "-o", str(tmp_path / "o")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"svu bench {what} is no longer part of svu" in line
+    assert line.endswith(f"run PYTHONPATH=tests python -m studies.{what}.")
+    assert not (tmp_path / "o").exists()
+
+
+def test_an_unknown_benchmark_is_one_line(tmp_path, capsys, variant):
+    assert main(["bench", "power", "-o", str(tmp_path)]) == 2
+    assert "no benchmark 'power'; there are accuracy, checks" in capsys.readouterr().err
+
+
 def test_views_are_left_out_evenly(finished):
     folder, _ = finished
     whole = bench_in(folder).capture(CELLS[0])
@@ -446,5 +461,5 @@ def test_text():
 
 
 def test_quick_is_smaller_than_full():
-    assert all(getattr(QUICK, name) <= getattr(Settings(), name)
+    assert all(getattr(QUICK, name) <= getattr(Sizes(), name)
                for name in ("views", "film", "spp", "texels", "reference_texels"))  # fmt: skip

@@ -10,13 +10,13 @@ from functools import partial
 import mitsuba as mi
 import numpy as np
 import pytest
+from studies.conventions.cases import CASES, Case, outcome, same
+from studies.conventions.photographs import before_wall, eight_bit, without_masks
+from studies.conventions.run import conventions_tables
+from studies.conventions.written import write
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.bench.conventions import conventions_tables
-from svu_mi.bench.conventions.cases import CASES, Case, outcome, same
-from svu_mi.bench.conventions.photographs import before_wall, eight_bit, without_masks
-from svu_mi.bench.conventions.written import write
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.poses import sphere_sensors
 from svu_mi.capture.rendering import object_mask

@@ -12,12 +12,11 @@ import pytest
 from scipy import stats
 
 from svu_mi.bench.accuracy import Bench
-from svu_mi.bench.cells import Settings, own_cells
+from svu_mi.bench.cells import own_cells
 from svu_mi.bench.guidance import curves, draw_guidance, guidance_tables, run_guidance
 from svu_mi.bench.guidance import run as module
 from svu_mi.bench.guidance.curves import Shoot
 from svu_mi.bench.guidance.run import few_lights
-from svu_mi.bench.guidance.sizes import Sizes
 from svu_mi.bench.guidance.verdict import (
     compare,
     find_bars,
@@ -25,17 +24,18 @@ from svu_mi.bench.guidance.verdict import (
     times_as_many,
     views_needed,
 )
+from svu_mi.bench.sizes import GuidanceSizes, Sizes
 from svu_mi.capture.poses import bounding_sphere, directions_of
 from svu_mi.progress import Progress
 from svu_mi.recovery.options import ShOptions
 from svu_mi.surface import texels
 
-PICTURES = Settings(views=8, film=32, spp=4, texels=32)
-TINY = Sizes(
+TINY = GuidanceSizes(
     lights=1, texels=24, starts=1, kinds=("one-sided",), start=2, asked=3, marks=(1, 2),
     strategies=("entropy", "error", "farthest", "random"), speed_texels=12, candidates=(3, 6),
     fewer=(8,), added=2, refits=(1, 1), repeats=1,
 )  # fmt: skip
+PICTURES = Sizes(views=8, film=32, spp=4, texels=32, guidance=TINY)
 CELLS = own_cells(["vase"], ["window", "overcast"])
 STEPS = 15  # of every recovery: how good it is, nobody asks here
 MARKS = (1, 2, 4)
@@ -65,7 +65,7 @@ def runs_of(first, second, starts=1):
 def test_starts_of_an_object_are_no_independent_samples():
     rng = np.random.default_rng(0)
     first, second = (rng.normal(1, 0.2, (6, 2, 2)).tolist() for _ in range(2))
-    sizes = Sizes(strategies=("entropy", "random"), judged=("entropy",), marks=(1, 2))
+    sizes = GuidanceSizes(strategies=("entropy", "random"), judged=("entropy",), marks=(1, 2))
     (found,) = compare(runs_of(first, second, 2), sizes)
     gains = [[mean_gain((1, 2), [0, *s]) for s in cell] for cell in first]
     others = [[mean_gain((1, 2), [0, *s]) for s in cell] for cell in second]
@@ -76,7 +76,7 @@ def test_starts_of_an_object_are_no_independent_samples():
 
 
 def test_who_never_gets_there_needs_at_least_all_views():
-    sizes = Sizes(strategies=("entropy", "random"), judged=("entropy",), marks=(1, 2))
+    sizes = GuidanceSizes(strategies=("entropy", "random"), judged=("entropy",), marks=(1, 2))
     runs = runs_of([[[1.0, 2.0]]], [[[0.1, 0.2]]])
     assert times_as_many(runs, sizes, "entropy", "random") == pytest.approx(2)
     assert np.isnan(times_as_many(runs, sizes, "random", "entropy"))
@@ -96,7 +96,7 @@ def finished(tmp_path_factory):
     brief = replace(options, descent=replace(options.descent, steps=STEPS))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(curves, "recover", partial(curves.recover, sh=brief))
-        return bench, run_guidance(bench, CELLS, TINY)
+        return bench, run_guidance(bench, CELLS)
 
 
 def test_every_strategy_adds_views_that_are_judged(finished):
@@ -150,7 +150,7 @@ def test_a_second_run_chooses_nothing_again(finished, monkeypatch):
 
     monkeypatch.setattr(module.Shoot, "curves", refuse)
     monkeypatch.setattr(module, "measure_speed", lambda *_: None)
-    again = run_guidance(bench, CELLS, TINY)
+    again = run_guidance(bench, CELLS)
     assert again["runs"][0]["curves"] == record["runs"][0]["curves"]
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+from studies.conventions.written import WRITERS, as_orb, write_glb
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.bench.conventions.written import WRITERS, as_orb, write_glb
 from svu_mi.capture import nodes
 from svu_mi.capture.poses import affine, describe, make_sensor
 from svu_mi.capture.scene import to_world

@@ -10,26 +10,28 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from oracle import batched
+from oracle import posterior as oracle
+from studies.kernels import entropy, fit, gather
+from studies.kernels import run as kernels
+from studies.kernels.end_to_end import run_once
+from studies.kernels.memory import resident_formula
+from studies.kernels.run import KernelSizes, run_kernels
+from studies.kernels.scaling import Range, line, repeated
+from studies.kernels.tables import kernel_tables
 
 import svu_mi as svu
-from svu_mi.bench import oracle
+from svu_mi.bench import clock
+from svu_mi.bench.bars import Bar, bar_table
+from svu_mi.bench.clock import measure, run, spread
 from svu_mi.bench.fresh import in_new_process
-from svu_mi.bench.kernels import clock, entropy, exact, fit, gather
-from svu_mi.bench.kernels import run as kernels
-from svu_mi.bench.kernels.bars import Bar, bar_table
-from svu_mi.bench.kernels.clock import measure, run, spread
-from svu_mi.bench.kernels.end_to_end import run_once
-from svu_mi.bench.kernels.memory import resident_formula
-from svu_mi.bench.kernels.run import Sizes, run_kernels
-from svu_mi.bench.kernels.scaling import Range, line, repeated
-from svu_mi.bench.kernels.tables import kernel_tables
 from svu_mi.errors import SvuEnvironmentError
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.progress import Progress
 from svu_mi.visibility import Surface, pack_views, survey
 
 FITS = (fit.Case(20, 8, 100.0, "default"), fit.Case(20, 8, None, "paper"))
-TINY = Sizes(
+TINY = KernelSizes(
     texels=3000, resolution=48, views=6, film=32, spp=1, repeats=1, fits=FITS,
     scaled=Range((16, 32, 48), (3, 6, 12), 24), scaled_views=6, scaled_film=32, skipping_film=32,
     methods=("spectrum",),
@@ -181,7 +183,7 @@ def test_a_wrong_kernel_misses_its_bar(monkeypatch):
     right = entropy.hot_path
     compiled = {case.label: {"seconds": 0.0, "compiled": 1, "operations": 1}
                 for case in entropy.CASES}  # fmt: skip
-    monkeypatch.setattr(entropy, "in_new_process", lambda *_, **__: {"result": compiled})
+    monkeypatch.setattr(entropy, "in_new_process", lambda *_, **__: compiled)
     monkeypatch.setattr(
         entropy, "hot_path", lambda posterior: lambda: 0.999 * right(posterior)()
     )
@@ -223,7 +225,7 @@ def test_rays_are_those_of_texels_that_face_the_camera():
 def test_entropies_are_those_of_the_plain_oracle():
     rng = np.random.default_rng(1618)
     x = rng.exponential(4, (5, 3, 4, 2))
-    shared, joint = exact.shared_entropy(x[..., 0]), exact.joint_entropy(x)
+    shared, joint = batched.shared_entropy(x[..., 0]), batched.joint_entropy(x)
     for t in range(5):
         assert shared[t] == pytest.approx(oracle.entropy(oracle.normalize(x[t, ..., 0])))
         p = oracle.of_channels(oracle.joint([x[t, ..., 0], x[t, ..., 1]]), (3, 4))
@@ -235,13 +237,13 @@ def test_energies_are_those_of_the_plain_oracle():
     S_L, S_B = rng.random((2, 4, 7, 3))
     alpha, Ks = np.array([0.0, 0.2, 0.7]), np.array([0.1, 0.5, 0.6, 1.0])
     decay = np.exp(-2 * (alpha[:, None] * np.arange(1, 7)) ** 2)
-    x = exact.spectrum_energy(S_L, S_B, 0.3, decay, Ks)
+    x = batched.spectrum_energy(S_L, S_B, 0.3, decay, Ks)
     for t in range(4):
         for c in range(3):
             d = oracle.distances(S_L[t, :, c], S_B[t, :, c], alpha, Ks)
             np.testing.assert_allclose(x[t, ..., c], oracle.energies(d, 0.3))
     r = oracle.constant_residual(4.0, 9.0, 2.0, 0.5, 0.25)
-    got = exact.constant_energy(
+    got = batched.constant_energy(
         np.array(3.0), np.array(2 * 0.5 * 2 / math.sqrt(math.pi)), np.array(0.25 * 2), 0.3
     )
     assert float(got) == pytest.approx(float(r) ** 2 / (2 * 0.3**2))

@@ -90,6 +90,17 @@ def test_plugins_and_scenes_use_absolute_imports(root):
             assert "." not in imported_stages(path.read_text()), path
 
 
+def test_the_package_uses_nothing_of_the_tests(root):
+    """Studies and oracles are not installed with it."""
+    ours = {path.stem for path in (root / "tests").iterdir()}
+    for path in (root / "svu_mi").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom):
+                names = [node.module or ""]
+            assert not ours & {name.split(".")[0] for name in names}, path
+
+
 def test_the_check_itself_sees_what_it_should(tmp_path):
     """Upward, relative and plugin imports are found, also in functions; typing ones are not."""
     files = {

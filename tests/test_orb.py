@@ -8,27 +8,29 @@ import shutil
 import sys
 import types
 from dataclasses import replace
+from functools import partial
 
 import mitsuba as mi
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from studies.command import main
+from studies.orb import dataset
+from studies.orb.__main__ import Orb
+from studies.orb.dataset import DatasetSizes, render_dataset
+from studies.orb.options import ROWS, Options, OrbSizes
+from studies.orb.run import run_orb, write_orb_results
+from studies.orb.setting import Setting
+from studies.orb.tables import GREY, orb_lines
+from studies.orb.targets import Target, judge_pictures
 
 from svu_mi import scenes
-from svu_mi.bench import run_bench
 from svu_mi.bench.accuracy import Bench
-from svu_mi.bench.cells import QUICK, own_cells
-from svu_mi.bench.orb import dataset, orb_lines
-from svu_mi.bench.orb.dataset import DatasetSizes, render_dataset
-from svu_mi.bench.orb.options import ROWS, Options, Sizes
-from svu_mi.bench.orb.setting import Setting
-from svu_mi.bench.orb.tables import GREY
-from svu_mi.bench.orb.targets import Target, judge_pictures
-from svu_mi.bench.recovery.options import Sizes as RecoverySizes
+from svu_mi.bench.cells import own_cells
+from svu_mi.bench.sizes import QUICK, RecoverySizes
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.picture import read_planes
 from svu_mi.capture.scene import find_environment, load_scene
-from svu_mi.cli.main import main
 from svu_mi.errors import CaptureError, MeshError, OptionError, ShapeError, SvuWarning
 from svu_mi.formats.fixes import turned
 from svu_mi.formats.light import read_environment_map
@@ -43,7 +45,7 @@ from svu_mi.recovery.textures import Textures
 
 LIGHTS = ("window", "studio")
 PHOTOGRAPHS = DatasetSizes(train=12, test=2, film=48, spp=48, test_spp=1024, environment=128)
-TINY = Sizes(film=48, texels=48, spp=256, recovery=RecoverySizes(warm=False, repeats=1))
+TINY = OrbSizes(film=48, texels=48, spp=256, recovery=RecoverySizes(warm=False, repeats=1))
 FIRST, SECOND = "vase_scene001", "vase_scene002"
 
 
@@ -360,7 +362,8 @@ def setting(data, folder):
 
 @pytest.fixture(scope="module")
 def record(data, folder):
-    return run_bench(bench_in(folder), (), "orb", orb=some(data), command="svu bench orb")
+    write = partial(write_orb_results, folder)
+    return run_orb(bench_in(folder), some(data), finished=write)
 
 
 def true_textures():
@@ -426,7 +429,7 @@ def test_true_textures_give_the_photographs_and_a_turned_light_does_not(setting)
 
 
 def test_recovered_textures_are_far_better_than_grey(record):
-    (capture,) = record["orb"]["captures"]
+    (capture,) = record["captures"]
     grey, found = capture["grey"], capture["rows"]["SH (ours)"]
     assert capture["name"] == FIRST and capture["photographs"] == PHOTOGRAPHS.train
     assert 0 < capture["entropy"] < 1 and 0.4 < capture["seen"] / capture["texels"] < 1  # hollow
@@ -438,15 +441,15 @@ def test_recovered_textures_are_far_better_than_grey(record):
 
 
 def test_everything_is_written(record, folder):
-    stored = json.loads((folder / "bench.json").read_text())
+    stored = json.loads((folder / "orb.json").read_text())
     assert stored["orb"]["captures"][0]["name"] == FIRST
     with (folder / "orb.csv").open(encoding="utf-8") as stream:
         lines = list(csv.DictReader(stream))
     assert len(lines) == 2 * 3 * PHOTOGRAPHS.test  # grey and SH, three tasks
     assert {line["row"] for line in lines} == {GREY, "SH (ours)"}
-    text = (folder / "bench.md").read_text()
-    assert "26.918" in text and "| SH (ours) |" in text and "cells (object / light)" not in text
-    grey, found = orb_lines(record["orb"])
+    text = (folder / "orb.md").read_text()
+    assert "26.918" in text and "| SH (ours) |" in text
+    grey, found = orb_lines(record)
     assert grey.startswith(f"{GREY}: PSNR-H ") and found.startswith("SH (ours): PSNR-H ")
     assert found.endswith("LPIPS -")
     assert (folder / "orb" / FIRST / "sh_ours.png").stat().st_size > 5000
@@ -457,8 +460,8 @@ def test_what_is_finished_is_kept(record, data, folder, monkeypatch):
         raise AssertionError("measured again")
 
     monkeypatch.setattr(Setting, "measure", refuse)
-    again = run_bench(bench_in(folder), (), "orb", orb=some(data))
-    assert again["orb"]["captures"] == record["orb"]["captures"]
+    again = run_orb(bench_in(folder), some(data))
+    assert again["captures"] == record["captures"]
 
 
 def test_a_capture_that_cannot_be_read_is_left_out(record, data, folder, monkeypatch):
@@ -471,13 +474,15 @@ def test_a_capture_that_cannot_be_read_is_left_out(record, data, folder, monkeyp
 
     monkeypatch.setattr(Setting, "recall", refuse)
     with pytest.warns(SvuWarning, match="vase_scene002 is left out: torn"):
-        found = run_bench(bench_in(folder), (), "orb", orb=some(data, captures=()))["orb"]
+        found = run_orb(
+            bench_in(folder), some(data, captures=()), finished=partial(write_orb_results, folder)
+        )
     assert [capture["name"] for capture in found["captures"]] == [FIRST]
     assert found["failed"] == [{"cell": SECOND, "reason": "torn"}]
-    assert "torn" in (folder / "bench.md").read_text()
+    assert "torn" in (folder / "orb.md").read_text()
     bad.add(FIRST)
     with pytest.warns(SvuWarning, match="left out"), pytest.raises(CaptureError, match="torn"):
-        run_bench(bench_in(folder), (), "orb", orb=some(data, captures=()))
+        run_orb(bench_in(folder), some(data, captures=()))
 
 
 def test_a_test_needs_its_light_and_its_mask(data):
@@ -519,5 +524,5 @@ def test_without_the_data_set_our_own_scenes_are_rendered_once(tmp_path, monkeyp
         folder = dataset.own_dataset(bench_in(tmp_path))
     assert folder == tmp_path / "orb" / "data" and len(rendered) == 1
     assert rendered[0][:2] == ["vase__window", "vase__overcast"]
-    assert main(["bench", "orb", "--quick", "-o", str(tmp_path)]) == 2  # there is nothing
+    assert main(Orb, ["--quick", "-o", str(tmp_path)]) == 2  # there is nothing
     assert "holds no capture" in capsys.readouterr().err

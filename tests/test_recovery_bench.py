@@ -11,7 +11,7 @@ import pytest
 from svu_mi import scenes
 from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.captures import FRONT, capture_of, uneven_views
-from svu_mi.bench.cells import Cell, Settings, own_cells
+from svu_mi.bench.cells import Cell, own_cells
 from svu_mi.bench.recovery import draw_recovery, recovery_tables, run_recovery
 from svu_mi.bench.recovery import run as module
 from svu_mi.bench.recovery.bars import find_bars
@@ -19,8 +19,9 @@ from svu_mi.bench.recovery.cells import TILES, drift, even_tasks, mosaic, own_ob
 from svu_mi.bench.recovery.costs import describe_marks
 from svu_mi.bench.recovery.judge import Judge, Relit
 from svu_mi.bench.recovery.measure import Mark, step_seconds
-from svu_mi.bench.recovery.options import Options, Sizes
+from svu_mi.bench.recovery.options import Options
 from svu_mi.bench.recovery.rows import PATH, ROWS, SH, SH_SHARING, choose_rows, find_row
+from svu_mi.bench.sizes import RecoverySizes, Sizes
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.main import main
 from svu_mi.errors import OptionError, ShapeError
@@ -31,16 +32,15 @@ from svu_mi.progress import Progress
 from svu_mi.recovery.textures import lay_out, uniform
 from svu_mi.surface import texels
 
-PICTURES = Settings(views=6, film=32, spp=4, texels=32)
 # Without rows that only add sharing to another.
 LABELS = tuple(row.label for row in ROWS if not row.sharing or row is SH_SHARING)
-TINY = Sizes(
+TINY = RecoverySizes(
     rows=LABELS, even_cells=1, relit_views=1, relit_spp=2, dense_views=8, front=4, back=1,
     path_cells=0, repeats=1, step_views=(4, 8), step_film=24, step_steps=30, turns=1, steps=30,
     soak_texels=24, soak_views=6, soak_film=24, scale=0.05, cold=False,
 )  # fmt: skip
+PICTURES = Sizes(views=6, film=32, spp=4, texels=32, recovery=TINY)
 CELLS = own_cells(["vase"], ["window"])
-SOME = Options(sizes=TINY)
 
 
 def bench_in(folder, **changes):
@@ -160,10 +160,11 @@ def test_an_object_of_our_own_is_what_was_painted(tmp_path):
     judge = Judge.of(capture, grid, poor=2)
     color, rough, metal = mosaic()
     index = grid.index.numpy()
-    np.testing.assert_allclose(judge.truth["roughness"], rough.ravel()[index], atol=3e-3)
-    np.testing.assert_allclose(judge.truth["metallic"], metal.ravel()[index], atol=3e-3)
+    true = judge.truth.values
+    np.testing.assert_allclose(true["roughness"], rough.ravel()[index], atol=3e-3)
+    np.testing.assert_allclose(true["metallic"], metal.ravel()[index], atol=3e-3)
     # Steps of sRGB are at most 2.5 times as wide near white.
-    np.testing.assert_allclose(judge.truth["base_color"], color.reshape(-1, 3)[index], atol=6e-3)
+    np.testing.assert_allclose(true["base_color"], color.reshape(-1, 3)[index], atol=6e-3)
 
 
 def test_every_cell_is_relit_by_a_light_of_its_own_that_is_another(tmp_path):
@@ -205,12 +206,12 @@ def test_uneven_views_crowd_on_one_side(capture):
 def test_true_textures_have_no_error_and_others_do(capture):
     grid = texels(capture.mesh, 48)
     judge = Judge.of(capture, grid, poor=2)
-    true = lay_out(grid, judge.truth)
+    true = lay_out(grid, judge.truth.values)
     best, grey = judge.judge(true), judge.judge(uniform(grid))
     assert best["psnr"]["average"] > 99
     assert grey["psnr"]["average"] < 20
     seen = judge.coverage > 0
-    by_hand = np.mean((judge.truth["roughness"][seen] - 0.5) ** 2)
+    by_hand = np.mean((judge.truth.values["roughness"][seen] - 0.5) ** 2)
     assert grey["psnr"]["roughness"] == pytest.approx(-10 * np.log10(by_hand), rel=1e-6)
     (task,) = even_tasks(CELLS, None, capture.source)
     relit = Relit.of(capture, task.relit, 2, 16)
@@ -235,7 +236,7 @@ def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recovery")
     seen = []
     record = run_recovery(
-        bench_in(folder), CELLS, SOME, finished=lambda found: seen.append(len(found["cells"]))
+        bench_in(folder), CELLS, finished=lambda found: seen.append(len(found["cells"]))
     )
     return folder, record, seen
 
@@ -294,7 +295,7 @@ def test_a_second_run_computes_nothing(finished, monkeypatch):
 
     monkeypatch.setattr(module.Setting, "measure", refuse)
     monkeypatch.setattr(module, "measure_costs", refuse)
-    again = run_recovery(bench_in(folder), CELLS, SOME)
+    again = run_recovery(bench_in(folder), CELLS)
     assert again["cells"] == record["cells"]
     assert again["bars"] == record["bars"]
 
@@ -305,7 +306,7 @@ def test_results_of_another_version_are_taken_up_only_if_asked_for(finished, mon
     monkeypatch.setattr("svu_mi.bench.recovery.run.code_now", lambda: "other")
     same = record["cells"][0]["rows"][SH.label]
     monkeypatch.setattr(module.Setting, "measure", lambda _, row: calls.append(row) or same)
-    one = Options(sizes=TINY, groups=("even",), rows=(SH.label,))
+    one = Options(groups=("even",), rows=(SH.label,))
     kept = run_recovery(bench_in(folder), CELLS, replace(one, keep=True))
     stored = run_recovery(bench_in(folder), CELLS, replace(one, stored=True))
     assert calls == []
@@ -315,7 +316,7 @@ def test_results_of_another_version_are_taken_up_only_if_asked_for(finished, mon
 
 
 def test_a_folder_without_results_gives_an_empty_table(tmp_path):
-    record = run_recovery(bench_in(tmp_path), CELLS, Options(sizes=TINY, stored=True))
+    record = run_recovery(bench_in(tmp_path), CELLS, Options(stored=True))
     assert record["cells"] == []
     assert record["costs"] is None
     assert "Recovery" not in recovery_tables(record)

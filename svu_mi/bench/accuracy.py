@@ -11,12 +11,14 @@ import numpy as np
 
 from svu_mi import metrics
 from svu_mi.bench.captures import capture_of
-from svu_mi.bench.cells import Cell, Settings
+from svu_mi.bench.cells import Cell
+from svu_mi.bench.clock import Timed
 from svu_mi.bench.judge import agreement, judge_posterior
+from svu_mi.bench.sizes import Sizes
 from svu_mi.bench.store import Store, code_and_machine, key_of
-from svu_mi.bench.variants import Variant
-from svu_mi.capture import Capture
-from svu_mi.pipeline import Estimate, estimate
+from svu_mi.bench.variants import VARIANTS, Variant
+from svu_mi.capture import Capture, load_capture
+from svu_mi.pipeline import estimate
 from svu_mi.progress import Progress
 from svu_mi.reference import reference_posterior
 from svu_mi.surface import Texels, texels
@@ -31,15 +33,15 @@ class Bench:
 
     Attributes:
         folder: of all results.
-        settings: sizes.
+        sizes: how large everything is.
         progress: shows what is going on.
         trace: gives the reference posterior.
         fresh: compute anew what is finished.
-        quick: small sizes, also where ``settings`` do not say them.
+        quick: whether the sizes are small ones, which bars are not meant for.
     """
 
     folder: Path
-    settings: Settings
+    sizes: Sizes
     progress: Progress
     trace: Tracer = reference_posterior
     fresh: bool = False
@@ -54,51 +56,55 @@ class Bench:
         """Key of a result that takes all of these variants together."""
         labels = [(v.label, v.method, asdict(v.preset)) for v in variants]
         return key_of(
-            str(cell.scene), cell.defines, asdict(self.settings), labels, code_and_machine()
+            str(cell.scene), cell.defines, self.sizes.shared, labels, code_and_machine()
         )
 
-    def capture(self, cell: Cell, settings: Settings | None = None, name: str = "") -> Capture:
-        """Photographs of a cell, rendered once per settings."""
+    def capture(self, cell: Cell, sizes: Sizes | None = None, name: str = "") -> Capture:
+        """Photographs of a cell, rendered once per sizes."""
         folder = self.folder / "cells" / cell.name / (name or "capture")
-        return capture_of(cell, settings or self.settings, folder, self.progress)
+        return capture_of(cell, sizes or self.sizes, folder, self.progress)
 
     def reference(self, capture: Capture, layout: Texels, **changes: Any) -> Any:
         """Path-traced posterior of a few texels, from the cache if it is there."""
         asked: dict[str, Any] = {
-            "subset": self.settings.reference_texels,
-            "spp": self.settings.reference_spp,
-            "seed": self.settings.seed,
+            "subset": self.sizes.reference_texels,
+            "spp": self.sizes.reference_spp,
+            "seed": self.sizes.seed,
             "cache": self.folder / "cache",
             **changes,
         }
         return self.trace(capture, layout, **asked)
 
 
-@dataclass(frozen=True)
-class Timed:
-    """An estimate whose kernels were all compiled before.
-
-    Attributes:
-        estimate: the result.
-        timings: seconds per stage, warm.
-        seconds: their sum.
-    """
-
-    estimate: Estimate
-    timings: dict[str, float]
-    seconds: float
+def run_once(capture: Capture, layout: Texels, variant: Variant, **options: Any) -> Timed:
+    """Estimate; the seconds are the sum of those of all stages."""
+    progress = Progress()
+    result = estimate(capture, layout, variant.method, variant.preset, progress=progress, **options)
+    timings = dict(progress.timings)
+    return Timed(result, sum(timings.values()), timings, sum(progress.kernels.values()))
 
 
 def run_warm(capture: Capture, layout: Texels, variant: Variant, **options: Any) -> Timed:
     """Estimate; again if kernels had to be compiled."""
-    for _ in range(2):
-        progress = Progress()
-        result = estimate(
-            capture, layout, variant.method, variant.preset, progress=progress, **options
-        )
-        if not any(progress.kernels.values()):
-            break
-    return Timed(result, dict(progress.timings), sum(progress.timings.values()))
+    timed = run_once(capture, layout, variant, **options)
+    return run_once(capture, layout, variant, **options) if timed.compiled else timed
+
+
+def estimate_once(folder: str, resolution: int, label: str) -> dict[str, Any]:
+    """Estimate as a user's first run does, in a new process (see ``fresh.in_new_process``).
+
+    Args:
+        folder: of the capture.
+        resolution: texels per side.
+        label: of the variant.
+
+    Returns:
+        ``timings`` by stage in seconds, ``seconds`` their sum, ``kernels`` compiled.
+    """
+    variant = next(v for v in VARIANTS if v.label == label)
+    capture = load_capture(folder)
+    timed = run_once(capture, texels(capture.mesh, resolution), variant)
+    return {"timings": timed.timings, "seconds": timed.seconds, "kernels": timed.compiled}
 
 
 def run_cell(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str, Any]:
@@ -115,16 +121,16 @@ def run_cell(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str,
         ``object``, ``light``, ``reference`` (its figures), ``sanity`` (agreement of the two
         simple maps) and ``variants``: one record per label.
     """
-    key = key_of(str(cell.scene), cell.defines, asdict(bench.settings))
+    key = key_of(str(cell.scene), cell.defines, bench.sizes.shared)
     record = None if bench.fresh else bench.store.load(cell.name, key)
     done = {} if record is None else dict(record["variants"])
     keys = {v.label: key_of(*code_and_machine(), v.method, asdict(v.preset)) for v in variants}
     missing = [v for v in variants if done.get(v.label, {}).get("key") != keys[v.label]]
     if record is None or missing:
         capture = bench.capture(cell)
-        grid = texels(capture.mesh, bench.settings.texels)
+        grid = texels(capture.mesh, bench.sizes.texels)
         with bench.progress.stage(f"Tracing the reference of {cell.title}"):
-            reference = Judge.of(bench.reference(capture, grid), capture, grid)
+            reference = Traced.of(bench.reference(capture, grid), capture, grid)
         record = {**_heading(cell, grid), **reference.figures()}
         for variant in missing:
             with bench.progress.stage(f"{cell.title}: {variant.label}"):
@@ -140,8 +146,8 @@ def _heading(cell: Cell, grid: Texels) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Judge:
-    """The reference of a cell, and what is needed to compare an estimate with it.
+class Traced:
+    """The path-traced reference of a cell, and what is needed to compare an estimate with it.
 
     Attributes:
         reference: as ``reference_posterior`` gives it.
@@ -156,7 +162,7 @@ class Judge:
     truth: metrics.GroundTruth
 
     @classmethod
-    def of(cls, reference: Any, capture: Capture, grid: Texels) -> Judge:
+    def of(cls, reference: Any, capture: Capture, grid: Texels) -> Traced:
         """Leave out what nobody saw: there, every estimator is trivially right."""
         seen = np.array(reference.coverage) > 0
         return cls(
@@ -195,7 +201,7 @@ class Judge:
 
     def judge(self, timed: Timed) -> dict[str, Any]:
         """Return the figures of one estimate."""
-        result = timed.estimate
+        result = timed.result
         everywhere = np.array(result.entropy, np.float64)
         entropy = everywhere[self.kept]
         posterior = np.array(result.posterior.probabilities_of(self.kept))

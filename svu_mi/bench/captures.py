@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.cells import Cell, Settings
+from svu_mi.bench.cells import Cell
+from svu_mi.bench.sizes import Sizes
 from svu_mi.bench.store import Store, key_of
 from svu_mi.capture import Capture, load_capture, render_capture
 from svu_mi.capture import folder as capture_folder
@@ -22,12 +23,12 @@ FRONT = (0.0, 0.3, 1.0)  # direction from the object to the middle of the crowde
 MARK = "bench"  # bench.json in the capture's folder: the key it was rendered under
 
 
-def capture_of(cell: Cell, settings: Settings, folder: Path, progress: Progress) -> Capture:
+def capture_of(cell: Cell, sizes: Sizes, folder: Path, progress: Progress) -> Capture:
     """Render a cell's photographs into a folder, or read them if they are there.
 
     Args:
         cell: object and light.
-        settings: number and size of the photographs.
+        sizes: number and size of the photographs.
         folder: of the capture.
         progress: shows what is going on.
 
@@ -36,20 +37,20 @@ def capture_of(cell: Cell, settings: Settings, folder: Path, progress: Progress)
         OutputError: the folder cannot be written.
     """
     key = key_of(
-        contents(cell), cell.defines, settings.views, settings.film, settings.spp, settings.seed
+        contents(cell), cell.defines, sizes.views, sizes.film, sizes.spp, sizes.seed
     )
     store = Store(folder)
     if store.load(MARK, key) is not None and is_as_written(folder, capture_folder.FILE):
         with progress.stage(f"Loading {cell.title}"):
             return load_capture(folder)
     store.path(MARK).unlink(missing_ok=True)
-    with progress.stage(f"Rendering {cell.title}", settings.views) as stage:
+    with progress.stage(f"Rendering {cell.title}", sizes.views) as stage:
         capture = render_capture(
-            cell.scene, settings.spp, settings.seed, folder=folder, views=settings.views,
-            resolution=(settings.film, settings.film), defines=cell.defines,
+            cell.scene, sizes.spp, sizes.seed, folder=folder, views=sizes.views,
+            resolution=(sizes.film, sizes.film), defines=cell.defines,
             progress=stage.update,
         )  # fmt: skip
-    store.save(MARK, key, {"cell": cell.name, "settings": settings})
+    store.save(MARK, key, {"cell": cell.name, "settings": sizes.shared})
     return capture
 
 

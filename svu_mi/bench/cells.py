@@ -15,51 +15,6 @@ MESH_FILES = ("mesh.ply", "base_color.png", "roughness.png", "metallic.png")
 IMAGES = (".exr", ".hdr")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Settings:
-    """Sizes of a benchmark; part of every result's key.
-
-    Attributes:
-        views: photographs per capture, on a sphere around the object.
-        film: pixels per side of each.
-        spp: samples per pixel.
-        texels: texels per side.
-        speed_texels: the same, where run times are measured.
-        reference_texels: texels of the reference posterior.
-        reference_spp: samples per ray of the reference. Fewer do for its entropy, but at bright
-            texels its posterior then gathers where the noise happens to fit.
-        brute_texels, brute_spp: texels and samples where every psi is rendered.
-        checked: number of objects this is done for.
-        seed: of photographs and reference.
-        speed_film: pixels per side of the photographs that run times are measured on.
-        repeats: warm runs of which the median is taken.
-        stride: of the points of each scaling curve, only every so many-th is measured.
-    """
-
-    views: int = 60
-    film: int = 256
-    spp: int = 32
-    texels: int = 256
-    speed_texels: int = 512
-    reference_texels: int = 1000
-    reference_spp: int = 128
-    brute_texels: int = 150
-    brute_spp: int = 32
-    checked: int = 4
-    seed: int = 0
-    speed_film: int = 512
-    repeats: int = 5
-    stride: int = 1
-
-
-FULL = Settings()
-QUICK = Settings(
-    views=24, film=128, spp=16, texels=192, speed_texels=256, reference_texels=200,
-    reference_spp=64, brute_texels=40, brute_spp=8, checked=1, speed_film=128, repeats=3,
-    stride=2,
-)  # fmt: skip
-
-
 @dataclass(frozen=True)
 class Cell:
     """One object under one light.
@@ -91,6 +46,20 @@ DIRECT = {"max_depth": "2"}  # what the reference simulates
 
 OWN_OBJECTS = ("vase", "knot", "spheres")
 QUICK_OBJECTS, QUICK_LIGHTS = ("vase", "knot"), ("window", "overcast")
+
+
+def chosen_cells(
+    data: Path | None,
+    workspace: Path,
+    objects: Sequence[str] = (),
+    lights: Sequence[str] = (),
+    *,
+    quick: bool = False,
+) -> tuple[Cell, ...]:
+    """Return ``data_cells`` of a folder, ``own_cells`` without one."""
+    if data is None:
+        return own_cells(objects, lights, quick=quick)
+    return data_cells(data, workspace, objects, lights)
 
 
 def own_cells(

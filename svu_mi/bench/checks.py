@@ -32,7 +32,7 @@ def run_checks(bench: Bench, cells: Sequence[Cell], variants: Sequence[Variant])
     """
     main = [v for v in variants if v.main]
     first = {cell.object: cell for cell in reversed(cells)}
-    chosen = list(first.values())[::-1][: bench.settings.checked]
+    chosen = list(first.values())[::-1][: bench.sizes.checked]
     store, found = Store(bench.folder / "checks"), []
     for cell in chosen:
         compute = partial(check, bench, cell, main)
@@ -59,9 +59,9 @@ def check(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> Record:
     """
     lit = replace(cell, defines={**cell.defines, "max_depth": str(PHOTOGRAPHS)})
     direct, full = bench.capture(cell), bench.capture(lit, name="capture_all_light")
-    grid = texels(direct.mesh, bench.settings.texels)
+    grid = texels(direct.mesh, bench.sizes.texels)
     asked: Record = {
-        "subset": bench.settings.brute_texels, "spp": bench.settings.brute_spp
+        "subset": bench.sizes.brute_texels, "spp": bench.sizes.brute_spp
     }  # fmt: skip
     with bench.progress.stage(f"Tracing references of {cell.title}"):
         plain = bench.reference(direct, grid, **asked)
@@ -79,7 +79,7 @@ def check(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> Record:
     with bench.progress.stage(f"Checking {cell.title}"):
         for variant in variants:
             entropies = {
-                id(capture): np.array(run_warm(capture, grid, variant).estimate.entropy, float)
+                id(capture): np.array(run_warm(capture, grid, variant).result.entropy, float)
                 for capture in (direct, full)
             }
             for name, (capture, reference) in cases.items():

@@ -1,10 +1,10 @@
-"""How long a function takes: warm, by the clock and in kernels; and what compiling it costs."""
+"""How long a function takes: warm, by the clock and in kernels."""
 
 from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,25 @@ WARM_UP = 2  # the second run can compile too: what was a literal in the first i
 ENOUGH_S = 0.3  # short functions are run more often, until they took so long in all,
 MAX_RUNS = 50  # but not more often than this
 MILLISECOND = 1e-3  # Dr.Jit's unit of time
+
+
+@dataclass(frozen=True)
+class Timed:
+    """A result, and how long it took to get it.
+
+    Attributes:
+        result: what was computed.
+        seconds: all together; the median, if there were several runs.
+        timings: seconds by stage.
+        compiled: kernels compiled meanwhile; 0 if it was warm.
+        runs: number of runs.
+    """
+
+    result: Any
+    seconds: float
+    timings: dict[str, float]
+    compiled: int
+    runs: int = 1
 
 
 @dataclass(frozen=True)
@@ -79,29 +98,11 @@ def measure(function: Callable[[], Any], repeats: int) -> dict[str, Any]:
     runs = [run(function) for _ in range(repeats)]
     while sum(one.wall for one in runs) < ENOUGH_S and len(runs) < MAX_RUNS:
         runs.append(run(function))
-    return _summary(runs)
+    return summary(runs)
 
 
-def measure_in_turns(
-    functions: Mapping[str, Callable[[], Any]], repeats: int
-) -> dict[str, dict[str, Any]]:
-    """Time functions that are to be compared: a slow spell of the machine then hits them all.
-
-    Args:
-        functions: by name, each as for ``run``.
-        repeats: number of runs of each that count.
-
-    Returns:
-        What ``measure`` returns, by name.
-    """
-    rounds = [
-        {name: run(function) for name, function in functions.items()}
-        for _ in range(WARM_UP + repeats)
-    ]
-    return {name: _summary([one[name] for one in rounds[WARM_UP:]]) for name in functions}
-
-
-def _summary(runs: Sequence[Run]) -> dict[str, Any]:
+def summary(runs: Sequence[Run]) -> dict[str, Any]:
+    """Return the record of ``measure``."""
     return {
         "wall": spread([one.wall for one in runs]),
         "kernel": spread([one.kernel for one in runs]),
@@ -112,16 +113,6 @@ def _summary(runs: Sequence[Run]) -> dict[str, Any]:
     }
 
 
-def compile_record(function: Callable[[], Any]) -> dict[str, Any]:
-    """Return what it costs to run a function for the first time in a process.
-
-    Returns:
-        ``seconds`` of the backend, ``compiled`` kernels, ``operations`` of all kernels.
-    """
-    first = run(function)
-    return {"seconds": first.compile, "compiled": first.compiled, "operations": first.operations}
-
-
 def spread(values: Sequence[float], scale: float = 1.0) -> dict[str, float]:
     """Return ``median``, ``low`` (the least) and ``high`` (the greatest), times a scale."""
     return {
@@ -129,8 +120,3 @@ def spread(values: Sequence[float], scale: float = 1.0) -> dict[str, float]:
         "low": scale * min(values),
         "high": scale * max(values),
     }
-
-
-def rescaled(found: dict[str, float], scale: float) -> dict[str, float]:
-    """Return a spread in another unit."""
-    return {name: scale * value for name, value in found.items()}

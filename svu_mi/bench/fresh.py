@@ -39,8 +39,8 @@ def in_new_process(function: Callable[..., dict[str, Any]], **arguments: Any) ->
         **arguments: for it.
 
     Returns:
-        ``result``; ``process_seconds`` with start, imports and everything else; ``peak_mib``,
-        the most memory that was resident, None where the system does not tell.
+        What it returns, and ``process_seconds`` with start, imports and everything else, and
+        ``peak_mib``, the most memory that was resident, None where the system does not tell.
 
     Raises:
         SvuEnvironmentError: the process failed; the sentence is its last one.
@@ -50,7 +50,7 @@ def in_new_process(function: Callable[..., dict[str, Any]], **arguments: Any) ->
         done = subprocess.run(
             [sys.executable, "-c", PROGRAM, mi.variant(), str(dr.thread_count()),
              function.__module__, function.__qualname__, json.dumps(arguments)],
-            env={**os.environ, "DRJIT_CACHE_DIR": cache},
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "DRJIT_CACHE_DIR": cache},
             capture_output=True, text=True, errors="replace", timeout=TIMEOUT_S,
         )  # fmt: skip
     if done.returncode != 0:
@@ -63,7 +63,7 @@ def in_new_process(function: Callable[..., dict[str, Any]], **arguments: Any) ->
 def child(module: str, name: str, arguments: str) -> None:
     """Call the function and write what it returns to standard output, as one line of JSON."""
     function = getattr(importlib.import_module(module), name)
-    record = {"result": function(**json.loads(arguments)), "peak_mib": memory_mib("VmHWM")}
+    record = {**function(**json.loads(arguments)), "peak_mib": memory_mib("VmHWM")}
     sys.stdout.write(json.dumps(record) + "\n")
 
 

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 from svu_mi.bench.accuracy import Bench, run_cell
 from svu_mi.bench.cells import Cell
 from svu_mi.bench.checks import run_checks
-from svu_mi.bench.conventions import run_conventions
 from svu_mi.bench.failures import Failures
 from svu_mi.bench.guidance import draw_guidance, run_guidance
-from svu_mi.bench.kernels import run_kernels
-from svu_mi.bench.orb import run_orb, write_csv
-from svu_mi.bench.orb.options import Options as OrbOptions
 from svu_mi.bench.plots import draw_plots
 from svu_mi.bench.recovery import draw_recovery, run_recovery
 from svu_mi.bench.recovery.options import Options
-from svu_mi.bench.speed import run_speed, timed_setting
-from svu_mi.bench.store import Store, code_and_machine, key_of
+from svu_mi.bench.speed import run_speed
 from svu_mi.bench.summary import summarize
 from svu_mi.bench.tables import write_tables
 from svu_mi.bench.variants import Variant, available
@@ -29,8 +24,7 @@ from svu_mi.files import prepare_folder
 from svu_mi.output import environment_record, write_manifest
 from svu_mi.settings import require_known
 
-WHAT = ("accuracy", "checks", "speed", "kernels", "recovery", "guidance", "orb", "conventions",
-        "all")  # fmt: skip
+WHAT = ("accuracy", "checks", "speed", "recovery", "guidance", "all")
 
 
 def run_bench(
@@ -40,8 +34,6 @@ def run_bench(
     *,
     variants: Sequence[Variant] | None = None,
     recovery: Options | None = None,
-    orb: OrbOptions | None = None,
-    ways: Sequence[str] = (),
     command: str = "",
 ) -> dict[str, Any]:
     """Run cells, then run times, and write bench.json, bench.md and the plots.
@@ -51,18 +43,14 @@ def run_bench(
     Args:
         bench: where and how.
         cells: objects x lights; run times are measured on the first.
-        what: one of ``WHAT``; ``all`` is all but ``recovery``, ``guidance``, ``orb`` and
-            ``conventions``.
+        what: one of ``WHAT``; ``all`` is all but ``recovery`` and ``guidance``.
         variants: estimators; all that this version knows by default.
         recovery: what of the recovery benchmark is run.
-        orb: where Stanford-ORB is, and what of it is run, for ``orb``, which needs no cells.
-        ways: that photographs come, for ``conventions``; all by default.
         command: as the user gave it, for the record.
 
     Returns:
-        What bench.json holds: ``cells``, ``summary``, ``checks``, ``speed``, ``kernels``,
-        ``recovery``, ``guidance``, ``orb``, ``conventions``, ``failed``, and how it
-        was run.
+        What bench.json holds: ``cells``, ``summary``, ``checks``, ``speed``, ``recovery``,
+        ``guidance``, ``failed``, and how it was run.
 
     Raises:
         OptionError: an unknown ``what``, or no cell.
@@ -70,17 +58,15 @@ def run_bench(
         OutputError: the folder cannot be written.
     """
     require_known([what], WHAT, "benchmark")
-    if what != "orb" and not cells:
+    if not cells:
         raise OptionError("There is no object under any light to run.")
     prepare_folder(bench.folder)
     variants = available() if variants is None else tuple(variants)
     record: dict[str, Any] = {
-        "command": command,
-        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        "environment": environment_record(),
-        "settings": bench.settings,
+        **how_it_was_run(command),
+        "settings": bench.sizes,
         **{part: [] for part in ("cells", "failed", "checks")},
-        **dict.fromkeys(WHAT[2:-1]),  # from speed on
+        **dict.fromkeys(("speed", "recovery", "guidance")),
     }
     if what in ("accuracy", "all"):
         record["cells"], record["failed"] = _all_cells(bench, cells, variants)
@@ -93,37 +79,27 @@ def run_bench(
     if what in ("speed", "all"):
         record["speed"] = run_speed(bench, cells[0], variants)
         _write(bench, record)
-    if what in ("kernels", "all"):
-        capture, _ = timed_setting(bench, cells[0])
-        record["kernels"] = _recall(
-            bench, "kernels", partial(run_kernels, capture=capture), cells[0].title
-        )
-        _write(bench, record)
     # Each takes as long as all the others: never part of them.
     finished = partial(_finished, bench, record)
     if what == "recovery":
         run_recovery(bench, cells, recovery, finished=partial(finished, what))
     if what == "guidance":
         run_guidance(bench, cells, finished=partial(finished, what))
-    if what == "conventions":
-        finished(what, run_conventions(bench, cells, ways))
-    if what == "orb":
-        run_orb(bench, orb or OrbOptions(), finished=partial(finished, what))
     return record
+
+
+def how_it_was_run(command: str) -> dict[str, Any]:
+    """Return the part of a record that says with which command, when and where."""
+    return {
+        "command": command,
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "environment": environment_record(),
+    }
 
 
 def _finished(bench: Bench, record: dict[str, Any], name: str, found: Any) -> None:
     record[name] = found
     _write(bench, record)
-
-
-def _recall(bench: Bench, name: str, measure: Callable[..., Any], *parts: Any) -> dict[str, Any]:
-    """Run a benchmark of its own, or take its record from disk."""
-    folder = bench.folder / name
-    key = key_of(bench.quick, code_and_machine(), *parts)
-    return Store(folder).recall(
-        name, key, partial(measure, folder, bench.progress, bench.quick), fresh=bench.fresh
-    )
 
 
 def _write(bench: Bench, record: dict[str, Any]) -> None:
@@ -137,8 +113,6 @@ def _write(bench: Bench, record: dict[str, Any]) -> None:
             draw_recovery(bench.folder, record["recovery"])
         if record["guidance"]:
             draw_guidance(bench.folder, record["guidance"])
-        if record["orb"]:
-            write_csv(bench.folder / "orb.csv", record["orb"])
 
 
 def _all_cells(

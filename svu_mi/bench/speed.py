@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from svu_mi import metrics
-from svu_mi.bench.accuracy import Bench, run_warm
+from svu_mi.bench.accuracy import Bench, estimate_once, run_warm
 from svu_mi.bench.captures import some_views
 from svu_mi.bench.cells import Cell
-from svu_mi.bench.cold import run_cold
+from svu_mi.bench.fresh import in_new_process
 from svu_mi.bench.store import Store
 from svu_mi.bench.variants import Variant
 from svu_mi.capture import Capture
@@ -75,15 +75,18 @@ def _result(measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
 
 def time_estimators(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> dict[str, Any]:
     """Return warm (median of several) and cold (one fresh process) seconds per stage."""
-    settings = bench.settings
+    sizes = bench.sizes
     capture, grid = timed_setting(bench, cell)
     folder = bench.folder / "cells" / cell.name / _timed_name(bench)
     found = {}
     for variant in variants:
         with bench.progress.stage(f"Timing {variant.label}, warm"):
-            runs = [run_warm(capture, grid, variant) for _ in range(settings.repeats)]
+            runs = [run_warm(capture, grid, variant) for _ in range(sizes.repeats)]
         with bench.progress.stage(f"Timing {variant.label}, cold"):
-            cold = run_cold(folder, settings.speed_texels, variant.label)
+            cold = in_new_process(
+                estimate_once, folder=str(folder), resolution=sizes.speed_texels,
+                label=variant.label,
+            )  # fmt: skip
         warm = {
             stage: statistics.median(run.timings[stage] for run in runs)
             for stage in runs[0].timings
@@ -97,9 +100,9 @@ def time_estimators(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> di
     return {
         "variants": found,
         "views": capture.count,
-        "film": settings.speed_film,
+        "film": sizes.speed_film,
         "texels": grid.count,
-        "resolution": settings.speed_texels,
+        "resolution": sizes.speed_texels,
     }
 
 
@@ -107,7 +110,7 @@ def time_estimators(bench: Bench, cell: Cell, variants: Sequence[Variant]) -> di
 
 
 def _points(bench: Bench, values: tuple[int, ...]) -> tuple[int, ...]:
-    return values[:: bench.settings.stride]
+    return values[:: bench.sizes.stride]
 
 
 def by_degree(bench: Bench, cell: Cell, variant: Variant) -> list[Row]:
@@ -124,7 +127,7 @@ def by_degree(bench: Bench, cell: Cell, variant: Variant) -> list[Row]:
 def by_grid(bench: Bench, cell: Cell, variant: Variant) -> list[Row]:
     """Time and agreement by number of nodes per axis of the posterior's grid."""
     capture, grid, _ = _setting(bench, cell)
-    shape: Any = run_warm(capture, grid, variant).estimate.posterior.grid
+    shape: Any = run_warm(capture, grid, variant).result.posterior.grid
     sizes = [n for n in _points(bench, NODES) if n ** len(shape.axes) <= MAX_CELLS]
     return _rows(
         bench, cell, variant, "grid",
@@ -148,7 +151,7 @@ def by_views(bench: Bench, cell: Cell, variant: Variant) -> list[Row]:
 def by_samples(bench: Bench, cell: Cell) -> list[Row]:
     """Time of the reference by samples per ray, and agreement with its largest number."""
     capture, grid, _ = _setting(bench, cell)
-    most = bench.settings.reference_spp
+    most = bench.sizes.reference_spp
     counts = [spp for spp in _points(bench, SAMPLES) if spp < most] + [most]
     found = []
     for spp in counts:
@@ -191,10 +194,10 @@ def _row(
     options: dict[str, Any],
 ) -> Row:
     # Half as many as for the table of run times: there are many points.
-    repeats = range((bench.settings.repeats + 1) // 2)
+    repeats = range((bench.sizes.repeats + 1) // 2)
     runs = [run_warm(capture, grid, variant, **options) for _ in repeats]
     seen = np.array(reference.coverage) > 0
-    entropy = np.array(runs[0].estimate.entropy)[np.array(reference.subset)[seen]]
+    entropy = np.array(runs[0].result.entropy)[np.array(reference.subset)[seen]]
     return {
         "value": value,
         "seconds": statistics.median(run.seconds for run in runs),
@@ -204,7 +207,7 @@ def _row(
 
 def _setting(bench: Bench, cell: Cell) -> tuple[Capture, Texels, Any]:
     capture = bench.capture(cell)
-    grid = texels(capture.mesh, bench.settings.texels)
+    grid = texels(capture.mesh, bench.sizes.texels)
     return capture, grid, bench.reference(capture, grid)
 
 
@@ -217,7 +220,7 @@ def brute_force(bench: Bench, cell: Cell) -> dict[str, Any]:
     samples, 8 psi, kernels compiled before: larger batches are not faster.
     """
     capture, grid = timed_setting(bench, cell)
-    few, spp = PrincipledGrid(2, 2, 2), bench.settings.reference_spp
+    few, spp = PrincipledGrid(2, 2, 2), bench.sizes.reference_spp
     with bench.progress.stage("Tracing all psi"):
         for seed in range(2):  # the first compiles
             sample = bench.reference(
@@ -239,12 +242,12 @@ def brute_force(bench: Bench, cell: Cell) -> dict[str, Any]:
 
 def timed_setting(bench: Bench, cell: Cell) -> tuple[Capture, Texels]:
     """Return the capture and the texels that run times are measured on."""
-    size = bench.settings.speed_film
-    settings = replace(bench.settings, film=size)
-    capture = bench.capture(cell, settings, _timed_name(bench))
-    return capture, texels(capture.mesh, bench.settings.speed_texels)
+    size = bench.sizes.speed_film
+    sizes = replace(bench.sizes, film=size)
+    capture = bench.capture(cell, sizes, _timed_name(bench))
+    return capture, texels(capture.mesh, bench.sizes.speed_texels)
 
 
 def _timed_name(bench: Bench) -> str:
-    size = bench.settings.speed_film
-    return "capture" if size == bench.settings.film else f"capture_{size}"
+    size = bench.sizes.speed_film
+    return "capture" if size == bench.sizes.film else f"capture_{size}"

@@ -6,11 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from svu_mi.bench.conventions import conventions_tables
 from svu_mi.bench.failures import left_out
 from svu_mi.bench.guidance import guidance_tables
-from svu_mi.bench.kernels import kernel_tables
-from svu_mi.bench.orb import orb_tables
 from svu_mi.bench.recovery import recovery_tables
 from svu_mi.bench.text import number, seconds, table
 from svu_mi.files import write_text
@@ -23,11 +20,8 @@ SCALED = {
     "reference_spp": "samples of the reference",
 }
 BENCHMARKS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
-    ("kernels", "Kernels", kernel_tables),
     ("recovery", "Recovery of textures", recovery_tables),
     ("guidance", "Capture guidance", guidance_tables),
-    ("orb", "Stanford-ORB", orb_tables),
-    ("conventions", "Mistakes about axes", conventions_tables),
 )
 
 
@@ -57,20 +51,23 @@ def write_tables(path: Path, record: Record) -> None:
 
 
 def _heading(record: Record) -> str:
-    size, place = record["settings"], record["environment"]
+    size = record["settings"]
+    return (
+        f"{told_how(record)}\n\n{len(record['cells'])} cells (object / light); "
+        f"{size.views} photographs of {size.film} x {size.film} with {size.spp} samples per "
+        f"pixel, {size.texels} x {size.texels} texels, reference on {size.reference_texels} "
+        f"texels with {size.reference_spp} samples."
+    )
+
+
+def told_how(record: Record) -> str:
+    """Return the sentence about what ``run.how_it_was_run`` returned."""
+    place = record["environment"]
     versions = place["versions"]
-    how = (
+    return (
         f"`{record['command']}`, {record['date']}; svu_mi {versions['svu_mi']}, Mitsuba "
         f"{versions['mitsuba']}, Dr.Jit {versions['drjit']}, {place['variant']}, "
         f"{place['threads']} threads, {place['platform']}."
-    )
-    if record["orb"] or record["conventions"]:  # have sizes of their own
-        return how
-    return (
-        f"{how}\n\n{len(record['cells'])} cells (object / light); {size.views} photographs of "
-        f"{size.film} x {size.film} with {size.spp} samples per pixel, {size.texels} x "
-        f"{size.texels} texels, reference on {size.reference_texels} texels with "
-        f"{size.reference_spp} samples."
     )
 
 

@@ -8,7 +8,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -52,27 +52,36 @@ REMEDIES = {
 }
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(
+    arguments: Sequence[str] | None = None,
+    commands: Any = Command,
+    program: str = "svu",
+    description: str = "What photographs say about the reflectance of an object, and how much.",
+) -> int:
     """Run one command. Nobody needs to read what it prints: its work and its status are the same.
 
     Args:
         arguments: the words after ``svu``; those of this process by default.
+        commands: classes of options, each with ``run``.
+        program: its name, for ``--help``.
+        description: of all commands together, for ``--help``.
 
     Returns:
         0 on success, 2 on bad input (one line on stderr), 130 when interrupted.
     """
     with forgiving_streams():
-        return _run(sys.argv[1:] if arguments is None else arguments)
+        words = sys.argv[1:] if arguments is None else arguments
+        return _run(words, commands, program, description)
 
 
-def _run(arguments: Sequence[str]) -> int:
+def _run(arguments: Sequence[str], commands: Any, program: str, description: str) -> int:
     for word in arguments:
         if problem := _problem(word):
             return _fail(f"{excerpt(word, LONGEST)}: {problem}.", 2)
     command = tyro.cli(
-        Command,  # type: ignore[arg-type]
-        prog="svu",
-        description="What photographs say about the reflectance of an object, and how much.",
+        commands,
+        prog=program,
+        description=description,
         args=arguments,
         config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
     )

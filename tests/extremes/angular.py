@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from oracle.rounded_integrals import calibrated_entropies
+from oracle.rounding import U, angular_entropy
 
-from extremes.cases import Axis, Case, Found, entropies, exposures
-from extremes.exact import Grid, U, angular_entropy
-from extremes.integrals import calibrated_entropies
+from extremes.cases import Axis, Case, Found, Grid, entropies, exposures
 from svu_mi.options import AngularPreset, preset
 from svu_mi.posterior import (
     ParameterGrid,

@@ -11,10 +11,12 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from oracle import frequency
+from oracle.rounded_integrals import calibrated_entropies
+from oracle.rounding import SPECTRUM, Exact, angular_entropy, spectrum_entropy
+from studies.captures import in_memory
 
-from extremes.exact import SPECTRUM, Exact, angular_entropy, spectrum_entropy
-from extremes.integrals import calibrated_entropies
-from svu_mi.bench import oracle
+from extremes.spectra import albedo_of
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.poses import make_sensor
@@ -97,14 +99,7 @@ class Ball:
                 np.array(mi.render(scene, sensor=sensor, spp=16, seed=k))[..., :3]
                 for k, sensor in enumerate(sensors)
             ]
-        count, shape = len(sensors), scene.shapes()[0]
-        return Capture(
-            scene=scene, shape=shape, mesh=shape, sensors=sensors,
-            images=tuple(np.ascontiguousarray(image, np.float32) for image in images),
-            masks=(None,) * count, exposures=(1.0,) * count,
-            names=tuple(f"view_{k:04d}.exr" for k in range(count)),
-            unusable=(0,) * count, used=(True,) * count,
-        )  # fmt: skip
+        return in_memory(scene, scene.shapes()[0], sensors, images)
 
     def _scene(self, folder: Path) -> Any:
         path = folder / "ball.ply"
@@ -208,11 +203,12 @@ def _exact_spectra(found: Estimate, chosen: np.ndarray) -> list[Exact]:
     surface = Surface.of(observed.texels, owned(mi.UInt32, chosen.astype(np.uint32)))
     columns = [_sample(observed, surface, switches, view) for view in range(observed.views.number)]
     d, w, f = (np.stack(column, axis=1) for column in zip(*columns, strict=True))
-    fitted = partial(oracle.fit, lmax=switches.degree, regularizer=switches.regularizer,
+    fitted = partial(frequency.fit, lmax=switches.degree, regularizer=switches.regularizer,
                      penalize_constant=switches.penalize_constant)  # fmt: skip
-    S = oracle.power(fitted(d, w, f))
+    S = frequency.power(fitted(d, w, f))
     colors = switches.colors
     E: Any = [None] * len(chosen)
+    albedo = albedo_of(switches, grid)
     if switches.principled:
         light = observed.irradiance(switches, colors)
         E = np.stack([value.numpy() for value in light], axis=-1)[observed.lane[chosen]]
@@ -221,7 +217,7 @@ def _exact_spectra(found: Estimate, chosen: np.ndarray) -> list[Exact]:
     return [
         spectrum_entropy(
             S[t, :, colors:], S[t, :, :colors], switches, grid, unit,
-            samples=float((w[t] > 0).sum()), irradiance=E[t],
+            samples=float((w[t] > 0).sum()), irradiance=E[t], albedo=albedo,
             prefilter=observed.lighting.prefilter, error=SPECTRUM,
         )
         for t in range(len(chosen))

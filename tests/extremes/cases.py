@@ -11,6 +11,9 @@ from typing import Any
 import numpy as np
 
 from svu_mi.errors import SvuError
+from svu_mi.posterior import ParameterGrid, PrincipledGrid
+
+Grid = ParameterGrid | PrincipledGrid
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from oracle.rounding import U
 
 from extremes.captures import ball, exact
 from extremes.cases import Case, Found, compared, entropies, refused
-from extremes.exact import U
 from svu_mi.capture import Capture
 from svu_mi.options import AnyPreset, Method
 from svu_mi.pipeline import Estimate, estimate

@@ -7,10 +7,10 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from oracle import frequency
+from oracle.rounding import SPECTRUM
 
 from extremes.cases import Axis, Case, Found, compared, refused
-from extremes.exact import SPECTRUM
-from svu_mi.bench import oracle
 from svu_mi.frequency import fit_sh, power_spectrum
 from svu_mi.options import preset
 
@@ -56,7 +56,7 @@ def fit_error(
     equilibrated matrix is close to singular.
     """
     penalized = preset(base).penalize_constant
-    truth = oracle.power(oracle.fit(d, w, f, lmax, regularizer, penalized))
+    truth = frequency.power(frequency.fit(d, w, f, lmax, regularizer, penalized))
     ours = np.array(power_spectrum(fit_sh(d, w, f, lmax, regularizer, base)), np.float64)
     size = np.maximum(truth.max(axis=1, keepdims=True), np.finfo(np.float32).tiny)
     spread = [condition(d[t], w[t], lmax, regularizer, penalized) for t in range(len(d))]
@@ -73,8 +73,8 @@ def condition(
     if not seen.any():
         return 0.0
     nothing = np.zeros((int(seen.sum()), 0))
-    Y = oracle.basis(d[seen], lmax)
-    matrix, _ = oracle.normal_equations(Y, w[seen], nothing, regularizer, penalized)
+    Y = frequency.basis(d[seen], lmax)
+    matrix, _ = frequency.normal_equations(Y, w[seen], nothing, regularizer, penalized)
     scale = 1 / np.sqrt(np.diag(matrix))
     return float(np.linalg.cond(scale[:, None] * matrix * scale))
 

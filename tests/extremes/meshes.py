@@ -10,6 +10,7 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+from oracle.rounding import U
 
 from extremes.captures import around, ball, lamps, map_light, sphere
 from extremes.cases import Axis, Case, Found, compared
@@ -23,7 +24,6 @@ from extremes.estimates import (
     same_coverage,
     same_entropy,
 )
-from extremes.exact import U
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.options import preset

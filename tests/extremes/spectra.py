@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from oracle.rounding import U, spectrum_entropy
 
-from extremes.cases import Axis, Case, Found, entropies, exposures
-from extremes.exact import Grid, U, spectrum_entropy
+from extremes.cases import Axis, Case, Found, Grid, entropies, exposures
 from svu_mi.options import Preset, preset
 from svu_mi.posterior import ParameterGrid, PrincipledGrid, spectrum_posterior
+from svu_mi.reflection.lobes import mean_albedo
+from svu_mi.reflection.principled import MIN_ALPHA
 
 L = 6
 TEXELS = 4
@@ -61,12 +63,20 @@ def posterior_error(
     truth = [
         spectrum_entropy(
             S_L[t], S_B[t], switches, grid, unit, samples=float(views[t]), prefilter=0.3,
-            irradiance=None if E is None else E[t], prior=prior,
+            irradiance=None if E is None else E[t], prior=prior, albedo=albedo_of(switches, grid),
         )
         for t in range(len(S_L))
     ]  # fmt: skip
     bounds = np.array([x.bound for x in truth])
     return entropies(found.entropy(), [x.entropy for x in truth], bounds)
+
+
+def albedo_of(switches: Preset, grid: Grid) -> np.ndarray | None:
+    """Return what the lobes of R0 = 1 reflect, by the kernels' own table: its truth is another
+    test's (tests/test_lobes.py)."""
+    if not switches.albedo or isinstance(grid, ParameterGrid):
+        return None
+    return mean_albedo(np.maximum(grid.roughness_nodes**2, MIN_ALPHA))
 
 
 def rules(quick: bool = False) -> list[tuple[str, Preset, Grid]]:

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.special import eval_legendre
-
-from svu_mi.bench.oracle import energies as energies
-from svu_mi.bench.oracle import joint as joint
-from svu_mi.bench.oracle import mean_entropy as mean_entropy
-from svu_mi.bench.oracle import of_channels as of_channels
-from svu_mi.bench.oracle import principled_errors as principled_errors
-from svu_mi.bench.oracle import specular_errors as specular_errors
 
 # --- the model ------------------------------------------------------------------------------
 
@@ -31,6 +25,57 @@ def products(w: np.ndarray, columns: Sequence[np.ndarray], b: np.ndarray) -> np.
     e, p, q, d = columns
     x = (e, p, q - d, d - b)
     return np.stack([(w * x[i] * x[j]).sum(axis=-1) for i in range(4) for j in range(i, 4)])
+
+
+# --- errors of every cell: Eq. 6 -----------------------------------------------------------
+
+
+def mean_squared_error(w: np.ndarray, r: np.ndarray, b: np.ndarray) -> float:
+    """1/n sum w (b - r)^2 of n samples; 0 without any."""
+    return float((w * (b - r) ** 2).sum() / max(len(w), 1))
+
+
+def principled_errors(
+    w: np.ndarray, e: np.ndarray, p: np.ndarray, q: np.ndarray, d: np.ndarray, b: np.ndarray,
+    metallic: np.ndarray, base_color: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """Mean squared errors of r = (1 - m) (c e + d) + m (c p + q) (Eq. 6), in double precision.
+
+    Args:
+        w: (V,) weights.
+        e: (R, V) diffuse shading by roughness; p, q and d alike.
+        p: part of a metal's lobe that base colour scales.
+        q: part that Fresnel adds.
+        d: lobe of a dielectric.
+        b: (V,) radiance.
+        metallic: (M,) nodes.
+        base_color: (S,) nodes.
+
+    Returns:
+        (R, M, S).
+    """
+    w, e, p, q, d, b = (np.asarray(x, np.float64) for x in (w, e, p, q, d, b))
+    errors = np.zeros((len(e), len(metallic), len(base_color)))
+    for r, j, k in itertools.product(*(range(n) for n in errors.shape)):
+        m, c = metallic[j], base_color[k]
+        modelled = (1 - m) * (c * e[r] + d[r]) + m * (c * p[r] + q[r])
+        errors[r, j, k] = mean_squared_error(w, modelled, b)
+    return errors
+
+
+def specular_errors(
+    w: np.ndarray, e: np.ndarray, p: np.ndarray, q: np.ndarray, b: np.ndarray, specular: np.ndarray
+) -> np.ndarray:
+    """Errors on the (roughness, Ks) grid, each with the Kd in [0, 1] that fits best."""
+    w, e, p, q, b = (np.asarray(x, np.float64) for x in (w, e, p, q, b))
+    d = np.zeros((len(e), len(specular)))
+    for r, j in itertools.product(*(range(n) for n in d.shape)):
+        rest = b - specular[j] * p[r] - q[r]
+        square = (w * e[r] ** 2).sum()
+        # A parabola in Kd: its lowest point, or the end of [0, 1] that is nearer to it.
+        Kd = np.clip((w * e[r] * rest).sum() / square, 0, 1) if square > 0 else 0.0
+        d[r, j] = mean_squared_error(w, Kd * e[r], rest)
+    return d
 
 
 # --- lobes ----------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Entropies of thousands of texels in double precision, for the errors of kernels.
 
-The same equations as in ``oracle``, which takes one texel after the other and every
+The same equations as in ``posterior``, which takes one texel after the other and every
 combination of cells; here a row's channels are independent, so that fine grids are affordable.
 """
 

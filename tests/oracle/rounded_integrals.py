@@ -6,22 +6,23 @@ oracle of its own (tests/test_calibrated.py).
 
 from __future__ import annotations
 
-import numpy as np
-from oracle.calibrated import between_levels, channel, even, mixed, normal_on
+from typing import Any
 
-from extremes.exact import ROOT, Exact, U, moved
-from svu_mi.options import AngularPreset
-from svu_mi.posterior.nodes import METALLIC_PARTS
-from svu_mi.posterior.truncated import FARTHEST, FLATTEST
-from svu_mi.statistics.factors import TINY
+import numpy as np
+
+from oracle.calibrated import Nodes, between_levels, channel, even, mixed, normal_on
+from oracle.rounding import ROOT, Exact, U, moved
 
 CELLS = 8  # of every parameter
+METALLIC_PARTS = 14  # between 0 and 1, at least
+FLATTEST, FARTHEST = 1e-3, 64.0  # least A, largest |mu| of a colour's normal distribution
+TINY = 1e-13  # part of its diagonal below which a pivot is nothing but rounding
 CLOSED = 1e-5  # nats: error of a channel's integral in closed form
 
 
 def calibrated_entropies(
     w: np.ndarray, e: np.ndarray, p: np.ndarray, q: np.ndarray, d: np.ndarray, b: np.ndarray,
-    noise: np.ndarray, switches: AngularPreset,
+    noise: np.ndarray, switches: Any,
 ) -> list[Exact]:  # fmt: skip
     """Entropies of T texels from their samples, at levels of roughness uniform on [0, 1].
 
@@ -132,7 +133,7 @@ def _wrong(energy: np.ndarray, off: np.ndarray) -> np.ndarray:
     return 2 * (np.sqrt(2 * energy) * off + off**2 / 2) + CLOSED
 
 
-def _cells(weight: np.ndarray, r: object, m: object, given: np.ndarray) -> np.ndarray:
+def _cells(weight: np.ndarray, r: Nodes, m: Nodes, given: np.ndarray) -> np.ndarray:
     """Sum weights (N, L, T) of nodes, each spread over ``given`` (N, L, K, C, T), over cells:
     (T, R, M, K, C)."""
     found = np.zeros((weight.shape[-1], CELLS, CELLS, CELLS, given.shape[3]))
@@ -141,7 +142,7 @@ def _cells(weight: np.ndarray, r: object, m: object, given: np.ndarray) -> np.nd
     return found
 
 
-def _prior(r: object, m: object) -> np.ndarray:
+def _prior(r: Nodes, m: Nodes) -> np.ndarray:
     """Prior probability of every cell."""
     of_color = np.diff(np.concatenate([[0], np.arange(CELLS - 1) + 0.5, [CELLS - 1]]))
     of_rows = np.outer(*(np.bincount(x.cell, x.prior) for x in (r, m)))

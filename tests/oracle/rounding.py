@@ -16,18 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench import oracle
-from svu_mi.options import AngularPreset, Preset
-from svu_mi.posterior import ParameterGrid, PrincipledGrid
-from svu_mi.reflection.lobes import split_sum
-from svu_mi.reflection.principled import MIN_ALPHA
+from oracle import angular, posterior
 
 U = 2.0**-24  # unit roundoff of single precision
 SPECTRUM = 1e-6  # of a texel's largest degree: what ``fit_sh`` promises
 ROOT = 5e-6  # of a texel's radiance: the square root of the pivot that statistics drop
-PAID = {"angular": 3, "spectrum": 2}  # parameters that the marginal noise rule pays for
-
-Grid = ParameterGrid | PrincipledGrid
+PAID = 2  # parameters that the marginal noise rule pays for, of spectra; angular ones: 3
+MIN_ALPHA = 1e-3
 
 
 @dataclass(frozen=True)
@@ -49,7 +44,7 @@ def exact_entropy(
             rounded to single precision.
         prior: weights of one channel's cells.
     """
-    p = oracle.joint(energies, prior)
+    p = posterior.joint(energies, prior)
     cells, count = energies[0].shape[-1], len(energies)
     rows = energies[0].size // cells
     rounded: Any = 0.0
@@ -58,16 +53,14 @@ def exact_entropy(
         # Offsets, exponentials, and sums over a row and over rows, one after the other.
         single = 4 * (x - x.min()) + rows + cells + 16
         rounded = rounded + (dx + U * single).reshape(own)
-    weighted = oracle.of_channels(p * rounded, energies[0].shape)
-    marginals = oracle.of_channels(p, energies[0].shape)
+    weighted = posterior.of_channels(p * rounded, energies[0].shape)
+    marginals = posterior.of_channels(p, energies[0].shape)
     log_n = np.log(rows * cells)
-    bounds = [
-        moved(marginals[..., k], weighted[..., k], oracle.entropy(marginals[..., k]) * log_n, log_n)
-        for k in range(count)
-    ]
+    nats = [posterior.entropy(marginals[..., k]) * log_n for k in range(count)]
+    bounds = [moved(marginals[..., k], weighted[..., k], nats[k], log_n) for k in range(count)]
     # log Z and sum p x are rounded apart from each other: what they share does not cancel.
     apart = U * (rows + cells + 16 * count) / log_n
-    return Exact(oracle.mean_entropy(marginals), min(float(np.mean(bounds)) + apart, 1.0))
+    return Exact(posterior.mean_entropy(marginals), min(float(np.mean(bounds)) + apart, 1.0))
 
 
 def moved(p: np.ndarray, weighted: np.ndarray, nats: float, most: float) -> float:
@@ -91,12 +84,13 @@ def moved(p: np.ndarray, weighted: np.ndarray, nats: float, most: float) -> floa
 def spectrum_entropy(
     S_L: np.ndarray,
     S_B: np.ndarray,
-    switches: Preset,
-    grid: Grid,
+    switches: Any,
+    grid: Any,
     unit: float,
     *,
     samples: float = 1.0,
     irradiance: np.ndarray | None = None,
+    albedo: np.ndarray | None = None,
     prefilter: float = 0.0,
     prior: np.ndarray | None = None,
     error: float = 0.0,
@@ -111,18 +105,23 @@ def spectrum_entropy(
         unit: power that a relative sigma is a part of.
         samples: number of views that see the texel.
         irradiance: (C,), for a principled grid.
+        albedo: (R,) what lobes of R0 = 1 reflect of constant light; 1 by default. It is given
+            like the light: tables of it are held against ``angular.albedo`` on their own.
         prefilter: alpha' of the light.
         prior: weights of the cells.
         error: of a degree's power, as a part of the largest.
     """
     S_L, S_B = S_L.astype(np.float64), S_B.astype(np.float64)
     unit = 1.0 if switches.noise == "fixed" else unit
-    views = samples + 3 - PAID["spectrum"] if switches.noise == "marginal" else None
+    views = samples + 3 - PAID if switches.noise == "marginal" else None
+    alphas = np.maximum(grid.roughness_nodes**2, MIN_ALPHA if switches.bounded_alpha else 0)
+    prefilter = prefilter if switches.undo_prefilter else 0.0
+    Kd, Ks = _reflectance(grid, np.ones(len(alphas)) if albedo is None else albedo)
     x, dx = [], []
     for c in range(S_L.shape[1]):
         E = None if irradiance is None else float(irradiance[c])
-        d, wrong = _degrees(S_L[:, c], S_B[:, c], switches, grid, prefilter, error)
-        first, first_wrong = _degree_0(S_L[0, c], S_B[0, c], E, switches, grid, error)
+        d, wrong = _degrees(S_L[:, c], S_B[:, c], alphas, Ks, prefilter, error)
+        first, first_wrong = _degree_0(S_L[0, c], S_B[0, c], E, Kd, Ks, error)
         sigma = switches.sigma * unit
         # In units of sigma: degree 0 is a radiance, with a sigma of its own.
         more = first * (sigma / (switches.constant_sigma * unit**0.5)) ** 2
@@ -132,7 +131,7 @@ def spectrum_entropy(
     if switches.channels == "sum":
         x, dx = [np.sum(x, axis=0)], [np.sum(dx, axis=0)]
     dx = [_of_energy(d, wrong, sigma, views) for d, wrong in zip(x, dx, strict=True)]
-    x = [oracle.energies(d, sigma, views) for d in x]
+    x = [posterior.energies(d, sigma, views) for d in x]
     if switches.channels == "minimum":
         alone = [exact_entropy([a], [b], prior) for a, b in zip(x, dx, strict=True)]
         return Exact(min(a.entropy for a in alone), max(a.bound for a in alone))
@@ -141,7 +140,7 @@ def spectrum_entropy(
 
 def angular_entropy(
     w: np.ndarray, e: np.ndarray, p: np.ndarray, q: np.ndarray, d: np.ndarray, b: np.ndarray,
-    switches: AngularPreset, grid: Grid, scale: float, prior: np.ndarray | None = None,
+    switches: Any, grid: Any, scale: float, prior: np.ndarray | None = None,
 ) -> Exact:  # fmt: skip
     """Entropy of one texel from its samples (Eq. 3 to 6).
 
@@ -162,15 +161,15 @@ def angular_entropy(
     x, dx = [], []
     for c in range(b.shape[0]):
         samples = (w, e[:, c], p[:, c], q[:, c])
-        if isinstance(grid, PrincipledGrid):
+        if _is_principled(grid):
             nodes = grid.metallic_nodes, grid.base_color_nodes
-            errors = oracle.principled_errors(*samples, d[:, c], b[c], *nodes)
+            errors = angular.principled_errors(*samples, d[:, c], b[c], *nodes)
         else:
-            errors = oracle.specular_errors(*samples, b[c], grid.specular_nodes)
+            errors = angular.specular_errors(*samples, b[c], grid.specular_nodes)
         columns = e[:, c] + p[:, c] + np.abs(q[:, c] - d[:, c])
         root = ROOT * np.sqrt((w * (b[c] ** 2 + columns**2)).mean(axis=1).max())
         dx.append(_of_energy(errors, 2 * np.sqrt(errors) * root + root**2, sigma, views))
-        x.append(oracle.energies(errors, sigma, views))
+        x.append(posterior.energies(errors, sigma, views))
     return exact_entropy(x, dx, prior)
 
 
@@ -181,37 +180,26 @@ def _of_energy(d: np.ndarray, wrong: np.ndarray, sigma: float, views: float | No
     return max(views - 3, 1) / 2 * wrong / (d + sigma**2)
 
 
-def _alphas(switches: Preset, grid: Grid) -> np.ndarray:
-    alpha = grid.roughness_nodes**2
-    return np.maximum(alpha, MIN_ALPHA) if switches.bounded_alpha else alpha
+def _is_principled(grid: Any) -> bool:
+    return "metallic" in grid.axes
 
 
-def _albedo(switches: Preset, grid: Grid) -> np.ndarray:
-    """(R,) what lobes of R0 = 1 reflect of constant light: the table is the kernels' own."""
-    if not switches.albedo or isinstance(grid, ParameterGrid):
-        return np.ones(grid.roughness)
-    return split_sum(np.maximum(grid.roughness_nodes**2, MIN_ALPHA)).sum(axis=2).mean(axis=1)
-
-
-def _reflectance(switches: Preset, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+def _reflectance(grid: Any, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Kd and Ks of every cell, of the grid's shape (Kd = 0 on a grid of Ks)."""
-    if isinstance(grid, ParameterGrid):
-        Ks = np.broadcast_to(grid.specular_nodes, grid.shape)
-        return np.zeros(grid.shape), Ks
+    if not _is_principled(grid):
+        return np.zeros(grid.shape), np.broadcast_to(grid.specular_nodes, grid.shape)
     m, c = grid.metallic_nodes[:, None], grid.base_color_nodes[None, :]
-    R0 = oracle.F0 + (c - oracle.F0) * m
-    Ks = _albedo(switches, grid)[:, None, None] * R0
-    return np.broadcast_to((1 - m) * c, grid.shape), Ks
+    R0 = posterior.F0 + (c - posterior.F0) * m
+    return np.broadcast_to((1 - m) * c, grid.shape), albedo[:, None, None] * R0
 
 
 def _degrees(
-    S_L: np.ndarray, S_B: np.ndarray, switches: Preset, grid: Grid, prefilter: float, error: float
-) -> tuple[np.ndarray, np.ndarray]:
+    S_L: np.ndarray, S_B: np.ndarray, alphas: np.ndarray, Ks: np.ndarray, prefilter: float,
+    error: float,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """d of every cell (Eq. 11), and its error if the power of a degree has one."""
-    _, Ks = _reflectance(switches, grid)
-    flat = Ks.reshape(grid.roughness, -1)
-    prefilter = prefilter if switches.undo_prefilter else 0.0
-    d = oracle.distances(S_L, S_B, _alphas(switches, grid), flat, prefilter).reshape(grid.shape)
+    flat = Ks.reshape(len(alphas), -1)
+    d = posterior.distances(S_L, S_B, alphas, flat, prefilter).reshape(Ks.shape)
     step = error * (S_B.max() + Ks**2 * S_L.max())
     # sum (r + step)^2 - r^2 over l* degrees, with |sum r| <= sqrt(l* sum r^2).
     count = len(S_L) - 1
@@ -219,13 +207,12 @@ def _degrees(
 
 
 def _degree_0(
-    S_L0: float, S_B0: float, E: float | None, switches: Preset, grid: Grid, error: float
+    S_L0: float, S_B0: float, E: float | None, Kd: np.ndarray, Ks: np.ndarray, error: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Squared residual of degree 0 and its error, or zeros on a grid of Ks (Eq. 7)."""
-    if E is None or isinstance(grid, ParameterGrid):
-        return np.zeros(grid.shape), np.zeros(grid.shape)
-    Kd, Ks = _reflectance(switches, grid)
-    r = np.abs(oracle.constant_residual(S_L0, S_B0, E, Kd, Ks))
+    """Squared residual of degree 0 and its error, or zeros without irradiance (Eq. 7)."""
+    if E is None:
+        return np.zeros(Ks.shape), np.zeros(Ks.shape)
+    r = np.abs(posterior.constant_residual(S_L0, S_B0, E, Kd, Ks))
     # The root of a power that is known to a part of itself, plus the rounding of E.
     step = error * (S_B0**0.5 + Ks * S_L0**0.5) + U * 2 * Kd * E
     return r**2, 2 * r * step + step**2

@@ -1,4 +1,4 @@
-"""The quick cases of every axis that ``svu bench stability`` drives to its ends."""
+"""The quick cases of every axis that ``python -m extremes`` drives to its ends."""
 
 from __future__ import annotations
 

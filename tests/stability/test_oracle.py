@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import ast
+import itertools
 
 import numpy as np
 import pytest
-from extremes.exact import exact_entropy
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from svu_mi.bench import oracle
+from oracle import posterior as oracle
+from oracle.rounding import exact_entropy
 
 
 def test_the_oracle_uses_nothing_of_svu_mi(root):
-    tree = ast.parse((root / "svu_mi" / "bench" / "oracle.py").read_text())
+    files = [ast.parse(path.read_text()) for path in (root / "tests" / "oracle").glob("*.py")]
     used = {
         name.split(".")[0]
-        for node in ast.walk(tree)
+        for node in itertools.chain.from_iterable(map(ast.walk, files))
         for name in (
             [a.name for a in node.names] if isinstance(node, ast.Import)
             else [node.module] if isinstance(node, ast.ImportFrom) else []
         )
     }  # fmt: skip
-    assert used <= {"__future__", "itertools", "math", "numpy", "scipy"}
+    standard = {"__future__", "collections", "dataclasses", "itertools", "math", "typing"}
+    assert used <= {*standard, "numpy", "scipy", "oracle"}
 
 
 @pytest.mark.parametrize("channels", [1, 3])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from extremes import angular
 from extremes import spectra as spectral
-from extremes.exact import SPECTRUM, U
 from extremes.fits import samples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from oracle.rounding import SPECTRUM, U
 
 from svu_mi.frequency import fit_sh, power_spectrum
 from svu_mi.options import preset

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi import metrics
 from svu_mi.bench.captures import chosen_views
-from svu_mi.bench.guidance.sizes import Sizes
+from svu_mi.bench.sizes import GuidanceSizes
+from svu_mi.bench.truth import Truth
 from svu_mi.capture import Capture
 from svu_mi.capture.poses import bounding_sphere, directions_of
 from svu_mi.guidance.baselines import farthest
@@ -40,7 +40,7 @@ class Shoot:
 
     capture: Capture
     grid: Texels
-    sizes: Sizes
+    sizes: GuidanceSizes
     seed: int
     kind: str = "even"
 
@@ -56,10 +56,9 @@ class Shoot:
         return [int(view) for view in np.argsort(-nearness)[: self.sizes.start]]
 
     @cached_property
-    def truth(self) -> dict[str, np.ndarray]:
+    def truth(self) -> Truth:
         """True textures."""
-        known = metrics.ground_truth(self.capture, self.grid)
-        return {name: getattr(known, name) for name in NAMES}
+        return Truth.of(self.capture, self.grid)
 
     @cached_property
     def visible(self) -> np.ndarray:
@@ -92,11 +91,9 @@ class Shoot:
         ``average``, and ``entropy``, the mean over these texels, unseen ones counting as 1."""
         taken = chosen_views(self.capture, views)
         textures = recover(taken, self.grid, "sh").textures
-        found = {name: textures.at(self.grid, name)[self.visible] for name in NAMES}
-        truth = {name: value[self.visible] for name, value in self.truth.items()}
         entropy = np.array(estimate(taken, self.grid).entropy, np.float64)
         return {
-            "psnr": metrics.texture_psnr(found, truth),
+            "psnr": self.truth.psnr(textures, self.visible),
             "entropy": float(entropy[self.visible].mean()),
         }
 

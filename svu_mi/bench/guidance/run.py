@@ -12,9 +12,9 @@ from svu_mi.bench.captures import some_views
 from svu_mi.bench.cells import Cell
 from svu_mi.bench.failures import Failures
 from svu_mi.bench.guidance.curves import Shoot
-from svu_mi.bench.guidance.sizes import FULL, QUICK, Sizes
 from svu_mi.bench.guidance.speed import measure_speed
 from svu_mi.bench.guidance.verdict import find_bars
+from svu_mi.bench.sizes import GuidanceSizes
 from svu_mi.bench.store import Store, code_and_machine, key_of
 from svu_mi.surface import texels
 
@@ -24,15 +24,13 @@ PHOTOGRAPHS = 10  # that steps are timed with
 
 
 def run_guidance(
-    bench: Bench, cells: Sequence[Cell], sizes: Sizes | None = None, *,
-    finished: Callable[[Record], None] | None = None,
-) -> Record:  # fmt: skip
+    bench: Bench, cells: Sequence[Cell], *, finished: Callable[[Record], None] | None = None
+) -> Record:
     """Choose views by every strategy, recover textures from them, and time the choice.
 
     Args:
         bench: where, and how large.
         cells: objects x lights; steps are timed on the first.
-        sizes: by default those that ``bench`` says.
         finished: called with the record so far after each run.
 
     Returns:
@@ -44,7 +42,7 @@ def run_guidance(
         SvuError: that of the first cell, if every cell failed.
         OutputError: the folder cannot be written.
     """
-    sizes = sizes or (QUICK if bench.quick else FULL)
+    sizes = bench.sizes.guidance
     failures = Failures()
     record: Record = {"runs": [], "speed": None, "bars": [], "failed": failures.found,
                       "sizes": sizes, "quick": bench.quick}  # fmt: skip
@@ -73,9 +71,9 @@ def few_lights(cells: Sequence[Cell], count: int) -> list[Cell]:
     return kept
 
 
-def _run(bench: Bench, cell: Cell, sizes: Sizes, kind: str, seed: int) -> Record:
-    settings = bench.settings
-    photographs = (settings.views, settings.film, settings.spp, settings.seed)
+def _run(bench: Bench, cell: Cell, sizes: GuidanceSizes, kind: str, seed: int) -> Record:
+    size = bench.sizes
+    photographs = (size.views, size.film, size.spp, size.seed)
     what = (
         sizes.texels, sizes.looked_at, sizes.start, sizes.marks, sizes.strategies, sizes.asked, kind
     )  # fmt: skip
@@ -100,7 +98,7 @@ def _run(bench: Bench, cell: Cell, sizes: Sizes, kind: str, seed: int) -> Record
     return store.recall(f"start_{kind}_{seed}", key, measure, fresh=bench.fresh)
 
 
-def _tell(record: Record, sizes: Sizes, finished: Callable[[Record], None] | None) -> None:
+def _tell(record: Record, sizes: GuidanceSizes, finished: Callable[[Record], None] | None) -> None:
     record["bars"] = find_bars(record, sizes)
     if finished is not None:
         finished(record)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.guidance.sizes import Sizes
-from svu_mi.bench.kernels import clock
+from svu_mi.bench import clock
+from svu_mi.bench.sizes import GuidanceSizes
 from svu_mi.capture import Capture
 from svu_mi.frequency import fit_sh, power_spectrum
 from svu_mi.guidance.candidates import Candidates
@@ -25,12 +25,11 @@ from svu_mi.posterior.spectrum import decay
 from svu_mi.surface import texels
 
 Record = dict[str, Any]
-WARM_UP = 2
 
 
 @dataclass(frozen=True)
-class Timed:
-    """A method that is timed: its grid, and how many truths Eq. 13 averages over."""
+class Chooser:
+    """How views are chosen: the estimate, its grid, and how many truths Eq. 13 averages over."""
 
     label: str
     method: Method
@@ -45,20 +44,24 @@ class Timed:
         )
 
 
-SPECTRUM = Timed(
+SPECTRUM = Chooser(
     "spectrum, 8 x 8 cells, all of them as truths", "spectrum",
     preset("default", parameters="specular"), ParameterGrid(8, 8), 64,
 )  # fmt: skip
 METHODS = (
     SPECTRUM,
-    Timed("angular fixed, 8 x 8 cells, all rows as truths", "angular",
-          preset("fixed", method="angular"), PrincipledGrid(8, 8, 8, known={"metallic": 0.0}), 64),
-    Timed("angular, 8 x 8 x 8 cells, 8 truths", "angular", preset("default", method="angular"),
-          PrincipledGrid(8, 8, 8), 8),
+    Chooser(
+        "angular fixed, 8 x 8 cells, all rows as truths", "angular",
+        preset("fixed", method="angular"), PrincipledGrid(8, 8, 8, known={"metallic": 0.0}), 64,
+    ),
+    Chooser(
+        "angular, 8 x 8 x 8 cells, 8 truths", "angular", preset("default", method="angular"),
+        PrincipledGrid(8, 8, 8), 8,
+    ),
 )  # fmt: skip
 
 
-def measure_speed(capture: Capture, sizes: Sizes) -> Record:
+def measure_speed(capture: Capture, sizes: GuidanceSizes) -> Record:
     """Time steps of guidance.
 
     Args:
@@ -69,7 +72,7 @@ def measure_speed(capture: Capture, sizes: Sizes) -> Record:
         ``methods``: a record each (see ``_method``); ``refitting``: see ``_refitting``;
         ``photographs``.
     """
-    methods = [_method(capture, timed, sizes) for timed in METHODS]
+    methods = [_method(capture, chooser, sizes) for chooser in METHODS]
     fastest = methods[0]["points"][-1]["first"]
     return {
         "photographs": capture.count,
@@ -78,7 +81,7 @@ def measure_speed(capture: Capture, sizes: Sizes) -> Record:
     }
 
 
-def _method(capture: Capture, timed: Timed, sizes: Sizes) -> Record:
+def _method(capture: Capture, chooser: Chooser, sizes: GuidanceSizes) -> Record:
     """Time a method at every size.
 
     Returns:
@@ -88,14 +91,14 @@ def _method(capture: Capture, timed: Timed, sizes: Sizes) -> Record:
         of ``first`` with ``candidates`` and with ``texels``.
     """
     most, side = sizes.candidates[-1], sizes.speed_texels
-    by_side = {s: timed.estimate(capture, s) for s in (*sizes.fewer, side)}
+    by_side = {s: chooser.estimate(capture, s) for s in (*sizes.fewer, side)}
     shapes = [(c, side) for c in sizes.candidates] + [(most, s) for s in sizes.fewer]
-    points = {shape: _point(by_side[shape[1]], shape[0], timed, sizes) for shape in shapes}
+    points = {shape: _point(by_side[shape[1]], shape[0], chooser, sizes) for shape in shapes}
     full = points[most, side]
     by_candidates = [points[c, side] for c in sizes.candidates]
     by_texels = [points[most, s] for s in (*sizes.fewer, side)]
     return {
-        "label": timed.label,
+        "label": chooser.label,
         "points": [*(points[most, s] for s in sizes.fewer), *by_candidates],
         "per_view": (full["prepare"] + full["first"] + (sizes.added - 1) * full["later"])
         / sizes.added,
@@ -106,15 +109,15 @@ def _method(capture: Capture, timed: Timed, sizes: Sizes) -> Record:
     }
 
 
-def _point(found: Estimate, candidates: int, timed: Timed, sizes: Sizes) -> Record:
-    known, chosen = _prospect(found, candidates, timed), np.arange(found.texels.count)
+def _point(found: Estimate, candidates: int, chooser: Chooser, sizes: GuidanceSizes) -> Record:
+    known, chosen = _prospect(found, candidates, chooser), np.arange(found.texels.count)
 
     def prepare() -> Any:
         return replace(known).forecast
 
     forecast = prepare()
-    rounds = range(WARM_UP + sizes.repeats)
-    steps = [_steps(known.photographs, forecast, sizes.added) for _ in rounds][WARM_UP:]
+    rounds = range(clock.WARM_UP + sizes.repeats)
+    steps = [_steps(known.photographs, forecast, sizes.added) for _ in rounds][clock.WARM_UP:]
     return {
         "candidates": candidates,
         "texels": len(chosen),
@@ -125,11 +128,11 @@ def _point(found: Estimate, candidates: int, timed: Timed, sizes: Sizes) -> Reco
     }
 
 
-def _prospect(found: Estimate, candidates: int, timed: Timed) -> Prospect:
+def _prospect(found: Estimate, candidates: int, chooser: Chooser) -> Prospect:
     observed = observed_of(found, None)
     around, chosen = Candidates.around(observed.capture, candidates), np.arange(found.texels.count)
     return Prospect(
-        found, observed, around, chosen, GuidanceOptions(hypotheses=timed.hypotheses)
+        found, observed, around, chosen, GuidanceOptions(hypotheses=chooser.hypotheses)
     )
 
 
@@ -149,7 +152,7 @@ def _steps(photographs: int, forecast: Any, added: int) -> list[float]:
     return times
 
 
-def _refitting(capture: Capture, sizes: Sizes, step: float) -> Record:
+def _refitting(capture: Capture, sizes: GuidanceSizes, step: float) -> Record:
     """Evaluate Eq. 13 as it is written, for a sample of candidates and truths.
 
     For each candidate and each truth, photographs are made up, fitted with the light, and
@@ -160,26 +163,26 @@ def _refitting(capture: Capture, sizes: Sizes, step: float) -> Record:
         ``step``, a step of guidance; ``once``: seconds for all candidates if each is fitted once,
         and its truths are spectra of the same fit.
     """
-    timed, most = SPECTRUM, sizes.candidates[-1]
-    found = timed.estimate(capture, sizes.speed_texels)
-    known = _prospect(found, most, timed)
+    chooser, most = SPECTRUM, sizes.candidates[-1]
+    found = chooser.estimate(capture, sizes.speed_texels)
+    known = _prospect(found, most, chooser)
     forecast = known.forecast
     assert isinstance(forecast, SpectrumForecast)
     views, table = known.photographs, forecast.responses.table()
     fits, posteriors = [], []
     for candidate in range(sizes.refits[0]):
-        for cell in range(WARM_UP + sizes.refits[1]):
+        for cell in range(clock.WARM_UP + sizes.refits[1]):
             rows = table[[*range(views), views + candidate]]
             fit, compare = _refit(forecast, rows, cell)
-            if cell >= WARM_UP:
+            if cell >= clock.WARM_UP:
                 fits.append(fit)
                 posteriors.append(compare)
     fit, compare = statistics.median(fits), statistics.median(posteriors)
-    evaluations = most * timed.hypotheses
+    evaluations = most * chooser.hypotheses
     return {
         "seconds": fit + compare, "evaluations": evaluations, "step": step,
         "times": (fit + compare) * evaluations / step,
-        "once": most * (fit + timed.hypotheses * compare),
+        "once": most * (fit + chooser.hypotheses * compare),
     }  # fmt: skip
 
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.bench.bars import bar_table
 from svu_mi.bench.failures import left_out
 from svu_mi.bench.guidance.verdict import compare, mean_curve, mean_gain, views_needed
-from svu_mi.bench.kernels.bars import bar_table
 from svu_mi.bench.text import number, seconds, table
 
 Record = dict[str, Any]

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from svu_mi.bench.guidance.sizes import Sizes
-from svu_mi.bench.kernels.bars import Bar
+from svu_mi.bench.bars import Bar
+from svu_mi.bench.sizes import GuidanceSizes
 
 Record = dict[str, Any]
 # Times as many views as the judged strategy that farthest-point sampling needs, by kind of start.
@@ -60,7 +60,7 @@ def mean_curve(runs: list[Record], strategy: str, name: str = "psnr") -> list[fl
     return object_curves(runs, strategy, name).mean(axis=0).tolist()
 
 
-def compare(runs: list[Record], sizes: Sizes, name: str = "psnr") -> list[Record]:
+def compare(runs: list[Record], sizes: GuidanceSizes, name: str = "psnr") -> list[Record]:
     """Compare the judged strategies with every other, in pairs over objects.
 
     Returns:
@@ -86,13 +86,13 @@ def compare(runs: list[Record], sizes: Sizes, name: str = "psnr") -> list[Record
     return found
 
 
-def find_bars(record: Record, sizes: Sizes) -> list[Record]:
+def find_bars(record: Record, sizes: GuidanceSizes) -> list[Record]:
     """Return the bars that a record has figures for."""
     bars = [*_curves(record["runs"], sizes), *_speed(record["speed"])]
     return [bar.record() for bar in bars]
 
 
-def times_as_many(runs: list[Record], sizes: Sizes, first: str, other: str) -> float:
+def times_as_many(runs: list[Record], sizes: GuidanceSizes, first: str, other: str) -> float:
     """Return how many times as many views another strategy needs on the mean curve.
 
     If it does not get there at all, at least so many; NaN if the first does not.
@@ -103,7 +103,7 @@ def times_as_many(runs: list[Record], sizes: Sizes, first: str, other: str) -> f
     return (sizes.marks[-1] if np.isnan(others) else others) / needed
 
 
-def _curves(runs: list[Record], sizes: Sizes) -> list[Bar]:
+def _curves(runs: list[Record], sizes: GuidanceSizes) -> list[Bar]:
     if not runs:
         return []
     bars = []

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.kernels.bars import Bar
+from svu_mi.bench.bars import Bar
 from svu_mi.bench.recovery.rows import PATH, PATH_SHARING, SH, SH_PAPER, SH_PATH, SH_SHARING, Row
 
 Record = dict[str, Any]

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from svu_mi import scenes
-from svu_mi.bench.cells import DIRECT, Cell, data_cells, own_cells
+from svu_mi.bench.cells import DIRECT, Cell, chosen_cells, data_cells, own_cells
 from svu_mi.capture.picture import quantized, srgb
 from svu_mi.errors import OptionError
 from svu_mi.files import prepare_folder, replacing
@@ -126,10 +126,7 @@ def _present(data: Path, workspace: Path, names: Sequence[str]) -> list[Cell]:
 
 def _relit(cell: Cell, data: Path | None, workspace: Path) -> Cell:
     """Return the same object under the light after the cell's, in the order of all lights."""
-    if data is None:
-        around = own_cells([cell.object])
-    else:
-        around = data_cells(data, workspace, [cell.object])
+    around = chosen_cells(data, workspace, [cell.object])
     lights = [one.light for one in around]
     if len(lights) < 2:
         raise OptionError(

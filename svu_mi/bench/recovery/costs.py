@@ -10,12 +10,12 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from svu_mi.bench import clock
 from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.captures import some_views
 from svu_mi.bench.cells import Cell
-from svu_mi.bench.kernels import clock
-from svu_mi.bench.recovery.measure import Mark, Watch, run_cold, step_seconds
-from svu_mi.bench.recovery.options import Sizes
+from svu_mi.bench.fresh import in_new_process
+from svu_mi.bench.recovery.measure import Mark, Watch, recover_once, step_seconds
 from svu_mi.bench.recovery.rows import COLD, PATH, SH, Row
 from svu_mi.capture import Capture
 from svu_mi.pipeline import estimate
@@ -33,34 +33,37 @@ WATCHED = (SH, PATH)  # in the long run
 SETTLED = 0.1  # part of its steps after which memory should not grow any more
 
 
-def measure_costs(bench: Bench, cell: Cell, sizes: Sizes) -> Record:
+def measure_costs(bench: Bench, cell: Cell) -> Record:
     """Measure what steps cost, on one cell.
 
     Args:
         bench: where and how.
         cell: object and light.
-        sizes: number of views and steps.
 
     Returns:
         ``cell``; ``sharing``: by rule, see ``sharing_cost``; ``views``: see ``cost_of_views``;
-        ``long``: by label, see ``long_run``; ``cold``: by label, see ``run_cold``.
+        ``long``: by label, see ``long_run``; ``cold``: by label, see ``recover_once``.
     """
-    capture = bench.capture(cell)
-    grid = texels(capture.mesh, bench.settings.texels)
+    capture, sizes = bench.capture(cell), bench.sizes.recovery
+    grid = texels(capture.mesh, bench.sizes.texels)
     folder = bench.folder / "cells" / cell.name / "capture"
     cold: Record = {}
     if sizes.cold:
         cold = {
-            label: run_cold(folder, bench.settings.texels, label, sizes.scale) for label in COLD
-        }
+            label: in_new_process(
+                recover_once, folder=str(folder), resolution=bench.sizes.texels, label=label,
+                scale=sizes.scale,
+            )
+            for label in COLD
+        }  # fmt: skip
     return {
         "cell": cell.title,
         "sharing": {
             name: sharing_cost(capture, grid, rule, sizes.turns)
             for name, rule in _rules(capture, grid).items()
         },
-        "views": cost_of_views(bench, cell, sizes),
-        "long": {row.label: long_run(bench, cell, sizes, row) for row in WATCHED},
+        "views": cost_of_views(bench, cell),
+        "long": {row.label: long_run(bench, cell, row) for row in WATCHED},
         "cold": cold,
     }
 
@@ -125,17 +128,18 @@ def sharing_cost(capture: Capture, grid: Texels, rule: Rule, turns: int) -> Reco
     }
 
 
-def cost_of_views(bench: Bench, cell: Cell, sizes: Sizes) -> list[Record]:
+def cost_of_views(bench: Bench, cell: Cell) -> list[Record]:
     """Time steps of SH descent with few and with many views of the same object.
 
     Returns:
         For each number of views: ``views``, ``seconds`` per step (the least of several runs'
         medians), ``texels`` that are seen.
     """
+    sizes = bench.sizes.recovery
     few, many = sizes.step_views
-    size = replace(bench.settings, views=many, film=sizes.step_film)
+    size = replace(bench.sizes, views=many, film=sizes.step_film)
     whole = bench.capture(cell, size, f"capture_{many}_views_{size.film}")
-    grid = texels(whole.mesh, bench.settings.texels)
+    grid = texels(whole.mesh, bench.sizes.texels)
     captures = {count: some_views(whole, count) for count in (few, many)}
     times: dict[int, list[float]] = {few: [], many: []}
     texels_seen = {}
@@ -151,7 +155,7 @@ def cost_of_views(bench: Bench, cell: Cell, sizes: Sizes) -> list[Record]:
     ]
 
 
-def long_run(bench: Bench, cell: Cell, sizes: Sizes, row: Row) -> Record:
+def long_run(bench: Bench, cell: Cell, row: Row) -> Record:
     """Watch a long run of a small capture.
 
     Returns:
@@ -159,7 +163,8 @@ def long_run(bench: Bench, cell: Cell, sizes: Sizes, row: Row) -> Record:
         compile); ``resident``: MiB when it has settled, ``grown``: MiB from then to the end,
         None where the system does not say; ``seconds`` per step.
     """
-    size = replace(bench.settings, views=sizes.soak_views, film=sizes.soak_film)
+    sizes = bench.sizes.recovery
+    size = replace(bench.sizes, views=sizes.soak_views, film=sizes.soak_film)
     capture = bench.capture(cell, size, f"capture_{size.views}_views_{size.film}")
     grid = texels(capture.mesh, sizes.soak_texels)
     watch = Watch()

@@ -11,12 +11,12 @@ import numpy as np
 from svu_mi import metrics
 from svu_mi.bench.captures import some_views
 from svu_mi.bench.cells import Cell
+from svu_mi.bench.truth import Truth
 from svu_mi.capture import Capture
 from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.scene import find_shape, load_scene
 from svu_mi.errors import CaptureError
 from svu_mi.metrics import image_error
-from svu_mi.parameters import NAMES
 from svu_mi.pipeline import estimate
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import Textures
@@ -28,15 +28,13 @@ class Judge:
     """What is known of a cell before anything is recovered.
 
     Attributes:
-        grid: T texels.
-        truth: (T, C) or (T,) by parameter.
+        truth: of T texels.
         coverage: (T,) number of views that see each texel.
         entropy: (T,) angular entropy, of the default preset.
         poor: most views of a texel that counts as hardly seen.
     """
 
-    grid: Texels
-    truth: dict[str, np.ndarray]
+    truth: Truth
     coverage: np.ndarray
     entropy: np.ndarray
     poor: int
@@ -49,14 +47,12 @@ class Judge:
             SceneError: the scene does not know the true parameters.
             CaptureError: no texel is seen.
         """
-        known = metrics.ground_truth(capture, grid)
-        found = estimate(capture, grid)
+        truth, found = Truth.of(capture, grid), estimate(capture, grid)
         coverage = np.array(found.coverage)
         if not (coverage > 0).any():
             raise CaptureError("No texel is seen in any photograph; there is nothing to compare.")
         return cls(
-            grid=grid,
-            truth={name: getattr(known, name) for name in NAMES},
+            truth=truth,
             coverage=coverage,
             entropy=np.array(found.entropy, np.float64),
             poor=poor,
@@ -66,7 +62,7 @@ class Judge:
         """Return counts of texels: all, seen, hardly seen."""
         seen = self.coverage > 0
         return {
-            "texels": self.grid.count,
+            "texels": self.truth.grid.count,
             "seen": int(seen.sum()),
             "hardly_seen": int((seen & (self.coverage <= self.poor)).sum()),
             "mean_entropy": float(self.entropy[seen].mean()),
@@ -78,20 +74,12 @@ class Judge:
         """
         seen = self.coverage > 0
         hardly = seen & (self.coverage <= self.poor)
-        found = {name: textures.at(self.grid, name) for name in NAMES}
-        error = metrics.texel_error(_part(found, seen), _part(self.truth, seen))
+        error = self.truth.error(textures, seen)
         return {
-            "psnr": self._psnr(found, seen),
-            "psnr_hardly_seen": self._psnr(found, hardly) if hardly.any() else None,
+            "psnr": self.truth.psnr(textures, seen),
+            "psnr_hardly_seen": self.truth.psnr(textures, hardly) if hardly.any() else None,
             "entropy_correlation": metrics.pearson(error, self.entropy[seen]),
         }
-
-    def _psnr(self, found: dict[str, np.ndarray], where: np.ndarray) -> dict[str, float]:
-        return metrics.texture_psnr(_part(found, where), _part(self.truth, where))
-
-
-def _part(values: dict[str, np.ndarray], where: np.ndarray) -> dict[str, np.ndarray]:
-    return {name: value[where] for name, value in values.items()}
 
 
 @dataclass(frozen=True)

@@ -7,15 +7,15 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
-from svu_mi.bench.fresh import in_new_process, memory_mib
-from svu_mi.bench.recovery.options import Sizes
+from svu_mi.bench.clock import Timed
+from svu_mi.bench.fresh import memory_mib
 from svu_mi.bench.recovery.rows import Row, find_row
+from svu_mi.bench.sizes import RecoverySizes
 from svu_mi.capture import Capture, load_capture
 from svu_mi.progress import Progress, Stage, compiled_kernels
 from svu_mi.surface import Texels, texels
@@ -23,34 +23,18 @@ from svu_mi.surface import Texels, texels
 BRIEF = 4  # steps after which all kernels are compiled
 
 
-@dataclass(frozen=True)
-class Timed:
-    """One row's result and its run time.
-
-    Attributes:
-        recovery: what ``recover`` returned.
-        seconds: by the clock, synchronised; median of the warm runs.
-        runs: number of these.
-        compiled: kernels compiled in the runs that count; 0 if they were warm.
-    """
-
-    recovery: Any
-    seconds: float
-    runs: int
-    compiled: int
-
-    def figures(self) -> dict[str, Any]:
-        """Return what is kept of the run itself."""
-        return {
-            "seconds": self.seconds,
-            "runs": self.runs,
-            "compiled": self.compiled,
-            "steps": len(self.recovery.losses),
-            "timings": dict(self.recovery.timings),
-        }
+def figures(timed: Timed) -> dict[str, Any]:
+    """Return what is kept of a run of ``run_warm`` itself."""
+    return {
+        "seconds": timed.seconds,
+        "runs": timed.runs,
+        "compiled": timed.compiled,
+        "steps": len(timed.result.losses),
+        "timings": timed.timings,
+    }
 
 
-def run_warm(row: Row, capture: Capture, grid: Texels, sizes: Sizes) -> Timed:
+def run_warm(row: Row, capture: Capture, grid: Texels, sizes: RecoverySizes) -> Timed:
     """Recover textures with compiled kernels.
 
     Kernels are compiled by a brief run that does not count. A row that takes longer than
@@ -64,47 +48,38 @@ def run_warm(row: Row, capture: Capture, grid: Texels, sizes: Sizes) -> Timed:
     while len(runs) < sizes.repeats and runs[0].seconds < sizes.long_s:
         runs.append(_run(row, capture, grid, sizes))
     return Timed(
-        recovery=runs[-1].recovery,
+        result=runs[-1].result,
         seconds=statistics.median(one.seconds for one in runs),
-        runs=len(runs),
+        timings=runs[-1].timings,
         compiled=sum(one.compiled for one in runs),
+        runs=len(runs),
     )
 
 
-def _run(row: Row, capture: Capture, grid: Texels, sizes: Sizes) -> Timed:
+def _run(row: Row, capture: Capture, grid: Texels, sizes: RecoverySizes) -> Timed:
     dr.sync_thread()
     compiled, start = compiled_kernels(), time.perf_counter()
     found = row.recover(capture, grid, sizes.scale)
     dr.sync_thread()
-    return Timed(found, time.perf_counter() - start, 1, compiled_kernels() - compiled)
+    seconds = time.perf_counter() - start
+    return Timed(found, seconds, dict(found.timings), compiled_kernels() - compiled)
 
 
-def run_cold(folder: Path, resolution: int, label: str, scale: float) -> dict[str, Any]:
-    """Recover once in a new process with an empty kernel cache.
+def recover_once(folder: str, resolution: int, label: str, scale: float) -> dict[str, Any]:
+    """Recover as a user's first run does, in a new process (see ``fresh.in_new_process``).
 
     Args:
         folder: of the capture.
         resolution: texels per side.
         label: of the row.
-        scale: see ``Sizes``.
+        scale: see ``RecoverySizes``.
 
     Returns:
-        ``seconds`` of the recovery, ``compiled`` kernels, and ``process_seconds`` with start,
-        loading and everything else.
-
-    Raises:
-        SvuEnvironmentError: the process failed; the sentence is its last one.
+        ``seconds`` of the recovery, and ``compiled`` kernels.
     """
-    found = in_new_process(
-        _once, folder=str(folder), resolution=resolution, label=label, scale=scale
-    )
-    return {**found["result"], "process_seconds": found["process_seconds"]}
-
-
-def _once(folder: str, resolution: int, label: str, scale: float) -> dict[str, Any]:
     capture = load_capture(folder)
     grid = texels(capture.mesh, resolution)
-    run = _run(find_row(label), capture, grid, Sizes(scale=scale))
+    run = _run(find_row(label), capture, grid, RecoverySizes(scale=scale))
     return {"seconds": run.seconds, "compiled": run.compiled}
 
 

@@ -13,7 +13,7 @@ from svu_mi.bench.failures import Failures
 from svu_mi.bench.recovery.bars import find_bars
 from svu_mi.bench.recovery.cells import Task, even_tasks, sharing_tasks
 from svu_mi.bench.recovery.costs import measure_costs
-from svu_mi.bench.recovery.options import COSTS, FULL, QUICK, Options, Sizes
+from svu_mi.bench.recovery.options import COSTS, Options
 from svu_mi.bench.recovery.rows import Row, choose_rows
 from svu_mi.bench.recovery.setting import PLACE, Setting
 from svu_mi.bench.store import Store, code_and_machine, key_of
@@ -47,9 +47,9 @@ def run_recovery(
         OutputError: the folder cannot be written.
     """
     options = options or Options()
-    sizes = options.sizes or (QUICK if bench.quick else FULL)
-    tasks = _tasks(bench, cells, options, sizes)
-    run = Run(bench, sizes, options)
+    sizes = bench.sizes.recovery
+    tasks = _tasks(bench, cells, options)
+    run = Run(bench, options)
     record: Record = {"cells": run.cells, "costs": None, "bars": [], "failed": run.failures.found,
                       "sizes": sizes, "quick": bench.quick, "versions": 0}  # fmt: skip
     traced: dict[str, int] = {}
@@ -61,15 +61,15 @@ def run_recovery(
     run.failures.raise_unless(run.cells)
     if COSTS in options.groups:
         store, key = Store(bench.folder / PLACE), key_of(cells[0].name, asdict(sizes))
-        measure = partial(measure_costs, bench, cells[0], sizes)
+        measure = partial(measure_costs, bench, cells[0])
         record["costs"] = run.recall(store, "costs", key, "Timing single steps", measure)
     _tell(record, finished)
     return record
 
 
-def _tasks(bench: Bench, cells: Sequence[Cell], options: Options, sizes: Sizes) -> list[Task]:
+def _tasks(bench: Bench, cells: Sequence[Cell], options: Options) -> list[Task]:
     """Return tasks of the chosen groups, in the order they are run."""
-    tasks = list(even_tasks(cells[: sizes.even_cells], options.data, bench.folder))
+    tasks = list(even_tasks(cells[: bench.sizes.recovery.even_cells], options.data, bench.folder))
     if {"repeated", "varied"} & set(options.groups):
         tasks += sharing_tasks(options.data, bench.folder, quick=bench.quick)
     return [task for task in tasks if task.group in options.groups]
@@ -89,21 +89,19 @@ class Run:
 
     Attributes:
         bench: where and how.
-        sizes: how large.
         options: what is run.
         cells: their records so far.
         failures: rows that could not be run.
     """
 
     bench: Bench
-    sizes: Sizes
     options: Options
     cells: list[Record] = field(default_factory=list)
     failures: Failures = field(default_factory=Failures)
 
     def add(self, task: Task, rows: Iterable[Row]) -> None:
         """Add the record of a cell: the rows that are there, or that could be run."""
-        setting = Setting(self.bench, task, self.sizes)
+        setting = Setting(self.bench, task)
         found = {}
         for row in rows:
             title = f"{task.title} ({task.group}): {row.label}"

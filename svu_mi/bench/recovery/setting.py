@@ -10,9 +10,9 @@ from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.captures import some_views, uneven_views
 from svu_mi.bench.recovery.cells import Task
 from svu_mi.bench.recovery.judge import Judge, Relit
-from svu_mi.bench.recovery.measure import run_warm
-from svu_mi.bench.recovery.options import Sizes
+from svu_mi.bench.recovery.measure import figures, run_warm
 from svu_mi.bench.recovery.rows import Row
+from svu_mi.bench.sizes import RecoverySizes
 from svu_mi.bench.store import Store, key_of
 from svu_mi.capture import Capture
 from svu_mi.recovery.textures import lay_out
@@ -28,7 +28,11 @@ class Setting:
 
     bench: Bench
     task: Task
-    sizes: Sizes
+
+    @property
+    def sizes(self) -> RecoverySizes:
+        """How large everything is, beside the photographs."""
+        return self.bench.sizes.recovery
 
     @cached_property
     def store(self) -> Store:
@@ -38,24 +42,24 @@ class Setting:
         """Key of a row's record, whatever the version of the code."""
         task = self.task
         cell = [(str(one.scene), one.defines) for one in (task.cell, task.relit)]
-        size = self.bench.settings
+        size = self.bench.sizes
         photographs = (size.views, size.film, size.spp, size.texels, size.seed)
         return key_of(task.group, cell, photographs, asdict(self.sizes), asdict(row))
 
     def measure(self, row: Row) -> Record:
         """Recover, judge and relight; return the figures."""
         timed = run_warm(row, self.capture, self.grid, self.sizes)
-        textures = timed.recovery.textures
+        textures = timed.result.textures
         return {
             "cell": self.head,
-            **timed.figures(),
+            **figures(timed),
             **self.judge.judge(textures),
             "relit": self.relit.judge(textures),
         }
 
     @cached_property
     def capture(self) -> Capture:
-        cell, size = self.task.cell, self.bench.settings
+        cell, size = self.task.cell, self.bench.sizes
         if self.task.group == "even":
             whole = self.bench.capture(cell)
             return some_views(whole, min(self.sizes.even_views, whole.count))
@@ -65,7 +69,7 @@ class Setting:
 
     @cached_property
     def grid(self) -> Texels:
-        return texels(self.capture.mesh, self.bench.settings.texels)
+        return texels(self.capture.mesh, self.bench.sizes.texels)
 
     @cached_property
     def judge(self) -> Judge:
@@ -84,5 +88,5 @@ class Setting:
         return {
             "group": task.group, "object": task.cell.object, "light": task.cell.light,
             "relit": task.relit.light, "views": self.capture.count, **self.judge.figures(),
-            "truth_relit": self.relit.judge(lay_out(self.grid, self.judge.truth)),
+            "truth_relit": self.relit.judge(lay_out(self.grid, self.judge.truth.values)),
         }  # fmt: skip

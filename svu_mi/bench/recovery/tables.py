@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.bench.bars import bar_table
 from svu_mi.bench.failures import left_out
-from svu_mi.bench.kernels.bars import bar_table
 from svu_mi.bench.recovery.bars import gain, paired
 from svu_mi.bench.recovery.rows import PATH, PATH_SHARING, ROWS, SH, SH_SHARING, Row
 from svu_mi.bench.text import number, seconds, table

@@ -10,12 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from studies.conventions.cases import CASES, OUTCOMES, Case, outcome
+from studies.conventions.photographs import IMPORTERS, WAYS, Way
+from studies.conventions.visible import SEED, VIEWS, looks, shows
+from studies.conventions.written import Written, write
 from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.cells import Cell
-from svu_mi.bench.conventions.cases import CASES, OUTCOMES, Case, outcome
-from svu_mi.bench.conventions.photographs import IMPORTERS, WAYS, Way
-from svu_mi.bench.conventions.visible import SEED, VIEWS, looks, shows
-from svu_mi.bench.conventions.written import Written, write
 from svu_mi.bench.store import Store
 from svu_mi.bench.text import table
 from svu_mi.capture import Capture, load_capture
@@ -25,8 +25,8 @@ from svu_mi.formats.reading import ReadOptions, read_source
 from svu_mi.settings import require_known
 
 # Of the photographs: views, pixels per side, samples per pixel; --quick has fewer.
-SIZES = {"views": 24, "film": 128, "spp": 64}
-QUICK = {"views": 16, "film": 96, "spp": 32}
+SIZES: dict[str, Any] = {"views": 24, "film": 128, "spp": 64}
+QUICK: dict[str, Any] = {"views": 16, "film": 96, "spp": 32}
 
 
 def run_conventions(
@@ -48,9 +48,9 @@ def run_conventions(
     require_known(ways, WAYS, "row")
     chosen = tuple(ways) or (IMPORTERS if bench.quick else tuple(WAYS))
     store, rows = Store(bench.folder / "conventions"), []
-    settings = replace(bench.settings, **(QUICK if bench.quick else SIZES))
+    sizes = replace(bench.sizes, **(QUICK if bench.quick else SIZES))
     for cell in cells:
-        capture = bench.capture(cell, settings, "conventions")
+        capture = bench.capture(cell, sizes, "conventions")
         key = bench.key(cell, ())
         visible = partial(_visible, capture)
         shown = store.recall(f"{cell.name}__visible", key, visible, fresh=bench.fresh)["visible"]

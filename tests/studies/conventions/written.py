@@ -13,7 +13,7 @@ import trimesh
 from PIL import Image
 from trimesh.visual.material import PBRMaterial
 
-from svu_mi.bench.conventions.photographs import white_of
+from studies.conventions.photographs import white_of
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, arrays, flipped_v
 from svu_mi.capture.picture import quantized, srgb

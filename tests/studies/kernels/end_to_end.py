@@ -9,10 +9,10 @@ from typing import Any
 
 import drjit as dr
 
+from studies.kernels.memory import resident_formula
+from svu_mi.bench.bars import Bar
+from svu_mi.bench.clock import WARM_UP, spread
 from svu_mi.bench.fresh import in_new_process
-from svu_mi.bench.kernels.bars import Bar
-from svu_mi.bench.kernels.clock import WARM_UP, spread
-from svu_mi.bench.kernels.memory import resident_formula
 from svu_mi.capture import load_capture
 from svu_mi.output import write_maps
 from svu_mi.pipeline import estimate
@@ -96,8 +96,7 @@ def _both(folder: Path, resolution: int, repeats: int, method: str) -> dict[str,
         "seconds": spread([run["seconds"] for run in runs]),
         "kernels": sum(run["kernels"] for run in runs),
     }
-    outside = in_new_process(run_once, **asked)
-    cold = {**outside.pop("result"), **outside}
+    cold = in_new_process(run_once, **asked)
     cold["formula_mib"] = resident_formula(method, cold["pixels"], cold["texels"])
     return {"warm": warm, "cold": cold}
 

@@ -13,12 +13,13 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from oracle import batched
+from oracle.posterior import F0
 
+from studies.kernels.timing import compile_record, rescaled
+from svu_mi.bench.bars import Bar
+from svu_mi.bench.clock import measure
 from svu_mi.bench.fresh import in_new_process
-from svu_mi.bench.kernels import exact
-from svu_mi.bench.kernels.bars import Bar
-from svu_mi.bench.kernels.clock import compile_record, measure, rescaled
-from svu_mi.bench.oracle import F0
 from svu_mi.interop import owned
 from svu_mi.options import Preset, preset
 from svu_mi.posterior import (
@@ -27,7 +28,7 @@ from svu_mi.posterior import (
     angular_posterior,
     spectrum_posterior,
 )
-from svu_mi.reflection.lobes import split_sum
+from svu_mi.reflection.lobes import mean_albedo
 from svu_mi.statistics import Factors
 from svu_mi.statistics.blocks import in_blocks
 from svu_mi.statistics.factors import FLOOR, PAIRS
@@ -87,10 +88,10 @@ def measure_entropy(texels: int, repeats: int) -> dict[str, Any]:
     Returns:
         ``rows``: one per case with its ``label``, ``texels``, ``nanoseconds`` per texel in
         kernels and ``wall_nanoseconds`` by the clock (see ``clock.spread``), ``operations``,
-        ``launched`` kernels, ``compile`` (see ``clock.compile_record``) and ``error``, the
+        ``launched`` kernels, ``compile`` (see ``timing.compile_record``) and ``error``, the
         largest of the checked texels; and ``bars``.
     """
-    compiled = in_new_process(compile_entropy, texels=1024)["result"]
+    compiled = in_new_process(compile_entropy, texels=1024)
     rows = [{**_measured(case, texels, repeats), "compile": compiled[case.label]}
             for case in CASES]  # fmt: skip
     return {"rows": rows, "bars": [bar.record() for bar in _bars(rows)]}
@@ -212,26 +213,26 @@ def _spectrum_truth(
     alpha = np.maximum(roughness**2, 1e-3 if switches.bounded_alpha else 0)
     decay = np.exp(-2 * (alpha[:, None] * np.arange(1, DEGREE + 1)) ** 2)
     if isinstance(case.grid, ParameterGrid):
-        x = exact.spectrum_energy(S_L, S_B, switches.sigma * unit, decay, axes["specular"])
+        x = batched.spectrum_energy(S_L, S_B, switches.sigma * unit, decay, axes["specular"])
     else:
         albedo = np.ones(len(alpha))
         if switches.albedo:
-            albedo = split_sum(alpha).sum(axis=2).mean(axis=1)
+            albedo = mean_albedo(alpha)  # given, like the light: its truth is another test's
         m, c = axes["metallic"][:, None], axes["base_color"]
         R0, Kd = (F0 * (1 - m) + m * c)[:, :, None], ((1 - m) * c)[:, :, None]
         x = np.concatenate([
-            exact.spectrum_energy(
+            batched.spectrum_energy(
                 S_L, S_B, switches.sigma * unit, np.tile(a**2 * e, (len(m), 1)), R0[..., 0]
             )
-            + exact.constant_energy(
+            + batched.constant_energy(
                 np.sqrt(S_B[:, None, None, 0]), Kd * 2 * E[:, None, None] / math.sqrt(math.pi),
                 R0 * a * np.sqrt(S_L[:, None, None, 0]), switches.constant_sigma * math.sqrt(unit),
             )
             for a, e in zip(albedo, decay, strict=True)
         ], axis=1)  # fmt: skip
     if switches.channels == "joint":
-        return exact.joint_entropy(x)
-    return exact.shared_entropy(x.sum(axis=-1))
+        return batched.joint_entropy(x)
+    return batched.shared_entropy(x.sum(axis=-1))
 
 
 def _of_statistics(
@@ -272,4 +273,4 @@ def _angular_truth(axes: dict[str, np.ndarray], fields: np.ndarray, sigma: float
     x = c * (1 - m), c * m, m, 1
     rows = [sum(u[row, k] * x[k] for k in range(row, 4)) for row in range(3)]
     d = sum(row**2 for row in rows) + u[3, 3]
-    return exact.shared_entropy(d / (2 * sigma**2))
+    return batched.shared_entropy(d / (2 * sigma**2))

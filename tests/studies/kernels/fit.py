@@ -15,11 +15,12 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from oracle import frequency
 
-from svu_mi.bench import oracle
+from studies.kernels.timing import compile_record, rescaled
+from svu_mi.bench.bars import Bar
+from svu_mi.bench.clock import measure
 from svu_mi.bench.fresh import in_new_process
-from svu_mi.bench.kernels.bars import Bar
-from svu_mi.bench.kernels.clock import compile_record, measure, rescaled
 from svu_mi.frequency import fit_lanes, power_lanes, scatter_rows, solver_groups
 from svu_mi.interop import owned
 from svu_mi.options import Preset, preset
@@ -86,7 +87,7 @@ def measure_fit(texels: int, repeats: int, cases: tuple[Case, ...] = CASES) -> d
         ``compile`` and ``error``: the largest of a degree's power, relative to the largest
         degree of its texel and channel; ``compile_seconds`` of all; and ``bars``.
     """
-    compiled = in_new_process(compile_fits, cases=[asdict(case) for case in cases])["result"]
+    compiled = in_new_process(compile_fits, cases=[asdict(case) for case in cases])
     rows = [{**_measured(case, texels, repeats), "compile": compiled[case.label]}
             for case in cases]  # fmt: skip
     seconds = sum(row["compile"]["seconds"] for row in rows)
@@ -239,7 +240,7 @@ def largest_error(power: np.ndarray, blocks: Blocks, switches: Preset) -> float:
     texel = owned(mi.UInt32, some.repeat(views).astype(np.uint32))
     view = owned(mi.UInt32, np.tile(np.arange(views, dtype=np.uint32), len(some)))
     direction, weight, values = blocks.sampler(texel)(view)
-    fitted = oracle.fit(
+    fitted = frequency.fit(
         np.array(direction).T.reshape(len(some), views, 3),
         np.array(weight).reshape(len(some), views),
         np.stack([np.array(v) for v in values], -1).reshape(len(some), views, SIDES),
@@ -247,7 +248,7 @@ def largest_error(power: np.ndarray, blocks: Blocks, switches: Preset) -> float:
         switches.regularizer,
         switches.penalize_constant,
     )
-    truth = oracle.power(fitted)
+    truth = frequency.power(fitted)
     wrong = np.abs(power[some] - truth) / truth.max(axis=1, keepdims=True)
     return float(wrong.max())
 

@@ -16,8 +16,9 @@ import mitsuba as mi
 import numpy as np
 import trimesh
 
-from svu_mi.bench.kernels.bars import Bar
-from svu_mi.bench.kernels.clock import measure_in_turns
+from studies.captures import in_memory
+from studies.kernels.timing import measure_in_turns
+from svu_mi.bench.bars import Bar
 from svu_mi.capture import Capture
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.poses import sphere_sensors
@@ -89,14 +90,8 @@ def fine_capture(views: int, film: int) -> Capture:
         {"type": "scene", "light": {"type": "constant"}, "vase": mesh}, optimize=False
     )
     rng = np.random.default_rng(SEED)
-    return Capture(
-        scene=scene, shape=mesh, mesh=mesh,
-        sensors=sphere_sensors(mesh, views, (film, film)),
-        images=tuple(rng.random((film, film, 3), np.float32) for _ in range(views)),
-        masks=(None,) * views, exposures=(1.0,) * views,
-        names=tuple(f"noise {view}" for view in range(views)),
-        unusable=(0,) * views, used=(True,) * views,
-    )  # fmt: skip
+    noise = (rng.random((film, film, 3), np.float32) for _ in range(views))
+    return in_memory(scene, mesh, sphere_sensors(mesh, views, (film, film)), noise)
 
 
 def large_enough(capture: Capture) -> bool:

@@ -7,17 +7,22 @@ Each part has a file of its own: ``entropy``, ``fit``, ``gather``, ``end_to_end`
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from studies.kernels.end_to_end import measure_end_to_end
+from studies.kernels.entropy import measure_entropy
+from studies.kernels.fit import CASES, Case, measure_fit
+from studies.kernels.gather import fine_capture, large_enough, measure_gather
+from studies.kernels.scaling import Range, measure_scaling
+from studies.kernels.skipping import measure_skipping
+from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.captures import capture_of
-from svu_mi.bench.cells import Settings, own_cells
-from svu_mi.bench.kernels.end_to_end import measure_end_to_end
-from svu_mi.bench.kernels.entropy import measure_entropy
-from svu_mi.bench.kernels.fit import CASES, Case, measure_fit
-from svu_mi.bench.kernels.gather import fine_capture, large_enough, measure_gather
-from svu_mi.bench.kernels.scaling import Range, measure_scaling
-from svu_mi.bench.kernels.skipping import measure_skipping
+from svu_mi.bench.cells import Cell, own_cells
+from svu_mi.bench.sizes import Sizes
+from svu_mi.bench.speed import timed_setting
+from svu_mi.bench.store import Store, code_and_machine, key_of
 from svu_mi.capture import Capture
 from svu_mi.progress import Progress
 
@@ -26,7 +31,7 @@ DESCRIPTION = "capture.json"  # in a folder that can be loaded again
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sizes:
+class KernelSizes:
     """Sizes of the measurements.
 
     Attributes:
@@ -56,8 +61,8 @@ class Sizes:
     methods: tuple[str, ...] = METHODS
 
 
-FULL = Sizes()
-QUICK = Sizes(
+FULL = KernelSizes()
+QUICK = KernelSizes(
     texels=128**2, resolution=256, views=24, film=128, repeats=3,
     scaled=Range((64, 128, 256), (15, 60, 240), 96), scaled_views=24, skipping_film=96,
 )  # fmt: skip
@@ -113,6 +118,20 @@ def run_kernels(
     return record
 
 
+def recall_kernels(bench: Bench, cell: Cell) -> dict[str, Any]:
+    """Return what ``run_kernels`` finds with the photographs of a cell, from disk if it is there.
+
+    Raises:
+        SceneError: the cell cannot be rendered.
+        OutputError: the folder cannot be written.
+    """
+    capture, _ = timed_setting(bench, cell)
+    store = Store(bench.folder / "kernels")
+    key = key_of(bench.quick, code_and_machine(), cell.title)
+    compute = partial(run_kernels, store.folder, bench.progress, bench.quick, capture)
+    return store.recall("kernels", key, compute, fresh=bench.fresh)
+
+
 def folder_of(capture: Capture | None) -> Path | None:
     """Return the folder that a capture can be loaded from again, None if there is none."""
     if capture is None or capture.source is None:
@@ -120,16 +139,18 @@ def folder_of(capture: Capture | None) -> Path | None:
     return capture.source if (capture.source / DESCRIPTION).is_file() else None
 
 
-def _rendered(folder: Path, progress: Progress, views: int, film: int, sizes: Sizes) -> Path:
+def _rendered(folder: Path, progress: Progress, views: int, film: int, sizes: KernelSizes) -> Path:
     """Return the folder of photographs of our own."""
     _capture(folder, progress, views, film, sizes)
     return _place(folder, views, film)
 
 
-def _capture(folder: Path, progress: Progress, views: int, film: int, sizes: Sizes) -> Capture:
-    settings = Settings(views=views, film=film, spp=sizes.spp)
+def _capture(
+    folder: Path, progress: Progress, views: int, film: int, sizes: KernelSizes
+) -> Capture:
+    photographs = Sizes(views=views, film=film, spp=sizes.spp)
     (cell,) = own_cells(["vase"], ["window"])
-    return capture_of(cell, settings, _place(folder, views, film), progress)
+    return capture_of(cell, photographs, _place(folder, views, film), progress)
 
 
 def _place(folder: Path, views: int, film: int) -> Path:

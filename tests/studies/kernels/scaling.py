@@ -9,15 +9,16 @@ only ever adds to it; and all sizes take turns, so that a slow spell does not be
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.kernels.bars import Bar
-from svu_mi.bench.kernels.clock import run, spread
-from svu_mi.bench.kernels.memory import BYTES_PER_TEXEL, MIB, allocated
+from studies.kernels.memory import BYTES_PER_TEXEL, MIB, allocated
+from svu_mi.bench.bars import Bar
+from svu_mi.bench.captures import chosen_views
+from svu_mi.bench.clock import run, spread
 from svu_mi.capture import Capture
 from svu_mi.pipeline import estimate
 from svu_mi.surface import Texels, texels
@@ -100,11 +101,7 @@ def repeated(capture: Capture, count: int) -> Capture:
     chosen = np.arange(count) % capture.count
     if count < capture.count:
         chosen = np.linspace(0, capture.count - 1, count).round().astype(int)
-    names = ("sensors", "images", "masks", "exposures", "names", "unusable", "used")
-    views: dict[str, Any] = {
-        name: tuple(getattr(capture, name)[i] for i in chosen) for name in names
-    }
-    return replace(capture, **views)
+    return chosen_views(capture, chosen)
 
 
 def line(n: Sequence[float], seconds: Sequence[float]) -> dict[str, float]:

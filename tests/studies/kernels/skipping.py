@@ -23,8 +23,9 @@ import mitsuba as mi
 import numpy as np
 from scipy import ndimage
 
-from svu_mi.bench.kernels.bars import Bar
-from svu_mi.bench.kernels.clock import WARM_UP
+from studies.captures import in_memory
+from svu_mi.bench.bars import Bar
+from svu_mi.bench.clock import WARM_UP
 from svu_mi.capture import Capture
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.poses import sphere_sensors
@@ -194,16 +195,11 @@ def bare_capture(coloured: bool, views: int, film: int) -> Capture:
         }, optimize=False)  # fmt: skip
     shape = scene.shapes()[0]
     sensors = sphere_sensors(shape, views, (film, film))
-    images = tuple(
+    images = (
         np.array(mi.render(scene, sensor=sensor, spp=SPP, seed=seed))[..., :3]
         for seed, sensor in enumerate(sensors)
     )
-    return Capture(
-        scene=scene, shape=shape, mesh=shape, sensors=sensors, images=images,
-        masks=(None,) * views, exposures=(1.0,) * views,
-        names=tuple(f"view {view}" for view in range(views)),
-        unusable=(0,) * views, used=(True,) * views,
-    )  # fmt: skip
+    return in_memory(scene, shape, sensors, images)
 
 
 def _texture(values: np.ndarray) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from svu_mi.bench.kernels.bars import bar_table
+from svu_mi.bench.bars import bar_table
 from svu_mi.bench.text import number, seconds, table
 
 Record = dict[str, Any]

@@ -17,10 +17,10 @@ import mitsuba as mi
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from studies.orb.targets import albedo_pictures
 from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.captures import contents
 from svu_mi.bench.cells import Cell, own_cells
-from svu_mi.bench.orb.targets import albedo_pictures
 from svu_mi.bench.store import Store, key_of
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.poses import affine, describe, make_sensor, sphere_sensors

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from svu_mi.bench.recovery import rows as ways
-from svu_mi.bench.recovery.options import Sizes as RecoverySizes
 from svu_mi.bench.recovery.rows import Row
+from svu_mi.bench.sizes import RecoverySizes
 from svu_mi.recovery.options import PathOptions, ShOptions
 from svu_mi.settings import require_known
 
@@ -32,7 +32,7 @@ ROWS = tuple(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sizes:
+class OrbSizes:
     """How large everything is; part of every result's key.
 
     Attributes:
@@ -40,7 +40,7 @@ class Sizes:
             512 is that of the data set's own evaluation.
         texels: texels per side.
         spp: samples per pixel of the pictures.
-        recovery: whether runs are warm, and how often they are timed (``bench.recovery.options``).
+        recovery: whether runs are warm, and how often they are timed (``bench.sizes``).
     """
 
     film: int = 512
@@ -49,8 +49,8 @@ class Sizes:
     recovery: RecoverySizes = field(default_factory=RecoverySizes)
 
 
-FULL = Sizes()
-QUICK = Sizes(film=128, texels=128, spp=64, recovery=RecoverySizes(warm=False, repeats=1))
+FULL = OrbSizes()
+QUICK = OrbSizes(film=128, texels=128, spp=64, recovery=RecoverySizes(warm=False, repeats=1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +71,7 @@ class Options:
     captures: Sequence[str] = ()
     rows: Sequence[str] = ()
     environment_view: str | None = None
-    sizes: Sizes | None = None
+    sizes: OrbSizes | None = None
 
     def chosen_rows(self) -> tuple[OrbRow, ...]:
         """Return the ways of recovery, in the order of the table.

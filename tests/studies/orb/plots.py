@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.orb.targets import Target
+from studies.orb.targets import Target
 from svu_mi.bench.plots import FAINT, INK, page
 from svu_mi.capture.picture import srgb
 from svu_mi.metrics.orb import channel_scale

@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+from studies.command import write_study
+from studies.orb.dataset import own_dataset
+from studies.orb.options import FULL, QUICK, Options
+from studies.orb.setting import Setting
+from studies.orb.tables import orb_tables, write_csv
 from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.failures import Failures
-from svu_mi.bench.orb.dataset import own_dataset
-from svu_mi.bench.orb.options import FULL, QUICK, Options
-from svu_mi.bench.orb.setting import Setting
 from svu_mi.formats.stanford_orb import find_captures
 
 Record = dict[str, Any]
+
+
+def write_orb_results(folder: Path, record: Record) -> None:
+    """Write orb.json, orb.md and orb.csv.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    write_study(folder, "orb", record, "Stanford-ORB", orb_tables(record))
+    write_csv(folder / "orb.csv", record)
 
 
 def run_orb(

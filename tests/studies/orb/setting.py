@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from studies.orb.options import Options, OrbRow, OrbSizes, object_of
+from studies.orb.plots import draw_pictures
+from studies.orb.targets import Target, judge_albedo, judge_pictures
 from svu_mi.bench.accuracy import Bench
-from svu_mi.bench.orb.options import Options, OrbRow, Sizes, object_of
-from svu_mi.bench.orb.plots import draw_pictures
-from svu_mi.bench.orb.targets import Target, judge_albedo, judge_pictures
-from svu_mi.bench.recovery.measure import run_warm
+from svu_mi.bench.recovery.measure import figures, run_warm
 from svu_mi.bench.store import Store, code_and_machine, key_of
 from svu_mi.capture import Capture, load_capture
 from svu_mi.formats.importing import ImportOptions, import_capture
@@ -41,7 +41,7 @@ class Setting:
     bench: Bench
     path: Path
     options: Options
-    sizes: Sizes
+    sizes: OrbSizes
 
     @cached_property
     def store(self) -> Store:
@@ -58,8 +58,8 @@ class Setting:
         timed = run_warm(row, self.capture, self.grid, self.sizes.recovery)
         return {
             "capture": head,
-            **timed.figures(),
-            **self.judge(timed.recovery.textures, row.label, row.slug),
+            **figures(timed),
+            **self.judge(timed.result.textures, row.label, row.slug),
         }
 
     def judge(self, textures: Textures, label: str, name: str) -> Record:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from studies.orb.targets import FIGURES
 from svu_mi.bench.failures import left_out
-from svu_mi.bench.orb.targets import FIGURES
 from svu_mi.bench.text import number, seconds, table
 from svu_mi.files import replacing
 

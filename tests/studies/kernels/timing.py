@@ -1,0 +1,42 @@
+"""Run times that only the kernels' study asks for: in turns, and of compilation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from svu_mi.bench.clock import WARM_UP, run, summary
+
+
+def measure_in_turns(
+    functions: Mapping[str, Callable[[], Any]], repeats: int
+) -> dict[str, dict[str, Any]]:
+    """Time functions that are to be compared: a slow spell of the machine then hits them all.
+
+    Args:
+        functions: by name, each as for ``clock.run``.
+        repeats: number of runs of each that count.
+
+    Returns:
+        What ``clock.measure`` returns, by name.
+    """
+    rounds = [
+        {name: run(function) for name, function in functions.items()}
+        for _ in range(WARM_UP + repeats)
+    ]
+    return {name: summary([one[name] for one in rounds[WARM_UP:]]) for name in functions}
+
+
+def compile_record(function: Callable[[], Any]) -> dict[str, Any]:
+    """Return what it costs to run a function for the first time in a process.
+
+    Returns:
+        ``seconds`` of the backend, ``compiled`` kernels, ``operations`` of all kernels.
+    """
+    first = run(function)
+    return {"seconds": first.compile, "compiled": first.compiled, "operations": first.operations}
+
+
+def rescaled(found: dict[str, float], scale: float) -> dict[str, float]:
+    """Return a spread in another unit."""
+    return {name: scale * value for name, value in found.items()}
