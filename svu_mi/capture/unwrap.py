@@ -14,6 +14,7 @@ import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, arrays, make, read_ply, write_ply
 from svu_mi.errors import MeshError
+from svu_mi.files import clear_temporaries
 
 log = logging.getLogger(__name__)
 
@@ -83,6 +84,7 @@ def unwrapped(mesh: Any, folder: Path | None) -> Any:
             log.warning("%s; it is made again.", error)
     made = unwrap(mesh)
     if path is not None and os.access(path.parent, os.W_OK):
+        clear_temporaries(path.parent)
         flat = arrays(made)
         version = importlib.metadata.version("xatlas")
         write_ply(path, mesh.id(), flat, f"{KEY}{_key(source, flat)} xatlas {version}")

@@ -32,7 +32,7 @@ class Report(Estimated):
 
     def run(self, console: Console) -> int:
         """Estimate, and write the page."""
-        from svu_mi.files import prepare_folder
+        from svu_mi.files import clear_temporaries, prepare_folder
         from svu_mi.results.lock import locked
 
         self.check()
@@ -40,6 +40,7 @@ class Report(Estimated):
             raise OptionError(f"{self.output}: is a folder; -o takes a file, such as report.html.")
         prepare_folder(self.output.parent)
         with locked(self.output, "svu report"):
+            clear_temporaries(self.output.parent)
             self._write(Progress(console))
         say(console, f"Wrote {self.output}")
         return 0

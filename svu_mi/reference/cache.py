@@ -13,7 +13,7 @@ import svu_mi
 from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import Key, capture_parts
 from svu_mi.errors import SvuError, SvuWarning, excerpt
-from svu_mi.files import prepare_folder
+from svu_mi.files import clear_temporaries, prepare_folder
 from svu_mi.npz import read_arrays, write_arrays
 from svu_mi.reference.options import Options
 from svu_mi.reference.record import Reference, Traced
@@ -40,7 +40,9 @@ def locate(
     key.add(capture_parts(capture))
     for values in (texels.position, texels.geometric_normal):  # others are in the capture
         key.add(values.numpy())
-    return prepare_folder(folder) / f"reference-{key.digest()}.npz"
+    folder = prepare_folder(folder)
+    clear_temporaries(folder)
+    return folder / f"reference-{key.digest()}.npz"
 
 
 def load(path: Path, options: Options) -> Reference | None:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from svu_mi.capture import loading
 from svu_mi.errors import CaptureError, SvuWarning
 from svu_mi.export.reading import load_asset
 from svu_mi.exr import read_attributes, write_exr
+from svu_mi.files import replacing
 from svu_mi.results.reading import marks_of
 
 SMALL = ("--resolution", 16)
@@ -125,6 +129,17 @@ def test_textures_made_by_hand_are_anybody_s(result, tmp_path):
         shape = (16, 16, 3) if channels == "RGB" else (16, 16)
         write_exr(result / f"{name}.exr", {channels: np.full(shape, 0.5)})
     assert run("export", result, "-o", tmp_path / "asset") == 0
+
+
+def test_a_page_clears_what_a_killed_one_has_left(made, tmp_path):
+    with replacing(tmp_path / "report.html") as temporary:
+        name = temporary.name
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    stale = tmp_path / name.replace(f"-{os.getpid()}-", f"-{dead.pid}-")
+    stale.write_text("half")
+    assert run("report", made / "a" / "shot", *SMALL, "-o", tmp_path / "report.html") == 0
+    assert names(tmp_path) == ["report.html"]
 
 
 # --- photographs of others ----------------------------------------------------------------
