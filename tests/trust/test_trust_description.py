@@ -93,11 +93,14 @@ def test_numbers_are_fine_where_text_is_expected_of_parameters(capture):
 def test_a_hundred_thousand_sensors_are_refused_at_once(capture):
     path = capture / "capture.json"
     record = json.loads(path.read_text())
-    path.write_text(json.dumps({**record, "sensors": record["sensors"] * 40_000}))
+    text = json.dumps({**record, "sensors": record["sensors"] * 40_000})
+    path.write_text(text)
     started = time.process_time()
+    json.loads(text)  # nothing is done but this, about twice as slow beside other work
+    parsed = time.process_time()
     with pytest.raises(CaptureError, match="sensors has the wrong type; .* at most 10000"):
         load_capture(capture)
-    assert time.process_time() - started < 3
+    assert time.process_time() - parsed < 4 * (parsed - started) + 0.5
 
 
 def test_a_file_that_no_capture_fills_is_not_read(capture):
