@@ -10,6 +10,7 @@ from rich.console import Console
 
 from svu_mi.cli.inputs import Common, Defines, Output, Scene, given, parse_defines, say
 from svu_mi.progress import Progress
+from svu_mi.results.writing import claimed
 
 if TYPE_CHECKING:
     from svu_mi.checking.record import Check
@@ -43,7 +44,6 @@ class CheckCapture(Common):
         from svu_mi.capture import load_capture
         from svu_mi.checking import check
         from svu_mi.output.check_page import write_check
-        from svu_mi.results.writing import claimed
 
         defines = parse_defines(self.define)
         with claimed(self.output, "svu check"):

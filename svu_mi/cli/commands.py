@@ -15,6 +15,7 @@ from svu_mi.cli.inputs import (  # isort: skip
 )  # fmt: skip
 from svu_mi.limits import require_spp, require_views
 from svu_mi.progress import Progress
+from svu_mi.results.writing import claimed
 
 if TYPE_CHECKING:
     from svu_mi.output import Knowledge
@@ -33,7 +34,6 @@ class Entropy(Estimated):
 
     def run(self, console: Console) -> int:
         """Run the pipeline, write the four files, and say what is known."""
-        from svu_mi.results.writing import claimed
 
         self.check()
         with claimed(self.output, "svu entropy"):
@@ -83,7 +83,6 @@ class Render(Common):
     def run(self, console: Console) -> int:
         """Render the views."""
         from svu_mi.capture import render_capture
-        from svu_mi.results.writing import claimed
 
         self.check()
         with claimed(self.output, "svu render", tidy=True):
@@ -123,7 +122,6 @@ class Demo(Common):
     def run(self, console: Console) -> int:
         """Run ``entropy`` on the vase."""
         from svu_mi import scenes
-        from svu_mi.results.writing import claimed
 
         with (
             claimed(self.output, "svu demo"),

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from svu_mi.cli.inputs import Common, Output, say
 from svu_mi.progress import Progress
+from svu_mi.results.writing import claimed
 
 Result = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")]
 Format = Literal["exr", "png", "glb", "xml", "materialx"]
@@ -51,7 +52,6 @@ class Export(Common):
         from svu_mi.export.export import export_asset
         from svu_mi.export.options import ExportOptions
         from svu_mi.export.reading import load_asset
-        from svu_mi.results.writing import claimed
 
         options = ExportOptions(
             formats=self.formats, bits=self.bits, half=self.half, gutter=self.gutter, up=self.up

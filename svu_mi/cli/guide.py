@@ -19,6 +19,7 @@ from svu_mi.limits import require_views
 from svu_mi.options import AngularPreset, Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.progress import Progress
+from svu_mi.results.writing import claimed
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
@@ -79,7 +80,6 @@ class Guide(Estimated):
     def run(self, console: Console) -> int:
         """Judge the candidates, and write the results."""
         from svu_mi.output.guidance import write_guidance
-        from svu_mi.results.writing import claimed
 
         self.check()
         options = self._options()

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from svu_mi.cli.inputs import Common, Output, say
 from svu_mi.progress import Progress
+from svu_mi.results.writing import claimed
 
 if TYPE_CHECKING:
     from svu_mi.formats.importing import ImportOptions
@@ -75,7 +76,6 @@ class Import(Common):
 
     def run(self, console: Console) -> int:
         """Import the capture and say what was found."""
-        from svu_mi.results.writing import claimed
 
         with claimed(self.output, "svu import", tidy=True):
             self.start()

@@ -13,6 +13,7 @@ from svu_mi.cli.inputs import Photographed, given, say, was_interrupted
 from svu_mi.errors import OptionError
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
+from svu_mi.results.writing import claimed
 
 if TYPE_CHECKING:
     from svu_mi.recovery.textures import Textures
@@ -67,7 +68,6 @@ class Recover(Photographed):
 
     def run(self, console: Console) -> int:
         """Recover, and write the results."""
-        from svu_mi.results.writing import claimed
 
         self.check()
         checkpoint = self.output / CHECKPOINT

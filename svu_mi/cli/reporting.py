@@ -12,6 +12,7 @@ from rich.console import Console
 from svu_mi.cli.inputs import Estimated, given, say
 from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
+from svu_mi.results.lock import locked
 
 Page = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE.html", help="The page.")]
 
@@ -33,7 +34,6 @@ class Report(Estimated):
     def run(self, console: Console) -> int:
         """Estimate, and write the page."""
         from svu_mi.files import clear_temporaries, prepare_folder
-        from svu_mi.results.lock import locked
 
         self.check()
         if self.output.is_dir():

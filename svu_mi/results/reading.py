@@ -8,8 +8,7 @@ from pathlib import Path
 
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_attributes
-from svu_mi.results.record import entries
-from svu_mi.results.writing import CAPTURE, RUN
+from svu_mi.results.record import CAPTURE, RUN, entries
 
 HEAD = 4096  # bytes in which a scene file or a mesh has its marks
 

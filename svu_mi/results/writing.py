@@ -33,8 +33,10 @@ from svu_mi.files import (
 from svu_mi.results.lock import LOCK, locked
 from svu_mi.results.record import (
     BESIDE,
+    CAPTURE,
     RECORDS,
     RESULT,
+    RUN,
     Entry,
     digest_of,
     entries,
@@ -52,7 +54,6 @@ from svu_mi.results.settling import (
 
 DRAFT = ".svu-draft-"
 IGNORED = {LOCK, ".DS_Store", "Thumbs.db"}
-RUN, CAPTURE = "svu:run", "svu:capture"  # header entries of every EXR
 
 
 @dataclass(frozen=True, kw_only=True)

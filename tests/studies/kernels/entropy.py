@@ -16,7 +16,7 @@ import numpy as np
 from oracle import batched
 from oracle.posterior import F0
 
-from studies.kernels.timing import compile_record, rescaled
+from studies.kernels.timing import compile_record, per_texel
 from svu_mi.bench.bars import Bar
 from svu_mi.bench.clock import measure
 from svu_mi.bench.fresh import in_new_process
@@ -36,7 +36,6 @@ from svu_mi.statistics.factors import FLOOR, PAIRS
 DEGREE = 6
 CHECKED = 2000  # texels that are compared with double precision
 SEED = 20220811
-NANO = 1e9
 TIME_BAR_NS, COMPILE_BAR_S = 80.0, 3.0
 # Angular statistics, hence energies, are in single precision; those of spectra in double.
 ERROR_BARS = {"spectrum": 1e-6, "angular": 5e-6}
@@ -114,12 +113,7 @@ def _measured(case: Case, texels: int, repeats: int) -> dict[str, Any]:
     entropy = hot_path(problem.posterior)
     timed = measure(entropy, repeats)
     return {
-        "label": case.label,
-        "texels": texels,
-        "nanoseconds": rescaled(timed["kernel"], NANO / texels),
-        "wall_nanoseconds": rescaled(timed["wall"], NANO / texels),
-        "launched": timed["launched"],
-        "operations": timed["operations"],
+        **per_texel(case.label, timed, texels, "nanoseconds"),
         "error": largest_error(np.array(entropy()), problem),
     }
 

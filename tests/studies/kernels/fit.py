@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 from oracle import frequency
 
-from studies.kernels.timing import compile_record, rescaled
+from studies.kernels.timing import compile_record, per_texel
 from svu_mi.bench.bars import Bar
 from svu_mi.bench.clock import measure
 from svu_mi.bench.fresh import in_new_process
@@ -30,7 +30,6 @@ BLOCK = 256  # texels
 DISTANCE = 4.0  # of the cameras; texels are on a unit sphere
 CHECKED = 100  # texels that are compared with double precision
 SEED = 31337
-MICRO = 1e6
 ERROR_BAR, COMPILE_BAR_S = 1e-4, 8.0
 
 
@@ -112,12 +111,7 @@ def _measured(case: Case, texels: int, repeats: int) -> dict[str, Any]:
     outgoing, incoming = fit(blocks, case.switches)
     power = np.concatenate([np.array(outgoing), np.array(incoming)], axis=-1)
     return {
-        "label": case.label,
-        "texels": texels,
-        "microseconds": rescaled(timed["kernel"], MICRO / texels),
-        "wall_microseconds": rescaled(timed["wall"], MICRO / texels),
-        "launched": timed["launched"],
-        "operations": timed["operations"],
+        **per_texel(case.label, timed, texels, "microseconds"),
         "error": largest_error(power, blocks, case.switches),
     }
 

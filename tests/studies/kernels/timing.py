@@ -7,6 +7,8 @@ from typing import Any
 
 from svu_mi.bench.clock import WARM_UP, run, summary
 
+UNITS = {"microseconds": 1e6, "nanoseconds": 1e9}  # in a second
+
 
 def measure_in_turns(
     functions: Mapping[str, Callable[[], Any]], repeats: int
@@ -37,6 +39,24 @@ def compile_record(function: Callable[[], Any]) -> dict[str, Any]:
     return {"seconds": first.compile, "compiled": first.compiled, "operations": first.operations}
 
 
-def rescaled(found: dict[str, float], scale: float) -> dict[str, float]:
-    """Return a spread in another unit."""
-    return {name: scale * value for name, value in found.items()}
+def per_texel(label: str, timed: Mapping[str, Any], texels: int, unit: str) -> dict[str, Any]:
+    """Return what a row of a table says of run times.
+
+    Args:
+        label: of the row.
+        timed: what ``clock.measure`` returns.
+        texels: how many were worked on at a time.
+        unit: ``microseconds`` or ``nanoseconds`` of one texel.
+    """
+
+    def scaled(seconds: Mapping[str, float]) -> dict[str, float]:
+        return {name: UNITS[unit] / texels * value for name, value in seconds.items()}
+
+    return {
+        "label": label,
+        "texels": texels,
+        unit: scaled(timed["kernel"]),
+        f"wall_{unit}": scaled(timed["wall"]),
+        "launched": timed["launched"],
+        "operations": timed["operations"],
+    }
