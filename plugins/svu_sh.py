@@ -21,7 +21,10 @@ from svu_mi.parameters import NAMES
 from svu_mi.plugins.registry import require_variant
 from svu_mi.reflection.continuous import Continuous, continuous, shade
 from svu_mi.reflection.principled import alpha_from_roughness
+from svu_mi.reflection.shading import radiance
 from svu_mi.reflection.shadow import Side, open_to_light
+from svu_mi.statistics.gather import mixed_of
+from svu_mi.surface.material import attributes
 
 # A scene has no photographs that light could be fitted to, as ``paper`` does at every texel.
 PRESETS = {name: each for name, each in ANGULAR_PRESETS.items() if each.fit is None} | {
@@ -135,20 +138,20 @@ class ShIntegrator(mi.SamplingIntegrator):
         bsdf, lit = si.bsdf(), hit & faces
         for name in NAMES:
             lit &= bsdf.has_attribute(name, hit)
-        base_color = bsdf.eval_attribute("base_color", si, lit)
-        roughness = dr.clip(bsdf.eval_attribute_1("roughness", si, lit), 0, 1)
-        metallic = bsdf.eval_attribute_1("metallic", si, lit)
+        values = attributes(bsdf, si, lit)
+        roughness = dr.clip(values["roughness"][0], 0, 1)
         moments, visible = light.moments.at(side.normal), None
         if self.occlusion:
             alpha = alpha_from_roughness(roughness)
             diffuse, specular = open_to_light(scene, sampler, si, side, alpha, lit)
             moments = [[diffuse * value for value in channel] for channel in moments]
             visible = lambda *_: specular  # noqa: E731
-        shading = shade(
+        parts = shade(
             light.model, roughness, side.normal, side.direction, moments,
             visible=visible, to_moments=light.moments.to_local,
         )  # fmt: skip
-        color = dr.select(lit, mi.Color3f(*shading.radiance(base_color, metallic)), 0)
+        color = mi.Color3f(*radiance(parts, values["base_color"], mixed_of(values)))
+        color = dr.select(lit, color, 0)
         if self.hide_emitters:
             return color, hit, []
         sky = si.emitter(scene).eval(si, active & ~hit)
@@ -178,7 +181,7 @@ class ShIntegrator(mi.SamplingIntegrator):
         black = [shape for shape in shapes if not is_principled(shape.bsdf())]
         if len(black) == len(shapes):
             raise SceneError(
-                "svu_sh: the scene has no shape with a 'principled' BSDF; it renders no other."
+                "svu_sh: the scene has no shape with a 'principled' BSDF, the only one it renders."
             )
         new = [shape for shape in black if not any(shape == known for known in self._warned)]
         if new:

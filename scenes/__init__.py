@@ -31,5 +31,5 @@ def path(name: str) -> Path:
         OptionError: an unknown name.
     """
     if name not in (*NAMES, "object"):
-        raise OptionError(f"There is no scene {name!r}; there are {', '.join(NAMES)} and object.")
+        raise OptionError(f"There is no scene {name!r}; use one of {', '.join(NAMES)} or object.")
     return FOLDER / name / f"{name}.xml"

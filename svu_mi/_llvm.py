@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import platform
 import re
 import sys
 from collections.abc import Iterable, Iterator
@@ -96,9 +97,7 @@ def remedy() -> str:
 
 def is_x86() -> bool:
     """Tell whether kernels are compiled for x86-64."""
-    if hasattr(os, "uname"):
-        return os.uname().machine.lower() in ("x86_64", "amd64")
-    return os.environ.get("PROCESSOR_ARCHITECTURE", "").lower() == "amd64"
+    return platform.machine().lower() in ("x86_64", "amd64")
 
 
 def first_good() -> int:
@@ -143,7 +142,9 @@ def judge_given(given: str) -> LlvmStatus:
         version = version_of(given)
         if version and version[0] >= first_good():
             return LlvmStatus(given, version, "user")
-        what = f"is LLVM {dotted(version)}, {_reason(version)}" if version else "is no LLVM library"
+        what = "is not an LLVM library"
+        if version:
+            what = f"is LLVM {dotted(version)}, {_reason(version)}"
         trouble = f"{what}; set it to LLVM {first_good()} or newer, or unset it."
     return LlvmStatus(given, version, "user", f"{VARIABLE}: {given} {trouble}")
 
@@ -292,18 +293,13 @@ def newest_first(source: str, folders: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def _wheel_folders() -> list[str]:
-    """Where the wheel lies if not in ``sys.prefix``, such as after ``pip install --user``.
+    """Where the wheel lies if not in ``sys.prefix``, such as after ``pip install --user``."""
+    import importlib.metadata  # takes 25 ms, and is rarely asked
 
-    Reads what ``importlib.metadata`` would, whose import alone takes 25 ms.
-    """
-    folders = []
-    for site in sys.path:
-        for name in _listed(site):
-            if name.startswith(f"{WHEEL.replace('-', '_')}-") and name.endswith(".dist-info"):
-                with suppress(OSError), open(os.path.join(site, name, "RECORD")) as record:
-                    files = [os.path.join(site, line.split(",")[0]) for line in record]
-                    folders += [os.path.dirname(f) for f in files if NAME.search(f)]
-    return folders
+    with suppress(importlib.metadata.PackageNotFoundError):
+        files = importlib.metadata.files(WHEEL) or []
+        return [os.path.dirname(file.locate()) for file in files if NAME.search(file.name)]
+    return []
 
 
 # --- versions -----------------------------------------------------------------------------

@@ -8,8 +8,8 @@ contiguous copies, read back and compared before it takes its final name.
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -66,12 +66,76 @@ def write_exr(
         try:
             with quiet, OpenEXR.File(header, dict(planes)) as file:
                 file.write(str(temporary))
-            written = _read_channels(temporary)
+            written, _ = _read_channels(temporary)
         except (RuntimeError, ValueError, TypeError, CaptureError) as error:
             raise OutputError(f"{path}: cannot be written ({error}).") from error
         for name, plane in planes.items():
             if written[name].dtype != plane.dtype or written[name].tobytes() != plane.tobytes():
                 raise OutputError(f"{path}: channel {name} did not survive writing; not kept.")
+
+
+@dataclass(frozen=True)
+class Header:
+    """What the first part of an EXR says of itself.
+
+    Attributes:
+        size: (width, height) of its data window, the pixels that it has.
+        cropped: whether these are others than those that are to be shown.
+        foreign: whether its red, green, blue or white are not those of Rec. 709.
+        attributes: entries that are text or numbers, by name.
+    """
+
+    size: tuple[int, int]
+    cropped: bool = False
+    foreign: bool = False
+    attributes: Mapping[str, str | int | float] = field(default_factory=dict)
+
+
+def read_header(path: str | Path) -> Header:
+    """Read what an EXR says of itself, and hold it against the file and the machine.
+
+    Raises:
+        CaptureError: the file is missing, not an EXR, damaged or deep, or promises more pixels than
+            it, or this machine's memory, can hold.
+    """
+    path = Path(path)
+    _check_magic(path)
+    try:
+        with quiet, OpenEXR.File(str(path), header_only=True) as file:
+            parts = [dict(part.header) for part in file.parts]
+        first = parts[0]
+        windows = [np.array(part["dataWindow"], np.int64) for part in parts]
+        sizes = [(int(w), int(h)) for w, h in (high - low + 1 for low, high in windows)]
+        counts = [len(part["channels"]) for part in parts]
+        colors = np.array(first.get("chromaticities", REC_709), np.float64)
+        foreign = not np.allclose(colors.ravel(), REC_709, atol=SAME)
+        cropped = not np.array_equal(windows[0], first["displayWindow"])
+    except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
+        raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
+    if any(part.get("type") in DEEP for part in parts):
+        raise CaptureError(f"{path}: a deep EXR file; export it as a flat image.")
+    _require_sane(path, sizes, counts)
+    return Header(sizes[0], cropped, foreign, _plain(first))
+
+
+def _require_sane(path: Path, sizes: Sequence[tuple[int, int]], counts: Sequence[int]) -> None:
+    """Refuse parts, all of which the binding reads, that the file or the memory cannot hold."""
+    if max(counts) > MAX_CHANNELS:
+        raise CaptureError(
+            f"{path}: has {max(counts)} channels, more than {MAX_CHANNELS}; export its colours "
+            "only."
+        )
+    values = sum(w * h * count for (w, h), count in zip(sizes, counts, strict=True))
+    is_size = all(0 < side <= MAX_SIDE for size in sizes for side in size)
+    if not (is_size and may_hold(path, values * 2)):
+        raise CaptureError(
+            f"{path}: the header says {sizes[0][0]} x {sizes[0][1]} pixels, more than a file of "
+            f"{path.stat().st_size} bytes can hold; export it again."
+        )
+    require_memory(
+        values * READ_BYTES, f"{path}: {values} values", "export its colours only, or smaller",
+        CaptureError,
+    )  # fmt: skip
 
 
 def read_exr(path: str | Path) -> dict[str, np.ndarray]:
@@ -82,85 +146,21 @@ def read_exr(path: str | Path) -> dict[str, np.ndarray]:
         the file's data window. NaN and infinite values are passed on.
 
     Raises:
-        CaptureError: the file is missing, not an EXR, damaged, deep, or subsampled.
+        CaptureError: as ``read_header``, or the pixels are damaged or subsampled.
     """
-    path = Path(path)
-    exr_size(path)  # refuses a small file that would unpack to more than there is memory
-    return {
-        name: np.ascontiguousarray(pixels, np.float32)
-        for name, pixels in _read_channels(path).items()
-    }
+    return read_pixels(Path(path), read_header(path))
 
 
-def read_attributes(path: str | Path) -> dict[str, str | int | float]:
-    """Read the header entries of the first part that are text or numbers.
+def read_pixels(path: Path, header: Header) -> dict[str, np.ndarray]:
+    """Read the first part of an EXR whose header was read (see ``read_exr``).
 
     Raises:
-        CaptureError: as ``read_exr``.
+        CaptureError: as ``read_exr``, or it is another file than the header's by now.
     """
-    with _headers(Path(path)) as (header, *_):
-        return {key: value for key, value in header.items() if isinstance(value, str | int | float)}
-
-
-def exr_size(path: str | Path) -> tuple[int, int]:
-    """Return (width, height) of the first part's data window.
-
-    Raises:
-        CaptureError: as ``read_exr``, or the header promises more pixels than the file, or this
-            machine's memory, can hold.
-    """
-    path = Path(path)
-    with _headers(path) as headers:  # all parts are read
-        layouts = [(*_window(header), len(header["channels"])) for header in headers]
-        is_deep = any(header.get("type") in DEEP for header in headers)
-    width, height, channels = layouts[0]
-    if is_deep:
-        raise CaptureError(f"{path}: a deep EXR file; export it as a flat image.")
-    if max(layout[2] for layout in layouts) > MAX_CHANNELS:
-        raise CaptureError(
-            f"{path}: has {channels} channels, but {MAX_CHANNELS} are the most; export its colours "
-            "alone."
-        )
-    values = sum(w * h * count for w, h, count in layouts)
-    is_size = all(0 < side <= MAX_SIDE for w, h, _ in layouts for side in (w, h))
-    if not (is_size and may_hold(path, values * 2)):
-        raise CaptureError(
-            f"{path}: the header says {width} x {height} pixels, more than a file of "
-            f"{path.stat().st_size} bytes can hold; export it again."
-        )
-    require_memory(
-        values * READ_BYTES, f"{path}: {values} values", "export its colours alone, or smaller",
-        CaptureError,
-    )  # fmt: skip
-    return width, height
-
-
-def has_foreign_colors(path: str | Path) -> bool:
-    """Return whether the first part says that its red, green, blue or white are not Rec. 709's.
-
-    Raises:
-        CaptureError: as ``read_exr``.
-    """
-    with _headers(Path(path)) as (header, *_):
-        given = np.array(header.get("chromaticities", REC_709), np.float64)
-        return not np.allclose(given.ravel(), REC_709, atol=SAME)
-
-
-def _window(header: Mapping[str, Any]) -> tuple[int, int]:
-    """Return (width, height) of a part's data window."""
-    low, high = (np.array(corner, np.int64) for corner in header["dataWindow"])
-    width, height = (int(side) for side in high - low + 1)
-    return width, height
-
-
-def is_cropped(path: str | Path) -> bool:
-    """Return whether the pixels of the first part are others than those that are to be shown.
-
-    Raises:
-        CaptureError: as ``read_exr``.
-    """
-    with _headers(Path(path)) as (header, *_):
-        return not np.array_equal(header["dataWindow"], header["displayWindow"])
+    channels, attributes = _read_channels(path)
+    if repr(attributes) != repr(header.attributes):  # NaN does not differ from itself
+        raise CaptureError(f"{path}: changed while it was being read; read it again.")
+    return {name: np.ascontiguousarray(plane, np.float32) for name, plane in channels.items()}
 
 
 def _planes(
@@ -221,20 +221,6 @@ def _attributes(path: Path, given: Mapping[str, Any]) -> dict[str, str | int | f
     return kept
 
 
-@contextlib.contextmanager
-def _headers(path: Path) -> Iterator[list[dict[str, Any]]]:
-    """Give the headers of all parts; what fails in the block is a damage of the file."""
-    _check_magic(path)
-    try:
-        with quiet, OpenEXR.File(str(path), header_only=True) as file:
-            found = [dict(part.header) for part in file.parts]
-            if not found:
-                raise ValueError("no part")
-            yield found
-    except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
-        raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
-
-
 def _check_magic(path: Path) -> None:
     if path.is_dir():
         raise CaptureError(f"{path}: a folder, not an EXR file.")
@@ -250,17 +236,22 @@ def _check_magic(path: Path) -> None:
         raise CaptureError(f"{path}: {what}; export it again.")
 
 
-def _read_channels(path: Path) -> dict[str, np.ndarray]:
-    """Return (H, W) arrays of the first part, in the types stored."""
+def _read_channels(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str | int | float]]:
+    """Return (H, W) arrays of the first part, in the types stored, and its attributes."""
     try:
         with quiet, OpenEXR.File(str(path), separate_channels=True) as file:
             # Damaged pixels end in a file without parts or channels, not in an exception.
             found = dict(file.parts[0].channels)
             pixels = {name: np.asarray(channel.pixels) for name, channel in found.items()}
+            attributes = _plain(file.parts[0].header)
     except Exception as error:  # the binding raises RuntimeError, ValueError, IndexError, ...
         raise CaptureError(f"{path}: a damaged EXR file; export it again.") from error
     if not pixels or any(plane.ndim != 2 for plane in pixels.values()):
         raise CaptureError(f"{path}: a damaged or deep EXR file; export it as a flat image.")
     if any(c.xSampling != 1 or c.ySampling != 1 for c in found.values()):
         raise CaptureError(f"{path}: channels are subsampled; export the EXR as plain RGB.")
-    return pixels
+    return pixels, attributes
+
+
+def _plain(header: Mapping[str, Any]) -> dict[str, str | int | float]:
+    return {name: value for name, value in header.items() if isinstance(value, str | int | float)}

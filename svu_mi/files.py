@@ -19,7 +19,7 @@ from typing import Any
 
 from svu_mi.errors import CaptureError, OutputError, excerpt
 
-MAX_RATIO, FREE = 2000, 2**26  # no codec packs more; bytes that are no danger anyway
+MAX_RATIO, FREE = 2000, 2**26  # no codec packs more; bytes that are harmless anyway
 TEMPORARY = re.compile(r"\..*\.([0-9a-f]{8})-(\d+)-[0-9a-f]{8}\.tmp(\..*)?", re.DOTALL)
 STEM = 100  # letters of a name that its temporary name has, too: names have an end
 
@@ -180,20 +180,6 @@ def making_folder(folder: str | Path) -> Iterator[Path]:
         shutil.rmtree(made, ignore_errors=True)
 
 
-def copy_file(source: Path, target: Path) -> None:
-    """Copy a file; the folder of the copy is made if missing.
-
-    Raises:
-        CaptureError: the file cannot be read.
-        OutputError: the copy cannot be written.
-    """
-    if not source.is_file():
-        raise CaptureError(f"{source}: no such file.")
-    prepare_folder(target.parent)
-    with replacing(target) as temporary:
-        shutil.copyfile(source, temporary)
-
-
 def _reason(path: Path, error: OSError) -> str:
     if not path.parent.exists():
         return f"there is no folder {path.parent}"
@@ -211,7 +197,7 @@ def read_json(path: Path) -> Any:
     """Read a JSON file.
 
     Raises:
-        CaptureError: it cannot be read, or is no JSON.
+        CaptureError: it cannot be read, or is not JSON.
     """
     try:
         return json.loads(path.read_text(encoding="utf-8-sig"))  # Windows' tools write a mark first

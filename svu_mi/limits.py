@@ -10,7 +10,7 @@ from pathlib import Path
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuError
 
 MAX_LANES = 2**32 - 1  # of one kernel: Dr.Jit counts them in 32 bits
-MAX_VIEWS = 2**14  # Mitsuba takes a second to load 2600 sensors
+MAX_VIEWS = 10_000  # photographs are called view_0000 to view_9999
 MAX_TEXELS = 2**14  # per side
 # Mitsuba has Dr.Jit's workers decode EXR files, and waits for them: for ever if there is none,
 # that is with one thread, which is the default on a machine, or a share of one, with one core.
@@ -52,8 +52,8 @@ def require_memory(size: float, what: str, fix: str, error: type[SvuError] = Opt
     free = free_memory()
     if free is not None and size > free:
         raise error(
-            f"{what} take at least {size / GIGA:.3g} GB of memory, but {free / GIGA:.3g} GB are "
-            f"free; {fix}."
+            f"{what} take at least {size / GIGA:.3g} GB of memory, but only {free / GIGA:.3g} GB "
+            f"are free; {fix}."
         )
 
 
@@ -66,10 +66,11 @@ def require_texels(resolution: Size, option: str) -> None:
     width, height = resolution
     if min(resolution) < MIN_TEXELS or max(resolution) > MAX_TEXELS:
         raise OptionError(
-            f"{option} takes {MIN_TEXELS} to {MAX_TEXELS} texels per side, got {width} x {height}."
+            f"{option} must be {MIN_TEXELS} to {MAX_TEXELS} texels per side, got {width} x "
+            f"{height}."
         )
     require_memory(
-        width * height * TEXEL_BYTES, f"{option}: {width} x {height} texels", "give fewer"
+        width * height * TEXEL_BYTES, f"{option}: {width} x {height} texels", "use fewer"
     )
 
 
@@ -85,7 +86,7 @@ def require_views(count: int, what: str, error: type[SvuError] = OptionError) ->
         SvuError: there are more.
     """
     if count > MAX_VIEWS:
-        raise error(f"{what}: there may be {MAX_VIEWS} at most, got {count}; leave some out.")
+        raise error(f"{what}: at most {MAX_VIEWS} are supported, got {count}; leave some out.")
 
 
 def require_spp(spp: int, option: str = "spp") -> None:
@@ -115,35 +116,32 @@ def require_render(sizes: Sequence[Size], spp: int, label: str) -> None:
     if pixels * MASK_LANES > MAX_LANES:
         raise SceneError(
             f"{label}: a film of {width} x {height} pixels is too large to render; "
-            f"{MAX_LANES // MASK_LANES} pixels are the most."
+            f"use at most {MAX_LANES // MASK_LANES} pixels."
         )
     if pixels * spp > MAX_LANES:
         raise OptionError(
             f"spp must be at most {MAX_LANES // pixels} for a film of {width} x {height} pixels "
             f"(2^32 samples at a time), got {spp}."
         )
-    kept = PIXEL_BYTES * sum(w * h for w, h in sizes)
-    _require_photographs(kept + RENDER_BYTES * pixels, sizes, label, "make the films smaller")
+    require_photographs(sizes, label, RENDER_BYTES * pixels)
 
 
-def require_photographs(sizes: Sequence[Size], label: str) -> None:
+def require_photographs(sizes: Sequence[Size], label: str, rendering: int = 0) -> None:
     """Refuse photographs that do not fit into memory.
 
     Args:
         sizes: (width, height) of each.
         label: where they are, for the message.
+        rendering: bytes that it takes to render one of them; 0 if they are read.
 
     Raises:
         CaptureError: they do not.
     """
-    kept = PIXEL_BYTES * sum(width * height for width, height in sizes)
-    _require_photographs(kept, sizes, label, "shrink them (svu import --shrink)")
-
-
-def _require_photographs(size: float, sizes: Sequence[Size], label: str, fix: str) -> None:
     width, height = max(sizes, default=(0, 0))
+    fix = "make the films smaller" if rendering else "shrink them (svu import --shrink)"
     require_memory(
-        size, f"{label}: {len(sizes)} photographs of up to {width} x {height} pixels",
+        rendering + PIXEL_BYTES * sum(w * h for w, h in sizes),
+        f"{label}: {len(sizes)} photographs of up to {width} x {height} pixels",
         f"{fix}, or use fewer", CaptureError,
     )  # fmt: skip
 
@@ -159,6 +157,6 @@ def _available() -> int | None:
 
 
 def _group_limit(path: Path) -> int | None:
-    with suppress(OSError, ValueError):  # "max" is no number
+    with suppress(OSError, ValueError):  # "max" is not a number
         return int(path.read_text())
     return None

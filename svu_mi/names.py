@@ -25,7 +25,7 @@ def obj_name(name: str) -> str:
 def xml_id(name: str) -> str:
     """Return an id for a Mitsuba scene, which keeps leading underscores, dots and ``$`` for itself.
 
-    What XML 1.0 cannot hold is no letter, so it goes, too.
+    What XML 1.0 cannot hold is not a letter, so it goes, too.
     """
     return re.sub(r"[^\w-]", "_", name).lstrip("_") or "node"
 

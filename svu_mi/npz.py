@@ -57,18 +57,18 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         raise ValueError(excerpt(error) or type(error).__name__) from error
     digest = found.pop(DIGEST, None)
     if digest is None or digest.shape or str(digest) != _digest(found):
-        raise ValueError("its digest does not fit")
+        raise ValueError("its checksum does not match")
     return found
 
 
 def _require_plain(members: list[zipfile.ZipInfo], size: int) -> None:
     """Refuse what may take more memory than disk: packed members, and those that overlap."""
     if any(member.compress_type != zipfile.ZIP_STORED for member in members):
-        raise ValueError("a part of it is packed")
+        raise ValueError("one of its arrays is compressed")
     if sum(member.file_size for member in members) > size:
-        raise ValueError("its parts are larger than the file")
+        raise ValueError("its arrays are larger than the file")
     if len({member.filename for member in members}) < len(members):
-        raise ValueError("two parts of it have one name")
+        raise ValueError("two of its arrays have the same name")
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
@@ -76,11 +76,11 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
     stream = io.BytesIO(archive.read(member))
     version = npy.read_magic(stream)
     if version not in HEADERS:
-        raise ValueError("an array is of an unknown version")
+        raise ValueError("an array has an unknown format version")
     shape, _, dtype = HEADERS[version](stream)
     here = member.file_size - stream.tell()
     if dtype.hasobject or math.prod(shape) * dtype.itemsize != here:
-        raise ValueError(f"an array says that it is {dtype} of shape {shape}, and has {here} bytes")
+        raise ValueError(f"an array declares {dtype} of shape {shape}, but has {here} bytes")
     stream.seek(0)
     return np.asarray(npy.read_array(stream, allow_pickle=False))
 

@@ -24,8 +24,7 @@ from svu_mi.options import AngularPreset, Fit, Preset
 from svu_mi.progress import Progress
 from svu_mi.reflection.model import Model
 from svu_mi.statistics import Statistics, gather
-from svu_mi.statistics.gather import Values
-from svu_mi.statistics.sums import EDGES
+from svu_mi.statistics.gather import ALIKE, Weighting
 from svu_mi.surface import Texels
 from svu_mi.visibility import Surface, Survey, Views, pack_views, survey
 from svu_mi.visibility.pixels import as_channels
@@ -38,9 +37,9 @@ DARK = 1e-2  # part of the light that counts as the unit of radiance when all is
 COARSE = 8  # fine cells of the light per coarse one, on average
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Observed:
-    """A capture's photographs, light and texels, and who sees whom.
+    """A capture's photographs, light, texels and their visibility; traced when first needed.
 
     Attributes:
         capture: scene, photographs and light.
@@ -80,7 +79,7 @@ class Observed:
 
     @cached_property
     def lane(self) -> np.ndarray:
-        """(T,) int64, the lane of ``surface`` that a texel is; -1 where it is none."""
+        """(T,) int64, the lane of ``surface`` that a texel is; -1 for all others."""
         lanes = np.full(self.texels.count, -1)
         lanes[self.seen] = np.arange(len(self.seen))
         return lanes
@@ -154,10 +153,7 @@ class Observed:
         """
         if fit is None:
             return None
-        return MirroredLight(
-            self.views, self.lighting, self.texels, self.found, fit, channels,
-            self.seen if texels is None else texels,
-        )  # fmt: skip
+        return MirroredLight(self, fit, channels, self.seen if texels is None else texels)
 
     def _lanes(self, texels: np.ndarray) -> Surface:
         """Texels, by their numbers among all T, as a launch."""
@@ -180,8 +176,8 @@ class Observed:
 
     def statistics(
         self, roughness: np.ndarray, switches: AngularPreset, channels: int, *,
-        light_channels: int | None = None, kappa: float = np.inf, edges: float = EDGES,
-        texels: np.ndarray | None = None, current: Values | None = None,
+        light_channels: int | None = None, weighting: Weighting = ALIKE,
+        texels: np.ndarray | None = None,
     ) -> Statistics:  # fmt: skip
         """Gather what the photographs say of texels.
 
@@ -190,15 +186,13 @@ class Observed:
             switches: the reflection model.
             channels: of the photographs, 3, or 1 for their mean.
             light_channels: of the light; 1 if it is grey.
-            kappa: radiance around which samples begin to count less.
-            edges: how much less they count on edges of a photograph.
+            weighting: how much samples count; all alike by default.
             texels: (t,) numbers of texels; by default those of ``seen``.
-            current: parameters that samples count less for, the more they are off.
         """
         model = self.model(roughness, switches, light_channels or channels, texels)
         return gather(
             self.views, self.found, model, self.mirrors if model.reads_mirrors else None,
-            channels=channels, kappa=kappa, edges=edges, current=current,
+            channels, weighting,
         )  # fmt: skip
 
 
@@ -206,7 +200,7 @@ def observe(
     capture: Capture, texels: Texels, progress: Progress | None = None, *,
     skip_unseen: bool = True, skip_blind: bool = True, skip_pairs: bool = True,
 ) -> Observed:  # fmt: skip
-    """Find out who sees whom in a capture.
+    """Find out which views of a capture see which texels.
 
     Args:
         capture: scene, photographs and light.
@@ -248,5 +242,5 @@ def _require_range(radiance: float) -> None:
     if radiance and not 1 / BRIGHTEST <= radiance <= BRIGHTEST:
         raise CaptureError(
             f"The photographs' mean radiance is {radiance:g}; scale them and the light so that it "
-            f"is between {1 / BRIGHTEST:g} and {BRIGHTEST:g}, or mask pixels that are no radiance."
+            f"is between {1 / BRIGHTEST:g} and {BRIGHTEST:g}, or mask pixels that are not radiance."
         )

@@ -10,7 +10,7 @@ Each difference between them is a single switch, so an ablation is
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, get_args, overload
+from typing import Any, Literal, overload
 
 from svu_mi.errors import OptionError
 from svu_mi.switches import AngularPreset as AngularPreset
@@ -74,6 +74,9 @@ ANGULAR_PRESETS: dict[str, AngularPreset] = {
 
 
 AnyPreset = Preset | AngularPreset
+METHODS: dict[str, tuple[Any, dict[str, Any]]] = {
+    "spectrum": (Preset, PRESETS), "angular": (AngularPreset, ANGULAR_PRESETS),
+}  # fmt: skip
 
 
 @overload
@@ -101,30 +104,27 @@ def preset(
         OptionError: an unknown preset, method or switch, a preset of another method, or a
             value outside its range.
     """
-    if method not in get_args(Method):
-        raise OptionError(f"Unknown method {method!r}; there are {', '.join(get_args(Method))}.")
-    kind: type[AnyPreset] = AngularPreset if method == "angular" else Preset
-    named: dict[str, Any] = ANGULAR_PRESETS if method == "angular" else PRESETS  # type: ignore[assignment]
-    if isinstance(base, str) and base not in named:
-        other = "spectrum" if method == "angular" else "angular"
-        elsewhere = base in (PRESETS if method == "angular" else ANGULAR_PRESETS)
+    if method not in METHODS:
+        raise OptionError(f"Unknown method {method!r}; use one of {', '.join(METHODS)}.")
+    kind, named = METHODS[method]
+    if isinstance(base, str):
+        _require(base, method, "preset", {key: list(there) for key, (_, there) in METHODS.items()})
+        base = named[base]
+    kinds = {key: [field.name for field in fields(each)] for key, (each, _) in METHODS.items()}
+    for switch in switches:
+        _require(switch, method, "switch", kinds)
+    if not isinstance(base, kind):
         raise OptionError(
-            f"Unknown preset {base!r} of method {method!r}; there are {', '.join(sorted(named))}."
-            + (f" {base!r} is one of method={other!r}." if elsewhere else "")
+            f"A preset of method {method!r} must be a name or a {kind.__name__}, got {base!r}."
         )
-    known = {field.name for field in fields(kind)}
-    unknown = sorted(set(switches) - known)
-    if unknown:
-        names = ", ".join(sorted(known))
-        other, others = ("spectrum", Preset) if method == "angular" else ("angular", AngularPreset)
-        elsewhere = unknown[0] in {field.name for field in fields(others)}
+    return replace(base, **switches) if switches else base
+
+
+def _require(name: str, method: str, what: str, known: dict[str, list[str]]) -> None:
+    """Refuse a name that a method does not have, and say which one does."""
+    if name not in known[method]:
+        others = [other for other in known if name in known[other]]
         raise OptionError(
-            f"Unknown switch {unknown[0]!r}; a preset of {method!r} has {names}."
-            + (f" {unknown[0]!r} is one of method={other!r}." if elsewhere else "")
+            f"Unknown {what} {name!r}; method {method!r} has {', '.join(sorted(known[method]))}."
+            + (f" {name!r} is one of method={others[0]!r}." if others else "")
         )
-    if not isinstance(base, str | kind):
-        raise OptionError(
-            f"A preset of method {method!r} is a name or a {kind.__name__}, got {base!r}."
-        )
-    chosen = named[base] if isinstance(base, str) else base
-    return replace(chosen, **switches) if switches else chosen  # type: ignore[arg-type]

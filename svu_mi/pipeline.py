@@ -1,6 +1,6 @@
 """The pipeline, capture to posterior: the file to read first.
 
-    capture -> texels -> observed: who sees whom -> plan -> statistics of all views   -> posterior
+    capture -> texels -> observed: visibility   -> plan -> statistics of all views   -> posterior
                                                          -> SH fit -> power spectra   -> posterior
 
 Memory at its peak, measured (BENCHMARKS.md): 20 bytes per pixel of all photographs (float32
@@ -41,6 +41,7 @@ from svu_mi.posterior import (
 from svu_mi.posterior.streaming import log_prior
 from svu_mi.progress import Progress
 from svu_mi.skipping import Plan, make_plan, with_known
+from svu_mi.statistics.gather import Weighting
 from svu_mi.surface import Texels
 
 
@@ -132,7 +133,7 @@ def observed_of(
     """Return what is known of a capture's photographs: made now, or gone on from.
 
     Args:
-        source: a capture; or what was made from one, and knows who sees whom.
+        source: a capture; or what was made from one, and knows the visibility of texels.
         texels: of the capture's mesh; may be left out with the other two.
         progress: shows what is going on.
 
@@ -155,7 +156,7 @@ def observed_of(
     if isinstance(source, Observed):
         if texels is not None and texels is not source.texels:
             raise OptionError(
-                "The texels are not those that were observed; leave them out, or give the capture."
+                "The texels differ from those that were observed; omit them, or pass the capture."
             )
         return source
     return observe(*subject_of(source, texels), progress)
@@ -231,7 +232,7 @@ def estimate(
             posterior=posterior,
             coverage=seen.found.coverage,
             seen_per_view=seen.found.per_view,
-            skipped=_skipped(seen) | plan.skipped,
+            skipped=plan.skipped,
             timings=progress.timings,
             observed=seen,
             prior=prior,
@@ -259,8 +260,9 @@ def _from_angles(run: _Run, switches: AngularPreset) -> Posterior:
     with run.progress.stage("Gathering statistics"):
         factors = seen.statistics(
             _levels(run, switches), switches, plan.channels, light_channels=plan.light_channels,
-            kappa=switches.kappa(seen.unit),
-            edges=switches.edges if switches.noise == "estimated" else 0.0,
+            weighting=Weighting(
+                switches.kappa(seen.unit), switches.edges if switches.noise == "estimated" else 0.0
+            ),
         ).factor()  # fmt: skip
     if switches.noise == "estimated":
         return calibrated_posterior(
@@ -289,8 +291,7 @@ def _from_spectra(run: _Run, switches: Preset) -> Posterior:
             irradiance = _irradiance(run, switches)
     with run.progress.stage("Fitting spectra"):
         spectra = fit_spectra(
-            seen.views, seen.lighting, seen.texels, seen.found, switches,
-            channels=plan.channels, light_channels=plan.light_channels,
+            seen, switches, channels=plan.channels, light_channels=plan.light_channels,
             skip_unseen=len(seen.seen) < seen.texels.count,
         )  # fmt: skip
     with run.progress.stage("Computing entropy"):
@@ -315,15 +316,3 @@ def _irradiance(run: _Run, switches: Preset) -> np.ndarray:
     light = seen.irradiance(switches, channels)
     result[seen.seen] = np.stack([value.numpy() for value in light], axis=-1)
     return result  # one channel of grey light is all of them
-
-
-def _skipped(seen: Observed) -> dict[str, int]:
-    texels, capture = seen.texels, seen.capture
-    width, height = texels.resolution
-    return {
-        "texels outside the charts": width * height - texels.count - texels.overlapping,
-        "texels on overlapping charts": texels.overlapping,
-        "texels never seen": int((seen.coverage == 0).sum()),
-        "views left out": capture.count - sum(capture.used),
-        "views that show no texel": int((seen.found.per_view == 0).sum()),
-    }

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from dataclasses import fields
 from numbers import Integral, Real
-from typing import Any, get_args
+from typing import Any, Literal, get_args, get_origin
 
 from svu_mi.errors import OptionError
 
@@ -36,31 +37,35 @@ def require_known(names: Iterable[str], known: Iterable[str], what: str) -> None
     there = tuple(known)
     for name in names:
         if name not in there:
-            raise OptionError(f"There is no {what} {name!r}; there are {', '.join(there)}.")
+            raise OptionError(f"There is no {what} {name!r}; use one of {', '.join(there)}.")
 
 
 def require_types(options: Any) -> None:
-    """Refuse what is no whole number, number or truth value where one is needed.
+    """Refuse fields that are not of their type: numbers, truth values, words of a ``Literal``.
 
     Raises:
         OptionError: a field of another type.
     """
     kinds = {"int": (Integral, "a whole number"), "float": (Real, "a number"),
              "bool": (bool, "True or False")}  # fmt: skip
+    there = vars(sys.modules[type(options).__module__])  # types are text, as annotations are
     for each in fields(options):
-        if each.type not in kinds:
-            continue
-        kind, words = kinds[str(each.type)]
-        value = getattr(options, each.name)
-        fits = isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
-        require(options, fits, each.name, words)
+        if each.type in kinds:
+            kind, words = kinds[str(each.type)]
+            value = getattr(options, each.name)
+            fits = isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
+            require(options, fits, each.name, words)
+        elif get_origin(choices := there.get(str(each.type))) is Literal:
+            allowed = get_args(choices)
+            expected = f"one of {', '.join(allowed)}"
+            require(options, getattr(options, each.name) in allowed, each.name, expected)
 
 
-def require_one_of(options: Any, name: str, choices: Any) -> None:
-    """Refuse a setting that is none of a ``Literal``'s values.
+def require_ranges(options: Any, **ranges: tuple[float, float]) -> None:
+    """Refuse settings, by name, that are not in [low, high].
 
     Raises:
-        OptionError: it is none.
+        OptionError: one is not.
     """
-    allowed = get_args(choices)
-    require(options, getattr(options, name) in allowed, name, f"one of {', '.join(allowed)}")
+    for name, (low, high) in ranges.items():
+        require(options, low <= getattr(options, name) <= high, name, f"in [{low:g}, {high:g}]")

@@ -56,7 +56,7 @@ def make_plan(
     Args:
         skip: what may be.
         switches: the preset.
-        observed: the photographs, their light, and who sees whom.
+        observed: the photographs, their light, and which of them see which texels.
         grid: of parameters.
         prior: its tables, as ``streaming.log_prior`` has them.
     """
@@ -65,20 +65,29 @@ def make_plan(
     levels = np.ones(grid.shape[0], bool)
     if skip.levels and prior is not None:
         levels = np.any(prior[0].reshape(grid.shape[0], -1) < IMPOSSIBLE, axis=1)
-    plan = Plan(
+    texels, capture = observed.texels, observed.capture
+    width, height = texels.resolution
+    skipped = {
+        "texels outside the charts": width * height - texels.count - texels.overlapping,
+        "texels on overlapping charts": texels.overlapping,
+        "texels never seen": int((observed.coverage == 0).sum()),
+        "views left out": capture.count - sum(capture.used),
+        "views that show no texel": int((observed.found.per_view == 0).sum()),
+        "channels of the light equal to another": 2 if grey_light else 0,
+        "channels of the photographs equal to another": 2 if grey else 0,
+        "roughness levels that the prior excludes": int((~levels).sum()),
+        "parameters known": len(grid.known),
+    }
+    for reason, count in skipped.items():
+        if count:
+            log.info("Skipped: %d %s.", count, reason)
+    return Plan(
         channels=1 if grey else switches.colors,
         light_channels=1 if grey_light else switches.colors,
         copies=3 if grey else 1,
         levels=levels,
-        skipped={
-            "channels of the light equal to another": 2 if grey_light else 0,
-            "channels of the photographs equal to another": 2 if grey else 0,
-            "roughness levels that the prior excludes": int((~levels).sum()),
-            "parameters known": len(grid.known),
-        },
+        skipped=skipped,
     )
-    _say(plan, observed, grid)
-    return plan
 
 
 def with_known(
@@ -92,7 +101,7 @@ def with_known(
         shape: the object.
 
     Raises:
-        OptionError: values that are no parameters of the grid, or not in [0, 1].
+        OptionError: values that are not parameters of the grid, or not in [0, 1].
     """
     constants = constant_parameters(shape)
     constants = {name: value for name, value in constants.items() if name in grid.axes}
@@ -104,30 +113,8 @@ def with_known(
         raise OptionError(f"known must be values by parameter, or 'scene', got {known!r}.")
     elif constants and not known:
         log.info(
-            "The scene's material does not vary %s; if that is a fact and no placeholder, "
-            "known='scene' (--known scene) takes it out of the question.",
+            "The scene's material does not vary %s; if that is not a placeholder, known='scene' "
+            "(--known scene) takes it as known.",
             " and ".join(constants),
         )
     return replace(grid, known={**grid.known, **known}) if known else grid
-
-
-def _say(plan: Plan, observed: Observed, grid: ParameterGrid | PrincipledGrid) -> None:
-    """Tell the log what is skipped, and which part of the work that is."""
-    total, found = observed.texels.count, observed.found
-    lines = []
-    if unseen := total - len(observed.seen):
-        part = 100 * unseen / total
-        lines.append(f"{unseen} texels that no photograph shows: {part:.0f} % of fits and rays")
-    if blind := len(found.per_view) - int(found.count[0]):
-        lines.append(f"{blind} of {len(found.per_view)} views, which show no texel")
-    if plan.copies > 1:
-        lines.append("two of three colour channels, which are equal: two thirds of all sums")
-    elif plan.light_channels < plan.channels:
-        lines.append("two of three channels of the light, which are equal: a third of all sums")
-    if not plan.levels.all():
-        lines.append(f"{(~plan.levels).sum()} of {len(plan.levels)} levels of roughness")
-    if grid.known:
-        cells = int(np.prod([getattr(grid, name) for name in grid.known]))
-        lines.append(f"known {', '.join(grid.known)}: the grid has {cells} times fewer cells")
-    for line in lines:
-        log.info("Skipped: %s.", line)

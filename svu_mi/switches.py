@@ -10,7 +10,7 @@ from math import inf
 from typing import Any, Literal
 
 from svu_mi.errors import OptionError
-from svu_mi.settings import require, require_one_of, require_types
+from svu_mi.settings import require, require_ranges, require_types
 
 GridSpacing = Literal["uniform", "dielectric"]
 ChannelRule = Literal["grey", "sum", "joint", "minimum"]
@@ -101,18 +101,11 @@ class Preset(_Channels):
 
     def __post_init__(self) -> None:
         require_types(self)
-        require(self, 1 <= self.degree <= 9, "degree", "in [1, 9]")  # dr.sh_eval
-        # Beyond these, double precision ends: a singular fit, an infinite 1 / sigma^2.
-        require(self, 1e-12 <= self.regularizer <= 1e12, "regularizer", "in [1e-12, 1e12]")
-        require(self, 1e-30 <= self.sigma <= 1e30, "sigma", "positive, in [1e-30, 1e30]")
-        require(self, 1e-30 <= self.constant_sigma <= 1e30, "constant_sigma",
-                "positive, in [1e-30, 1e30]")  # fmt: skip
-        require(self, 16 <= self.rays <= 4096, "rays", "in [16, 4096]")
-        require_one_of(self, "parameters", Parameters)
-        require_one_of(self, "spacing", GridSpacing)
-        require_one_of(self, "channels", ChannelRule)
-        require_one_of(self, "noise", NoiseRule)
-        require_one_of(self, "band_limit", BandLimit)
+        # dr.sh_eval ends at 9; double precision beyond: a singular fit, an infinite 1 / sigma^2.
+        require_ranges(
+            self, degree=(1, 9), regularizer=(1e-12, 1e12), sigma=(1e-30, 1e30),
+            constant_sigma=(1e-30, 1e30), rays=(16, 4096),
+        )  # fmt: skip
 
     @property
     def principled(self) -> bool:
@@ -142,8 +135,7 @@ class Fit:
 
     def __post_init__(self) -> None:
         require_types(self)
-        require(self, 1 <= self.degree <= 9, "degree", "in [1, 9]")
-        require(self, 1e-12 <= self.regularizer <= 1e12, "regularizer", "in [1e-12, 1e12]")
+        require_ranges(self, degree=(1, 9), regularizer=(1e-12, 1e12))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,34 +222,23 @@ class AngularPreset(_Channels):
 
     def __post_init__(self) -> None:
         require_types(self)
-        require_one_of(self, "fresnel", Fresnel)
-        require_one_of(self, "lobe", Lobe)
-        require_one_of(self, "diffuse", Diffuse)
-        require_one_of(self, "parameters", Parameters)
-        require_one_of(self, "channels", AngularChannels)
-        require_one_of(self, "noise", AngularNoise)
-        require(self, 1e-12 <= self.sigma <= 1e12, "sigma", "positive, in [1e-12, 1e12]")
-        require(self, 1e-12 <= self.assumed <= 1e12, "assumed", "positive, in [1e-12, 1e12]")
-        require(self, 1 <= self.overdispersion <= 1e6, "overdispersion", "in [1, 1e6]")
-        require(self, 0 < self.degrees <= 1e6, "degrees", "positive, in (0, 1e6]")
-        require(self, 1e-6 <= self.knee <= 1e6, "knee", "positive, in [1e-6, 1e6]")
-        require(self, 0 <= self.edges <= 1e6, "edges", "in [0, 1e6]")
-        require(self, 0 <= self.metals <= 0.99, "metals", "in [0, 0.99]")
-        require(self, 4 <= self.levels <= 64, "levels", "in [4, 64]")
-        require(self, 2 <= self.parts <= 512, "parts", "in [2, 512]")
+        require_ranges(
+            self, sigma=(1e-12, 1e12), assumed=(1e-12, 1e12), overdispersion=(1, 1e6),
+            degrees=(1e-6, 1e6), knee=(1e-6, 1e6), edges=(0, 1e6), metals=(0, 0.99),
+            levels=(4, 64), parts=(2, 512),
+        )  # fmt: skip
         if self.noise == "estimated" and self.parameters != "principled":
             raise OptionError(
                 "AngularPreset: noise='estimated' is for parameters='principled'; over "
-                "(roughness, Ks), take noise='relative'."
+                "(roughness, Ks), use noise='relative'."
             )
         traced = self.cells == 0 or 256 <= self.cells <= 4096
         require(self, traced, "cells", "in [256, 4096], or 0 to trace none")
-        require_one_of(self, "errors", Errors)
         if self.fit is not None:
             self._require_printed()
         if self.errors == "sum" and self.noise in ("estimated", "marginal"):
             raise OptionError(
-                f"AngularPreset: noise={self.noise!r} has its own count of views; errors='sum' is "
+                f"AngularPreset: noise={self.noise!r} counts views itself; errors='sum' is "
                 "for noise='fixed', 'relative' or 'heteroscedastic'."
             )
 

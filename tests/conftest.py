@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,21 @@ VARIANT = "llvm_ad_rgb"
 MAPS = 64  # of filtered light, that are kept: less than 100 MB
 # Read when Dr.Jit is first imported: compiled kernels are kept with the checkout, not in HOME.
 os.environ.setdefault("DRJIT_CACHE_DIR", str(ROOT / ".pytest_cache" / "drjit"))
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m is looked at
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark all but some cases of a test slow where it asks for that (``few``)."""
+    cases: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        if item.get_closest_marker("few"):
+            cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    for several in cases.values():
+        count = several[0].get_closest_marker("few").args[0]
+        kept = {len(several) * place // count for place in range(count)}
+        for number, item in enumerate(several):
+            if number not in kept:
+                item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -76,6 +92,20 @@ def shot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     words = ("render", scenes.path("vase"), "-D", "light=window", "--views", 8)
     assert run(*words, "--resolution", 40, 32, "--spp", 4, "-o", folder) == 0
     return folder
+
+
+@pytest.fixture(scope="session")
+def vase() -> SimpleNamespace:
+    """A small capture of the vase, its texels, and what its photographs say. Read only."""
+    import svu_mi as svu
+    from svu_mi import scenes
+
+    capture = svu.render_capture(
+        scenes.path("vase"), spp=8, views=4, resolution=(48, 36), defines={"light": "window"}
+    )
+    texels = svu.texels(capture.mesh, (64, 48))
+    estimate = svu.estimate(capture, texels)
+    return SimpleNamespace(capture=capture, texels=texels, estimate=estimate)
 
 
 @pytest.fixture(scope="session")

@@ -20,28 +20,28 @@ import OpenEXR
 import trimesh
 from helpers import ball, sensor_xml, write_scene
 from PIL import Image
+from studies.conventions.colmap import write_colmap
+from studies.conventions.owl import write_owl
+from studies.orb.writer import OrbCapture, OrbPhotograph, write_orb
 
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture import loading
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.folder import Description
 from svu_mi.capture.loading import load_capture
-from svu_mi.capture.picture import image_size
+from svu_mi.capture.picture import open_picture
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap, unwrapped
 from svu_mi.cli.main import main
 from svu_mi.errors import SvuError
 from svu_mi.exr import write_exr
-from svu_mi.formats.colmap import write_colmap
 from svu_mi.formats.exposures import with_exif_exposures, with_exposures
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.light import write_environment
-from svu_mi.formats.objects_with_lighting import write_owl
 from svu_mi.formats.photographs import convert
 from svu_mi.formats.reading import read_source
 from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Light, Source
-from svu_mi.formats.stanford_orb_writer import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.formats.textures import write_pictures
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.results.writing import writing
@@ -74,7 +74,7 @@ def picture(folder: Path, out: Path) -> None:
     label, size = f"{folder}: frame 0", (WIDTH, HEIGHT)
     frame = Frame(label=label, image=path, mask=path, to_world=np.eye(4), focal=(20.0, 20.0),
                   center=(8.0, 4.0), size=size)  # fmt: skip
-    frame = fitted(frame, image_size(path))
+    frame = fitted(frame, open_picture(path).size)
     convert(frame, out / "view.exr", (1.0, 1.0))
 
 
@@ -99,7 +99,7 @@ def source(folder: Path, out: Path, *, place: str = ".") -> None:
     """Read poses, and make their sensors."""
     found = read_source(folder / place)
     for frame in found.frames:
-        squared(fitted(frame, image_size(frame.image)))[0].sensor()
+        squared(fitted(frame, open_picture(frame.image).size))[0].sensor()
     if found.light is not None:
         write_environment(found.light, out / "environment.exr")
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +17,7 @@ from PIL import Image
 
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture import render_capture
-from svu_mi.capture.poses import sphere_sensors
+from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.record import Capture
 from svu_mi.cli.main import main
 from svu_mi.exr import write_exr
@@ -21,11 +25,13 @@ from svu_mi.files import write_json
 from svu_mi.formats import fixes
 from svu_mi.formats.resampling import squared
 from svu_mi.formats.source import Frame, Source
+from svu_mi.interop import owned
 from svu_mi.output.scene_xml import write_scene as write_recovered
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.textures import Textures, lay_out
 from svu_mi.results.writing import writing
 from svu_mi.scenes import meshes
+from svu_mi.statistics.gather import Values
 from svu_mi.surface import texels
 
 SPHERE_XML = """<scene version="3.0.0">
@@ -40,6 +46,14 @@ SPHERE_XML = """<scene version="3.0.0">
   {extra}
 </scene>
 """
+
+
+def as_values(rows: np.ndarray) -> Values:
+    """Return parameters (5, S), red, green, blue, roughness and metallic, as kernels take them."""
+    red, green, blue, roughness, metallic = (
+        owned(mi.Float, np.asarray(row, np.float32)) for row in rows
+    )
+    return {"base_color": [red, green, blue], "roughness": [roughness], "metallic": [metallic]}
 
 
 def run(*words: object) -> int:
@@ -58,6 +72,14 @@ def fails(capsys: Any, *words: object, warnings: int = 0) -> str:
     """Run ``svu``, expect status 2, and return its one line."""
     assert run(*words) == 2
     return last_line(capsys, warnings)
+
+
+def python(*words: object, cwd: Path | None = None, **environment: str) -> Any:
+    """Run Python in a process of its own, and return what it has said as text."""
+    return subprocess.run(
+        [sys.executable, *map(str, words)], cwd=cwd, env=os.environ | environment, text=True,
+        stdin=subprocess.DEVNULL, capture_output=True, timeout=120, check=False,
+    )  # fmt: skip
 
 
 def names(folder: Path) -> list[str]:
@@ -268,3 +290,11 @@ def write_known(folder: Path, width: int, height: int) -> tuple[np.ndarray, np.n
     write_exr(folder / "entropy.exr", {"Y": entropy})
     write_exr(folder / "coverage.exr", {"Y": coverage})
     return entropy, coverage
+
+
+def posed(capture: Capture, *poses: np.ndarray) -> Capture:
+    """Return a capture whose cameras have other poses (4, 4); the last ones keep theirs."""
+    records = [describe(sensor) for sensor in capture.sensors]
+    for record, pose in zip(records, poses, strict=False):
+        record["to_world"] = np.array(pose)
+    return replace(capture, sensors=tuple(make_sensor(record, "posed") for record in records))

@@ -21,6 +21,7 @@ from svu_mi.light import light
 from svu_mi.pipeline import estimate
 from svu_mi.posterior import ParameterGrid, PrincipledGrid, angular_posterior
 from svu_mi.statistics import Statistics
+from svu_mi.statistics.gather import Weighting
 
 
 @pytest.fixture(scope="module")
@@ -176,6 +177,7 @@ def test_a_texel_nobody_saw_has_entropy_exactly_1(switches):
     assert (H[counts > 0] < 1).all()
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("rows", [True, False], ids=["one roughness", "cells"])
 @pytest.mark.parametrize("switches", RULES, ids=rule)
 def test_a_texel_nobody_saw_has_the_prior_for_its_posterior(switches, rows):
@@ -247,7 +249,7 @@ def test_wrong_input_is_named():
         angular_posterior(statistics, PRINCIPLED, prior=np.ones((5, 3)))
     with pytest.raises(OptionError, match="non-negative"):
         angular_posterior(statistics, PRINCIPLED, prior=-np.ones(5))
-    with pytest.raises(ShapeError, match=r"levels must be \(5,\) True or False"):
+    with pytest.raises(ShapeError, match=r"levels must be \(5,\) booleans"):
         angular_posterior(statistics, PRINCIPLED, levels=np.arange(5))
     for wrong in ({"copies": 0}, {"texels": 1}):
         with pytest.raises(OptionError, match="copies must be at least 1 and texels more than 1"):
@@ -328,6 +330,7 @@ def test_statistics_and_posterior_together_are_brute_force(scene, channels):
         assert abs(H[t] - oracle_posterior.mean_entropy(truth)) < 5e-6
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("gain", [0.25, 4.0])
 @pytest.mark.parametrize("noise", ["estimated", "relative", "heteroscedastic", "marginal"])
 def test_exposure_does_not_matter(tmp_path, glossy, noise, gain):
@@ -364,7 +367,7 @@ def kernels_of(capture, resolution, switches, lit_for=12):
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         statistics = observed.statistics(
-            np.linspace(0, 1, 8), switches, switches.colors, kappa=kappa
+            np.linspace(0, 1, 8), switches, switches.colors, weighting=Weighting(kappa)
         )
         total = observed.texels.count
         dr.eval(angular_posterior(statistics, None, 0.3, switches, texels=total).entropy())

@@ -1,10 +1,12 @@
-"""The benchmark: end to end on a minuscule setting, resumed, and on bad or foreign data."""
+"""The benchmark: what is resumed, kept and left out; on what it runs, and what it refuses."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
+import math
+import sys
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import ModuleType
 
 import mitsuba as mi
 import numpy as np
@@ -13,198 +15,193 @@ import trimesh
 from PIL import Image
 
 from svu_mi import scenes
-from svu_mi.bench import accuracy, run_bench, speed
+from svu_mi.bench import BENCHMARKS, captures, experiment, recovery
+from svu_mi.bench.accuracy.judge import judge_posterior
 from svu_mi.bench.captures import capture_of, some_views
 from svu_mi.bench.cells import data_cells, own_cells
+from svu_mi.bench.experiment import Bench, Experiment, file_name
 from svu_mi.bench.glb import convert_glb
-from svu_mi.bench.judge import judge_posterior
-from svu_mi.bench.sizes import QUICK, Sizes
+from svu_mi.bench.recovery.measure import Recovered
+from svu_mi.bench.recovery.rows import PATH, ROWS, SH, choose_rows, find_row
+from svu_mi.bench.run import run_bench
+from svu_mi.bench.sizes import Sizes
 from svu_mi.bench.store import Store, key_of
-from svu_mi.bench.text import seconds, table
-from svu_mi.bench.variants import VARIANTS, Variant, available, base_of
+from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.text import Bar, Column, bar_table, columns, seconds, table
+from svu_mi.bench.variants import VARIANTS
 from svu_mi.capture.scene import load_scene
 from svu_mi.cli.bench import names
 from svu_mi.cli.main import main
 from svu_mi.errors import MeshError, OptionError, SceneError, ShapeError, SvuWarning
 from svu_mi.metrics import GroundTruth
-from svu_mi.posterior import PrincipledGrid
 from svu_mi.progress import Progress
 
-TINY = Sizes(views=6, film=32, spp=4, texels=48, speed_texels=48, reference_texels=20,
-             reference_spp=4, brute_texels=6, brute_spp=2, checked=1, speed_film=32,
-             repeats=1)  # fmt: skip
-TWO = (Variant("spectrum paper", "spectrum", "paper", main=True),
-       Variant("spectrum default", "spectrum", "default", main=True),
-       Variant("spectrum degree 4", "spectrum", "default", {"degree": 4}))  # fmt: skip
 CELLS = own_cells(["vase"], ["window"])
 
 
-def bench_in(folder, **changes):
-    return accuracy.Bench(folder, TINY, Progress(), **changes)
+# --- experiments --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Letter:
+    label: str
+
+
+@dataclass(frozen=True)
+class Word:
+    """A cell that counts letters, and notes what it was asked; a dot cannot be measured."""
+
+    name: str
+    rows: tuple[Letter, ...]
+    asked: list[str] = field(default_factory=list)
+
+    @property
+    def title(self):
+        return f"the word {self.name}"
+
+    def settings(self, row):
+        return self.name, row and row.label
+
+    def head(self):
+        self.asked.append("head")
+        return {"word": self.name}
+
+    def measure(self, row):
+        self.asked.append(row.label)
+        if row.label == "!":
+            raise KeyboardInterrupt
+        if row.label == ".":
+            raise SceneError("a dot")
+        return {"count": self.name.count(row.label)}
+
+
+def run_words(bench, *words, letters="ab", told=None, whole=False):
+    """The record, and what every word was asked."""
+    subjects = [Word(name, tuple(map(Letter, letters))) for name in words]
+    record = Experiment("words", subjects, whole).run(bench, told)
+    return record, [subject.asked for subject in subjects]
 
 
 @pytest.fixture
-def calls(monkeypatch):
-    """How often the expensive steps run: rendering, reference, estimates."""
-    counts = {"render": 0, "reference": 0, "estimate": 0}
-
-    def counted(name, function):
-        def call(*arguments, **options):
-            counts[name] += 1
-            return function(*arguments, **options)
-
-        return call
-
-    from svu_mi.bench import captures
-
-    monkeypatch.setattr(captures, "render_capture", counted("render", captures.render_capture))
-    monkeypatch.setattr(accuracy, "estimate", counted("estimate", accuracy.estimate))
-    trace = counted("reference", accuracy.reference_posterior)
-    return counts, trace
+def bench(tmp_path):
+    return Bench(tmp_path)
 
 
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """A benchmark of one cell: its folder and record."""
-    folder = tmp_path_factory.mktemp("bench")
-    return folder, run_bench(bench_in(folder), CELLS, "accuracy", variants=TWO, command="svu b")
+def test_every_row_of_every_cell_is_measured_and_told(bench):
+    told = []
+    record, asked = run_words(
+        bench, "abba", "bar", told=lambda found: told.append(len(found["cells"]))
+    )
+    assert record["cells"] == [
+        {"word": "abba", "rows": {"a": {"count": 2}, "b": {"count": 2}}},
+        {"word": "bar", "rows": {"a": {"count": 1}, "b": {"count": 1}}},
+    ]
+    assert told == [1, 2] and record["versions"] == 1 and record["failed"] == []
+    assert asked == [["head", "a", "b"]] * 2
 
 
-# --- end to end ---------------------------------------------------------------------------
+def test_what_is_finished_is_not_measured_again(bench):
+    first, _ = run_words(bench, "abba")
+    again, asked = run_words(bench, "abba", "bar", letters="abr")
+    assert asked == [["r"], ["head", "a", "b", "r"]]
+    assert again["cells"][0]["rows"]["a"] == first["cells"][0]["rows"]["a"]
+    _, asked = run_words(replace(bench, fresh=True), "abba")
+    assert asked == [["head", "a", "b"]]
 
 
-def test_a_benchmark_writes_figures_tables_and_plots(finished):
-    folder, record = finished
-    assert {path.name for path in folder.glob("*.*")} == {
-        "bench.json", "bench.md", "time_error.png", "scatter.png", "sparsification.png",
-        "switches.png",
-    }  # fmt: skip
-    written = json.loads((folder / "bench.json").read_text())
-    assert written["command"] == "svu b"
-    assert written["environment"]["versions"]["mitsuba"] == mi.__version__
-    assert written["summary"] == record["summary"]
-    text = (folder / "bench.md").read_text()
-    for word in ("spectrum paper", "brightness", "number of views", "vase / window", "90%"):
-        assert word in text
-    with Image.open(folder / "time_error.png") as picture:
-        assert picture.width > 600
-
-
-def test_every_figure_is_there_and_in_its_range(finished):
-    _, record = finished
-    (cell,) = record["cells"]
-    assert list(cell["variants"]) == [variant.label for variant in TWO]
-    for label, found in cell["variants"].items():
-        paper = label == "spectrum paper"
-        assert -1 <= found["pearson"] <= 1
-        assert -1 <= found["spearman"] <= 1
-        assert 0 <= found["mean_entropy"] <= 1
-        assert found["seconds"] == pytest.approx(sum(found["timings"].values()))
-        assert set(found["credible"]) == {"0.5", "0.9"}
-        assert found["credible"]["0.5"]["plain"] <= found["credible"]["0.9"]["plain"]
-        others = ["specular"] if paper else ["metallic", "base_color"]
-        assert list(found["parameters"]) == ["roughness", *others]
-        assert len(found["entropy"]) == cell["reference"]["texels"]
-    assert 0 < cell["reference"]["half_overlap"] < 1
-    assert list(cell["reference"]["parameters"]) == ["roughness", "metallic", "base_color"]
-    kinds = [row["kind"] for row in record["summary"]]
-    assert kinds == ["main", "main", "switch", "sanity", "sanity", "reference"]
-
-
-def test_a_second_run_computes_nothing(finished, calls):
-    folder, record = finished
-    counts, trace = calls
-    again = run_bench(bench_in(folder, trace=trace), CELLS, "accuracy", variants=TWO)
-    assert counts == {"render": 0, "reference": 0, "estimate": 0}
-    assert again["cells"] == record["cells"]
-
-
-def test_a_new_variant_is_all_that_is_computed(finished, calls):
-    folder, record = finished
-    counts, trace = calls
-    more = (*TWO, Variant("spectrum degree 5", "spectrum", "default", {"degree": 5}))
-    found = run_bench(bench_in(folder, trace=trace), CELLS, "accuracy", variants=more)
-    assert counts["render"] == 0
-    assert 1 <= counts["estimate"] <= 2  # twice when its kernels were compiled
-    assert len(found["cells"][0]["variants"]) == 4
-    old = record["cells"][0]["variants"]["spectrum paper"]
-    assert found["cells"][0]["variants"]["spectrum paper"] == old
-
-
-def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, calls, monkeypatch):
-    """Interrupted in the second cell: the first is not touched again, the second is finished."""
-    counts, trace = calls
-    cells = own_cells(["vase"], ["window", "overcast"])
-    interrupted = []
-
-    def failing(*arguments, **options):
-        interrupted.append(1)
-        if len(interrupted) == 2:
-            raise KeyboardInterrupt
-        return trace(*arguments, **options)
-
+def test_an_interrupted_run_goes_on_where_it_stopped(bench):
     with pytest.raises(KeyboardInterrupt):
-        run_bench(bench_in(tmp_path, trace=failing), cells, "accuracy", variants=TWO[:1])
-    assert not (tmp_path / "bench.json").exists()
-    assert counts["render"] == 2
-    record = run_bench(bench_in(tmp_path, trace=trace), cells, "accuracy", variants=TWO[:1])
-    assert counts["render"] == 2
-    assert counts["reference"] == 2
-    assert [cell["light"] for cell in record["cells"]] == ["window", "overcast"]
+        run_words(bench, "abba", "bar", letters="a!b")
+    record, asked = run_words(bench, "abba", "bar")
+    assert asked == [["b"], ["head", "a", "b"]] and len(record["cells"]) == 2
 
 
-def test_a_cell_that_cannot_run_is_reported_and_left_out(finished, tmp_path):
-    folder, _ = finished
-    bad = replace(CELLS[0], object="broken", scene=tmp_path / "none.xml")
-    with pytest.warns(SvuWarning, match="broken / window is left out"):
-        record = run_bench(bench_in(folder), (bad, *CELLS), "accuracy", variants=TWO)
-    assert [failed["cell"] for failed in record["failed"]] == ["broken / window"]
-    assert len(record["cells"]) == 1
-    assert "none.xml" in (folder / "bench.md").read_text()
-    with pytest.raises(SceneError), pytest.warns(SvuWarning):
-        run_bench(bench_in(tmp_path), (bad,), "accuracy", variants=TWO)
+def test_results_of_another_version_are_taken_up_only_if_asked_for(bench, monkeypatch):
+    run_words(bench, "abba")
+    monkeypatch.setattr(experiment, "code_now", lambda *_: "other")
+    for how in ({"keep": True}, {"stored": True}):
+        record, asked = run_words(replace(bench, **how), "abba", letters="ab")
+        assert asked == [[]] and len(record["cells"]) == 1
+    record, asked = run_words(replace(bench, keep=True), "abba", letters="abc")
+    assert asked == [["c"]] and record["versions"] == 2
+    assert run_words(bench, "abba")[1] == [["head", "a", "b"]]
+    record, asked = run_words(replace(bench, stored=True), "abba", "bar", letters="abd")
+    assert asked == [[], []] and list(record["cells"][0]["rows"]) == ["a", "b"]
 
 
-@pytest.mark.slow
-def test_run_times_of_one_cell(finished, monkeypatch):
-    """Every part of ``speed``, with short curves; the cold run is a real new process."""
-    folder, _ = finished
-    for name, short in (("DEGREES", (2, 4)), ("NODES", (4,)), ("VIEWS", (3, 10)),
-                        ("SAMPLES", (2, 4, 8))):  # fmt: skip
-        monkeypatch.setattr(speed, name, short)
+def test_what_other_code_has_measured_is_measured_anew(bench, tmp_path):
+    """Code of our own beside svu_mi's counts, such as that of a study."""
+    for constant in (1, 2):
+        folder = tmp_path / f"study{constant}"
+        folder.mkdir()
+        (folder / "words.py").write_text(f"CONSTANT = {constant}")
+        ours = replace(bench, code=(folder,))
+        assert run_words(ours, "abba")[1] == [["head", "a", "b"]]
+        assert run_words(ours, "abba")[1] == [[]]
 
-    def trace(*arguments, **options):
-        if options.get("method") == "brute":
-            options["grid"] = PrincipledGrid(2, 2, 2)
-        return accuracy.reference_posterior(*arguments, **options)
 
-    one = TWO[1:2]
-    bench = bench_in(folder, trace=trace)
-    (checked,) = run_bench(bench, CELLS, "checks", variants=one)["checks"]
-    cases = checked["estimators"]["spectrum default"]
-    assert list(cases) == ["direct", "photographs", "both", "heteroscedastic", "estimated"]
-    assert all(-1 <= rho <= 1 for rho in (*cases.values(), checked["references"]))
-    text = (folder / "bench.md").read_text()
-    assert "noise grows with radiance" in text and "noise is estimated" in text
-    record = run_bench(bench, CELLS, "speed", variants=one)
-    found = record["speed"]
-    timed = found["estimators"]["variants"]
-    assert list(timed) == ["spectrum default"]
-    for times in timed.values():
-        assert times["cold"]["kernels"] > 3
-        assert list(times["warm"]) == list(times["cold"]["timings"])
-        assert times["cold"]["process_seconds"] > times["cold"]["seconds"] > 0
-    curves = found["scaling"]
-    assert [row["value"] for row in curves["degree"]["spectrum default"]] == [2, 4]
-    assert [row["value"] for row in curves["views"]["spectrum default"]] == [3, 6]
-    assert [row["value"] for row in curves["reference_spp"]["reference"]] == [2, 4]
-    brute = found["brute"]
-    assert brute["psi"] == 512
-    assert brute["sample_rays"] % (8 * brute["spp"]) == 0
-    assert brute["seconds"] == pytest.approx(16 * brute["linear_seconds"])
-    assert brute["seconds"] > brute["sample_seconds"]
-    assert {"scaling.png", "time_error.png"} <= {path.name for path in folder.iterdir()}
-    assert "(extrapolated)" in (folder / "bench.md").read_text()
+def test_what_cannot_be_measured_is_told_and_left_out(bench):
+    with pytest.warns(SvuWarning, match="the word abba: [.] is left out: a dot"):
+        record, _ = run_words(bench, "abba", letters="a.")
+    assert record["failed"] == [{"cell": "the word abba: .", "reason": "a dot"}]
+    assert list(record["cells"][0]["rows"]) == ["a"]
+    with pytest.warns(SvuWarning, match="the word bar is left out"), pytest.raises(SceneError):
+        run_words(bench, "bar", letters="a.", whole=True)
+    study = Study(title="Words", experiment=None, tables=lambda _: ["none"])
+    text = study.markdown({**record, "bars": [], "versions": 3})
+    assert "| the word abba: . | a dot |" in text and "3 versions of the code" in text
+
+
+def test_a_cell_without_a_second_light_is_left_out(bench, monkeypatch):
+    def other(cell, *_):
+        if cell.light == "window":
+            raise OptionError("no second light")
+        return cell
+
+    monkeypatch.setattr(recovery, "under_another_light", other)
+    monkeypatch.setattr(Recovered, "head", lambda _: {})
+    monkeypatch.setattr(Recovered, "measure", lambda *_: {})
+    asked = Asked(cells=own_cells(["vase"], ["window", "studio"]), rows=[SH.label])
+    with pytest.warns(SvuWarning, match="vase / window is left out: no second light"):
+        record = recovery.STUDY.experiment(bench, asked).run(bench)
+    assert len(record["cells"]) == len(record["failed"]) == 1
+
+
+def test_a_module_and_a_line_are_a_benchmark(bench, monkeypatch):
+    """What CONTRIBUTING.md says: its name among ``BENCHMARKS``, and a module with a ``STUDY``."""
+    letters = (Letter("a"),)
+    module = ModuleType("svu_mi.bench.words")
+    module.STUDY = Study(
+        title="Words", tables=lambda record: [str(record["longest"])],
+        experiment=lambda _, asked: Experiment("words", [Word(asked.cells[0].object, letters)]),
+        summary=lambda record: {**record, "longest": record["cells"][0]["word"]},
+        bars=lambda record: [Bar("letters", len(record["longest"]), 3.0)],
+    )  # fmt: skip
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(BENCHMARKS, "words", "counts letters")
+    record = run_bench(bench, ["words"], Asked(cells=CELLS), "svu bench words")
+    assert record["words"]["cells"] == [{"word": "vase", "rows": {"a": {"count": 1}}}]
+    text = (bench.folder / "bench.md").read_text()
+    assert "# Words" in text and "| letters | 4 | <= 3 | **no** |" in text and "\nvase" in text
+
+
+def test_labels_of_rows_are_different_files():
+    for rows in (ROWS, VARIANTS):
+        assert len({file_name(row.label) for row in rows}) == len(rows)
+    assert file_name("SH + path") == "sh_with_path"
+
+
+def test_a_record_counts_only_under_its_key(tmp_path):
+    store = Store(tmp_path / "store")
+    key = key_of({"a": 1}, (2, 3))
+    assert key == key_of({"a": 1}, [2, 3]) != key_of({"a": 2}, [2, 3])
+    assert store.load("x", key) is None
+    assert store.save("x", key, {"value": np.float32(0.5)}) == {"value": 0.5, "key": key}
+    assert store.load("x", key) == {"value": 0.5, "key": key}
+    assert store.load("x", "other") is None
+    for broken in ('{"value": 0.', "[]"):
+        store.path("x").write_text(broken)
+        assert store.load("x", key) is None
 
 
 # --- what is run --------------------------------------------------------------------------
@@ -216,7 +213,7 @@ def test_the_cells_of_svu_mi():
         "vase__window", "vase__overcast", "knot__window", "knot__overcast"
     ]  # fmt: skip
     assert own_cells(["planes"], ["clear"])[0].defines == {"light": "clear", "max_depth": "2"}
-    with pytest.raises(OptionError, match="no object 'teapot'; there are planes"):
+    with pytest.raises(OptionError, match="no object 'teapot'; use one of planes"):
         own_cells(["teapot"])
     with pytest.raises(OptionError, match="no light 'moon'"):
         own_cells(lights=["moon"])
@@ -229,60 +226,74 @@ def test_names_of_the_command_line():
         names("vase,,knot", "--objects")
 
 
-def test_variants_have_unique_labels_and_a_default_to_compare_with():
-    labels = [variant.label for variant in VARIANTS]
-    assert len(set(labels)) == len(labels)
-    known = available()
-    assert {v.label for v in known} >= {"spectrum paper", "spectrum default"}
-    assert known == VARIANTS  # all of them, in this version
-    presets = {variant.label: variant.preset for variant in known}
-    for variant in known:
-        assert f"{variant.method} default" in labels
-        assert variant.main or variant.preset != presets[base_of(variant.label, labels)]
-    assert base_of("angular fixed, looked up, Fresnel: none", labels) == "angular fixed, looked up"
-    assert base_of("angular fixed, Lambert", labels) == "angular fixed"
-    assert base_of("spectrum degree 4", labels) == "spectrum default"
+def test_rows_are_found_by_label_and_cheap_ones_come_first():
+    assert find_row("path") is PATH
+    assert choose_rows(["path", "SH (ours)"]) == (SH, PATH)
+    with pytest.raises(OptionError, match="no row 'poth'"):
+        choose_rows(["poth"])
 
 
-def test_what_run_bench_refuses(tmp_path):
-    with pytest.raises(OptionError, match="no benchmark 'power'; there are accuracy"):
-        run_bench(bench_in(tmp_path), CELLS, "power")
-    with pytest.raises(OptionError, match="no object under any light"):
-        run_bench(bench_in(tmp_path), ())
+def test_what_run_bench_refuses(bench):
+    with pytest.raises(OptionError, match="no benchmark 'power'; use one of accuracy"):
+        run_bench(bench, ["power"], Asked(cells=CELLS))
+    with pytest.raises(OptionError, match="no object and light"):
+        run_bench(bench, ["speed"], Asked())
 
 
-@pytest.mark.parametrize("what", ["kernels", "conventions", "orb"])
-def test_what_left_the_package_is_told_where_it_is(what, tmp_path, capsys, variant):
+@pytest.mark.parametrize(
+    ("what", "where"),
+    [("kernels", "studies.kernels"), ("checks", "studies.paths"), ("stability", "extremes")],
+)
+def test_what_left_the_package_is_told_where_it_is(what, where, tmp_path, capsys, variant):
     assert main(["bench", what, "-o", str(tmp_path / "o")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert f"svu bench {what} is no longer part of svu" in line
-    assert line.endswith(f"run PYTHONPATH=tests python -m studies.{what}.")
+    assert line.endswith(f"run PYTHONPATH=tests python -m {where}.")
     assert not (tmp_path / "o").exists()
 
 
 def test_an_unknown_benchmark_is_one_line(tmp_path, capsys, variant):
     assert main(["bench", "power", "-o", str(tmp_path)]) == 2
-    assert "no benchmark 'power'; there are accuracy, checks" in capsys.readouterr().err
+    assert f"use one of {', '.join(BENCHMARKS)}, all" in capsys.readouterr().err
+    assert main(["bench", "recovery", "--rows", "poth", "--stored", "-o", str(tmp_path)]) == 2
+    assert "no row 'poth'" in capsys.readouterr().err
 
 
-def test_views_are_left_out_evenly(finished):
-    folder, _ = finished
-    whole = bench_in(folder).capture(CELLS[0])
-    half = some_views(whole, 3)
+def test_bad_folders_end_with_one_line_and_status_2(tmp_path, capsys, variant):
+    def words(data):
+        assert main(["bench", "accuracy", "--data", str(data), "-o", str(tmp_path / "o")]) == 2
+        return capsys.readouterr().err
+
+    assert "objects: no such folder; --data needs one with objects" in words(tmp_path / "none")
+    (tmp_path / "objects").mkdir()
+    assert "objects: has no object" in words(tmp_path)
+    box(tmp_path / "objects", roughnessFactor=0.5)
+    assert "envmaps: no such folder; --data needs one with lat-long images" in words(tmp_path)
+    (tmp_path / "envmaps").mkdir()
+    assert "envmaps: has no lat-long image" in words(tmp_path)
+    mi.set_log_level(mi.LogLevel.Warn)
+
+
+# --- photographs --------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_photographs_with_other_settings_are_rendered_anew(tmp_path, monkeypatch):
+    rendered, render = [], captures.render_capture
+    monkeypatch.setattr(captures, "render_capture",
+                        lambda *a, **k: rendered.append(1) or render(*a, **k))  # fmt: skip
+    (cell,) = CELLS
+    small = Sizes(views=6, film=8, spp=1)
+    for settings, count in ((small, 1), (small, 1), (replace(small, spp=2), 2)):
+        whole = capture_of(cell, settings, tmp_path / "capture", Progress())
+        assert len(rendered) == count
+    (tmp_path / "capture" / "bench.json").write_text("{")  # a broken mark is no mark
+    capture_of(cell, replace(small, spp=2), tmp_path / "capture", Progress())
+    assert len(rendered) == 3
+    half = some_views(whole, 3)  # evenly
     assert half.names == ("view_0000.exr", "view_0002.exr", "view_0005.exr")
     assert len(half.images) == len(half.masks) == half.count == 3
     assert some_views(whole, 6).names == whole.names
-
-
-def test_photographs_with_other_settings_are_rendered_anew(tmp_path, calls):
-    counts, _ = calls
-    small = replace(TINY, views=2, film=8, spp=1)
-    for settings, rendered in ((small, 1), (small, 1), (replace(small, spp=2), 2)):
-        capture_of(CELLS[0], settings, tmp_path / "capture", Progress())
-        assert counts["render"] == rendered
-    (tmp_path / "capture" / "bench.json").write_text("{")  # a broken mark is no mark
-    capture_of(CELLS[0], replace(small, spp=2), tmp_path / "capture", Progress())
-    assert counts["render"] == 3
 
 
 # --- data of the user's -------------------------------------------------------------------
@@ -364,14 +375,14 @@ def test_glb_files_that_are_refused(tmp_path):
     with pytest.raises(MeshError, match="bad.glb: not a readable mesh"):
         convert_glb(tmp_path / "bad.glb", tmp_path / "c")
     trimesh.creation.box().export(tmp_path / "plain.glb")
-    with pytest.raises(MeshError, match="plain.glb: a mesh has no UVs"):
+    with pytest.raises(MeshError, match="plain.glb: the mesh has no UVs"):
         convert_glb(tmp_path / "plain.glb", tmp_path / "c")
     scene = trimesh.Scene()
     for factor in (0.25, 0.5):
         box(tmp_path, "part.glb", roughnessFactor=factor)
         scene.add_geometry(next(iter(trimesh.load_scene(tmp_path / "part.glb").geometry.values())))
     scene.export(tmp_path / "two.glb")
-    with pytest.raises(MeshError, match="two.glb: has not one material"):
+    with pytest.raises(MeshError, match="two.glb: needs exactly one material"):
         convert_glb(tmp_path / "two.glb", tmp_path / "c")
 
 
@@ -392,43 +403,14 @@ def test_objects_and_environments_of_a_folder(tmp_path):
     assert (tmp_path / "work" / "objects" / "thing" / "roughness.png").is_file()
     (only,) = data_cells(data, tmp_path / "work", ["cup"], ["sky"])
     assert Path(only.defines["object"]) == (data / "objects" / "cup").resolve()
-    with pytest.raises(OptionError, match="'jug'; there are cup, thing"):
+    with pytest.raises(OptionError, match="'jug'; use one of cup, thing"):
         data_cells(data, tmp_path / "work", ["jug"])
     (data / "objects" / "cup" / "metallic.png").unlink()
-    with pytest.raises(OptionError, match="cup: an object's folder needs .* no metallic.png"):
+    with pytest.raises(OptionError, match="cup: an object's folder needs .* add metallic.png"):
         data_cells(data, tmp_path / "work")
 
 
-def test_bad_folders_end_with_one_line_and_status_2(tmp_path, capsys, variant):
-    def words(data):
-        assert main(["bench", "accuracy", "--data", str(data), "-o", str(tmp_path / "o")]) == 2
-        return capsys.readouterr().err
-
-    assert "objects: no such folder; --data needs one with objects" in words(tmp_path / "none")
-    (tmp_path / "objects").mkdir()
-    assert "objects: holds no object" in words(tmp_path)
-    box(tmp_path / "objects", roughnessFactor=0.5)
-    assert "envmaps: no such folder; --data needs one with lat-long images" in words(tmp_path)
-    (tmp_path / "envmaps").mkdir()
-    assert "envmaps: holds no lat-long image" in words(tmp_path)
-    mi.set_log_level(mi.LogLevel.Warn)
-
-
 # --- parts --------------------------------------------------------------------------------
-
-
-def test_a_record_counts_only_under_its_key(tmp_path):
-    store = Store(tmp_path / "store")
-    key = key_of({"a": 1}, (2, 3))
-    assert key == key_of({"a": 1}, [2, 3]) != key_of({"a": 2}, [2, 3])
-    assert store.load("x", key) is None
-    assert store.save("x", key, {"value": np.float32(0.5)}) == {"value": 0.5, "key": key}
-    assert store.load("x", key) == {"value": 0.5, "key": key}
-    assert store.load("x", "other") is None
-    store.path("x").write_text('{"value": 0.')
-    assert store.load("x", key) is None
-    store.path("x").write_text("[]")
-    assert store.load("x", key) is None
 
 
 def test_a_posterior_at_the_truth_is_judged_perfect():
@@ -460,6 +442,19 @@ def test_text():
     assert table(("a", "b"), [[1, "x|y"]]) == "| a | b |\n| --- | --- |\n| 1 | x\\|y |"
 
 
-def test_quick_is_smaller_than_full():
-    assert all(getattr(QUICK, name) <= getattr(Sizes(), name)
-               for name in ("views", "film", "spp", "texels", "reference_texels"))  # fmt: skip
+def test_columns_leave_out_what_a_record_does_not_have():
+    shown = (Column("a", lambda r: r["a"]), Column("b", lambda r: r.get("b"), "{:.1f}".format))
+    assert columns(shown, [{"a": 1, "b": 2}, {"a": 3}]) == (
+        "| a | b |\n| --- | --- |\n| 1 | 2.0 |\n| 3 |  |"
+    )
+
+
+def test_a_bar_holds_on_its_own_side():
+    assert Bar("time", 1.0, 2.0, "s").holds
+    assert not Bar("time", 3.0, 2.0, "s").holds
+    assert Bar("rate", 3.0, 2.0, least=True).holds
+    assert not Bar("error", math.nan, 2.0).holds
+    assert not Bar("rate", math.nan, 2.0, least=True).holds
+    text = "\n".join(bar_table([Bar("time", 3.0, 2.0, "s").record()], quick=True))
+    assert "| time | 3 s | <= 2 s | **no** |" in text and "Quick sizes" in text
+    assert bar_table([]) == []

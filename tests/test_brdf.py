@@ -1,4 +1,4 @@
-"""Principled parameters and back (method, Sec. 1)."""
+"""Principled parameters, and how they mix what is reflected (method, Sec. 1)."""
 
 from __future__ import annotations
 
@@ -9,13 +9,24 @@ import pytest
 from svu_mi.reflection import principled
 
 
-def test_conversion_to_specular_and_back_is_the_identity():
+def test_columns_are_mixed_to_the_radiance_of_the_model_and_its_slopes():
+    """r - b = (1 - m) (c e + d) + m (c p + q) - b, and Kd e + Ks p + q - b in the paper's way."""
     rng = np.random.default_rng(811)
-    color, metallic = rng.uniform(0.05, 1, (2, 1000))
-    Ks = principled.specular_from_principled(color, metallic)
-    Kd = principled.diffuse_from_principled(color, metallic)
-    back = principled.principled_from_specular(Ks, Kd)
-    np.testing.assert_allclose(back, (color, metallic), atol=1e-12)
+    c, m, e, p, q, d, b = rng.random((7, 1000))
+    columns = principled.columns(e, p, q, d, b)
+
+    def total(x):
+        return sum(a * column for a, column in zip(x, columns, strict=True))
+
+    how = principled.mixture(m)
+    exact = (1 - m) * (c * e + d) + m * (c * p + q) - b
+    np.testing.assert_allclose(total(how.at(c)), exact, atol=1e-12)
+    np.testing.assert_allclose(total(how.scaled), (1 - m) * e + m * p, atol=1e-12)
+    slope = principled.slope([m], 0).at(c)
+    np.testing.assert_allclose(total(slope), c * p + q - c * e - d, atol=1e-12)
+    paper = principled.lobe_mixture(m).at(c)
+    np.testing.assert_allclose(total(paper), c * e + m * p + q - b, atol=1e-12)
+    np.testing.assert_array_equal(how.at(c)[-1], 1)
 
 
 def test_dielectrics_and_metals_have_the_reflectance_of_the_principled_bsdf():
@@ -30,7 +41,6 @@ def test_alpha_has_mitsubas_lower_bound_only_where_asked_for():
         principled.alpha_from_roughness(roughness), [1e-3, 1e-3, 0.25, 1], rtol=1e-12
     )
     np.testing.assert_array_equal(principled.unbounded_alpha(roughness), roughness**2)
-    np.testing.assert_allclose(principled.roughness_from_alpha(0.25), 0.5)
 
 
 def test_numbers_numpy_and_drjit_give_the_same():

@@ -15,6 +15,7 @@ from svu_mi.posterior import calibrated_posterior, object_prior
 from svu_mi.posterior.noise import noise_variance
 from svu_mi.posterior.truncated import Channel, erfcx
 from svu_mi.posterior.walk import energy_at
+from svu_mi.reflection.principled import mixture
 from svu_mi.statistics import Statistics
 
 LEVELS = np.linspace(0, 1, 8)
@@ -66,6 +67,13 @@ def statistics(samples: oracle.Samples) -> Statistics:
     return Statistics.of(samples.sums(), samples.w.sum(axis=1), views, LEVELS, 0.5)
 
 
+def channels(samples: oracle.Samples, count: int) -> oracle.Samples:
+    """The first channel, so many times."""
+    e, p, q, d, b = (np.repeat(x[..., :1], count, axis=-1) for x in
+                     (samples.e, samples.p, samples.q, samples.d, samples.b))  # fmt: skip
+    return oracle.Samples(e, p, q, d, b, samples.w)
+
+
 def switches(**changed: object) -> svu.AngularPreset:
     return svu.preset("default", method="angular", **changed)
 
@@ -91,7 +99,7 @@ def test_energies_are_those_of_the_samples() -> None:
         for channel in range(3):
             U = reader.entries(mi.UInt32(int(level)), channel)
             c, m = (mi.Float(x.astype(np.float32)) for x in (color[:, channel], metallic))
-            rest = 2 * np.array(energy_at(U, m, c), np.float64)
+            rest = 2 * np.array(energy_at(U, mixture(m).at(c)), np.float64)
             found += rest + np.array(reader.least(channel), np.float64)
         found *= samples.w.sum(axis=1)
         scale = samples.error(int(level), 0 * metallic, 0 * color)  # of black, in single precision
@@ -227,6 +235,7 @@ def test_intervals_are_the_shortest_that_hold_enough(
     assert np.all((high - low)[narrow] <= width[narrow] * 1.25 + 2.1 / 42)
 
 
+@pytest.mark.slow
 def test_sets_hold_what_the_model_draws() -> None:
     """Truths from the prior, photographs from the likelihood: the level is the coverage."""
     samples, truth = simulate(4000, 10, 0.15, seed=3)
@@ -313,10 +322,9 @@ def test_a_prior_of_cells_is_bayes() -> None:
     rng = np.random.default_rng(0)
     weights = rng.uniform(0.1, 1, (8, 8, 8))
     # Per channel the others are marginalised under the same weights, so one channel is exact.
-    grey = oracle.Samples(*(x[..., :1] for x in (samples.e, samples.p, samples.q, samples.d)),
-                          samples.b[..., :1], samples.w)  # fmt: skip
-    plain = calibrated_posterior(statistics(grey))
-    found = calibrated_posterior(statistics(grey), prior=plain.prior * weights)
+    one = statistics(channels(samples, 1))
+    plain = calibrated_posterior(one)
+    found = calibrated_posterior(one, prior=plain.prior * weights)
     expected = np.array(plain.probabilities, np.float64) * weights
     expected /= expected.sum(axis=(1, 2, 3), keepdims=True)
     assert np.abs(np.array(found.probabilities) - expected).max() < 1e-4
@@ -373,6 +381,7 @@ def test_nothing_in_common_changes_little() -> None:
         assert error[1] < 1.2 * error[0], name
 
 
+@pytest.mark.slow
 def test_two_ways_to_weigh_colours_agree() -> None:
     """In closed form per border, and per cell in double precision."""
     rng = np.random.default_rng(2)
@@ -395,7 +404,7 @@ def test_two_ways_to_weigh_colours_agree() -> None:
 
 
 def test_known_parameters_leave_the_grid() -> None:
-    samples, truth = simulate(200, 12, 0.05)
+    samples, _ = simulate(200, 12, 0.05)
     for known in ({"metallic": 1.0}, {"base_color": 0.4}, {"roughness": 0.5}):
         grid = svu.PrincipledGrid(known=known)
         levels = LEVELS if "roughness" not in known else np.array([0.5])
@@ -412,18 +421,12 @@ def test_known_parameters_leave_the_grid() -> None:
         assert 0 < entropy.mean() < 1
         drawn = found.draw(1)
         assert np.allclose(np.array(drawn[name]), value)
-    del truth
 
 
 def test_equal_channels_may_stand_for_three() -> None:
     samples, _ = simulate(64, 8, 0.1)
-    one = oracle.Samples(*(x[..., :1] for x in (samples.e, samples.p, samples.q, samples.d)),
-                         samples.b[..., :1], samples.w)  # fmt: skip
-    three = oracle.Samples(*(np.repeat(x, 3, axis=-1) for x in (one.e, one.p, one.q, one.d)),
-                           np.repeat(one.b, 3, axis=-1), one.w)  # fmt: skip
-    short, full = calibrated_posterior(statistics(one), copies=3), calibrated_posterior(
-        statistics(three)
-    )
+    short = calibrated_posterior(statistics(channels(samples, 1)), copies=3)
+    full = calibrated_posterior(statistics(channels(samples, 3)))
     assert np.abs(np.array(short.entropy()) - np.array(full.entropy())).max() < 1e-5
     assert np.abs(np.array(short.probabilities) - np.array(full.probabilities)).max() < 1e-5
     for end, other in zip(short.interval("base_color"), full.interval("base_color"), strict=True):
@@ -525,10 +528,11 @@ def test_grids_of_one_process_do_not_share_memory(order: tuple[int, int]) -> Non
         assert np.abs(np.array(found.entropy()) - exact).max() < 1e-5
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("small", [0.0, 1e-30])
 def test_a_prior_may_contradict_the_photographs(small: float) -> None:
     """White is all that is possible, whatever they show: by hundreds of nats."""
-    samples, truth = simulate(64, 20, 0.02)
+    samples, _ = simulate(64, 20, 0.02)
     weights = np.full((8, 8, 8), small)
     weights[..., 7] = 1
     found = calibrated_posterior(statistics(samples), prior=weights)
@@ -543,9 +547,9 @@ def test_a_prior_may_contradict_the_photographs(small: float) -> None:
     assert np.isfinite(drawn).all()
     if small == 0:
         assert drawn.min() >= 13 / 14 - 1e-6
-    del truth
 
 
+@pytest.mark.slow
 def test_draws_obey_a_prior_of_colours() -> None:
     samples, _ = simulate(32, 1, 0.5)
     weights = np.zeros((8, 8, 8))
@@ -561,12 +565,9 @@ def test_draws_obey_a_prior_of_colours() -> None:
 
 def test_draws_of_grey_light_have_three_channels() -> None:
     samples, _ = simulate(16, 6, 0.2)
-    one = oracle.Samples(*(x[..., :1] for x in (samples.e, samples.p, samples.q, samples.d)),
-                         samples.b[..., :1], samples.w)  # fmt: skip
+    one = statistics(channels(samples, 1))
     for known in ({}, {"base_color": 0.5}):
-        found = calibrated_posterior(
-            statistics(one), svu.PrincipledGrid(known=known), copies=3
-        )
+        found = calibrated_posterior(one, svu.PrincipledGrid(known=known), copies=3)
         assert found.draw(5)["base_color"].shape == (5, 16, 3)
 
 

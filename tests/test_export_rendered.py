@@ -16,7 +16,7 @@ from helpers import lettered, recovered_folder, write_known
 
 import svu_mi as svu
 from svu_mi.capture.mesh import MeshArrays, make
-from svu_mi.capture.poses import describe
+from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.metrics import psnr
 from svu_mi.metrics.images import srgb
 from svu_mi.output.scene_xml import MESH
@@ -192,10 +192,7 @@ def show(webgl, folder, glb, sensor, mode):
 
 
 def large(sensor, side=96):
-    record = describe(sensor)
-    return svu.capture.poses.make_sensor(
-        {**record, "film": [side, side], "crop_size": [side, side]}, "large"
-    )
+    return make_sensor({**describe(sensor), "film": [side, side], "crop_size": [side, side]}, "")
 
 
 def seen_by_mitsuba(rendered, sensor, shape):
@@ -219,6 +216,7 @@ def test_a_browser_shows_the_textures_the_right_way_round(rendered, webgl, tmp_p
     assert psnr(shown[::-1], glowing) < 20 and psnr(shown[:, ::-1], glowing) < 20
 
 
+@pytest.mark.slow
 def test_a_browser_shades_as_mitsuba_does(rendered, webgl, tmp_path):
     """In a white room, where the split-sum approximation of three.js is good."""
     sensor = large(rendered.capture.sensors[0])

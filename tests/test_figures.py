@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-import mitsuba as mi
 import numpy as np
 import pytest
-from helpers import ball, memory_capture, write_ball
 from matplotlib.figure import Figure
 
-from svu_mi.capture.poses import sphere_sensors
 from svu_mi.errors import OptionError
 from svu_mi.metrics import GroundTruth
 from svu_mi.output.figures import (
+    all_seen,
     draw_map,
     draw_marginal,
     draw_on_object,
@@ -23,34 +21,14 @@ from svu_mi.output.figures import (
 from svu_mi.output.style import OUTSIDE, UNSEEN
 from svu_mi.posterior import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.tabulated import TabulatedPosterior
-from svu_mi.surface import texels
-
-RNG_SEED = 540918273
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory):
-    """Two pictures of a ball: a flat red one, and one with a mask."""
-    folder = tmp_path_factory.mktemp("ball")
-    path = write_ball(folder, uvs=0.5 * ball().uvs)  # a quarter of the texture
-    scene = mi.load_dict({"type": "scene", "ball": {"type": "ply", "filename": str(path)}})
-    sensors = sphere_sensors(scene.shapes()[0], 2, (30, 20))
-    red = np.broadcast_to(np.float32([0.5, 0, 0]), (20, 30, 3))
-    mask = np.zeros((20, 30), bool)
-    mask[5:10, 10:15] = True
-    return memory_capture(scene, [red, red], sensors, masks=(None, mask))
-
-
-@pytest.fixture(scope="module")
-def estimate(capture):
+def estimate(vase):
     """The first half of the texels unseen, all others with an entropy of 0.25."""
-    layout = texels(capture.mesh, (32, 16))
-    seen = np.arange(layout.count) >= layout.count // 2
-    return SimpleNamespace(
-        texels=layout,
-        coverage=mi.UInt32(seen.astype(np.uint32)),
-        entropy=mi.TensorXf(np.where(seen, 0.25, 1).astype(np.float32)),
-    )
+    seen = np.arange(vase.texels.count) >= vase.texels.count // 2
+    entropy = np.where(seen, np.float32(0.25), 1)
+    return SimpleNamespace(texels=vase.texels, coverage=seen.astype(np.uint32), entropy=entropy)
 
 
 def axes():
@@ -61,7 +39,11 @@ def shown(place) -> list[np.ndarray]:
     return [np.ma.filled(image.get_array(), np.nan) for image in place.get_images()]
 
 
-def test_a_photograph_is_cropped_to_its_mask(capture):
+def test_a_photograph_is_cropped_to_its_mask():
+    red = np.broadcast_to(np.float32([0.5, 0, 0]), (20, 30, 3))
+    mask = np.zeros((20, 30), bool)
+    mask[5:10, 10:15] = True
+    capture = SimpleNamespace(images=(red, red), masks=(None, mask))
     whole, part = axes(), axes()
     draw_photograph(whole, capture, 0)
     draw_photograph(part, capture, 1)
@@ -76,7 +58,7 @@ def test_a_map_has_values_and_greys_where_there_are_none(estimate):
     place = axes()
     drawn = draw_map(place, estimate)
     image, cover = shown(place)
-    seen = estimate.texels.to_image(np.array(estimate.coverage) > 0, False)
+    seen = estimate.texels.to_image(estimate.coverage > 0, False)
     inside = estimate.texels.inside()
     assert drawn.get_clim() == (0, 1)
     np.testing.assert_array_equal(image[seen], np.float32(0.25))
@@ -87,26 +69,17 @@ def test_a_map_has_values_and_greys_where_there_are_none(estimate):
 
 
 def test_a_map_of_other_values(estimate):
-    place = axes()
-    drawn = draw_map(
-        place, estimate, np.arange(estimate.texels.count), limits=(-3, 3), colormap="RdBu"
-    )
+    place, values = axes(), np.arange(estimate.texels.count)
+    drawn = draw_map(place, estimate, values, limits=(-3, 3), colormap="RdBu")
     assert drawn.get_clim() == (-3, 3) and drawn.get_cmap().name == "RdBu"
     image = shown(place)[0]
-    np.testing.assert_array_equal(
-        image.ravel()[np.array(estimate.texels.index)], np.arange(estimate.texels.count)
-    )
+    np.testing.assert_array_equal(image.ravel()[np.array(estimate.texels.index)], values)
 
 
-def test_on_the_object_are_the_colours_of_the_map(capture, estimate):
-    place = axes()
-    everywhere = SimpleNamespace(
-        texels=estimate.texels, coverage=mi.UInt32(np.ones(estimate.texels.count, np.uint32))
-    )
-    draw_on_object(
-        place, capture, everywhere, 0, np.full(estimate.texels.count, 2.0),
-        limits=(0, 2), colormap="Reds",
-    )  # fmt: skip
+def test_on_the_object_are_the_colours_of_the_map(vase):
+    place, twos = axes(), np.full(vase.texels.count, 2.0)
+    scale = {"limits": (0, 2), "colormap": "Reds"}
+    draw_on_object(place, vase.capture, all_seen(vase.texels), 0, twos, **scale)
     image = shown(place)[0]
     middle, corner = image[image.shape[0] // 2, image.shape[1] // 2], image[0, 0]
     np.testing.assert_allclose(corner, 1)

@@ -36,6 +36,7 @@ def seen_by(tmp_path, image, resolution, mask=None):
 def corners(found, sensor, u, v):
     """Pixel coordinates (T, 2), 0 at a pixel's centre, of points at (u, v) of every texel."""
     it = dr.zeros(mi.SurfaceInteraction3f, found.count)
+    u, v = (dr.opaque(mi.Float, x) for x in (u, v))  # as literals, each would be a kernel
     it.p = found.position + u * found.sides[0] + v * found.sides[1]
     exact, _ = sensor.sample_direction(it, mi.Point2f(0.5))
     return exact.uv.numpy().T - 0.5

@@ -1,45 +1,53 @@
-"""What captures consist of: meshes, photographs, masks, environment maps of any kind."""
+"""What captures consist of, as people have it: meshes, photographs, masks, maps, poses, folders."""
 
 from __future__ import annotations
 
 import json
+import sys
+import tracemalloc
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import OpenEXR
 import pytest
 import trimesh
 from PIL import Image
+from studies.conventions.colmap import write_colmap
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 import svu_mi as svu
 from svu_mi.capture.images import UNUSABLE
 from svu_mi.capture.mesh import MeshArrays, arrays
-from svu_mi.capture.poses import describe
+from svu_mi.capture.picture import read_planes
+from svu_mi.capture.poses import describe, film_size, focal_length
 from svu_mi.capture.scene import to_world
-from svu_mi.cli.main import main
 from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError
 from svu_mi.exr import read_exr, write_exr
+from svu_mi.files import making_folder, read_json
 from svu_mi.formats.fixes import FIXES
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.importing import ImportOptions, import_capture
 from svu_mi.formats.light import write_environment
 from svu_mi.formats.normals import repaired
 from svu_mi.formats.photographs import convert
+from svu_mi.formats.reading import FORMATS, ReadOptions, read_source
 from svu_mi.formats.resampling import fitted, resampled, squared
 from svu_mi.formats.source import ENVIRONMENT_AXES, OPENGL, Frame, Light, Source
+from svu_mi.guidance.candidates import Candidates
 
 SEED = 826417309
 PICTURE = np.zeros((8, 8, 3), np.uint8)
 PICTURE[:4] = 255  # white above, black below
 
 
-def quad(**changes: object) -> trimesh.Trimesh:
+def quad(material: object | None = None, picture: np.ndarray = PICTURE) -> trimesh.Trimesh:
     """A square whose upper half (y > 0) is white: V is up in trimesh."""
     points = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    uvs = points[:, :2] / 2 + 0.5
-    material = changes.pop("material", SimpleMaterial(image=Image.fromarray(PICTURE)))
-    visual = trimesh.visual.TextureVisuals(uvs, material) if material is not None else None
-    return trimesh.Trimesh(points, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False, **changes)
+    material = material or PBRMaterial(baseColorTexture=Image.fromarray(picture))
+    visual = trimesh.visual.TextureVisuals(points[:, :2] / 2 + 0.5, material)
+    return trimesh.Trimesh(points, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False)
 
 
 def upper_color(path) -> float:
@@ -53,14 +61,14 @@ def upper_color(path) -> float:
 
 @pytest.mark.parametrize("kind", ["glb", "gltf", "obj"])
 def test_textures_are_the_right_way_up(tmp_path, kind):
-    material = PBRMaterial(baseColorTexture=Image.fromarray(PICTURE))
-    quad(**({} if kind == "obj" else {"material": material})).export(tmp_path / f"quad.{kind}")
+    simple = SimpleMaterial(image=Image.fromarray(PICTURE))
+    quad(simple if kind == "obj" else None).export(tmp_path / f"quad.{kind}")
     assert upper_color(tmp_path / f"quad.{kind}") == 255
 
 
 def test_ply_keeps_mitsubas_uvs_and_stl_has_none(tmp_path):
-    mesh = quad(material=None)
-    mesh.visual = trimesh.visual.TextureVisuals(mesh.vertices[:, :2] / 2 + 0.5)
+    mesh = quad()
+    mesh.visual = trimesh.visual.TextureVisuals(mesh.visual.uv)
     mesh.export(tmp_path / "quad.ply", vertex_normal=True)
     geometry = read_geometry(tmp_path / "quad.ply")
     np.testing.assert_allclose(geometry.mesh.uvs, mesh.visual.uv, atol=1e-6)
@@ -89,10 +97,7 @@ def test_parts_are_placed_and_mirrored_ones_face_outwards(tmp_path):
 
 
 def test_several_materials_are_refused_unless_geometry_will_do(tmp_path):
-    scene = trimesh.Scene([
-        quad(material=PBRMaterial(baseColorTexture=Image.fromarray(PICTURE + k))) for k in (0, 1)
-    ])  # fmt: skip
-    scene.export(tmp_path / "two.glb")
+    trimesh.Scene([quad(picture=PICTURE + k) for k in (0, 1)]).export(tmp_path / "two.glb")
     with pytest.raises(MeshError, match="two.glb: has 2 materials.*--geometry-only"):
         read_geometry(tmp_path / "two.glb")
     geometry = read_geometry(tmp_path / "two.glb", geometry_only=True)
@@ -120,15 +125,101 @@ def test_missing_normals_are_smooth_across_uv_seams(tmp_path):
     assert np.einsum("ij,ij->i", mesh.normals, doubled).min() > 0.99
 
 
+def accessor_of(record: dict, name: str) -> dict:
+    return record["accessors"][record["meshes"][0]["primitives"][0]["attributes"][name]]
+
+
+def quantised(record: dict) -> None:
+    accessor_of(record, "TEXCOORD_0").update(componentType=5123, normalized=True)
+
+
+def sparse(record: dict) -> None:
+    accessor_of(record, "POSITION")["sparse"] = {"count": 1}
+
+
+def compressed(record: dict) -> None:
+    record["extensionsRequired"] = ["KHR_draco_mesh_compression"]
+
+
+def moved(record: dict) -> None:
+    texture = record["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
+    texture["extensions"] = {"KHR_texture_transform": {"scale": [0.5, 0.5]}}
+
+
+GLTF = {
+    quantised: "its TEXCOORD_0 is quantised", sparse: "its POSITION is quantised or sparse",
+    compressed: "is compressed .KHR_draco", moved: "moved or scaled by KHR_texture",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", GLTF)
+def test_gltf_that_would_be_read_as_something_else(tmp_path, change):
+    quad().export(tmp_path / "mesh.gltf")
+    read_geometry(tmp_path / "mesh.gltf")
+    record = json.loads((tmp_path / "mesh.gltf").read_text())
+    change(record)
+    (tmp_path / "mesh.gltf").write_text(json.dumps(record))
+    with pytest.raises(MeshError, match=GLTF[change]):
+        read_geometry(tmp_path / "mesh.gltf")
+    if change in (quantised, moved):
+        read_geometry(tmp_path / "mesh.gltf", geometry_only=True)
+
+
+def test_gltf_with_its_numbers_in_a_folder(tmp_path):
+    trimesh.creation.icosphere(2).export(tmp_path / "mesh.gltf")
+    record = json.loads((tmp_path / "mesh.gltf").read_text())
+    (tmp_path / "data").mkdir()
+    for buffer in record["buffers"]:
+        (tmp_path / buffer["uri"]).rename(tmp_path / "data" / f"my {buffer['uri']}")
+        buffer["uri"] = f"data/my%20{buffer['uri']}"
+    (tmp_path / "mesh.gltf").write_text(json.dumps(record))
+    assert len(read_geometry(tmp_path / "mesh.gltf").mesh.faces) == 320
+
+
+def test_materials_without_a_picture_do_not_matter(tmp_path):
+    colors = ([255, 0, 0, 255], [0, 0, 255, 255])
+    plain = [quad(PBRMaterial(baseColorFactor=color)) for color in colors]
+    trimesh.Scene(plain).export(tmp_path / "mesh.glb")
+    geometry = read_geometry(tmp_path / "mesh.glb")
+    assert geometry.mesh.uvs is not None and not geometry.textures
+
+
+def test_vertices_of_no_triangle_are_left_out(tmp_path):
+    points = np.vstack([[1e6, 0, 0], quad().vertices])
+    trimesh.Trimesh(points, quad().faces + 1, process=False).export(tmp_path / "mesh.ply")
+    mesh = read_geometry(tmp_path / "mesh.ply").mesh
+    assert np.array_equal(mesh.positions, points[1:])
+    assert np.array_equal(mesh.faces, quad().faces)
+
+
+def test_ply_with_a_texture_has_v_upwards(tmp_path):
+    mesh = quad()
+    uvs = np.array(mesh.visual.uv)
+    mesh.visual = trimesh.visual.TextureVisuals(uvs)
+    mesh.export(tmp_path / "mesh.ply", vertex_normal=True, encoding="ascii")
+    text = (tmp_path / "mesh.ply").read_text()
+    Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(tmp_path / "paint.png")
+    text = text.replace("element vertex", "comment TextureFile paint.png\nelement vertex")
+    (tmp_path / "mesh.ply").write_text(text)
+    geometry = read_geometry(tmp_path / "mesh.ply")
+    assert set(geometry.textures) == {"base_color"}
+    np.testing.assert_allclose(geometry.mesh.uvs, [0, 1] + uvs * [1, -1])
+
+
 # --- photographs --------------------------------------------------------------------------
 
 
-def frame(tmp_path, pixels: np.ndarray, **fields: object) -> Frame:
-    path = tmp_path / "photo.png"
+GREY = np.full((20, 40, 3), 90, np.uint8)
+LEFT = np.zeros(GREY.shape[:2], bool)  # the object of masks
+LEFT[:, :17] = True
+
+
+def photograph(path: Path, pixels: np.ndarray = GREY, **fields: object) -> Frame:
+    """Write a picture, and return it as a frame."""
     Image.fromarray(pixels).save(path)
     size = pixels.shape[1::-1]
     return Frame(**{
-        "label": "frame 0", "image": path, "to_world": np.eye(4), "focal": (20.0, 20.0),
+        "label": "frame 0", "image": path, "to_world": np.eye(4), "focal": (50.0, 50.0),
         "center": (size[0] / 2, size[1] / 2), "size": size, **fields,
     })  # fmt: skip
 
@@ -136,12 +227,13 @@ def frame(tmp_path, pixels: np.ndarray, **fields: object) -> Frame:
 def test_eight_bits_are_decoded_and_clipped_pixels_left_out(tmp_path):
     pixels = np.full((4, 6, 3), 128, np.uint8)
     pixels[1, 2] = (255, 10, 10)
-    found = convert(frame(tmp_path, pixels), tmp_path / "view.exr", (1, 1))
+    photo = tmp_path / "photo.png"
+    found = convert(photograph(photo, pixels), tmp_path / "view.exr", (1, 1))
     image = read_exr(tmp_path / "view.exr")
     assert found.bits == 8 and found.saturated == 1 and not found.masked and "A" not in image
     assert image["R"][0, 0] == pytest.approx(0.2158605, rel=1e-3)  # half floats
     assert image["R"][1, 2] == UNUSABLE
-    convert(frame(tmp_path, pixels, transfer="gamma 2.2"), tmp_path / "view.exr", (1, 1))
+    convert(photograph(photo, pixels, transfer="gamma 2.2"), tmp_path / "view.exr", (1, 1))
     assert read_exr(tmp_path / "view.exr")["R"][0, 0] == pytest.approx((128 / 255) ** 2.2, rel=1e-3)
 
 
@@ -152,7 +244,7 @@ def test_masks_from_files_and_alpha_both_count(tmp_path):
     mask = np.full((4, 4), 255, np.uint8)
     mask[3, 3] = 0
     Image.fromarray(mask).save(tmp_path / "mask.png")
-    given = frame(tmp_path, pixels, mask=tmp_path / "mask.png")
+    given = photograph(tmp_path / "photo.png", pixels, mask=tmp_path / "mask.png")
     assert convert(given, tmp_path / "view.exr", (1, 1)).masked
     alpha = read_exr(tmp_path / "view.exr")["A"]
     assert alpha[0, 0] == alpha[3, 3] == 0 and alpha.sum() == 14
@@ -181,7 +273,7 @@ def overlap(count: int, scale: float) -> np.ndarray:
 
 def test_cameras_follow_their_photographs(tmp_path):
     black = np.zeros((40, 60, 3), np.uint8)
-    given = frame(tmp_path, black, focal=(80.0, 50.0), center=(31.0, 17.0))
+    given = photograph(tmp_path / "a.png", black, focal=(80.0, 50.0), center=(31.0, 17.0))
     rays = pixel_rays(given)
     for shrink in (1.0, 1.7):
         square, scale = squared(given, shrink)
@@ -189,15 +281,75 @@ def test_cameras_follow_their_photographs(tmp_path):
         np.testing.assert_allclose(pixel_rays(square), rays, atol=1e-12)
     half = fitted(given, (30, 20))
     np.testing.assert_allclose(pixel_rays(half), rays, atol=1e-12)
-    with pytest.raises(CaptureError, match="another shape"):
+    with pytest.raises(CaptureError, match="another aspect ratio"):
         fitted(given, (30, 30))
-    with pytest.raises(OptionError, match="shrunk"):
+    with pytest.raises(OptionError, match="shrinking by|to shrink"):
         squared(given, 0.5)
 
 
 def pixel_rays(frame: Frame) -> np.ndarray:
     """Slopes at the corner of the first pixel, (0, 0)."""
     return -np.array(frame.center) / frame.focal
+
+
+def palette(path: Path) -> None:
+    picture = Image.fromarray(LEFT.astype(np.uint8), "P")
+    picture.putpalette([0, 0, 0, 0, 128, 0])  # label 1 is green
+    picture.save(path)
+
+
+def cut_out(path: Path) -> None:
+    color = np.full((*LEFT.shape, 4), 10, np.uint8)  # the object is dark
+    color[..., 3] = np.where(LEFT, 255, 0)
+    Image.fromarray(color).save(path)
+
+
+MASKS = {
+    "bits": lambda path: Image.fromarray(LEFT).save(path),
+    "labels": lambda path: Image.fromarray(LEFT.astype(np.uint8)).save(path),
+    "palette": palette,
+    "cut-out": cut_out,
+}
+
+
+@pytest.mark.parametrize("kind", MASKS)
+def test_masks_of_all_kinds(tmp_path, kind):
+    MASKS[kind](tmp_path / "mask.png")
+    frame = photograph(tmp_path / "photo.png", mask=tmp_path / "mask.png")
+    assert not convert(frame, tmp_path / "view.exr", (1, 1)).empty
+    assert np.array_equal(read_exr(tmp_path / "view.exr")["A"] == 1, LEFT)
+
+
+def test_blenders_layers(tmp_path):
+    planes = {c: np.full((4, 6), k / 4, np.float32) for k, c in enumerate("RGBA", 1)}
+    passes = {f"ViewLayer.Combined.{c}": plane for c, plane in planes.items()}
+    others = {f"ViewLayer.DiffCol.{c}": np.ones((4, 6), np.float32) for c in "RGB"}
+    write_exr(tmp_path / "1.exr", {**passes, **others, "ViewLayer.Depth.Z": planes["R"]})
+    found, low_range = read_planes(tmp_path / "1.exr")
+    np.testing.assert_array_equal(found, list(planes.values()))
+    assert not low_range
+    write_exr(tmp_path / "1.exr", {**others, "ViewLayer.Emit.R": planes["R"]})
+    with pytest.raises(CaptureError, match="found ViewLayer.*export it as plain RGB"):
+        read_planes(tmp_path / "1.exr")
+
+
+def test_clipped_pixels_of_the_background_are_not_counted(tmp_path):
+    cut_out(tmp_path / "mask.png")
+    white = np.full_like(GREY, 255)
+    white[:, 1:17] = 90
+    frame = photograph(tmp_path / "photo.png", white, mask=tmp_path / "mask.png")
+    assert convert(frame, tmp_path / "view.exr", (1, 1)).saturated == len(GREY)
+
+
+@pytest.mark.parametrize("shrink", [1.0, 1.9])
+def test_memory_of_a_photograph_is_bounded(tmp_path, shrink):
+    side = 768
+    frame = photograph(tmp_path / "photo.png", np.full((side, side, 3), 90, np.uint8))
+    tracemalloc.start()
+    convert(frame, tmp_path / "view.exr", squared(frame, shrink)[1])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 48 * side * side
 
 
 # --- environment maps ---------------------------------------------------------------------
@@ -242,7 +394,7 @@ def test_maps_that_are_none(tmp_path):
         with pytest.raises(CaptureError, match=sentence):
             write_environment(Light(path=tmp_path / "map.exr"), tmp_path / "e.exr")
     Image.fromarray(np.zeros((8, 16, 3), np.uint8)).save(tmp_path / "map.png")
-    with pytest.raises(CaptureError, match="eight bits"):
+    with pytest.raises(CaptureError, match="8-bit images"):
         write_environment(Light(path=tmp_path / "map.png"), tmp_path / "e.exr")
     assert not (tmp_path / "e.exr").exists()
 
@@ -331,8 +483,11 @@ def test_what_is_missing_is_asked_for(source, tmp_path):
     for change, sentence in (({"mesh": None}, "--mesh"), ({"light": None}, "--environment")):
         with pytest.raises(OptionError, match=sentence):
             import_capture(replace(source, **change), tmp_path / "capture")
-    for options in ({"every": 0}, {"mesh_scale": -1.0}, {"shrink": 0.5}, {"fixes": ("up",)}):
-        with pytest.raises(OptionError):
+    for options, sentence in (
+        ({"every": 0}, "--every"), ({"mesh_scale": -1.0}, "positive"), ({"shrink": 0.5}, "shrink"),
+        ({"fixes": ("up",)}, "no fix 'up'"), ({"world_up": "z"}, "give both"),
+    ):  # fmt: skip
+        with pytest.raises(OptionError, match=sentence):
             import_capture(source, tmp_path / "capture", ImportOptions(**options))
     (source.root / "1.exr").unlink()
     with pytest.raises(CaptureError, match="1.exr: no such photograph"):
@@ -345,19 +500,14 @@ def test_only_an_earlier_import_is_replaced(source, tmp_path):
     import_capture(source, tmp_path / "capture", ImportOptions(every=2))
     assert not (tmp_path / "capture" / "view_0001.exr").exists()
     (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "letter.txt").write_text("dear")
-    with pytest.raises(OutputError, match="holds other files"):
-        import_capture(source, tmp_path / "mine")
+    for folder in (tmp_path / "capture", tmp_path / "mine"):  # imported there, or not
+        (folder / "recovered").mkdir()
+        with pytest.raises(OutputError, match="holds other files"):
+            import_capture(source, folder)
+        assert (folder / "recovered").exists()
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="is a file"):
         import_capture(source, tmp_path / "file")
-
-
-def test_the_command_says_one_line_and_leaves_nothing(tmp_path, capsys):
-    assert main(["import", str(tmp_path / "none"), "-o", str(tmp_path / "capture")]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("svu: ") and error.count("\n") == 1 and "no such" in error
-    assert not (tmp_path / "capture").exists()
 
 
 def test_pixels_marked_by_the_import_are_left_out_without_a_word(source, tmp_path):
@@ -381,8 +531,8 @@ def test_exposures_from_a_list(source, tmp_path):
     assert capture.exposures == (4.0, 0.5)
     np.testing.assert_allclose(capture.images[1], 3.0)
     for text, sentence in (
-        ("0.exr 1\n", "no exposure of 1.exr"), ("0.exr\n", "line 1: expected NAME GAIN"),
-        ("0.exr 1\n1.exr -2", "line 2.*not positive"), ("0.exr nan", "not positive"),
+        ("0.exr 1\n", "no exposure for 1.exr"), ("0.exr\n", "line 1: expected NAME GAIN"),
+        ("0.exr 1\n1.exr -2", "line 2.*must be positive"), ("0.exr nan", "must be positive"),
     ):  # fmt: skip
         (tmp_path / "gains.txt").write_text(text)
         with pytest.raises(CaptureError, match=sentence):
@@ -402,3 +552,193 @@ def test_exposures_from_exif(source, tmp_path):
     assert capture.exposures[1] / capture.exposures[0] == pytest.approx(ratio, rel=1e-5)
     with pytest.raises(CaptureError, match="0.exr: no exposure time"):
         loaded(source, tmp_path / "again", exposures="exif")
+
+
+def test_masks_that_show_nothing(source, tmp_path):
+    frames = []
+    for k in range(2):
+        Image.fromarray(np.zeros_like(GREY[..., 0])).save(tmp_path / f"mask{k}.png")
+        frames.append(photograph(source.root / f"{k}.png", mask=tmp_path / f"mask{k}.png"))
+    empty = replace(source, frames=frames)
+    with pytest.raises(CaptureError, match="mask0.png: this mask and all others are empty"):
+        import_capture(empty, tmp_path / "capture")
+    cut_out(tmp_path / "mask0.png")
+    notes = import_capture(empty, tmp_path / "capture")
+    assert any("1 of 2 photographs, 1.png first, have an empty mask" in note for note in notes)
+
+
+def test_masks_that_say_nothing_or_the_opposite(source, tmp_path):
+    opaque = np.pad(GREY, ((0, 0), (0, 0), (0, 1)), constant_values=255)
+    around = np.full_like(GREY[..., 0], 255)
+    around[5:15, 5:30] = 0
+    Image.fromarray(around).save(tmp_path / "mask.png")
+    for mask, said in ((None, "have no mask"), (tmp_path / "mask.png", "have a mask with")):
+        frames = [photograph(source.root / f"{k}.png", opaque, mask=mask) for k in range(2)]
+        notes = import_capture(replace(source, frames=frames), tmp_path / "capture")
+        assert any(f"2 of 2 photographs, 0.png first, {said}" in note for note in notes)
+
+
+def test_a_photograph_that_is_stored_on_its_side(source, tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.new("RGB", (8, 6)).save(source.root / "0.jpg", exif=exif)
+    frame = replace(source.frames[0], image=source.root / "0.jpg")
+    notes = import_capture(replace(source, frames=[frame]), tmp_path / "capture")
+    assert any("0.jpg first, are stored rotated" in note for note in notes)
+    frame = replace(frame, size=(6, 8))
+    with pytest.raises(CaptureError, match="0.jpg.*stored on its side"):
+        import_capture(replace(source, frames=[frame]), tmp_path / "capture")
+
+
+def test_an_exr_that_is_a_crop_of_its_photograph(source, tmp_path):
+    corners = {"dataWindow": ((10, 5), (17, 10)), "displayWindow": ((0, 0), (79, 39))}
+    header = {key: tuple(np.array(c, np.int32) for c in box) for key, box in corners.items()}
+    plane = np.ones((6, 8), np.float32)
+    with OpenEXR.File({**header, "type": OpenEXR.scanlineimage}, dict.fromkeys("RGB", plane)) as f:
+        f.write(str(source.frames[0].image))
+    with pytest.raises(CaptureError, match="0.exr: its data window"):
+        import_capture(source, tmp_path / "capture")
+
+
+def test_photographs_of_one_name_in_two_folders(source, tmp_path):
+    frames = []
+    for name in ("left", "right"):
+        (source.root / name).mkdir()
+        frames.append(photograph(source.root / name / "1.png"))
+    source = replace(source, frames=frames)
+    gains = ImportOptions(exposures=tmp_path / "gains.txt")
+    (tmp_path / "gains.txt").write_text("1.png 2\n")
+    with pytest.raises(CaptureError, match="2 photographs are called 1.png.*left/1.png"):
+        import_capture(source, tmp_path / "capture", gains)
+    (tmp_path / "gains.txt").write_text("left/1.png 2\nright/1.png 4\n")
+    import_capture(source, tmp_path / "capture", gains)
+    record = json.loads((tmp_path / "capture" / "capture.json").read_text())
+    assert record["exposure"] == [2, 4]
+    assert record["import"]["photographs"] == ["left/1.png", "right/1.png"]
+
+
+# --- poses ----------------------------------------------------------------------------
+
+
+NERF = {"camera_angle_x": 0.7, "frames": [
+    {"file_path": "./train/r_0", "transform_matrix": np.eye(4).tolist()},
+]}  # fmt: skip
+
+
+def transforms(folder: Path, **changes: object) -> Path:
+    """Write a data set as NeRF's synthetic ones are, with its one photograph."""
+    (folder / "train").mkdir(exist_ok=True)
+    photograph(folder / "train" / "r_0.PNG")
+    (folder / "transforms_train.json").write_text(json.dumps({**NERF, **changes}))
+    return folder
+
+
+def test_nerf_synthetic_with_shouted_suffixes(tmp_path):
+    (frame,) = read_source(transforms(tmp_path)).frames
+    assert frame.image.name == "r_0.PNG" and frame.size == (40, 20)
+    assert frame.focal == pytest.approx([20 / np.tan(0.35)] * 2)
+    (frame,) = read_source(transforms(tmp_path, camera_angle_y=0.5)).frames
+    assert frame.focal == pytest.approx([20 / np.tan(0.35), 10 / np.tan(0.25)])
+    frame.image.unlink()
+    with pytest.raises(CaptureError, match="r_0: no such photograph"):
+        read_source(tmp_path)
+
+
+def test_poses_of_pixels_that_are_not_square_are_candidates(tmp_path):
+    record = {"w": 64, "h": 48, "fl_x": 60.0, "fl_y": 80.0, "file_path": "elsewhere/1.jpg"}
+    frame = {**record, "transform_matrix": np.eye(4).tolist()}
+    (tmp_path / "poses.json").write_text(json.dumps({"frames": [frame]}))
+    (sensor,) = Candidates.read(tmp_path / "poses.json").sensors
+    assert film_size(sensor) == (64, 36) and focal_length(sensor) == pytest.approx(60)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"camera_model": "EQUIRECTANGULAR"}, "equirectangular is not a pinhole"),
+        ({"is_fisheye": True}, "a fisheye is not a pinhole"),
+        ({"distortion_params": [0.1, 0, 0, 0]}, "distorted.*--undistort"),
+        ({"k1": 1e-3}, "distorted.*--undistort"),
+    ],
+)
+def test_lenses_that_are_not_straight(tmp_path, changes, sentence):
+    with pytest.raises(CaptureError, match=sentence):
+        read_source(transforms(tmp_path, **changes))
+
+
+def test_a_format_is_a_module_and_a_line_of_the_table(tmp_path, monkeypatch):
+    source = Source(format="mine", root=tmp_path, frames=())
+    mine = SimpleNamespace(recognises=lambda path, _: path.is_dir(), read=lambda *_: source)
+    monkeypatch.setitem(sys.modules, "svu_mi.formats.mine", mine)
+    monkeypatch.setitem(FORMATS, "mine", "mine")
+    for chosen in ("auto", "mine"):
+        assert read_source(tmp_path, ReadOptions(format=chosen)) is source
+    with pytest.raises(OptionError, match="no format 'theirs'; use one of auto, .*, mine"):
+        read_source(tmp_path, ReadOptions(format="theirs"))
+
+
+def test_a_format_may_be_none(tmp_path):
+    assert read_source(transforms(tmp_path), ReadOptions(format=None)).format == "transforms"
+
+
+def test_any_part_of_a_data_set_can_be_asked_for(tmp_path):
+    folder = transforms(tmp_path)
+    valid = folder / "transforms_valid.json"
+    with pytest.raises(OptionError, match="has no transforms_valid.json; use a split that it has"):
+        read_source(folder, ReadOptions(split="valid"))
+    train = (folder / "transforms_train.json").rename(valid)
+    assert read_source(folder, ReadOptions(split="valid")).frames[0].label.startswith(str(valid))
+    assert read_source(valid, ReadOptions(split="no such part")).frames
+    with pytest.raises(CaptureError, match="not a known kind of capture"):
+        read_source(folder)
+    valid.rename(train)
+
+
+def test_a_stray_file_beside_a_model_is_none_of_its_parts(tmp_path):
+    frame = photograph(tmp_path / "a.png")
+    write_colmap(tmp_path, Source(format="test", root=tmp_path, frames=[frame]))
+    (tmp_path / "transforms_backup.json").write_text("{}")
+    assert read_source(tmp_path).format == "colmap"
+
+
+def test_folders_that_a_format_has_no_use_for(tmp_path):
+    with pytest.raises(OptionError, match="for COLMAP.*read as transforms"):
+        read_source(transforms(tmp_path), ReadOptions(masks=tmp_path))
+
+
+def test_the_model_that_nerfstudio_keeps(tmp_path):
+    frame = photograph(tmp_path / "a.png")
+    source = Source(format="test", root=tmp_path, frames=[frame])
+    write_colmap(tmp_path / "data" / "colmap", source)
+    (tmp_path / "data" / "colmap" / "images").rename(tmp_path / "data" / "images")
+    (found,) = read_source(tmp_path / "data").frames
+    assert found.image == tmp_path / "data" / "images" / "view_0000.png"
+
+
+# --- folders --------------------------------------------------------------------------
+
+
+def test_a_folder_that_cannot_be_made_leaves_nothing(tmp_path, monkeypatch):
+    def refused(path: Path, target: Path) -> Path:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", refused)
+    with pytest.raises(OutputError, match="No space"), making_folder(tmp_path / "project") as made:
+        (made / "new").touch()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_is_made_where_there_is_none_or_an_empty_one(tmp_path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "project").symlink_to(tmp_path / "disk")
+    with making_folder(tmp_path / "project") as made:
+        (made / "new").touch()
+    assert (tmp_path / "project").is_symlink() and (tmp_path / "disk" / "new").exists()
+    assert {path.name for path in tmp_path.iterdir()} == {"project", "disk"}
+    with pytest.raises(OutputError, match="holds other files"), making_folder(tmp_path / "disk"):
+        pass
+
+
+def test_json_with_a_mark_of_its_encoding(tmp_path):
+    (tmp_path / "t.json").write_text(json.dumps({"name": "Schüssel"}), encoding="utf-8-sig")
+    assert read_json(tmp_path / "t.json") == {"name": "Schüssel"}

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from helpers import foreign_source, projected, write_ball
 from PIL import Image
+from studies.conventions.owl import write_owl
 
-from svu_mi.capture.picture import decoded, read_planes
-from svu_mi.errors import CaptureError, OptionError
+from svu_mi.capture.picture import read_planes
+from svu_mi.errors import CaptureError
 from svu_mi.exr import write_exr
 from svu_mi.formats.light import write_environment
-from svu_mi.formats.objects_with_lighting import find_inputs, read_owl, write_owl
+from svu_mi.formats.objects_with_lighting import find_inputs, read_owl
 from svu_mi.formats.source import ENVIRONMENT_AXES, OPENCV, Light
 
 STOPS = -0.75
@@ -64,22 +65,6 @@ def test_what_is_written_is_read(source, written):
     pixels, given = (np.stack(read_planes(light.path)[0]) for light in (found.light, source.light))
     largest = given.max(axis=0)  # RGBE has one exponent for three channels, and 8 bits
     assert (np.abs(pixels - 2 * given) <= 2 * largest / 128).all()
-
-
-def test_radiance_survives_the_tone_curve(source, written):
-    for got, wanted in zip(read_owl(written).frames, source.frames, strict=True):
-        (tone, whole), (given, integers) = (
-            (np.stack(planes), integers)
-            for planes, integers in map(read_planes, (got.image, wanted.image))
-        )
-        assert whole
-        radiance = (decoded(given) if integers else given) / wanted.exposure
-        clipped = tone >= 1
-        # Half a step of 8 bits, as much of radiance as the curve is steep there.
-        step = 2.2 * tone**1.2 / 510 / got.exposure
-        error = np.abs(decoded(tone, "gamma 2.2") / got.exposure - radiance)
-        assert (error[~clipped] <= 1.05 * step[~clipped] + 1e-5).all()
-        assert (radiance[clipped] * got.exposure > 0.99).all()
 
 
 def test_cameras_are_those_of_the_readme(written):
@@ -145,35 +130,12 @@ def test_an_object_is_found_from_any_of_its_folders(written):
     assert find_inputs(written.parent) is None
 
 
-def test_an_exposure_of_its_own_clips_nothing_on_the_object(source, tmp_path):
-    """Pixels that hold no radiance do not count; they become white, which is left out."""
-    bright = tmp_path / "bright.exr"
-    pixels = np.random.default_rng(61).uniform(20, 80, (32, 48, 3)).astype(np.float32)
-    pixels[:4] = -1
-    pixels[20:] = 8000
-    mask = tmp_path / "mask.png"
-    Image.fromarray(np.uint8(255 * (pixels[..., 0] < 8000))).save(mask)
-    frame = replace(source.frames[0], image=bright, mask=mask)
-    write_exr(bright, {"RGB": pixels})
-    write_owl(tmp_path / "o", replace(source, frames=[frame], mesh=None, light=None))
-    (found,) = read_owl(tmp_path / "o").frames
-    tone = np.array(Image.open(found.image))
-    assert (tone[:4] == 255).all() and (tone[20:] == 255).all()
-    assert tone[4:20].max() == 250 and np.median(tone[4:20]) > 180  # 0.98 of 255
-    assert 80 * found.exposure / frame.exposure == pytest.approx(0.98**2.2, rel=0.01)
-
-
-def test_an_exposure_beyond_all_is_refused(source, tmp_path):
-    with pytest.raises(OptionError, match="within 64 stops"):
-        write_owl(tmp_path / "o", source, exposure=float("nan"))
-
-
 GOOD = "9 0 4\n0 9 3\n0 0 1\n1 0 0\n0 1 0\n0 0 1\n0 0 4\n8 6 3\n"
 CAMERA, EXPOSURE = "inputs/camera_0000.txt", "inputs/exposure.txt"
 BROKEN = {
     "an exposure in words": ({EXPOSURE: "bright"}, "exposure.txt: must hold one number"),
     "two exposures": ({EXPOSURE: "1 2"}, "exposure.txt: must hold one"),
-    "an endless exposure": ({EXPOSURE: "1e9"}, "1e.09 stops; it must be within 64: copy"),
+    "an endless exposure": ({EXPOSURE: "1e9"}, "within 64 stops, got 1e.09; copy"),
     "half a camera": ({CAMERA: GOOD[:30]}, "camera_0000.txt: must hold 24"),
     "a long camera": ({CAMERA: GOOD + "1"}, "must hold 24"),
     "words in a camera": ({CAMERA: GOOD.replace("9", "nine")}, "must hold 24"),
@@ -182,7 +144,7 @@ BROKEN = {
     "skew": ({CAMERA: GOOD.replace("9 0 4", "9 1 4")}, "skew"),
     "a K of another kind": ({CAMERA: GOOD.replace("0 0 1\n1", "0 0 2\n1")}, "its K must"),
     "a mirror": ({CAMERA: GOOD.replace("0 1 0", "0 -1 0")}, "mirrored"),
-    "no rotation": ({CAMERA: GOOD.replace("0 1 0", "0 0 0")}, "no rotation"),
+    "no rotation": ({CAMERA: GOOD.replace("0 1 0", "0 0 0")}, "R is not a rotation"),
     "a broken size": ({CAMERA: GOOD.replace("8 6", "8.5 6")}, "8.5 x 6 .* whole numbers: copy"),
     "a huge size": ({CAMERA: GOOD.replace("8 6", "1e300 6")}, "must hold 24"),
     "a large size": ({CAMERA: GOOD.replace("8 6", "1e9 6")}, "must be 1 to 65536"),
@@ -192,9 +154,9 @@ BROKEN = {
     "a map without its frame": ({"env.hdr": ""}, "world_to_env.txt: cannot be read"),
     "a mirrored map": (
         {"env.hdr": "", "world_to_env.txt": "0 1 0 0 1 0 0 0 0 0 1 0 0 0 0 1"},
-        "is no rotation",
+        "not a rotation",
     ),
-    "a map without rotation": ({"env.hdr": "", "world_to_env.txt": "1 " * 16}, "no rotation"),
+    "a map without rotation": ({"env.hdr": "", "world_to_env.txt": "1 " * 16}, "not a rotation"),
 }
 
 

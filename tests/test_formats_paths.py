@@ -27,7 +27,7 @@ def test_a_file_inside(name):
 
 @pytest.mark.parametrize("name", OUTSIDE)
 def test_a_file_outside(name):
-    with pytest.raises(CaptureError, match="frame 3: .* lies outside root; put"):
+    with pytest.raises(CaptureError, match="frame 3: .* lies outside root; move"):
         inside(Path("root"), name, "frame 3")
 
 

@@ -24,8 +24,7 @@ BROKEN = {
     "a focal length of nan": ({"fl_x": float("nan")}, "focal length"),
     "a height of nan": ({"fl_y": float("nan")}, "focal length"),
     "a height in words": ({"fl_y": "long"}, "a frame needs"),
-    "a bent lens": ({"k1": 0.02}, "undistort"),
-    "nan in the matrix": ({"transform_matrix": np.full((4, 4), np.nan).tolist()}, "NaN"),
+    "nan in the matrix": ({"transform_matrix": np.full((4, 4), np.nan).tolist()}, "finite"),
 }
 
 
@@ -96,15 +95,6 @@ def test_frames_come_back_as_they_were(tmp_path):
         np.testing.assert_allclose(found.to_world, wanted.to_world, atol=1e-12)
         for name in ("image", "mask", "focal", "center", "size", "exposure"):
             assert getattr(found, name) == getattr(wanted, name)
-
-
-def test_a_name_without_extension_is_looked_for(tmp_path):
-    (tmp_path / "train").mkdir()
-    (tmp_path / "train" / "r_0.png").write_bytes(b"")
-    frame = {**GOOD, "file_path": "./train/r_0"}
-    (tmp_path / "t.json").write_text(json.dumps({"frames": [frame]}))
-    (found,) = read_transforms(tmp_path / "t.json").frames
-    assert found.image == tmp_path / "train" / "r_0.png"
 
 
 @pytest.mark.parametrize("name", ["../a.png", "/etc/passwd", "C:\\a.png", "x/../../a.png", 3])

@@ -20,29 +20,29 @@ import pytest
 import trimesh
 
 from svu_mi.capture import mesh as capture_mesh
-from svu_mi.capture.loading import load_capture
 from svu_mi.capture.mesh import MeshArrays, arrays
-from svu_mi.capture.picture import image_size, read_planes
+from svu_mi.capture.picture import open_picture, read_planes
 from svu_mi.capture.unwrap import unwrap
-from svu_mi.errors import CaptureError, MeshError, SceneError
+from svu_mi.errors import CaptureError, MeshError
 from svu_mi.formats.geometry import read_geometry
 
 SEED = 60318
-COUNT = 10_000
+FEW, MANY = 1000, 10_000  # damaged files; the many take half a minute
+ENOUGH = 40  # variants of a format of which some must be read, and some refused
 LIMIT = 1.5 * 2**30  # bytes that the whole process may have had in use
 MEMORY = Path("/dev/shm")  # a file system in memory, where there is one: 10 000 files are written
 
 
-@pytest.fixture(scope="module")
-def report(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
-    """What became of the damaged files, read in a process of their own."""
+@pytest.fixture(scope="module", params=[FEW, pytest.param(MANY, marks=pytest.mark.slow)])
+def report(request, tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
+    """What became of damaged files, read in a process of their own."""
     if sys.platform != "linux":
         pytest.skip("the fuzzer asks /proc for the memory in use")
     place = MEMORY if os.access(MEMORY, os.W_OK) else tmp_path_factory.getbasetemp()
     with tempfile.TemporaryDirectory(dir=place) as name:
         folder = Path(name)
         program = Path(__file__).with_name("fuzzing.py")
-        done = subprocess.run([sys.executable, program, folder, str(COUNT)], check=False)
+        done = subprocess.run([sys.executable, program, folder, str(request.param)], check=False)
         if done.returncode != 0:
             crashes = (folder / "crashes").read_text() + (folder / "said").read_text()
             pytest.fail(
@@ -53,19 +53,13 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]
 
 
 def test_damaged_files_are_read_or_refused_in_one_sentence(report):
+    """In little memory, and without a trace; some are read and some refused, of every format."""
     assert not report["failures"], "\n".join(report["failures"][:20])
-    assert sum(sum(count.values()) for count in report["counts"].values()) >= COUNT
-
-
-def test_every_format_is_refused_and_read_in_some_variants(report):
-    """So that the fuzzer tells something: neither all files are garbage nor all are sound."""
-    for name, count in report["counts"].items():
-        assert count["refused"] >= 0.1 * sum(count.values()) > 0, name
-        assert count["read"] > 0, name
-
-
-def test_memory_is_bounded(report):
+    assert sum(sum(count.values()) for count in report["counts"].values()) >= FEW
     assert report["peak"] < LIMIT
+    for name, count in report["counts"].items():
+        if (total := sum(count.values())) >= ENOUGH:
+            assert 0.1 * total <= count["refused"] < total, name
 
 
 def written(path: Path, data: bytes) -> Path:
@@ -83,7 +77,7 @@ def test_float_pictures_are_those_that_mitsuba_reads(tmp_path, size):
         mi.Bitmap(values).write(str(path))
         planes, low_range = read_planes(path)
         np.testing.assert_array_equal(np.stack(planes, axis=-1), np.array(mi.Bitmap(str(path))))
-        assert not low_range and image_size(path) == size
+        assert not low_range and open_picture(path).size == size
         for end in (0, 10, path.stat().st_size // 2, path.stat().st_size - 1):
             with pytest.raises(CaptureError, match="not a readable image"):
                 read_planes(written(tmp_path / f"cut{path.suffix}", path.read_bytes()[:end]))
@@ -118,7 +112,7 @@ def test_a_small_mesh_file_cannot_place_a_part_without_end(tmp_path):
         "scenes": [{"nodes": list(range(1000))}],
     }
     primitives = {"meshes": [{"primitives": record["meshes"][0]["primitives"] * 1000}]}
-    for change, reason in ((copies, "too many copies"), (primitives, "more numbers than")):
+    for change, reason in ((copies, "too many instances"), (primitives, "reads past the end")):
         body = json.dumps({**record, **change}).encode()
         body += b" " * (-len(body) % 4)
         rest = data[20 + length :]
@@ -144,7 +138,7 @@ def test_textures_that_are_no_file_are_told(tmp_path):
     (tmp_path / "texture.png").unlink()
     os.mkfifo(tmp_path / "texture.png")  # reading it would wait for ever
     (note,) = read_geometry(tmp_path / "mesh.gltf").notes
-    assert note == f"{tmp_path / 'mesh.gltf'}: refers to texture.png, which is not there."
+    assert note == f"{tmp_path / 'mesh.gltf'}: refers to texture.png, which does not exist."
     (tmp_path / "texture.png").unlink()
     (tmp_path / "texture.png").write_text("<html>not found</html>")
     with pytest.raises(MeshError, match="cannot identify image file"):
@@ -159,11 +153,3 @@ def test_a_sliver_is_unwrapped_at_once(tmp_path):
     uvs = arrays(unwrap(mesh)).uvs
     assert time.process_time() - started < 2
     assert uvs.min() >= 0 and uvs.max() <= 1
-
-
-def test_a_scene_with_a_damaged_mesh_is_refused(tmp_path):
-    fuzz_formats.write_scene_capture(tmp_path)
-    data = (tmp_path / "ball.ply").read_bytes()
-    (tmp_path / "ball.ply").write_bytes(data[:-4] + struct.pack("<I", 2**31 - 1))
-    with pytest.raises(SceneError, match="a corner that there is not"):
-        load_capture(tmp_path)

@@ -15,16 +15,14 @@ from helpers import write_older
 from matplotlib.figure import Figure
 
 import svu_mi as svu
-from svu_mi import scenes
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import to_world
-from svu_mi.errors import OutputError
-from svu_mi.exr import read_attributes, read_exr
+from svu_mi.exr import read_exr, read_header
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.strategies import TABLE
+from svu_mi.output import Run, guidance_page
 from svu_mi.output import directions as sky
-from svu_mi.output import guidance_page
 from svu_mi.output.guidance import file_names, write_guidance, write_sensors
 from svu_mi.output.upright import facing
 
@@ -38,30 +36,24 @@ RAY = 2e-6  # directions in single precision, over a focal length that was divid
 
 
 @pytest.fixture(scope="module")
-def vase():
-    """A small capture of the vase, and guidance that looks at all of its texels."""
-    capture = svu.render_capture(
-        scenes.path("vase"), spp=4, views=4, resolution=(48, 36), defines={"light": "window"}
-    )
-    texels = svu.texels(capture.mesh, resolution=64)
-    estimate = svu.estimate(capture, texels)
-    reachable = np.arange(14) % 5 != 2
-    candidates = svu.Candidates.around(capture, 14).restricted(reachable)
-    guidance = svu.next_best_view(estimate, candidates, 3, texels=texels.count)
-    return SimpleNamespace(capture=capture, estimate=estimate, guidance=guidance)
+def guidance(vase):
+    """Guidance that looks at all texels; three of 14 candidates cannot be reached."""
+    candidates = svu.Candidates.around(vase.capture, 14).restricted(np.arange(14) % 5 != 2)
+    return svu.next_best_view(vase.estimate, candidates, 3, texels=vase.texels.count)
 
 
 @pytest.fixture(scope="module")
-def written(vase, tmp_path_factory):
+def written(vase, guidance, tmp_path_factory):
     """The folder of that guidance, in which an older run has left its files."""
     folder = tmp_path_factory.mktemp("written")
     write_older(folder, "guide", "run.json", ["gain_7.exr", "thumbnails/proposal_7.png"])
     (folder / "gain_of_mine.exr").write_text("mine")
     steps = []
-    write_guidance(
-        vase.capture, vase.estimate, vase.guidance, folder, settings={"add": 3}, kernels={"a": 1},
+    run = Run(
+        settings={"add": 3}, kernels={"a": 1},
         progress=lambda done, total: steps.append((done, total)),
     )  # fmt: skip
+    write_guidance(vase.capture, vase.estimate, guidance, folder, run)
     assert steps == [(k, 4) for k in (1, 2, 3, 4)]
     return folder
 
@@ -81,10 +73,12 @@ def test_all_files_are_there_and_those_of_an_older_run_are_not(written):
     assert sorted(p.name for p in (written / "thumbnails").iterdir()) == [
         "proposal_0.png", "proposal_1.png", "proposal_2.png",
     ]  # fmt: skip
+    for name in ("transforms.json", "sensors.xml"):  # to go on from
+        assert svu.Candidates.read(written / name).count == 3
 
 
-def test_the_plan_says_where_to_go(vase, written):
-    plan, guidance = json.loads((written / "guidance.json").read_text()), vase.guidance
+def test_the_plan_says_where_to_go(guidance, written):
+    plan = json.loads((written / "guidance.json").read_text())
     assert plan["settings"]["options"]["strategy"] == "entropy"
     assert plan["settings"]["preset"] == "default" and plan["photographs"] == 4
     assert plan["entropy"] == guidance.entropy
@@ -98,14 +92,14 @@ def test_the_plan_says_where_to_go(vase, written):
         np.testing.assert_allclose(rays(made), rays(proposal.sensor), atol=RAY)
 
 
-def test_the_plan_ranks_all_candidates(vase, written):
+def test_the_plan_ranks_all_candidates(guidance, written):
     ranked = json.loads((written / "guidance.json").read_text())["candidates"]
     assert sorted(c["number"] for c in ranked) == list(range(14))
     assert [c["number"] for c in ranked if not c["reachable"]] == [2, 7, 12]
     assert all((c["gain"] is None) != c["reachable"] for c in ranked)
     gains = [c["gain"] for c in ranked if c["reachable"]]
     assert gains == sorted(gains, reverse=True) and not any(c["reachable"] for c in ranked[11:])
-    assert ranked[0]["number"] == vase.guidance.proposals[0].candidate
+    assert ranked[0]["number"] == guidance.proposals[0].candidate
 
 
 def test_the_record_comes_last_and_says_what_was_run(vase, written):
@@ -119,32 +113,15 @@ def test_the_record_comes_last_and_says_what_was_run(vase, written):
     assert record["environment"]["versions"]["mitsuba"] == mi.__version__
 
 
-def test_a_failed_write_leaves_all_as_it_was(vase, tmp_path):
-    (tmp_path / "run.json").write_text("{}")
-    (tmp_path / "guidance.png").mkdir()
-    with pytest.raises(OutputError, match="guidance.png"):
-        write_guidance(vase.capture, vase.estimate, vase.guidance, tmp_path)
-    assert (tmp_path / "run.json").read_text() == "{}"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["guidance.png", "run.json"]
-
-
-def test_maps_sum_to_the_gain(vase, written):
+def test_maps_sum_to_the_gain(vase, guidance, written):
     """All texels were looked at, so the mean of the map is the gain, up to single precision."""
-    inside = vase.guidance.texels.inside()
-    for k, proposal in enumerate(vase.guidance.proposals):
+    inside = vase.texels.inside()
+    for k, proposal in enumerate(guidance.proposals):
         image = read_exr(written / f"gain_{k}.exr")["Y"]
-        assert image.shape == (64, 64) and proposal.error == 0
+        assert image.shape == (48, 64) and proposal.error == 0
         assert float(image[inside].mean(dtype=np.float64)) == pytest.approx(proposal.gain, abs=1e-6)
-        assert read_attributes(written / f"gain_{k}.exr")["svu:candidate"] == proposal.candidate
-
-
-def test_poses_are_read_again_as_candidates(vase, written):
-    for name in ("transforms.json", "sensors.xml"):
-        found = svu.Candidates.read(written / name)
-        assert found.count == 3
-        for sensor, proposal in zip(found.sensors, vase.guidance.proposals, strict=True):
-            np.testing.assert_allclose(to_world(sensor), to_world(proposal.sensor), atol=POSE)
-            np.testing.assert_allclose(rays(sensor), rays(proposal.sensor), atol=RAY)
+        header = read_header(written / f"gain_{k}.exr").attributes
+        assert header["svu:candidate"] == proposal.candidate
 
 
 FILMS = {
@@ -170,7 +147,7 @@ def test_any_film_comes_back(vase, tmp_path, film, kind):
     assert describe(found)["crop_size"] == describe(sensor)["crop_size"]
 
 
-def test_sensors_can_be_included_in_a_scene(vase, written, tmp_path):
+def test_sensors_can_be_included_in_a_scene(written, tmp_path):
     (tmp_path / "scene.xml").write_text(
         f'<scene version="3.0.0"><include filename="{written / "sensors.xml"}"/>'
         '<shape type="sphere"/><emitter type="constant"/></scene>'
@@ -180,7 +157,7 @@ def test_sensors_can_be_included_in_a_scene(vase, written, tmp_path):
     assert scene.sensors()[0].sampler().sample_count() == 3
 
 
-def test_pictures_show_what_the_camera_will(vase, written):
+def test_pictures_show_what_the_camera_will(written):
     assert list(mi.Bitmap(str(written / "guidance.png")).size()) == [1800, 1120]
     picture = np.array(mi.Bitmap(str(written / "thumbnails" / "proposal_0.png"))) / 255
     assert picture.shape == (384, 512, 3)  # all of the film, enlarged
@@ -188,34 +165,33 @@ def test_pictures_show_what_the_camera_will(vase, written):
     assert (colour > 0.3).any() and (colour[picture.min(axis=2) < 0.9] < 0.05).mean() > 0.2
 
 
-def test_a_sensor_of_the_capture_keeps_its_file_name(vase):
+def test_a_sensor_of_the_capture_keeps_its_file_name(vase, guidance):
     used = (True, False, True, False)
     capture = replace(vase.capture, used=used)
     candidates = svu.Candidates.without_photograph(capture)
-    other = vase.guidance.proposals[0]
+    other = guidance.proposals[0]
     proposals = [other, *(replace(other, sensor=sensor) for sensor in candidates.sensors), other]
     names = file_names(capture, SimpleNamespace(proposals=proposals))
     assert names == ["view_0004.exr", "view_0001.exr", "view_0003.exr", "view_0005.exr"]
 
 
 @pytest.mark.parametrize("up", [(0, 1, 0), (0, 0, 2), (0.3, -1, 0.2)])
-def test_directions_are_on_the_map_where_they_should_be(up):
-    """Up is above, the first photograph in the middle, and right is where it is from outside."""
-    up = np.array(up, float)
-    first = np.array([0.4, 0.3, 0.8])
+def test_directions_are_seen_from_outside(up):
+    """Up is above, the first photograph in front, and right is where it is from outside."""
+    up, first = np.array(up, float), np.array([0.4, 0.3, 0.8])
     frame = facing(up, first)
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(frame @ up / np.linalg.norm(up), [0, 1, 0], atol=1e-12)
     assert frame[2] @ first > 0 and abs(frame[0] @ first) < 1e-12
-    assert np.linalg.det(frame) == pytest.approx(1)  # seen from outside, not mirrored
-    x, y = sky._hammer(np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0], [-1e-9, 0, -1.0]]))
-    np.testing.assert_allclose(x, [0, 0, 2 * np.sin(np.pi / 4) * np.sqrt(2 / (1 + 2**-0.5)),
-                                   -2 * np.sqrt(2)], atol=1e-6)  # fmt: skip
-    np.testing.assert_allclose(y, [np.sqrt(2), 0, 0, 0], atol=1e-6)
+    assert np.linalg.det(frame) == pytest.approx(1)  # not mirrored
 
 
-def test_the_map_of_directions_keeps_areas():
+def test_the_map_of_directions_is_hammers():
     """Of equally many directions per area, equally many lie in both halves of the ellipse."""
+    x, y = sky._hammer(np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0], [-1e-9, 0, -1.0]]))
+    right = 2 * np.sin(np.pi / 4) * np.sqrt(2 / (1 + 2**-0.5))
+    np.testing.assert_allclose(x, [0, 0, right, -2 * np.sqrt(2)], atol=1e-6)
+    np.testing.assert_allclose(y, [np.sqrt(2), 0, 0, 0], atol=1e-6)
     directions = np.random.default_rng(RNG_SEED).normal(size=(20_000, 3))
     x, y = sky._hammer(directions / np.linalg.norm(directions, axis=1, keepdims=True))
     radius = (x / 8**0.5) ** 2 + (y / 2**0.5) ** 2
@@ -224,9 +200,9 @@ def test_the_map_of_directions_keeps_areas():
 
 
 @pytest.mark.parametrize("strategy", ["error", "coverage", "farthest", "random", "d-optimal"])
-def test_the_page_is_drawn_for_every_strategy(vase, tmp_path, strategy):
+def test_the_page_is_drawn_for_every_strategy(vase, guidance, tmp_path, strategy):
     options = {"strategy": strategy, "texels": 200}
-    guidance = svu.next_best_view(vase.estimate, vase.guidance.candidates, 1, **options)
+    guidance = svu.next_best_view(vase.estimate, guidance.candidates, 1, **options)
     figure = Figure()
     axes = figure.subplots(1, 3)
     sky.draw_directions(axes[0], vase.capture, guidance, up=(0, 0, 1))

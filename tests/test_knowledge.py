@@ -106,7 +106,7 @@ def test_what_is_known_beforehand_is_no_finding(posterior):
     )
     posterior.axes = {name: np.array([0.3]) for name in AXES}
     found = Knowledge.of(estimate_of(posterior))
-    assert found.sentence() == "No parameter is in question: all were taken as known."
+    assert found.sentence() == "All parameters were taken as known."
 
 
 def certain(grid, cell):

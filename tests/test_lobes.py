@@ -44,7 +44,9 @@ def test_profile_is_the_lobe_up_to_a_factor(kind, alpha):
     np.testing.assert_allclose(ours / ours[0], truth / truth[0], rtol=1e-6, atol=atol)
 
 
-@pytest.mark.parametrize("alpha", [0.015, 0.1, 0.49, 1.0])
+@pytest.mark.parametrize(
+    "alpha", [pytest.param(0.015, marks=pytest.mark.slow), 0.1, 0.49, 1.0]
+)
 def test_gaussian_degrees_fall_off_as_in_equation_6(alpha):
     x, weight = np.polynomial.legendre.leggauss(1200)
     profile = zonal_profile("gaussian", alpha, x)

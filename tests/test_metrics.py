@@ -10,6 +10,9 @@ from svu_mi import metrics
 from svu_mi.capture import render_capture
 from svu_mi.capture.poses import sphere_sensors
 from svu_mi.errors import OptionError, SceneError, ShapeError
+from svu_mi.metrics import image_error, psnr, texel_error, texture_psnr
+from svu_mi.metrics.images import ssim_map
+from svu_mi.metrics.textures import CEILING_DB
 from svu_mi.scenes import path
 from svu_mi.surface import texels
 
@@ -236,6 +239,9 @@ def test_the_truth_of_a_scene_is_its_textures():
     np.testing.assert_allclose(truth.specular[matte], 0.04)
     np.testing.assert_allclose(truth.grey("base_color"), truth.base_color.mean(axis=1))
     assert truth.grey("roughness").shape == (grid.count,)
+    np.testing.assert_array_equal(truth.grey("specular"), truth.specular.mean(axis=1))
+    with pytest.raises(OptionError, match="no parameter 'rouhgness'; use one of base_color"):
+        truth.grey("rouhgness")
 
 
 def test_uniform_parameters_and_other_materials(tmp_path):
@@ -255,3 +261,93 @@ def test_uniform_parameters_and_other_materials(tmp_path):
                              sphere_sensors(scene.shapes()[0], 1, (8, 8)))  # fmt: skip
     with pytest.raises(SceneError, match="principled"):
         metrics.ground_truth(capture, grid)
+
+
+# --- textures and pictures -----------------------------------------------------------------
+
+
+def test_psnr_is_that_of_the_definition():
+    rng = np.random.default_rng(771204316)
+    truth = rng.uniform(size=(50, 3))
+    assert psnr(truth + 0.1, truth) == pytest.approx(20)  # MSE 1e-2
+    assert psnr(2 * truth, 2 * truth + 0.2, peak=2) == pytest.approx(20)
+    noisy = truth + rng.normal(scale=0.05, size=truth.shape)
+    by_hand = 10 * np.log10(truth.size / ((noisy - truth) ** 2).sum())
+    assert psnr(noisy, truth) == pytest.approx(by_hand)
+
+
+def test_without_any_error_psnr_is_a_number():
+    assert psnr([0.5], [0.5]) == CEILING_DB
+
+
+@pytest.mark.parametrize(
+    ("found", "truth", "peak", "error"),
+    [
+        ([1.0], [1.0, 2.0], 1, ShapeError),
+        ([], [], 1, ShapeError),
+        ([np.nan], [1.0], 1, OptionError),
+        ([1.0], [1.0], 0, OptionError),
+    ],
+)
+def test_psnr_refuses_what_it_cannot_compare(found, truth, peak, error):
+    with pytest.raises(error):
+        psnr(found, truth, peak)
+
+
+def test_the_average_counts_every_parameter_the_same():
+    truth = {"base_color": np.zeros((4, 3)), "roughness": np.zeros(4)}
+    found = {"base_color": np.full((4, 3), 0.1), "roughness": np.full(4, 0.01)}
+    assert texture_psnr(found, truth) == pytest.approx(
+        {"base_color": 20, "roughness": 40, "average": 30}
+    )
+    np.testing.assert_allclose(texel_error(found, truth), 0.055)  # (0.1 + 0.01) / 2
+    with pytest.raises(ShapeError, match="base_color"):
+        texture_psnr({"roughness": found["roughness"]}, truth)
+
+
+def ssim_of_windows(found, truth):
+    """SSIM as the sum over each 11 x 11 window that Wang et al. write down (Eq. 13 to 16)."""
+    at = np.arange(-5, 6)
+    weight = np.exp(-(at**2) / (2 * 1.5**2))
+    weight = np.outer(weight, weight)
+    weight /= weight.sum()
+    padded = [np.pad(x, ((5, 5), (5, 5)), mode="symmetric") for x in (found, truth)]
+    result = np.empty(found.shape)
+    for i, j in np.ndindex(*found.shape):
+        x, y = (p[i : i + 11, j : j + 11] for p in padded)
+        mx, my = (weight * x).sum(), (weight * y).sum()
+        sx, sy = (weight * (x - mx) ** 2).sum(), (weight * (y - my) ** 2).sum()
+        sxy = (weight * (x - mx) * (y - my)).sum()
+        c1, c2 = 0.01**2, 0.03**2
+        result[i, j] = (2 * mx * my + c1) * (2 * sxy + c2)
+        result[i, j] /= (mx**2 + my**2 + c1) * (sx + sy + c2)
+    return result
+
+
+def test_ssim_is_that_of_wang_et_al():
+    rng = np.random.default_rng(40927715)
+    truth = rng.uniform(size=(14, 17))
+    found = np.clip(truth + rng.normal(scale=0.2, size=truth.shape), 0, 1)
+    # Border pixels are mirrored in both, so every pixel can be compared.
+    np.testing.assert_allclose(
+        ssim_map(found[..., None], truth[..., None])[..., 0], ssim_of_windows(found, truth),
+        rtol=1e-9,
+    )  # fmt: skip
+
+
+def test_pictures_are_compared_on_the_object_only_and_at_any_exposure():
+    rng = np.random.default_rng(5582210)
+    truth, mask = rng.uniform(0.2, 2, size=(16, 16, 3)), np.zeros((16, 16), bool)
+    mask[4:12, 4:12] = True
+    found = truth * 1.1
+    same = image_error(truth, truth, mask)
+    assert (same.psnr_hdr, same.psnr_ldr, same.ssim) == (CEILING_DB, CEILING_DB, pytest.approx(1))
+    error = image_error(found, truth, mask)
+    assert 15 < error.psnr_hdr < 40
+    found[0, 0] = np.nan  # not on the object
+    assert image_error(found, truth, mask) == error
+    brighter = image_error(1000 * found, 1000 * truth, mask)
+    assert brighter.psnr_hdr == pytest.approx(error.psnr_hdr)
+    assert brighter.ssim == pytest.approx(error.ssim)
+    with pytest.raises(ShapeError, match="empty"):
+        image_error(truth, truth, np.zeros((16, 16), bool))

@@ -41,17 +41,6 @@ def test_there_is_a_notebook():
     assert [path.stem for path in NOTEBOOKS] == names
 
 
-@pytest.mark.parametrize(
-    "text, found",
-    [
-        ("wrote /home/someone/out", True), ("'/tmp/x.exr'", True), ("C:\\Users\\x", True),
-        ("out/tmp/x", False), ("https://doi.org/usr/x", False), ("192 / 4", False),
-    ],
-)  # fmt: skip
-def test_paths_of_a_machine_are_recognized(text, found):
-    assert bool(MACHINE_PATH.search(text)) is found
-
-
 @each_notebook
 def test_is_committed_executed(path):
     assert path.stat().st_size < MAX_BYTES

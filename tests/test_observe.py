@@ -193,16 +193,6 @@ def test_masked_and_unusable_pixels_are_not_samples(tmp_path):
     assert 0.3 < by_nan.sum() / whole.sum() < 0.7
 
 
-def test_views_left_out_are_not_there(tmp_path):
-    scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
-    sensors = sphere_sensors(scene.shapes()[0], 4, (32, 32))
-    images = [np.full((32, 32, 3), float(k)) for k in range(4)]
-    capture = memory_capture(scene, images, sensors, used=(True, False, True, False))
-    views = pack_views(capture)
-    assert views.number == 2
-    assert set(views.pixels.numpy()) == {0.0, 2.0}
-
-
 def test_one_kernel_serves_any_number_of_views(tmp_path):
     """A new view must not mean a new kernel."""
     scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)

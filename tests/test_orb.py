@@ -16,18 +16,22 @@ import pytest
 from scipy.spatial.transform import Rotation
 from studies.command import main
 from studies.orb import dataset
+from studies.orb import lpips as lpips_module
 from studies.orb.__main__ import Orb
-from studies.orb.dataset import DatasetSizes, render_dataset
+from studies.orb.dataset import DatasetSizes, find_captures, render_dataset
+from studies.orb.metrics import orb_albedo_error, orb_error
 from studies.orb.options import ROWS, Options, OrbSizes
-from studies.orb.run import run_orb, write_orb_results
+from studies.orb.run import orb_study
 from studies.orb.setting import Setting
 from studies.orb.tables import GREY, orb_lines
 from studies.orb.targets import Target, judge_pictures
+from studies.orb.writer import OrbCapture, OrbPhotograph, write_orb
 
 from svu_mi import scenes
-from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.cells import own_cells
-from svu_mi.bench.sizes import QUICK, RecoverySizes
+from svu_mi.bench.experiment import Bench
+from svu_mi.bench.sizes import RecoverySizes
+from svu_mi.bench.study import Asked
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.picture import read_planes
 from svu_mi.capture.scene import find_environment, load_scene
@@ -35,12 +39,9 @@ from svu_mi.errors import CaptureError, MeshError, OptionError, ShapeError, SvuW
 from svu_mi.formats.fixes import turned
 from svu_mi.formats.light import read_environment_map
 from svu_mi.formats.reading import read_source
-from svu_mi.formats.stanford_orb import find_captures, is_orb, read_orb, read_views
-from svu_mi.formats.stanford_orb_writer import OrbCapture, OrbPhotograph, write_orb
+from svu_mi.formats.stanford_orb import read_orb, read_views, recognises
 from svu_mi.light.environment import radiance_from
-from svu_mi.metrics import lpips as lpips_module
-from svu_mi.metrics.orb import orb_albedo_error, orb_error
-from svu_mi.progress import Progress
+from svu_mi.metrics.images import ssim_map
 from svu_mi.recovery.textures import Textures
 
 LIGHTS = ("window", "studio")
@@ -92,7 +93,7 @@ def test_what_is_written_is_read(written):
     root, mesh, (capture, _) = written
     path = root / "blender_HDR" / capture.name
     source = read_orb(path)
-    assert is_orb(path) and source.root == root and len(source.notes) == 2
+    assert recognises(path, "train") and source.root == root and len(source.notes) == 2
     assert source.mesh == root / "ground_truth" / capture.name / "mesh_blender/mesh.obj"
     focal = 4 / np.tan(np.radians(31 / 2))
     for frame, shot in zip(source.frames, capture.train, strict=True):
@@ -127,7 +128,7 @@ def test_the_light_turns_with_the_camera_of_its_photograph(written):
         np.testing.assert_allclose(light.to_world, shot.to_world[:3, :3], atol=1e-12)
         pixels, _, _ = read_environment_map(light)
         np.testing.assert_allclose(pixels, shot.environment, rtol=1e-6)
-    with pytest.raises(OptionError, match="'0000'; there are 0003, 0004"):
+    with pytest.raises(OptionError, match="'0000'; use one of 0003, 0004"):
         read_orb(path, environment_view="0000")
 
 
@@ -258,20 +259,9 @@ def test_no_picture_is_worse_than_grey():
 
 def test_ssim_is_of_windows_of_three_pixels():
     found, truth, mask, inside = pictures()
-    error = orb_error(found, truth, mask, scaled=False)
     a, b = (encode(np.clip(np.where(inside[..., None], x, 0), 0, 1)) for x in (found, truth))
-    at = np.exp(-np.array([1.0, 0, 1]) / (2 * 1.5**2))
-    weight = np.outer(at, at) / at.sum() ** 2
-    padded = [np.pad(x, ((1, 1), (1, 1), (0, 0)), mode="reflect") for x in (a, b)]
-    total = 0.0
-    for i, j, c in np.ndindex(*a.shape):
-        x, y = (p[i : i + 3, j : j + 3, c] for p in padded)
-        mx, my = (weight * x).sum(), (weight * y).sum()
-        sx, sy = (weight * x**2).sum() - mx**2, (weight * y**2).sum() - my**2
-        sxy = (weight * x * y).sum() - mx * my
-        part = (2 * mx * my + 1e-4) * (2 * sxy + 9e-4)
-        total += part / ((mx**2 + my**2 + 1e-4) * (sx + sy + 9e-4))
-    assert error.ssim == pytest.approx(total / a.size, abs=1e-9)
+    error = orb_error(found, truth, mask, scaled=False)
+    assert error.ssim == pytest.approx(ssim_map(a, b, radius=1, border="mirror").mean(), abs=1e-9)
 
 
 def test_what_cannot_be_compared_is_refused():
@@ -346,8 +336,8 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("orb_bench")
 
 
-def bench_in(folder):
-    return Bench(folder, QUICK, Progress(), quick=True)
+def bench_in(folder, **changes):
+    return Bench(folder, quick=True, **changes)
 
 
 def some(data, **changes):
@@ -360,10 +350,16 @@ def setting(data, folder):
     return Setting(bench_in(folder), data / "blender_HDR" / FIRST, some(data), TINY)
 
 
+def run(folder, options, **changes):
+    """Run the study, and write what is known after each capture."""
+    study, command = orb_study(options), Orb(output=folder)
+    told = partial(command.write, study)
+    return study.run(bench_in(folder, **changes), Asked(), told)
+
+
 @pytest.fixture(scope="module")
 def record(data, folder):
-    write = partial(write_orb_results, folder)
-    return run_orb(bench_in(folder), some(data), finished=write)
+    return run(folder, some(data))
 
 
 def true_textures():
@@ -375,6 +371,7 @@ def true_textures():
     })  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_light_is_where_it_was(data):
     """Every map, whatever its camera, says of each direction what the scene's own light does."""
     rng = np.random.default_rng(71255093)
@@ -414,7 +411,7 @@ def test_normals_of_the_scan_are_computed_anew(setting):
 
 def test_true_textures_give_the_photographs_and_a_turned_light_does_not(setting):
     textures = true_textures()
-    found = setting.judge(textures, "truth", "truth")
+    found = setting.judge(textures, "truth")
     assert found["light"]["mean"]["psnr_ldr"] > 40 and found["light"]["mean"]["psnr_hdr"] > 30
     assert found["view"]["mean"]["psnr_ldr"] > 40 and found["view"]["mean"]["psnr_hdr"] > 30
     assert found["albedo"]["mean"]["psnr_ldr"] > 45
@@ -428,8 +425,9 @@ def test_true_textures_give_the_photographs_and_a_turned_light_does_not(setting)
     assert judge_pictures(setting.novel, wrong, scaled=True)["mean"]["psnr_ldr"] < 27
 
 
+@pytest.mark.slow
 def test_recovered_textures_are_far_better_than_grey(record):
-    (capture,) = record["captures"]
+    (capture,) = record["cells"]
     grey, found = capture["grey"], capture["rows"]["SH (ours)"]
     assert capture["name"] == FIRST and capture["photographs"] == PHOTOGRAPHS.train
     assert 0 < capture["entropy"] < 1 and 0.4 < capture["seen"] / capture["texels"] < 1  # hollow
@@ -442,7 +440,7 @@ def test_recovered_textures_are_far_better_than_grey(record):
 
 def test_everything_is_written(record, folder):
     stored = json.loads((folder / "orb.json").read_text())
-    assert stored["orb"]["captures"][0]["name"] == FIRST
+    assert stored["cells"][0]["name"] == FIRST
     with (folder / "orb.csv").open(encoding="utf-8") as stream:
         lines = list(csv.DictReader(stream))
     assert len(lines) == 2 * 3 * PHOTOGRAPHS.test  # grey and SH, three tasks
@@ -455,34 +453,23 @@ def test_everything_is_written(record, folder):
     assert (folder / "orb" / FIRST / "sh_ours.png").stat().st_size > 5000
 
 
-def test_what_is_finished_is_kept(record, data, folder, monkeypatch):
-    def refuse(*args):
-        raise AssertionError("measured again")
-
-    monkeypatch.setattr(Setting, "measure", refuse)
-    again = run_orb(bench_in(folder), some(data))
-    assert again["captures"] == record["captures"]
+def test_what_is_finished_is_kept(record, data, folder):
+    assert run(folder, some(data), stored=True)["cells"] == record["cells"]
 
 
 def test_a_capture_that_cannot_be_read_is_left_out(record, data, folder, monkeypatch):
-    recall, bad = Setting.recall, {SECOND}
+    head = Setting.head
 
-    def refuse(self, row):
-        if self.path.name in bad:
+    def torn(self):
+        if self.name == SECOND:
             raise CaptureError("torn")
-        return recall(self, row)
+        return head(self)
 
-    monkeypatch.setattr(Setting, "recall", refuse)
+    monkeypatch.setattr(Setting, "head", torn)
     with pytest.warns(SvuWarning, match="vase_scene002 is left out: torn"):
-        found = run_orb(
-            bench_in(folder), some(data, captures=()), finished=partial(write_orb_results, folder)
-        )
-    assert [capture["name"] for capture in found["captures"]] == [FIRST]
+        found = run(folder, some(data, captures=()))
+    assert [capture["name"] for capture in found["cells"]] == [FIRST]
     assert found["failed"] == [{"cell": SECOND, "reason": "torn"}]
-    assert "torn" in (folder / "orb.md").read_text()
-    bad.add(FIRST)
-    with pytest.warns(SvuWarning, match="left out"), pytest.raises(CaptureError, match="torn"):
-        run_orb(bench_in(folder), some(data, captures=()))
 
 
 def test_a_test_needs_its_light_and_its_mask(data):

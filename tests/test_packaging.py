@@ -67,6 +67,18 @@ def test_import_loads_nothing_heavy():
     assert not [name for name in HEAVY if name in loaded]
 
 
+@pytest.mark.parametrize("words", [["--help"], ["guide", "--help"]])
+def test_help_loads_neither_renderer_nor_plots(words):
+    code = f"""import sys, json, contextlib, os
+from svu_mi.cli.main import main
+with contextlib.suppress(SystemExit), contextlib.redirect_stdout(open(os.devnull, "w")):
+    main({words})
+print(json.dumps(sorted(sys.modules)))"""
+    loaded = json.loads(in_fresh_process(code).stdout)
+    assert "svu_mi.guidance.options" in loaded
+    assert not {"drjit", "mitsuba", "matplotlib", "scipy", "trimesh"}.intersection(loaded)
+
+
 def test_import_is_fast():
     """The best of five, since other work on the machine only ever adds time."""
     times_ms = []

@@ -10,7 +10,7 @@ import pytest
 
 from svu_mi.errors import OutputError
 from svu_mi.output import page
-from svu_mi.output.chart import plot
+from svu_mi.output.chart import TOP, Plot
 
 TEMPLATE = """{% extends "base.html" %}
 {% import "parts.html" as parts %}
@@ -122,16 +122,16 @@ def test_dark_readers_get_dark_pages(browser, written):
         shown.close()
 
 
-def test_bars_stand_on_the_floor_and_say_their_value():
-    drawn = plot(
-        np.array([0.0, 1.0, 3.0]), np.array([1.0, 0.5]), "words", top=2, y_ticks=[(2, "top")],
-        x_ticks=[(0, "low"), (3, "high")], lines=[("even", np.array([0, 3]), np.array([1, 1]))],
+def test_bars_stand_on_the_floor():
+    drawn = Plot(
+        words="words", edges=np.array([0.0, 1.0, 3.0]), heights=np.array([1.0, 0.5]), top=2,
+        y_ticks=(), lines=[("even", np.array([0, 3]), np.array([1, 1]))],
     )  # fmt: skip
-    first, second = drawn.bars
-    assert first.height == pytest.approx(2 * second.height, abs=0.02)
-    assert second.width == pytest.approx(2 * first.width, abs=0.02)
-    assert [bar.y + bar.height for bar in drawn.bars] == pytest.approx([drawn.floor] * 2)
-    assert drawn.x_ticks == ((drawn.left, "low"), (drawn.right, "high"))
-    assert drawn.lines == (("even", f"{drawn.left:.1f},{first.y} {drawn.right:.1f},{first.y}"),)
-    clipped = plot(np.arange(2.0), np.array([9.0]), "", top=1, y_ticks=[], x_ticks=[])
-    assert clipped.bars[0].y == drawn.y_ticks[0][0]
+    first, second = drawn.bars()
+    assert first["height"] == pytest.approx(2 * second["height"], abs=0.02)
+    assert second["width"] == pytest.approx(2 * first["width"], abs=0.02)
+    assert [bar["y"] + bar["height"] for bar in (first, second)] == [drawn.floor] * 2
+    assert (drawn.x(0), drawn.x(3)) == (drawn.left, drawn.right)
+    line = f"{drawn.left:.1f},{first['y']} {drawn.right:.1f},{first['y']}"
+    assert list(drawn.polylines()) == [("even", line)]
+    assert drawn.y(9) == drawn.y(2) == TOP and drawn.y(-1) == drawn.floor  # beyond the ends

@@ -21,6 +21,8 @@ from svu_mi.capture.poses import sphere_sensors
 from svu_mi.capture.scene import load_scene
 from svu_mi.options import preset
 
+pytestmark = pytest.mark.slow
+
 METHODS = pytest.mark.parametrize("method", ["angular", "spectrum"])
 AXIS = np.array([0.36, 0.8, 0.48])  # where the lamp is
 NEAR = np.cos(np.radians(35))

@@ -298,7 +298,9 @@ def number(loss):
     return float(np.array(loss).ravel()[0])
 
 
-@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize(
+    "loss", ["relative", *(pytest.param(name, marks=pytest.mark.slow) for name in ("l1", "l2"))]
+)
 def test_gradients_are_those_of_finite_differences(capture, grid, loss):
     """Of the mean over many paths: gradients have paths of their own, so equality is statistical.
 
@@ -328,6 +330,7 @@ def test_gradients_are_those_of_finite_differences(capture, grid, loss):
             assert abs(wanted) > 0.1 * size  # it is not the noise that agrees
 
 
+@pytest.mark.slow
 def test_no_path_is_weighted_by_its_own_error(capture, grid):
     """With the truth, gradients of a squared loss vanish in the mean even for two noisy paths."""
     objective = path_objective(capture, grid, options(spp=2, pixels_per_batch=4096))
@@ -349,6 +352,7 @@ def test_paths_without_halves_are_left_to_mitsuba(capture, grid):
         PathGradient(target, mi.load_dict({"type": "prb"}), LOSSES["l2"], 3)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("loss", LOSSES)
 def test_true_textures_are_a_stationary_point(capture, grid, loss):
     """Within noise: of paths, and of photographs; away from the truth gradients are far larger."""

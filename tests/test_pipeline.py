@@ -48,9 +48,9 @@ def glossy(tmp_path_factory):
 def stored_samples(capture, texels, switches):
     """What the kernels see, as arrays: directions (T,V,3), weights (T,V), values (T,V,2C)."""
     seen, surface = observe(capture, texels), Surface.of(texels)
-    columns, found, lighting = [], seen.found, seen.lighting
+    columns, found = [], seen.found
     colors = switches.colors
-    samples = Samples(seen.views, lighting, surface, found, switches.occluded, colors, colors)
+    samples = Samples(seen, surface, switches.occluded, colors, colors)
     for place in range(int(found.count[0])):
         direction, weight, values = samples.at(mi.UInt32(place))
         dr.eval(direction, weight, values)
@@ -60,7 +60,7 @@ def stored_samples(capture, texels, switches):
 
 
 def spectra_of(seen, switches):
-    return fit_spectra(seen.views, seen.lighting, seen.texels, seen.found, switches)
+    return fit_spectra(seen, switches)
 
 
 def exact_spectra(d, w, f, switches):
@@ -97,6 +97,7 @@ def test_every_result_is_in_range_and_nothing_is_nan(glossy, method):
         assert (result.image("entropy")[~texels.inside()] == 1).all()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("gain", [0.25, 4.0])
 @METHODS
 def test_exposure_does_not_change_the_entropy(tmp_path, glossy, gain, method):
@@ -156,7 +157,7 @@ def test_turning_object_light_and_cameras_together_changes_nothing(tmp_path, glo
 
 def test_a_diffuse_ball_has_no_power_above_degree_zero(tmp_path):
     """Method: with R_00 = 0 a constant signal stays constant; as printed it leaks."""
-    capture = render_ball(tmp_path, studio(), DIFFUSE, views=30, spp=256)
+    capture = render_ball(tmp_path, studio(), DIFFUSE, views=24, resolution=(48, 48), spp=128)
     texels = svu.texels(capture.mesh, 32)
     seen = observe(capture, texels)
     many = seen.coverage >= 6
@@ -233,23 +234,22 @@ def test_a_second_capture_compiles_nothing(tmp_path, glossy, method):
     assert sum(dr.detail.launch_stats()[1:]) == before
 
 
-@METHODS
+@pytest.mark.parametrize("method", [pytest.param("angular", marks=pytest.mark.slow), "spectrum"])
 def test_memory_does_not_grow_with_texels_times_views(tmp_path, method):
     """Doubling the views of the same texels adds their pixels, nothing per texel."""
     scene = ball_scene(tmp_path, studio(), GLOSSY)
     texels = svu.texels(scene.shapes()[0], 256)
     peak = []
-    for number in (32, 64, 96):
+    for number in (32, 32, 96):  # the first compiles
         sensors = sphere_sensors(scene.shapes()[0], number, (16, 16))
         capture = memory_capture(scene, [np.ones((16, 16, 3))] * number, sensors)
-        estimate(capture, texels, method)
         dr.sync_thread()
         dr.flush_malloc_cache()
         dr.detail.malloc_clear_statistics()
         estimate(capture, texels, method)
         dr.sync_thread()
         peak.append(dr.detail.malloc_watermark(dr.JitBackend.LLVM))
-    per_view = (peak[2] - peak[0]) / 64
+    per_view = (peak[2] - peak[1]) / 64
     assert per_view < 0.5 * texels.count  # one byte per texel and view would be 2 times that
 
 
@@ -274,6 +274,7 @@ def test_the_oracle_and_the_posterior_agree_on_a_rendered_object(glossy):
 # --- what is refused, and what must not be mistaken -------------------------------------------
 
 
+@pytest.mark.few(1)
 @METHODS
 def test_black_photographs_are_an_observation_at_any_exposure(tmp_path, method):
     """Black under a known light is the strongest sign of a black surface there is."""
@@ -294,7 +295,7 @@ def test_black_photographs_are_an_observation_at_any_exposure(tmp_path, method):
         ("angular", {"grid": svu.ParameterGrid()}, "need a PrincipledGrid, got ParameterGrid"),
         ("angular", {"grid": (8, 8, 8)}, r"need a PrincipledGrid, got \(8, 8, 8\)"),
         ("angular", {"prior": np.ones(3)}, r"the prior must be \(8, 8, 8\) or \(8,\)"),
-        ("spectrum", {"grid": (8, 8)}, "A grid is a ParameterGrid or a PrincipledGrid"),
+        ("spectrum", {"grid": (8, 8)}, "The grid must be a ParameterGrid or a PrincipledGrid"),
         ("spectrum", {"prior": -np.ones(8)}, "the prior must be finite, non-negative"),
         ("spectrum", {"preset": "fixed"}, "Unknown preset 'fixed'"),
     ],
@@ -325,15 +326,3 @@ def test_switches_of_the_wrong_kind_are_refused(method, switches):
     wanted = "a whole number|a number|True or False"
     with pytest.raises(OptionError, match=f"Preset: {name} must be ({wanted})"):
         preset("default", method=method, **switches)
-
-
-@pytest.mark.parametrize("cells", [-1, 1, 255, 4097])
-def test_numbers_of_cells_out_of_range_are_refused(cells):
-    with pytest.raises(OptionError, match=r"cells must be in \[256, 4096\], or 0 to trace none"):
-        preset("default", method="angular", cells=cells)
-
-
-@pytest.mark.parametrize("name", ["rays", "occluded_specular", "occluded_diffuse"])
-def test_switches_that_are_no_more_are_named(name):
-    with pytest.raises(OptionError, match=f"Unknown switch '{name}'.* has .*cells, .* occluded"):
-        preset("default", method="angular", **{name: 64})

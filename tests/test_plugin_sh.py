@@ -124,6 +124,7 @@ def test_a_mirror_shows_the_light_and_a_white_wall_its_irradiance():
     np.testing.assert_allclose(center / [0.5, 1, 2], 0.6 + 0.04, rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_the_background_is_the_environment_unless_hidden():
     scene = ball(paint())
     path = mi.load_dict({"type": "direct"})
@@ -166,8 +167,7 @@ def two_sided(bsdf):
 # --- gradients ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("preset", ["default", "gaussian"])
-@pytest.mark.parametrize("twosided", [False, True])
+@pytest.mark.parametrize(("preset", "twosided"), [("default", True), ("gaussian", False)])
 def test_gradients_are_those_of_finite_differences(preset, twosided):
     """For all three textures, along random directions, with the same camera rays."""
     bsdf = two_sided(paint()) if twosided else paint()
@@ -201,6 +201,7 @@ def test_gradients_are_those_of_finite_differences(preset, twosided):
         assert abs((found * along).sum() - difference) < 0.01 * np.abs(found).sum(), name
 
 
+@pytest.mark.slow
 def test_the_true_textures_are_nearly_stationary():
     """Against photographs that ``path`` made, the gradient there is small."""
     scene = own_scene("vase", resolution=64)
@@ -255,6 +256,7 @@ def test_it_replaces_prb_in_an_optimisation():
 # --- light and scenes -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_changes_of_the_light_are_seen():
     scene, integrator = ball(paint()), load(occlusion=False)
     before = picture(scene, integrator, sensor=0)

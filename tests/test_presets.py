@@ -49,15 +49,11 @@ WRITTEN: dict[tuple[str, str], dict[str, Any]] = {
 }  # fmt: skip
 
 
-def test_every_preset_is_written_down():
-    kinds = {"spectrum": PRESETS, "angular": ANGULAR_PRESETS}
-    there = [(method, name) for method, presets in kinds.items() for name in presets]
-    assert set(there) == set(WRITTEN)
-
-
-@pytest.mark.parametrize(("method", "name"), WRITTEN)
-def test_a_preset_has_the_switches_written_down(method, name):
-    assert asdict(preset(name, method=method)) == {"name": name, **WRITTEN[method, name]}
+def test_presets_are_what_is_written_down():
+    methods = {"spectrum": PRESETS, "angular": ANGULAR_PRESETS}
+    found = {(method, name): asdict(one) for method in methods
+             for name, one in methods[method].items()}  # fmt: skip
+    assert found == {asked: {"name": asked[1], **switches} for asked, switches in WRITTEN.items()}
 
 
 @pytest.fixture(scope="module")
@@ -98,10 +94,16 @@ def test_an_estimate_uses_its_preset(seen, monkeypatch, method, name):
         ({"off_specular": True}, "off_specular must be False with a fit"),
         ({"occluded": True}, "occluded must be False with a fit"),
         ({"fit": True}, "fit must be a Fit, or None"),
-        ({"noise": "estimated"}, "noise='estimated' has its own count of views"),
+        ({"noise": "estimated"}, "noise='estimated' counts views itself"),
         ({"errors": "median"}, "errors must be one of mean, sum"),
     ],
 )
 def test_what_the_paper_has_not_is_refused_beside_what_it_has(switches, sentence):
     with pytest.raises(OptionError, match=sentence):
         preset("paper", method="angular", **switches)
+
+
+@pytest.mark.parametrize("cells", [-1, 1, 255, 4097])
+def test_numbers_of_cells_out_of_range_are_refused(cells):
+    with pytest.raises(OptionError, match=r"cells must be in \[256, 4096\], or 0"):
+        preset("default", method="angular", cells=cells)

@@ -14,7 +14,7 @@ from oracle import continuous as oracle
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.frequency import groups
+from svu_mi.frequency import fit as fits
 from svu_mi.frequency.gather import fit_coefficients, fit_spectra
 from svu_mi.interop import owned
 from svu_mi.light import environment as env
@@ -31,6 +31,8 @@ from svu_mi.recovery.start import estimate_for_textures
 from svu_mi.reflection.continuous import continuous, shade
 from svu_mi.reflection.lobes import dielectric_albedo, profile_of, split_sum
 from svu_mi.reflection.principled import alpha_from_roughness
+from svu_mi.reflection.shading import radiance
+from svu_mi.statistics.gather import flat
 from svu_mi.visibility import Surface
 
 STUDIO = {"type": "envmap", "filename": str(scenes.FOLDER / "lights" / "studio.exr")}
@@ -122,6 +124,7 @@ def part(mirror, alpha):
     return 0.5 + 0.3 * x * y - 0.2 * alpha * z
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("hidden", [False, True], ids=["open", "hidden"])
 @pytest.mark.parametrize("name", ["default", "fast", "gaussian"])
 def test_the_model_is_that_of_float64(observed, name, hidden):
@@ -151,14 +154,14 @@ def test_the_model_is_that_of_float64(observed, name, hidden):
              ((mi.Normal3f, normal), (mi.Vector3f, direction))]  # fmt: skip
     rough = owned(mi.Float, roughness.astype(np.float32))
     dr.enable_grad(rough)
-    shading = shade(model, rough, *lanes, moments, visible=part if hidden else None)
-    for ours, theirs in zip(shading.parts, exact(roughness), strict=True):
+    parts = shade(model, rough, *lanes, moments, visible=part if hidden else None)
+    for ours, theirs in zip(zip(*parts, strict=True), exact(roughness), strict=True):
         for c in range(3):
             # Directions in single precision, times the light's steepest slope.
             value = dr.detach(ours[c]).numpy()
             np.testing.assert_allclose(value, theirs[:, c], rtol=1e-4, atol=2e-4 * theirs.max())
     color, metallic = [0.3, 0.6, 0.9], 0.4
-    green = shading.radiance(color, mi.Float(metallic))[1]
+    green = radiance(parts, color, [mi.Float(metallic)])[1]
     dr.forward(rough)
     step = 1e-6  # a kink is at every level
     every = np.full(len(normal), metallic)
@@ -171,6 +174,7 @@ def test_the_model_is_that_of_float64(observed, name, hidden):
     assert np.median(error) < 2e-4 * np.abs(difference).max()
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["fast", "gaussian"])
 @pytest.mark.parametrize("channels", [3, 1])
 def test_levels_of_the_angular_model_are_met(observed, name, channels):
@@ -190,10 +194,10 @@ def test_levels_of_the_angular_model_are_met(observed, name, channels):
         here = dr.full(mi.Float, rough, model.surface.count)
         found = shade(same, here, model.surface.normal, direction, model.moments)
         for c in range(channels):
-            for ours, theirs in zip(found.parts, exact[level][c], strict=True):
+            for ours, theirs in zip(found[c], exact[level][c], strict=True):
                 # Directions are rounded once more, times the light's steepest slope.
                 truth = np.broadcast_to(theirs.numpy(), model.surface.count)
-                value = np.broadcast_to(ours[c].numpy(), model.surface.count)
+                value = np.broadcast_to(ours.numpy(), model.surface.count)
                 np.testing.assert_allclose(value, truth, rtol=2e-5, atol=1e-5 * truth.max() + 1e-7)
 
 
@@ -271,7 +275,7 @@ def test_many_views_are_fitted_by_the_other_solver(observed, monkeypatch):
     """More than the dual holds: the normal equations give the same loss and slopes."""
     textures = random_textures()
     loss, slopes = backward(angular_objective(observed, angular("paper")), textures)
-    monkeypatch.setattr(groups, "AUTO_CAPACITY", 0)
+    monkeypatch.setattr(fits, "AUTO_CAPACITY", 0)
     other, others = backward(angular_objective(observed, angular("paper")), textures)
     assert other == pytest.approx(loss, rel=1e-5)
     np.testing.assert_allclose(others, slopes, atol=1e-4 * np.abs(slopes).max())
@@ -291,9 +295,7 @@ def test_more_texels_than_an_array_holds_are_refused(observed):
 def test_the_spectral_losses_and_their_slopes_are_those_of_float64(observed, name, domain):
     texels, switches = observed.texels, preset(name, degree=4)
     objective = spectral_objective(observed, switches, domain)
-    fitted = fit_coefficients(
-        observed.views, observed.lighting, texels, observed.found, switches
-    )
+    fitted = fit_coefficients(observed, switches)
     table = np.array(fitted.values, np.float64).reshape(25, 6, texels.count)
     table = table[..., np.array(objective.texel)].transpose(2, 0, 1)
     textures = random_textures()
@@ -318,10 +320,7 @@ def test_the_spectral_losses_and_their_slopes_are_those_of_float64(observed, nam
 
 def test_coefficients_have_the_power_of_the_spectra(observed):
     texels, switches = observed.texels, preset("default", channels="joint")
-    arguments = (
-        observed.views, observed.lighting, texels, observed.found, switches
-    )  # fmt: skip
-    spectra, fitted = fit_spectra(*arguments), fit_coefficients(*arguments)
+    spectra, fitted = fit_spectra(observed, switches), fit_coefficients(observed, switches)
     table = np.array(fitted.values).reshape(49, 6, texels.count) ** 2
     for l in range(7):
         power = table[l * l : (l + 1) ** 2].sum(axis=0).T
@@ -356,5 +355,5 @@ def test_textures_are_looked_up_where_the_texels_are(observed):
     texels, textures = observed.texels, random_textures()
     values = look_up(textures, texels.index)
     rows = as_rows(textures, texels.index)
-    for k, value in enumerate(values):
+    for k, value in enumerate(flat(values)):
         np.testing.assert_array_equal(np.array(value), np.float32(rows[:, k]))

@@ -37,7 +37,7 @@ from svu_mi.surface import neighbors
 # Of Adam everywhere; the paper has no other.
 ADAM = {
     "tolerance": 0.0, "window": 25, "low": 0.0, "high": 1.0, "scales": {}, "beta_1": 0.9,
-    "beta_2": 0.999, "mask_updates": False,
+    "beta_2": 0.999,
 }  # fmt: skip
 PRINTED = {"tv": 1e-2, "tv_space": "texture", "tv_epsilon": 0.0, "sharing": 1e-2,
            "common_prior": False}  # fmt: skip
@@ -82,7 +82,6 @@ PATH = {
     },
     "paper_polish": {**PATH_PAPER, "epochs": 1.0, "spp": 16},
 }  # fmt: skip
-
 BOTH = {
     "default": ("default", "polish"),
     "paper": ("paper", "paper_polish"),
@@ -96,13 +95,15 @@ ASKED = [
 
 
 def expected(method: str, name: str) -> dict[str, dict[str, Any]]:
-    """What the tables above say of a preset, by part."""
+    """Return the options of a preset, by part."""
     if method == "sh+path":
-        return {"sh": SH[BOTH[name][0]], "path": PATH[BOTH[name][1]]}
+        first, second = BOTH[name]
+        return {"sh": SH[first], "path": PATH[second]}
     return {method: {"sh": SH, "path": PATH}[method][name]}
 
 
 def test_presets_are_what_is_written_down():
+    """``test_paper.py`` has the paper's numbers with their equations."""
     assert {name: asdict(options) for name, options in SH_PRESETS.items()} == SH
     assert {name: asdict(options) for name, options in PATH_PRESETS.items()} == PATH
     assert BOTH_PRESETS == BOTH
@@ -110,19 +111,19 @@ def test_presets_are_what_is_written_down():
 
 
 def test_a_preset_that_a_method_does_not_have_is_refused_and_others_are_listed():
-    for method, table in (("sh", SH), ("path", PATH), ("sh+path", BOTH)):
+    for method, table in (("sh", SH), ("path", PATH), ("sh+path", BOTH_PRESETS)):
         for name in {*SH, *PATH, "best"} - set(table):
             for given in (None, ShOptions()):
                 with pytest.raises(OptionError) as refused:
                     Options.of(method, name, given, None, None)
                 assert str(refused.value) == (
-                    f"Unknown preset {name!r} of method {method!r}; there are {', '.join(table)}."
+                    f"Unknown preset {name!r} of method {method!r}; use one of {', '.join(table)}."
                 )
 
 
 def test_the_command_offers_every_preset_there_is():
     offered = get_args(get_type_hints(Recover)["preset"])
-    assert set(offered) == {*SH, *PATH, *BOTH}
+    assert set(offered) == {*SH, *PATH, *BOTH_PRESETS}
 
 
 @pytest.mark.parametrize("wrong", [{"tv_space": "map"}, {"tv_epsilon": -1.0}, {"tile": 0}])
@@ -207,7 +208,10 @@ def is_of_texture(variation: TotalVariation, grid: Any) -> bool:
     )
 
 
-@pytest.mark.parametrize(("method", "name"), ASKED)
+@pytest.mark.parametrize(("method", "name"), [
+    pytest.param(*asked, marks=[pytest.mark.slow] if asked[0] == "sh+path" else [])
+    for asked in ASKED
+])  # fmt: skip
 def test_a_run_uses_what_its_preset_says(seen, grid, told, method, name):
     found = svu.recover(seen.observed, None, method, name)
     parts = expected(method, name)
@@ -257,6 +261,7 @@ def test_a_start_is_that_of_the_preset(seen, told):
 # ---- sharing as printed ----
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(
     ("method", "name"),
     [("sh", "paper"), ("sh", "coefficients"), ("sh", "spectrum"), ("path", "paper"),
@@ -314,6 +319,7 @@ def test_what_is_known_of_roughness_is_known_to_the_printed_posterior(seen, told
         svu.recover(few, preset="paper", sharing=True)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["paper", "coefficients", "spectrum"])
 def test_a_run_fits_as_the_given_estimate_of_the_paper_does(seen, told, name):
     """Another degree, another lambda: what is written down is what is used."""
@@ -330,6 +336,7 @@ def test_a_run_fits_as_the_given_estimate_of_the_paper_does(seen, told, name):
         assert (mine.coefficients.degree, usual.coefficients.degree) == (2, 6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["sh", "path"])
 @pytest.mark.parametrize("name", ["default", "fixed", "fast", "paper"])
 def test_recovery_goes_on_from_every_angular_preset(seen, told, method, name):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -61,7 +62,8 @@ def layout(capture):
 
 def energies(reference) -> np.ndarray:
     """Free of Monte Carlo variance, which few paths have a lot of."""
-    return reference.unbiased_energies
+    whole, first, second = reference.traced.tables
+    return np.asarray((4 * whole - first - second) / 2)
 
 
 def valley() -> capture_mesh.MeshArrays:
@@ -181,6 +183,7 @@ def test_the_true_material_has_the_smallest_energy(capture, layout):
     assert np.median(reference.entropy) < 0.05
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["neighbour", "twosided", "flipped", "area light"])
 def test_the_rest_of_the_scene_stays(tmp_path, kind):
     """Other shapes shade, other lights shine, and the object keeps its orientation."""
@@ -227,6 +230,7 @@ def ball_part(tmp_path, kind: str, bsdf: dict[str, Any]) -> dict[str, Any]:
     return {"type": "ply", "filename": str(write_ball(tmp_path)), "bsdf": bsdf}
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("noise", ["relative", "heteroscedastic", "estimated"])
 def test_exposure_does_not_matter(tmp_path, capture, layout, noise):
     """Four times the light and four times the photographs: the same entropies."""
@@ -306,8 +310,6 @@ def test_a_noise_that_is_estimated_is_that_of_sums_of_weighted_samples(capture, 
             assert table[..., k] == pytest.approx(pairs_of, rel=1e-9, abs=1e-12)
     assert reference.posterior.groups == 3
     assert np.array(reference.posterior.probabilities).shape == (20, *GRID.shape, 3)
-    with pytest.raises(OptionError, match="none where the noise is estimated"):
-        _ = reference.unbiased_energies
 
 
 def test_a_noise_that_is_estimated_gives_the_estimator_s_own_posterior(capture, layout):
@@ -336,7 +338,8 @@ def test_weights_go_through_the_four_corners():
     texel, observed, weight = rng.integers(0, 3, 40), rng.random(40), rng.random(40)
     corners = rng.random((2, 2, 2, 40, 3))  # half, metallic, base colour, pair, channel
 
-    def render(_roughness: float, m: float, c: float) -> tuple[np.ndarray, np.ndarray]:
+    def render(psi: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        m, c = psi["metallic"], psi["base_color"]
         return tuple(np.einsum("hmcpk,m,c->hpk", corners, [1 - m, m], [1 - c, c]))
 
     mean = PerTexel(texel, 3, weight)
@@ -353,8 +356,8 @@ def test_two_halves_take_the_noise_out_of_squares():
         diffuse, coat, metal = 1 + roughness, 0.3 - 0.2 * roughness, 2 - roughness
         return (1 - metallic) * (base_color * diffuse + coat) + metallic * base_color * metal
 
-    def render(*psi: float) -> tuple[np.ndarray, np.ndarray]:
-        grey = exact(*psi) + deviation * rng.standard_normal((2, count))
+    def render(psi: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        grey = exact(**psi) + deviation * rng.standard_normal((2, count))
         return tuple(np.repeat(grey[..., None], 3, axis=-1))
 
     observed = np.full(count, exact(1.0, 0.5, 0.5))
@@ -613,8 +616,8 @@ def test_a_damaged_cache_is_traced_again(capture, layout, tmp_path, damage):
         ({"spp": 33}, "spp must be even and at least 2, got 33"),
         ({"spp": 4.0}, "spp must be even and at least 2, got 4.0"),
         ({"subset": 0}, "number of texels >= 1, got 0"),
-        ({"subset": [0, 10**6]}, "names texel 1000000, but there are texels 0 to"),
-        ({"subset": [-1]}, "names texel -1"),
+        ({"subset": [0, 10**6]}, "must hold texel indices 0 to"),
+        ({"subset": [-1]}, "got -1"),
         ({"subset": [0.5]}, "list of texel indices"),
         ({"subset": []}, "list of texel indices"),
         ({"sigma": 0}, "sigma must be above 0"),

@@ -9,14 +9,15 @@ from types import SimpleNamespace
 import mitsuba as mi
 import numpy as np
 import pytest
-from helpers import render_ball, write_scene
+from helpers import posed, render_ball, write_scene
+from unseen import blind
 
 import svu_mi as svu
-from svu_mi.capture.poses import describe, make_sensor
+from svu_mi.capture.scene import to_world
 from svu_mi.cli.main import main
 from svu_mi.exr import write_exr
 from svu_mi.output.knowledge import Intervals, Knowledge
-from svu_mi.output.report import findings, pictures, plots, report
+from svu_mi.output.report import errors, findings, pictures, plots, report
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import Result
 from svu_mi.output.upright import front_and_right, upright
@@ -78,14 +79,21 @@ def text(written):
     return written.read_text(encoding="utf-8")
 
 
-def unseen(estimate):
-    """The estimate, had no photograph shown anything."""
-    count = estimate.texels.count
-    posterior = replace(estimate.posterior, observed=np.zeros(count, bool))
-    return replace(
-        estimate, posterior=posterior, coverage=mi.UInt32(np.zeros(count, np.uint32)),
-        seen_per_view=0 * estimate.seen_per_view,
-    )  # fmt: skip
+@pytest.fixture(scope="module")
+def table(capture):
+    """Four small frames all around."""
+    return Turntable.around(capture, 4, side=48)
+
+
+@pytest.fixture
+def page(capture, estimate, tmp_path, monkeypatch):
+    """Write a page without renders, changed in some way, and return its text."""
+    def page(capture=capture, estimate=estimate, compared=0, **options):
+        monkeypatch.setattr(errors, "COMPARED", compared)
+        svu.write_report(capture, estimate, tmp_path / "page.html", **options)
+        return (tmp_path / "page.html").read_text(encoding="utf-8")
+
+    return page
 
 
 def section(text, name):
@@ -138,10 +146,10 @@ class Banded(Intervals):
 
 def test_parts_are_of_the_area_and_sum_to_1(estimate):
     """Texels of a lat-long chart are small near its poles."""
-    result, banded = Result.of(estimate), Banded(estimate)
-    area = np.sin(np.pi * np.array(estimate.texels.uv)[1]) * result.seen
+    banded = Banded(estimate)
+    area = np.sin(np.pi * banded.v) * (np.array(estimate.coverage) > 0)
     for name, (first, second) in banded.borders.items():
-        parts = findings.Parts.of(estimate, result, banded.half_width(name))
+        parts = findings.Parts.of(estimate, banded.half_width(name))
         below = [area[banded.v < border].sum() / area.sum() for border in (first, second)]
         assert parts.settled == pytest.approx(below[0], abs=0.02)
         assert parts.roughly == pytest.approx(below[1] - below[0], abs=0.02)
@@ -160,19 +168,17 @@ def test_all_of_the_surface_is_exactly_all(estimate):
         for seen in (True, False):
             some.coverage = np.full(count, int(seen))
             assert Knowledge.of(some).seen_part == seen
-        result = SimpleNamespace(seen=np.ones(count, bool))
+        some.coverage = np.ones(count)
         for width in (0.05, 0.15, 0.16):
-            parts = findings.Parts.of(some, result, np.full(count, width, np.float32))
+            parts = findings.Parts.of(some, np.full(count, width, np.float32))
             where = (width == 0.05, width == 0.15, width == 0.16)
             assert (parts.settled, parts.roughly, parts.wide) == where
 
 
-def test_what_is_settled_is_said_from_intervals(capture, estimate, tmp_path, monkeypatch):
+def test_what_is_settled_is_said_from_intervals(estimate, page, monkeypatch):
     banded, seen = Banded(estimate), np.array(estimate.coverage) > 0
     monkeypatch.setattr(report, "Intervals", lambda _: banded)
-    monkeypatch.setattr(report.plots, "errors", lambda *_: None)
-    svu.write_report(capture, estimate, tmp_path / "page.html")
-    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    text = page()
     area = np.array(estimate.texels.footprint, np.float64)[seen] ** 2
     below = [area[banded.v[seen] < v].sum() / area.sum() for v in (0.3, 0.5, 0.7)]
     told = [f"{100 * part:.0f}\u202f%" for part in below]
@@ -186,10 +192,9 @@ def test_what_is_settled_is_said_from_intervals(capture, estimate, tmp_path, mon
     assert f"{told[1]} settled, half known to ±0." in text
 
 
-def test_nothing_is_settled_by_its_entropy(capture, estimate):
+def test_nothing_is_settled_by_its_entropy(capture, estimate, table):
     """Whatever the entropy is, the same is said of what is settled."""
-    table, intervals = Turntable.around(capture, 1, side=16), Intervals(estimate.posterior)
-    result, told = Result.of(estimate), []
+    result, intervals, told = Result.of(estimate), Intervals(estimate.posterior), []
     for entropy in (0, 1):
         other = replace(result, entropy=np.full_like(result.entropy, entropy))
         summary = report._summary(capture, estimate, other, intervals, table)
@@ -197,11 +202,10 @@ def test_nothing_is_settled_by_its_entropy(capture, estimate):
     assert told[0] == told[1] and len(told[0][0]) == 3
 
 
-def test_points_are_shown_with_their_intervals(capture, estimate):
+def test_points_are_shown_with_their_intervals(estimate, table):
     result, intervals = Result.of(estimate), Intervals(estimate.posterior)
-    table = Turntable.around(capture, 1, side=16)
     (low, high) = (np.array(end) for end in estimate.posterior.interval("roughness"))
-    for example in plots.examples(table, estimate, result, intervals, [None]):
+    for example in plots.examples(table, estimate, result, intervals, [None] * 4):
         column, row = map(int, re.search(r"column (\d+), row (\d+)", example.sentence).groups())
         texel = list(estimate.texels.index.numpy()).index(row * 48 + column)
         told = {name: interval for name, _, interval in example.plots}
@@ -223,17 +227,12 @@ def test_photographs_say_what_is_wrong_with_them(text):
     assert "entirely black" in left_out and "view_0004.exr" in left_out
 
 
-def test_a_page_for_others_names_no_folder(text, written):
+def test_neither_options_nor_warnings_name_a_folder(capture, page, tmp_path, text, written):
     assert str(written.parent) not in text and written.name in section(text, "record")
-
-
-def test_neither_options_nor_warnings_name_a_folder(capture, estimate, tmp_path, monkeypatch):
-    monkeypatch.setattr(report.plots, "errors", lambda *_: None)
     secret = tmp_path / "client = no 7"
     told = replace(capture, source=secret, warnings=(f"{secret / 'a.png'}: an 8-bit image.",))
     given = {"define": (f"map={secret / 'sky.exr'}", "spp=4", "a="), "title": "now/then"}
-    svu.write_report(told, estimate, tmp_path / "page.html", settings=given)
-    text = (tmp_path / "page.html").read_text()
+    text = page(told, settings=given)
     assert str(tmp_path) not in text
     assert ">a.png: an 8-bit image." in text
     assert "map=sky.exr, spp=4, a=" in text and "now/then" in text
@@ -279,38 +278,27 @@ def test_a_ring_is_where_its_texel_is(capture, estimate):
 
 
 def test_up_is_where_cameras_have_it(capture):
-    def turned(matrix):
-        records = [describe(sensor) for sensor in capture.sensors]
-        for record in records:
-            record["to_world"] = matrix @ np.array(record["to_world"])
-        sensors = tuple(make_sensor(record, "turned") for record in records)
-        return replace(capture, sensors=sensors)
-
     to_z = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
+    turned = posed(capture, *(to_z @ to_world(sensor) for sensor in capture.sensors))
     np.testing.assert_array_equal(upright(capture), [0, 1, 0])
-    np.testing.assert_array_equal(upright(turned(to_z)), [0, 0, 1])
-    table = Turntable.around(turned(to_z), 4, side=16)
-    heights = [np.array(s.world_transform().matrix).reshape(4, 4)[2, 3] for s in table.sensors]
+    np.testing.assert_array_equal(upright(turned), [0, 0, 1])
+    heights = [to_world(s)[2, 3] for s in Turntable.around(turned, 4, side=16).sensors]
     assert np.ptp(heights) < 1e-4 and min(heights) > 0.5
 
 
 @pytest.mark.parametrize("unit", [1e-3, 1, 1e3])
 def test_the_front_is_the_same_in_any_unit(capture, unit):
     """Also if the first photograph is from above, and so does not say where it is."""
-    records = [describe(sensor) for sensor in capture.sensors]
-    above = mi.ScalarTransform4f().look_at([0, 4, 0], [0, 0, 0], [0, 0, 1])
-    records[0]["to_world"] = np.array(above.matrix)
-    for record in records:
-        record["to_world"] = np.array(record["to_world"])
-        record["to_world"][:3, 3] *= unit
-    moved = replace(capture, sensors=tuple(make_sensor(r, "moved") for r in records))
-    front, right = front_and_right(moved, np.zeros(3), np.array([0.0, 1, 0]))
-    np.testing.assert_allclose([front, right], [[0, 0, 1], [1, 0, 0]], atol=1e-6)
+    above = mi.ScalarTransform4f().look_at([0, 4 * unit, 0], [0, 0, 0], [0, 0, 1])
+    poses = [np.array(above.matrix), *map(to_world, capture.sensors[1:])]
+    for pose in poses[1:]:
+        pose[:3, 3] *= unit
+    found = front_and_right(posed(capture, *poses), np.zeros(3), np.array([0.0, 1, 0]))
+    np.testing.assert_allclose(found, [[0, 0, 1], [1, 0, 0]], atol=1e-6)
 
 
-def test_frames_are_free_of_their_background(capture, estimate):
+def test_frames_are_free_of_their_background(table):
     """What was mixed with white at the silhouette would shine on a dark page."""
-    table = Turntable.around(capture, 1, side=64)
     frame = table.frame(np.full((24, 48, 3), 0.1, np.float32), 0)
     alpha = frame[..., 3]
     assert (alpha == 0).any() and (alpha == 1).mean() > 0.5
@@ -318,9 +306,8 @@ def test_frames_are_free_of_their_background(capture, estimate):
     assert edge.any() and np.quantile(frame[edge][:, :3], 0.95) < 0.2
 
 
-def test_a_texel_that_no_frame_shows_has_no_ring(capture, estimate):
+def test_a_texel_that_no_frame_shows_has_no_ring(estimate, table):
     """From a little above, nothing shows the ball's lowest part."""
-    table = Turntable.around(capture, 4, side=16)
     low = np.flatnonzero(np.array(estimate.texels.normal)[1] < -0.97)
     assert len(low) and table.find(estimate.texels, low) is None
     high = np.flatnonzero(np.array(estimate.texels.normal)[1] > 0.97)
@@ -330,23 +317,20 @@ def test_a_texel_that_no_frame_shows_has_no_ring(capture, estimate):
 # --- Few views, many, and other methods ---------------------------------------------------
 
 
-def test_nothing_seen_is_said(capture, estimate, tmp_path):
+def test_nothing_seen_is_said(capture, estimate, page):
     few = replace(capture, used=(False,) * VIEWS, warnings=())
-    svu.write_report(few, unseen(estimate), tmp_path / "page.html")
-    text = (tmp_path / "page.html").read_text()
+    text = page(few, blind(estimate))
     assert "No point of the surface is seen" in text and "No photograph was used" in text
     assert "There is nothing to compare" in text and "Left out: 5" in text
     assert "settle" not in text.lower() and 'class="bars"' not in text
     assert "nan" not in re.sub(r"data:image/[^\"]*", "", text).lower()
 
 
-def test_one_view_of_the_method_as_printed(capture, estimate, tmp_path):
+def test_one_view_of_the_method_as_printed(capture, estimate, page):
     one = replace(capture, used=(True,) + (False,) * (VIEWS - 1), masks=(None,) * VIEWS)
-    found = svu.estimate(one, estimate.texels, "spectrum", "paper")
-    svu.write_report(one, found, tmp_path / "page.html")
-    text = (tmp_path / "page.html").read_text()
+    text = page(one, svu.estimate(one, estimate.texels, "spectrum", "paper"))
     assert "1 photograph settles roughness on" in text and "It does not show" in text
-    assert "specular are made of whole cells of the grid, up to 0.14 wide" in text
+    assert "specular consist of whole cells of the grid, up to 0.14 wide" in text
     assert "Most probable specular" in text and "base colour" not in section(text, "maps")
     assert "--recovered FOLDER" in section(text, "errors")
 
@@ -356,9 +340,9 @@ def test_channels_have_lines_of_their_own(capture, estimate):
     found = svu.estimate(capture, estimate.texels, preset=switches, known={"metallic": 0.0})
     drawn = dict(plots.marginals(found, Result.of(found)))
     assert list(drawn) == ["roughness", "base colour"]
-    assert {style for style, _ in drawn["base colour"].lines} >= {"red", "green", "blue"}
-    assert len(drawn["roughness"].bars) == 8 and not drawn["base colour"].bars
-    assert plots.most_probable(found).resolution == (48, 24)
+    assert {style for style, _, _ in drawn["base colour"].lines} >= {"red", "green", "blue"}
+    assert len(drawn["roughness"].heights) == 8 and not len(drawn["base colour"].heights)
+    assert errors.most_probable(found).resolution == (48, 24)
     assert "metallic = 0" in " ".join(findings.skipped(found))
 
 
@@ -376,27 +360,21 @@ def test_many_photographs_are_thinned_out(capture, estimate):
 
 
 def test_errors_tell_good_textures_from_bad(capture, estimate, monkeypatch):
-    monkeypatch.setattr(plots, "COMPARED", 2)
-    good = plots.errors(capture, plots.most_probable(estimate), grey=True)
-    bad = plots.errors(capture, uniform(estimate.texels, 0.02), grey=False)
+    monkeypatch.setattr(errors, "COMPARED", 2)
+    good = errors.errors(capture, errors.most_probable(estimate), grey=True)
+    bad = errors.errors(capture, uniform(estimate.texels, 0.02), grey=False)
     assert [name for name, _ in good.rows] == [capture.names[0], capture.names[3]]
     assert good.views == 4 and len(good.shown) == 2
-
-    def percent(errors):
-        return float(errors.mean.split("\u202f")[0])
-
-    assert percent(good) < 5 < 20 < percent(bad)
+    percent = [float(found.mean.split("\u202f")[0]) for found in (good, bad)]
+    assert percent[0] < 5 < 20 < percent[1]
 
 
-def test_recovered_textures_of_any_size_are_shown(capture, estimate, tmp_path, monkeypatch):
-    monkeypatch.setattr(plots, "COMPARED", 1)
-    textures = uniform(svu.texels(capture.mesh, 16), 0.4)
-    svu.write_report(capture, estimate, tmp_path / "page.html", textures=textures)
-    text = (tmp_path / "page.html").read_text()
+def test_recovered_textures_of_any_size_are_shown(capture, page):
+    text = page(textures=uniform(svu.texels(capture.mesh, 16), 0.4), compared=1)
     recovered = section(text, "recovered")
     for name in ("base colour", "roughness", "metallic"):
         assert f"Recovered {name}." in recovered
-    assert "in the recovered textures" in section(text, "errors")
+    assert "with the recovered textures" in section(text, "errors")
     assert "in grey" not in section(text, "errors")
 
 

@@ -22,6 +22,7 @@ from svu_mi.surface import texels
 SMALL = {"resolution": "16", "spp": "4"}
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("light", scenes.LIGHTS)
 @pytest.mark.parametrize("name", scenes.NAMES)
 def test_every_scene_renders_under_every_light(name, light):
@@ -163,5 +164,5 @@ def test_scenes_are_small_and_their_paths_relative():
 
 
 def test_an_unknown_scene_is_named():
-    with pytest.raises(OptionError, match="no scene 'teapot'; there are planes, spheres"):
+    with pytest.raises(OptionError, match="no scene 'teapot'; use one of planes, spheres"):
         scenes.path("teapot")

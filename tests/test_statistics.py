@@ -8,6 +8,7 @@ from dataclasses import replace
 import mitsuba as mi
 import numpy as np
 import pytest
+from helpers import as_values
 from oracle import angular as oracle
 from walled import ROUGHNESS, SIZE, Samples, angular, noise_capture, seen_in, walled_ball
 
@@ -20,7 +21,7 @@ from svu_mi.recovery.sh.energy import energy
 from svu_mi.statistics import Factors, Statistics
 from svu_mi.statistics.blocks import Reader, in_blocks, rows_of
 from svu_mi.statistics.factors import FLOOR, PAIRS
-from svu_mi.statistics.gather import Values
+from svu_mi.statistics.gather import Weighting
 
 # --- gathered, against the samples ----------------------------------------------------------
 
@@ -51,8 +52,8 @@ def assert_sufficient(capture, switches, kappa=np.inf, current=None, seed=1):
     if current is not None:
         current = current(len(observed.seen))
     statistics = observed.statistics(
-        ROUGHNESS, switches, switches.colors, kappa=kappa,
-        current=None if current is None else Values(*(owned(mi.Float, x) for x in current)),
+        ROUGHNESS, switches, switches.colors,
+        weighting=Weighting(kappa, current=None if current is None else as_values(current)),
     )  # fmt: skip
     samples = Samples(observed, switches, kappa, current)
     np.testing.assert_array_equal(statistics.views.numpy(), samples.seen.sum(axis=0))
@@ -273,7 +274,7 @@ def test_energies_and_posteriors_of_sums_are_those_of_all_views():
     whole = summed((w, columns, b), np.arange(60))
     total = summed((w, columns, b), order[:17]) + summed((w, columns, b), order[17:])
     for _ in range(ENERGIES):
-        values = Values(*(owned(mi.Float, x) for x in rng.random((5, 9)).astype(np.float32)))
+        values = as_values(rng.random((5, 9)))
         ours, theirs = (energy(x.factor(), values)[0].numpy() for x in (total, whole))
         np.testing.assert_allclose(ours, theirs, rtol=1e-6)
     grid = PrincipledGrid(5, 4, 4)
@@ -288,10 +289,13 @@ def parts_of(scene, groups, texels, switches, kappa, places, **options):
     for chosen in groups:
         capture = noise_capture(scene, chosen, places=places, **options)
         observed = observe(capture, texels, skip_unseen=False)
-        found.append(observed.statistics(ROUGHNESS, switches, switches.colors, kappa=kappa))
+        found.append(observed.statistics(
+            ROUGHNESS, switches, switches.colors, weighting=Weighting(kappa)
+        ))  # fmt: skip
     return found
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kappa", [np.inf, 0.8], ids=["plain", "kappa"])
 def test_statistics_of_two_captures_are_those_of_one_with_all_views(scene, kappa):
     """Through rays, photographs and kernels; and in halves, a shuffle and single views."""
@@ -311,6 +315,7 @@ def test_statistics_of_two_captures_are_those_of_one_with_all_views(scene, kappa
         assert_same(total, whole)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("places", [6, 130, 500])
 def test_many_views_add_up(scene, places):
     texels = svu.texels(noise_capture(scene, [0]).mesh, 6)
@@ -340,7 +345,7 @@ def test_sums_of_other_texels_levels_channels_or_kappa_are_refused():
         assert_a_sentence(caught)
     kappa = summed(random_columns(rng, 4), np.arange(4), 0.25)
     for other in (kappa, replace(one, kappa=np.inf), replace(one, edges=0.0)):
-        words = r"kappa 0.5 and (0.25|inf|0.5) \(edges 60 and (60|0)\) do not add"
+        words = r"kappa 0.5 and (0.25|inf|0.5) \(edges 60 and (60|0)\) cannot be added"
         with pytest.raises(OptionError, match=words) as caught:
             one + other
         assert_a_sentence(caught)

@@ -209,6 +209,7 @@ def test_widths_do_not_know_of_each_other() -> None:
     np.testing.assert_allclose(some, whole[2:], rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_rough_metal_under_a_sun_is_what_mitsuba_renders() -> None:
     """Pre-filtered light is off by tens of percent here; the sum is not."""
     light = {"type": "envmap", "bitmap": mi.Bitmap(spotted())}

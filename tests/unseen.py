@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 from oracle.posterior import Prior
+
+
+def blind(estimate: Any) -> Any:
+    """Return the estimate, had no photograph shown anything."""
+    count = estimate.texels.count
+    posterior = replace(estimate.posterior, observed=np.zeros(count, bool))
+    return replace(
+        estimate, posterior=posterior, coverage=mi.UInt32(np.zeros(count, np.uint32)),
+        seen_per_view=0 * estimate.seen_per_view,
+    )  # fmt: skip
 
 
 def assert_unseen_have_the_prior(posterior: Any, weights: np.ndarray) -> None:

@@ -1,7 +1,15 @@
-"""``svu bench``: how accurate and how fast the estimators are, with resumable runs.
+"""``svu bench``: how accurate and how fast svu_mi is, with runs that can be interrupted.
 
-``cells`` says what to run, ``variants`` which estimators, ``accuracy`` and ``speed`` measure,
-``store`` keeps what is finished, ``report`` writes bench.json, bench.md and the plots.
+A benchmark is a module of this package with a ``STUDY``: what is measured (an ``Experiment``: rows
+on cells), which bars it has to reach, and how it is shown. ``run`` runs them, keeps what is
+finished, and writes bench.json, bench.md and plots.
 """
 
-from svu_mi.bench.run import run_bench as run_bench
+# Every benchmark, and what it does: the module of that name has its ``STUDY``.
+BENCHMARKS = {
+    "accuracy": "entropy of every object under every light, against path tracing and the truth",
+    "speed": "run times, of the first object and light",
+    "recovery": "textures recovered in every way, against the true ones",
+    "guidance": "textures recovered from views chosen in every way",
+}
+ALL = ("accuracy", "speed")  # what ``all`` stands for: each of the others takes as long again

@@ -14,12 +14,9 @@ from svu_mi.bench.sizes import Sizes
 from svu_mi.bench.store import Store, key_of
 from svu_mi.capture import Capture, load_capture, render_capture
 from svu_mi.capture import folder as capture_folder
-from svu_mi.capture.scene import to_world
-from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
 from svu_mi.results.record import digest_of, is_as_written
 
-FRONT = (0.0, 0.3, 1.0)  # direction from the object to the middle of the crowded side
 MARK = "bench"  # bench.json in the capture's folder: the key it was rendered under
 
 
@@ -77,26 +74,3 @@ def chosen_views(capture: Capture, indices: Iterable[int]) -> Capture:
         name: tuple(getattr(capture, name)[i] for i in chosen) for name in names
     }
     return replace(capture, **views)
-
-
-def uneven_views(capture: Capture, front: int, back: int) -> Capture:
-    """Return the capture with most of its views from one side.
-
-    Args:
-        capture: views all around the object.
-        front: so many with the smallest angle to the front direction.
-        back: so many of the others, evenly spread over the order of that angle.
-
-    Raises:
-        OptionError: there are fewer views than that.
-    """
-    if front + back > capture.count:
-        raise OptionError(f"There are {capture.count} views; {front} + {back} are too many.")
-    origins = np.array([to_world(sensor)[:3, 3] for sensor in capture.sensors])
-    directions = origins - origins.mean(axis=0)
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    axis = np.array(FRONT) / np.linalg.norm(FRONT)
-    order = np.argsort(-(directions @ axis), kind="stable")
-    rest = order[front:]
-    others = rest[np.linspace(0, len(rest) - 1, back + 2).round().astype(int)[1:-1]]
-    return chosen_views(capture, np.sort(np.concatenate([order[:front], others])))

@@ -123,15 +123,13 @@ def _objects(folder: Path) -> dict[str, Path]:
             missing = [name for name in MESH_FILES if not (path / name).is_file()]
             if missing:
                 raise OptionError(
-                    f"{path}: an object's folder needs {', '.join(MESH_FILES)}; there is no "
-                    f"{missing[0]}."
+                    f"{path}: an object's folder needs {', '.join(MESH_FILES)}; add {missing[0]}."
                 )
             found[path.name] = path.resolve()
     found = dict(sorted(found.items()))
     if not found:
         raise OptionError(
-            f"{folder}: holds no object; put in folders with {', '.join(MESH_FILES)}, or .glb "
-            "files."
+            f"{folder}: has no object; add folders with {', '.join(MESH_FILES)}, or .glb files."
         )
     return found
 
@@ -143,7 +141,7 @@ def _environments(folder: Path) -> dict[str, Path]:
     images.sort(key=lambda path: path.suffix.lower(), reverse=True)
     found = {path.stem: path.resolve() for path in images}
     if not found:
-        raise OptionError(f"{folder}: holds no lat-long image (.exr or .hdr).")
+        raise OptionError(f"{folder}: has no lat-long image; add an .exr or .hdr file.")
     return dict(sorted(found.items()))
 
 

@@ -30,11 +30,11 @@ def convert_glb(path: Path, folder: Path) -> Path:
     """
     geometry = read_geometry(path)
     if geometry.mesh.uvs is None:
-        raise MeshError(f"{path}: a mesh has no UVs, so its textures have no place.")
+        raise MeshError(f"{path}: the mesh has no UVs for its textures; unwrap it.")
     if set(geometry.textures) != set(NAMES):
         raise MeshError(
-            f"{path}: has not one material with base colour, roughness and metallic; bake its "
-            "materials into one, the benchmark takes one per object."
+            f"{path}: needs exactly one material with base colour, roughness and metallic; bake "
+            "its materials into one."
         )
     prepare_folder(folder)
     points = geometry.mesh.positions

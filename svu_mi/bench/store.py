@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,21 +23,25 @@ def key_of(*parts: Any) -> str:
     """Return a short digest of settings (any mix of JSON values) and of svu_mi's version.
 
     A result is taken up again only under the same key, so a result of another version or
-    with other settings is computed anew.
+    with other settings is computed again.
     """
     text = json.dumps([svu_mi.__version__, *parts], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 @cache
-def code_and_machine() -> tuple[str, ...]:
-    """What an estimate depends on beside its input: source code, libraries, device."""
+def code_now(*more: Path) -> str:
+    """Return a digest of what a result depends on beside its input: code, libraries, device.
+
+    Args:
+        *more: folders of code beside svu_mi's own.
+    """
     digest, root = hashlib.sha256(), Path(svu_mi.__file__).parent
-    for path in sorted(root.rglob("*.py")):
-        if path.relative_to(root).parts[0] not in AROUND:
-            digest.update(path.read_bytes())
+    own = (path for path in root.rglob("*.py") if path.relative_to(root).parts[0] not in AROUND)
+    for path in (*sorted(own), *(path for folder in more for path in sorted(folder.rglob("*.py")))):
+        digest.update(path.read_bytes())
     versions = (mi.__version__, dr.__version__, mi.variant() or "", str(dr.thread_count()))
-    return digest.hexdigest(), *versions
+    return key_of(digest.hexdigest(), versions)
 
 
 class Store:
@@ -69,13 +73,6 @@ class Store:
             return None
         matches = isinstance(record, dict) and record.get("key") == key
         return record if matches else None
-
-    def recall(
-        self, name: str, key: str, compute: Callable[[], Mapping[str, Any]], *, fresh: bool
-    ) -> dict[str, Any]:
-        """Return a finished record, or compute and keep it; ``fresh`` always computes."""
-        record = None if fresh else self.load(name, key)
-        return self.save(name, key, compute()) if record is None else record
 
     def save(self, name: str, key: str, record: Mapping[str, Any]) -> dict[str, Any]:
         """Write a record in one step, and return it as it will be read again.

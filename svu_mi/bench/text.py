@@ -1,8 +1,10 @@
-"""Numbers and tables as text."""
+"""Numbers, tables and bars as text."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 UNITS = ((86400, "d"), (3600, "h"), (60, "min"))
 
@@ -12,8 +14,10 @@ def number(value: float | None, digits: int = 2) -> str:
     return "" if value is None else f"{value:.{digits}f}"
 
 
-def seconds(value: float) -> str:
-    """Return a time in the unit that suits it, with two or three digits."""
+def seconds(value: float | None) -> str:
+    """Return a time in the unit that suits it, with two or three digits; nothing for None."""
+    if value is None:
+        return ""
     for unit, name in UNITS:
         if value >= 2 * unit:
             return f"{value / unit:.3g} {name}"
@@ -28,3 +32,92 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 def _cell(value: object) -> str:
     return " ".join(str(value).replace("|", "\\|").split())
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table: its head, what it shows of a record, and how.
+
+    Attributes:
+        head: of the column.
+        value: of a record; None leaves the cell empty.
+        show: makes text of a value.
+    """
+
+    head: str
+    value: Callable[[Any], Any]
+    show: Callable[[Any], str] = str
+
+    def text(self, record: Any) -> str:
+        """Return the cell of a record."""
+        value = self.value(record)
+        return "" if value is None else self.show(value)
+
+
+def columns(wanted: Sequence[Column], records: Iterable[Any]) -> str:
+    """Return a Markdown table with a line per record."""
+    rows = [[column.text(record) for column in wanted] for record in records]
+    return table([column.head for column in wanted], rows)
+
+
+def digits(count: int) -> Callable[[float], str]:
+    """Return what shows numbers with so many digits after the point."""
+    return lambda value: f"{value:.{count}f}"
+
+
+def left_out(title: str, record: dict[str, Any], head: str = "cell") -> list[str]:
+    """Return Markdown about what of an experiment could not be run; nothing without any."""
+    rows = [[failed["cell"], failed["reason"]] for failed in record["failed"]]
+    return [f"## {title}", table((head, "reason"), rows)] if rows else []
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A figure that a release has to reach.
+
+    Attributes:
+        what: was measured.
+        value: found.
+        limit: the bar.
+        unit: of both.
+        least: whether the value has to reach the limit, rather than stay below it.
+    """
+
+    what: str
+    value: float
+    limit: float
+    unit: str = ""
+    least: bool = False
+
+    @property
+    def holds(self) -> bool:
+        """Whether the bar is met; NaN meets none."""
+        return self.value >= self.limit if self.least else self.value <= self.limit
+
+    def record(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        return {"what": self.what, "value": self.value, "limit": self.limit, "unit": self.unit,
+                "least": self.least, "holds": self.holds}  # fmt: skip
+
+
+BAR_COLUMNS = (
+    Column("what", lambda bar: bar["what"]),
+    Column("measured", lambda bar: f"{bar['value']:.3g} {bar['unit']}".strip()),
+    Column("bar", lambda bar: f"{'>=' if bar['least'] else '<='} {bar['limit']:g} {bar['unit']}"
+           .strip()),
+    Column("holds", lambda bar: "yes" if bar["holds"] else "**no**"),
+)  # fmt: skip
+
+
+def bar_table(bars: Sequence[dict[str, Any]], quick: bool = False, note: str = "") -> list[str]:
+    """Return Markdown about what ``Bar.record`` returned; nothing without any.
+
+    Args:
+        bars: the records.
+        quick: whether sizes were small.
+        note: of how it was measured.
+    """
+    if quick:
+        note += " Quick sizes, which the bars are not meant for."
+    parts = ["## Bars", note.strip(), columns(BAR_COLUMNS, bars)]
+    return [part for part in parts if part] if bars else []

@@ -19,10 +19,7 @@ def allocate(sizes: Sequence[tuple[int, int]]) -> list[np.ndarray]:
     """
     shapes = [(height, width, 3) for width, height in sizes]
     ends = np.cumsum([math.prod(shape) for shape in shapes], dtype=np.int64)
-    try:
-        block = np.empty(ends[-1] if shapes else 0, np.float32)
-    except MemoryError:  # films may be much larger than the photographs: let the reader say so
-        return [np.empty(shape, np.float32) for shape in shapes]
+    block = np.empty(ends[-1] if shapes else 0, np.float32)
     parts = np.split(block, ends[:-1])
     return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=False)]
 

@@ -21,7 +21,7 @@ def hdr_size(path: Path) -> tuple[int, int]:
     """Return (width, height) of an HDR picture.
 
     Raises:
-        ValueError: it is none, or its rows do not run from left to right and downwards.
+        ValueError: it is not one, or its rows do not run from left to right and downwards.
     """
     with path.open("rb") as stream:
         return _hdr_header(stream.read(HEADER))[:2]
@@ -31,7 +31,7 @@ def pfm_size(path: Path) -> tuple[int, int]:
     """Return (width, height) of a PFM picture.
 
     Raises:
-        ValueError: it is none, or shorter than it says.
+        ValueError: it is not one, or shorter than it says.
     """
     with path.open("rb") as stream:
         width, height, channels, _, start = _pfm_header(stream.read(HEADER))
@@ -52,7 +52,7 @@ def read_hdr(path: Path) -> np.ndarray:
         rows = np.frombuffer(_unpacked(data, at, width, height), np.uint8)
         rgbe = rows.reshape(height, 4, width).transpose(0, 2, 1)
     elif len(data) < at + 4 * width * height:
-        raise ValueError("the file ends too early, or is packed in the way before 1991")
+        raise ValueError("the file ends too early, or uses the old RLE encoding")
     else:
         rgbe = np.frombuffer(data, np.uint8, 4 * width * height, at).reshape(height, width, 4)
     # The exponent of 0 is black, whatever the mantissa.
@@ -79,7 +79,7 @@ def _hdr_header(start: bytes) -> tuple[int, int, int]:
     """Return width, height, and where the pixels begin."""
     found = re.search(rb"\n\n-Y (\d{1,6}) \+X (\d{1,6})\n", start)
     if not start.startswith(b"#?") or found is None or b"_xyze" in start[: found.start()]:
-        raise ValueError("no header of a picture in red, green and blue")
+        raise ValueError("not the header of an RGBE (Radiance HDR) image")
     return int(found[2]), int(found[1]), found.end()
 
 
@@ -87,7 +87,7 @@ def _pfm_header(start: bytes) -> tuple[int, int, int, float, int]:
     """Return width, height, number of channels, scale, and where the pixels begin."""
     found = re.match(rb"P([Ff])\s+(\d{1,6})\s+(\d{1,6})\s+(-?[\d.]{1,20}(?:e[+-]?\d\d?)?)\s", start)
     if found is None:
-        raise ValueError("no header of a PFM picture")
+        raise ValueError("not the header of a PFM image")
     channels = 3 if found[1] == b"F" else 1
     return int(found[2]), int(found[3]), channels, float(found[4]), found.end()
 

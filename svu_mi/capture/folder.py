@@ -13,8 +13,7 @@ from svu_mi.capture.scene import check_sensor
 from svu_mi.capture.sensor_record import LARGEST
 from svu_mi.errors import CaptureError, excerpt
 from svu_mi.files import read_json, write_json
-from svu_mi.limits import require_views
-from svu_mi.results.reading import marks_of
+from svu_mi.limits import MAX_VIEWS
 from svu_mi.results.record import RESULT, Entry, entries
 from svu_mi.results.settling import settle
 from svu_mi.results.writing import Draft
@@ -23,7 +22,6 @@ FILE = "capture.json"
 FORMAT = "svu-capture"
 VERSION = 1
 MAX_BYTES = 2**26  # of capture.json; ten times what as many sensors as possible take
-MAX_SENSORS = 10_000  # photographs are called view_0000 to view_9999
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +55,6 @@ class Description:
             CaptureError: a description is not complete, or has a value out of range.
             SceneError: a pose is mirrored or not rigid.
         """
-        require_views(len(self.sensors), f"{path / FILE}: sensors", CaptureError)
         made = []
         for index, record in enumerate(self.sensors):
             label = f"{path / FILE}: sensor {index}"
@@ -77,19 +74,19 @@ def read(folder: Path) -> Description | None:
     if not path.is_file():
         return None
     if path.stat().st_size > MAX_BYTES:
-        raise CaptureError(f"{path}: has {path.stat().st_size} bytes, more than any capture.")
+        raise CaptureError(f"{path}: its {path.stat().st_size} bytes are too many for a capture.")
     record = read_json(path)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise CaptureError(f'{path}: not a capture; expected "format": "{FORMAT}".')
     if record.get("version", VERSION) != VERSION:
         raise CaptureError(
-            f"{path}: version {excerpt(record['version'])} is not known, only {VERSION}; update "
-            "svu_mi."
+            f"{path}: version {excerpt(record['version'])} is not supported, only {VERSION}; "
+            "update svu_mi."
         )
     for key, (is_fine, what) in FIELDS.items():
         if key in record and not is_fine(record[key]):
             raise CaptureError(
-                f"{path}: {key} has the wrong type; it must be {what}, got "
+                f"{path}: {key} must be {what}, got "
                 f"{excerpt(repr(record[key]), 60)}."
             )
     scene, written = record.get("scene"), Entry.parse(record.get(RESULT))
@@ -102,7 +99,7 @@ def read(folder: Path) -> Description | None:
         scene=scene,
         defines={key: str(value) for key, value in record.get("define", {}).items()},
         shape=record.get("shape"),
-        exposures=tuple(float(gain) for gain in record.get("exposure", ())),
+        exposures=tuple(record.get("exposure", ())),
         sensors=tuple(record.get("sensors", ())),
         imported=record.get("import", {}),
         rendered=record.get("rendered", {}),
@@ -113,11 +110,6 @@ def read(folder: Path) -> Description | None:
 def _is_number(value: Any) -> bool:
     """Return whether JSON's number fits a float; NaN does, and is refused where it matters."""
     return isinstance(value, int | float) and not abs(value) > LARGEST
-
-
-def _is_gain(value: Any) -> bool:
-    """Return whether photographs in single precision can be divided by it, if it is positive."""
-    return _is_number(value) and not 0 < value < 1 / LARGEST
 
 
 def _are_defines(value: Any) -> bool:
@@ -132,39 +124,37 @@ FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "define": (_are_defines, "text or numbers by name"),
     "shape": (lambda value: value is None or isinstance(value, str), "an id or null"),
     "exposure": (
-        lambda value: isinstance(value, list) and all(map(_is_gain, value)),
-        f"a list of numbers from {1 / LARGEST:g} to {LARGEST:g}",
+        lambda value: isinstance(value, list) and all(isinstance(n, int | float) for n in value),
+        "a list of numbers",
     ),
     "sensors": (
-        lambda value: isinstance(value, list) and len(value) <= MAX_SENSORS,
-        f"a list of at most {MAX_SENSORS} sensors",
+        lambda value: isinstance(value, list) and len(value) <= MAX_VIEWS,
+        f"a list of at most {MAX_VIEWS} sensors",
     ),
     "import": (lambda value: isinstance(value, dict), "an object"),
     "rendered": (lambda value: isinstance(value, dict), "an object"),
 }
 
 
-def require_one_run(folder: Path, paths: Sequence[Path | None], run: str) -> None:
+def require_one_run(folder: Path, found: Mapping[Path, str], run: str) -> None:
     """Refuse photographs of another run than the capture's, and a capture that was exchanged.
 
     Args:
         folder: of the capture.
-        paths: of its photographs, after they were read.
+        found: runs that wrote its photographs, as they were read; empty = not known.
         run: of the capture, as ``read`` has found it before; empty = not known.
 
     Raises:
         CaptureError: there is one, or the capture is another one now.
     """
     if run and [entry.run for entry in entries(folder / FILE)][:1] != [run]:
-        raise CaptureError(f"{folder}: was written anew while it was read; load it again.")
-    for path in paths:
-        if run and path is not None and path.suffix.lower() == ".exr":
-            other = marks_of(path)[0]
-            if other and other != run:
-                raise CaptureError(
-                    f"{path}: is of another run than {FILE} beside it; take its own photograph, or "
-                    "render or import the capture again."
-                )
+        raise CaptureError(f"{folder}: changed while it was being read; load it again.")
+    for path, other in found.items():
+        if run and other and other != run:
+            raise CaptureError(
+                f"{path}: comes from another run than {FILE} beside it; restore the original "
+                "photograph, or render or import the capture again."
+            )
 
 
 def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> None:

@@ -12,13 +12,14 @@ import drjit as dr
 import numpy as np
 
 from svu_mi.capture.block import allocate
-from svu_mi.capture.picture import SUFFIXES, bits_of, decoded, image_size, read_planes, remarks
+from svu_mi.capture.picture import SUFFIXES, Picture, decoded, open_picture, read_planes
 from svu_mi.errors import CaptureError
 from svu_mi.limits import require_photographs
+from svu_mi.results.record import RUN
 
 Missing = Literal["refuse", "leave out"]
 
-# Of the encoded range, by bits; a clipped highlight is no measurement. JPEG blurs it, too.
+# Of the encoded range, by bits; a clipped highlight is not a measurement. JPEG blurs it, too.
 SATURATED = {8: 0.98, 16: 0.995}
 UNUSABLE = -1.0  # radiance of a pixel that is not to be used, in all channels of an EXR
 ON_OBJECT = 0.999  # alpha from which a pixel shows nothing but the object
@@ -35,9 +36,10 @@ class Photograph:
         invalid: number of pixels that were NaN, infinite or negative.
         marked: number of pixels that whoever wrote the photograph has marked as unusable.
         saturated: number of clipped pixels of a photograph of integers.
-        bits: 8 or 16 for a photograph of integers, which is no HDR; 0 for floats.
+        bits: 8 or 16 for a photograph of integers, which is not HDR; 0 for floats.
         black: True where no usable pixel holds any light.
-        remarks: what the file says about itself that is not followed (``picture.remarks``).
+        remarks: what the file says about itself that is not followed (``Picture.remarks``).
+        run: id of the run that wrote the file; empty = it is not known.
     """
 
     pixels: np.ndarray
@@ -48,6 +50,7 @@ class Photograph:
     bits: int
     black: bool
     remarks: tuple[str, ...] = ()
+    run: str = ""
 
 
 def not_taken(size: tuple[int, int]) -> Photograph:
@@ -74,7 +77,7 @@ def find_images(folder: Path, count: int, missing: Missing = "refuse") -> list[P
     """
     if not folder.is_dir():
         raise CaptureError(
-            f"{folder}: no such folder; --images takes the folder with view_0000.exr, ..."
+            f"{folder}: no such folder; --images needs the one that holds view_0000.exr, ..."
         )
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
@@ -102,7 +105,7 @@ def find_images(folder: Path, count: int, missing: Missing = "refuse") -> list[P
 
 
 def read_photographs(
-    paths: Sequence[Path], sizes: Sequence[tuple[int, int]], exposures: Sequence[float]
+    paths: Sequence[Path | None], sizes: Sequence[tuple[int, int]], exposures: Sequence[float]
 ) -> list[Photograph]:
     """Read photographs and their masks, on as many threads as Dr.Jit has.
 
@@ -110,7 +113,8 @@ def read_photographs(
     block of memory, one photograph after the other, where kernels can look them up.
 
     Args:
-        paths: V EXR, HDR, PFM (linear), PNG or JPEG (sRGB of 8 or 16 bits) files.
+        paths: V EXR, HDR, PFM (linear), PNG or JPEG (sRGB of 8 or 16 bits) files; None for a
+            photograph that nobody has taken (``not_taken``).
         sizes: V (width, height) of the sensors' films (their crop windows).
         exposures: V gains of the photographs; pixels are divided by them.
 
@@ -118,30 +122,37 @@ def read_photographs(
         CaptureError: one is unreadable or of another size than its film, the first in order; or
             there is not enough memory for all.
     """
-    for path, size in zip(paths, sizes, strict=True):  # films may promise any size
-        _require_size(path, image_size(path), size)
-    if paths:
-        require_photographs(sizes, str(paths[0].parent))
+    pictures: dict[int, Picture] = {}
+    for view, (path, size) in enumerate(zip(paths, sizes, strict=True)):
+        if path is not None:
+            pictures[view] = open_picture(path)
+            _require_size(path, pictures[view].size, size)  # films may promise any size
+    if not pictures:
+        return [not_taken(size) for size in sizes]
+    films = [sizes[view] for view in pictures]
+    require_photographs(films, str(next(iter(pictures.values())).path.parent))
+    gains = [exposures[view] for view in pictures]
     with ThreadPoolExecutor(max(1, dr.thread_count())) as threads:
-        return list(threads.map(_read_photograph, paths, allocate(sizes), exposures))
+        read = threads.map(_read_photograph, pictures.values(), allocate(films), gains)
+        found = dict(zip(pictures, read, strict=True))
+    return [found.get(view) or not_taken(size) for view, size in enumerate(sizes)]
 
 
-def _read_photograph(path: Path, room: np.ndarray, exposure: float) -> Photograph:
+def _read_photograph(picture: Picture, room: np.ndarray, exposure: float) -> Photograph:
     """Read one photograph into ``room`` (H, W, 3)."""
-    planes, low_range = read_planes(path)
+    path, bits, planes = picture.path, picture.bits, picture.planes()
     shape = planes[0].shape
     _require_size(path, shape[::-1], room.shape[1::-1])
     for channel in range(3):
         room[..., channel] = planes[channel]
-    bits = bits_of(path) if low_range else 0
     saturated = _linearise(room, SATURATED[bits]) if bits else 0
     invalid, marked, black = _mark(room, exposure)
     mask = _mask_beside(path, shape)
     if len(planes) > 3:
-        mask = planes[3] >= (IN_MASK if low_range else ON_OBJECT)
+        mask = planes[3] >= (IN_MASK if bits else ON_OBJECT)
     invalid -= saturated + marked
-    found = tuple(remarks(path))
-    return Photograph(room, mask, invalid, marked, saturated, bits, black, found)
+    found, run = tuple(picture.remarks()), str(picture.header.attributes.get(RUN, ""))
+    return Photograph(room, mask, invalid, marked, saturated, bits, black, found, run)
 
 
 def _require_size(path: Path, found: Sequence[int], film: Sequence[int]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any, get_args
 
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.folder import Description
-from svu_mi.capture.images import Missing, Photograph, find_images, not_taken, read_photographs
+from svu_mi.capture.images import Missing, Photograph, find_images, read_photographs
 from svu_mi.capture.mesh import has_uvs
 from svu_mi.capture.poses import film_size
 from svu_mi.capture.record import Capture
@@ -22,6 +21,7 @@ from svu_mi.capture.scene import (
     load_scene,
     require_variant,
 )
+from svu_mi.capture.sensor_record import LARGEST
 from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
 from svu_mi.errors import CaptureError, OptionError, SvuWarning, excerpt
 
@@ -68,8 +68,8 @@ def load_capture(
     require_variant()
     if missing not in get_args(Missing):
         raise OptionError(
-            f"load_capture(): missing is one of {', '.join(map(repr, get_args(Missing)))}; got "
-            f"{missing!r}."
+            f"load_capture(): missing must be one of {', '.join(map(repr, get_args(Missing)))}, "
+            f"got {missing!r}."
         )
     path = Path(path)
     folder = Path(images) if images is not None else photographs_of(path)
@@ -79,13 +79,13 @@ def load_capture(
         xml = (capture_folder.read(path) or Description()).scene
     if xml is None:
         raise CaptureError(
-            f"{path}: not a Mitsuba XML scene, and no capture folder that names one; give the "
+            f"{path}: neither a Mitsuba XML scene nor a capture folder that names one; give the "
             "scene, and this folder as --images."
         )
     if xml != path and not xml.is_file():
         raise CaptureError(
-            f"{folder / capture_folder.FILE}: its scene {excerpt(xml, 300)} is not there; bring it "
-            "along, or give the scene, and this folder as --images."
+            f"{folder / capture_folder.FILE}: its scene {excerpt(xml, 300)} does not exist; "
+            "copy it there, or give the scene, and this folder as --images."
         )
     # What the caller says wins over what the folder remembers.
     description = dataclasses.replace(
@@ -114,8 +114,9 @@ def read_capture(
     target = find_shape(scene, description.shape, label)
     paths = find_images(folder, len(sensors), missing)
     exposures = _exposures(description.exposures, len(sensors), folder)
-    photographs = _photographs(paths, [film_size(sensor) for sensor in sensors], exposures)
-    capture_folder.require_one_run(folder, paths, description.run)
+    photographs = read_photographs(paths, [film_size(each) for each in sensors], exposures)
+    runs = {p: each.run for p, each in zip(paths, photographs, strict=True) if p is not None}
+    capture_folder.require_one_run(folder, runs, description.run)
     notes, used = _judge(photographs, paths)
     mesh, note = _texel_mesh(target, unwrap, folder)
     for sentence in notes + note:
@@ -159,31 +160,16 @@ def has_photographs(folder: Path) -> bool:
 
 
 def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:
-    if not given:
-        return [1.0] * count
     file = folder / capture_folder.FILE
-    if len(given) != count:
-        raise CaptureError(f"{file}: {len(given)} exposures for {count} views; give one each.")
+    if given and len(given) != count:
+        raise CaptureError(f"{file}: {len(given)} exposures for {count} views; give one per view.")
     for index, gain in enumerate(given):
-        if not (math.isfinite(gain) and gain > 0):
-            raise CaptureError(f"{file}: the exposure of view {index} is {gain}, not positive.")
-    return list(given)
-
-
-def _photographs(
-    paths: Sequence[Path | None], sizes: Sequence[tuple[int, int]], exposures: Sequence[float]
-) -> list[Photograph]:
-    """Read the photographs that there are; the others stay what nobody has taken."""
-    photographs = [not_taken(size) for size in sizes]
-    found = [(view, path) for view, path in enumerate(paths) if path is not None]
-    read = read_photographs(
-        [path for _, path in found],
-        [sizes[view] for view, _ in found],
-        [exposures[view] for view, _ in found],
-    )
-    for (view, _), photograph in zip(found, read, strict=True):
-        photographs[view] = photograph
-    return photographs
+        if not 1 / LARGEST <= gain <= LARGEST:  # NaN fails, too; pixels are divided by it
+            raise CaptureError(
+                f"{file}: the exposure of view {index} is {excerpt(gain, 40)}; it must be in "
+                f"[{1 / LARGEST:g}, {LARGEST:g}]."
+            )
+    return [float(gain) for gain in given] or [1.0] * count
 
 
 def _name(path: Path | None, view: int) -> str:
@@ -202,7 +188,7 @@ def _judge(
         if photograph.bits:
             notes.append(
                 f"{name}: {NOT_HDR[photograph.bits]}{photograph.saturated} saturated pixels left "
-                "out. Clipped highlights hide what gloss says: use HDR."
+                "out. Clipped highlights hide gloss: use HDR."
             )
         if photograph.invalid:
             notes.append(
@@ -226,7 +212,7 @@ def _judge(
 def _texel_mesh(shape: Any, unwrap: bool, folder: Path | None) -> tuple[Any, list[str]]:
     if has_uvs(shape) and not unwrap:
         return shape, []
-    reason = "has no UVs" if not has_uvs(shape) else "is unwrapped anew, as asked"
+    reason = "has no UVs" if not has_uvs(shape) else "is unwrapped again, as requested"
     kept = "" if folder is None else f"; they are kept in {folder / UNWRAPPED}"
     note = f"Shape '{shape.id()}' {reason}: UVs are laid out by xatlas{kept}."
     return unwrapped(shape, folder), [note]

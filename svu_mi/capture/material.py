@@ -17,7 +17,7 @@ def is_principled(bsdf: Any) -> bool:
 
 
 def constant_parameters(shape: Any) -> dict[str, float]:
-    """Return the ``principled`` parameters of a shape that are no textures, by name.
+    """Return the ``principled`` parameters of a shape that are not textures, by name.
 
     A grey value each, within its range; a constant colour is left out unless it is grey. Empty for
     another BSDF, and when nothing varies: a material without any texture is a placeholder.

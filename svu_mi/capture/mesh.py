@@ -19,7 +19,7 @@ import numpy as np
 from svu_mi.errors import MeshError, excerpt
 from svu_mi.files import mark_text, replacing
 
-# What Mitsuba raises for a damaged mesh; the second where it quotes bytes that are no text.
+# What Mitsuba raises for a damaged mesh; the second where it quotes bytes that are not text.
 READING = (RuntimeError, UnicodeDecodeError)
 
 
@@ -81,7 +81,7 @@ def face_normals(mesh: Any, face: Any, active: Any) -> Any:
 
 
 def missing_corner(mesh: Any) -> str | None:
-    """Say which corner of a face names a vertex that there is not, None if all are there.
+    """Say which corner of a face refers to a vertex that does not exist; None if all exist.
 
     Mitsuba takes what a PLY or serialized file says; an index out of range ends the process as
     soon as it computes vertex normals, or a ray meets the triangle.
@@ -92,14 +92,14 @@ def missing_corner(mesh: Any) -> str | None:
     faces, count = mesh.faces_buffer().numpy(), mesh.vertex_count()
     if faces.size == 0 or faces.max() < count:
         return None
-    return f"a face has a corner that there is not (vertex {faces.max()} of {count})"
+    return f"a face refers to vertex {faces.max()}, which does not exist ({count} vertices)"
 
 
 def read_ply(path: Path) -> MeshArrays:
     """Read a PLY file with Mitsuba's reader, but for its normals.
 
     Raises:
-        MeshError: it cannot be read, or a face names a vertex that there is not.
+        MeshError: it cannot be read, or a face refers to a vertex that does not exist.
     """
     try:
         found: Any = mi.load_dict({"type": "ply", "filename": str(path), "face_normals": True})

@@ -1,7 +1,7 @@
 """XML that Mitsuba's parser would not survive: nested without end, or read from a pipe.
 
-It is read here by another parser, one that takes less: what is no sound XML is refused, because
-Mitsuba's would go on with its own idea of it.
+It is read here by another parser, one that takes less: what is not well-formed XML is refused,
+because Mitsuba's would go on with its own idea of it.
 """
 
 from __future__ import annotations
@@ -37,20 +37,29 @@ def check_xml(path: Path, defines: Mapping[str, str]) -> None:
         file = waiting.pop()
         if file in seen or not exists(file):  # the latter is for Mitsuba to say
             continue
-        _require_file(file, path)
+        require_file(file, path)
         seen.add(file)
         found = _Reader(file, parameters)
         sensors += found.sensors
         for name in found.others:
-            _require_file(_found(name, file), path)
+            require_file(_found(name, file), path)
         waiting += [_found(name, file) for name in found.includes]
     require_views(sensors, f"{path}: sensors", SceneError)
 
 
-def _require_file(file: Path, path: Path) -> None:
+def require_file(file: Path, label: str | Path) -> None:
+    """Refuse folders and pipes where a file is meant; Mitsuba will report missing files.
+
+    Args:
+        file: that a scene refers to.
+        label: the scene's file, for the message.
+
+    Raises:
+        SceneError: it is one.
+    """
     if exists(file) and not isfile(file):  # reading a pipe would wait for ever
         raise SceneError(
-            f"{path}: includes {excerpt(file, LONGEST)}, which is no file; name a file."
+            f"{label}: refers to {excerpt(file, LONGEST)}, which is not a file; correct the name."
         )
 
 
@@ -86,7 +95,7 @@ class _Reader:
                 self._parser.ParseFile(stream)
         except expat.ExpatError as error:
             raise SceneError(
-                f"{excerpt(path, LONGEST)}: no sound XML ({error}); mend it there."
+                f"{excerpt(path, LONGEST)}: not well-formed XML ({error}); correct it there."
             ) from error
         except OSError as error:
             raise SceneError(
@@ -97,8 +106,8 @@ class _Reader:
         self._depth += 1
         if self._depth > DEEPEST:
             raise SceneError(
-                f"{excerpt(self._path, LONGEST)}: more than {DEEPEST} elements are nested in one "
-                f"another at line {self._parser.CurrentLineNumber}; close them before."
+                f"{excerpt(self._path, LONGEST)}: elements are nested more than {DEEPEST} "
+                f"deep at line {self._parser.CurrentLineNumber}; check for unclosed ones."
             )
         self.sensors += tag == "sensor"
         if tag == "default":

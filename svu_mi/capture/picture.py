@@ -7,6 +7,7 @@ import struct
 import threading
 import warnings
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,11 +16,10 @@ import numpy as np
 
 from svu_mi.capture.float_picture import hdr_size, pfm_size, read_hdr, read_pfm
 from svu_mi.errors import CaptureError, excerpt
-from svu_mi.exr import exr_size, has_foreign_colors, read_exr
+from svu_mi.exr import Header, read_header, read_pixels
 from svu_mi.files import may_hold
 
 SUFFIXES = (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg")
-INTEGERS = (".png", ".jpg", ".jpeg")
 MAX_PIXELS = 2**28  # 16384 x 16384; a damaged header may promise any number
 ORIENTATION = 0x0112  # tag of EXIF
 PNG = b"\x89PNG\r\n\x1a\n"  # how its files begin
@@ -33,100 +33,126 @@ _opening = threading.Lock()  # for what several threads must not do at a time
 Transfer = Literal["srgb", "gamma 2.2", "linear"]
 
 
-def image_size(path: Path) -> tuple[int, int]:
-    """Return (width, height) of a picture from its header.
+@dataclass(frozen=True)
+class Picture:
+    """A picture file of which the header was read.
+
+    Attributes:
+        path: the file.
+        header: what it says of itself; of most kinds no more than its size.
+        bits: 8 or 16 for a file of integers, which is no HDR; 0 for floats.
+    """
+
+    path: Path
+    header: Header
+    bits: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.header.size
+
+    def planes(self) -> list[np.ndarray]:
+        """Read the pixels as stored.
+
+        Returns:
+            Three or four float32 planes (H, W), red, green, blue and, if there is one, alpha;
+            integers are scaled to [0, 1] and still encoded.
+
+        Raises:
+            CaptureError: the file is damaged or lacks a channel.
+        """
+        with _readable(self.path):
+            match self.path.suffix.lower():
+                case ".exr":
+                    return _of_exr(self.path, read_pixels(self.path, self.header))
+                case ".hdr":
+                    values = read_hdr(self.path)
+                case ".pfm":
+                    values = read_pfm(self.path)
+                case _:
+                    values = _integers(self.path)
+        scale = np.float32(np.iinfo(values.dtype).max if self.bits else 1)
+        planes = [values[..., k].astype(np.float32) / scale for k in range(values.shape[2])]
+        return planes if len(planes) >= 3 else planes[:1] * 3 + planes[1:]
+
+    def is_turned(self) -> bool:
+        """Return whether EXIF data say that it is to be shown turned or mirrored.
+
+        Nothing here does that: pixels are those that are stored.
+
+        Raises:
+            CaptureError: the file is damaged.
+        """
+        from PIL import Image
+
+        if not self.bits:
+            return False
+        with _readable(self.path):
+            if _is_png(self.path) and not any(w in self.path.read_bytes() for w in HAS_EXIF):
+                return False  # Pillow would decode all pixels to find that out
+            with Image.open(self.path) as image:
+                return int(image.getexif().get(ORIENTATION, 1)) > 1
+
+    def remarks(self) -> list[str]:
+        """Say what it states about itself that is not followed: clauses without its name.
+
+        Raises:
+            CaptureError: the file is damaged.
+        """
+        found = []
+        if self.header.foreign:
+            found.append(
+                "its chromaticities are not those of Rec. 709; its values are used as they are: "
+                "convert it if colours matter."
+            )
+        if self.is_turned():
+            found.append(
+                "is stored rotated; its EXIF orientation is ignored, because poses must be of the "
+                "pixels as stored."
+            )
+        return found
+
+
+def open_picture(path: Path) -> Picture:
+    """Read the header of a picture.
 
     Raises:
-        CaptureError: the file is missing, no picture of a known kind, or absurdly large.
+        CaptureError: the file is missing, not a picture of a known kind, or absurdly large.
     """
     if not path.is_file():
         raise CaptureError(f"{path}: no such photograph.")
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise CaptureError(f"{path}: not a kind of picture known here ({', '.join(SUFFIXES)}).")
-    if suffix == ".exr":
-        size = exr_size(path)
-    else:
-        with _readable(path):
-            size = {".hdr": hdr_size, ".pfm": pfm_size}.get(suffix, _integer_size)(path)
-    if min(size) < 1 or size[0] * size[1] > MAX_PIXELS:
-        raise CaptureError(
-            f"{path}: {size[0]} x {size[1]} pixels are too many, or the file is damaged."
-        )
-    return size
-
-
-def is_turned(path: Path) -> bool:
-    """Return whether EXIF data say that a picture is to be shown turned or mirrored.
-
-    Nothing here does that: pixels are those that are stored.
-
-    Raises:
-        CaptureError: the file is damaged.
-    """
-    from PIL import Image
-
-    if path.suffix.lower() not in INTEGERS:
-        return False
-    try:
-        if _is_png(path) and not any(word in path.read_bytes() for word in HAS_EXIF):
-            return False  # Pillow would decode all pixels to find that out
-        with Image.open(path) as image:
-            return int(image.getexif().get(ORIENTATION, 1)) > 1
-    except Exception as error:  # whatever its parsers meet
-        raise CaptureError(f"{path}: not a readable image; write it again as EXR.") from error
-
-
-def bits_of(path: Path) -> int:
-    """Return 16 for a PNG file of 16 bits per channel, 8 for any other picture of integers.
-
-    Raises:
-        CaptureError: the file is damaged.
-    """
+        raise CaptureError(f"{path}: not a supported image format ({', '.join(SUFFIXES)}).")
+    bits = 0
     with _readable(path):
-        return 16 if _is_png(path) and _png_header(path)[2] == 16 else 8
-
-
-def remarks(path: Path) -> list[str]:
-    """Say what a picture states about itself that is not followed: clauses without its name.
-
-    Raises:
-        CaptureError: the file is damaged.
-    """
-    found = []
-    if path.suffix.lower() == ".exr" and has_foreign_colors(path):
-        found.append(
-            "its chromaticities are not those of Rec. 709; its numbers are taken as they are: "
-            "convert it if colours matter."
+        match suffix:
+            case ".exr":
+                header = read_header(path)
+            case ".hdr":
+                header = Header(hdr_size(path))
+            case ".pfm":
+                header = Header(pfm_size(path))
+            case _:
+                header, bits = _integer_header(path)
+    width, height = header.size
+    if min(width, height) < 1 or width * height > MAX_PIXELS:
+        raise CaptureError(
+            f"{path}: the image is too large ({width} x {height} pixels) or damaged; export it "
+            "again."
         )
-    if is_turned(path):
-        found.append(
-            "is upright by its EXIF data alone, which are left out: poses must be of the pixels as "
-            "stored."
-        )
-    return found
+    return Picture(path, header, bits)
 
 
 def read_planes(path: Path) -> tuple[list[np.ndarray], bool]:
-    """Read a picture as stored.
-
-    Returns:
-        Three or four float32 planes (H, W), red, green, blue and, if there is one, alpha; and
-        whether the file holds integers, which are scaled to [0, 1] and still encoded.
+    """Return what ``Picture.planes`` does, and whether the file holds integers.
 
     Raises:
-        CaptureError: as ``image_size``, or the file is damaged or lacks a channel.
+        CaptureError: as ``open_picture`` and ``Picture.planes``.
     """
-    image_size(path)
-    suffix = path.suffix.lower()
-    if suffix == ".exr":
-        return _exr_planes(path), False
-    with _readable(path):
-        values = {".hdr": read_hdr, ".pfm": read_pfm}.get(suffix, _integers)(path)
-    low_range = np.issubdtype(values.dtype, np.integer)
-    scale = np.float32(np.iinfo(values.dtype).max if low_range else 1)
-    planes = [values[..., k].astype(np.float32) / scale for k in range(values.shape[2])]
-    return planes if len(planes) >= 3 else planes[:1] * 3 + planes[1:], low_range
+    picture = open_picture(path)
+    return picture.planes(), picture.bits > 0
 
 
 def decoded(encoded: np.ndarray, transfer: Transfer = "srgb") -> np.ndarray:
@@ -156,8 +182,9 @@ def quantized(image: np.ndarray, bits: int = 8) -> np.ndarray:
     return (np.clip(image, 0, 1) * most + 0.5).astype(np.uint8 if bits == 8 else np.uint16)
 
 
-def _exr_planes(path: Path) -> list[np.ndarray]:
-    channels = _of_one_layer(read_exr(path))
+def _of_exr(path: Path, channels: dict[str, np.ndarray]) -> list[np.ndarray]:
+    """Return red, green, blue and, if there is one, alpha among the channels of an EXR."""
+    channels = _of_one_layer(channels)
     for names, what in OTHER_COLORS.items():
         if set(names) <= set(channels) and not set("RGB") <= set(channels):
             raise CaptureError(
@@ -197,23 +224,25 @@ def _readable(path: Path) -> Iterator[None]:
     except CaptureError:
         raise
     except Exception as error:  # whatever the decoders meet
-        raise CaptureError(f"{path}: not a readable image; write it again as EXR.") from error
+        raise CaptureError(f"{path}: not a readable image; save it again as EXR.") from error
 
 
-def _integer_size(path: Path) -> tuple[int, int]:
-    """Return (width, height) of a PNG or JPEG file, whatever its name says."""
-    if not _is_png(path):
-        with _jpeg(path) as image:
-            size, pixel = image.size, len(image.getbands())
-    else:
-        *size, bits, kind = _png_header(path)
+def _integer_header(path: Path) -> tuple[Header, int]:
+    """Return header and bits of a PNG or JPEG file, whatever its name says."""
+    bits = 8
+    if _is_png(path):
+        with path.open("rb") as stream:
+            *size, bits, kind = struct.unpack(">16xIIBB", stream.read(26))
         pixel = PNG_CHANNELS[kind] * max(1, bits // 8)
+    else:
+        with _jpeg(path) as image:
+            size, pixel = list(image.size), len(image.getbands())
     if not may_hold(path, size[0] * size[1] * pixel):
         raise CaptureError(
             f"{path}: the header says {size[0]} x {size[1]} pixels, more than the file can hold; "
             "export it again."
         )
-    return size[0], size[1]
+    return Header((size[0], size[1])), 16 if bits == 16 else 8
 
 
 def _integers(path: Path) -> np.ndarray:
@@ -223,16 +252,9 @@ def _integers(path: Path) -> np.ndarray:
     else:
         with _jpeg(path) as image:  # Mitsuba's reader prints what is damaged
             if image.mode == "CMYK":
-                raise CaptureError(f"{path}: holds inks (CMYK), not light; export it as sRGB.")
+                raise CaptureError(f"{path}: the image is in CMYK; export it as sRGB.")
             values = np.array(image if image.mode in ("L", "RGB") else image.convert("RGB"))
     return values[..., None] if values.ndim == 2 else values
-
-
-def _png_header(path: Path) -> tuple[int, int, int, int]:
-    """Return width, height, bits per channel, and the number of the kind of colour."""
-    with path.open("rb") as stream:
-        width, height, bits, kind = struct.unpack(">16xIIBB", stream.read(26))
-    return width, height, bits, kind
 
 
 def _is_png(path: Path) -> bool:

@@ -100,7 +100,7 @@ def make_sensor(record: Mapping[str, Any], label: str) -> Any:
         )
     except RuntimeError as error:
         reason = last_sentence(str(error))
-        raise CaptureError(f"{label}: Mitsuba refuses the sensor: {reason}") from error
+        raise CaptureError(f"{label}: Mitsuba rejects the sensor: {reason}") from error
 
 
 def scaled_sensor(sensor: Any, side: int) -> Any:
@@ -163,7 +163,7 @@ def sphere_sensors(
     if count < 1 or min(resolution) < 1:
         raise OptionError(
             f"Cannot place {count} sensors of {resolution[0]} x {resolution[1]} pixels; "
-            "there must be at least one of each."
+            "all three must be at least 1."
         )
     require_views(count, "Sensors around an object")
     if not -1 <= lowest < 1:
@@ -236,6 +236,5 @@ def _look_at(origin: np.ndarray, target: np.ndarray, up: Sequence[float]) -> np.
     above = np.array(up, np.float64) / np.linalg.norm(up)
     if abs(forward @ above) >= 0.999:  # any direction that is not the camera's own
         above = np.roll(above, 1) if abs(forward @ np.roll(above, 1)) < 0.999 else above[[0, 2, 1]]
-    left = np.cross(above, forward)
-    left /= np.linalg.norm(left)
-    return affine(np.stack([left, np.cross(forward, left), forward], axis=-1), origin)
+    pose = mi.ScalarTransform4d().look_at(origin=origin, target=target, up=above)
+    return np.array(pose.matrix, np.float64)

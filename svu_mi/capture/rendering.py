@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -92,13 +92,14 @@ def render_capture(
         scene=path, defines=defines or {}, shape=target.id() or None,
         rendered={"spp": spp, "seed": seed},
     )  # fmt: skip
+    shots = _rendered(scene, target, sensors, spp, seed)
     if folder is not None:
         with exchanging(folder, "render", capture_folder.FILE, [UNWRAPPED]) as draft:
-            _render_views(scene, target, sensors, draft.folder, spp, seed, progress)
+            _write(shots, len(sensors), draft.folder, progress)
             capture_folder.write(draft, description, sensors)
         return read_capture(scene, sensors, Path(folder), description, unwrap=unwrap)
     with tempfile.TemporaryDirectory(prefix="svu-capture-") as temporary:
-        _render_views(scene, target, sensors, Path(temporary), spp, seed, progress)
+        _write(shots, len(sensors), Path(temporary), progress)
         capture = read_capture(scene, sensors, Path(temporary), description, unwrap=unwrap)
         return replace(capture, source=None)
 
@@ -122,30 +123,28 @@ def require_rendered(capture: Capture, spp: int) -> None:
             return
         changed = f"with --spp {excerpt(found.rendered['spp'], 20)}"
     raise OptionError(
-        f"{capture.source}: was rendered {changed}; take that back, or leave --resume out to start "
-        "again."
+        f"{capture.source}: was rendered {changed}; restore that, or omit --resume to start again."
     )
 
 
-def _render_views(
-    scene: Any,
-    target: Any,
-    sensors: Sequence[Any],
-    folder: Path,
-    spp: int,
-    seed: int,
-    progress: Callable[[int, int], None] | None,
-) -> None:
+def _rendered(
+    scene: Any, target: Any, sensors: Sequence[Any], spp: int, seed: int
+) -> Iterator[dict[str, np.ndarray]]:
+    """Render views when they are asked for; give the channels of each."""
     for index, sensor in enumerate(sensors):
         # Neighbouring seeds of the independent sampler are decorrelated by Mitsuba itself.
         image = _radiance(scene, sensor, spp, (seed + index) % 2**32)
-        alpha = object_mask(scene, target, sensor)
-        write_exr(
-            folder / f"view_{index:04d}.exr",
-            {"R": image[..., 0], "G": image[..., 1], "B": image[..., 2], "A": alpha},
-        )
+        yield {"RGB": image, "A": object_mask(scene, target, sensor)}
+
+
+def _write(
+    shots: Iterable[dict[str, np.ndarray]], count: int, folder: Path,
+    progress: Callable[[int, int], None] | None,
+) -> None:  # fmt: skip
+    for index, channels in enumerate(shots):
+        write_exr(folder / f"view_{index:04d}.exr", channels)
         if progress is not None:
-            progress(index + 1, len(sensors))
+            progress(index + 1, count)
 
 
 def _radiance(scene: Any, sensor: Any, spp: int, seed: int) -> np.ndarray:

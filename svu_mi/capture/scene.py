@@ -18,10 +18,8 @@ from svu_mi.capture.nesting import check_xml
 from svu_mi.capture.scene_files import check_files
 from svu_mi.capture.trust import (
     pin_own_plugins,
-    refuse_libraries,
-    refuse_types,
+    refuse_foreign,
     require_own_plugins,
-    searched_folders,
     searching,
 )
 from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
@@ -88,7 +86,7 @@ def load_scene(path: Path, defines: Mapping[str, str] | None = None, *, trust: b
             state = mi.parser.parse_file(config, str(path), **defines)
             mi.parser.transform_all(config, state)
             if not trust:
-                _judge(state, str(path))
+                refuse_foreign(state, str(path))
             check_files(state, str(path))
             return mi.parser.instantiate(config, state)
         except SvuError:
@@ -97,18 +95,9 @@ def load_scene(path: Path, defines: Mapping[str, str] | None = None, *, trust: b
             raise SceneError(f"{path}: {last_sentence(str(error))}") from error
 
 
-def _judge(state: Any, label: str) -> None:
-    """Refuse a scene that would load a library, or whose folders have one."""
-    files = [Path(str(file)).parent for file in state.files]
-    refuse_libraries([*files, *searched_folders()])
-    refuse_types(state, label)
-
-
 def last_sentence(message: str) -> str:
     """Strip Mitsuba's nested source positions, keep what the user can act on."""
-    lines = [line.strip() for line in message.strip().splitlines() if line.strip()]
-    text = " ".join(lines)
-    text = excerpt(re.sub(r"\[[\w.]+:\d+\]\s*", "", text), LONGEST)
+    text = excerpt(re.sub(r"\[[\w.]+:\d+\]\s*", "", message).strip(), LONGEST)
     return text if text.endswith((".", "!")) else text + "."
 
 
@@ -220,7 +209,8 @@ def _candidates(shapes: Sequence[Any], path: str) -> list[Any]:
     found = principled or meshes
     if len(found) > 1:
         raise SceneError(
-            f"{path}: several shapes could be meant ({_ids(found)}); choose one with --shape ID."
+            f"{path}: several shapes could be the object ({_ids(found)}); choose one with "
+            "--shape ID."
         )
     return found
 
@@ -243,7 +233,7 @@ def _check_buffers(mesh: MeshArrays, label: str) -> None:
         if values is not None and not np.isfinite(values).all():
             raise SceneError(f"{label} has {name} that are NaN or infinite; export its mesh again.")
     if mesh.faces.size and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.positions):
-        raise SceneError(f"{label} has a corner that there is not; export its mesh again.")
+        raise SceneError(f"{label} has a face with a missing vertex; export its mesh again.")
 
 
 def _check_orientation(mesh: MeshArrays, label: str) -> None:

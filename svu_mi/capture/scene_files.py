@@ -7,17 +7,16 @@ where making the scene takes more than 1 s.
 
 from __future__ import annotations
 
-from os.path import exists, isfile  # unlike Path's, they raise nothing for long names
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 
 from svu_mi.capture.mesh import READING, missing_corner, refusal
+from svu_mi.capture.nesting import LONGEST, require_file
 from svu_mi.errors import SceneError, excerpt
 
 READERS = ("ply", "serialized", "obj")  # shapes with indices that come from a file
-LONGEST = 300  # letters of a path, in messages
 KEYS = ("filename", "shape_index")  # their properties that choose what is read
 
 
@@ -30,7 +29,7 @@ def check_files(state: Any, label: str) -> None:
 
     Raises:
         SceneError: one is a folder or a pipe, or a mesh that cannot be read, or a face has a
-            corner that there is not.
+            vertex that does not exist.
     """
     meshes: dict[tuple[Any, ...], dict[str, Any]] = {}
     for node in state.nodes:
@@ -38,13 +37,12 @@ def check_files(state: Any, label: str) -> None:
         if not isinstance(props.get("filename"), str):
             continue
         path = _path(props["filename"])
-        if exists(path) and not isfile(path):  # reading a pipe would wait for ever
-            raise SceneError(f"{label}: {_shown(path)} is no file; give the name of a file.")
+        require_file(path, label)
         if kind in READERS:
             found = {"type": kind, **{key: props[key] for key in KEYS if key in props}}
             meshes[tuple(found.values())] = found
     for found in meshes.values():
-        _check_mesh(found, f"{label}: {_shown(_path(found['filename']))}")
+        _check_mesh(found, f"{label}: {excerpt(_path(found['filename']), LONGEST)}")
 
 
 def _check_mesh(found: dict[str, Any], label: str) -> None:
@@ -60,7 +58,3 @@ def _check_mesh(found: dict[str, Any], label: str) -> None:
 
 def _path(name: str) -> Path:
     return Path(str(mi.file_resolver().resolve(name)))
-
-
-def _shown(path: Path) -> str:
-    return excerpt(path, LONGEST)

@@ -34,11 +34,11 @@ def check_record(record: Any, label: str) -> None:
         CaptureError: a field is missing, of another type or out of its range.
     """
     if not isinstance(record, Mapping):
-        raise CaptureError(f"{label}: is no object with {', '.join(SHAPES)}.")
+        raise CaptureError(f"{label}: not a JSON object with {', '.join(SHAPES)}.")
     for key, shape in SHAPES.items():
         if key not in record:
             raise CaptureError(f"{label}: has no {key}; render or import the capture again.")
-        what = f"{KINDS[shape]}, neither NaN nor beyond {LARGEST:g}"
+        what = f"{KINDS[shape]}, each finite and at most {LARGEST:g}"
         _require(_has(record[key], shape, Real), label, key, what)
     for key in WHOLE:
         _require(_has(record[key], (2,), Integral), label, key, "two whole numbers")

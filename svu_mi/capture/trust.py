@@ -40,7 +40,7 @@ def require_own_plugins(trust: bool = False) -> None:
     """
     pin_own_plugins()
     if not trust:
-        refuse_libraries([Path(), *searched_folders()])
+        _refuse_libraries([Path(), *_searched_folders()])
 
 
 @functools.cache
@@ -77,12 +77,28 @@ def own_plugin(description: dict[str, Any]) -> Any:
     return mi.load_dict(description)
 
 
-def refuse_libraries(folders: Iterable[Path]) -> None:
-    """Refuse folders from which Mitsuba could load a library as a plugin.
+def refuse_foreign(state: Any, label: str) -> None:
+    """Refuse a scene that would load a library, or whose folders have one.
+
+    Args:
+        state: a ``mi.parser.ParserState``; what it would search is that of ``mi.file_resolver()``.
+        label: the scene's file, for messages.
 
     Raises:
-        SceneError: one has a library in ``plugins``; the message names it.
+        SceneError: there is a library in ``plugins`` of a folder, or a plugin type names one that
+            is not Mitsuba's, such as ``../evil``.
     """
+    _refuse_libraries([*(Path(str(file)).parent for file in state.files), *_searched_folders()])
+    for name in {node.props.plugin_name() for node in state.nodes} - pin_own_plugins():
+        if name in (".", "..") or "/" in name or "\\" in name:
+            raise SceneError(
+                f"{label}: {excerpt(repr(name))} is a path, not a plugin type; use the name of a "
+                "plugin of Mitsuba or svu_mi."
+            )
+        _refuse_files_of(name)
+
+
+def _refuse_libraries(folders: Iterable[Path]) -> None:
     for folder in dict.fromkeys(folders):
         for name in _names(folder / FOLDER):
             path = folder / FOLDER / name
@@ -90,26 +106,7 @@ def refuse_libraries(folders: Iterable[Path]) -> None:
                 raise _refused(path)
 
 
-def refuse_types(state: Any, label: str) -> None:
-    """Refuse plugin types that name a library that is not Mitsuba's, such as ``../evil``.
-
-    Args:
-        state: a ``mi.parser.ParserState``; what it would search is that of ``mi.file_resolver()``.
-        label: the scene's file, for messages.
-
-    Raises:
-        SceneError: there is one.
-    """
-    for name in {node.props.plugin_name() for node in state.nodes} - pin_own_plugins():
-        if name in (".", "..") or "/" in name or "\\" in name:
-            raise SceneError(
-                f"{label}: {excerpt(repr(name))} is a path, and no type of a plugin; give the "
-                "name of a plugin of Mitsuba or svu_mi."
-            )
-        _refuse_files_of(name)
-
-
-def searched_folders() -> list[Path]:
+def _searched_folders() -> list[Path]:
     """Return the folders where Mitsuba looks for files and plugins, in order."""
     return [Path(str(folder)) for folder in mi.file_resolver()]
 
@@ -140,7 +137,8 @@ def _refuse_files_of(name: str) -> None:
 def _refused(path: Path) -> SceneError:
     return SceneError(
         f"{excerpt(path, LONGEST)}: Mitsuba would run this library as a plugin; remove it, run "
-        "from another folder if it lies here, or pass --trust (trust=True) if you know who made it."
+        "from another folder if it is in the working directory, or pass --trust (trust=True) if "
+        "you trust its author."
     )
 
 
@@ -166,7 +164,7 @@ def _libraries(name: str) -> list[str]:
 
 
 def _names(folder: Path) -> list[str]:
-    """Return the names in a folder, none if it cannot be listed (``refuse_types`` still sees)."""
+    """Return the names in a folder, none if it cannot be listed (types are looked at, too)."""
     try:
         return sorted(os.listdir(folder))
     except OSError:

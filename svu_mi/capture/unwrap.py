@@ -81,7 +81,7 @@ def unwrapped(mesh: Any, folder: Path | None) -> Any:
         try:
             return make(mesh.id(), _saved(path, source))
         except MeshError as error:
-            log.warning("%s; it is made again.", error)
+            log.warning("%s; the mesh is unwrapped again.", error)
     made = unwrap(mesh)
     if path is not None and os.access(path.parent, os.W_OK):
         clear_temporaries(path.parent)
@@ -107,7 +107,7 @@ def _saved(path: Path, source: MeshArrays) -> MeshArrays:
     vertex = np.zeros(len(saved.positions), np.int64)
     vertex[saved.faces] = source.faces
     if not np.array_equal(vertex[saved.faces], source.faces):
-        raise MeshError(f"{path}: joins vertices that differ")
+        raise MeshError(f"{path}: merges vertices of the mesh")
     normals = None if source.normals is None else source.normals[vertex]
     return MeshArrays(source.positions[vertex], saved.faces, normals, saved.uvs)
 
@@ -115,7 +115,7 @@ def _saved(path: Path, source: MeshArrays) -> MeshArrays:
 def _key(source: MeshArrays, flat: MeshArrays) -> str:
     """Return a digest of a mesh and its UVs, in the precision of files.
 
-    The version of xatlas is no part of it: what was laid out by another one is still valid, and
+    The version of xatlas is not part of it: what was laid out by another one is still valid, and
     keeps texels where they were.
     """
     key = hashlib.blake2b(digest_size=16)
@@ -130,10 +130,10 @@ def _key_in(path: Path) -> str | None:
     """Return the digest in the header of a PLY file, None if there is none.
 
     Raises:
-        MeshError: it is no file, or cannot be opened.
+        MeshError: it is not a file, or cannot be opened.
     """
     if not path.is_file():  # opening a pipe would wait
-        raise MeshError(f"{path}: is no file")
+        raise MeshError(f"{path}: is not a file")
     try:
         with path.open("rb") as stream:
             header = stream.read(HEADER).partition(b"end_header")[0].decode("ascii", "replace")

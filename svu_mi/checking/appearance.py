@@ -17,7 +17,7 @@ from svu_mi.light.environment import basis_at
 
 ENOUGH = 2  # views that have to see a point before they can disagree
 FEWEST = 30  # points that a texture is compared at
-PLAIN = 0.01  # standard deviation of a base colour that is no texture
+PLAIN = 0.01  # standard deviation of a base colour that is not a texture
 GLOSS = 0.04  # what a black surface reflects, too
 DARK = 0.01  # of the photographs' unit, added before taking logarithms
 SHADING_DEGREE = 2  # harmonics that hold 99 % of any irradiance [Ramamoorthi and Hanrahan 2001]

@@ -37,18 +37,6 @@ def apply_fixes(
     return capture
 
 
-def spoil(capture: Capture, fix: Fix, camera_axes: np.ndarray = CONVENTION) -> Capture:
-    """Return the capture as it is when the mistake was made that ``fix`` corrects.
-
-    Args:
-        capture: one in which all axes are right.
-        fix: the correction that will be called for.
-        camera_axes: see ``apply_fixes``.
-    """
-    inverse = None if fix.matrix is None else fix.matrix.T
-    return _applied(capture, replace(fix, matrix=inverse), camera_axes)
-
-
 def _applied(capture: Capture, fix: Fix, camera_axes: np.ndarray) -> Capture:
     if fix.kind == "camera":
         poses = corrected_poses(_poses(capture), fix, camera_axes)

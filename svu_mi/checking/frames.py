@@ -1,91 +1,80 @@
-"""Small copies of the photographs, and rays through their pixels."""
+"""Small copies of the photographs, looked at from wherever a hypothesis says they were taken."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from itertools import compress
+from pathlib import Path
 
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.poses import describe
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError
-from svu_mi.visibility.rays import ray_floats
+from svu_mi.formats.resampling import squared
+from svu_mi.formats.source import frame_of
+from svu_mi.interop import owned
+from svu_mi.visibility.rays import RAY_FLOATS
+from svu_mi.visibility.views import CAMERA_FLOATS, Views, pack_views
 
 POSE = slice(8, 20)  # where ``ray_floats`` keeps three rows of to_world
+ROWS = slice(0, 12)  # where ``Views.cameras`` keeps three rows of the projection
+POSITION = slice(12, 15)  # and the camera
 
 
 @dataclass(frozen=True)
 class Frames:
-    """V photographs, reduced.
+    """The V photographs that are used of a reduced capture, as kernels look them up.
 
     Attributes:
-        radiance: V arrays (h, w, 3) float32, mean over the usable pixels of a block, NaN
-            without any; the median of all pixels that are not black is 1.
-        masks: V arrays (h, w) bool or None.
-        size: (V, 2) float64, (width, height) of the films in their own pixels.
-        lenses: (V, 24) float32, see ``ray_floats``.
+        capture: see ``reduced``.
+        views: the same packed; pixels on silhouettes are among them.
         poses: (V, 4, 4) float64, camera to world.
-        views: V indices into the capture's.
     """
 
-    radiance: tuple[np.ndarray, ...]
-    masks: tuple[np.ndarray | None, ...]
-    size: np.ndarray
-    lenses: np.ndarray
+    capture: Capture
+    views: Views
     poses: np.ndarray
-    views: tuple[int, ...]
+
+    @staticmethod
+    def of(capture: Capture) -> Frames:
+        """Pack a reduced capture."""
+        return Frames(
+            capture=capture,
+            views=pack_views(capture, silhouettes=True),
+            poses=np.array([to_world(sensor) for sensor in capture.used_sensors]),
+        )
 
     @property
-    def count(self) -> int:
-        """Number of views V."""
-        return len(self.views)
+    def radiance(self) -> list[np.ndarray]:
+        """V arrays (h, w, 3) float32, NaN where no pixel can be used."""
+        return list(compress(self.capture.images, self.capture.used))
 
-    @cached_property
+    @property
+    def masks(self) -> list[np.ndarray | None]:
+        """V arrays (h, w) bool, or None."""
+        return list(compress(self.capture.masks, self.capture.used))
+
+    @property
     def spread(self) -> float:
         """Variance of the tone-mapped photographs."""
         values = np.concatenate([image.reshape(-1, 3) for image in self.radiance])
         shown = tone(values[np.isfinite(values).all(axis=1)])
         return float(shown.var(axis=0).mean()) if len(shown) else 0.0
 
-    @property
-    def masked(self) -> np.ndarray:
-        """(V,) bool, whether a view has a mask with anything in it."""
-        return np.array([mask is not None and bool(mask.any()) for mask in self.masks], bool)
-
-    def some(self, chosen: Sequence[int]) -> Frames:
-        """Return only some of the views."""
-        rows = list(chosen)
-        return Frames(
-            radiance=tuple(self.radiance[i] for i in rows),
-            masks=tuple(self.masks[i] for i in rows),
-            size=self.size[rows],
-            lenses=self.lenses[rows],
-            poses=self.poses[rows],
-            views=tuple(self.views[i] for i in rows),
-        )
-
     def posed(self, poses: np.ndarray) -> Frames:
-        """Return the same photographs, taken from elsewhere."""
-        lenses = self.lenses.copy()
-        lenses[:, POSE] = poses[:, :3].reshape(-1, 12)
-        return replace(self, poses=poses, lenses=lenses)
-
-    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Project world points (N, 3).
-
-        Returns:
-            (V, N, 2) pixels of the films, and (V, N) depths; behind the camera these are negative.
-        """
-        inverse = np.linalg.inv(self.poses)
-        local = points @ inverse[:, :3, :3].transpose(0, 2, 1) + inverse[:, None, :3, 3]
-        depth = local[..., 2]
-        lens = self.lenses[:, None, :].astype(np.float64)
-        slope = local[..., :2] / np.where(depth == 0, 1e-30, depth)[..., None]
-        part = (slope * lens[..., 4:5] - lens[..., [1, 3]]) / lens[..., [0, 2]] - lens[..., 6:8]
-        return part * self.size[:, None], depth
+        """Return the same photographs, taken from elsewhere: (V, 4, 4), camera to world."""
+        rays = self.views.rays.numpy().reshape(-1, RAY_FLOATS).copy()
+        cameras = self.views.cameras.numpy().reshape(-1, CAMERA_FLOATS)
+        rays[:, POSE] = poses[:, :3].reshape(-1, 12)
+        projections = cameras[:, ROWS].reshape(-1, 3, 4) @ self.poses @ np.linalg.inv(poses)
+        cameras = cameras.copy()
+        cameras[:, ROWS], cameras[:, POSITION] = projections.reshape(-1, 12), poses[:, :3, 3]
+        kind = type(self.views.cameras)
+        views = replace(
+            self.views, cameras=owned(kind, cameras.ravel()), rays=owned(kind, rays.ravel())
+        )
+        return replace(self, views=views, poses=poses)
 
 
 def tone(radiance: np.ndarray) -> np.ndarray:
@@ -93,60 +82,59 @@ def tone(radiance: np.ndarray) -> np.ndarray:
     return radiance / (1 + radiance)
 
 
-def reduced(capture: Capture, side: int) -> Frames:
-    """Reduce the photographs that are used to at most ``side`` pixels per side.
+def reduced(capture: Capture, side: int) -> Capture:
+    """Return a capture with photographs of at most ``side`` pixels per side, and their sensors.
+
+    Photographs are reduced by whole numbers, so they may end up smaller than ``side``. A pixel is
+    the mean over the usable ones of a block, NaN without any; one that is left over at the end of a
+    side belongs to none. The median of all pixels that are not black is 1. Photographs that are not
+    used stay as they are.
 
     Raises:
-        CaptureError: none is used.
+        CaptureError: no photograph is used.
     """
-    views = [index for index in range(capture.count) if capture.used[index]]
-    if not views:
+    if not any(capture.used):
         raise CaptureError(
-            f"There is no photograph to check: {capture.count} were given, and none can be used."
+            f"There is no photograph to check: none of the {capture.count} given can be used."
         )
-    radiance, masks = [], []
-    for index in views:
-        image, mask = capture.images[index], capture.masks[index]
-        edges = [_edges(length, max(image.shape[:2]), side) for length in image.shape[:2]]
-        radiance.append(_mean(image, edges))
-        masks.append(None if mask is None else _share(mask, edges) >= 0.5)
-    sensors = [capture.sensors[index] for index in views]
-    offsets = [describe(sensor)["principal_point_offset"] for sensor in sensors]
-    unit = _unit(radiance)
-    return Frames(
-        radiance=tuple(image / unit for image in radiance),
-        masks=tuple(masks),
-        size=np.array([image.shape[1::-1] for image in (capture.images[v] for v in views)], float),
-        lenses=np.array([ray_floats(*pair) for pair in zip(sensors, offsets, strict=True)]),
-        poses=np.array([to_world(sensor) for sensor in sensors]),
-        views=tuple(views),
-    )
-
-
-def _unit(images: Sequence[np.ndarray]) -> np.float32:
-    grey = np.concatenate([image.mean(axis=2).ravel() for image in images])
+    sensors, images, masks = list(capture.sensors), list(capture.images), list(capture.masks)
+    for index in np.flatnonzero(capture.used):
+        sensor, image, mask = sensors[index], images[index], masks[index]
+        block = min(-(-max(image.shape) // side), *image.shape[:2])
+        frame, _ = squared(frame_of(sensor, Path(capture.names[index])), block)
+        sensors[index] = frame.sensor((sensor.near_clip(), sensor.far_clip()))
+        images[index] = _usable_mean(image, block)
+        if mask is not None and block > 1:
+            masks[index] = _mean(mask[..., None], block)[..., 0] >= 0.5
+    grey = np.concatenate([image.mean(axis=2).ravel() for image in compress(images, capture.used)])
     lit = grey[grey > 0]  # NaN is not
-    return np.float32(np.median(lit) if len(lit) else 1)
+    unit = np.float32(np.median(lit) if len(lit) else 1)
+    for index in np.flatnonzero(capture.used):
+        images[index] = images[index] / unit
+    return replace(capture, sensors=tuple(sensors), images=tuple(images), masks=tuple(masks))
 
 
-def _edges(length: int, longest: int, side: int) -> np.ndarray:
-    """Where the blocks of pixels along one side of a photograph begin."""
-    blocks = max(1, min(length, round(length * side / longest)))
-    return np.arange(blocks) * length // blocks
+def some(capture: Capture, most: int) -> Capture:
+    """Return the capture with at most so many of its photographs in use, evenly spread."""
+    used = np.flatnonzero(capture.used)
+    chosen = used[evenly(len(used), most)]
+    return replace(capture, used=tuple(index in chosen for index in range(capture.count)))
 
 
-def _mean(image: np.ndarray, edges: Sequence[np.ndarray]) -> np.ndarray:
-    usable = np.isfinite(image).all(axis=2)
-    total = block_sums(np.where(usable[..., None], image, 0), edges)
-    count = block_sums(usable.astype(np.float32), edges)[..., None]
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
+def evenly(count: int, most: int) -> list[int]:
+    """Return at most so many of ``count`` indices, evenly spread."""
+    return sorted({int(i) for i in np.linspace(0, count - 1, min(count, most)).round()})
 
 
-def _share(mask: np.ndarray, edges: Sequence[np.ndarray]) -> np.ndarray:
-    whole = block_sums(np.ones(mask.shape, np.float32), edges)
-    return block_sums(mask.astype(np.float32), edges) / whole
+def _mean(values: np.ndarray, block: int) -> np.ndarray:
+    """Average (H, W, C) over square blocks; what is left over at the end of a side is left out."""
+    height, width = (length // block for length in values.shape[:2])
+    blocks = values[: height * block, : width * block].reshape(height, block, width, block, -1)
+    return blocks.mean(axis=(1, 3), dtype=np.float32)
 
 
-def block_sums(values: np.ndarray, edges: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the sums over blocks of an image (H, W, ...), which begin at rows and columns."""
-    return np.add.reduceat(np.add.reduceat(values, edges[0], axis=0), edges[1], axis=1)
+def _usable_mean(image: np.ndarray, block: int) -> np.ndarray:
+    usable = np.isfinite(image).all(axis=2, keepdims=True)
+    share = _mean(usable, block)
+    total = _mean(np.where(usable, image, 0), block)
+    return np.where(share > 0, total / np.maximum(share, 1e-30), np.nan).astype(np.float32)

@@ -9,15 +9,15 @@ from itertools import product
 import numpy as np
 
 from svu_mi.capture.poses import affine
-from svu_mi.formats.fixes import FIXES, Fix, corrected_poses
+from svu_mi.formats.fixes import FIXES, Fix, Kind, corrected_poses, turn_of
 from svu_mi.formats.source import OPENCV, OPENGL
 
 CAMERA_AXES = (np.eye(4), OPENGL, OPENCV)  # that a file may have had before it was imported
 
 
 @dataclass(frozen=True)
-class PoseHypothesis:
-    """Corrections of cameras and mesh.
+class Hypothesis:
+    """Corrections that may have to be made, either of cameras and mesh or of the light.
 
     Attributes:
         fixes: in the order they are applied; none says that all is right.
@@ -49,60 +49,38 @@ class PoseHypothesis:
         return poses
 
 
+def _known(kind: Kind) -> list[Fix]:
+    return [fix for fix in FIXES.values() if fix.kind == kind]
+
+
 @cache
-def pose_hypotheses() -> tuple[PoseHypothesis, ...]:
+def pose_hypotheses() -> tuple[Hypothesis, ...]:
     """Return all combinations of wrong camera axes, inverse poses, and a wrong mesh.
 
     The first corrects nothing, then come single corrections.
     """
     inverse = FIXES["camera-inverse"]
-    turns = [(), *((f,) for f in FIXES.values() if f.kind == "camera" and f is not inverse)]
-    meshes = [(), *((f,) for f in FIXES.values() if f.kind == "mesh")]
-    cameras = [PoseHypothesis(turn) for turn in turns]
-    cameras += [
-        PoseHypothesis((inverse, *turn), axes) for turn, axes in product(turns, CAMERA_AXES)
-    ]
+    turns = [(), *((fix,) for fix in _known("camera") if fix is not inverse)]
+    cameras = [(turn, np.eye(4)) for turn in turns]
+    cameras += [((inverse, *turn), axes) for turn, axes in product(turns, CAMERA_AXES)]
+    meshes = [(), *((fix,) for fix in _known("mesh"))]
     combined = [
-        PoseHypothesis(camera.fixes + mesh, camera.camera_axes)
-        for camera, mesh in product(cameras, meshes)
+        Hypothesis(camera + mesh, axes) for (camera, axes), mesh in product(cameras, meshes)
     ]
     return tuple(sorted(combined, key=lambda one: len(one.fixes)))
 
 
-@dataclass(frozen=True)
-class LightHypothesis:
-    """Corrections of the environment map.
-
-    Attributes:
-        fixes: in the order they are applied; none says that all is right.
-        matrix: (3, 3), their product, in the frame of the map.
-    """
-
-    fixes: tuple[Fix, ...]
-    matrix: np.ndarray
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the corrections."""
-        return tuple(fix.name for fix in self.fixes)
-
-
 @cache
-def light_hypotheses() -> tuple[LightHypothesis, ...]:
+def light_hypotheses() -> tuple[Hypothesis, ...]:
     """Return the 48 ways to put a map's axes on those of the world, each in the fewest words.
 
     The first corrects nothing, then come single corrections.
     """
-    words = [fix for fix in FIXES.values() if fix.kind == "light"]
-    queue = [LightHypothesis((), np.eye(3))]
+    queue = [Hypothesis()]
     found = {}
     for known in queue:  # grows while it is walked through: shortest first
-        key = known.matrix.astype(int).tobytes()  # axes go to axes
+        key = turn_of(known.fixes, "light").astype(int).tobytes()  # axes go to axes
         if key not in found:
             found[key] = known
-            queue += [
-                LightHypothesis((*known.fixes, fix), known.matrix @ fix.matrix)
-                for fix in words
-                if fix.matrix is not None
-            ]
+            queue += [Hypothesis((*known.fixes, fix)) for fix in _known("light")]
     return tuple(found.values())

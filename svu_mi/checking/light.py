@@ -17,9 +17,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from svu_mi.checking.appearance import DARK, FEWEST, Texture, typical
-from svu_mi.checking.hypotheses import LightHypothesis, light_hypotheses
+from svu_mi.checking.hypotheses import Hypothesis, light_hypotheses
 from svu_mi.checking.points import Points, Sightings
 from svu_mi.checking.sky import Sky
+from svu_mi.formats.fixes import turn_of
 
 NEIGHBORS = 8
 CLIP = 1.5  # of the median difference of neighbours: edges between colours count no more
@@ -39,10 +40,15 @@ class LightScore:
         highlights: part of the variance between views that filtered light explains.
     """
 
-    hypothesis: LightHypothesis
+    hypothesis: Hypothesis
     shading: float
     bare: float
     highlights: float
+
+    @property
+    def cues(self) -> dict[str, float]:
+        """What the score is made of, by name."""
+        return {"shading": self.shading, "shading alone": self.bare, "highlights": self.highlights}
 
     @property
     def total(self) -> float:
@@ -52,7 +58,7 @@ class LightScore:
 
 
 def score_light(
-    sky: Sky, points: Points, sightings: Sightings, arriving: tuple[np.ndarray, np.ndarray],
+    sky: Sky, points: Points, sightings: Sightings, cosines: np.ndarray,
     texture: Texture | None, step: Callable[[int, int], None],
 ) -> tuple[LightScore, ...]:  # fmt: skip
     """Try all hypotheses; best first. None if next to nothing of the object is seen.
@@ -61,21 +67,21 @@ def score_light(
         sky: the light.
         points: on the object.
         sightings: what the views show of them.
-        arriving: directions and cosines, see ``open_cosines``.
+        cosines: (N, K), at which light arrives from ``sky.DIRECTIONS`` (``open_cosines``).
         texture: of the object, None if it has none.
         step: called with (hypotheses done, all of them).
     """
     shown, known = typical(sightings)
     if known.sum() < FEWEST:
         return ()
-    directions, cosines = arriving
     shading = _Shading.of(points.position[known], shown[known], _features(shown, texture, known))
     highlights = _Highlights.of(points, sightings)
     hypotheses = light_hypotheses()
     scores = []
     for index, hypothesis in enumerate(hypotheses):
-        irradiance = cosines[known] @ sky.arriving(directions, hypothesis.matrix)
-        reflected = sky.reflected(highlights.mirror, hypothesis.matrix)
+        turn = turn_of(hypothesis.fixes, "light")
+        irradiance = cosines[known] @ sky.arriving(turn)
+        reflected = sky.reflected(highlights.mirror, turn)
         scores.append(
             LightScore(hypothesis, *shading.explained(irradiance), highlights.explained(reflected))
         )
@@ -149,59 +155,50 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class _Highlights:
-    """How points that several views see differ between these.
+    """How what views show of one point differs between them.
 
     Attributes:
-        mirror: (S, 3) directions that samples mirror, in the frame of the mesh; the samples of
-            one point follow each other.
-        first: (M,) index of each point's first sample.
-        count: (M,) of its samples.
-        weight: (S, 1), one over the point's brightness.
-        changes: (S, 3) weighted radiance less the point's mean.
+        mirror: (V N, 3) directions that views of N points mirror, in the frame of the mesh.
+        seen: (V, N, 1) bool, of points that several views see.
+        weight: (N, 1), one over the point's brightness.
+        changes: (V, N, 3) weighted radiance less the point's mean, 0 where not seen.
     """
 
     mirror: np.ndarray
-    first: np.ndarray
-    count: np.ndarray
+    seen: np.ndarray
     weight: np.ndarray
     changes: np.ndarray
 
     @staticmethod
     def of(points: Points, sightings: Sightings) -> _Highlights:
-        several = sightings.seen & (sightings.seen.sum(axis=0) >= 2)
-        point, view = np.nonzero(several.T)
-        _, first, count = np.unique(point, return_index=True, return_counts=True)
-        toward, normal = sightings.toward[view, point], points.normal[point]
-        mirror = 2 * np.einsum("si,si->s", toward, normal)[:, None] * normal - toward
-        values = sightings.radiance[view, point].astype(np.float64)
-        empty = _Highlights(mirror, first, count, np.ones((len(point), 1)), values)
-        mean = empty._means(values).mean(axis=1)
-        unit = float(mean.mean()) if len(mean) else 1.0
-        weight = np.repeat(1 / (mean + SPECIAL * unit + 1e-12), count)[:, None]
-        return _Highlights(mirror, first, count, weight, weight * empty._changes(values))
+        toward, shown = sightings.toward, sightings.radiance
+        cosine = np.einsum("vni,ni->vn", toward, points.normal)[..., None]
+        mirror = 2 * cosine * points.normal - toward
+        seen = (sightings.seen & (sightings.seen.sum(axis=0) >= 2))[..., None]
+        mean = _means(shown, seen).mean(axis=1, keepdims=True)
+        unit = float(mean.mean(where=seen.any(axis=0))) if seen.any() else 1.0
+        weight = 1 / (mean + SPECIAL * unit + 1e-12)
+        return _Highlights(mirror.reshape(-1, 3), seen, weight, weight * _changes(shown, seen))
 
     def explained(self, reflected: np.ndarray) -> float:
-        """Return the part of the changes that (L, S, 3) light explains, by the best of L lobes."""
-        if len(self.first) == 0:
-            return 0.0
-        whole = self._sums((self.changes**2).sum(axis=1))
+        """Return the part of the changes that (L, V N, 3) light explains, by the best lobe."""
+        whole = (self.changes**2).sum()
         best = 0.0
-        for light in reflected:
-            predicted = self.weight * self._changes(light)
-            product = self._sums((predicted * self.changes).sum(axis=1))
-            square = self._sums((predicted**2).sum(axis=1))
+        for light in reflected.reshape(len(reflected), *self.changes.shape):
+            predicted = self.weight * _changes(light, self.seen)
+            product = (predicted * self.changes).sum(axis=(0, 2))
+            square = (predicted**2).sum(axis=(0, 2))
             part = np.maximum(product, 0) ** 2 / np.where(square > 0, square, 1)
-            best = max(best, float(part.sum() / max(whole.sum(), 1e-12)))
+            best = max(best, float(part.sum() / max(whole, 1e-12)))
         return best
 
-    def _changes(self, values: np.ndarray) -> np.ndarray:
-        return values - np.repeat(self._means(values), self.count, axis=0)
 
-    def _means(self, values: np.ndarray) -> np.ndarray:
-        return self._sums(values) / self.count[:, None]
+def _means(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    return np.where(seen, values, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
 
-    def _sums(self, values: np.ndarray) -> np.ndarray:
-        return np.add.reduceat(values, self.first, axis=0) if len(self.first) else values[:0]
+
+def _changes(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    return np.where(seen, values - _means(values, seen), 0)
 
 
 def indistinguishable(

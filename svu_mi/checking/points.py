@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
+import trimesh
 
-from svu_mi.capture import Capture
 from svu_mi.capture.mesh import arrays
 from svu_mi.checking.frames import Frames
 from svu_mi.interop import owned
+from svu_mi.visibility.observe import Surface, observe
+from svu_mi.visibility.reach import is_open
 
 COUNT = 2000
 SEED = 6151
@@ -37,26 +40,33 @@ class Points:
     uv: np.ndarray | None
     offset: float
 
+    def surface(self, index: np.ndarray) -> Surface:
+        """Return some of the points, (M,) by their numbers, as the lanes of a kernel."""
+        return Surface(
+            position=owned(mi.Point3f, self.position[index].T.astype(np.float32)),
+            normal=owned(mi.Normal3f, self.normal[index].T.astype(np.float32)),
+            geometric_normal=owned(mi.Normal3f, self.facing[index].T.astype(np.float32)),
+            offset=dr.opaque(mi.Float, self.offset),
+        )
+
 
 def scatter_points(mesh: Any, count: int = COUNT) -> Points:
     """Draw points on a mesh, by area; always the same ones."""
     source = arrays(mesh)
-    corners = source.positions[source.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(cross, axis=1)
+    surface = trimesh.Trimesh(source.positions, source.faces, process=False)
     random = np.random.default_rng(SEED)
     # Stratified by area: as even as random points get.
-    place = (np.arange(count) + random.random(count)) / count
-    total = np.cumsum(length)
-    face = np.minimum(np.searchsorted(total, place * total[-1], side="right"), len(length) - 1)
+    place = (np.arange(count) + random.random(count)) / count * surface.area
+    face = np.searchsorted(np.cumsum(surface.area_faces), place, side="right")
+    face = np.minimum(face, len(source.faces) - 1)
     a, b = np.sqrt(random.random(count)), random.random(count)
     weights = np.stack([1 - a, a * (1 - b), a * b], axis=-1)
 
     def mixed(values: np.ndarray) -> np.ndarray:
         return np.einsum("nk,nki->ni", weights, values[source.faces[face]])
 
-    flat = cross[face] / length[face, None]
-    normal = flat if source.normals is None else _unit(mixed(source.normals))
+    flat = trimesh.util.unitize(surface.triangles_cross[face])
+    normal = flat if source.normals is None else trimesh.util.unitize(mixed(source.normals))
     side = np.where(np.einsum("ni,ni->n", flat, normal) < 0, -1, 1)
     return Points(
         position=mixed(source.positions),
@@ -67,18 +77,14 @@ def scatter_points(mesh: Any, count: int = COUNT) -> Points:
     )
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
-
-
 @dataclass(frozen=True)
 class Sightings:
     """What V photographs show of N points.
 
     Attributes:
-        seen: (V, N) bool, the point is in the picture, nothing hides it, and its pixel is usable.
+        seen: (V, N) bool, the point is in the picture, nothing hides it, and its pixels are usable.
         radiance: (V, N, 3) float32; 0 where not seen.
-        toward: (V, N, 3) float64, unit directions to the cameras, in the frame of the mesh.
+        toward: (V, N, 3) float32, unit directions to the cameras, in the frame of the mesh.
     """
 
     seen: np.ndarray
@@ -86,47 +92,42 @@ class Sightings:
     toward: np.ndarray
 
 
-def look(capture: Capture, points: Points, frames: Frames) -> Sightings:
+def look(points: Points, frames: Frames) -> Sightings:
     """Look every point up in every photograph.
 
     Args:
-        capture: its scene hides points.
         points: N of them.
         frames: V photographs; their poses are relative to the mesh as it is in the scene.
     """
-    ray = frames.poses[:, None, :3, 3] - points.position
-    distance = np.linalg.norm(ray, axis=-1)
-    toward = ray / np.maximum(distance, 1e-12)[..., None]
-    pixel, depth = frames.project(points.position)
-    inside = (depth > 0) & (pixel >= 0).all(-1) & (pixel < frames.size[:, None]).all(-1)
-    front = np.einsum("vni,ni->vn", toward, points.normal) > FACING
-    front &= np.einsum("vni,ni->vn", toward, points.facing) > FACING
-    seen = inside & front
-    seen[seen] = _open(capture.scene, points, np.nonzero(seen)[1], toward[seen], distance[seen])
-    radiance = np.zeros((*seen.shape, 3), np.float32)
-    for view, image in enumerate(frames.radiance):
-        scale = np.array(image.shape[1::-1]) / frames.size[view]
-        column, row = (pixel[view, seen[view]] * scale).astype(int).T
-        values = image[row, column]
-        mask = frames.masks[view]
-        good = np.isfinite(values).all(-1) & (True if mask is None else mask[row, column])
-        radiance[view, seen[view]] = np.where(good[:, None], values, 0)
-        seen[view, seen[view]] = good
-    return Sightings(seen=seen, radiance=radiance, toward=toward)
-
-
-def _open(
-    scene: Any, points: Points, index: np.ndarray, toward: np.ndarray, distance: np.ndarray
-) -> np.ndarray:
-    """Return which rays (M,) from points of these indices meet nothing."""
-    if len(index) == 0:
-        return np.zeros(0, bool)
-    origin = points.position[index] + points.offset * points.facing[index]
-    ray = mi.Ray3f(
-        owned(mi.Point3f, origin.T.astype(np.float32)),
-        owned(mi.Vector3f, toward.T.astype(np.float32)),
-        owned(mi.Float, (distance - 2 * points.offset).astype(np.float32)),
-        0.0,
-        [],
+    shape = frames.views.number, len(points.position)
+    view, point = np.indices(shape, np.uint32).reshape(2, -1)
+    surface = points.surface(point)
+    found = observe(frames.views, surface, owned(mi.UInt32, view))
+    facing = dr.minimum(found.cosine, dr.dot(surface.geometric_normal, found.direction)) > FACING
+    seen = found.seen & facing
+    return Sightings(
+        seen=seen.numpy().reshape(shape),
+        radiance=dr.select(seen, found.radiance, 0).numpy().T.reshape(*shape, 3),
+        toward=found.direction.numpy().T.reshape(*shape, 3),
     )
-    return ~np.broadcast_to(np.array(scene.ray_test(ray), bool), len(index))
+
+
+def open_cosines(scene: Any, points: Points, directions: np.ndarray) -> np.ndarray:
+    """Trace which light can reach points.
+
+    Args:
+        scene: what hides.
+        points: N points.
+        directions: (K, 3), where light comes from.
+
+    Returns:
+        (N, K) float32 cosines at which light arrives, 0 where hidden.
+    """
+    shape = len(points.position), len(directions)
+    point, cell = np.indices(shape, np.uint32).reshape(2, -1)
+    surface = points.surface(point)
+    direction = owned(mi.Vector3f, directions[cell].T.astype(np.float32))
+    cosine = dr.dot(surface.normal, direction)
+    above = (cosine > 0) & (dr.dot(surface.geometric_normal, direction) > 0)
+    free = is_open(scene, surface, direction, above, coherent=False)
+    return dr.select(free, cosine, 0).numpy().reshape(shape)

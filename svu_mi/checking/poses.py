@@ -9,12 +9,12 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.checking.appearance import Texture, agreement, texture_fit
-from svu_mi.checking.frames import Frames
-from svu_mi.checking.hypotheses import PoseHypothesis, pose_hypotheses
+from svu_mi.checking.frames import Frames, reduced, some
+from svu_mi.checking.hypotheses import Hypothesis, pose_hypotheses
 from svu_mi.checking.points import Points, look
 from svu_mi.checking.silhouettes import contrast, outline, overlap, silhouettes
 
-VIEWS = 24  # that hypotheses are tried on
+VIEWS, SMALL = 24, 64  # that all hypotheses are tried on, and pixels of their sides
 NEAR = 0.2  # a hypothesis whose silhouettes fit worse than the best by more need not be looked at
 FEWEST, KEPT = 5, 12  # hypotheses whose colours are looked at
 FEWER = 0.02  # of the score, that one more correction must be worth
@@ -37,7 +37,7 @@ class PoseScore:
         misfit: (N,) squared differences behind ``texture``, NaN for points that are not seen.
     """
 
-    hypothesis: PoseHypothesis
+    hypothesis: Hypothesis
     masked: bool
     fits: np.ndarray
     agreement: float
@@ -50,6 +50,12 @@ class PoseScore:
         return float(self.fits.mean())
 
     @property
+    def cues(self) -> dict[str, float]:
+        """What the score is made of, by name."""
+        kind = "silhouettes" if self.masked else "edges"
+        return {kind: self.silhouette, "views agree": self.agreement, "texture": self.texture}
+
+    @property
     def total(self) -> float:
         """What hypotheses are ranked by."""
         cost = FEWER * len(self.hypothesis.fixes)
@@ -57,70 +63,53 @@ class PoseScore:
 
 
 def score_poses(
-    capture: Capture, frames: Frames, small: Frames, points: Points, texture: Texture | None,
-    step: Callable[[int, int], None],
-) -> tuple[PoseScore, ...]:  # fmt: skip
+    capture: Capture, points: Points, texture: Texture | None, step: Callable[[int, int], None]
+) -> tuple[PoseScore, ...]:
     """Try all hypotheses; best first.
 
     Args:
-        capture: scene and object.
-        frames: photographs to look points up in.
-        small: the same photographs, smaller, to compare silhouettes in.
+        capture: reduced photographs, to look points up in.
         points: on the object.
         texture: of the object, None if it has none.
         step: called with (hypotheses done, all of them).
     """
+    frames = Frames.of(capture)
+    small = Frames.of(some(reduced(capture, SMALL), VIEWS))
     hypotheses = pose_hypotheses()
-    chosen = evenly(small.count, VIEWS)
-    small = small.some(chosen)
-    masked = bool(small.masked.sum() >= min(small.count, 3))
-    judge = _fit_to_masks(small) if masked else _fit_to_gradients(small)
+    masked, judge = _judge(small)
     fits = []
     for index, hypothesis in enumerate(hypotheses):
-        fits.append(judge(silhouettes(capture, small.posed(_posed(hypothesis, small)))))
+        fits.append(judge(silhouettes(small.posed(hypothesis.relative_poses(small.poses)))))
         step(index + 1, len(hypotheses))
     means = np.array([one.mean() for one in fits])
     order = [int(i) for i in np.argsort(-means, kind="stable")]
     near = sum(means >= means.max() - NEAR)
-    kept = dict.fromkeys([0, *order[: max(FEWEST, min(near, KEPT))]])
-    scores = []
-    for index in kept:
+    spread, scores = frames.spread, []
+    for index in dict.fromkeys([0, *order[: max(FEWEST, min(near, KEPT))]]):
         hypothesis = hypotheses[index]
-        seen = look(capture, points, frames.posed(_posed(hypothesis, frames)))
+        seen = look(points, frames.posed(hypothesis.relative_poses(frames.poses)))
         best, misfit = 0.0, np.full(len(points.position), np.nan)
         if texture is not None:
             best, misfit = max(
                 (texture_fit(seen, points, albedo) for albedo in (texture.albedo, texture.flipped)),
                 key=lambda pair: pair[0],
             )
-        views = agreement(seen, frames.spread)
+        views = agreement(seen, spread)
         scores.append(PoseScore(hypothesis, masked, fits[index], views, best, misfit))
     return tuple(sorted(scores, key=lambda score: -score.total))
-
-
-def _posed(hypothesis: PoseHypothesis, frames: Frames) -> np.ndarray:
-    return hypothesis.relative_poses(frames.poses)
-
-
-def evenly(count: int, most: int) -> list[int]:
-    """Return at most so many of ``count`` indices, evenly spread."""
-    return sorted({int(i) for i in np.linspace(0, count - 1, min(count, most)).round()})
 
 
 Judge = Callable[[Sequence[np.ndarray]], np.ndarray]
 
 
-def _fit_to_masks(frames: Frames) -> Judge:
-    pairs = [
-        (view, mask) for view, mask in enumerate(frames.masks) if mask is not None and mask.any()
-    ]
-    return lambda seen: np.array([overlap(seen[view], mask) for view, mask in pairs])
-
-
-def _fit_to_gradients(frames: Frames) -> Judge:
+def _judge(frames: Frames) -> tuple[bool, Judge]:
+    """Return whether there are masks that silhouettes can be compared with, and the comparison."""
+    pairs = [(k, mask) for k, mask in enumerate(frames.masks) if mask is not None and mask.any()]
+    if len(pairs) >= min(frames.views.number, 3):
+        return True, lambda seen: np.array([overlap(seen[view], mask) for view, mask in pairs])
     ranks = [contrast(image) for image in frames.radiance]
-    return lambda seen: np.array(
-        [outline_contrast(one, rank) or 0.0 for one, rank in zip(seen, ranks, strict=True)]
+    return False, lambda seen: np.array(
+        [outline_contrast(*pair) or 0.0 for pair in zip(seen, ranks, strict=True)]
     )
 
 

@@ -143,7 +143,3 @@ class Check:
             return -round(10 * (shape or 0.0)), color
 
         return tuple(sorted(self.views, key=badness, reverse=True))
-
-    def finding(self, question: Question) -> Finding:
-        """Return the answer to one question."""
-        return next(one for one in self.findings if one.question == question)

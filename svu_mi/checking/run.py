@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.scene import find_environment, require_variant
+from svu_mi.capture.scene import require_variant
 from svu_mi.checking import verdicts
 from svu_mi.checking.appearance import Texture, read_texture, texture_fit
 from svu_mi.checking.apply import apply_fixes
-from svu_mi.checking.frames import Frames, reduced
+from svu_mi.checking.frames import Frames, reduced, some
 from svu_mi.checking.light import score_light
-from svu_mi.checking.points import Points, look, scatter_points
-from svu_mi.checking.poses import PoseScore, evenly, score_poses
+from svu_mi.checking.points import Points, Sightings, look, open_cosines, scatter_points
+from svu_mi.checking.poses import score_poses
 from svu_mi.checking.record import Check, Finding
-from svu_mi.checking.sky import Sky, open_cosines
-from svu_mi.checking.views import SIDE, check_views
-from svu_mi.formats.fixes import fixes_named
-from svu_mi.light.environment import read_environment
+from svu_mi.checking.sky import DIRECTIONS, Sky, emitter_of, is_even
+from svu_mi.checking.views import check_views
+from svu_mi.formats.fixes import fixes_named, turn_of
 from svu_mi.progress import Progress
 
-SMALL = 64  # pixels of the photographs that all hypotheses are tried on
+SIDE = 128  # pixels of the photographs that are compared
 VIEWS = 40  # that colours are compared in
 
 
@@ -39,13 +36,16 @@ def check(capture: Capture, *, progress: Progress | None = None) -> Check:
         SvuEnvironmentError: no suitable Mitsuba variant is active.
         CaptureError: no photograph is used.
     """
+    require_variant()
     progress = progress or Progress()
-    findings, axes = find_mistakes(capture, progress=progress)
+    with progress.stage("Reducing photographs"):
+        small = reduced(capture, SIDE)
+    findings, axes = find_mistakes(small, progress=progress)
     names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
     with progress.stage("Checking views"):
-        views = corrected = check_views(capture)
+        views = corrected = check_views(small)
         if names:
-            corrected = check_views(apply_fixes(capture, fixes_named(names), axes))
+            corrected = check_views(apply_fixes(small, fixes_named(names), axes))
     return Check(views=views, corrected=corrected, findings=findings, camera_axes=axes)
 
 
@@ -59,7 +59,7 @@ def find_mistakes(
     could lie.
 
     Args:
-        capture: see ``check``.
+        capture: see ``check``; its photographs may be reduced already.
         progress: shows what is going on.
 
     Returns:
@@ -68,52 +68,39 @@ def find_mistakes(
     """
     require_variant()
     progress = progress or Progress()
-    with progress.stage("Reducing photographs"):
-        frames, small = reduced(capture, SIDE), reduced(capture, SMALL)
-        frames = frames.some(evenly(frames.count, VIEWS))
+    capture = some(reduced(capture, SIDE), VIEWS)
     points = scatter_points(capture.shape)
     texture = read_texture(capture, points)
     with progress.stage("Trying poses") as stage:
-        scores = score_poses(capture, frames, small, points, texture, stage.update)
+        scores = score_poses(capture, points, texture, stage.update)
         poses, chosen = verdicts.judge_poses(scores)
-    frames = frames.posed(chosen.hypothesis.relative_poses(frames.poses))
+    axes = chosen.hypothesis.camera_axes
     if poses.verdict == "unclear" and not poses.fixes:
         reason = "cameras and mesh have to fit first"
         light = verdicts.light_unknown(reason)
-        flip = verdicts.texture_unknown(f"Nothing can be said of V: {reason}")
-        return (poses, light, flip), chosen.hypothesis.camera_axes
+        flip = verdicts.texture_unknown(f"V cannot be judged: {reason}")
+        return (poses, light, flip), axes
+    frames = Frames.of(capture)
+    seen = look(points, frames.posed(chosen.hypothesis.relative_poses(frames.poses)))
     with progress.stage("Trying textures"):
-        flip, texture = _texture(capture, frames, points, texture)
+        flip, texture = _judged_texture(seen, points, texture)
+    emitter = emitter_of(capture)
+    if is_even(emitter):
+        return (poses, verdicts.light_unknown("it is the same from everywhere"), flip), axes
     with progress.stage("Trying lights") as stage:
-        light = _light(capture, frames, points, texture, chosen, stage.update)
-    return (poses, light, flip), chosen.hypothesis.camera_axes
+        sky = Sky.of(emitter, turn_of(chosen.hypothesis.fixes, "mesh"))
+        cosines = open_cosines(capture.scene, points, DIRECTIONS)
+        tried = score_light(sky, points, seen, cosines, texture, stage.update)
+        return (poses, verdicts.judge_light(tried), flip), axes
 
 
-def _texture(
-    capture: Capture, frames: Frames, points: Points, texture: Texture | None
+def _judged_texture(
+    seen: Sightings, points: Points, texture: Texture | None
 ) -> tuple[Finding, Texture | None]:
     """Decide on the V axis; return the texture the way it fits."""
     if texture is None:
         reason = "The object has no texture, so nothing depends on the V axis"
         return verdicts.texture_unknown(reason), None
-    seen = look(capture, points, frames)
     fits = [texture_fit(seen, points, albedo) for albedo in (texture.albedo, texture.flipped)]
     found = verdicts.judge_texture(*fits)
     return found, texture.turned() if found.verdict == "wrong" else texture
-
-
-def _light(
-    capture: Capture, frames: Frames, points: Points, texture: Texture | None,
-    chosen: PoseScore, step: Callable[[int, int], None],
-) -> Finding:  # fmt: skip
-    emitter = find_environment(capture.scene, str(capture.source or "scene"))
-    if emitter.class_name() == "ConstantBackgroundEmitter":
-        return verdicts.light_unknown("it is the same from everywhere")
-    turn = np.eye(3)
-    for fix in chosen.hypothesis.fixes:
-        if fix.kind == "mesh" and fix.matrix is not None:
-            turn = fix.matrix @ turn
-    sky = Sky.of(read_environment(emitter), turn)
-    seen = look(capture, points, frames)
-    arriving = open_cosines(capture.scene, points)
-    return verdicts.judge_light(score_light(sky, points, seen, arriving, texture, step))

@@ -6,44 +6,34 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture import Capture
 from svu_mi.checking.frames import Frames
 from svu_mi.interop import owned
 from svu_mi.visibility.rays import film_ray
 
 
-def silhouettes(capture: Capture, frames: Frames) -> list[np.ndarray]:
+def silhouettes(frames: Frames) -> list[np.ndarray]:
     """Trace a ray through the centre of every pixel of the small photographs.
 
     Args:
-        capture: scene and object.
         frames: V views; their poses need not be those of the capture.
 
     Returns:
         V arrays (h, w) bool, True where the object is seen.
     """
-    view, x, y = _pixels(frames)
-    lenses = owned(mi.Float, frames.lenses.ravel())
-    ray = film_ray(lenses, owned(mi.UInt32, view), owned(mi.Float, x), owned(mi.Float, y))
-    hit = capture.scene.ray_intersect_preliminary(ray, coherent=True)
-    # Opaque: as a literal, every scene would get a kernel of its own.
-    seen = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, capture.shape))
     shapes = [image.shape[:2] for image in frames.radiance]
-    everywhere = np.broadcast_to(np.array(seen, bool), len(view))
-    parts = np.split(everywhere, np.cumsum([h * w for h, w in shapes])[:-1])
+    counts = [height * width for height, width in shapes]
+    row, column = np.concatenate([np.indices(s).reshape(2, -1) for s in shapes], axis=1) + 0.5
+    ray = film_ray(
+        frames.views.rays,
+        owned(mi.UInt32, np.repeat(np.arange(len(shapes), dtype=np.uint32), counts)),
+        owned(mi.Float, column.astype(np.float32)),
+        owned(mi.Float, row.astype(np.float32)),
+    )
+    hit = frames.capture.scene.ray_intersect_preliminary(ray, coherent=True)
+    # Opaque: as a literal, every scene would get a kernel of its own.
+    seen = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, frames.capture.shape))
+    parts = np.split(np.broadcast_to(np.array(seen, bool), sum(counts)), np.cumsum(counts)[:-1])
     return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
-
-
-def _pixels(frames: Frames) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return view, x and y of the middle of every small pixel, in pixels of the films."""
-    views, xs, ys = [], [], []
-    for index, image in enumerate(frames.radiance):
-        height, width = image.shape[:2]
-        x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-        views.append(np.full(height * width, index, np.uint32))
-        xs.append((x * frames.size[index, 0] / width).ravel())
-        ys.append((y * frames.size[index, 1] / height).ravel())
-    return np.concatenate(views), np.concatenate(xs), np.concatenate(ys)
 
 
 def overlap(seen: np.ndarray, mask: np.ndarray) -> float:

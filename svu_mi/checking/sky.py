@@ -6,24 +6,22 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 from scipy.spatial import cKDTree
 
-from svu_mi.checking.frames import block_sums
-from svu_mi.checking.points import Points
+from svu_mi.capture import Capture
+from svu_mi.capture.scene import find_environment
 from svu_mi.interop import owned
-from svu_mi.light import environment as env
-from svu_mi.light.cells import fibonacci
-from svu_mi.light.environment import Environment
-from svu_mi.light.levels import convolve, resolved
+from svu_mi.light.cells import fibonacci, light_cells
+from svu_mi.light.environment import read_environment
+from svu_mi.light.levels import Levels, filter_light
+from svu_mi.light.lighting import band_limit, look_up
 from svu_mi.reflection.lobes import zonal_profile
 
-CELLS = 256  # directions that visibility is traced in
+DIRECTIONS = fibonacci(256)  # that visibility is traced in
+CELLS = 64, 2048  # of the light, that irradiance is summed from
 WIDTHS = (0.06, 0.18, 0.4)  # alpha of the lobes that highlights are compared with
-ROWS = 91  # of the maps these are looked up in
-COARSE = 64  # rows of blocks that irradiance is summed from
 
 
 @dataclass(frozen=True)
@@ -31,88 +29,60 @@ class Sky:
     """Distant light.
 
     Attributes:
-        flux: (M, 3) radiance times solid angle of blocks of the map.
+        flux: (M, 3) radiance times solid angle of the light's cells.
         toward: (M, 3) unit directions of their light, in the frame of the map.
-        maps: (L, ROWS, 2 ROWS, 3) the map under a lobe of each of ``WIDTHS``.
+        lobes: the light under a lobe of each of ``WIDTHS``.
         to_local: (3, 3), from the frame of the mesh to that of the map, as the capture says.
     """
 
     flux: np.ndarray
     toward: np.ndarray
-    maps: np.ndarray
+    lobes: Levels
     to_local: np.ndarray
 
     @staticmethod
-    def of(environment: Environment, mesh_turn: np.ndarray) -> Sky:
-        """Filter an environment.
+    def of(emitter: Any, mesh_turn: np.ndarray) -> Sky:
+        """Filter an environment emitter.
 
         Args:
-            environment: the light.
+            emitter: the light.
             mesh_turn: (3, 3), by which corrections turn the mesh before it is lit.
         """
-        grid = resolved(environment)
-        rows, columns = grid.shape[:2]
-        solid = (env.quadrature(rows) * (2 * np.pi / columns))[:, None, None]
-        local = env.directions(columns, rows)
-        weight = grid.sum(axis=2, keepdims=True) * solid
-        edges = [np.arange(n) * size // n for n, size in ((COARSE, rows), (2 * COARSE, columns))]
-        flux = block_sums(grid * solid, edges)
-        pull = block_sums(local * (weight + 1e-9 * weight.max() * solid), edges).reshape(-1, 3)
-        profile = partial(zonal_profile, "ggx")
-        filtered = (convolve(grid, width, partial(profile, width)) for width in WIDTHS)
+        environment = read_environment(emitter)
+        cells = light_cells(environment, *CELLS).fine
+        flux, toward = (a.numpy().reshape(-1, 4)[:, :3] for a in (cells.flux, cells.toward))
         return Sky(
-            flux=flux.reshape(-1, 3),
-            toward=pull / np.maximum(np.linalg.norm(pull, axis=1, keepdims=True), 1e-300),
-            maps=np.stack([_resampled(one) for one in filtered]),
+            flux=flux,
+            toward=toward @ environment.to_local.T,
+            lobes=filter_light(band_limit(environment, 1), WIDTHS, partial(zonal_profile, "ggx")),
             to_local=environment.to_local @ mesh_turn,
         )
 
-    def arriving(self, directions: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-        """Return (K, 3), the flux around directions (K, 3) of the mesh's frame.
+    def arriving(self, matrix: np.ndarray) -> np.ndarray:
+        """Return (K, 3), the flux around ``DIRECTIONS`` of the mesh's frame.
 
         Args:
-            directions: evenly spread.
             matrix: (3, 3), by which a hypothesis turns the map.
         """
-        cell = cKDTree(directions @ (matrix.T @ self.to_local).T).query(self.toward)[1]
-        count = len(directions)
+        cell = cKDTree(self._local(DIRECTIONS, matrix)).query(self.toward)[1]
+        count = len(DIRECTIONS)
         return np.stack([np.bincount(cell, self.flux[:, c], count) for c in range(3)], axis=-1)
 
     def reflected(self, directions: np.ndarray, matrix: np.ndarray) -> np.ndarray:
         """Return (L, S, 3), the light under lobes around directions (S, 3) of the mesh's frame."""
-        local = directions @ (matrix.T @ self.to_local).T
-        row, column = env.nearest_node(local, ROWS, 2 * ROWS)
-        return self.maps[:, row, column]
+        local = owned(mi.Vector3f, self._local(directions, matrix).T)
+        found = [look_up(texture, local) for texture in self.lobes.textures]
+        return np.array([[channel.numpy() for channel in one] for one in found]).swapaxes(1, 2)
+
+    def _local(self, directions: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+        return directions @ (matrix.T @ self.to_local).T
 
 
-def _resampled(grid: np.ndarray) -> np.ndarray:
-    """Look a map up at the nodes of one with ``ROWS`` rows, which is fine enough for any lobe."""
-    rows, columns = grid.shape[:2]
-    row = np.rint(np.linspace(0, rows - 1, ROWS)).astype(int)
-    column = ((np.arange(2 * ROWS) + 0.5) / (2 * ROWS) * columns).astype(int)
-    return grid[row][:, column]
+def emitter_of(capture: Capture) -> Any:
+    """Return the environment emitter of a capture."""
+    return find_environment(capture.scene, str(capture.source or "scene"))
 
 
-def open_cosines(scene: Any, points: Points) -> tuple[np.ndarray, np.ndarray]:
-    """Trace which light can reach points.
-
-    Args:
-        scene: what hides.
-        points: N points.
-
-    Returns:
-        (K, 3) directions, and (N, K) float32 cosines at which light arrives, 0 where hidden.
-    """
-    directions = fibonacci(CELLS)
-    cosine = points.normal @ directions.T
-    index, cell = np.nonzero((cosine > 0) & (points.facing @ directions.T > 0))
-    origin = points.position[index] + points.offset * points.facing[index]
-    ray = mi.Ray3f(
-        owned(mi.Point3f, origin.T.astype(np.float32)),
-        owned(mi.Vector3f, directions[cell].T.astype(np.float32)),
-        dr.opaque(mi.Float, dr.largest(mi.Float)), 0.0, [],
-    )  # fmt: skip
-    hidden = np.broadcast_to(np.array(scene.ray_test(ray), bool), len(index))
-    result = np.zeros(cosine.shape, np.float32)
-    result[index, cell] = np.where(hidden, 0, cosine[index, cell])
-    return directions, result
+def is_even(emitter: Any) -> bool:
+    """Whether the light is the same from everywhere."""
+    return emitter.class_name() == "ConstantBackgroundEmitter"

@@ -5,51 +5,49 @@ from __future__ import annotations
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.scene import find_environment
 from svu_mi.checking.appearance import read_texture
-from svu_mi.checking.frames import reduced
-from svu_mi.checking.points import Points, Sightings, look, scatter_points
+from svu_mi.checking.frames import Frames
+from svu_mi.checking.points import look, open_cosines, scatter_points
 from svu_mi.checking.poses import outline_contrast
 from svu_mi.checking.record import ViewCheck
 from svu_mi.checking.silhouettes import contrast, overlap, silhouettes
-from svu_mi.checking.sky import Sky, open_cosines
-from svu_mi.light.environment import read_environment
-
-SIDE = 128  # pixels of the photographs that are compared
+from svu_mi.checking.sky import DIRECTIONS, Sky, emitter_of
 
 
 def check_views(capture: Capture) -> tuple[ViewCheck, ...]:
-    """Compare every used photograph with the mesh, its texture and the light."""
-    frames = reduced(capture, SIDE)
-    points = scatter_points(capture.shape)
-    errors = _color_errors(capture, points, look(capture, points, frames))
-    found = []
-    for index, seen in enumerate(silhouettes(capture, frames)):
-        mask, view = frames.masks[index], frames.views[index]
-        found.append(
-            ViewCheck(
-                view=view,
-                name=capture.names[view],
-                overlap=None if mask is None else overlap(seen, mask),
-                contrast=outline_contrast(seen, contrast(frames.radiance[index])),
-                color_error=errors[index],
-            )
+    """Compare every used photograph with the mesh, its texture and the light.
+
+    Args:
+        capture: with reduced photographs.
+    """
+    frames = Frames.of(capture)
+    found = zip(
+        np.flatnonzero(capture.used).tolist(), silhouettes(frames), frames.masks, frames.radiance,
+        _color_errors(capture, frames), strict=True,
+    )  # fmt: skip
+    return tuple(
+        ViewCheck(
+            view=view,
+            name=capture.names[view],
+            overlap=None if mask is None else overlap(seen, mask),
+            contrast=outline_contrast(seen, contrast(radiance)),
+            color_error=error,
         )
-    return tuple(found)
+        for view, seen, mask, radiance, error in found
+    )
 
 
-def _color_errors(capture: Capture, points: Points, sightings: Sightings) -> list[float | None]:
+def _color_errors(capture: Capture, frames: Frames) -> list[float | None]:
     """Return the mean error of each view, of a diffuse object; None where none of it is seen.
 
     The reflectance is the scene's texture, or one colour, times a factor per channel that the
     photographs ask for.
     """
-    emitter = find_environment(capture.scene, str(capture.source or "scene"))
-    sky = Sky.of(read_environment(emitter), np.eye(3))
-    directions, cosines = open_cosines(capture.scene, points)
-    texture = read_texture(capture, points)
+    points = scatter_points(capture.shape)
+    sightings, texture = look(points, frames), read_texture(capture, points)
+    flux = Sky.of(emitter_of(capture), np.eye(3)).arriving(np.eye(3))
     albedo = 1.0 if texture is None else texture.albedo
-    predicted = albedo * (cosines @ sky.arriving(directions, np.eye(3))) / np.pi
+    predicted = albedo * (open_cosines(capture.scene, points, DIRECTIONS) @ flux) / np.pi
     view, point = np.nonzero(sightings.seen)
     shown, model = sightings.radiance[view, point], predicted[point]
     ratio = shown / np.maximum(model, 1e-3 * predicted.mean() + 1e-300)

@@ -11,23 +11,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich.console import Console
 
+from svu_mi.bench import ALL, BENCHMARKS
 from svu_mi.cli.inputs import Common, Output, say
 from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
-    from svu_mi.bench import accuracy
     from svu_mi.bench.cells import Cell
-    from svu_mi.bench.recovery.options import Options
+    from svu_mi.bench.experiment import Bench as Where
 
 What = Annotated[
     str,
     tyro.conf.Positional,
-    tyro.conf.arg(metavar="{accuracy,checks,speed,recovery,guidance,all}"),
+    tyro.conf.arg(
+        metavar=f"{{{','.join((*BENCHMARKS, 'all'))}}}",
+        help=f"{'; '.join(f'{name}: {does}' for name, does in BENCHMARKS.items())}; all: "
+        f"{' and '.join(ALL)}.",
+    ),
 ]
 # Developers run these, in a clone of the sources.
 MOVED = {"kernels": "studies.kernels", "conventions": "studies.conventions", "orb": "studies.orb",
-         "stability": "extremes"}  # fmt: skip
+         "checks": "studies.paths", "stability": "extremes"}  # fmt: skip
 Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
 
 
@@ -43,17 +47,24 @@ class Measured(Common):
     lights: Names = ""
     """Lights to run; without it all."""
     quick: bool = False
-    """Small pictures, few texels, main estimators; without --data two scenes, two lights."""
+    """Small pictures, few texels; without --data two scenes, two lights."""
     fresh: bool = False
-    """Compute finished cells anew."""
+    """Compute finished cells again."""
 
-    def bench(self, console: Console) -> accuracy.Bench:
+    keep: bool = False
+    """Reuse finished results of other versions of svu_mi, too."""
+    stored: bool = False
+    """Measure nothing; make tables and plots of existing results."""
+
+    def bench(self, console: Console) -> Where:
         """Return where and how the benchmark runs, once the variant is set."""
-        from svu_mi.bench.accuracy import Bench
+        from svu_mi.bench.experiment import Bench as Where
         from svu_mi.bench.sizes import FULL, QUICK
 
-        sizes = QUICK if self.quick else FULL
-        return Bench(self.output, sizes, Progress(console), fresh=self.fresh, quick=self.quick)
+        return Where(
+            self.output, QUICK if self.quick else FULL, Progress(console), quick=self.quick,
+            fresh=self.fresh, keep=self.keep, stored=self.stored,
+        )  # fmt: skip
 
     def cells(self) -> tuple[Cell, ...]:
         """Return the objects under the lights that are asked for."""
@@ -62,11 +73,11 @@ class Measured(Common):
         objects, lights = names(self.objects, "--objects"), names(self.lights, "--lights")
         return chosen_cells(self.data, self.output, objects, lights, quick=self.quick)
 
-    def missed(self, record: dict[str, Any] | None) -> list[str]:
+    def missed(self, record: dict[str, Any]) -> list[str]:
         """Return a line for each bar of a record that is not met; quick sizes have none to meet."""
         return [
             f"Missed: {bar['what']}: {bar['value']:.3g} {bar['unit']}"
-            for bar in (record or {}).get("bars", ())
+            for bar in record["bars"]
             if not (bar["holds"] or self.quick)
         ]
 
@@ -75,31 +86,17 @@ class Measured(Common):
 class Bench(Measured):
     """Compare the estimators with a path-traced posterior, and time them.
 
-    Writes bench.json, bench.md and plots. An interrupted run goes on where it stopped when
-    the same command is given again.
+    Writes bench.json, bench.md and plots. The same command continues an interrupted run.
     """
 
     what: What = "all"
-    """accuracy: every object under every light; checks: what these comparisons take for granted,
-    for some objects; speed: run times, of the first object and light; all: these; recovery:
-    textures recovered in every way, against the true ones; guidance: textures recovered from views
-    chosen in every way, and the time that choosing takes."""
-    main: bool = False
-    """Only the main estimators, without the single switches."""
     rows: Names = ""
-    """recovery: ways of recovery to run; without it all."""
-    groups: Names = ""
-    """recovery: even (photographs from everywhere), repeated, varied (from one side mostly, of
-    materials that repeat or do not), costs (single steps); without it all."""
-    keep: bool = False
-    """recovery: take up results that another version of svu_mi found."""
-    stored: bool = False
-    """recovery: run nothing; make tables and plots of the results that are there."""
+    """recovery: ways of recovery to run; without it the usual ones."""
 
     def run(self, console: Console) -> int:
-        """Run the benchmark."""
-        from svu_mi.bench.run import WHAT, run_bench
-        from svu_mi.bench.variants import available
+        """Run the benchmarks."""
+        from svu_mi.bench.run import run_bench
+        from svu_mi.bench.study import Asked
         from svu_mi.files import prepare_folder
         from svu_mi.settings import require_known
 
@@ -108,32 +105,21 @@ class Bench(Measured):
                 f"svu bench {self.what} is no longer part of svu; in a clone of its sources, run "
                 f"PYTHONPATH=tests python -m {MOVED[self.what]}."
             )
-        require_known([self.what], WHAT, "benchmark")
+        require_known([self.what], (*BENCHMARKS, "all"), "benchmark")
         prepare_folder(self.output)
         self.start()
-        words = ["svu", *sys.argv[1:]]
-        chosen = tuple(v for v in available() if v.main or not (self.main or self.quick))
-        record = run_bench(
-            self.bench(console), self.cells(), self.what, variants=chosen,
-            recovery=self._recovery(), command=shlex.join(words),
+        asked = Asked(
+            cells=self.cells(), data=self.data, rows=names(self.rows, "--rows"),
         )  # fmt: skip
-        for row in record["summary"]:
-            if row["kind"] != "switch" and row["pearson"] is not None:
-                line = f"{row['label']}: Pearson {row['pearson']['mean']:.2f}"
-                say(console, line)
-        for line in self.missed(record["recovery"]) + self.missed(record["guidance"]):
+        chosen = ALL if self.what == "all" else (self.what,)
+        record = run_bench(self.bench(console), chosen, asked, shlex.join(["svu", *sys.argv[1:]]))
+        for row in record.get("accuracy", {}).get("summary", ()):
+            if row["pearson"] is not None:
+                say(console, f"{row['label']}: Pearson {row['pearson']['mean']:.2f}")
+        for line in (line for name in chosen for line in self.missed(record[name])):
             say(console, line)
         say(console, f"Wrote {self.output}")
         return 0
-
-    def _recovery(self) -> Options:
-        from svu_mi.bench.recovery.options import PARTS, Options
-
-        groups = names(self.groups, "--groups") or PARTS
-        return Options(
-            data=self.data, rows=names(self.rows, "--rows"), groups=groups, keep=self.keep,
-            stored=self.stored,
-        )  # fmt: skip
 
 
 def names(words: str, option: str) -> tuple[str, ...]:
@@ -144,5 +130,5 @@ def names(words: str, option: str) -> tuple[str, ...]:
     """
     found = tuple(word.strip() for word in words.split(",")) if words.strip() else ()
     if not all(found):
-        raise OptionError(f"{option} takes names separated by commas, got {words!r}.")
+        raise OptionError(f"{option} takes names separated by commas, none empty, got {words!r}.")
     return found

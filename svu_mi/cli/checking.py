@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from svu_mi.cli.inputs import Common, Defines, Output, Scene, given, parse_defines, say
+from svu_mi.cli.inputs import OfScene, given, say
 from svu_mi.progress import Progress
 from svu_mi.results.writing import claimed
 
@@ -17,27 +17,21 @@ if TYPE_CHECKING:
 
 SHOWN = 5  # views that fit worst, in the table
 WRONG = 3  # exit status with --strict
-MARKS = {"fits": "fits", "wrong": "WRONG", "unclear": "UNCLEAR", "unknown": "not told"}
+MARKS = {"fits": "fits", "wrong": "WRONG", "unclear": "UNCLEAR", "unknown": "unknown"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckCapture(Common):
+class CheckCapture(OfScene):
     """Compare photographs with mesh, poses and light, and name the fix if axes are wrong.
 
     Tries every known mistake: axes of cameras and mesh, inverse poses, how the environment map
-    lies, V of the texture. Works with or without masks. Writes check.html and check.json.
+    is oriented, V of the texture. Works with or without masks. Writes check.html and check.json.
     """
 
-    scene: Scene
-    """Mitsuba scene with one sensor per photograph, or a capture folder."""
     images: Path | None = None
     """Folder with view_0000.exr, ..."""
-    output: Output = Path("out")
-    define: Defines = ()
-    shape: str | None = None
-    """Id of the object, if the scene has several."""
     strict: bool = False
-    """End with status 3 if something does not fit."""
+    """Exit with status 3 if something does not fit."""
 
     def run(self, console: Console) -> int:
         """Check, print what was found, and write the page."""
@@ -45,7 +39,7 @@ class CheckCapture(Common):
         from svu_mi.checking import check
         from svu_mi.output.check_page import write_check
 
-        defines = parse_defines(self.define)
+        defines = self.defines()
         with claimed(self.output, "svu check"):
             self.start()
             progress = Progress(console)

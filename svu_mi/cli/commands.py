@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 from rich.console import Console
 
 from svu_mi.cli.inputs import (  # isort: skip
-    Common, Defines, Estimated, Output, Resolution, Scene, given, pair, parse_defines, say,
+    Common, Estimated, OfScene, Output, Resolution, Scene, given, pair, say,
 )  # fmt: skip
 from svu_mi.limits import require_spp, require_views
 from svu_mi.progress import Progress
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Entropy(Estimated):
-    """Compute how much photographs say about every texel.
+    """Compute how much photographs tell about every texel.
 
     Writes entropy.exr (1 = nothing known), coverage.exr (number of views), overview.png and
     run.json.
     """
 
     skip: bool = True
-    """Leave out work that changes nothing (unseen texels, blind views, equal channels, ...)."""
+    """Skip work that changes no result (unseen texels, blind views, equal channels, ...)."""
 
     def run(self, console: Console) -> int:
         """Run the pipeline, write the four files, and say what is known."""
@@ -44,7 +44,7 @@ class Entropy(Estimated):
 
     def _run(self, console: Console) -> Knowledge:
         from svu_mi.options import NOTHING, Skip
-        from svu_mi.output import Knowledge, write_outputs
+        from svu_mi.output import Knowledge, Run, write_outputs
 
         self.start()
         progress = Progress(console)
@@ -52,26 +52,22 @@ class Entropy(Estimated):
         result = self.estimate(progress, capture, grid, skip=Skip() if self.skip else NOTHING)
         with progress.stage("Writing the results"):
             knowledge = Knowledge.of(result)
-            write_outputs(
-                capture, result, self.output, settings=given(self), kernels=progress.kernels,
-                knowledge=knowledge,
-            )  # fmt: skip
+            run = Run(settings=given(self), kernels=progress.kernels)
+            write_outputs(capture, result, self.output, run, knowledge=knowledge)
         return knowledge
 
 
 @dataclass(frozen=True, kw_only=True)
-class Render(Common):
+class Render(OfScene):
     """Render every sensor of a scene into a capture folder.
 
-    Unlike the mitsuba program, this one knows the plugins of svu_mi.
+    Unlike the mitsuba program, it knows the plugins of svu_mi.
     """
 
+    draws = False
     scene: Scene
     """Mitsuba scene."""
     output: Output = Path("capture")
-    define: Defines = ()
-    shape: str | None = None
-    """Id of the object, if the scene has several."""
     spp: int = 64
     """Samples per pixel."""
     seed: int = 0
@@ -91,7 +87,7 @@ class Render(Common):
                 capture = render_capture(
                     self.scene, self.spp, self.seed, folder=self.output, shape=self.shape,
                     views=self.views, resolution=pair(self.resolution, "--resolution"),
-                    defines=parse_defines(self.define), progress=stage.update, trust=self.trust,
+                    defines=self.defines(), progress=stage.update, trust=self.trust,
                 )  # fmt: skip
         say(console, f"Wrote {capture.count} photographs to {self.output}")
         return 0
@@ -103,7 +99,7 @@ class Render(Common):
             OptionError: there is one.
         """
         pair(self.resolution, "--resolution")
-        parse_defines(self.define)
+        self.defines()
         require_spp(self.spp, "--spp")
         require_views(self.views or 0, "--views")
 
@@ -141,6 +137,8 @@ class Demo(Common):
 @dataclass(frozen=True, kw_only=True)
 class Doctor(Common):
     """Say what is installed, what can run here, and what to do about the rest."""
+
+    draws = False
 
     def run(self, console: Console) -> int:
         """Print the diagnosis."""

@@ -44,27 +44,19 @@ class Diagnosis:
     """What ``svu doctor`` found.
 
     Attributes:
-        system: operating system and machine.
-        python: version and interpreter.
+        facts: about system, versions and devices, in words, by what they are called.
         versions: installed version by package, ``missing`` if it is not installed.
         variants: all that this Mitsuba was built with.
         usable: those of ``variants`` that can run here, as far as Dr.Jit tells.
         llvm: the library that LLVM variants use.
-        devices: what is present of CUDA, OptiX and Metal, in words.
-        threads: worker threads of the LLVM backend.
-        cache: folder of compiled kernels.
         checks: what was tried, and how it went.
     """
 
-    system: str
-    python: str
+    facts: dict[str, str]
     versions: dict[str, str]
     variants: tuple[str, ...]
     usable: tuple[str, ...]
     llvm: _llvm.LlvmStatus
-    devices: dict[str, str]
-    threads: int
-    cache: str
     checks: tuple[Check, ...]
 
     @property
@@ -84,24 +76,34 @@ def doctor(console: Console) -> int:
 def diagnose() -> Diagnosis:
     """Collect versions, devices and test results; takes a few seconds, and never raises."""
     versions = {name: _version(name) for name in PACKAGES}
-    facts, loading = _facts()
+    told, loading = _told()
     llvm = _llvm.status()
-    if "llvm" in facts:  # what Dr.Jit says once loaded; where it came from is known only here
-        told = facts["llvm"]
-        llvm = _llvm.LlvmStatus(told["path"], tuple(told["version"]), llvm.source, told["problem"])
-    usable = tuple(name for name in facts.get("variants", ()) if _runs(name, facts, llvm))
+    if "llvm" in told:  # what Dr.Jit says once loaded; where it came from is known only here
+        one = told["llvm"]
+        llvm = _llvm.LlvmStatus(one["path"], tuple(one["version"]), llvm.source, one["problem"])
+    variants = tuple(told.get("variants", ()))
+    usable = tuple(name for name in variants if _runs(name, told["backends"], llvm))
+    facts = {
+        "System": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "Python": f"{platform.python_version()} ({sys.executable})",
+        "Packages": ", ".join(f"{name} {version}" for name, version in versions.items()),
+        "Variants": ", ".join(variants) or "unknown",
+        "Usable": ", ".join(usable) or "none",
+        "LLVM": _library(llvm),
+        **told.get("devices", {}),
+        "Threads": str(told.get("threads", 0)),
+        "Kernel cache": _cache_folder(),
+    }
+    checks = (_installed(versions), loading, *_renders(usable, llvm), check_exr())
     return Diagnosis(
-        system=f"{platform.system()} {platform.release()} {platform.machine()}",
-        python=f"{platform.python_version()} ({sys.executable})",
-        versions=versions,
-        variants=tuple(facts.get("variants", ())),
-        usable=usable,
-        llvm=llvm,
-        devices=facts.get("devices", {}),
-        threads=facts.get("threads", 0),
-        cache=_cache_folder(),
-        checks=(_installed(versions), loading, *_renders(usable, llvm), check_exr()),
+        facts=facts, versions=versions, variants=variants, usable=usable, llvm=llvm, checks=checks
     )
+
+
+def _library(llvm: _llvm.LlvmStatus) -> str:
+    words = f"{_llvm.dotted(llvm.version)}, {llvm.path or 'no file'} ({llvm.source})"
+    # Not a failed check where a GPU does the work.
+    return f"{words}: not usable. {llvm.problem}" if llvm.problem else words
 
 
 def _version(package: str) -> str:
@@ -118,10 +120,10 @@ def _installed(versions: dict[str, str]) -> Check:
     return Check("packages", True, "all installed")
 
 
-def _runs(variant: str, facts: dict[str, Any], llvm: _llvm.LlvmStatus) -> bool:
+def _runs(variant: str, backends: list[str], llvm: _llvm.LlvmStatus) -> bool:
     if variant.startswith("llvm"):
         return llvm.problem is None
-    return variant.startswith("scalar") or variant.split("_")[0].upper() in facts["backends"]
+    return variant.startswith("scalar") or variant.split("_")[0].upper() in backends
 
 
 def _cache_folder() -> str:
@@ -136,7 +138,7 @@ def _cache_folder() -> str:
 # --- checks -------------------------------------------------------------------------------
 
 
-def _facts() -> tuple[dict[str, Any], Check]:
+def _told() -> tuple[dict[str, Any], Check]:
     code, output, errors = _child("collect_facts")
     if code == 0 and output.strip():
         return json.loads(output.splitlines()[-1]), Check("mitsuba", True, "loads")
@@ -168,6 +170,7 @@ def check_render(variant: str) -> Check:
 
 def check_exr() -> Check:
     """Write an EXR file to a temporary folder and read it back."""
+    remedy = "pip install --force-reinstall OpenEXR"
     try:
         import numpy as np
 
@@ -179,12 +182,10 @@ def check_exr() -> Check:
             write_exr(path, {"Y": plane})
             same = np.array_equal(read_exr(path)["Y"], plane)
     except Exception as error:  # whatever goes wrong is the finding
-        same, problem = False, f"{type(error).__name__}: {error}"
-    else:
-        problem = "what was read differs from what was written"
-    if same:
-        return Check("OpenEXR", True, "a file written and read back is the same")
-    return Check("OpenEXR", False, problem, "pip install --force-reinstall OpenEXR")
+        return Check("OpenEXR", False, f"{type(error).__name__}: {error}", remedy)
+    if not same:
+        return Check("OpenEXR", False, "what was read differs from what was written", remedy)
+    return Check("OpenEXR", True, "a file written and read back is the same")
 
 
 def _child(function: str, *arguments: str) -> tuple[int, str, str]:
@@ -221,30 +222,29 @@ def collect_facts() -> None:
     import mitsuba as mi
 
     kinds = [name for name in ("CUDA", "LLVM", "Metal") if hasattr(dr.JitBackend, name)]
-    present = [kind for kind in kinds if dr.has_backend(getattr(dr.JitBackend, kind))]
+    there = [kind for kind in kinds if dr.has_backend(getattr(dr.JitBackend, kind))]
+    optix = ["OptiX"] if _has_optix() else []
     facts = {
         "variants": mi.variants(),
-        "backends": [kind.upper() for kind in present],
+        "backends": [kind.upper() for kind in there],
         "threads": dr.thread_count(),
         "llvm": asdict(_llvm.status()),
         "devices": {
-            "CUDA": "present" if "CUDA" in present else "absent",
-            "OptiX": _optix(),
-            "Metal": "present" if "Metal" in present else "absent",
+            name: "present" if name in there + optix else "absent"
+            for name in ("CUDA", "OptiX", "Metal")
         },
     }
     print(json.dumps(facts))
 
 
-def _optix() -> str:
+def _has_optix() -> bool:
     import ctypes
 
-    name = "nvoptix.dll" if sys.platform == "win32" else "libnvoptix.so.1"
     try:
-        ctypes.CDLL(name)
+        ctypes.CDLL("nvoptix.dll" if sys.platform == "win32" else "libnvoptix.so.1")
     except OSError:
-        return "absent"
-    return "present"
+        return False
+    return True
 
 
 def render_test(variant: str) -> None:
@@ -298,23 +298,8 @@ def show(found: Diagnosis, console: Console) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    llvm = found.llvm
-    library = f"{_llvm.dotted(llvm.version)}, {llvm.path or 'no file'} ({llvm.source})"
-    if llvm.problem:  # not a failed check where a GPU does the work
-        library = f"{library}: not usable. {llvm.problem}"
-    rows = {
-        "System": found.system,
-        "Python": found.python,
-        "Packages": ", ".join(f"{name} {version}" for name, version in found.versions.items()),
-        "Variants": ", ".join(found.variants) or "unknown",
-        "Usable": ", ".join(found.usable) or "none",
-        "LLVM": library,
-        **found.devices,
-        "Threads": str(found.threads),
-        "Kernel cache": found.cache,
-    }
     table = Table.grid(padding=(0, 2))
-    for name, value in rows.items():
+    for name, value in found.facts.items():
         table.add_row(name, escape(value))
     console.print(table)
     console.print()

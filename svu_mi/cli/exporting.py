@@ -33,19 +33,19 @@ class Export(Common):
     """Folder that svu recover wrote."""
     output: Output = Path("asset")
     entropy: Maps = None
-    """Folder that svu entropy wrote about the same capture, for its maps; by default those that
-    lie in RESULT."""
+    """Folder that svu entropy wrote about the same capture, for its maps; by default those in
+    RESULT."""
     formats: Formats = ("exr", "png", "glb", "xml", "materialx")
-    """What to write; xml comes with exr, and materialx with png."""
+    """What to write; xml includes exr, and materialx includes png."""
     bits: Literal[8, 16] = 8
-    """Of PNG, per channel."""
+    """Bits per channel of PNG."""
     half: bool = False
     """EXR in half precision."""
     gutter: Gutter = None
     """Width of the gutter around charts; by default everything between them is filled."""
     up: Literal["y", "z"] | None = None
-    """Axis of the capture's world that points upwards, by default as its cameras have it; glTF
-    wants y, so z is turned in the GLB."""
+    """Axis of the capture's world that points up; by default that of its cameras. glTF needs
+    y, so a capture with z up is rotated in the GLB."""
 
     def run(self, console: Console) -> int:
         """Read the result, and write the asset."""

@@ -13,8 +13,8 @@ from rich.console import Console
 
 from svu_mi.cli.inputs import Estimated, given, say
 from svu_mi.errors import OptionError
+from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.guidance.strategies import Name as Strategy
 from svu_mi.limits import require_views
 from svu_mi.options import AngularPreset, Preset
 from svu_mi.options import preset as find_preset
@@ -24,7 +24,6 @@ from svu_mi.results.writing import claimed
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
     from svu_mi.guidance.candidates import Candidates
-    from svu_mi.guidance.options import GuidanceOptions
     from svu_mi.guidance.result import Guidance
     from svu_mi.pipeline import Estimate
 
@@ -43,60 +42,46 @@ class Guide(Estimated):
     """
 
     candidates: From = "100"
-    """Where photographs can be taken from: so many views on a sphere around the object; the poses
-    of a transforms.json, capture.json or Mitsuba XML file; or "scene", its sensors that have no
-    photograph yet."""
+    """Where photographs can be taken from: a number of views on a sphere around the object; the
+    poses of a transforms.json, capture.json or Mitsuba XML file; or "scene", its sensors that have
+    no photograph yet."""
     add: int = 5
-    """How many to propose; each takes those before it as photographed."""
+    """How many to propose; each assumes that those before it are photographed."""
     lowest: float | None = None
     """Lowest elevation on the sphere in degrees: -90 is all of it (default), 0 its upper half."""
     up: Up = (0.0, 1.0, 0.0)
     """Top of the sphere, and of the map of directions."""
     distance: float | None = None
-    """From the object's centre to the sphere; by default the photographs' median."""
+    """Radius of the sphere; by default the median distance of the photographs."""
     reachable: Path | None = None
-    """File with the numbers of the candidates that can be reached, apart by white space or as a
-    JSON list; or with a JSON list of true and false, one for each candidate."""
+    """File with the numbers of the candidates that can be reached, separated by white space or as a
+    JSON list; or with a JSON list of booleans, one per candidate."""
     unreachable: Numbers = ()
     """Numbers of candidates that cannot be reached."""
     preset: Literal["default", "fixed", "fast", "paper"] = "default"
-    """Spectrum needs paper."""
-    strategy: Strategy = "entropy"
-    """entropy: lowest expected entropy; error: lowest expected squared error of the parameters; the
-    others are what these are compared with."""
-    texels: int = 4096
-    """Most texels that candidates are judged by."""
-    hypotheses: int = 8
-    """Most materials that are taken for the truth, per texel; all of them with --preset paper."""
-    band_limit: Literal["preset", "photographs", "growing"] = "preset"
-    """Light that candidates are judged in, by --method spectrum: filtered for the photographs there
-    are, or for one view more than are taken, which is Eq. 13 as printed and goes with --preset
-    paper."""
-    lazy: bool = False
-    """Evaluate a candidate again only while its last gain is above the best."""
-    seed: int = 0
-    """Of texels, hypotheses and random views."""
+    """Method spectrum needs paper."""
+    judging: GuidanceOptions = GuidanceOptions()
 
     def run(self, console: Console) -> int:
         """Judge the candidates, and write the results."""
+        from svu_mi.output import Run
         from svu_mi.output.guidance import write_guidance
 
         self.check()
-        options = self._options()
         with claimed(self.output, "svu guide"):
             self.start()
             progress = Progress(console)
-            capture, estimate, guidance = self._guide(progress, options)
+            capture, estimate, guidance = self._guide(progress)
             with progress.stage("Writing the results") as stage:
-                write_guidance(
-                    capture, estimate, guidance, self.output, up=self.up, settings=given(self),
-                    kernels=progress.kernels, progress=stage.update,
-                )  # fmt: skip
+                run = Run(
+                    settings=given(self), kernels=progress.kernels, progress=stage.update
+                )
+                write_guidance(capture, estimate, guidance, self.output, run, up=self.up)
         _print(console, estimate, guidance)
         say(console, f"Wrote {self.output}")
         return 0
 
-    def _guide(self, progress: Progress, options: GuidanceOptions) -> tuple[Any, Any, Guidance]:
+    def _guide(self, progress: Progress) -> tuple[Capture, Estimate, Guidance]:
         from svu_mi.guidance.candidates import Candidates
         from svu_mi.guidance.next_view import next_best_view
 
@@ -106,7 +91,9 @@ class Guide(Estimated):
         capture, texels = self.load(progress, missing=missing)
         candidates = fixed or self._restricted(self._place(capture))
         known = self.estimate(progress, capture, texels)
-        guidance = next_best_view(known, candidates, self.add, options=options, progress=progress)
+        guidance = next_best_view(
+            known, candidates, self.add, options=self.judging, progress=progress
+        )
         return capture, known, guidance
 
     @property
@@ -144,20 +131,11 @@ class Guide(Estimated):
             )
         return flags
 
-    def _options(self) -> GuidanceOptions:
-        """Return how candidates are judged."""
-        from svu_mi.guidance.options import GuidanceOptions
-
-        return GuidanceOptions(
-            strategy=self.strategy, texels=self.texels, hypotheses=self.hypotheses,
-            band_limit=self.band_limit, lazy=self.lazy, seed=self.seed,
-        )  # fmt: skip
-
     def check(self) -> None:
         """Refuse options that make no sense, before any work.
 
         Raises:
-            OptionError: a number out of range, or an option of no use.
+            OptionError: a number out of range, or an option that has no effect.
             CaptureError: a file that does not exist, or is not to be read.
         """
         super().check()
@@ -169,8 +147,7 @@ class Guide(Estimated):
             _read_numbers(self.reachable)
         if not self._placed and not Path(self.candidates).exists():
             raise OptionError(
-                f"--candidates {self.candidates}: neither a number, nor a file, nor the word "
-                f"{SCENE}."
+                f"--candidates {self.candidates}: must be a number, a file or the word {SCENE}."
             )
         if (count := _number(self.candidates)) is not None:
             self._within_reach(count)
@@ -183,8 +160,8 @@ class Guide(Estimated):
         for option in ("lowest", "distance"):
             if count is None and getattr(self, option) is not None:
                 raise OptionError(
-                    f"--{option} is of no use to --candidates {self.candidates}, which has poses "
-                    "of its own; leave it out."
+                    f"--{option} has no effect with --candidates {self.candidates}, which has its "
+                    "own poses; omit it."
                 )
         if self.lowest is not None and not -90 <= self.lowest < 90:
             raise OptionError(
@@ -199,25 +176,26 @@ class Guide(Estimated):
         switches = find_preset(self.preset, method=self.method)
         if isinstance(switches, Preset) and switches.principled:
             raise OptionError(
-                f"--method spectrum --preset {self.preset} does not say what photographs to come "
-                "would show; add --preset paper, or leave --method out."
+                f"--method spectrum --preset {self.preset} does not predict what new "
+                "photographs would show; add --preset paper, or omit --method."
             )
         if isinstance(switches, AngularPreset) and switches.fit is not None:
             raise OptionError(
                 f"--preset {self.preset} is the SH model, which knows light only where photographs "
-                "are; add --method spectrum for Eq. 13, or leave --preset out."
+                "were taken; add --method spectrum for Eq. 13, or omit --preset."
             )
         own = switches.band_limit if isinstance(switches, Preset) else "photographs"
-        if self.lazy and self.band_limit == "preset" and own == "growing":
+        if self.judging.lazy and self.judging.band_limit == "preset" and own == "growing":
             raise OptionError(
-                f"--lazy is of no use to --preset {self.preset}, whose light is another at every "
-                "step; add --band-limit photographs, or leave it out."
+                f"--lazy does not work with --preset {self.preset}, whose light changes at every "
+                "step; add --band-limit photographs, or omit --lazy."
             )
-        if self.band_limit == "growing" and self.method != "spectrum":
+        if self.judging.band_limit == "growing" and self.method != "spectrum":
             raise OptionError("--band-limit growing needs --method spectrum.")
-        needed = TABLE[self.strategy].method
+        strategy = self.judging.strategy
+        needed = TABLE[strategy].method
         if needed not in (None, self.method):
-            raise OptionError(f"--strategy {self.strategy} needs --method {needed}.")
+            raise OptionError(f"--strategy {strategy} needs --method {needed}.")
 
 
 def _number(word: str) -> int | None:
@@ -236,13 +214,13 @@ def _flags(numbers: list[Any], count: int, label: str) -> np.ndarray:
     if any(isinstance(number, bool) for number in numbers):
         if len(numbers) != count:
             raise OptionError(
-                f"{label}: {len(numbers)} flags for {count} candidates; give one each."
+                f"{label}: {len(numbers)} flags for {count} candidates; give one per candidate."
             )
         return np.array(numbers, bool)
     outside = [number for number in numbers if not 0 <= number < count]
     if outside:
         raise OptionError(
-            f"{label}: there is no candidate {outside[0]}; they are numbered from 0 to {count - 1}."
+            f"{label}: no candidate {outside[0]}; they are numbered from 0 to {count - 1}."
         )
     flags = np.zeros(count, bool)
     flags[numbers] = True
@@ -261,11 +239,11 @@ def _read_numbers(path: Path) -> list[Any]:
     except (OSError, ValueError, RecursionError) as error:
         raise OptionError(
             f"{path}: not a readable list of candidates ({error}); give numbers, or a JSON list of "
-            "numbers or of true and false."
+            "numbers or of booleans."
         ) from error
     kinds = {type(value) for value in values}
     if not values or kinds not in ({int}, {bool}):
-        raise OptionError(f"{path}: expected a list of numbers, or one of true and false.")
+        raise OptionError(f"{path}: expected a list of numbers, or of booleans.")
     return values
 
 
@@ -286,16 +264,16 @@ def _print(console: Console, estimate: Estimate, guidance: Guidance) -> None:
     seen = np.array(estimate.coverage) > 0
     words = (
         f"Mean entropy now: {np.array(estimate.entropy)[seen].mean():.3f} of the texels seen, "
-        f"{guidance.entropy:.3f} of all, of which unseen ones are "
+        f"{guidance.entropy:.3f} of all, where unseen ones have "
         f"{estimate.posterior.prior_entropy:.3g}."
     )
     if guidance.options.band_limit == "growing":
         words += (
-            " Candidates are judged in light that is filtered for one photograph more (Eq. 13), "
-            "which is sharper: what they leave may be above the entropy now."
+            " Candidates are judged in light that is filtered for one more photograph (Eq. 13), "
+            "which is sharper, so the entropy after one may exceed the entropy now."
         )
     if TABLE[guidance.options.strategy].forecasts:
-        words += " What each photograph is expected to take off the latter (gain), and to leave:"
+        words += " By how much each photograph is expected to lower the latter (gain), and to what:"
     console.print(words, highlight=False, soft_wrap=True)
     console.print(table, markup=False, highlight=False)
 

@@ -5,23 +5,49 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
 
 from svu_mi.cli.inputs import Common, Output, say
+from svu_mi.formats.options import ENVIRONMENT_AXES, ImportOptions, Light
+from svu_mi.formats.reading import ReadOptions, read_source
 from svu_mi.progress import Progress
 from svu_mi.results.writing import claimed
 
-if TYPE_CHECKING:
-    from svu_mi.formats.importing import ImportOptions
-
 From = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
-Gains = Annotated[str | None, tyro.conf.arg(metavar="FILE | exif")]
+Gains = Annotated[str | Path | None, tyro.conf.arg(metavar="FILE | exif")]
 Fixes = Annotated[
-    tuple[str, ...], tyro.conf.arg(metavar="NAME"), tyro.conf.UseAppendAction,
+    tuple[str, ...], tyro.conf.arg(name="fix", metavar="NAME"), tyro.conf.UseAppendAction,
 ]  # fmt: skip
+
+
+def _light(
+    environment: Path | None = None,
+    environment_axes: Literal["mitsuba", "opengl", "threejs", "blender"] = "mitsuba",
+    environment_scale: float = 1.0,
+) -> Light | None:
+    """Return the light that options describe.
+
+    Args:
+        environment: The light: a lat-long map, HDR or EXR.
+        environment_axes: Top and centre of the map: +Y +Z, +Y -Z, +Y +X, or +Z +X.
+        environment_scale: Factor of the light's radiance.
+    """
+    if environment is None:
+        return None
+    axes = ENVIRONMENT_AXES[environment_axes]
+    return Light(path=environment, to_world=axes, scale=environment_scale)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conversion(ImportOptions):
+    """What the source does not say, or gets wrong."""
+
+    environment: Annotated[Light | None, tyro.conf.arg(constructor=_light)] = None
+    exposures: Gains = None
+    fixes: Fixes = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,50 +59,17 @@ class Import(Common):
     masks, and capture.json. Look at the result with svu check.
     """
 
+    draws = False
     source: From
     """The file or folder."""
     output: Output = Path("capture")
-    format: Literal["auto", "transforms", "colmap", "stanford-orb", "owl"] = "auto"
-    images: Path | None = None
-    """COLMAP: folder of the photographs."""
-    masks: Path | None = None
-    """COLMAP: folder of the masks."""
-    split: Literal["train", "test", "val"] = "train"
-    """Part of the data set."""
-    mesh: Path | None = None
-    """The object: GLB, glTF, OBJ, PLY or STL."""
-    mesh_up: Literal["y", "z"] | None = None
-    """Axis that is up in the mesh's file (glTF: y)."""
-    world_up: Literal["y", "z"] | None = None
-    """Axis that is up in the world of the poses (Blender, nerfstudio: z)."""
-    mesh_scale: float = 1.0
-    """Units of the poses per unit of the mesh: 0.001 for a mesh in mm and poses in m."""
-    geometry_only: bool = False
-    """Leave UVs and textures of the mesh out, and lay out new UVs."""
-    environment: Path | None = None
-    """The light: a lat-long map, HDR or EXR."""
-    environment_axes: Literal["mitsuba", "opengl", "threejs", "blender"] = "mitsuba"
-    """Top and centre of the map: +Y +Z, +Y -Z, +Y +X, or +Z +X."""
-    environment_scale: float = 1.0
-    """Factor of the light's radiance."""
-    exposures: Gains = None
-    """Gains of the photographs: a file with lines NAME GAIN, or exif."""
-    environment_view: str | None = None
-    """Stanford-ORB: test photograph whose environment is the light; by default the first."""
-    original_world: bool = False
-    """Undo the applied_transform of nerfstudio."""
     undistort: bool = False
-    """COLMAP: straighten the photographs first (needs pycolmap)."""
-    shrink: float = 1.0
-    """Make photographs smaller by this factor."""
-    every: int = 1
-    """Take every N-th photograph."""
-    fix: Fixes = ()
-    """Correction that svu check has proposed; can be repeated."""
+    """COLMAP: undistort the photographs first (needs pycolmap)."""
+    reading: ReadOptions = ReadOptions()
+    conversion: Conversion = Conversion()
 
     def run(self, console: Console) -> int:
         """Import the capture and say what was found."""
-
         with claimed(self.output, "svu import", tidy=True):
             self.start()
             notes = self._import(Progress(console))
@@ -88,19 +81,13 @@ class Import(Common):
     def _import(self, progress: Progress) -> list[str]:
         from svu_mi.formats.colmap.undistortion import undistort
         from svu_mi.formats.importing import import_capture
-        from svu_mi.formats.reading import ReadOptions, read_source
 
-        kind = None if self.format == "auto" else self.format
-        reading = ReadOptions(
-            format=kind, images=self.images, masks=self.masks, split=self.split,
-            environment_view=self.environment_view, original_world=self.original_world,
-        )  # fmt: skip
+        path, reading = self.source, self.reading
         with tempfile.TemporaryDirectory(prefix="svu-undistorted-") as scratch:
-            path = self.source
             if self.undistort:
                 with progress.stage("Undistorting photographs"):
                     path = undistort(
-                        path, Path(scratch) / "project", images=self.images, masks=self.masks
+                        path, Path(scratch) / "project", images=reading.images, masks=reading.masks
                     )
                 reading = replace(reading, format="colmap", images=None, masks=None)
             with progress.stage("Reading poses"):
@@ -108,22 +95,4 @@ class Import(Common):
                 if self.undistort:
                     source = replace(source, root=self.source)
             with progress.stage("Converting photographs") as stage:
-                return import_capture(source, self.output, self._options(), progress=stage.update)
-
-    def _options(self) -> ImportOptions:
-        from svu_mi.formats.importing import ImportOptions
-        from svu_mi.formats.source import ENVIRONMENT_AXES, Light
-
-        light = None
-        if self.environment is not None:
-            axes = ENVIRONMENT_AXES[self.environment_axes]
-            light = Light(path=self.environment, to_world=axes, scale=self.environment_scale)
-        exposures: Path | Literal["exif"] | None = None
-        if self.exposures is not None:
-            exposures = "exif" if self.exposures == "exif" else Path(self.exposures)
-        return ImportOptions(
-            exposures=exposures,
-            mesh=self.mesh, mesh_up=self.mesh_up, world_up=self.world_up,
-            mesh_scale=self.mesh_scale, geometry_only=self.geometry_only, environment=light,
-            shrink=self.shrink, every=self.every, fixes=self.fix,
-        )  # fmt: skip
+                return import_capture(source, self.output, self.conversion, progress=stage.update)

@@ -7,7 +7,7 @@ import logging
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 from rich.console import Console
@@ -57,13 +57,15 @@ Resolution = Annotated[tuple[int, ...], tyro.conf.arg(metavar="SIZE | WIDTH HEIG
 class Common:
     """Options of every command, with Mitsuba's letters."""
 
+    draws: ClassVar[bool] = True
+    """Whether the command draws pictures, for which matplotlib is imported."""
     variant: Variant = "auto"
     """Mitsuba variant; auto takes the first usable of cuda, metal and llvm _ad_rgb."""
     threads: Threads = 0
     verbose: Verbose = False
     trust: bool = False
-    """Let Mitsuba load libraries that lie in a folder named plugins beside the scene, or here: they
-    can do all that you can. Without it they are refused."""
+    """Let Mitsuba load libraries from a folder named plugins beside the scene, or in the working
+    directory: they run with all your rights. Without it they are refused."""
 
     def start(self) -> None:
         """Set the variant and the number of threads.
@@ -101,17 +103,35 @@ class Common:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Photographed(Common):
-    """Options of every command that starts from photographs."""
+class OfScene(Common):
+    """Options of every command that reads a scene."""
 
     scene: Scene
     """Mitsuba scene with one sensor per photograph, or a capture folder."""
-    images: Path | None = None
-    """Folder with view_0000.exr, ...; without any photographs the scene itself is rendered."""
     output: Output = Path("out")
     define: Defines = ()
     shape: str | None = None
     """Id of the object, if the scene has several."""
+
+    def defines(self) -> dict[str, str]:
+        """Return the -D words as a dictionary.
+
+        Raises:
+            OptionError: a word is not KEY=VALUE.
+        """
+        pairs = [word.partition("=") for word in self.define]
+        for word, (key, separator, _) in zip(self.define, pairs, strict=True):
+            if not (key and separator):
+                raise OptionError(f"-D takes KEY=VALUE, got {word!r}.")
+        return {key: value for key, _, value in pairs}
+
+
+@dataclass(frozen=True, kw_only=True)
+class FromPhotographs(OfScene):
+    """Options of every command that starts from photographs."""
+
+    images: Path | None = None
+    """Folder with view_0000.exr, ...; without any photographs the scene itself is rendered."""
     resolution: Resolution = (512,)
     """Texels per side, or width and height."""
     unwrap: bool = False
@@ -132,7 +152,7 @@ class Photographed(Common):
         """
         require_texels(pair(self.resolution, "--resolution"), "--resolution")
         require_spp(self.spp, "--spp")
-        parse_defines(self.define)
+        self.defines()
 
     def load(
         self, progress: Progress, *, again: bool = False, missing: Missing = "refuse"
@@ -147,7 +167,7 @@ class Photographed(Common):
         Raises:
             SceneError: the scene cannot be loaded or lacks something.
             CaptureError: photographs are missing, unreadable or do not fit.
-            OptionError: the resolution is no size.
+            OptionError: the resolution is not a size.
         """
         from svu_mi.surface import texels
 
@@ -160,7 +180,7 @@ class Photographed(Common):
         from svu_mi.capture import has_photographs, load_capture, photographs_of, render_capture
         from svu_mi.capture.rendering import require_rendered
 
-        images, defines = self.images, parse_defines(self.define)
+        images, defines = self.images, self.defines()
         live = images is None and self.scene.suffix.lower() == ".xml" and missing == "refuse"
         if live and not has_photographs(photographs_of(self.scene)):
             images = self.rendered
@@ -171,7 +191,7 @@ class Photographed(Common):
                         unwrap=self.unwrap, progress=stage.update, trust=self.trust,
                     )  # fmt: skip
                 warnings.warn(
-                    f"No photographs beside {self.scene} and no --images: the scene is rendered "
+                    f"No photographs beside {self.scene} and no --images: the scene was rendered "
                     f"into {images} instead.",
                     stacklevel=1,
                 )
@@ -187,19 +207,19 @@ class Photographed(Common):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Estimated(Photographed):
+class Estimated(FromPhotographs):
     """Options of every command that estimates what photographs say."""
 
     method: Literal["angular", "spectrum"] = "angular"
-    """angular compares radiance by statistics of all views; spectrum, power spectra."""
+    """angular: compare radiance, by statistics of all views; spectrum: compare power spectra."""
     preset: Literal["default", "fixed", "fast", "paper"] = "default"
     """paper: the published method as printed, the SH model (angular) or power spectra."""
     known: Known = ()
-    """Parameters that are not in question, such as metallic=0: they leave the grid. "scene" stands
-    for those that the scene's own material does not vary."""
+    """Parameters that are known, such as metallic=0: they are not estimated. "scene" stands for
+    those that are constant in the scene's own material."""
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work (see ``Photographed``)."""
+        """Refuse options that make no sense, before any work (see ``FromPhotographs``)."""
         super().check()
         parse_known(self.known)
 
@@ -231,21 +251,6 @@ def pair(size: tuple[int, ...], option: str) -> tuple[int, int]:
     return size[0], size[-1]
 
 
-def parse_defines(words: tuple[str, ...]) -> dict[str, str]:
-    """Return ``-D`` words as a dictionary.
-
-    Raises:
-        OptionError: a word is not KEY=VALUE.
-    """
-    defines = {}
-    for word in words:
-        key, separator, value = word.partition("=")
-        if not (key and separator):
-            raise OptionError(f"-D takes KEY=VALUE, got {word!r}.")
-        defines[key] = value
-    return defines
-
-
 def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] | None:
     """Return ``--known`` words as values by parameter, or as ``"scene"``.
 
@@ -265,7 +270,7 @@ def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] |
                 f"{word!r}."
             ) from None
     if len(known) < len(words):
-        raise OptionError(f"--known names a parameter twice: {', '.join(words)}.")
+        raise OptionError(f"--known must name each parameter once, got {', '.join(words)}.")
     return known or None
 
 
@@ -279,5 +284,9 @@ def was_interrupted(error: BaseException | None) -> bool:
 
 
 def given(options: Any) -> dict[str, Any]:
-    """Return the options of a command by name, for ``run.json``."""
-    return {f.name: getattr(options, f.name) for f in dataclasses.fields(options)}
+    """Return the options of a command by name, those of its groups too, for ``run.json``."""
+    found: dict[str, Any] = {}
+    for field in dataclasses.fields(options):
+        value = getattr(options, field.name)
+        found |= given(value) if dataclasses.is_dataclass(value) else {field.name: value}
+    return found

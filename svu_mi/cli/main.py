@@ -78,19 +78,17 @@ def _run(arguments: Sequence[str], commands: Any, program: str, description: str
     for word in arguments:
         if problem := _problem(word):
             return _fail(f"{excerpt(word, LONGEST)}: {problem}.", 2)
-    command = tyro.cli(
-        commands,
-        prog=program,
-        description=description,
-        args=arguments,
-        config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
-    )
-    verbose = command.verbose
+    verbose = not {"-v", "--verbose"}.isdisjoint(arguments)
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[LogLines()])
     warnings.showwarning = _show_warning
     try:
+        command = tyro.cli(
+            commands, prog=program, description=description, args=arguments,
+            config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
+        )  # fmt: skip
         _require_a_place()
-        import_matplotlib()
+        if command.draws:
+            import_matplotlib()
         return command.run(OneLine())  # stderr is for the one line that says what went wrong
     except KeyboardInterrupt as stop:
         return _fail(str(stop) or "interrupted", 130)
@@ -107,13 +105,13 @@ def _run(arguments: Sequence[str], commands: Any, program: str, description: str
 def _problem(word: str) -> str | None:
     """Say what no file's name, and so no argument, may have; None if all is well."""
     if "\0" in word:
-        return "a zero byte is not possible in a name"
+        return "it has a zero byte, which no name may have"
     try:
         word.encode()
     except UnicodeEncodeError:  # Mitsuba and OpenEXR take UTF-8 only
         encoding = sys.getfilesystemencoding()
         remedy = "rename it" if encoding == "utf-8" else "set PYTHONUTF8=1, or rename it"
-        return f"a part of it is no text in {encoding}; {remedy}"
+        return f"it has characters that are not valid {encoding}; {remedy}"
     return None
 
 
@@ -136,7 +134,7 @@ def _sentence(error: Exception) -> tuple[str, int]:
         remedy = f"; {REMEDIES[error.errno]}" if error.errno in REMEDIES else ""
         return f"{place}{error.strerror or error}{remedy}.", 2
     if isinstance(error, ValueError) and ZERO in str(error):
-        return "a zero byte is not possible in the name of a file.", 2
+        return "a file name must not have a zero byte.", 2
     kind = type(error).__name__
     return f"internal error ({kind}: {error}); please report it with the output of -v", 1
 

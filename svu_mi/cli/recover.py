@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.inputs import Photographed, given, say, was_interrupted
+from svu_mi.cli.inputs import FromPhotographs, given, say, was_interrupted
 from svu_mi.errors import OptionError
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
@@ -30,12 +30,12 @@ class Interrupted(KeyboardInterrupt):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recover(Photographed):
+class Recover(FromPhotographs):
     """Recover base colour, roughness and metallic textures from photographs.
 
     Writes the textures as EXR, recovered.xml (a Mitsuba scene that uses them), coverage.exr,
     entropy.exr, uncertainty.exr (standard deviations), recovery.png, relit.png, losses.csv and
-    run.json. An interrupted run goes on where it stopped with --resume.
+    run.json. --resume continues an interrupted run.
     """
 
     method: Literal["sh", "path", "sh+path"] = "sh"
@@ -44,27 +44,27 @@ class Recover(Photographed):
     preset: Literal["default", "paper", "coefficients", "spectrum", "polish", "paper_polish"] = (
         "default"
     )
-    """Paper: losses, rates and regularizers as printed; coefficients and spectrum: its other losses
-    of sh; polish and paper_polish: the one epoch of path that sh+path ends with, by itself."""
+    """paper: losses, rates and regularizers as printed; coefficients and spectrum: its other losses
+    of sh; polish and paper_polish: only the one epoch of path that sh+path ends with."""
     sharing: bool = False
-    """Learn from all texels what this object is made of, and lend it to uncertain ones; with the
-    paper's presets, Eq. 14 and 15 as printed."""
+    """Learn from all texels which materials the object has, and share that with uncertain ones;
+    with the paper's presets, Eq. 14 and 15 as printed."""
     tv: float | None = None
     """Weight of total variation; more is smoother."""
     epochs: float | None = None
-    """Times that path looks at every pixel."""
+    """How often path uses every pixel."""
     steps: int | None = None
-    """Steps of descent of sh."""
+    """Gradient steps of sh."""
     parameters: Parameters = NAMES
-    """Textures to recover; others stay as they start."""
+    """Textures to recover; the others keep their initial values."""
     initial: From = None
     """Folder with base_color.exr, roughness.exr and metallic.exr to start from."""
     resume: bool = False
-    """Go on from the checkpoint in the output folder."""
+    """Continue from the checkpoint in the output folder."""
     checkpoint_seconds: float = 30.0
-    """Time between two checkpoints."""
+    """Seconds between two checkpoints."""
     seed: int = 0
-    """Of the batches and paths of path."""
+    """Seed of the batches and paths of path."""
 
     def run(self, console: Console) -> int:
         """Recover, and write the results."""
@@ -84,10 +84,10 @@ class Recover(Photographed):
         return 0
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work (see ``Photographed``)."""
+        """Refuse options that make no sense, before any work (see ``FromPhotographs``)."""
         super().check()
         if not self.parameters:
-            raise OptionError("--parameters names no texture; give at least one.")
+            raise OptionError("--parameters must name at least one texture.")
         if self.seed < 0:
             raise OptionError(f"--seed must not be negative, got {self.seed}.")
         if not self.checkpoint_seconds >= 0:
@@ -97,16 +97,16 @@ class Recover(Photographed):
 
     def _check_checkpoint(self, checkpoint: Path) -> None:
         if self.resume and not checkpoint.exists():
-            raise OptionError(
-                f"{checkpoint}: there is no checkpoint to go on from; leave --resume out."
-            )
+            raise OptionError(f"{checkpoint}: no checkpoint to resume from; omit --resume.")
         if not self.resume and checkpoint.exists():
             raise OptionError(
-                f"{checkpoint}: an interrupted run has left it; go on with --resume, or remove it."
+                f"{checkpoint}: left by an interrupted run; continue it with --resume, or remove "
+                "the file."
             )
 
     def _run(self, progress: Progress, checkpoint: Path) -> None:
         from svu_mi.observed import observe
+        from svu_mi.output import Run
         from svu_mi.output.recovery import write_recovery
         from svu_mi.pipeline import estimate
         from svu_mi.recovery.options import PRINTED_PRESETS
@@ -125,10 +125,11 @@ class Recover(Photographed):
         model = "paper" if self.preset in PRINTED_PRESETS else "default"
         known = recovery.estimate or estimate(seen, preset=model, progress=progress)
         with progress.stage("Writing the results") as stage:
-            write_recovery(
-                capture, recovery, self.output, estimate=known, settings=given(self),
-                kernels=progress.kernels, consumed=[CHECKPOINT], progress=stage.update,
+            run = Run(
+                settings=given(self), kernels=progress.kernels, consumed=[CHECKPOINT],
+                progress=stage.update,
             )  # fmt: skip
+            write_recovery(capture, recovery, self.output, run, estimate=known)
 
     def _initial(self, texels: Texels) -> Textures | None:
         """Read the textures of --start.
@@ -174,9 +175,9 @@ class Recover(Photographed):
 
     def _require_used(self, option: str, unused: str) -> None:
         if self.method == unused and getattr(self, option) is not None:
-            raise OptionError(f"--{option} is of no use to --method {unused}; leave it out.")
+            raise OptionError(f"--{option} has no effect with --method {unused}; omit it.")
 
     def _advice(self, checkpoint: Path) -> str:
         if checkpoint.exists():
-            return f"interrupted; {checkpoint} is kept: the same command with --resume goes on"
-        return "interrupted before the first step; the same command starts again"
+            return f"interrupted; {checkpoint} is kept: continue with the same command and --resume"
+        return "interrupted before the first step; run the same command again"

@@ -29,7 +29,7 @@ class Report(Estimated):
     recovered: Path | None = None
     """Folder of svu recover; its textures are shown, and compared with the photographs."""
     title: str | None = None
-    """Of the page; by default the name of the photographs' folder."""
+    """Title of the page; by default the name of the photographs' folder."""
 
     def run(self, console: Console) -> int:
         """Estimate, and write the page."""

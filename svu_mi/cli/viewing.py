@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 class View(Estimated):
     """Look at entropy, textures and photographs on the object, in a browser.
 
-    Click a texel for its posterior and a camera to look through it; Ctrl-C ends. Needs
+    Click a texel for its posterior and a camera to look through it; Ctrl-C stops. Needs
     pip install 'svu_mi[viewer]'.
     """
 
     recovered: Path | None = None
-    """Folder that svu recover has written; its size is taken for --resolution."""
+    """Folder that svu recover wrote; its size is used for --resolution."""
     port: int = 8080
-    """Of the page on this machine; the next free one if it is taken."""
+    """Port of the page on this machine; the next free one if it is in use."""
     up: Literal["y", "z"] | None = None
-    """Axis of the world that points upwards; by default as the cameras have it."""
+    """Axis of the world that points up; by default that of the cameras."""
 
     def run(self, console: Console) -> int:
         """Estimate, open the page, and serve it until Ctrl-C."""
@@ -46,7 +46,7 @@ class View(Estimated):
         result = self.estimate(progress, capture, texels)
         with progress.stage("Opening the viewer"):
             viewer = Viewer(capture, result, recovered, port=self.port, up=self.up)
-        say(console, f"Open {viewer.url} in a browser; Ctrl-C ends.")
+        say(console, f"Open {viewer.url} in a browser; press Ctrl-C to stop.")
         viewer.run()
         return 0
 

@@ -55,10 +55,11 @@ class Asset:
             if image.ndim != 2 or not image.size:
                 raise ShapeError(f"Asset: {name} must have shape (H, W), got {image.shape}.")
             _check_values(name, image, 1 if name == "entropy" else np.inf)
-        if len({image.shape for image in self.maps.values()}) > 1:
+        shapes = [str(image.shape) for image in self.maps.values()]
+        if len(set(shapes)) > 1:
             raise ShapeError(
-                f"Asset: entropy and coverage differ in size, {self.entropy.shape} and "  # type: ignore[union-attr]
-                f"{self.coverage.shape}; give maps of one estimate."  # type: ignore[union-attr]
+                f"Asset: entropy and coverage differ in size, {' and '.join(shapes)}; give maps of "
+                "one estimate."
             )
 
     @property
@@ -77,9 +78,7 @@ class Asset:
             estimate: its ``Estimate``, if entropy is to be exported; of any resolution.
         """
         seen = recovery if estimate is None else estimate
-        entropy = None
-        if estimate is not None:
-            entropy = padded(estimate, np.asarray(estimate.entropy, np.float32))
+        entropy = None if estimate is None else padded(seen, np.array(estimate.entropy, np.float32))
         return cls(
             name=capture.shape.id() or "object",
             mesh=arrays(capture.mesh),
@@ -112,11 +111,11 @@ class Written:
 
 def _check_mesh(name: str, mesh: MeshArrays) -> None:
     if mesh.uvs is None:
-        raise MeshError(f"'{name}' has no UVs, so its textures have no place; unwrap it first.")
+        raise MeshError(f"'{name}' has no UVs for its textures; unwrap it first.")
     if not len(mesh.faces):
         raise MeshError(f"'{name}' has no triangles.")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.positions):
-        raise MeshError(f"'{name}': a triangle names a vertex that does not exist.")
+        raise MeshError(f"'{name}': a triangle refers to a missing vertex.")
     buffers = {"positions": mesh.positions, "normals": mesh.normals, "UVs": mesh.uvs}
     for words, values in buffers.items():
         if values is not None and not np.isfinite(values).all():

@@ -73,8 +73,8 @@ def _require_fitting(asset: Asset, inside: dict[tuple[int, ...], np.ndarray]) ->
     valid, seen = inside[asset.coverage.shape], asset.coverage > 0
     if (seen & ~dilate(valid, valid, GUTTER + 1)).sum() > STRAY_LIMIT * seen.sum():
         raise CaptureError(
-            f"'{asset.name}': coverage and entropy lie beside the charts of the mesh, so they "
-            "belong to other UVs; compute them on the capture that the textures are of."
+            f"'{asset.name}': coverage and entropy lie outside the charts of the mesh, so they "
+            "belong to other UVs; compute them from the capture that the textures come from."
         )
 
 

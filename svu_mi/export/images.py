@@ -14,10 +14,11 @@ from svu_mi.export.asset import TEXTURES, Asset, Written
 from svu_mi.exr import write_exr
 from svu_mi.files import replacing
 from svu_mi.output.textures import FILES, write_textures
+from svu_mi.parameters import CHANNELS
 
 LINEAR = "linear"
 SRGB = "sRGB (IEC 61966-2-1)"
-PACKED = "linear: R occlusion (1, none is known), G roughness, B metallic, as in glTF"
+PACKED = "linear: R occlusion (1, as it is unknown), G roughness, B metallic, as in glTF"
 
 
 def write_exr_images(asset: Asset, folder: Path, *, half: bool) -> list[Written]:
@@ -45,13 +46,11 @@ def write_png_images(asset: Asset, folder: Path, *, bits: int) -> list[Written]:
     Raises:
         OutputError: a file cannot be written.
     """
-    textures = {name: np.array(tensor) for name, tensor in asset.textures.items()}
-    images = {
-        "base_color": (srgb(textures["base_color"]), SRGB),
-        "roughness": (textures["roughness"], LINEAR),
-        "metallic": (textures["metallic"], LINEAR),
-        "orm": (packed(asset), PACKED),
-    }
+    images: dict[str, tuple[np.ndarray, str]] = {}
+    for name, tensor in asset.textures.items():
+        pixels = np.array(tensor)
+        images[name] = (pixels, LINEAR) if CHANNELS[name] == 1 else (srgb(pixels), SRGB)
+    images["orm"] = (packed(asset), PACKED)
     if asset.entropy is not None:
         images["entropy"] = (asset.entropy, "linear in [0, 1], 1 = nothing known")
     if asset.coverage is not None:

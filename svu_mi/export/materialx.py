@@ -14,17 +14,16 @@ from svu_mi.export.asset import TEXTURES, Asset, Written
 from svu_mi.export.mesh import as_trimesh, upward_uvs
 from svu_mi.files import write_text
 from svu_mi.names import materialx_name, obj_name
+from svu_mi.parameters import CHANNELS
 
 MATERIAL, MESH = "material.mtlx", "mesh.obj"
 DIGITS = 10  # after the point: objects of a millimetre in metres keep single precision
 VERSION = "1.38"  # later ones read it, too
 INDEX_OF_REFRACTION = 1.5  # F0 = 0.04, as specular = 0.5 of Mitsuba's principled
-# Parameter: type of its image, colour space of the file, and input of standard_surface.
+# Inputs of standard_surface, by parameter.
 INPUTS = {
-    "base_color": ("color3", "srgb_texture", "base_color"),
-    "roughness": ("float", None, "specular_roughness"),
-    "metallic": ("float", None, "metalness"),
-}
+    "base_color": "base_color", "roughness": "specular_roughness", "metallic": "metalness",
+}  # fmt: skip
 
 
 def write_materialx(asset: Asset, folder: Path) -> list[Written]:
@@ -44,15 +43,16 @@ def write_materialx(asset: Asset, folder: Path) -> list[Written]:
 
 def _document(name: str) -> Element:
     root = Element("materialx", version=VERSION, colorspace="lin_rec709")
-    for parameter, (kind, space, _) in INPUTS.items():
+    kinds = {parameter: "color3" if CHANNELS[parameter] == 3 else "float" for parameter in INPUTS}
+    for parameter, kind in kinds.items():
         image = SubElement(root, "image", name=f"{name}_{parameter}", type=kind)
         file = _input(image, "file", "filename", value=f"{TEXTURES}/{parameter}.png")
-        if space is not None:  # numbers have none, and are taken as they are
-            file.set("colorspace", space)
+        if kind == "color3":  # numbers have no colour space, and are taken as they are
+            file.set("colorspace", "srgb_texture")
     surface = SubElement(root, "standard_surface", name=f"{name}_surface", type="surfaceshader")
     _input(surface, "base", "float", value="1")
-    for parameter, (kind, _, target) in INPUTS.items():
-        _input(surface, target, kind, nodename=f"{name}_{parameter}")
+    for parameter, kind in kinds.items():
+        _input(surface, INPUTS[parameter], kind, nodename=f"{name}_{parameter}")
     _input(surface, "specular_IOR", "float", value=str(INDEX_OF_REFRACTION))
     material = SubElement(root, "surfacematerial", name=name, type="material")
     _input(material, "surfaceshader", "surfaceshader", nodename=f"{name}_surface")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from svu_mi.output.upright import Axis
-from svu_mi.settings import require, require_one_of, require_types
+from svu_mi.settings import require, require_types
 
 Format = Literal["exr", "png", "glb", "xml", "materialx"]
 FORMATS: tuple[Format, ...] = get_args(Format)
@@ -42,11 +42,9 @@ class ExportOptions:
         known = all(name in FORMATS for name in self.formats)
         require(self, known and bool(self.formats), "formats", f"of {', '.join(FORMATS)}")
         require(self, self.bits in (8, 16), "bits", "8 or 16")
-        whole = isinstance(self.gutter, int) and not isinstance(self.gutter, bool)
-        fits = self.gutter is None or (whole and self.gutter >= 0)
+        fits = self.gutter is None or (type(self.gutter) is int and self.gutter >= 0)
         require(self, fits, "gutter", "None or a whole number, at least 0")
-        if self.up is not None:
-            require_one_of(self, "up", Axis)
+        require(self, self.up in (None, *get_args(Axis)), "up", "None, y or z")
 
     @property
     def written(self) -> tuple[Format, ...]:

@@ -76,17 +76,17 @@ def _require_same_capture(folder: Path, textured: Path, *, asked: bool) -> None:
     runs = {marks_of(folder / name)[0] for name in maps}
     if len(runs - {""}) > 1:
         raise CaptureError(
-            f"{folder}: {ENTROPY} and {COVERAGE} are of different runs; run svu entropy again."
+            f"{folder}: {ENTROPY} and {COVERAGE} come from different runs; run svu entropy again."
         )
     for path in (folder / name for name in maps):
         if are_of_one_capture(textured, path):
             continue
-        sentence = f"{path}: is about another capture than {textured}"
+        sentence = f"{path}: comes from another capture than {textured}"
         if not asked:
             raise CaptureError(
                 f"{sentence}; compute both from one, or give the folder of the maps with --entropy."
             )
-        warnings.warn(f"{sentence}; its values are taken as they are.", SvuWarning, stacklevel=3)
+        warnings.warn(f"{sentence}; its values are used as they are.", SvuWarning, stacklevel=3)
         return
 
 
@@ -98,8 +98,8 @@ def _require_recovery(folder: Path) -> None:
         return
     words = f"{folder}: has no {', '.join(missing)}"
     if any(entry.command == "recover" for entry in entries(folder / RECORD)):
-        raise CaptureError(f"{words}, which svu recover had written; run it again.")
-    words += ", so it is no result of svu recover"
+        raise CaptureError(f"{words}, which svu recover wrote; run it again.")
+    words += ", so it is not a result of svu recover"
     if (folder / ENTROPY).is_file():
         raise CaptureError(
             f"{words} but of svu entropy; run svu recover on the same capture, export what it "

@@ -27,7 +27,7 @@ def with_exposures(frames: Sequence[Frame], path: Path) -> list[Frame]:
             ``#`` are left out.
 
     Raises:
-        CaptureError: it cannot be read, a line is none, or a photograph is not named, or by a name
+        CaptureError: it cannot be read, a line is wrong, or a photograph is not named, or by a name
             that several have.
     """
     gains = {}
@@ -36,7 +36,9 @@ def with_exposures(frames: Sequence[Frame], path: Path) -> list[Frame]:
             raise CaptureError(f"{path}: too large for a list of exposures.")
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
-        raise CaptureError(f"{path}: no readable list of exposures ({excerpt(error)}).") from error
+        raise CaptureError(
+            f"{path}: not a readable list of exposures ({excerpt(error)})."
+        ) from error
     for number, line in enumerate(lines, 1):
         words = line.partition("#")[0].rsplit(maxsplit=1)
         if words:
@@ -47,7 +49,7 @@ def with_exposures(frames: Sequence[Frame], path: Path) -> list[Frame]:
         key = next((name for name in _names(frame.image) if name in gains), None)
         if key is None:
             raise CaptureError(
-                f"{path}: has no exposure of {frame.image.name}; add a line NAME GAIN."
+                f"{path}: has no exposure for {frame.image.name}; add a line NAME GAIN."
             )
         if key == frame.image.name and counts[key] > 1:
             raise CaptureError(
@@ -90,8 +92,8 @@ def _gain(words: Sequence[str], label: str) -> float:
 def _positive(gain: float, label: str) -> float:
     if not 0 < gain < math.inf:
         raise CaptureError(
-            f"{label}: an exposure of {gain:g} is not positive; give the factor that radiance was "
-            "multiplied by."
+            f"{label}: the exposure must be positive, got {gain:g}; give the factor that radiance "
+            "was multiplied by."
         )
     return gain
 

@@ -1,4 +1,4 @@
-"""Corrections of the mistakes that everybody makes with axes, by name.
+"""Corrections of common mistakes with axes, by name.
 
 ``svu check`` finds which of them explains the photographs better, ``svu import --fix NAME``
 applies it; the names are the same. Each is relative to how the capture was read.
@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.capture.poses import affine
@@ -31,7 +32,7 @@ class Fix:
         matrix: (3, 3). ``camera``: multiplied from the right to each ``to_world``; ``mesh``: from
             the left to each position; ``light``: in the frame of Mitsuba's envmap, from the right
             to the emitter's rotation (det < 0: the map is mirrored left to right). None for
-            ``camera-inverse`` and ``texture-flip-v``, which are no matrices.
+            ``camera-inverse`` and ``texture-flip-v``, which are not matrices.
     """
 
     name: str
@@ -42,13 +43,8 @@ class Fix:
 
 def turned(axis: Literal["x", "y", "z"], degrees: float) -> np.ndarray:
     """Return the (3, 3) rotation about an axis; exact at multiples of 90 degrees."""
-    i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    if degrees % 90 == 0:
-        c, s = round(c), round(s)
-    matrix = np.eye(3)
-    matrix[[i, i, j, j], [i, j, i, j]] = c, -s, s, c
-    return matrix
+    matrix = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+    return matrix.round() if degrees % 90 == 0 else matrix
 
 
 FIXES = {fix.name: fix for fix in (
@@ -65,17 +61,17 @@ FIXES = {fix.name: fix for fix in (
     Fix(name="mesh-x270", kind="mesh", matrix=turned("x", 270),
         cause="the mesh has +Z up, the poses have +Y up"),
     Fix(name="mesh-x180", kind="mesh", matrix=turned("x", 180),
-        cause="the mesh is upside down against the poses"),
+        cause="the mesh is upside down relative to the poses"),
     Fix(name="mesh-mirror", kind="mesh", matrix=np.diag([-1.0, 1.0, 1.0]),
         cause="the mesh comes from a left-handed program"),
     Fix(name="light-turn-90", kind="light", matrix=turned("y", 90),
-        cause="the environment map has its centre elsewhere"),
+        cause="the centre of the environment map is elsewhere"),
     Fix(name="light-turn-180", kind="light", matrix=turned("y", 180),
-        cause="the environment map has its centre where its seam was taken to be"),
+        cause="the centre and the seam of the environment map are exchanged"),
     Fix(name="light-turn-270", kind="light", matrix=turned("y", 270),
-        cause="the environment map has its centre elsewhere"),
+        cause="the centre of the environment map is elsewhere"),
     Fix(name="light-mirror", kind="light", matrix=np.diag([-1.0, 1.0, 1.0]),
-        cause="the environment map is seen from outside: left and right are exchanged"),
+        cause="the environment map was saved as seen from outside: left and right are exchanged"),
     Fix(name="light-flip", kind="light", matrix=turned("z", 180),
         cause="the environment map is upside down"),
     Fix(name="light-x90", kind="light", matrix=turned("x", 90),
@@ -83,7 +79,7 @@ FIXES = {fix.name: fix for fix in (
     Fix(name="light-x270", kind="light", matrix=turned("x", 270),
         cause="the environment map has another axis up than the world"),
     Fix(name="texture-flip-v", kind="texture",
-        cause="V of the texture coordinates runs the other way"),
+        cause="V of the texture coordinates is flipped"),
 )}  # fmt: skip
 
 
@@ -91,10 +87,19 @@ def fixes_named(names: Sequence[str]) -> tuple[Fix, ...]:
     """Return corrections by name.
 
     Raises:
-        OptionError: there is none of a name.
+        OptionError: a name is unknown.
     """
     require_known(names, FIXES, "fix")
     return tuple(FIXES[name] for name in names)
+
+
+def turn_of(fixes: Sequence[Fix], kind: Literal["mesh", "light"]) -> np.ndarray:
+    """Return the (3, 3) product of the corrections of mesh or light, see ``Fix.matrix``."""
+    turn = np.eye(3)
+    for fix in fixes:
+        if fix.kind == kind and fix.matrix is not None:
+            turn = fix.matrix @ turn if kind == "mesh" else turn @ fix.matrix
+    return turn
 
 
 def corrected_poses(poses: np.ndarray, fix: Fix, camera_axes: np.ndarray) -> np.ndarray:

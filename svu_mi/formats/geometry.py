@@ -65,8 +65,8 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
     several = len(painted) > 1
     if several and not geometry_only and any(is_textured(part.visual) for part in parts):
         raise MeshError(
-            f"{path}: has {len(painted)} materials; bake them into one, or import the geometry "
-            "alone with --geometry-only."
+            f"{path}: has {len(painted)} materials; bake them into one, or import only the "
+            "geometry with --geometry-only."
         )
     mesh = _buffers(parts, path)
     if geometry_only:
@@ -80,9 +80,9 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
         mesh = replace(mesh, uvs=uvs - _tile(uvs))
     mesh, notes = repaired(mesh, str(path))
     if files.missing:
-        notes.append(f"{path}: refers to {excerpt(files.missing[0])}, which is not there.")
+        notes.append(f"{path}: refers to {excerpt(files.missing[0])}, which does not exist.")
     if mesh.uvs is None and any(is_textured(part.visual) for part in parts):
-        notes.append(f"{path}: its textures are left out, and its UVs laid out anew.")
+        notes.append(f"{path}: its textures are left out, and its UVs are laid out again.")
     return Geometry(mesh=mesh, textures=textures, notes=notes)
 
 
@@ -98,11 +98,11 @@ def _buffers(parts: Sequence[_Part], path: Path) -> MeshArrays:
     )
     for name, values, width in (("positions", mesh.positions, 3), ("UVs", mesh.uvs, 2)):
         if values is not None and values.shape != (len(mesh.positions), width):
-            raise MeshError(f"{path}: has not one of its {name} per vertex; export it again.")
+            raise MeshError(f"{path}: {name} and vertices differ in number; export it again.")
         if values is not None and not (np.abs(values) < MAX_NUMBER).all():  # NaN fails, too
-            raise MeshError(f"{path}: some {name} are NaN, infinite or absurd; export it again.")
+            raise MeshError(f"{path}: some {name} are NaN, infinite or too large; export it again.")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.positions):
-        raise MeshError(f"{path}: a triangle has a corner that there is not; export it again.")
+        raise MeshError(f"{path}: a triangle refers to a missing vertex; export it again.")
     return _without_strays(mesh)
 
 
@@ -165,9 +165,9 @@ class _Part:
 def _parts(path: Path, files: _Inside, geometry_only: bool) -> list[_Part]:
     """Return the triangle meshes of a file."""
     if path.suffix.lower() not in SUFFIXES:
-        raise MeshError(f"{path}: not a kind of mesh known here ({', '.join(SUFFIXES)}).")
+        raise MeshError(f"{path}: not a supported mesh format ({', '.join(SUFFIXES)}).")
     if not path.is_file():
-        raise MeshError(f"{path}: no such mesh.")
+        raise MeshError(f"{path}: no such mesh file.")
     held = path.stat().st_size
     if held > MAX_BYTES:
         raise MeshError(f"{path}: larger than {MAX_BYTES // 2**20} MiB; simplify the mesh.")
@@ -177,7 +177,7 @@ def _parts(path: Path, files: _Inside, geometry_only: bool) -> list[_Part]:
         scene = trimesh.load_scene(path, resolver=files, process=False)
         placed = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
         if sum(len(part.vertices) for part in placed) > max(gltf.FREE, held):
-            raise MeshError(f"{path}: places too many copies of its parts; bake them into one.")
+            raise MeshError(f"{path}: has too many instances of parts; bake them into one mesh.")
         parts = [_Part.of(scene, node) for node in scene.graph.nodes_geometry]
         parts = [part for part in parts if len(part.mesh.faces) > 0]
     if files.refused:
@@ -243,8 +243,8 @@ class _Inside(trimesh.resolvers.Resolver):
 
     def namespaced(self, namespace: str) -> _Inside:
         """Refuse: no format that is read here asks for a folder."""
-        raise OSError(f"{self.root}: {namespace} is not looked into.")
+        raise OSError(f"{self.root}: {namespace} is not searched.")
 
     def write(self, name: str, data: object) -> None:
         """Refuse: reading a mesh writes nothing."""
-        raise OutputError(f"{self.root}: {name} ({type(data)}) is not written while reading.")
+        raise OutputError(f"{self.root}: {name} ({type(data)}) must not be written while reading.")

@@ -62,7 +62,7 @@ def check_gltf(path: Path, *, geometry_only: bool) -> int:
     if not geometry_only and any(map(_moves, _within(record.get("materials", ())))):
         raise MeshError(
             f"{path}: its textures are moved or scaled by {TRANSFORM}; apply that to the UVs, or "
-            "import the geometry alone with --geometry-only."
+            "import only the geometry with --geometry-only."
         )
     return held
 
@@ -92,7 +92,7 @@ def _refuse_bombs(path: Path, record: Mapping[str, Any], held: int) -> None:
         for index in primitive["attributes"].values()
     ]
     if min(counts, default=0) < 0 or max(sum(counts), sum(used)) > max(FREE, held):
-        raise MeshError(f"{path}: asks for more numbers than the file holds; export it again.")
+        raise MeshError(f"{path}: an accessor reads past the end of the file; export it again.")
 
 
 def _within(value: Any) -> Iterator[Mapping[str, Any]]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import Context, copy_context
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -17,19 +17,19 @@ from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture import nodes
 from svu_mi.capture.folder import Description
 from svu_mi.capture.mesh import MeshArrays
-from svu_mi.capture.picture import image_size
+from svu_mi.capture.picture import open_picture
 from svu_mi.capture.scene import require_variant
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.exr import is_cropped
 from svu_mi.formats.exposures import with_exif_exposures, with_exposures
-from svu_mi.formats.fixes import FIXES, Fix, corrected_mesh, corrected_poses, fixes_named
+from svu_mi.formats.fixes import FIXES, Fix, corrected_mesh, corrected_poses, fixes_named, turn_of
 from svu_mi.formats.geometry import Geometry, read_geometry
 from svu_mi.formats.light import write_environment
+from svu_mi.formats.options import ImportOptions, Light
 from svu_mi.formats.paths import name_in
 from svu_mi.formats.photographs import Converted, about, convert
 from svu_mi.formats.resampling import fitted, squared
-from svu_mi.formats.source import Frame, Light, Source
+from svu_mi.formats.source import Frame, Source
 from svu_mi.formats.textures import write_pictures
 from svu_mi.limits import require_views
 from svu_mi.results.writing import exchanging
@@ -37,38 +37,6 @@ from svu_mi.results.writing import exchanging
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
 MAX_DEPTH = 6  # of the paths that a scene without a say of its own is rendered with
 PIXELS_AT_A_TIME = 2**26  # of the photographs in memory, some 40 bytes each
-
-Up = Literal["y", "z"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImportOptions:
-    """What a source does not say, or says wrong.
-
-    Attributes:
-        mesh: the object's file, if the source names none or another is meant.
-        mesh_up: axis that is up in the mesh's file; None = that of the poses.
-        world_up: axis that is up in the world of the poses; given if ``mesh_up`` is.
-        mesh_scale: units of the poses per unit of the mesh (0.001: mm to m).
-        geometry_only: leave the mesh's UVs and textures out, and lay out new UVs.
-        environment: the light, if the source names none or another is meant.
-        exposures: a list of gains by photograph (``formats.exposures``), or ``exif`` to take them
-            from the photographs; None = those of the source.
-        shrink: factor by which pixels become larger, at least 1.
-        every: take every N-th photograph.
-        fixes: names of corrections (``formats.fixes``).
-    """
-
-    mesh: str | Path | None = None
-    mesh_up: Up | None = None
-    world_up: Up | None = None
-    mesh_scale: float = 1.0
-    geometry_only: bool = False
-    environment: Light | None = None
-    exposures: Path | Literal["exif"] | None = None
-    shrink: float = 1.0
-    every: int = 1
-    fixes: Sequence[str] = ()
 
 
 def import_capture(
@@ -104,11 +72,11 @@ def import_capture(
     frames = _frames(source, options, fixes)
     mesh, light = options.mesh or source.mesh, options.environment or source.light
     if mesh is None:
-        raise OptionError(f"{source.root}: names no mesh of the object; give one with --mesh.")
+        raise OptionError(f"{source.root}: does not name the object's mesh; give it with --mesh.")
     if light is None:
         raise OptionError(
-            f"{source.root}: names no environment map; the method needs the light that the "
-            "photographs were taken under: give it with --environment."
+            f"{source.root}: does not name an environment map; the method needs the light "
+            "that the photographs were taken under: give it with --environment."
         )
     with exchanging(folder, "import", capture_folder.FILE, [UNWRAPPED]) as draft:
         made = draft.folder
@@ -118,11 +86,12 @@ def import_capture(
         geometry = _with_uvs(geometry, str(mesh))
         if all(converted.empty for _, converted in found):
             raise CaptureError(
-                f"{frames[0].mask or frames[0].image}: as all others, its mask shows nothing of "
-                "the object; in a mask, white is the object."
+                f"{frames[0].mask or frames[0].image}: this mask and all others are empty; "
+                "in a mask, white is the object."
             )
         notes = [*source.notes, *geometry.notes, *about(frames, [c for _, c in found])]
-        notes += _write_scene(made, geometry, _turned(light, fixes), sensors)
+        light = replace(light, to_world=light.to_world @ turn_of(fixes, "light"))
+        notes += _write_scene(made, geometry, light, sensors)
         description = Description(
             scene=made / SCENE,
             shape=OBJECT,
@@ -138,12 +107,6 @@ def import_capture(
 
 
 def _fixes(options: ImportOptions) -> tuple[Fix, ...]:
-    if options.every < 1:
-        raise OptionError(f"--every takes 1 (all photographs) or more, got {options.every}.")
-    if not (np.isfinite(options.mesh_scale) and options.mesh_scale > 0):
-        raise OptionError(f"A mesh is scaled by a positive factor, got {options.mesh_scale}.")
-    if (options.mesh_up is None) != (options.world_up is None):
-        raise OptionError("--mesh-up and --world-up say something together alone; give both.")
     up = {("y", "z"): "mesh-x90", ("z", "y"): "mesh-x270"}
     between = up.get((options.mesh_up or "", options.world_up or ""))
     return (*([] if between is None else [FIXES[between]]), *fixes_named(options.fixes))
@@ -158,15 +121,15 @@ def _frames(source: Source, options: ImportOptions, fixes: Sequence[Fix]) -> lis
         for fix in fixes:
             if fix.kind == "camera":
                 poses = corrected_poses(poses, fix, source.camera_axes)
-        size = image_size(frame.image)
-        if frame.image.suffix.lower() == ".exr" and is_cropped(frame.image):
+        picture = open_picture(frame.image)
+        if picture.header.cropped:
             raise CaptureError(
-                f"{frame.image}: its data window is not its display window, so its pixels are "
-                "others than the camera's; write it again without crop or overscan."
+                f"{frame.image}: its data window differs from its display window, so its pixels "
+                "are not the camera's; save it again without crop or overscan."
             )
-        frames.append(fitted(replace(frame, to_world=poses[0]), size))
+        frames.append(fitted(replace(frame, to_world=poses[0]), picture.size))
     if not frames:
-        raise CaptureError(f"{source.root}: holds no photograph.")
+        raise CaptureError(f"{source.root}: has no photographs.")
     return frames
 
 
@@ -185,14 +148,6 @@ def _placed(geometry: Geometry, options: ImportOptions, fixes: Sequence[Fix]) ->
         if fix.kind in ("mesh", "texture"):
             mesh = corrected_mesh(mesh, fix)
     return replace(geometry, mesh=replace(mesh, positions=mesh.positions * options.mesh_scale))
-
-
-def _turned(light: Light, fixes: Sequence[Fix]) -> Light:
-    matrix = light.to_world
-    for fix in fixes:
-        if fix.kind == "light" and fix.matrix is not None:
-            matrix = matrix @ fix.matrix
-    return replace(light, to_world=matrix)
 
 
 def _clip(frame: Frame, mesh: MeshArrays) -> tuple[float, float]:

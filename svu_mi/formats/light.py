@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from svu_mi.capture.picture import read_planes, remarks
+from svu_mi.capture.picture import open_picture
 from svu_mi.capture.poses import affine
 from svu_mi.capture.radiance import positive
 from svu_mi.errors import CaptureError
@@ -46,15 +46,15 @@ def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str
 
     Raises:
         CaptureError: the map cannot be read, has 8 bits, holds NaN or much that is
-            negative, or is no lat-long map.
+            negative, or is not a lat-long map.
     """
     if light.path.suffix.lower() not in SUFFIXES:
         raise CaptureError(
-            f"{light.path}: the light must be a map of radiance ({', '.join(SUFFIXES)}); eight "
-            "bits do not hold a lamp."
+            f"{light.path}: the light must be an HDR map ({', '.join(SUFFIXES)}); 8-bit images "
+            "clip lamps."
         )
-    planes, _ = read_planes(light.path)
-    pixels = np.stack(planes[:3], axis=-1)
+    picture = open_picture(light.path)
+    pixels = np.stack(picture.planes()[:3], axis=-1)
     height, width = pixels.shape[:2]
     if abs(width / height / ASPECT - 1) > OFF:
         raise CaptureError(
@@ -63,7 +63,7 @@ def read_environment_map(light: Light) -> tuple[np.ndarray, np.ndarray, list[str
         )
     if not np.isfinite(pixels).all():
         raise CaptureError(f"{light.path}: some pixels are NaN or infinite; repair the map.")
-    notes = [f"{light.path}: {remark}" for remark in remarks(light.path)]
+    notes = [f"{light.path}: {remark}" for remark in picture.remarks()]
     pixels, note = positive(pixels, str(light.path))
     notes += note
     if not pixels.any():

@@ -30,12 +30,12 @@ def repaired(mesh: MeshArrays, label: str) -> tuple[MeshArrays, list[str]]:
     with np.errstate(all="ignore"):  # trimesh divides by the volume, which may be none
         is_inside_out = welded.is_watertight and welded.volume < 0
     if is_inside_out:
-        notes.append(f"{label}: the surface was inside out; its triangles are turned.")
+        notes.append(f"{label}: the surface was inside out; its triangles are flipped.")
         mesh = replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, ::-1]))
         welded.invert()
     smooth = np.array(welded.vertex_normals)[inverse]
     if mesh.normals is not None and not _agreement(mesh) >= AGREE:  # NaN fails, too
-        notes.append(f"{label}: its normals contradict its triangles; they are computed anew.")
+        notes.append(f"{label}: its normals contradict its triangles; they are computed again.")
         mesh = replace(mesh, normals=None)
     given = smooth if mesh.normals is None else mesh.normals
     return replace(mesh, normals=_unit(given, smooth)), notes

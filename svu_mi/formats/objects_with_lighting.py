@@ -9,30 +9,25 @@ centre and +Y at u = 1/4 (``blender``).
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import mitsuba as mi
 import numpy as np
-from PIL import Image
 
-from svu_mi.capture.images import IN_MASK, SATURATED
-from svu_mi.capture.picture import decoded, quantized, read_planes
 from svu_mi.capture.poses import affine
-from svu_mi.errors import CaptureError, OptionError
-from svu_mi.files import copy_file, prepare_folder, replacing
-from svu_mi.formats.geometry import read_geometry
-from svu_mi.formats.resampling import fitted
+from svu_mi.errors import CaptureError
 from svu_mi.formats.source import ENVIRONMENT_AXES, OPENCV, RIGID, Frame, Light, Source
+
+if TYPE_CHECKING:
+    from svu_mi.formats.reading import ReadOptions
 
 INPUTS = "inputs"
 PLACES = (INPUTS, f"test/{INPUTS}", ".")  # of the photographs: in a test, in an object, here
 ROTATED, ENVIRONMENT, WORLD_TO_ENV = "env_512_rotated.hdr", "env.hdr", "world_to_env.txt"
-EXPOSURE, BOX = "exposure.txt", "object_bounding_box.txt"
+EXPOSURE = "exposure.txt"
 # The data has no mesh; the benchmark's own baseline puts its meshes here, with UVs and without.
 MESHES = ("prepared_mesh", "neus_mesh")
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".stl")
-GAMMA = 2.2
 STOPS = 64  # of exposure, either way
 LARGEST = 1e12  # number, in any of the text files
 LARGEST_TEXT = 2**16  # bytes
@@ -48,6 +43,16 @@ def find_inputs(path: Path) -> Path | None:
     return next((f for f in folders if (f / EXPOSURE).is_file()), None)
 
 
+def recognises(path: Path, _: str) -> bool:
+    """Whether a folder is an object of this data set."""
+    return find_inputs(path) is not None
+
+
+def read(path: Path, _: ReadOptions) -> Source:
+    """Read an object (see ``read_owl``)."""
+    return read_owl(path)
+
+
 def read_owl(path: Path) -> Source:
     """Read the photographs of an object that are for reconstruction, and their light.
 
@@ -55,12 +60,12 @@ def read_owl(path: Path) -> Source:
         path: the object's folder, ``test`` in it, or ``inputs`` in that.
 
     Raises:
-        CaptureError: a file is missing or damaged, or a camera is no pinhole.
+        CaptureError: a file is missing or damaged, or a camera is not a pinhole.
     """
     inputs = find_inputs(path)
     if inputs is None:
         raise CaptureError(
-            f"{path}: no object of Objects with Lighting; expected test/{INPUTS}/{EXPOSURE}."
+            f"{path}: not an object of Objects with Lighting; expected test/{INPUTS}/{EXPOSURE}."
         )
     cameras = sorted(inputs.glob("camera_*.txt"))
     if not cameras:
@@ -68,7 +73,7 @@ def read_owl(path: Path) -> Source:
     (stops,) = _numbers(inputs / EXPOSURE, 1)
     if abs(stops) > STOPS:
         raise CaptureError(
-            f"{inputs / EXPOSURE}: an exposure of {stops:g} stops; it must be within {STOPS}: copy "
+            f"{inputs / EXPOSURE}: the exposure must be within {STOPS} stops, got {stops:g}; copy "
             "the file again."
         )
     test = Path(os.path.normpath(inputs / ".."))
@@ -84,47 +89,6 @@ def read_owl(path: Path) -> Source:
     )
 
 
-def write_owl(root: Path, source: Source, *, exposure: float | None = None) -> None:
-    """Write an object with its ``test`` folder: photographs, masks, mesh and light.
-
-    The light is written as it is, with ``world_to_env.txt``, and not resampled. Of the mesh, the
-    one file is copied, not what it refers to. Nothing is written for evaluation.
-
-    Args:
-        root: the object's folder, made if missing.
-        source: the capture.
-        exposure: stops by which radiance is brighter in the photographs; what exceeds 1 then is
-            clipped, and pixels that hold no radiance are white. None = as bright as can be while
-            nothing on the object is clipped.
-
-    Raises:
-        CaptureError: a photograph, a mask or the light cannot be read.
-        MeshError: the mesh cannot be read.
-        OptionError: no such exposure.
-        OutputError: a file cannot be written.
-    """
-    exposure = _fitting_exposure(source.frames) if exposure is None else exposure
-    if not abs(exposure) <= STOPS:  # NaN fails, too
-        raise OptionError(f"An exposure must be within {STOPS} stops, got {exposure}.")
-    test = prepare_folder(root / "test")
-    inputs = prepare_folder(test / INPUTS)
-    for index, frame in enumerate(source.frames):
-        _write_frame(inputs, index, frame, exposure)
-    _write_text(inputs / EXPOSURE, [[exposure]])
-    if source.mesh is not None:
-        copy_file(source.mesh, test / f"{MESHES[1]}{source.mesh.suffix.lower()}")
-        positions = read_geometry(source.mesh, geometry_only=True).mesh.positions
-        corners = np.stack([positions.min(axis=0), positions.max(axis=0)], axis=-1)
-        _write_text(inputs / BOX, corners.reshape(1, 6))
-    if source.light is not None:
-        planes, _ = read_planes(source.light.path)
-        pixels = np.stack(planes[:3], axis=-1) * np.float32(source.light.scale)
-        with replacing(test / ENVIRONMENT) as temporary:
-            mi.Bitmap(np.ascontiguousarray(pixels)).write(str(temporary))
-        world_to_env = ENVIRONMENT_AXES["blender"] @ source.light.to_world.T
-        _write_text(test / WORLD_TO_ENV, affine(world_to_env))
-
-
 def _frame(camera: Path, gain: float) -> Frame:
     values = np.array(_numbers(camera, 24)).reshape(8, 3)
     K, rotation, translation, size = values[:3], values[3:6], values[6], values[7]
@@ -138,11 +102,11 @@ def _frame(camera: Path, gain: float) -> Frame:
     try:
         to_world = np.linalg.inv(affine(rotation, translation)) @ OPENCV
     except np.linalg.LinAlgError as error:
-        raise CaptureError(f"{camera}: R is no rotation; copy the file again.") from error
+        raise CaptureError(f"{camera}: R is not a rotation; copy the file again.") from error
     image = camera.with_name(camera.name.replace("camera_", "image_")).with_suffix(".png")
     mask = image.with_name(image.name.replace("image_", "mask_"))
     if not image.is_file():
-        raise CaptureError(f"{image}: no such photograph, but its camera; copy the object again.")
+        raise CaptureError(f"{image}: no such photograph for its camera; copy the object again.")
     return Frame(
         label=str(camera),
         image=image,
@@ -166,52 +130,8 @@ def _light(test: Path) -> Light | None:
     rotation = np.array(_numbers(test / WORLD_TO_ENV, 16)).reshape(4, 4)[:3, :3]
     is_rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=RIGID)
     if not is_rigid or np.linalg.det(rotation) < 0:
-        raise CaptureError(f"{test / WORLD_TO_ENV}: is no rotation; copy the file again.")
+        raise CaptureError(f"{test / WORLD_TO_ENV}: not a rotation; copy the file again.")
     return Light(path=test / ENVIRONMENT, to_world=rotation.T @ axes)
-
-
-def _radiance(frame: Frame) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return (H, W, 3) radiance, infinite where a pixel holds none, and the mask, (H, W)."""
-    planes, is_integer = read_planes(frame.image)
-    pixels = np.stack(planes[:3], axis=-1)
-    radiance = (decoded(pixels, frame.transfer) if is_integer else pixels) / frame.exposure
-    radiance[~(np.isfinite(radiance) & (radiance >= 0)).all(axis=-1)] = np.inf
-    mask = read_planes(frame.mask)[0][0] if frame.mask else planes[3] if planes[3:] else None
-    return radiance, mask
-
-
-def _fitting_exposure(frames: Sequence[Frame]) -> float:
-    brightest = float(np.finfo(np.float32).tiny)
-    for frame in frames:
-        radiance, mask = _radiance(frame)
-        peaks = radiance.max(axis=-1)[... if mask is None else mask >= IN_MASK]
-        peaks = peaks[np.isfinite(peaks)]
-        brightest = max(brightest, float(peaks.max(initial=0)))
-    return float(np.clip(np.log2(SATURATED[8] ** GAMMA / brightest), -STOPS, STOPS))
-
-
-def _write_frame(inputs: Path, index: int, frame: Frame, exposure: float) -> None:
-    radiance, mask = _radiance(frame)
-    frame = fitted(frame, radiance.shape[1::-1])
-    tone = np.clip(radiance * 2.0**exposure, 0, 1) ** (1 / GAMMA)
-    _write_png(inputs / f"image_{index:04d}.png", tone)
-    if mask is not None:
-        _write_png(inputs / f"mask_{index:04d}.png", mask)
-    K = [[frame.focal[0], 0, frame.center[0]], [0, frame.focal[1], frame.center[1]], [0, 0, 1]]
-    world_to_camera = np.linalg.inv(frame.to_world @ OPENCV)[:3]
-    rotation, translation = world_to_camera[:, :3], world_to_camera[:, 3]
-    rows = [*K, *rotation, translation, [*frame.size, 3]]
-    _write_text(inputs / f"camera_{index:04d}.txt", rows)
-
-
-def _write_png(path: Path, values: np.ndarray) -> None:
-    with replacing(path) as temporary:
-        Image.fromarray(quantized(values)).save(temporary)
-
-
-def _write_text(path: Path, rows: Sequence[Sequence[float]] | np.ndarray) -> None:
-    with replacing(path) as temporary:
-        np.savetxt(temporary, np.array(rows, np.float64))
 
 
 def _numbers(path: Path, count: int) -> list[float]:

@@ -27,19 +27,19 @@ def inside(root: Path, name: Any, label: str) -> Path:
         label: the file and frame, for the message.
 
     Raises:
-        CaptureError: the name is no text, absolute, leaves the folder by ``..``, names the folder
-            itself, or is none that a file system takes.
+        CaptureError: the name is not text, absolute, leaves the folder by ``..``, names the folder
+            itself, or is not valid in a file system.
     """
     if not isinstance(name, str):
         raise CaptureError(f"{label}: a file's name must be text, got {_shown(name)}.")
     parts = PurePosixPath(os.path.normpath(name.replace("\\", "/"))).parts
     if PureWindowsPath(name).drive or name.startswith(("/", "\\")) or ".." in parts[:1]:
         raise CaptureError(
-            f"{label}: {_shown(name)} lies outside {root}; put the file in there and name it "
-            "relative to that folder."
+            f"{label}: {_shown(name)} lies outside {root}; move the file into it and give its "
+            "path relative to that folder."
         )
     if not name or not parts or not _is_usable(parts):
-        raise CaptureError(f"{label}: {_shown(name)} is no name of a file; rename it.")
+        raise CaptureError(f"{label}: {_shown(name)} is not a valid file name; rename the file.")
     return root.joinpath(*parts)
 
 

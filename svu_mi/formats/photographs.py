@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from svu_mi.capture.images import IN_MASK, ON_OBJECT, SATURATED, UNUSABLE, read_mask
-from svu_mi.capture.picture import bits_of, decoded, is_turned, read_planes
-from svu_mi.exr import has_foreign_colors, write_exr
+from svu_mi.capture.picture import decoded, open_picture
+from svu_mi.exr import write_exr
 from svu_mi.formats.resampling import resampled
 from svu_mi.formats.source import Frame
 
@@ -25,15 +25,17 @@ class Converted:
     Attributes:
         bits: 8 or 16 if it holds integers; 0 for floats.
         foreign: whether its chromaticities are not those of Rec. 709.
+        turned: whether EXIF data say that it is to be shown turned.
         saturated: number of its pixels that are clipped, on the object if there is a mask.
         invalid: number of its pixels that are NaN, infinite or negative.
-        masked: whether it has a mask; an alpha channel that is opaque everywhere is none.
+        masked: whether it has a mask; an alpha channel that is opaque everywhere does not count.
         empty: whether nothing of the object is in its mask.
         inverted: whether its mask has the border of the photograph, and leaves something out.
     """
 
     bits: int
     foreign: bool
+    turned: bool
     saturated: int
     invalid: int
     masked: bool
@@ -56,13 +58,13 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
         CaptureError: the photograph or the mask cannot be read, or differ in size.
         OutputError: the file cannot be written.
     """
-    planes, low_range = read_planes(frame.image)
-    bits = bits_of(frame.image) if low_range else 0
-    mask = _mask(frame, planes, low_range)
+    picture = open_picture(frame.image)
+    planes, bits = picture.planes(), picture.bits
+    mask = _mask(frame, planes, bits > 0)
     del planes[3:]
     clipped, invalid = np.zeros((2, *planes[0].shape), bool)
     for channel, plane in enumerate(planes):  # one at a time: photographs may be huge
-        if low_range:
+        if bits:
             clipped |= plane > SATURATED[bits]
             planes[channel] = decoded(plane, frame.transfer)
         invalid |= ~(np.isfinite(plane) & (plane >= 0))
@@ -80,7 +82,8 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
     write_exr(path, channels, half=bits == 8)  # eight bits lose nothing there
     return Converted(
         bits=bits,
-        foreign=frame.image.suffix.lower() == ".exr" and has_foreign_colors(frame.image),
+        foreign=picture.header.foreign,
+        turned=picture.is_turned(),
         saturated=int(clipped.sum()),
         invalid=int(invalid.sum()),
         masked=mask is not None,
@@ -116,53 +119,32 @@ def about(frames: Sequence[Frame], found: Sequence[Converted]) -> list[str]:
         frames: V photographs.
         found: V times what was found in them.
     """
-    notes = []
-    count, low = len(found), [c.bits for c in found if c.bits]
-    if low:
-        saturated = sum(c.saturated for c in found)
-        kinds = " and ".join(f"{bits}" for bits in sorted(set(low)))
-        notes.append(
-            f"{len(low)} of {count} photographs are not HDR: of {kinds} bits, decoded as "
-            f"{frames[0].transfer}, "
-            f"{saturated} clipped pixels left out. Clipped highlights hide what gloss says."
-        )
-    turned = [frame.image.name for frame in frames if is_turned(frame.image)]
-    if turned:
-        notes.append(
-            f"{len(turned)} of {count} photographs, {turned[0]} first, are stored turned, and "
-            "upright by their EXIF data alone, which are left out: poses must be of the pixels as "
-            "stored. If svu check shows them turned, write them upright and import again."
-        )
-    foreign = [f.image.name for f, c in zip(frames, found, strict=True) if c.foreign]
-    if foreign:
-        notes.append(
-            f"{len(foreign)} of {count} photographs, {foreign[0]} first, have chromaticities other "
-            "than those of Rec. 709; their numbers are taken as they are: convert them if colours "
-            "matter."
-        )
-    bad = [f.image.name for f, c in zip(frames, found, strict=True) if c.invalid]
-    if bad:
-        pixels = sum(c.invalid for c in found)
-        notes.append(
-            f"{len(bad)} of {count} photographs, {bad[0]} first, have {pixels} pixels that are "
-            "NaN, infinite or negative; left out."
-        )
-    empty = [f.image.name for f, c in zip(frames, found, strict=True) if c.empty]
-    if empty:
-        notes.append(
-            f"{len(empty)} of {count} photographs, {empty[0]} first, have an empty mask: nothing "
-            "of them is used."
-        )
-    inverted = sum(c.inverted for c in found)
-    if inverted > count / 2:
-        notes.append(
-            f"{inverted} of {count} masks have the border of the photograph; if the object is "
-            "black in them, invert them: white is the object."
-        )
-    bare = count - sum(c.masked for c in found)
-    if bare:
-        notes.append(
-            f"{bare} of {count} photographs have no mask: what stands before the object is taken "
-            "for it."
-        )
-    return notes
+    count, low = len(found), {c.bits for c in found if c.bits}
+
+    def those(chosen: Sequence[bool], words: str, least: float = 0) -> list[str]:
+        names = [f.image.name for f, is_chosen in zip(frames, chosen, strict=True) if is_chosen]
+        first = f"{len(names)} of {count} photographs, {names[0]} first," if names else ""
+        return [f"{first} {words}"] if len(names) > least else []
+
+    clipped, invalid = (sum(getattr(c, name) for c in found) for name in ("saturated", "invalid"))
+    kinds = " and ".join(map(str, sorted(low)))
+    return [
+        *those([c.bits > 0 for c in found],
+              f"are not HDR: of {kinds} bits, decoded as {frames[0].transfer}, {clipped} clipped "
+              "pixels left out. Clipped highlights hide gloss: use HDR."),
+        *those([c.turned for c in found],
+              "are stored rotated; their EXIF orientation is ignored, because poses must be of the "
+              "pixels as stored. If svu check shows them rotated, save their pixels upright and "
+              "import again."),
+        *those([c.foreign for c in found],
+              "have chromaticities other than those of Rec. 709; their values are used as they "
+              "are: convert them if colours matter."),
+        *those([c.invalid > 0 for c in found],
+              f"have {invalid} pixels that are NaN, infinite or negative; left out."),
+        *those([c.empty for c in found], "have an empty mask: nothing of them is used."),
+        *those([c.inverted for c in found],
+              "have a mask with their border in it; if the object is black there, invert the "
+              "masks: white is the object.", least=count / 2),
+        *those([not c.masked for c in found],
+              "have no mask: anything in front of the object is taken for it."),
+    ]  # fmt: skip

@@ -1,42 +1,65 @@
-"""Any capture of another tool: find out what it is, and read it."""
+"""Any capture of another tool: find out what it is, and read it.
+
+A format is a module of this package with two functions: ``recognises(path, split)`` says
+whether a path is such a capture, and ``read(path, options)`` makes a ``Source`` of it. Modules are
+imported when they are asked, since the command line reads this table at its start.
+"""
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.formats.colmap import read_colmap
-from svu_mi.formats.colmap.project import find_model
-from svu_mi.formats.objects_with_lighting import find_inputs, read_owl
-from svu_mi.formats.source import Source
-from svu_mi.formats.stanford_orb import is_orb, read_orb
-from svu_mi.formats.transforms import FILE, read_transforms
 from svu_mi.settings import require_known
 
-Format = Literal["transforms", "colmap", "stanford-orb", "owl"]
+if TYPE_CHECKING:
+    from svu_mi.formats.source import Source
+
+    Format = str
+
+# The module of each, in the order they are asked: Stanford-ORB has transforms_train.json, too.
+FORMATS = {
+    "stanford-orb": "stanford_orb",
+    "transforms": "transforms",
+    "colmap": "colmap.source",
+    "owl": "objects_with_lighting",
+}
+AUTO = "auto"
+
+if not TYPE_CHECKING:
+    Format: Any = Literal[(AUTO, *FORMATS)]
+
+
+class Reader(Protocol):
+    """What the module of a format has."""
+
+    def recognises(self, path: Path, split: str) -> bool:
+        """Whether a file or folder is a capture of this format; a split may have its own file."""
+
+    def read(self, path: Path, options: ReadOptions) -> Source:
+        """Read it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReadOptions:
-    """How a source is read.
+    """How a source is read."""
 
-    Attributes:
-        format: None = found by the files that are there.
-        images: COLMAP: folder of the photographs.
-        masks: COLMAP: folder of the masks.
-        split: part of the data set: ``train`` or ``test``.
-        environment_view: Stanford-ORB: name of the test photograph whose light is taken.
-        original_world: transforms.json: undo nerfstudio's ``applied_transform``.
-    """
-
-    format: Format | None = None
+    format: Format = AUTO
+    """Format of the source; auto detects it."""
     images: Path | None = None
+    """COLMAP: folder of the photographs."""
     masks: Path | None = None
+    """COLMAP: folder of the masks."""
     split: str = "train"
+    """Part of the data set: train, test, val, or X of transforms_X.json; Stanford-ORB: train,
+    test, or another capture of the same object."""
     environment_view: str | None = None
+    """Stanford-ORB: test photograph whose environment is the light; by default the first."""
     original_world: bool = False
+    """Undo the applied_transform of nerfstudio."""
 
 
 def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
@@ -52,41 +75,30 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
         OptionError: an unknown format, or folders that it has no use for.
     """
     path, options = Path(path), options or ReadOptions()
-    if options.format is not None:
-        require_known([options.format], get_args(Format), "format")
+    # Nothing at all means the same from Python.
+    kind = AUTO if options.format is None else options.format
+    require_known([kind], (AUTO, *FORMATS), "format")
     if not path.exists():
         raise CaptureError(f"{path}: no such file or folder; give a capture to import.")
-    kind = options.format or _guess(path, options.split)
+    kind = _recognised(path, options.split) if kind == AUTO else kind
     if kind != "colmap" and (options.images or options.masks):
         raise OptionError(
             f"--images and --masks are for COLMAP, but {path} is read as {kind}, which names its "
             "photographs and masks itself."
         )
-    if kind == "colmap":
-        return read_colmap(path, images=options.images, masks=options.masks)
-    if kind == "stanford-orb":
-        return read_orb(path, split=options.split, environment_view=options.environment_view)
-    if kind == "owl":
-        return read_owl(path)
-    file = path if path.is_file() else _transforms_in(path, options.split)
-    return read_transforms(file, original_world=options.original_world)
+    return _reader(kind).read(path, options)
 
 
-def _guess(path: Path, split: str) -> Format:
-    if is_orb(path):  # it has transforms_train.json, too
-        return "stanford-orb"
-    if path.suffix.lower() == ".json" or _transforms_in(path, split).is_file():
-        return "transforms"
-    if find_model(path) is not None:
-        return "colmap"
-    if find_inputs(path) is not None:
-        return "owl"
+def _recognised(path: Path, split: str) -> str:
+    for name in FORMATS:
+        if _reader(name).recognises(path, split):
+            return name
     raise CaptureError(
-        f"{path}: no known capture; expected {FILE}, a COLMAP model, Stanford-ORB or Objects with "
-        "Lighting. Say which with --format."
+        f"{path}: not a known kind of capture; expected transforms.json, a COLMAP model, "
+        "Stanford-ORB or Objects with Lighting: choose one with --format."
     )
 
 
-def _transforms_in(folder: Path, split: str) -> Path:
-    parts = folder / f"transforms_{split}.json"
-    return parts if parts.is_file() else folder / FILE
+def _reader(name: str) -> Reader:
+    module: Any = importlib.import_module(f"svu_mi.formats.{FORMATS[name]}")
+    return module

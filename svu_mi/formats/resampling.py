@@ -37,13 +37,13 @@ def fitted(frame: Frame, size: tuple[int, int]) -> Frame:
         if abs(frame.size[0] * size[0] / frame.size[1] - size[1]) <= SAME_ASPECT:
             raise CaptureError(
                 f"{frame.image}: has {size[0]} x {size[1]} pixels, but {frame.label} is of "
-                f"{frame.size[0]} x {frame.size[1]}: the photograph is stored on its side; write "
-                "it upright, as EXIF data may say, in its pixels."
+                f"{frame.size[0]} x {frame.size[1]}: the photograph is stored on its side; save "
+                "its pixels upright (its EXIF orientation may be set)."
             )
         raise CaptureError(
             f"{frame.image}: has {size[0]} x {size[1]} pixels, but {frame.label} is of "
-            f"{frame.size[0]} x {frame.size[1]}, which is another shape; give the photograph that "
-            "was calibrated."
+            f"{frame.size[0]} x {frame.size[1]}, which has another aspect ratio; give the "
+            "photograph that was calibrated."
         )
     return replace(_scaled(frame, scale), size=size)
 
@@ -59,7 +59,7 @@ def squared(frame: Frame, shrink: float = 1.0) -> tuple[Frame, tuple[float, floa
         OptionError: another factor, or one that leaves no pixel.
     """
     if not (np.isfinite(shrink) and shrink >= 1):
-        raise OptionError(f"Photographs can be shrunk by a factor of 1 or more, got {shrink}.")
+        raise OptionError(f"The factor to shrink photographs by must be at least 1, got {shrink}.")
     fx, fy = frame.focal
     if abs(fx / fy - 1) * max(frame.size) / 2 < NEARLY_SQUARE:
         fx = fy = float(np.sqrt(fx * fy))
@@ -67,7 +67,7 @@ def squared(frame: Frame, shrink: float = 1.0) -> tuple[Frame, tuple[float, floa
     scale = target / fx, target / fy
     width, height = (int(n * s + WHOLE) for n, s in zip(frame.size, scale, strict=True))
     if min(width, height) < 1:
-        raise OptionError(f"{frame.label}: nothing is left of a photograph shrunk by {shrink}.")
+        raise OptionError(f"{frame.label}: shrinking by {shrink} leaves no pixel; shrink less.")
     made = replace(_scaled(frame, scale), size=(width, height), focal=(target, target))
     return made, scale
 

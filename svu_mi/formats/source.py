@@ -17,21 +17,13 @@ from svu_mi.capture.picture import Transfer
 from svu_mi.capture.poses import affine, film_size, focal_length, make_sensor, principal_point
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError, excerpt
+from svu_mi.formats.options import ENVIRONMENT_AXES as ENVIRONMENT_AXES
+from svu_mi.formats.options import Light as Light
 
 # Columns of a camera-to-world rotation that change their sign on the way to Mitsuba's camera:
 # +X left, +Y up, +Z forward. Each matrix is its own inverse.
 OPENGL = np.diag([-1.0, 1.0, -1.0, 1.0])  # +X right, +Y up, looks along -Z: Blender, NeRF
 OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])  # +X right, +Y down, +Z forward: COLMAP
-
-# Rotations from the frame of Mitsuba's envmap (+Y top row, +Z centre, +X at u = 1/4) to the world,
-# by the convention that a map was made in.
-ENVIRONMENT_AXES = {
-    "mitsuba": np.eye(3),
-    "opengl": np.diag([-1.0, 1.0, -1.0]),  # +Y top, -Z centre, -X at u = 1/4
-    "threejs": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),  # +Y top, +X centre
-    "blender": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),  # +Z top, +X centre, +Y at u = 1/4
-}
-
 
 MAX_DISTANCE = 1e9  # units; single precision is long lost there
 MAX_SIDE = 2**16  # pixels; no camera has more, a damaged file easily
@@ -74,7 +66,7 @@ class Frame:
     transfer: Transfer = "srgb"
 
     def __post_init__(self) -> None:
-        """Refuse what is no camera.
+        """Refuse what is not a camera.
 
         Raises:
             CaptureError: a number that is NaN, infinite or out of range, or a pose that is
@@ -100,7 +92,7 @@ class Frame:
             )
         if not 0 < self.exposure < np.inf:
             raise CaptureError(
-                f"{self.label}: the exposure is {self.exposure:g}, but must be positive: give the "
+                f"{self.label}: the exposure must be positive, got {self.exposure:g}; give the "
                 "factor that radiance was multiplied by."
             )
 
@@ -160,7 +152,7 @@ def frame_of(sensor: Any, image: Path, **fields: Any) -> Frame:
 def _rigid(matrix: np.ndarray, label: str) -> np.ndarray:
     """Return the (4, 4) rotation and translation nearest to a pose, without its scale."""
     if np.shape(matrix) != (4, 4) or not (np.abs(matrix) < LARGEST).all():  # NaN fails, too
-        raise CaptureError(f"{label}: the pose is not a 4 x 4 matrix without NaN; export it again.")
+        raise CaptureError(f"{label}: the pose is not a finite 4 x 4 matrix; export it again.")
     if not np.allclose(matrix[3], [0, 0, 0, 1]):
         raise CaptureError(
             f"{label}: the last row of the pose must be 0 0 0 1; export it as camera to world, "
@@ -180,27 +172,8 @@ def _rigid(matrix: np.ndarray, label: str) -> np.ndarray:
         )
     left, _, right = np.linalg.svd(rotation)
     if not np.allclose(left @ right * scale, rotation, atol=RIGID * scale) or scale == 0:
-        raise CaptureError(f"{label}: the pose is no rotation and translation; remove the shear.")
+        raise CaptureError(f"{label}: the pose is not a rigid transform; remove its shear.")
     return affine(left @ right, matrix[:3, 3])
-
-
-@dataclass(frozen=True, kw_only=True)
-class Light:
-    """An environment map.
-
-    Attributes:
-        path: an HDR or EXR lat-long map (text becomes a path).
-        to_world: (3, 3) float64, from the frame of Mitsuba's envmap to the world: a rotation,
-            such as one of ``ENVIRONMENT_AXES``.
-        scale: factor of its radiance.
-    """
-
-    path: Path
-    to_world: np.ndarray = field(default_factory=lambda: np.eye(3))
-    scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "path", Path(self.path))
 
 
 @dataclass(frozen=True, kw_only=True)

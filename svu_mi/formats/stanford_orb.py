@@ -21,15 +21,18 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from svu_mi.capture.picture import image_size
+from svu_mi.capture.picture import open_picture
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.formats.paths import inside
 from svu_mi.formats.source import OPENGL, Frame, Light, Source
 from svu_mi.formats.transforms import parse_frame, read_poses
+
+if TYPE_CHECKING:
+    from svu_mi.formats.reading import ReadOptions
 
 Split = Literal["train", "test", "novel"]
 
@@ -61,30 +64,14 @@ class OrbView:
         return self.frame.image.stem
 
 
-def is_orb(path: str | Path) -> bool:
-    """Return whether a folder looks like a capture of this data set."""
-    path = Path(path)
+def recognises(path: Path, _: str) -> bool:
+    """Whether a folder looks like a capture of this data set."""
     return path.absolute().parent.name in SUFFIXES and (path / _file("train")).is_file()
 
 
-def find_captures(data: str | Path) -> tuple[Path, ...]:
-    """Return the folders of all captures of a data set, by name.
-
-    Args:
-        data: its folder.
-
-    Raises:
-        OptionError: there is none.
-    """
-    kind = next(iter(SUFFIXES))  # with high range
-    folder = Path(data) / kind
-    found = sorted(path.parent for path in folder.glob(f"*/{_file('train')}"))
-    if not found:
-        raise OptionError(
-            f"{folder}: holds no capture (a folder with {_file('train')}); give the folder that "
-            f"Stanford-ORB's {kind} and {TRUTH} were unpacked into."
-        )
-    return tuple(found)
+def read(path: Path, options: ReadOptions) -> Source:
+    """Read a capture (see ``read_orb``)."""
+    return read_orb(path, split=options.split, environment_view=options.environment_view)
 
 
 def read_orb(
@@ -116,8 +103,8 @@ def read_orb(
     mesh = path.parent.parent / TRUTH / path.name / MESH
     if mesh.is_file():
         notes.append(
-            f"{mesh}: the scans of this data set came with normals turned by 90 degrees (y and z "
-            "exchanged); normals that contradict their triangles are computed anew."
+            f"{mesh}: the scans of this data set have normals rotated by 90 degrees (y and z "
+            "exchanged); normals that contradict their triangles are computed again."
         )
     return Source(
         format="stanford-orb",
@@ -168,7 +155,7 @@ def _view(path: Path, record: dict[str, Any], given: Any, label: str) -> OrbView
         raise CaptureError(f"{label}: file_path must be text.")
     image = inside(capture, name + SUFFIXES[kind], label)
     mask = image.parent.with_name(f"{image.parent.name}_mask") / f"{image.stem}.png"
-    width, height = image_size(image)
+    width, height = open_picture(image).size
     files = {"file_path": image.relative_to(root).as_posix(), "w": width, "h": height}
     if mask.is_file():
         files["mask_path"] = mask.relative_to(root).as_posix()
@@ -194,12 +181,12 @@ def _light(
         return None, [f"{folder}: no environment map; give the light with --environment."]
     if wanted is not None and wanted not in lights:
         raise OptionError(
-            f"{path}: there is no environment map of the test photograph {wanted!r}; there are "
+            f"{path}: no environment map for the test photograph {wanted!r}; use one of "
             f"{', '.join(lights)}."
         )
     chosen = wanted or next(iter(lights))
     note = (
         f"{path}: {len(lights)} environment maps, one for each test photograph; that of {chosen} "
-        "is taken for all."
+        "is used for all."
     )
     return lights[chosen], [note] if len(lights) > 1 else []

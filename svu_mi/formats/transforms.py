@@ -10,19 +10,46 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svu_mi.capture.picture import SUFFIXES, image_size
-from svu_mi.errors import CaptureError, excerpt
+from svu_mi.capture.picture import SUFFIXES, open_picture
+from svu_mi.errors import CaptureError, OptionError, excerpt
 from svu_mi.files import read_json, write_json
 from svu_mi.formats.paths import inside, name_in
 from svu_mi.formats.source import OPENGL, Frame, Source
 
+if TYPE_CHECKING:
+    from svu_mi.formats.reading import ReadOptions
+
 FILE = "transforms.json"
+SPLITS = ("train", "test", "val")  # parts that a folder usually has
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 BENT = ("FISHEYE", "EQUIRECTANGULAR", "ORTHO", "VR180", "OMNIDIRECTIONAL")  # parts of models' names
+
+
+def recognises(path: Path, split: str) -> bool:
+    """Whether a path is a JSON file, or a folder with transforms.json or a part of it."""
+    files = (path / FILE, *(_part(path, name) for name in (*SPLITS, split)))
+    return path.suffix.lower() == ".json" or any(file.is_file() for file in files)
+
+
+def read(path: Path, options: ReadOptions) -> Source:
+    """Read a file, or that of a folder (see ``read_transforms``)."""
+    if not path.is_file():
+        part = _part(path, options.split)
+        if not part.is_file() and options.split not in SPLITS:
+            raise OptionError(
+                f"{path}: has no {part.name}; use a split that it has, usually one of "
+                f"{', '.join(SPLITS)}."
+            )
+        path = part if part.is_file() else path / FILE
+    return read_transforms(path, original_world=options.original_world)
+
+
+def _part(folder: Path, split: str) -> Path:
+    return folder / f"transforms_{split}.json"
 
 
 def read_transforms(path: str | Path, *, original_world: bool = False) -> Source:
@@ -39,7 +66,7 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
             world before it, which a mesh from the photogrammetry tool is in.
 
     Raises:
-        CaptureError: the file is no such JSON, a frame lacks something, names a file outside
+        CaptureError: the file is not such JSON, a frame lacks something, names a file outside
             the folder, or its lens is not straight, or its pose mirrored.
     """
     path = Path(path)
@@ -48,8 +75,8 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
     before = np.linalg.inv(applied) if original_world else np.eye(4)
     kept = not original_world and not np.allclose(applied, np.eye(4))
     note = (
-        f"{path}: has an applied_transform; poses are taken as they stand, in the world after it. "
-        "If the mesh is in the world before, import with --original-world."
+        f"{path}: has an applied_transform; poses are used as they are, in the world after it. "
+        "If the mesh is in the world before it, import with --original-world."
     )
     return Source(
         format="transforms",
@@ -67,7 +94,7 @@ def read_poses(path: Path) -> tuple[dict[str, Any], list[Any]]:
     """Return what a file says as a whole, and the frames that it lists, at least one.
 
     Raises:
-        CaptureError: the file is no such JSON.
+        CaptureError: the file is not such JSON.
     """
     record = read_json(path)
     frames = record.get("frames") if isinstance(record, dict) else None
@@ -142,8 +169,8 @@ def parse_frame(
         masked = known.get("mask_path")
         mask = None if masked is None else inside(root, masked, label)
         size = _size(known, image)
-        fl_x = _focal(known, size)
-        fl_y = _focal_y(known, size, fl_x)
+        fl_x = _focal(known, "x", size[0])
+        fl_y = _focal(known, "y", size[1], fl_x)  # instant-ngp may say camera_angle_y
         center = (float(known.get("cx", size[0] / 2)), float(known.get("cy", size[1] / 2)))
         exposure = float(known.get("exposure", 1.0))
     except (KeyError, TypeError, ValueError, OverflowError, ZeroDivisionError) as error:
@@ -170,36 +197,32 @@ def _refuse_bent(known: Mapping[str, Any], label: str) -> None:
     model = str(known.get("camera_model", "")).upper()
     if any(name in model for name in BENT) or known.get("is_fisheye"):
         raise CaptureError(
-            f"{label}: {model.lower()[:40] or 'a fisheye'} is no pinhole; undistort the "
+            f"{label}: {model.lower()[:40] or 'a fisheye'} is not a pinhole camera; undistort the "
             "photographs first."
         )
     listed = known.get("distortion_params") or ()
     if any(known.get(key) for key in DISTORTION) or (isinstance(listed, list) and any(listed)):
         raise CaptureError(
-            f"{label}: the lens is distorted; svu import straightens COLMAP's photographs with "
-            "--undistort (nerfstudio keeps that model in colmap/sparse/0); others undistort first."
+            f"{label}: the lens is distorted; svu import undistorts COLMAP's photographs with "
+            "--undistort (nerfstudio keeps that model in colmap/sparse/0); undistort others first."
         )
 
 
 def _size(known: Mapping[str, Any], image: Path) -> tuple[int, int]:
     if "w" not in known and "h" not in known and known.get("file_path") is not None:
-        return image_size(image)
+        return open_picture(image).size
     return int(known["w"]), int(known["h"])
 
 
-def _focal(known: Mapping[str, Any], size: tuple[int, int]) -> float:
-    if "fl_x" in known:
-        return float(known["fl_x"])
-    return size[0] / 2 / math.tan(float(known["camera_angle_x"]) / 2)
-
-
-def _focal_y(known: Mapping[str, Any], size: tuple[int, int], fl_x: float) -> float:
-    """Return fl_y: instant-ngp may say camera_angle_y instead."""
-    if "fl_y" in known:
-        return float(known["fl_y"])
-    if "camera_angle_y" in known:
-        return size[1] / 2 / math.tan(float(known["camera_angle_y"]) / 2)
-    return fl_x
+def _focal(
+    known: Mapping[str, Any], axis: str, side: int, default: float | None = None
+) -> float:
+    """Return the focal length along an axis, given itself or as an angle over a side."""
+    if f"fl_{axis}" in known:
+        return float(known[f"fl_{axis}"])
+    if default is not None and f"camera_angle_{axis}" not in known:
+        return default
+    return side / 2 / math.tan(float(known[f"camera_angle_{axis}"]) / 2)
 
 
 def _image(root: Path, given: Any, label: str) -> Path:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from svu_mi.frequency.arrays import scatter_rows
 from svu_mi.frequency.batch import fit_sh
-from svu_mi.frequency.fit import fit_lanes
-from svu_mi.frequency.groups import SolverGroup, solver_groups
+from svu_mi.frequency.fit import SolverGroup, fit_lanes, solver_groups
 from svu_mi.frequency.spectrum import power_lanes, power_spectrum
 
 __all__ = [

@@ -13,8 +13,8 @@ import numpy as np
 
 from svu_mi.errors import OptionError
 from svu_mi.frequency import arrays, harmonics
-from svu_mi.frequency.fit import fit_lanes
-from svu_mi.frequency.groups import solver_groups
+from svu_mi.frequency.fit import fit_lanes, solver_groups
+from svu_mi.frequency.system import System
 from svu_mi.options import Preset
 from svu_mi.options import preset as named_preset
 
@@ -87,10 +87,7 @@ def fit_sh(
         raise OptionError(
             f"fit_sh(): regularizer must be a number in [1e-12, 1e12], got {regularizer!r}."
         )
-    if method not in ("auto", "primal", "dual"):
-        raise OptionError(f"fit_sh(): method must be auto, primal or dual, got {method!r}.")
-    chosen = named_preset(preset)
-
+    penalize_constant = named_preset(preset).penalize_constant
     weight_tensor = arrays.tensor(weights, "fit_sh()", "weights", ("T", "V"))
     texels, views = weight_tensor.shape
     direction_tensor = arrays.tensor(directions, "fit_sh()", "directions", (texels, views, 3))
@@ -111,19 +108,11 @@ def fit_sh(
     visible = _inspect(samples, texels, views)
     coefficients = dr.zeros(mi.Float, texels * shape[1] * channels)
     dr.eval(coefficients)
+    system = System.of(lmax, channels, float(regularizer), penalize_constant)
     for group in solver_groups(visible, lmax, method):
-        texel = group.selection
-        fitted = fit_lanes(
-            partial(samples.at, texel),
-            samples.views,
-            degree=lmax,
-            channels=channels,
-            regularizer=float(regularizer),
-            penalize_constant=chosen.penalize_constant,
-            method=group.method,
-            capacity=group.capacity,
-        )
-        dr.eval(arrays.scatter_rows(coefficients, fitted, texel))
+        sample = partial(samples.at, group.selection)
+        fitted = fit_lanes(sample, samples.views, system, group.capacity)
+        dr.eval(arrays.scatter_rows(coefficients, fitted, group.selection))
     return mi.TensorXf(coefficients, shape)
 
 

@@ -47,25 +47,14 @@ def store(memory: list[Any], index: Any, tile: Tile) -> None:
         slot[index] = value
 
 
-def _subtract_outer(tile: Tile, a: Tile, b: Tile, size: int) -> Tile:
-    """Return tile - a b^T."""
+def _subtract_outer(tile: Tile, a: Tile, b: Tile, size: int, lower: bool = False) -> Tile:
+    """Return tile - a b^T, or only its lower triangle."""
     out = list(tile)
     for k in range(size):
         for i in range(size):
-            for j in range(size):
+            for j in range(i + 1 if lower else size):
                 q = i * size + j
                 out[q] = dr.fma(-a[i * size + k], b[j * size + k], out[q])
-    return out
-
-
-def _subtract_square(tile: Tile, a: Tile, size: int) -> Tile:
-    """Return tile - a a^T, the lower triangle only."""
-    out = list(tile)
-    for k in range(size):
-        for i in range(size):
-            for j in range(i + 1):
-                q = i * size + j
-                out[q] = dr.fma(-a[i * size + k], a[j * size + k], out[q])
     return out
 
 
@@ -167,7 +156,7 @@ def factor_and_forward(
         bk = mi.UInt32(0)
         while bk < bi:
             left = load(lower, row + bk)
-            diagonal = _subtract_square(diagonal, left, size)
+            diagonal = _subtract_outer(diagonal, left, left, size, True)
             block = _subtract_applied(block, left, load(solution, bk), size, False)
             bk += 1
         diagonal = _factor(diagonal, size)

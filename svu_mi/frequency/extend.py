@@ -11,12 +11,13 @@ two substitutions instead of a factorisation. In double precision, like the fit 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.frequency import cholesky, harmonics
+from svu_mi.frequency import cholesky
 from svu_mi.frequency.primal import Solved, read_rows, write_row
 from svu_mi.frequency.spectrum import power_lanes
 from svu_mi.frequency.system import Sample, System, unit
@@ -29,40 +30,23 @@ Take = Callable[[Any, list[list[Any]]], None]
 
 
 def extend_lanes(
-    known: Sample,
-    views: Any,
-    added: Sample,
-    candidates: Any,
-    take: Take,
-    *,
-    degree: int,
-    channels: int,
-    regularizer: float,
-    penalize_constant: bool,
+    known: tuple[Sample, Any], added: tuple[Sample, Any], system: System, take: Take
 ) -> list[list[Any]]:
     """Fit the samples that are known, then each candidate in addition to them.
 
     Args:
-        known: samples of Eq. 12, as ``fit_lanes`` takes them.
-        views: how many, an opaque UInt32.
+        known: samples of Eq. 12, as ``fit_lanes`` takes them, and how many, an opaque UInt32.
         added: the candidates, in the same form.
-        candidates: how many, an opaque UInt32.
+        system: the problem.
         take: called where a candidate's weight is positive, within the kernel.
-        degree: l*, in [0, 9].
-        channels: number of right-hand sides.
-        regularizer: lambda > 0.
-        penalize_constant: R_00 = 1 as printed (True) or 0 (False).
 
     Returns:
         Power spectrum of the known samples alone: Float64 by degree and channel.
     """
-    ridge = [max(value, FREE) for value in harmonics.ridge(degree, penalize_constant)]
-    system = System(degree, channels, ridge, dr.opaque(mi.Float64, regularizer))
-    solved = Solved.of(known, views, system)
-    _add_each(
-        _Change(system, added, take), candidates, solved.factor, solved.solution, solved.rows,
-        solved.blocks, degree + 1,
-    )  # fmt: skip
+    system = replace(system, ridge=[max(value, FREE) for value in system.ridge])
+    solved = Solved.of(*known, system)
+    sample, candidates = added
+    _add_each(_Change(system, sample, take), candidates, solved, system.degree + 1)
     return power_lanes(solved.coefficients(system))
 
 
@@ -82,14 +66,17 @@ class _Change:
         z = [step[i % size][i // size] for i in range(size * size)]
         return 1 + sum(value * value for value in z)
 
-    def take(self, j: Any, fitted: list, step: list, y: list, weight: Any, values: list,
-             norm: Any) -> None:  # fmt: skip
-        """Hand the changed spectrum over; ``step`` holds A^-1 w y."""
-        size, old = self._system.degree + 1, read_rows(fitted, self._system)
-        errors = [
-            weight * (mi.Float64(f) - sum(b * c[k] for b, c in zip(y, old, strict=True))) / norm
+    def errors(self, fitted: list, y: list, values: list, scale: Any) -> list[Any]:
+        """scale (f - y . c) of every channel."""
+        old = read_rows(fitted, self._system)
+        return [
+            scale * (mi.Float64(f) - sum(b * c[k] for b, c in zip(y, old, strict=True)))
             for k, f in enumerate(values)
         ]
+
+    def take(self, j: Any, fitted: list, step: list, errors: list) -> None:
+        """Hand the changed spectrum over; ``step`` holds A^-1 w y."""
+        size, old = self._system.degree + 1, read_rows(fitted, self._system)
         new = [
             [dr.fma(step[i % size][i // size], e, c) for e, c in zip(errors, row, strict=True)]
             for i, row in enumerate(old)
@@ -98,9 +85,8 @@ class _Change:
 
 
 @dr.syntax
-def _add_each(
-    change: _Change, candidates: Any, gram: list, fitted: list, step: list, blocks: Any, size: int
-) -> Any:
+def _add_each(change: _Change, candidates: Any, solved: Solved, size: int) -> Any:
+    gram, fitted, step, blocks = solved.factor, solved.solution, solved.rows, solved.blocks
     j = mi.UInt32(0)
     while j < candidates:
         direction, weight, values = change.added(j)
@@ -108,8 +94,8 @@ def _add_each(
             y, w = change.basis(direction), mi.Float64(weight)
             write_row(step, y, w)
             step = cholesky.forward(gram, step, blocks, size)
-            norm = change.norm(step)
+            scale = w / change.norm(step)
             step = cholesky.backward(gram, step, blocks, size, size)
-            change.take(j, fitted, step, y, w, values, norm)
+            change.take(j, fitted, step, change.errors(fitted, y, values, scale))
         j += 1
     return step

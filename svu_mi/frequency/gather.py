@@ -10,12 +10,9 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.frequency.arrays import scatter_rows, scatter_strided
-from svu_mi.frequency.samples import Job
+from svu_mi.frequency.samples import Job, Photographed
 from svu_mi.frequency.spectrum import power_lanes
-from svu_mi.light import Lighting
 from svu_mi.options import Preset
-from svu_mi.surface import Texels
-from svu_mi.visibility import Survey, Views
 
 
 @dataclass(frozen=True)
@@ -27,10 +24,7 @@ class Spectra:
 
 
 def fit_spectra(
-    views: Views,
-    lighting: Lighting,
-    texels: Texels,
-    found: Survey,
+    observed: Photographed,
     switches: Preset,
     *,
     channels: int | None = None,
@@ -40,10 +34,7 @@ def fit_spectra(
     """Gather, fit and take power spectra in one kernel per solver; samples are never stored.
 
     Args:
-        views: the packed capture.
-        lighting: its band-limited light.
-        texels: the T texels.
-        found: who sees whom.
+        observed: the photographs of T texels.
         switches: degree, regulariser, R_00 of Eq. 12 and occlusion.
         channels: C of the photographs to fit, 1 or 3; the preset's own by default.
         light_channels: of the light; 1 stands for all C of grey light.
@@ -51,18 +42,15 @@ def fit_spectra(
     """
     colors = channels or switches.colors
     light = light_channels or colors
-    shape = (texels.count, switches.degree + 1, colors)
+    counts = np.maximum(observed.found.coverage.numpy(), 0 if skip_unseen else 1)
+    shape = (observed.texels.count, switches.degree + 1, colors)
     outgoing, incoming = dr.zeros(mi.TensorXf, shape), dr.zeros(mi.TensorXf, shape)
     dr.eval(outgoing, incoming)
-    job = Job(
-        views, lighting, texels, found, switches, switches.occluded, colors, light,
-        found.coverage.numpy() if skip_unseen else np.maximum(found.coverage.numpy(), 1),
-    )  # fmt: skip
-    for group, coefficients in job.solutions():
-        power = power_lanes(coefficients)
-        copies = colors // light
-        scatter_rows(outgoing.array, [row[:colors] for row in power], group.selection)
-        scatter_rows(incoming.array, [row[colors:] * copies for row in power], group.selection)
+    job = Job(observed, switches, counts, colors, light, switches.occluded)
+    for texel, coefficients in job.solutions():
+        power, copies = power_lanes(coefficients), colors // light
+        scatter_rows(outgoing.array, [row[:colors] for row in power], texel)
+        scatter_rows(incoming.array, [row[colors:] * copies for row in power], texel)
         dr.eval(outgoing, incoming)
     return Spectra(incoming=incoming, outgoing=outgoing)
 
@@ -100,35 +88,25 @@ class Coefficients:
 
 
 def fit_coefficients(
-    views: Views,
-    lighting: Lighting,
-    texels: Texels,
-    found: Survey,
-    switches: Preset,
-    *,
-    light_channels: int = 3,
+    observed: Photographed, switches: Preset, *, light_channels: int = 3
 ) -> Coefficients:
     """Gather and fit as ``fit_spectra`` does, in three channels, and keep the coefficients.
 
     Memory: 24 bytes per texel and coefficient, 1.2 kB per texel at degree 6.
 
     Args:
-        views: the packed capture, in three channels.
-        lighting: its band-limited light.
-        texels: the T texels.
-        found: who sees whom.
+        observed: the photographs of T texels, in three channels.
         switches: degree, regulariser, R_00 of Eq. 12 and occlusion.
         light_channels: of the light, 3, or 1 if it is grey.
     """
-    rows = (switches.degree + 1) ** 2 * (3 + light_channels)
-    values = dr.zeros(mi.Float, rows * texels.count)
+    count = observed.texels.count
+    values = dr.zeros(mi.Float, (switches.degree + 1) ** 2 * (3 + light_channels) * count)
     dr.eval(values)
     job = Job(
-        views, lighting, texels, found, switches, switches.occluded, 3, light_channels,
-        found.coverage.numpy(),
-    )  # fmt: skip
-    for group, coefficients in job.solutions():
+        observed, switches, observed.found.coverage.numpy(), 3, light_channels, switches.occluded
+    )
+    for texel, coefficients in job.solutions():
         flat = [value for row in coefficients for value in row]
-        values = scatter_strided(values, flat, group.selection, dr.opaque(mi.UInt32, texels.count))
+        values = scatter_strided(values, flat, texel, dr.opaque(mi.UInt32, count))
         dr.eval(values)
-    return Coefficients(values, switches.degree, 3, light_channels, texels.count)
+    return Coefficients(values, switches.degree, 3, light_channels, count)

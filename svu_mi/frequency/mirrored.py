@@ -12,12 +12,9 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError
-from svu_mi.frequency.samples import Job, Masking
+from svu_mi.frequency.samples import Job, Masking, Photographed
 from svu_mi.interop import owned
-from svu_mi.light import Lighting
 from svu_mi.options import Fit
-from svu_mi.surface import Texels
-from svu_mi.visibility import Survey, Views
 
 
 @dataclass(frozen=True)
@@ -25,19 +22,13 @@ class MirroredLight:
     """The light that texels mirror into their photographs, to be fitted (Eq. 12).
 
     Attributes:
-        views: the packed capture.
-        lighting: its band-limited light.
-        texels: the T texels.
-        found: who sees whom.
+        observed: the photographs of T texels.
         fit: degree, regulariser and R_00.
         channels: C of the light, 3 or 1.
         chosen: (S,) numbers of the texels to fit: their lanes.
     """
 
-    views: Views
-    lighting: Lighting
-    texels: Texels
-    found: Survey
+    observed: Photographed
     fit: Fit
     channels: int
     chosen: np.ndarray
@@ -62,7 +53,7 @@ class MirroredLight:
     @cached_property
     def lane(self) -> Any:
         """(T,) UInt32, which lane a texel has; 0 for others."""
-        lane = np.zeros(self.texels.count, np.uint32)
+        lane = np.zeros(self.observed.texels.count, np.uint32)
         lane[self.chosen] = np.arange(len(self.chosen))
         return owned(mi.UInt32, lane)
 
@@ -78,15 +69,12 @@ class MirroredLight:
             UInt32 lanes of texels that some view sees, and their (l* + 1)^2 coefficients: lists
             of F C Floats, not evaluated yet.
         """
-        for group, coefficients in self._job.solutions(masking, count):
-            yield dr.gather(mi.UInt32, self.lane, group.selection), coefficients
+        for texel, coefficients in self._job.solutions(masking, count):
+            yield dr.gather(mi.UInt32, self.lane, texel), coefficients
 
     @cached_property
     def _job(self) -> Job:
         """Of all steps of a recovery: who is solved by which kernel does not change."""
-        counts = np.zeros(self.texels.count, np.uint32)
-        counts[self.chosen] = self.found.coverage.numpy()[self.chosen]
-        return Job(
-            self.views, self.lighting, self.texels, self.found, self.fit, False, 0, self.channels,
-            counts,
-        )  # fmt: skip
+        counts = np.zeros(self.observed.texels.count, np.uint32)
+        counts[self.chosen] = self.observed.found.coverage.numpy()[self.chosen]
+        return Job(self.observed, self.fit, counts, 0, self.channels)

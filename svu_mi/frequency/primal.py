@@ -50,7 +50,8 @@ class Solved:
         rows = cholesky.allocate(mi.Float64, size, size)
         gram, right = _clear(gram, right, dr.opaque(mi.UInt32, memory), blocks)
         _add_ridge(gram, system, size)
-        gram, right, seen = _accumulate(sample, views, gram, right, rows, blocks, system.basis)
+        memory = gram, right, rows, blocks
+        gram, right, seen = _accumulate(sample, views, memory, system.basis)
         gram, right = cholesky.factor_and_forward(gram, right, blocks, size)
         right = cholesky.backward(gram, right, blocks, size, size)
         return Solved(gram, right, rows, blocks, seen)
@@ -92,15 +93,10 @@ def _add_ridge(gram: list, system: System, size: int) -> None:
 
 @dr.syntax
 def _accumulate(
-    sample: Sample,
-    views: Any,
-    gram: list,
-    right: list,
-    rows: list,
-    blocks: Any,
-    basis: Callable[[list], list],
+    sample: Sample, views: Any, memory: tuple[list, list, list, Any], basis: Callable[[list], list]
 ) -> tuple[list, list, Any]:
     """Add Y^T W^2 Y and Y^T W^2 f, and say which lanes saw anything."""
+    gram, right, rows, blocks = memory
     seen = mi.Bool(False)
     view = mi.UInt32(0)
     while view < views:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.frequency.fit import fit_lanes
-from svu_mi.frequency.groups import SolverGroup, solver_groups
+from svu_mi.frequency.fit import SolverGroup, fit_lanes, solver_groups
+from svu_mi.frequency.system import System
 from svu_mi.light import Lighting
 from svu_mi.options import Fit, Preset
 from svu_mi.surface import Texels
@@ -25,15 +25,33 @@ Masking = Callable[[Any, Any], list[Any]]
 """Cosines and numbers of texels to F factors."""
 
 
+class Photographed(Protocol):
+    """Photographs of texels under a light, as ``observed.Observed`` has them."""
+
+    @property
+    def views(self) -> Views:
+        """The packed capture."""
+
+    @property
+    def lighting(self) -> Lighting:
+        """Its band-limited light."""
+
+    @property
+    def texels(self) -> Texels:
+        """The T texels."""
+
+    @property
+    def found(self) -> Survey:
+        """Who sees whom."""
+
+
 @dataclass(frozen=True)
 class Samples:
     """Where the rows of Eq. 12 come from.
 
     Attributes:
-        views: the packed capture.
-        lighting: its band-limited light.
+        observed: the photographs.
         surface: the texels of the launch.
-        found: who sees whom.
         occluded: leave out light from where the object itself stands.
         channels: C of the photographs, 1 or 3; 0 leaves them out.
         light_channels: of the light, the same or 1.
@@ -41,10 +59,8 @@ class Samples:
             is a right-hand side per channel. By default 1.
     """
 
-    views: Views
-    lighting: Lighting
+    observed: Photographed
     surface: Surface
-    found: Survey
     occluded: bool
     channels: int
     light_channels: int
@@ -59,18 +75,15 @@ class Samples:
         Args:
             slot: UInt32, which view: ``found.order[slot]``.
         """
-        seen = self.found.look(self.views, self.surface, slot)
-        lit = self.found.asked(seen.seen)
+        views, found, lighting = self.observed.views, self.observed.found, self.observed.lighting
+        seen = found.look(views, self.surface, slot)
+        lit = found.asked(seen.seen)
         if self.occluded:
-            lit = mirror_free(self.views.scene, self.surface, seen, lit)
-
-        def mirrored(direction: Any, normal: Any) -> Any:
-            return self.lighting.radiance(mirror_direction(normal, direction))
-
+            lit = mirror_free(views.scene, self.surface, seen, lit)
         incoming = dr.if_stmt(
             args=(seen.direction, mi.Vector3f(self.surface.normal)),
             cond=lit,
-            true_fn=mirrored,
+            true_fn=lambda way, normal: lighting.radiance(mirror_direction(normal, way)),
             false_fn=lambda *_: dr.zeros(mi.Color3f),
         )
         light = as_channels(incoming, self.light_channels)
@@ -83,51 +96,48 @@ class Samples:
 
 @dataclass(frozen=True)
 class Job:
-    """What a fit of all texels was asked for; ``counts`` (T,) are the views of each to fit."""
+    """A fit of all texels, which may be asked for again under another masking.
 
-    views: Views
-    lighting: Lighting
-    texels: Texels
-    found: Survey
+    Attributes:
+        observed: the photographs.
+        switches: degree, regulariser and R_00 of Eq. 12.
+        counts: (T,) the views of each texel; those of 0 are not fitted.
+        channels, light_channels, occluded: as for ``Samples``.
+    """
+
+    observed: Photographed
     switches: Preset | Fit
-    occluded: bool
+    counts: np.ndarray
     channels: int
     light_channels: int
-    counts: np.ndarray
+    occluded: bool = False
 
     @cached_property
     def launches(self) -> list[tuple[SolverGroup, Surface]]:
         """The texels of each solver."""
         groups = solver_groups(self.counts, self.switches.degree)
-        return [(group, Surface.of(self.texels, group.selection)) for group in groups]
+        return [(group, Surface.of(self.observed.texels, group.selection)) for group in groups]
 
     def solutions(
         self, masking: Masking | None = None, factors: int = 1
-    ) -> Iterator[tuple[SolverGroup, list[list[Any]]]]:
-        """Yield the lanes of each solver and their coefficients, not evaluated yet.
+    ) -> Iterator[tuple[Any, list[list[Any]]]]:
+        """Yield the texels of each solver, UInt32, and their coefficients, not evaluated yet.
 
         Args:
             masking: of the light, as for ``Samples``.
             factors: how many it returns.
         """
-        switches = self.switches
+        fit = self.switches
+        system = System.of(
+            fit.degree, self.channels + factors * self.light_channels, fit.regularizer,
+            fit.penalize_constant,
+        )  # fmt: skip
         # Made now: a texture that is made while a loop is recorded does not outlive the recording.
-        dr.eval(self.lighting.filtered)
+        dr.eval(self.observed.lighting.filtered)
         for group, surface in self.launches:
             samples = Samples(
-                self.views, self.lighting, surface, self.found, self.occluded, self.channels,
-                self.light_channels, masking,
-            )  # fmt: skip
-            yield (
-                group,
-                fit_lanes(
-                    samples.at,
-                    self.found.count,
-                    degree=switches.degree,
-                    channels=self.channels + factors * self.light_channels,
-                    regularizer=switches.regularizer,
-                    penalize_constant=switches.penalize_constant,
-                    method=group.method,
-                    capacity=group.capacity,
-                ),
+                self.observed, surface, self.occluded, self.channels, self.light_channels, masking
+            )
+            yield group.selection, fit_lanes(
+                samples.at, self.observed.found.count, system, group.capacity
             )

@@ -56,15 +56,8 @@ def power_spectrum(coefficients: Any) -> Any:
     degree = harmonics.degree_of(count)
     if texels * channels == 0:
         return dr.zeros(mi.TensorXf, (texels, degree + 1, channels))
-    # Lanes run over the output: one entry each, at most 2 lmax + 1 additions.
-    lane = dr.arange(mi.UInt32, texels * (degree + 1) * channels)
-    channel, rest = lane % channels, lane // channels
-    l, texel = rest % (degree + 1), rest // (degree + 1)
-    first = (texel * count + l * l) * channels + channel
-    power = mi.Float(0)
-    for m in range(2 * degree + 1):
-        inside = m <= 2 * l
-        c = dr.gather(mi.Float, tensor.array, first + m * channels, inside)
-        power = dr.fma(c, c, power)
+    square = dr.square(tensor)
+    orders = [square[:, l * l : (l + 1) ** 2] for l in range(degree + 1)]  # m = -l ... l
+    power = dr.stack([dr.sum(of_degree, axis=1) for of_degree in orders], axis=1)
     dr.eval(power)
-    return mi.TensorXf(power, (texels, degree + 1, channels))
+    return power

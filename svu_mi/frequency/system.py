@@ -24,6 +24,19 @@ class System:
     ridge: list[float]  # e^l, 0 where a degree is free
     regularizer: Any  # lambda, an opaque double: a new value must not mean a new kernel
 
+    @staticmethod
+    def of(degree: int, channels: int, regularizer: float, penalize_constant: bool) -> System:
+        """State the problem.
+
+        Args:
+            degree: l*, in [0, 9].
+            channels: number of right-hand sides; they share one factorisation.
+            regularizer: lambda > 0.
+            penalize_constant: R_00 = 1 as printed (True) or 0 (False).
+        """
+        ridge = harmonics.ridge(degree, penalize_constant)
+        return System(degree, channels, ridge, dr.opaque(mi.Float64, regularizer))
+
     @property
     def degrees(self) -> list[int]:
         """The degree of every coefficient."""

@@ -10,13 +10,14 @@ estimator's: less where r_i(psi_0) is large. A candidate v adds its own term, ho
 there are, and whatever the base colour three numbers per row and channel hold the sum
 (``colors.py``).
 
-No photograph takes part: r = (1 - m) (c e + d) + m (c p + q), and e, p, q, d of every roughness
-level and channel are what ``Responses`` hold.
+No photograph takes part: e, p, q, d of every roughness level and channel, which parameters mix
+(``reflection/principled.py``), are what ``Responses`` hold.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import prod
 from typing import Any
 
 import drjit as dr
@@ -29,6 +30,9 @@ from svu_mi.guidance.measures import FAR
 from svu_mi.guidance.responses import Respond
 from svu_mi.posterior import PrincipledGrid, streaming
 from svu_mi.reflection.model import Model
+from svu_mi.reflection.principled import columns as columns_of
+from svu_mi.reflection.principled import mixture
+from svu_mi.reflection.shading import dot
 from svu_mi.statistics.gather import GRAZING
 from svu_mi.statistics.sums import noise_weight
 from svu_mi.visibility import Observation
@@ -63,7 +67,7 @@ def respond(scene: Any, model: Model) -> Respond:
 
 @dataclass(frozen=True)
 class AngularForecast(Forecast):
-    """``Forecast`` on a grid of (roughness, metallic, base colour).
+    """``Forecast`` on a ``PrincipledGrid``, whose R M rows are all but base colour.
 
     Attributes:
         truths: (T * R * M * C,) Float, the base colour that a row has if it is the truth.
@@ -119,10 +123,10 @@ class _Launch:
     def __init__(self, forecast: AngularForecast, lane: Any) -> None:
         self._forecast, self._lane = forecast, lane
         self._responses, self.measure = forecast.responses.at(lane), forecast.measure
-        levels, columns, _ = forecast.grid.shape
-        self._roughness, self._metallic, _ = forecast.grid.axes.values()
-        self.rows = levels * columns
-        self._columns = dr.opaque(mi.UInt32, columns)
+        levels, *mixed, _ = forecast.grid.shape
+        self._roughness, self._mixed = forecast.grid.roughness_nodes, forecast.grid.mixed_nodes
+        self.rows = levels * prod(mixed)
+        self._columns = dr.opaque(mi.UInt32, prod(mixed))
         self._truths, self.channels = forecast.truths, forecast.channels
         self._lobes = (self._responses.columns - 1) // (4 * levels)  # 1 of grey light
         self._kappa = dr.opaque(mi.Float, forecast.kappa)
@@ -174,26 +178,26 @@ class _Launch:
 
     def add(self, sums: list[Any], row: Any, energy: Any, channels: list[Parts]) -> list[Any]:
         """Add a row to the measure's sums."""
-        level, m = self._row(row)
-        shared = (streaming.node(mi.Float, self._roughness, level), m)
+        level, mixed = self._row(row)
+        shared = (streaming.node(mi.Float, self._roughness, level), *mixed)
         energy = dr.maximum(energy, -FAR)
         return self.measure.add(sums, self._forecast.colors.row(energy, channels, row), shared)
 
     def _prior(self, row: Any) -> Any:
         return dr.gather(mi.Float, self._forecast.prior, row)
 
-    def _row(self, row: Any) -> tuple[Any, Any]:
+    def _row(self, row: Any) -> tuple[Any, list[Any]]:
         level = row // self._columns
-        return level, streaming.node(mi.Float, self._metallic, row - level * self._columns)
+        return level, streaming.nodes(mi.Float, self._mixed, row - level * self._columns)
 
     def _lines(self, view: Any, row: Any) -> list[tuple[Any, Any]]:
         """Radiance of a row as slope and value at 0 over the base colour of each channel."""
-        level, m = self._row(row)
-        found = []
+        level, mixed = self._row(row)
+        how, found = mixture(*mixed), []
         for lobe in range(self._lobes):
             first = 1 + 4 * (level * self._lobes + lobe)
-            e, p, q, d = (self._responses.read(view, first + k) for k in range(4))
-            found.append((dr.lerp(e, p, m), dr.lerp(d, q, m)))
+            x = columns_of(*(self._responses.read(view, first + k) for k in range(4)))
+            found.append((dot(how.scaled, x), dot(how.constant, x)))
         return found if len(found) == self.channels else found * self.channels
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -114,32 +115,41 @@ class DOptimal:
 def jacobians(
     table: np.ndarray, nodes: list[np.ndarray], rows: np.ndarray, colors: np.ndarray
 ) -> np.ndarray:
-    """Differentiate radiance by roughness, metallic and the base colour of C channels.
+    """Differentiate radiance by roughness, what mixes and the base colour of C channels.
 
     Args:
         table: (V, T, R, L, 4) of e, p, q, d of every roughness level and channel of the light; 0
             where a view does not see a texel.
-        nodes: (R,) of roughness and (M,) of metallic.
+        nodes: (R,) of roughness and (M,) of every parameter that mixes.
         rows: (T,) where to differentiate: rows of the grid.
         colors: (T, C) and base colours.
 
     Returns:
-        (V, T, C, 2 + C), 0 between different channels; by roughness from the neighbouring levels,
-        and 0 for a metallic that is known.
+        (V, T, C, N + C) for N nodes, 0 between different channels; by roughness from the
+        neighbouring levels, and 0 for what is known of others.
     """
-    levels, count = len(nodes[0]), len(rows)
-    level, m = rows // len(nodes[1]), nodes[1][rows % len(nodes[1])][:, None]
+    # The command line reads this module at its start, without Dr.Jit.
+    from svu_mi.reflection.principled import columns, mixture, slope
 
-    def radiance(at: np.ndarray) -> tuple[np.ndarray, ...]:
-        e, p, q, d = np.moveaxis(table[:, np.arange(count), at], -1, 0)  # (V, T, L) each
-        return (1 - m) * (colors * e + d) + m * (colors * p + q), e, p, q, d
+    levels, count, shared = len(nodes[0]), len(rows), len(nodes)
+    level, *places = np.unravel_index(rows, [len(axis) for axis in nodes])
+    mixed = [axis[place][:, None] for axis, place in zip(nodes[1:], places, strict=True)]
+
+    def dot(x: Sequence[Any], at: np.ndarray) -> np.ndarray:
+        parts = np.moveaxis(table[:, np.arange(count), at], -1, 0)  # (V, T, L) each
+        found = sum(a * b for a, b in zip(x, columns(*parts), strict=True))
+        return np.broadcast_to(found, (*table.shape[:2], colors.shape[1]))
+
+    def radiance(at: np.ndarray) -> np.ndarray:
+        return dot(mixture(*mixed).at(colors), at)
 
     low, high = np.maximum(level - 1, 0), np.minimum(level + 1, levels - 1)
     width = np.maximum(nodes[0][high] - nodes[0][low], 1e-6)[:, None]
-    _, e, p, q, d = radiance(level)
-    J = np.zeros((*table.shape[:2], colors.shape[1], 2 + colors.shape[1]))
-    J[..., 0] = (radiance(high)[0] - radiance(low)[0]) / width
-    J[..., 1] = ((p - e) * colors + q - d) * (len(nodes[1]) > 1)
+    J = np.zeros((*table.shape[:2], colors.shape[1], shared + colors.shape[1]))
+    J[..., 0] = (radiance(high) - radiance(low)) / width
+    for k, axis in enumerate(nodes[1:]):
+        J[..., 1 + k] = dot(slope(mixed, k).at(colors), level) * (len(axis) > 1)
+    by_color = dot(mixture(*mixed).scaled, level)
     for channel in range(colors.shape[1]):
-        J[..., channel, 2 + channel] = ((1 - m) * e + m * p)[..., channel % e.shape[-1]]
+        J[..., channel, shared + channel] = by_color[..., channel]
     return J

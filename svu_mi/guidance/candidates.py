@@ -31,7 +31,7 @@ class Candidates:
     Raises:
         OptionError: there is no candidate, or none that can be reached.
         ShapeError: names or flags for another number of sensors.
-        SceneError: a sensor is no pinhole, or its pose is mirrored.
+        SceneError: a sensor is not a pinhole, or its pose is mirrored.
     """
 
     sensors: tuple[Any, ...]
@@ -72,7 +72,7 @@ class Candidates:
         left = [i for i, used in enumerate(capture.used) if not used]
         if not left:
             raise OptionError(
-                "Every sensor of the capture has its photograph; place candidates with "
+                "Every sensor of the capture has a photograph; place candidates with "
                 "Candidates.around(capture)."
             )
         return Candidates.at(capture, left)
@@ -148,7 +148,7 @@ class Candidates:
 
         Raises:
             ShapeError: another number of flags.
-            OptionError: they are no flags, or none is left.
+            OptionError: they are not flags, or none is left.
         """
         flags = np.asarray(reachable).ravel()
         if flags.dtype != bool:
@@ -156,7 +156,10 @@ class Candidates:
                 "Candidates.restricted() takes True or False for each candidate, not numbers."
             )
         if flags.shape != (self.count,):
-            raise ShapeError(f"Candidates: {flags.size} flags for {self.count} candidates.")
+            raise ShapeError(
+                f"Candidates: {flags.size} flags for {self.count} candidates; give one per "
+                "candidate."
+            )
         return replace(self, reachable=self.reachable & flags)
 
 

@@ -80,14 +80,15 @@ def _angular(
     grid, by_nodes = posterior.grid, isinstance(posterior, AngularPosterior)
     if not isinstance(grid, PrincipledGrid):
         raise OptionError(
-            "next_best_view(): an angular estimate of (roughness, Ks) says nothing of what "
-            "photographs would show; use parameters='principled', as the default preset does."
+            "next_best_view(): an angular estimate of (roughness, Ks) does not predict "
+            "photographs; use parameters='principled', as the default preset does."
         )
     assert isinstance(switches, AngularPreset)
     if switches.fit is not None:
         raise OptionError(
             f"next_best_view(): the SH model (preset {switches.name!r}) knows light only where "
-            "photographs are; use method='spectrum', preset='paper' for Eq. 13, or another preset."
+            "photographs were taken; use method='spectrum', preset='paper' for Eq. 13, or another "
+            "preset."
         )
     if by_nodes:
         _require(switches, noise=("estimated", "fixed", "relative", "heteroscedastic"),
@@ -139,7 +140,7 @@ def _spectrum(
     grid = posterior.grid
     if not isinstance(grid, ParameterGrid):
         raise OptionError(
-            "next_best_view(): spectra of photographs to come are known over (roughness, Ks) "
+            "next_best_view(): spectra of new photographs can be predicted over (roughness, Ks) "
             "only; use preset='paper' or parameters='specular', or method='angular'."
         )
     assert isinstance(switches, Preset)
@@ -182,7 +183,7 @@ def _growing(
 
 
 def refuse_growing(method: str, options: GuidanceOptions) -> None:
-    """Refuse a band limit that grows where there is none.
+    """Refuse a band limit that grows for estimates without one.
 
     Raises:
         OptionError: the estimate is by another method than power spectra.
@@ -190,7 +191,7 @@ def refuse_growing(method: str, options: GuidanceOptions) -> None:
     if options.band_limit == "growing" and method != "spectrum":
         raise OptionError(
             "next_best_view(): band_limit='growing' is about power spectra (Eq. 13); use "
-            "method='spectrum' over (roughness, Ks), such as preset='paper', or leave it out."
+            "method='spectrum' over (roughness, Ks), such as preset='paper', or omit it."
         )
 
 
@@ -210,7 +211,7 @@ def _require(switches: AnyPreset, **allowed: tuple[str, ...]) -> None:
         if getattr(switches, name) not in values:
             raise OptionError(
                 f"next_best_view(): an estimate with {name}={getattr(switches, name)!r} does not "
-                f"say what photographs would add; use {name}={' or '.join(map(repr, values))}."
+                f"predict what photographs would add; use {name}={' or '.join(map(repr, values))}."
             )
 
 

@@ -66,7 +66,7 @@ class Greedy:
     def choose(self, candidate: int) -> None:
         """Take a candidate as photographed: E[H] with it is E[H] from now on.
 
-        Unless the forecast is not ``lasting``: then all is computed anew.
+        Unless the forecast is not ``lasting``: then all is computed again.
         """
         self.entropy = self.entropy - self.texel_gains(candidate)
         self._views = np.append(self._views, self.photographs + candidate)

@@ -51,7 +51,7 @@ class Measure(Protocol):
         """Sums of no row."""
 
     def add(self, sums: list[Any], row: Row, shared: tuple[Any, ...]) -> list[Any]:
-        """Add a row; ``shared`` are its roughness and metallic, Floats."""
+        """Add a row; ``shared`` are its roughness and the parameters that mix, Floats."""
 
     def value(self, sums: list[Any]) -> Any:
         """The number."""
@@ -95,7 +95,7 @@ class Variance:
     relative change of each parameter's that counts.
 
     Attributes:
-        present: mean variance of roughness, metallic and base colour over texels, as it is now.
+        present: mean variance over texels of the axes of a grid, base colour last, as it is now.
         prior: their variance where nothing is known.
         channels: C, of base colour, whose mean counts.
     """
@@ -110,8 +110,8 @@ class Variance:
         return sum(p / v for p, v in zip(self.prior, self.present, strict=True))
 
     def start(self) -> list[Any]:
-        """Z, and the sums of w x and w x^2 for roughness, metallic and the colour of channels."""
-        return [mi.Float(0) for _ in range(5 + 2 * self.channels)]
+        """Z, and the sums of w x and w x^2 for all shared parameters and the colour of channels."""
+        return [mi.Float(0) for _ in range(1 + 2 * (len(self.present) - 1 + self.channels))]
 
     def add(self, sums: list[Any], row: Row, shared: tuple[Any, ...]) -> list[Any]:
         """Add a row."""
@@ -125,9 +125,9 @@ class Variance:
     def value(self, sums: list[Any]) -> Any:
         """Sum of the variances over ``present``."""
         _, *moments = (x / sums[0] for x in sums)
-        r, m, c = self.present
+        *units, color = self.present
         total = mi.Float(0)
-        units = (r, m, *(self.channels * c for _ in range(self.channels)))
+        units += [self.channels * color] * self.channels
         for mean, square, unit in zip(moments[::2], moments[1::2], units, strict=True):
             total = dr.fma(square - dr.square(mean), dr.opaque(mi.Float, 1 / unit), total)
         return total

@@ -59,7 +59,7 @@ def next_best_view(
     Raises:
         OptionError: a count below 1, an unknown strategy, an option out of range, or an estimate
             that does not say what photographs would show, to a strategy that asks for it.
-        SceneError: a candidate is no pinhole camera.
+        SceneError: a candidate is not a pinhole camera.
     """
     if not isinstance(count, Integral) or isinstance(count, bool) or count < 1:
         raise OptionError(
@@ -74,7 +74,7 @@ def next_best_view(
         candidates = Candidates.of(candidates)
     texels = observed.texels
     known = Prospect(estimate, observed, candidates, _sample(texels.count, options), options)
-    with progress.stage("Looking from the candidates"):
+    with progress.stage("Viewing from the candidates"):
         judge = strategy.make(known)
         greedy = known.greedy if strategy.forecasts else None
     entropy = float(np.mean(np.array(estimate.entropy, np.float64)))
@@ -116,7 +116,7 @@ def _options(options: GuidanceOptions | None, switches: dict[str, Any]) -> Guida
     for name in switches:
         if name not in known:
             raise OptionError(
-                f"next_best_view(): unknown option {name!r}; there are {', '.join(known)}."
+                f"next_best_view(): unknown option {name!r}; use one of {', '.join(known)}."
             )
     return replace(options, **switches)
 

@@ -8,7 +8,7 @@ from typing import Literal
 from svu_mi.errors import OptionError
 from svu_mi.guidance.strategies import Name
 from svu_mi.options import AnyPreset, Preset
-from svu_mi.settings import require, require_one_of, require_types
+from svu_mi.settings import require, require_types
 
 Light = Literal["preset", "photographs", "growing"]
 
@@ -18,14 +18,14 @@ class GuidanceOptions:
     """How candidates are judged."""
 
     strategy: Name = "entropy"
-    """``entropy``: lowest expected entropy (Eq. 13); ``error``: lowest expected squared error of
-    the parameters, relative to the present one, which decibels of textures go by. Baselines:
-    ``d-optimal``: most information on the most probable parameters, linearised; ``coverage``:
-    most texels that few views see; ``farthest``: the direction farthest from all so far;
-    ``random``."""
+    """entropy: lowest expected entropy (Eq. 13); error: lowest expected squared error of
+    the parameters, relative to the present one, which determines the PSNR of textures. Baselines:
+    d-optimal: most information on the most probable parameters, linearised; coverage:
+    most texels that few views see; farthest: the direction farthest from all so far;
+    random."""
 
     texels: int = 4096
-    """Most texels that candidates are judged by, evenly spread over the surface; gains then have a
+    """Most texels to judge candidates by, evenly spread over the surface; gains then have a
     standard error, which is stated. More texels cost more time, in proportion."""
 
     hypotheses: int = 8
@@ -33,30 +33,28 @@ class GuidanceOptions:
     the colour that the photographs then give; if there are no more cells, the sum is over all."""
 
     band_limit: Light = "preset"
-    """Of the light that candidates of a ``method="spectrum"`` estimate are judged in; by default
-    what its preset says, ``growing`` for ``paper``. ``photographs``: that of the estimate,
+    """Band limit of the light in which candidates of a method="spectrum" estimate are judged; by
+    default that of its preset, growing for paper. photographs: that of the estimate,
     alpha' = v^(-1/2) for v photographs, whatever is added, and truths as likely as the estimate
-    has them. ``growing``: Eq. 13 as printed; the light of v' views and a candidate has
-    alpha' = (v' + 1)^(-1/2), it is sharper with every view chosen, and truths are as likely as
-    the photographs make them in that light: a sum over all cells, whatever ``hypotheses`` is. A
-    gain then compares both numbers of views in the same light. All candidates are looked from
+    has them. growing: Eq. 13 as printed; the light of v' views and a candidate has
+    alpha' = (v' + 1)^(-1/2), sharper with every view chosen, and truths are as likely as
+    the photographs make them in that light: a sum over all cells, whatever hypotheses is. A
+    gain then compares both numbers of views in the same light. All candidates are evaluated
     again at every step, which takes about four times as long."""
 
     lazy: bool = False
     """Evaluate candidates again only while their last gain is above the best: right if a gain never
-    grows when another view is added, which is the rule but no law."""
+    grows when another view is added, which is usual but not guaranteed."""
 
     seed: int = 0
-    """Of texels, hypotheses and random views."""
+    """Seed of texels, hypotheses and random views."""
 
     def __post_init__(self) -> None:
         require_types(self)
-        require_one_of(self, "strategy", Name)
-        require_one_of(self, "band_limit", Light)
         if self.lazy and self.band_limit == "growing":
             raise OptionError(
-                "GuidanceOptions: lazy takes gains for bounds, but with band_limit='growing' the "
-                "light of every step is another; leave one of them out."
+                "GuidanceOptions: lazy uses gains as bounds, but with band_limit='growing' the "
+                "light changes at every step; omit one of them."
             )
         require(self, self.texels >= 1, "texels", "at least 1")
         require(self, 1 <= self.hypotheses <= 4096, "hypotheses", "in [1, 4096]")
@@ -66,7 +64,7 @@ class GuidanceOptions:
         """Return the options with the band limit of an estimate's preset, if they have none.
 
         Raises:
-            OptionError: they are lazy, and the preset's light is another at every step.
+            OptionError: they are lazy, and the preset's light changes at every step.
         """
         if self.band_limit != "preset":
             return self

@@ -100,13 +100,13 @@ class Prospect:
         forecast = self.forecast
         assert isinstance(forecast, AngularForecast)
         count, channels = len(self.texels), forecast.channels
-        roughness, metallic, _ = forecast.grid.axes.values()
+        nodes = [forecast.grid.roughness_nodes, *forecast.grid.mixed_nodes]
         lobes = forecast.responses.table()[..., 1:]
         rows = np.array(forecast.hypotheses.at(0, numbers(np.arange(count)))[0]).astype(np.int64)
         truths = forecast.truths.numpy().reshape(count, -1, channels)
         found = baselines.jacobians(
-            lobes.reshape(*lobes.shape[:2], len(roughness), -1, 4), [roughness, metallic],
-            rows, truths[np.arange(count), rows],
+            lobes.reshape(*lobes.shape[:2], len(nodes[0]), -1, 4), nodes, rows,
+            truths[np.arange(count), rows],
         )  # fmt: skip
         return np.sqrt(2 * forecast.precision.numpy())[:, None, None] * found
 

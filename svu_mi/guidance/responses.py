@@ -85,7 +85,7 @@ def collect(
 
     Args:
         surface: the texels.
-        photographed: views with photographs, and who sees whom in them.
+        photographed: views with photographs, and which texels they see.
         candidates: views without.
         respond: what a view shows.
         columns: K.
@@ -98,8 +98,8 @@ def collect(
     room = -(-count // BLOCK) * BLOCK * number * columns
     if room >= 2**32:
         raise OptionError(
-            f"next_best_view(): {count} texels are too many for {number} views; look at "
-            f"{count * 2**32 // room} at most (texels=...)."
+            f"next_best_view(): {count} texels are too many for {number} views; use "
+            f"at most {count * 2**32 // room} (texels=...)."
         )
     responses = Responses(
         values=dr.zeros(mi.Float, room), views=dr.opaque(mi.UInt32, number), columns=columns,

@@ -115,7 +115,7 @@ class Guidance:
         """
         if not 0 <= proposal < len(self.proposals):
             raise OptionError(
-                f"Guidance.image(): there are {len(self.proposals)} proposals, numbered from 0; "
+                f"Guidance.image(): proposal must be 0 to {len(self.proposals) - 1}, "
                 f"got {proposal}."
             )
         return self.texels.to_image(self._maps[proposal], 0.0)

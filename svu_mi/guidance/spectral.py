@@ -20,6 +20,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.frequency.extend import extend_lanes
+from svu_mi.frequency.system import System
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.measures import FAR, row_of
 from svu_mi.guidance.responses import Respond, Responses
@@ -112,12 +113,13 @@ class SpectrumForecast(Forecast):
                 index = (j * kept + k) * stride + place
                 dr.scatter(result, value, index, True, dr.ReduceMode.NoConflicts)
 
+        switches = self.switches
+        system = System.of(
+            switches.degree, switches.colors, switches.regularizer, switches.penalize_constant
+        )
         known = extend_lanes(
-            _samples(rows, views), dr.opaque(mi.UInt32, len(views)),
-            _samples(rows, asked), dr.opaque(mi.UInt32, len(asked)), write,
-            degree=self.switches.degree, channels=self.switches.colors,
-            regularizer=self.switches.regularizer,
-            penalize_constant=self.switches.penalize_constant,
+            (_samples(rows, views), dr.opaque(mi.UInt32, len(views))),
+            (_samples(rows, asked), dr.opaque(mi.UInt32, len(asked))), system, write,
         )  # fmt: skip
         if len(asked):
             dr.eval(result)

@@ -88,6 +88,44 @@ class LightCells:
     bright: Any
 
 
+@dataclass(frozen=True)
+class _Cluster:
+    """Weighted points; the widest come first.
+
+    Attributes:
+        number: of the cluster.
+        members: which of all points.
+        offset: (M, 3), where they lie around their mean.
+        covariance: (3, 3), not divided by the sum of their weights.
+        variance: its trace; 0 for a single point.
+    """
+
+    number: int
+    members: np.ndarray
+    offset: np.ndarray
+    covariance: np.ndarray
+    variance: float
+
+    @staticmethod
+    def of(number: int, points: np.ndarray, weight: np.ndarray, members: np.ndarray) -> _Cluster:
+        """Take some of all points."""
+        w = weight[members]
+        own = points[members]
+        offset = own - w @ own / w.sum()
+        covariance = (offset.T * w) @ offset
+        variance = float(np.trace(covariance)) if len(members) > 1 else 0.0
+        return _Cluster(number, members, offset, covariance, variance)
+
+    def __lt__(self, other: _Cluster) -> bool:
+        return self.variance > other.variance
+
+    def far_half(self) -> np.ndarray:
+        """Return which members lie beyond the mean along the axis of largest variance."""
+        far = self.offset @ np.linalg.eigh(self.covariance)[1][:, -1] > 0
+        # Equal points would all fall on one side.
+        return far if far.any() and not far.all() else np.arange(len(far)) > 0
+
+
 def light_cells(environment: Environment, coarse: int, fine: int) -> LightCells:
     """Gather an environment into cells.
 
@@ -213,15 +251,13 @@ def _split(
         The cluster of each of the N points, and (count,) the cluster that each was split from.
     """
     label, parent = np.zeros(len(points), np.int64), np.zeros(count, np.int64)
-    heap = [(-np.inf, 0, np.arange(len(points)))]
+    heap = [_Cluster.of(0, points, weight, np.arange(len(points)))]
     for new in range(1, count):
-        _, old, members = heapq.heappop(heap)
-        axis, spread = _main_axis(points[members], weight[members])
-        far = spread > 0
-        label[members[far]], parent[new] = new, old
-        for number, part in ((old, members[~far]), (new, members[far])):
-            size = _variance(points[part], weight[part])
-            heapq.heappush(heap, (-size, number, part))
+        old = heapq.heappop(heap)
+        far = old.far_half()
+        label[old.members[far]], parent[new] = new, old.number
+        for number, half in ((old.number, ~far), (new, far)):
+            heapq.heappush(heap, _Cluster.of(number, points, weight, old.members[half]))
     return label, parent
 
 
@@ -231,22 +267,6 @@ def _ancestors(parent: np.ndarray, count: int) -> np.ndarray:
     for number in range(count, len(parent)):  # parents come before their children
         result[number] = result[parent[number]]
     return result
-
-
-def _main_axis(points: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the direction of largest variance, and where the points lie along it."""
-    offset = points - np.average(points, axis=0, weights=weight)
-    axis = np.linalg.eigh((offset * weight[:, None]).T @ offset)[1][:, -1]
-    along = offset @ axis
-    # Equal points would all fall on one side.
-    return axis, along if (along > 0).any() and (along <= 0).any() else np.arange(len(points)) - 0.5
-
-
-def _variance(points: np.ndarray, weight: np.ndarray) -> float:
-    if len(points) < 2:
-        return 0.0
-    offset = points - np.average(points, axis=0, weights=weight)
-    return float((offset**2).sum(axis=1) @ weight)
 
 
 def fibonacci(count: int) -> np.ndarray:

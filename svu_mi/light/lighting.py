@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import factorial
 from typing import Any
 
 import drjit as dr
@@ -21,7 +20,7 @@ NEGLIGIBLE = 1e-4  # factor of the filter from which higher degrees are left out
 TEXELS_PER_WAVE = 24  # rows per period of the highest degree: bilinear error below 1 %
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Lighting:
     """Light of a capture, filtered for v views; each map is computed when first asked for.
 
@@ -36,7 +35,7 @@ class Lighting:
     environment: Environment
     prefilter: float
     to_local: Any
-    lobes: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    lobes: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def degree(self) -> int:
@@ -59,7 +58,7 @@ class Lighting:
     def irradiance_map(self) -> Any:
         """Texture2f of the irradiance."""
         # Cosine lobes fall off as l^-2, and odd degrees above 1 vanish: beyond 16, 0.2 %.
-        cosine = clamped_cosine(COSINE_DEGREE)[degrees(COSINE_DEGREE)]
+        cosine = zonal_cosine(COSINE_DEGREE)[degrees(COSINE_DEGREE)]
         coefficients = self.environment.coefficients(COSINE_DEGREE) * cosine[:, None]
         return lat_long_texture(synthesize(coefficients, 2 * (COSINE_ROWS - 1), COSINE_ROWS))
 
@@ -110,19 +109,16 @@ def degrees(degree: int) -> np.ndarray:
     return np.repeat(np.arange(degree + 1), 2 * np.arange(degree + 1) + 1)
 
 
-def clamped_cosine(degree: int) -> np.ndarray:
-    """Return (degree + 1,) zonal factors A_l that turn radiance into irradiance.
+def zonal_cosine(degree: int, power: int = 0) -> np.ndarray:
+    """Return (degree + 1,) zonal factors of max(x, 0) (1 - x)^power, x = cos theta.
 
-    A = pi, 2 pi / 3, pi / 4, 0, -pi / 24, ... [Ramamoorthi and Hanrahan 2001, Eq. 19].
+    A_l = 2 pi times the integral of P_l(x) x (1 - x)^power over [0, 1]. With power 0 they turn
+    radiance into irradiance: pi, 2 pi / 3, pi / 4, 0, ... [Ramamoorthi and Hanrahan 2001, Eq. 19].
     """
-    factors = np.zeros(degree + 1)
-    factors[0] = np.pi
-    if degree >= 1:
-        factors[1] = 2 * np.pi / 3
-    for l in range(2, degree + 1, 2):
-        half = factorial(l) / (2**l * factorial(l // 2) ** 2)
-        factors[l] = 2 * np.pi * (-1) ** (l // 2 - 1) / ((l + 2) * (l - 1)) * half
-    return factors
+    nodes, weights = np.polynomial.legendre.leggauss(degree // 2 + power + 2)
+    x, w = (nodes + 1) / 2, weights / 2
+    legendre = np.polynomial.legendre.legvander(x, degree)
+    return 2 * np.pi * (w * x * (1 - x) ** power) @ legendre
 
 
 def _texture(coefficients: np.ndarray) -> Any:

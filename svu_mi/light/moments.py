@@ -22,6 +22,7 @@ from svu_mi.light.lighting import (
     degrees,
     lat_long_texture,
     look_up,
+    zonal_cosine,
 )
 
 MOMENTS = 8  # per channel: two scalars, two vectors
@@ -81,14 +82,3 @@ def moment_map(environment: Environment, channels: int = 3) -> MomentMap:
     by_channel = np.stack(wide, axis=-1).reshape(len(wide[0]), -1)  # (lm, channel * moment)
     grid = env.synthesize(by_channel, 2 * (COSINE_ROWS - 1), COSINE_ROWS)
     return MomentMap(lat_long_texture(grid), mi.Matrix3f(environment.to_local), channels)
-
-
-def zonal_cosine(degree: int, power: int) -> np.ndarray:
-    """Return (degree + 1,) zonal factors of max(x, 0) (1 - x)^power, x = cos theta.
-
-    A_l = 2 pi times the integral of P_l(x) x (1 - x)^power over [0, 1].
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(degree // 2 + power + 2)
-    x, w = (nodes + 1) / 2, weights / 2
-    legendre = np.polynomial.legendre.legvander(x, degree)
-    return 2 * np.pi * (w * x * (1 - x) ** power) @ legendre

@@ -14,9 +14,6 @@ from svu_mi.metrics.credible import credible_coverage as credible_coverage
 from svu_mi.metrics.credible import nearest_cells as nearest_cells
 from svu_mi.metrics.images import ImageError as ImageError
 from svu_mi.metrics.images import image_error as image_error
-from svu_mi.metrics.orb import OrbError as OrbError
-from svu_mi.metrics.orb import orb_albedo_error as orb_albedo_error
-from svu_mi.metrics.orb import orb_error as orb_error
 from svu_mi.metrics.sparsification import Sparsification as Sparsification
 from svu_mi.metrics.sparsification import sparsification as sparsification
 from svu_mi.metrics.textures import psnr as psnr

@@ -2,7 +2,7 @@
 
 Much as Stanford-ORB does it (Kuang et al., NeurIPS 2023, Sec. 4.2), but no scale per channel is
 fitted, since the light is known and the scale is part of the error; and means are over the
-object's pixels, not the whole picture. ``orb`` has that data set's own rules.
+object's pixels, not the whole picture.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def image_error(found: Any, truth: Any, mask: Any) -> ImageError:
     inside = np.array(mask, bool)
     a, b = pictures(found, truth, inside, "image_error()")
     if not inside.any():
-        raise ShapeError("image_error(): the mask is empty; the object is not in this picture.")
+        raise ShapeError("image_error(): the mask is empty; use a picture that shows the object.")
     require_finite(a[inside], "the picture")
     require_finite(b[inside], "the true picture")
     white = float(np.quantile(b[inside].max(axis=-1), WHITE)) or 1.0

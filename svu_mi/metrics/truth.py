@@ -9,33 +9,31 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.metrics.checks import pair
+from svu_mi.parameters import MIXED, NAMES, ByParameter
 from svu_mi.reflection.principled import specular_from_principled
+from svu_mi.settings import require_known
 from svu_mi.surface import Texels
 from svu_mi.surface.material import parameters_at
 
 
-@dataclass(frozen=True, kw_only=True)
-class GroundTruth:
-    """True parameters of T texels, all in [0, 1]; colours are linear.
-
-    Attributes:
-        base_color: (T, 3).
-        roughness: (T,).
-        metallic: (T,).
-    """
-
-    base_color: np.ndarray
-    roughness: np.ndarray
-    metallic: np.ndarray
+class GroundTruth(ByParameter):
+    """True parameters of T texels, all in [0, 1]: base_color (T, 3), linear, and others (T,)."""
 
     @property
     def specular(self) -> np.ndarray:
-        """Ks = 0.04 + (base_color - 0.04) metallic, (T, 3)."""
-        return specular_from_principled(self.base_color, self.metallic[:, None])
+        """Ks = R0, (T, 3): what a ``ParameterGrid`` calls so."""
+        mixed = (self[name][:, None] for name in MIXED)
+        return np.asarray(specular_from_principled(self.base_color, *mixed))
 
     def grey(self, name: str) -> np.ndarray:
-        """Return a parameter as (T,), the mean over channels for a colour."""
-        values: np.ndarray = getattr(self, name)
+        """Return a parameter, or the ``specular`` of a ``ParameterGrid``, as (T,): the mean over
+        channels for a colour.
+
+        Raises:
+            OptionError: there is no such parameter.
+        """
+        require_known([name], (*NAMES, "specular"), "parameter")
+        values: np.ndarray = self.specular if name == "specular" else self[name]
         return values.mean(axis=1) if values.ndim == 2 else values
 
 
@@ -49,7 +47,7 @@ def ground_truth(capture: Capture, texels: Texels) -> GroundTruth:
         texels: T texels of ``capture.mesh``.
 
     Raises:
-        SceneError: another BSDF, or a mesh that was unwrapped anew.
+        SceneError: another BSDF, or a mesh that was unwrapped again.
     """
     return GroundTruth(**parameters_at(capture, texels))
 

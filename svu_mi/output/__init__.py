@@ -21,30 +21,30 @@ of panels, and what several draw is in ``figures.py``, also for notebooks. HTML 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
+from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.files import prepare_folder as prepare_folder
 from svu_mi.output.knowledge import Knowledge as Knowledge
 from svu_mi.output.manifest import RECORD as RECORD
+from svu_mi.output.manifest import Run as Run
 from svu_mi.output.manifest import environment_record as environment_record
 from svu_mi.output.manifest import run_record as run_record
 from svu_mi.output.manifest import write_manifest as write_manifest
 from svu_mi.output.manifest import write_run as write_run
 from svu_mi.output.maps import write_maps as write_maps
 from svu_mi.output.overview import write_overview as write_overview
+from svu_mi.pipeline import Estimate
 from svu_mi.results.writing import writing
 
 
 def write_outputs(
-    capture: Any,
-    estimate: Any,
+    capture: Capture,
+    estimate: Estimate,
     folder: str | Path,
+    run: Run | None = None,
     *,
-    settings: Mapping[str, Any] | None = None,
-    kernels: Mapping[str, int] | None = None,
     knowledge: Knowledge | None = None,
 ) -> None:
     """Write ``entropy.exr``, ``coverage.exr``, ``overview.png`` and ``run.json``.
@@ -55,8 +55,7 @@ def write_outputs(
         capture: the ``Capture``.
         estimate: its ``Estimate``.
         folder: made if missing.
-        settings: what the caller was asked for (command-line options, seeds).
-        kernels: number of kernels compiled per stage, ``Progress.kernels``.
+        run: how it came about.
         knowledge: what the estimate says in units; computed if not given.
 
     Raises:
@@ -67,4 +66,4 @@ def write_outputs(
         write_maps(estimate, draft.folder)
         write_overview(capture, estimate, draft.folder / "overview.png", knowledge)
         record = run_record(capture, estimate, knowledge)
-        write_run(draft, record, settings, kernels)
+        write_run(draft, record, run or Run())

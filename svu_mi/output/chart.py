@@ -2,54 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-WIDTH, HEIGHT = 320, 170
 LEFT, RIGHT, TOP, BOTTOM = 44, 8, 10, 26  # margins, where the words of the axes are
 GAP = 0.12  # between bars, in parts of one
 
 
-@dataclass(frozen=True)
-class Bar:
-    """A bar; ``color`` is None for the page's own, ``words`` appear when it is pointed at."""
-
-    x: float
-    y: float
-    width: float
-    height: float
-    color: str | None
-    words: str
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Plot:
-    """Bars and lines, in pixels of an SVG.
+    """Bars and lines; the template asks where they are, in pixels of an SVG.
 
     Attributes:
-        width: of the whole.
-        height: of the whole.
-        bars: from left to right.
-        lines: pairs of a style of ``page.css`` (``red``, ``even``, ...) and a polyline's points.
-        x_ticks: pairs of a place and its words.
-        y_ticks: the same.
         words: what is shown, for those who cannot see it.
+        edges: (N + 1,) borders of the bars, increasing.
+        heights: (N,) of the bars; empty for lines alone.
+        labels: (N,) words that appear when a bar is pointed at.
+        colors: (N,) of the bars; empty for the page's own.
+        lines: style of ``page.css`` (``red``, ``prior``, ...), x and y of each.
+        top: value at the upper end.
+        x_ticks: values and what to write below them.
+        y_ticks: the same, on the left.
+        width: of the whole, in pixels.
+        height: of the whole.
     """
 
-    width: float
-    height: float
-    bars: tuple[Bar, ...]
-    lines: tuple[tuple[str, str], ...]
-    x_ticks: tuple[tuple[float, str], ...]
-    y_ticks: tuple[tuple[float, str], ...]
     words: str
-
-    @property
-    def floor(self) -> float:
-        """Where the bars stand."""
-        return self.height - BOTTOM
+    edges: np.ndarray
+    heights: Sequence[float] | np.ndarray = ()
+    labels: Sequence[str] = ()
+    colors: Sequence[str] = ()
+    lines: Sequence[tuple[str, np.ndarray, np.ndarray]] = ()
+    top: float
+    x_ticks: Sequence[tuple[float, str]] = ((0, "0"), (0.5, "0.5"), (1, "1"))
+    y_ticks: Sequence[tuple[float, str]]
+    width: float = 320
+    height: float = 170
 
     @property
     def left(self) -> float:
@@ -61,59 +51,32 @@ class Plot:
         """Where the bars end."""
         return self.width - RIGHT
 
+    @property
+    def floor(self) -> float:
+        """Where the bars stand."""
+        return self.height - BOTTOM
 
-def plot(
-    edges: np.ndarray,
-    heights: np.ndarray | None,
-    words: str,
-    *,
-    top: float,
-    y_ticks: Sequence[tuple[float, str]],
-    x_ticks: Sequence[tuple[float, str]],
-    lines: Sequence[tuple[str, np.ndarray, np.ndarray]] = (),
-    colors: Sequence[str] | None = None,
-    labels: Sequence[str] | None = None,
-    width: float = WIDTH,
-    height: float = HEIGHT,
-) -> Plot:
-    """Lay out a plot.
+    def x(self, value: float) -> float:
+        """Return how far a value is from the left."""
+        low, high = self.edges[0], self.edges[-1]
+        return round(float(LEFT + (value - low) / (high - low) * (self.right - LEFT)), 2)
 
-    Args:
-        edges: (N + 1,) borders of the bars, increasing.
-        heights: (N,) of the bars; None for lines alone.
-        words: what is shown.
-        top: value at the upper end.
-        y_ticks: values and what to write beside them.
-        x_ticks: the same, below.
-        lines: style, x and y of each.
-        colors: (N,) of the bars.
-        labels: (N,) words on the bars.
-        width: in pixels.
-        height: in pixels.
-    """
-    low, high = float(edges[0]), float(edges[-1])
+    def y(self, value: float) -> float:
+        """Return how far a value is from the top; beyond the ends of the axis, an end."""
+        part = min(max(value / self.top, 0), 1)
+        return round(float(self.floor - part * (self.floor - TOP)), 2)
 
-    def x(value: float) -> float:
-        return round(LEFT + (value - low) / (high - low) * (width - LEFT - RIGHT), 2)
+    def bars(self) -> Iterator[dict[str, float]]:
+        """Yield x, y, width and height of each bar."""
+        for first, last, value in zip(self.edges, self.edges[1:], self.heights, strict=False):
+            width = self.x(last) - self.x(first)
+            x, y = round(self.x(first) + GAP / 2 * width, 2), self.y(value)
+            yield {"x": x, "y": y, "width": round((1 - GAP) * width, 2),
+                   "height": round(self.floor - y, 2)}  # fmt: skip
 
-    def y(value: float) -> float:
-        part = min(max(value / top, 0), 1)
-        return round(height - BOTTOM - part * (height - TOP - BOTTOM), 2)
-
-    bars = []
-    for k, value in enumerate([] if heights is None else heights):
-        first, last = x(edges[k]), x(edges[k + 1])
-        gap = GAP / 2 * (last - first)
-        size = round(last - first - 2 * gap, 2)
-        bars.append(Bar(
-            round(first + gap, 2), y(value), size, round(y(0) - y(value), 2),
-            colors[k] if colors else None, labels[k] if labels else "",
-        ))  # fmt: skip
-    points = [
-        (style, " ".join(f"{x(a)},{y(b)}" for a, b in zip(across, up, strict=True)))
-        for style, across, up in lines
-    ]
-    return Plot(
-        width, height, tuple(bars), tuple(points), tuple((x(v), text) for v, text in x_ticks),
-        tuple((y(v), text) for v, text in y_ticks), words,
-    )  # fmt: skip
+    def polylines(self) -> Iterator[tuple[str, str]]:
+        """Yield style and points of each line, as SVG has them."""
+        for style, across, up in self.lines:
+            yield style, " ".join(
+                f"{self.x(a)},{self.y(b)}" for a, b in zip(across, up, strict=True)
+            )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,18 @@ LIGHT = (480, 240)  # pixels of a panorama
 QUESTIONS = {
     "poses": "Cameras and mesh", "light": "Environment map", "texture": "Texture coordinates",
 }  # fmt: skip
+# Attributes of ViewCheck and Summary: what their means say, how they are to be read, and a word.
+MEASURES = {
+    "overlap": (
+        "Silhouettes and masks overlap by", "intersection over union; 1 is perfect", "IoU"
+    ),
+    "contrast": (
+        "Edges lie on the outline", "rank of the gradient; 0.5 is chance", "edges"
+    ),
+    "color_error": (
+        "Colours differ by", "of the mean, from a diffuse object in this light", "colour error"
+    ),
+}  # fmt: skip
 
 
 def write_check(
@@ -51,32 +63,20 @@ def write_check(
         OutputError: a file cannot be written.
     """
     with writing(folder, "check", RECORD, capture=capture_key(capture)) as draft:
-        _write_page(capture, found, draft.folder / TEMPLATE)
-        record = {"fits": found.fits, "fixes": found.fixes, "check": found, "settings": settings}
-        write_manifest(
-            draft.folder / RECORD,
-            {**record, "environment": environment_record(), **draft.entries()},
-        )
-
-
-def _write_page(capture: Capture, found: Check, path: Path) -> None:
-    fixes = fixes_named(found.fixes)
-    corrected = apply_fixes(capture, fixes, found.camera_axes) if fixes else capture
-    write_page(
-        path,
-        TEMPLATE,
-        verdict=verdict(found),
-        remedy=remedy(found),
-        numbers=_numbers(found),
-        findings=[_finding(one) for one in found.findings],
-        views=_views(capture, corrected, found),
-        total=len(found.views),
-        panoramas=_panoramas(capture, corrected),
-        source=str(capture.source or ""),
-        is_corrected=bool(fixes),
-        before=BEFORE,
-        after=AFTER,
-    )
+        fixes = fixes_named(found.fixes)
+        corrected = apply_fixes(capture, fixes, found.camera_axes) if fixes else capture
+        write_page(
+            draft.folder / TEMPLATE, TEMPLATE,
+            verdict=verdict(found), remedy=remedy(found), numbers=_numbers(found),
+            findings=[_finding(one) for one in found.findings], questions=QUESTIONS,
+            views=list(_views(capture, corrected, found)), total=len(found.views),
+            panoramas=_panoramas(capture, corrected), source=str(capture.source or ""),
+            is_corrected=bool(fixes), before=BEFORE, after=AFTER,
+        )  # fmt: skip
+        write_manifest(draft.folder / RECORD, {
+            "fits": found.fits, "fixes": found.fixes, "check": found, "settings": settings,
+            "environment": environment_record(), **draft.entries(),
+        })  # fmt: skip
 
 
 def verdict(found: Check) -> str:
@@ -85,10 +85,9 @@ def verdict(found: Check) -> str:
         count = len(found.fixes)
         words = "one correction makes" if count == 1 else f"{count} corrections make"
         return f"Something is wrong, and {words} it fit: {' + '.join(found.fixes)}."
-    unclear = [one for one in found.findings if one.verdict == "unclear"]
-    if unclear:
-        return "Something may be wrong, but which correction is right cannot be told."
-    return "The capture fits its photographs, as far as can be told."
+    if any(one.verdict == "unclear" for one in found.findings):
+        return "Something may be wrong, but which correction is right cannot be determined."
+    return "The capture fits its photographs, as far as can be determined."
 
 
 def remedy(found: Check) -> str:
@@ -99,86 +98,66 @@ def remedy(found: Check) -> str:
     return f"Import it again with: svu import ... {words}"
 
 
-def _numbers(found: Check) -> list[tuple[str, str, str]]:
+def _numbers(found: Check) -> Iterator[tuple[str, str, str]]:
+    """Yield names, means over the views, and notes: what it is when corrected, how to read it."""
     before, after = Summary.of(found.views), Summary.of(found.corrected)
-    rows = (
-        ("Silhouettes and masks overlap by", "overlap", "intersection over union; 1 is perfect"),
-        ("Edges lie on the outline", "contrast", "rank of the gradient; 0.5 is chance"),
-        ("Colours differ by", "color_error", "of the mean, from a diffuse object in this light"),
-    )
-    found_numbers = []
-    for title, name, note in rows:
+    for name, (title, note, _) in MEASURES.items():
         old, new = getattr(before, name), getattr(after, name)
         if old is None and new is None:
             continue
         if found.corrected is not found.views:
             note = f"{_number(new)} when corrected; {note}"
-        found_numbers.append((title, _number(old), note))
-    return found_numbers
+        yield title, _number(old), note
 
 
-def _number(value: float | None) -> str:
-    return "not told" if value is None else f"{value:.2f}"
+def _number(value: float | None, unknown: str = "unknown") -> str:
+    return unknown if value is None else f"{value:.2f}"
 
 
 def _finding(one: Finding) -> dict[str, Any]:
+    """A finding, the hypotheses to show, each with the width of its bar, and how many more are."""
     scores = [hypothesis.score for hypothesis in one.hypotheses]
     low, high = min(scores, default=0.0), max(scores, default=1.0)
     shown = list(one.hypotheses[:ROWS])
     shown += [h for h in one.hypotheses[ROWS:] if not h.fixes]  # how it is, however bad
+    widths = [3 + 97 * (h.score - low) / max(high - low, 1e-9) for h in shown]
     return {
-        "title": QUESTIONS[one.question],
-        "verdict": one.verdict,
-        "sentence": one.sentence,
-        "cues": list(shown[0].cues) if shown else [],
-        "rows": [
-            {
-                "title": hypothesis.title,
-                "width": 3 + 97 * (hypothesis.score - low) / max(high - low, 1e-9),
-                "is": not hypothesis.fixes,
-                "cues": [f"{value:.2f}" for value in hypothesis.cues.values()],
-            }
-            for hypothesis in shown
-        ],
+        "found": one, "rows": list(zip(shown, widths, strict=True)),
         "left_out": len(one.hypotheses) - len(shown),
-    }
+    }  # fmt: skip
 
 
-def _views(capture: Capture, corrected: Capture, found: Check) -> list[dict[str, Any]]:
-    frames = reduced(capture, THUMBNAIL)
-    seen = silhouettes(capture, frames)
-    after = seen if corrected is capture else silhouettes(corrected, reduced(corrected, THUMBNAIL))
-    place = {view: index for index, view in enumerate(frames.views)}
+def _views(
+    capture: Capture, corrected: Capture, found: Check
+) -> Iterator[tuple[str, Picture, list[tuple[str, str]]]]:
+    """Yield names, pictures with outlines, and numbers of the views that fit worst."""
+    frames = Frames.of(reduced(capture, THUMBNAIL))
+    seen = after = silhouettes(frames)
+    if corrected is not capture:
+        after = silhouettes(Frames.of(reduced(corrected, THUMBNAIL)))
+    place = {int(view): index for index, view in enumerate(np.flatnonzero(capture.used))}
     better = {one.view: one for one in found.corrected}
-    shown = []
     for one in found.worst[:MOST]:
         index = place[one.view]
         picture = _screen(frames, index, after[index])
         _draw(picture, seen[index], BEFORE)
         if corrected is not capture:
             _draw(picture, after[index], AFTER)
-        rows = [("IoU", "overlap"), ("edges", "contrast"), ("colour error", "color_error")]
-        shown.append({
-            "name": one.name,
-            "picture": photograph(picture),
-            "numbers": [
-                (title, _change(getattr(one, name), getattr(better[one.view], name)))
-                for title, name in rows
-                if getattr(one, name) is not None or getattr(better[one.view], name) is not None
-            ],
-        })  # fmt: skip
-    return shown
+        numbers = [
+            (word, _change(getattr(one, name), getattr(better[one.view], name)))
+            for name, (*_, word) in MEASURES.items()
+        ]
+        yield one.name, photograph(picture), [entry for entry in numbers if entry[1] != "-"]
 
 
 def _change(before: float | None, after: float | None) -> str:
-    old, new = ("-" if value is None else f"{value:.2f}" for value in (before, after))
+    old, new = _number(before, "-"), _number(after, "-")
     return old if old == new else f"{old} → {new}"
 
 
 def _screen(frames: Frames, index: int, seen: np.ndarray) -> np.ndarray:
     """Expose a photograph for the object; what is clipped is white."""
-    image = frames.radiance[index]
-    mask = frames.masks[index]
+    image, mask = frames.radiance[index], frames.masks[index]
     shown = tone_mapped(image, seen if mask is None else mask)
     shown[~np.isfinite(image).all(axis=2)] = 1.0
     return shown

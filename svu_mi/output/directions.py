@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.capture.poses import bounding_sphere, directions_of
+from svu_mi.guidance.result import Guidance
 from svu_mi.output import style
 from svu_mi.output.style import FAINT, INK, RULE, UNSEEN
 from svu_mi.output.upright import UP, facing
@@ -20,19 +22,13 @@ LUMINANCE, DARK = (0.2126, 0.7152, 0.0722), 0.45  # numbers on darker discs are 
 
 
 def draw_directions(
-    axes: Axes, capture: Any, guidance: Any, *, up: tuple[float, float, float] = UP
+    axes: Axes, capture: Capture, guidance: Guidance, *, up: tuple[float, float, float] = UP
 ) -> ScalarMappable:
     """Draw all candidates on a map of the directions around the object.
 
     An equal-area map (Hammer's), seen from outside; its centre is below the first photograph.
-    Candidates are dots, hollow if they cannot be reached; photographs are crosses; proposals have
-    their rank.
-
-    Args:
-        axes: where to.
-        capture: the ``Capture``; photographs that are used are shown.
-        guidance: candidates, their gains, and the proposals.
-        up: top of the map.
+    Candidates are dots, hollow if they cannot be reached; photographs that are used are crosses;
+    proposals have their rank. ``up`` is the top of the map.
 
     Returns:
         What was drawn, to hand to ``figure.colorbar``.

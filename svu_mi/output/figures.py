@@ -5,6 +5,9 @@ figure, axes = plt.subplots(1, 2)
 draw_photograph(axes[0], capture, 0)
 figure.colorbar(draw_map(axes[1], estimate), ax=axes[1], label="entropy")
 ```
+
+Where an estimate is asked for, it says which texels there are and which are seen; ``values`` are
+one number per texel (T,), by default the entropy, and ``limits`` those at the ends of a colormap.
 """
 
 from __future__ import annotations
@@ -37,19 +40,9 @@ KNOWN_WIDTH = 0.05  # at which the only node of a known parameter is drawn
 
 
 def draw_photograph(
-    axes: Axes,
-    capture: Capture,
-    view: int,
-    window: tuple[float, float, float, float] | None = None,
+    axes: Axes, capture: Capture, view: int, window: views.Window | None = None
 ) -> None:
-    """Draw a photograph, exposed for the object and cropped to it.
-
-    Args:
-        axes: where to.
-        capture: the ``Capture``.
-        view: index of the photograph; without a mask all of it is shown.
-        window: what to show, as ``views.object_window`` returns it; that of the mask by default.
-    """
+    """Draw a photograph, exposed for the object and cropped: to a window, by default its mask's."""
     mask = capture.masks[view] if capture.masks else None
     image = views.tone_mapped(capture.images[view], mask)
     if window is None and mask is not None:
@@ -69,15 +62,7 @@ def draw_map(
     """Draw a value of every texel in the layout of the texture; row 0 is v = 0.
 
     Texels that no view sees are grey, and so light that it is nearly white where there is no
-    surface.
-
-    Args:
-        axes: where to.
-        estimate: says which texels there are and which are seen.
-        values: (T,) one value per texel; the entropy by default.
-        limits: values at the two ends of the colormap.
-        colormap: one of matplotlib's, or its name.
-        interpolation: of ``imshow``.
+    surface. ``interpolation`` is that of ``imshow``.
 
     Returns:
         What was drawn, to hand to ``figure.colorbar``.
@@ -95,23 +80,12 @@ def draw_map(
 
 
 def draw_scaled_map(
-    axes: Axes,
-    estimate: Estimate,
-    values: Any | None = None,
-    label: str = "",
-    *,
-    ticks: Sequence[float] = (),
-    **options: Any,
-) -> Colorbar:
+    axes: Axes, estimate: Estimate, values: Any | None = None, label: str = "", *,
+    ticks: Sequence[float] = (), **options: Any,
+) -> Colorbar:  # fmt: skip
     """Draw a map as ``draw_map`` does with its options, and the scale of its colours below.
 
-    Args:
-        axes: where to.
-        estimate: says which texels there are and which are seen.
-        values: (T,) one value per texel; the entropy by default.
-        label: what the numbers are.
-        ticks: numbers of the scale, where matplotlib's own would be too many.
-        options: of ``draw_map``.
+    ``ticks`` are numbers of the scale, where matplotlib's own would be too many.
     """
     drawn = draw_map(axes, estimate, values, **options)
     bar: Colorbar = style.color_bar(axes, drawn, label, ticks=ticks)
@@ -119,28 +93,14 @@ def draw_scaled_map(
 
 
 def draw_on_object(
-    axes: Axes,
-    capture: Capture,
-    estimate: Estimate,
-    view: int,
-    values: Any | None = None,
-    *,
-    limits: tuple[float, float] = (0, 1),
-    colormap: str = style.COLORMAP,
-) -> None:
+    axes: Axes, capture: Capture, estimate: Estimate, view: int, values: Any | None = None,
+    **options: Any,
+) -> None:  # fmt: skip
     """Draw a value of every texel on the object, as a camera of the capture sees it.
 
-    Args:
-        axes: where to.
-        capture: the ``Capture``.
-        estimate: says which texels there are; those that no view sees are grey.
-        view: index of the camera.
-        values: (T,) one value per texel; the entropy by default.
-        limits: values at the two ends of the colormap.
-        colormap: a name of matplotlib's.
+    Texels that no view sees are grey; ``options`` (limits, colormap) are those of ``map_colors``.
     """
-    colors = map_colors(estimate, values, limits=limits, colormap=colormap)
-    draw_texture(axes, capture, view, colors)
+    draw_texture(axes, capture, view, map_colors(estimate, values, **options))
 
 
 def draw_texture(axes: Axes, capture: Capture, view: int, colors: np.ndarray) -> None:
@@ -159,12 +119,7 @@ def map_colors(
 ) -> np.ndarray:
     """Return a value of every texel as screen colours (H, W, 3), nearly white outside the charts.
 
-    Args:
-        estimate: says which texels there are and which are seen.
-        values: (T,) one value per texel; the entropy by default.
-        limits: values at the two ends of the colormap.
-        colormap: one of matplotlib's, or its name.
-        gutter: texels that charts grow by.
+    Charts grow by ``gutter`` texels.
     """
     colors = style.colors(_values(estimate, values), limits, colormap)
     return _laid_out(estimate, colors, gutter, style.UNSEEN)
@@ -245,14 +200,8 @@ def draw_marginal(
 ) -> None:
     """Draw the marginal of one parameter of one texel as bars, one per node of the grid.
 
-    Of three colour channels the mean is shown. Dashed is where nobody looked.
-
-    Args:
-        axes: where to.
-        posterior: of all texels.
-        texel: index of the texel.
-        name: a name of ``posterior.axes``.
-        truth: true parameters of all texels, to mark with a line.
+    Of three colour channels the mean is shown. Dashed is where nobody looked; a line marks the
+    value in ``truth``, the true parameters of all texels.
 
     Raises:
         OptionError: an unknown parameter, or a texel that does not exist.
@@ -269,16 +218,16 @@ def draw_marginal(
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _values(estimate: Estimate, values: Any | None) -> np.ndarray:
-    return np.array(estimate.entropy if values is None else values).astype(np.float32)
-
-
 def bar_edges(nodes: np.ndarray) -> np.ndarray:
     """Borders of bars around the nodes: half-way, and mirrored at both ends."""
     if len(nodes) == 1:  # of a parameter that is known
         return nodes[0] + np.array([-KNOWN_WIDTH, KNOWN_WIDTH]) / 2
     middle = (nodes[1:] + nodes[:-1]) / 2
     return np.concatenate([[2 * nodes[0] - middle[0]], middle, [2 * nodes[-1] - middle[-1]]])
+
+
+def _values(estimate: Estimate, values: Any | None) -> np.ndarray:
+    return np.array(estimate.entropy if values is None else values).astype(np.float32)
 
 
 def _words(name: str) -> str:

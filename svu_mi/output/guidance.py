@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from svu_mi.capture import nodes
+from svu_mi.capture import Capture, nodes
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.picture import quantized
 from svu_mi.capture.poses import describe
@@ -17,12 +17,13 @@ from svu_mi.exr import write_exr
 from svu_mi.files import prepare_folder, replacing
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
+from svu_mi.guidance.result import Guidance
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.output.guidance_page import gain_picture, write_guidance_overview
-from svu_mi.output.manifest import RECORD, guidance_record, write_manifest, write_run
+from svu_mi.output.guidance_page import Gains, write_guidance_overview
+from svu_mi.output.manifest import RECORD, Run, guidance_record, write_manifest, write_run
 from svu_mi.output.maps import GUTTER, header, padded
 from svu_mi.output.upright import UP
-from svu_mi.progress import Stage
+from svu_mi.pipeline import Estimate
 from svu_mi.results.writing import writing
 
 PLAN, PAGE = "guidance.json", "guidance.png"
@@ -30,15 +31,13 @@ POSES, SENSORS, THUMBNAILS = "transforms.json", "sensors.xml", "thumbnails"
 
 
 def write_guidance(
-    capture: Any,
-    estimate: Any,
-    guidance: Any,
+    capture: Capture,
+    estimate: Estimate,
+    guidance: Guidance,
     folder: str | Path,
+    run: Run | None = None,
     *,
     up: tuple[float, float, float] = UP,
-    settings: Mapping[str, Any] | None = None,
-    kernels: Mapping[str, int] | None = None,
-    progress: Callable[[int, int], None] | None = None,
 ) -> None:
     """Write proposals as poses, maps and pictures, with ``guidance.json`` and ``run.json``.
 
@@ -50,50 +49,37 @@ def write_guidance(
         estimate: what its photographs say.
         guidance: the ``Guidance`` from there.
         folder: made if missing.
+        run: how it came about.
         up: top of the map of directions.
-        settings: what the caller was asked for (command-line options, seeds).
-        kernels: number of kernels compiled per stage, ``Progress.kernels``.
-        progress: called with (parts done, parts in all).
 
     Raises:
         OutputError: the folder or a file cannot be written.
     """
+    run = run or Run()
     with writing(folder, "guide", RECORD, capture=capture_key(capture)) as draft:
-        _write_all(capture, estimate, guidance, draft.folder, up, progress or Stage().update)
-        write_run(draft, guidance_record(capture, estimate, guidance), settings, kernels)
+        _write_poses(capture, guidance, draft.folder)
+        write_manifest(draft.folder / PLAN, plan(capture, estimate, guidance))
+        run.progress(1, 4)
+        gains = Gains.of(capture, guidance)
+        run.progress(2, 4)
+        _write_maps(guidance, gains.maps, draft.folder)
+        _write_thumbnails(gains.pictures, prepare_folder(draft.folder / THUMBNAILS))
+        run.progress(3, 4)
+        write_guidance_overview(capture, estimate, guidance, gains, draft.folder / PAGE, up=up)
+        run.progress(4, 4)
+        write_run(draft, guidance_record(capture, estimate, guidance), run)
 
 
-def _write_all(
-    capture: Any, estimate: Any, guidance: Any, folder: Path, up: tuple[float, float, float],
-    report: Callable[[int, int], None],
-) -> None:  # fmt: skip
-    """Write everything but the record."""
-    prepare_folder(folder / THUMBNAILS)
+def _write_poses(capture: Capture, guidance: Guidance, folder: Path) -> None:
     names, sensors = file_names(capture, guidance), [p.sensor for p in guidance.proposals]
     frames = [frame_of(s, Path(name)) for s, name in zip(sensors, names, strict=True)]
     write_transforms(folder / POSES, frames)
     write_sensors(folder / SENSORS, sensors, [Path(name).stem for name in names])
-    write_manifest(folder / PLAN, plan(capture, estimate, guidance))
-    report(1, 4)
-    maps = guidance.gain_maps()
-    _write_maps(guidance, maps, folder)
-    report(2, 4)
-    pictures = [gain_picture(capture, guidance, k, maps) for k in range(len(maps))]
-    _write_thumbnails(pictures, folder / THUMBNAILS)
-    report(3, 4)
-    write_guidance_overview(capture, estimate, guidance, maps, pictures, folder / PAGE, up=up)
-    report(4, 4)
 
 
-def plan(capture: Any, estimate: Any, guidance: Any) -> dict[str, Any]:
-    """Return what ``guidance.json`` says: proposals with their poses, and all candidates, ranked.
-
-    Args:
-        capture: the ``Capture``.
-        estimate: what its photographs say.
-        guidance: the ``Guidance`` from there.
-    """
-    files = file_names(capture, guidance)
+def plan(capture: Capture, estimate: Estimate, guidance: Guidance) -> dict[str, Any]:
+    """Return what ``guidance.json`` says: proposals with poses, and all candidates, ranked."""
+    ranked = enumerate(zip(guidance.proposals, file_names(capture, guidance), strict=True), 1)
     return {
         "settings": {
             "method": guidance.method,
@@ -105,23 +91,18 @@ def plan(capture: Any, estimate: Any, guidance: Any) -> dict[str, Any]:
         "entropy": guidance.entropy,
         "proposals": [
             {
-                "rank": rank,
-                "candidate": proposal.candidate,
-                "name": proposal.name,
-                "file": file,
+                "rank": rank, "candidate": proposal.candidate, "name": proposal.name, "file": file,
                 **{key: getattr(proposal, key)
                    for key in ("gain", "error", "entropy", "sees", "new")},
                 "pose": describe(proposal.sensor),
             }
-            for rank, (proposal, file) in enumerate(
-                zip(guidance.proposals, files, strict=True), 1
-            )
+            for rank, (proposal, file) in ranked
         ],
         "candidates": _ranked(guidance),
     }  # fmt: skip
 
 
-def file_names(capture: Any, guidance: Any) -> list[str]:
+def file_names(capture: Capture, guidance: Guidance) -> list[str]:
     """Return the file names that photographs of the proposals should have.
 
     A sensor of the capture has its own; all others come after it, in their order.
@@ -138,14 +119,9 @@ def file_names(capture: Any, guidance: Any) -> list[str]:
 
 
 def write_sensors(path: str | Path, sensors: Sequence[Any], names: Sequence[str]) -> None:
-    """Write sensors as a Mitsuba scene of their own, to be loaded or included.
+    """Write perspective sensors as a Mitsuba scene of their own, to be loaded or included.
 
-    ``-D spp=N`` sets samples per pixel.
-
-    Args:
-        path: the XML file.
-        sensors: V perspective sensors.
-        names: V ids.
+    ``-D spp=N`` sets samples per pixel; ``names`` are their ids.
 
     Raises:
         OutputError: the file cannot be written.
@@ -155,22 +131,17 @@ def write_sensors(path: str | Path, sensors: Sequence[Any], names: Sequence[str]
     nodes.write_document(root, Path(path))
 
 
-def _ranked(guidance: Any) -> list[dict[str, Any]]:
+def _ranked(guidance: Guidance) -> list[dict[str, Any]]:
     """All candidates, the best first, those that cannot be reached last."""
-    candidates = guidance.candidates
-    last = np.flatnonzero(~candidates.reachable)
+    names, reachable = guidance.candidates.names, guidance.candidates.reachable
     return [
-        {
-            "number": int(number),
-            "name": candidates.names[number],
-            "reachable": bool(candidates.reachable[number]),
-            "gain": float(guidance.gains[number]),
-        }
-        for number in (*guidance.ranking, *last)
-    ]
+        {"number": int(k), "name": names[k], "reachable": bool(reachable[k]),
+         "gain": float(guidance.gains[k])}
+        for k in (*guidance.ranking, *np.flatnonzero(~reachable))
+    ]  # fmt: skip
 
 
-def _write_maps(guidance: Any, maps: np.ndarray, folder: Path) -> None:
+def _write_maps(guidance: Guidance, maps: np.ndarray, folder: Path) -> None:
     """Write one EXR per proposal, channel Y: the gain of every texel, 0 outside the charts."""
     for k, (proposal, gains) in enumerate(zip(guidance.proposals, maps, strict=True)):
         image = padded(guidance, gains, fill=0)

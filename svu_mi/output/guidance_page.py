@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.capture.poses import film_size, resized_sensor
+from svu_mi.guidance.result import Guidance, Proposal
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.names import plain_name
 from svu_mi.output import style, views
@@ -18,28 +21,45 @@ from svu_mi.output.figures import all_seen, draw_map, map_colors
 from svu_mi.output.page import grouped
 from svu_mi.output.style import GAIN_COLORS, INK, LEFT, RIGHT, RULE
 from svu_mi.output.upright import UP
+from svu_mi.pipeline import Estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
-    from matplotlib.figure import Figure
 
 SIZE = (18.0, 11.2)  # inches
 HEADING = "Which photograph to take next"
-PLACES = (
-    (LEFT, 0.51, 0.455, 0.355), (0.535, 0.545, 0.195, 0.33), (0.79, 0.545, 0.195, 0.33),
-)  # fmt: skip
+# Of the map of directions and the two plots: left, right, top and bottom, in parts of the page.
+PLACES = ((LEFT, 0.473, 0.865, 0.51), (0.535, 0.73, 0.875, 0.545), (0.79, RIGHT, 0.875, 0.545))
 SHOWN = 5  # proposals that are drawn on the object
 WHITE = 0.99  # part of the positive gains of texels that colours do not clip
 CROWDED = 0.04  # part of the candidates within which two numbers would overlap
 
 
+@dataclass(frozen=True)
+class Gains:
+    """Where on the object the proposals gain.
+
+    Attributes:
+        maps: (proposals, T) of ``Guidance.gain_maps``.
+        pictures: what the proposals see of them, of ``gain_picture``.
+    """
+
+    maps: np.ndarray
+    pictures: list[np.ndarray]
+
+    @classmethod
+    def of(cls, capture: Capture, guidance: Guidance) -> Gains:
+        """Compute and draw them."""
+        maps = guidance.gain_maps()
+        return cls(maps, [gain_picture(capture, guidance, k, maps) for k in range(len(maps))])
+
+
 def write_guidance_overview(
-    capture: Any,
-    estimate: Any,
-    guidance: Any,
-    maps: np.ndarray,
-    pictures: Sequence[np.ndarray],
+    capture: Capture,
+    estimate: Estimate,
+    guidance: Guidance,
+    gains: Gains,
     path: str | Path,
     *,
     up: tuple[float, float, float] = UP,
@@ -50,16 +70,20 @@ def write_guidance_overview(
         capture: the ``Capture``.
         estimate: what its photographs say.
         guidance: the ``Guidance`` from there.
-        maps: (proposals, T) of ``Guidance.gain_maps``.
-        pictures: what the proposals see of them, of ``gain_picture``.
+        gains: of its proposals.
         path: the PNG file.
         up: top of the map of directions.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    figure = style.new_page(SIZE, HEADING, _notes(capture, estimate, guidance), (0.968, 0.936))
-    style.draw_panels(figure, PLACES, [
+    figure = style.new_figure(*SIZE)
+    style.heading(figure, HEADING, _notes(capture, estimate, guidance), (0.968, 0.936))
+    places = [
+        figure.add_gridspec(1, 1, left=left, right=right, top=top, bottom=bottom)[0]
+        for left, right, top, bottom in PLACES
+    ]
+    style.draw_panels(figure, places, [
         ("", partial(_directions, capture=capture, guidance=guidance, up=up)),
         ("Mean entropy of all texels, now and expected",
          partial(draw_expected, capture=capture, guidance=guidance)),
@@ -68,12 +92,17 @@ def write_guidance_overview(
     rows = figure.add_gridspec(
         2, SHOWN + 1, left=LEFT + 0.012, right=RIGHT, top=0.42, bottom=0.01, hspace=0.2, wspace=0.1
     )
-    _objects(figure, rows, capture, estimate, guidance, pictures)
-    _maps(figure, rows, estimate, guidance, maps)
+    entropy, shown = map_colors(estimate), guidance.proposals[:SHOWN]
+    for column, (proposal, gain) in enumerate(zip(shown, gains.pictures, strict=False)):
+        before = views.picture(capture, entropy, _large(proposal.sensor))
+        cells = [figure.add_subplot(rows[row, column]) for row in (0, 1)]
+        _proposal(cells, column + 1, proposal, (before, gain))
+    cells = [figure.add_subplot(rows[row, len(shown)]) for row in (0, 1)]
+    _maps(cells, estimate, guidance, gains.maps)
     style.save_figure(figure, path)
 
 
-def _notes(capture: Any, estimate: Any, guidance: Any) -> list[str]:
+def _notes(capture: Capture, estimate: Estimate, guidance: Guidance) -> list[str]:
     width, height = guidance.texels.resolution
     options, reachable = guidance.options, int(guidance.candidates.reachable.sum())
     looked_at = min(options.texels, guidance.texels.count)
@@ -89,7 +118,7 @@ def _notes(capture: Any, estimate: Any, guidance: Any) -> list[str]:
 
 
 def _directions(
-    axes: Axes, capture: Any, guidance: Any, up: tuple[float, float, float]
+    axes: Axes, capture: Capture, guidance: Guidance, up: tuple[float, float, float]
 ) -> None:  # fmt: skip
     drawn = draw_directions(axes, capture, guidance, up=up)
     style.title(axes, "Directions from which the object can be photographed", pad=34)
@@ -97,13 +126,10 @@ def _directions(
     style.color_bar(axes, drawn, label, (0.2, -0.06, 0.6, 0.028))
 
 
-def draw_expected(axes: Axes, capture: Any, guidance: Any) -> None:
+def draw_expected(axes: Axes, capture: Capture, guidance: Guidance) -> None:
     """Draw the mean entropy against the number of photographs: now, and as it is expected.
 
-    Args:
-        axes: where to.
-        capture: says how many photographs there are.
-        guidance: the proposals; without a forecast, there is nothing to draw but today's entropy.
+    Without a forecast, there is nothing to draw but today's.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -121,18 +147,13 @@ def draw_expected(axes: Axes, capture: Any, guidance: Any) -> None:
     style.legend(axes, loc="upper right", borderaxespad=0.2, handletextpad=0.2)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True))
     growing = guidance.options.band_limit == "growing"
-    light = ", each in the light filtered for so many" if growing else ""
+    light = "; light filtered for that number" if growing else ""
     style.labels(axes, f"photographs{light}", "mean entropy", 9.5)
     style.plain(axes)
 
 
-def draw_ranking(axes: Axes, guidance: Any) -> None:
-    """Draw the gains of all candidates that can be reached, the best first.
-
-    Args:
-        axes: where to.
-        guidance: candidates, their gains, and the proposals.
-    """
+def draw_ranking(axes: Axes, guidance: Guidance) -> None:
+    """Draw the gains of all candidates that can be reached, the best first."""
     from matplotlib.ticker import MaxNLocator
 
     order = guidance.ranking
@@ -159,11 +180,13 @@ def gain_limit(maps: np.ndarray) -> float:
     return max(float(np.quantile(positive, WHITE)), 1e-6) if len(positive) else 1.0
 
 
-def gain_picture(capture: Any, guidance: Any, proposal: int, maps: np.ndarray) -> np.ndarray:
+def gain_picture(
+    capture: Capture, guidance: Guidance, proposal: int, maps: np.ndarray
+) -> np.ndarray:
     """Render the object as a proposed camera will see it, grey where no entropy will go.
 
     Args:
-        capture: the ``Capture``.
+        capture: whose object it is.
         guidance: the proposals.
         proposal: number of the proposal.
         maps: (proposals, T) of ``Guidance.gain_maps``; all have one scale of colours.
@@ -185,33 +208,27 @@ def gain_colors() -> Colormap:
     return LinearSegmentedColormap.from_list("gain", GAIN_COLORS)
 
 
-def _objects(
-    figure: Figure, rows: Any, capture: Any, estimate: Any, guidance: Any,
-    pictures: Sequence[np.ndarray],
+def _proposal(
+    cells: Sequence[Axes], rank: int, proposal: Proposal, pictures: Sequence[np.ndarray]
+) -> None:
+    """What a proposed camera will see: entropy so far, and what it is expected to change."""
+    window = views.object_window(pictures[0][..., 3] > 0)
+    captions, names = (_short(proposal.name), _worth(proposal)), ("entropy so far", "expected gain")
+    for axes, image, caption, name in zip(cells, pictures, captions, names, strict=True):
+        style.draw_image(axes, views.crop(image[..., :3], window))
+        axes.set_anchor("N")
+        style.caption(axes, caption)
+        if rank == 1:
+            axes.text(-0.03, 0.5, name, transform=axes.transAxes, rotation=90, size=11,
+                      color=INK, ha="right", va="center")  # fmt: skip
+    numbered(cells[0], 0.06, 0.93, rank, "white", 260, transform=cells[0].transAxes)
+
+
+def _maps(
+    cells: Sequence[Axes], estimate: Estimate, guidance: Guidance, maps: np.ndarray
 ) -> None:  # fmt: skip
-    """What the proposed cameras will see: entropy so far, and what each is expected to change."""
-    entropy = map_colors(estimate)
-    shown = zip(guidance.proposals[:SHOWN], pictures, strict=False)
-    for column, (proposal, gain) in enumerate(shown):
-        before = views.picture(capture, entropy, _large(proposal.sensor))
-        window = views.object_window(before[..., 3] > 0)
-        for row, image in enumerate((before, gain)):
-            axes = figure.add_subplot(rows[row, column])
-            style.draw_image(axes, views.crop(image[..., :3], window))
-            axes.set_anchor("N")
-            style.caption(axes, _short(proposal.name) if row == 0 else _worth(proposal))
-            if row == 0:
-                numbered(axes, 0.06, 0.93, column + 1, "white", 260, transform=axes.transAxes)
-            if column == 0:
-                words = ("entropy so far", "expected gain")[row]
-                axes.text(-0.03, 0.5, words, transform=axes.transAxes, rotation=90, size=11,
-                          color=INK, ha="right", va="center")  # fmt: skip
-
-
-def _maps(figure: Figure, rows: Any, estimate: Any, guidance: Any, maps: np.ndarray) -> None:
     """Both in the layout of the texture, with the scales of the pictures beside them."""
-    column = min(len(guidance.proposals), SHOWN)
-    above, below = (figure.add_subplot(rows[row, column]) for row in (0, 1))
+    above, below = cells
     gains = maps[0] if len(maps) else np.zeros(guidance.texels.count, np.float32)
     scale: Any = {"limits": (0, gain_limit(maps)), "colormap": gain_colors()}
     for axes, what, words in (
@@ -224,7 +241,7 @@ def _maps(figure: Figure, rows: Any, estimate: Any, guidance: Any, maps: np.ndar
 
 
 def _labels(
-    order: np.ndarray, gains: np.ndarray, proposals: Any
+    order: np.ndarray, gains: np.ndarray, proposals: Sequence[Proposal]
 ) -> Iterator[tuple[int, float, int, int]]:
     """Yield where a proposal's number stands: place, height, rank, and lines above that height.
 
@@ -246,9 +263,9 @@ def _large(sensor: Any) -> Any:
     return resized_sensor(sensor, -(-views.SIDE // max(film_size(sensor))))
 
 
-def _worth(proposal: Any) -> str:
+def _worth(proposal: Proposal) -> str:
     error = f" ± {proposal.error:.4f}" if proposal.error > 0 else ""
-    new = f", {100 * proposal.new:.0f} % as the first" if proposal.new >= 0.005 else ""
+    new = f", {100 * proposal.new:.0f} % new" if proposal.new >= 0.005 else ""
     gain = f"{proposal.gain:.4f}{error}\n" if np.isfinite(proposal.gain) else ""
     return f"{gain}sees {100 * proposal.sees:.0f} % of the texels{new}"
 

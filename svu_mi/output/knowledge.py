@@ -39,8 +39,7 @@ class Intervals:
     def ends(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the lower and the upper ends, (t, 1) or by channel (t, 3) float32.
 
-        Raises:
-            OptionError: an unknown parameter.
+        An unknown parameter raises an ``OptionError``.
         """
         if name not in self._ends:
             found = self._posterior.interval(name, self.level, self.chosen)
@@ -49,11 +48,7 @@ class Intervals:
         return self._ends[name]
 
     def half_width(self, name: str) -> np.ndarray:
-        """Return half the width of the intervals, (t,); of several channels, that of the widest.
-
-        Raises:
-            OptionError: an unknown parameter.
-        """
+        """Return half the width of the intervals, (t,); of several channels, that of the widest."""
         low, high = self.ends(name)
         return (high - low).max(axis=1) / 2
 
@@ -88,11 +83,8 @@ class Knowledge:
     ) -> Knowledge:
         """Measure what an estimate says.
 
-        Args:
-            estimate: the ``Estimate``.
-            intervals: of its posterior; by default those of some thousand texels all over what
-                is seen, which tells parts of the surface to a percent or two.
-            tolerance: a half-width.
+        Intervals are of its posterior, by default those of some thousand texels all over what is
+        seen, which tells parts of the surface to a percent or two.
         """
         seen = is_seen(estimate)
         if intervals is None:
@@ -120,7 +112,7 @@ class Knowledge:
         if not self.seen_part:
             return "Nothing is known: no photograph shows the surface."
         if not self.known_part:
-            return "No parameter is in question: all were taken as known."
+            return "All parameters were taken as known."
         (first, share), *others = [(words(n), plain_percent(x)) for n, x in self.known_part.items()]
         told = [f"{first} known to ±{self.tolerance:g} on {share} of the surface seen"]
         told += [f"{name} on {share}" for name, share in others]

@@ -9,22 +9,47 @@ import math
 import os
 import platform
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import svu_mi
 from svu_mi import _llvm
+from svu_mi.capture import Capture
 from svu_mi.errors import OutputError
 from svu_mi.files import write_text
 from svu_mi.output.knowledge import Knowledge
 from svu_mi.output.result import is_seen
+from svu_mi.pipeline import Estimate
+from svu_mi.progress import Stage
 from svu_mi.results.writing import Draft
+
+if TYPE_CHECKING:
+    from svu_mi.guidance.result import Guidance
+    from svu_mi.recovery.recover import Recovery
 
 RECORD = "run.json"
 PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "trimesh", "xatlas")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """How results came about that are to be written, and who watches.
+
+    Attributes:
+        settings: what the caller was asked for (command-line options, seeds).
+        kernels: number of kernels compiled per stage, ``Progress.kernels``.
+        consumed: files of the folder no longer needed when the result is there: checkpoints.
+        progress: called with (parts written, parts in all).
+    """
+
+    settings: Mapping[str, Any] | None = None
+    kernels: Mapping[str, int] | None = None
+    consumed: Sequence[str] = ()
+    progress: Callable[[int, int], None] = Stage().update
 
 
 def environment_record() -> dict[str, Any]:
@@ -51,34 +76,25 @@ def environment_record() -> dict[str, Any]:
     }
 
 
-def run_record(capture: Any, estimate: Any, knowledge: Knowledge | None = None) -> dict[str, Any]:
-    """Return what a capture and its estimate say about the run.
-
-    Args:
-        capture: the ``Capture``.
-        estimate: its ``Estimate``.
-        knowledge: what it says in units; computed if not given.
-    """
+def run_record(
+    capture: Capture, estimate: Estimate, knowledge: Knowledge | None = None
+) -> dict[str, Any]:
+    """Return what a capture and its estimate say about the run; intervals are ``knowledge``."""
     entropy, seen = np.asarray(estimate.entropy), is_seen(estimate)
     result = {
-        "texels": estimate.texels.count,
-        "texels_seen": int(seen.sum()),
         "mean_entropy_of_seen": float(entropy[seen].mean()) if seen.any() else None,
         "intervals": knowledge or Knowledge.of(estimate),
     }
     return _record(
-        capture, _settings(estimate), result, skipped=estimate.skipped, timings_s=estimate.timings
-    )
+        capture, estimate, _settings(estimate), result,
+        skipped=estimate.skipped, timings_s=estimate.timings,
+    )  # fmt: skip
 
 
-def recovery_record(capture: Any, recovery: Any, estimate: Any | None = None) -> dict[str, Any]:
-    """Return what a capture and a recovery from it say about the run.
-
-    Args:
-        capture: the ``Capture``.
-        recovery: its ``Recovery``.
-        estimate: whose entropy and standard deviations are written beside it, or None.
-    """
+def recovery_record(
+    capture: Capture, recovery: Recovery, estimate: Estimate | None = None
+) -> dict[str, Any]:
+    """Return what a recovery, and the estimate that is written beside it, say about the run."""
     losses = np.asarray(recovery.losses, np.float64)
     settings = {
         "method": recovery.method,
@@ -87,37 +103,28 @@ def recovery_record(capture: Any, recovery: Any, estimate: Any | None = None) ->
         "entropy_of": None if estimate is None else _settings(estimate),
     }
     result = {
-        "texels": recovery.texels.count,
-        "texels_seen": int(is_seen(recovery).sum()),
         "steps": len(losses),
         "first_loss": float(losses[0]) if len(losses) else None,
         "last_loss": float(losses[-1]) if len(losses) else None,
     }
-    return _record(capture, settings, result, timings_s=recovery.timings)
+    return _record(capture, recovery, settings, result, timings_s=recovery.timings)
 
 
-def guidance_record(capture: Any, estimate: Any, guidance: Any) -> dict[str, Any]:
-    """Return what a capture, its estimate and the guidance from there say about the run.
-
-    Args:
-        capture: the ``Capture``.
-        estimate: what its photographs say.
-        guidance: the ``Guidance``.
-    """
-    settings = {**_settings(estimate), "used": guidance.options}
+def guidance_record(capture: Capture, estimate: Estimate, guidance: Guidance) -> dict[str, Any]:
+    """Return what an estimate, and the guidance from there, say about the run."""
     result = {
-        "texels": guidance.texels.count,
-        "texels_seen": int(is_seen(estimate).sum()),
         "mean_entropy": float(np.asarray(estimate.entropy).mean()),
         "candidates": guidance.candidates.count,
         "proposals": [proposal.name for proposal in guidance.proposals],
     }
-    skipped = {**estimate.skipped, **guidance.skipped}
-    timings = {**estimate.timings, **guidance.timings}
-    return _record(capture, settings, result, skipped=skipped, timings_s=timings)
+    return _record(
+        capture, estimate, {**_settings(estimate), "used": guidance.options}, result,
+        skipped={**estimate.skipped, **guidance.skipped},
+        timings_s={**estimate.timings, **guidance.timings},
+    )  # fmt: skip
 
 
-def _settings(estimate: Any) -> dict[str, Any]:
+def _settings(estimate: Estimate) -> dict[str, Any]:
     return {
         "method": estimate.method,
         "preset": estimate.preset,
@@ -127,9 +134,10 @@ def _settings(estimate: Any) -> dict[str, Any]:
 
 
 def _record(
-    capture: Any, settings: dict[str, Any], result: dict[str, Any], **more: Any
-) -> dict[str, Any]:
-    """Return what the records of all runs have, in their order."""
+    capture: Capture, seen: Estimate | Recovery, settings: dict[str, Any], result: dict[str, Any],
+    **more: Any,
+) -> dict[str, Any]:  # fmt: skip
+    """Return what the records of all runs have, in their order; ``seen`` says of which texels."""
     inputs = {
         "source": capture.source,
         "views": capture.count,
@@ -137,32 +145,18 @@ def _record(
         "exposures": capture.exposures,
         "left_out": [n for n, u in zip(capture.names, capture.used, strict=True) if not u],
     }
+    texels = {"texels": seen.texels.count, "texels_seen": int(is_seen(seen).sum())}
     return {
-        "inputs": inputs, "settings": settings, "result": result, **more,
+        "inputs": inputs, "settings": settings, "result": {**texels, **result}, **more,
         "warnings": capture.warnings,
     }  # fmt: skip
 
 
-def write_run(
-    draft: Draft,
-    record: Mapping[str, Any],
-    settings: Mapping[str, Any] | None = None,
-    kernels: Mapping[str, int] | None = None,
-) -> None:
-    """Write ``run.json``: a record of this module, and where the run took place.
-
-    Args:
-        draft: of the run, with everything else in it.
-        record: of the run.
-        settings: what the caller was asked for (command-line options, seeds).
-        kernels: number of kernels compiled per stage, ``Progress.kernels``.
-
-    Raises:
-        OutputError: as ``write_manifest``.
-    """
+def write_run(draft: Draft, record: Mapping[str, Any], run: Run) -> None:
+    """Write ``run.json`` beside everything else: a record of this module, and where it ran."""
     write_manifest(draft.folder / RECORD, {
-        **record, "settings": {**record["settings"], "given": settings},
-        "kernels_compiled": kernels, "environment": environment_record(), **draft.entries(),
+        **record, "settings": {**record["settings"], "given": run.settings},
+        "kernels_compiled": run.kernels, "environment": environment_record(), **draft.entries(),
     })  # fmt: skip
 
 
@@ -170,11 +164,7 @@ def write_manifest(path: str | Path, record: Mapping[str, Any]) -> None:
     """Write a record as JSON, atomically.
 
     Dataclasses become objects, arrays and tuples lists, paths text, and NaN or infinity
-    null, which JSON has no number for.
-
-    Args:
-        path: the file.
-        record: by name; nested to any depth.
+    null, which JSON has no number for; to any depth.
 
     Raises:
         OutputError: a value that JSON cannot hold, or a file that cannot be written.

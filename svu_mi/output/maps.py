@@ -9,15 +9,14 @@ import numpy as np
 
 import svu_mi
 from svu_mi.exr import write_exr
+from svu_mi.pipeline import Estimate
 from svu_mi.surface.gutter import dilate
 
-ENTROPY = "entropy.exr"
-COVERAGE = "coverage.exr"
-UNCERTAINTY = "uncertainty.exr"
+ENTROPY, COVERAGE, UNCERTAINTY = "entropy.exr", "coverage.exr", "uncertainty.exr"
 GUTTER = 4  # texels; enough for bilinear lookups down to a quarter of the resolution
 
 
-def write_maps(estimate: Any, folder: str | Path, *, gutter: int = GUTTER) -> None:
+def write_maps(estimate: Estimate, folder: str | Path, *, gutter: int = GUTTER) -> None:
     """Write ``entropy.exr`` and ``coverage.exr``, both with the one float32 channel Y.
 
     Entropy is in [0, 1]; coverage is the number of views that see a texel. Texels nobody saw
@@ -33,25 +32,18 @@ def write_maps(estimate: Any, folder: str | Path, *, gutter: int = GUTTER) -> No
     Raises:
         OutputError: a file cannot be written, or a value is NaN.
     """
-    folder = Path(folder)
     attributes = header(estimate, preset=estimate.preset.name, gutter=gutter)
-    entropy = padded(estimate, np.asarray(estimate.entropy, np.float32), gutter)
-    coverage = padded(estimate, np.asarray(estimate.coverage).astype(np.float32), gutter, 0)
-    write_exr(folder / ENTROPY, {"Y": entropy}, attributes)
-    write_exr(folder / COVERAGE, {"Y": coverage}, attributes)
+    for file, values, fill in ((ENTROPY, estimate.entropy, 1), (COVERAGE, estimate.coverage, 0)):
+        image = padded(estimate, np.asarray(values).astype(np.float32), gutter, fill)
+        write_exr(Path(folder) / file, {"Y": image}, attributes)
 
 
-def write_uncertainty(estimate: Any, folder: str | Path, *, gutter: int = GUTTER) -> None:
+def write_uncertainty(estimate: Estimate, folder: Path) -> None:
     """Write ``uncertainty.exr``: the standard deviation of every parameter, float32, by channel.
 
     Channels are named ``roughness.sd``, ``metallic.sd`` and ``base_color.sd.R`` (.G, .B; without
     a letter if R, G and B have one in common). Texels nobody saw have that of the prior; outside
     the charts it is 0, but for a gutter.
-
-    Args:
-        estimate: the ``Estimate``.
-        folder: an existing folder.
-        gutter: width of the gutter in texels; 0 for none.
 
     Raises:
         OutputError: the file cannot be written, or a value is NaN.
@@ -62,28 +54,24 @@ def write_uncertainty(estimate: Any, folder: str | Path, *, gutter: int = GUTTER
         columns = sd.reshape(len(sd), -1).T
         letters = [""] if len(columns) == 1 else [".R", ".G", ".B"]
         for letter, column in zip(letters, columns, strict=True):
-            channels[f"{name}.sd{letter}"] = padded(estimate, column, gutter, 0)
-    attributes = header(estimate, preset=estimate.preset.name, gutter=gutter)
-    write_exr(Path(folder) / UNCERTAINTY, channels, attributes)
+            channels[f"{name}.sd{letter}"] = padded(estimate, column, fill=0)
+    attributes = header(estimate, preset=estimate.preset.name, gutter=GUTTER)
+    write_exr(folder / UNCERTAINTY, channels, attributes)
 
 
 def header(made: Any, **more: Any) -> dict[str, Any]:
     """Return what the header of each file of a result says, and more by name.
 
-    Args:
-        made: an ``Estimate``, a ``Guidance`` or a ``Recovery``.
-        more: entries of the file.
+    ``made`` is an ``Estimate``, a ``Guidance`` or a ``Recovery``.
     """
     found = {"version": svu_mi.__version__, "method": made.method, **more}
     return {f"svu:{name}": value for name, value in found.items()}
 
 
-def padded(estimate: Any, values: np.ndarray, gutter: int = GUTTER, fill: float = 1) -> np.ndarray:
-    """Lay (T,) values out as an (H, W) texture with a gutter around the charts.
+def padded(made: Any, values: np.ndarray, gutter: int = GUTTER, fill: float = 1) -> np.ndarray:
+    """Lay values (T,) of the same out as an (H, W) texture with a gutter around the charts.
 
     Only texels outside the charts are filled. A texel that is valid but unseen keeps its own
     value and hands that one to its gutter: nothing seen may grow into what was not.
     """
-    texels = estimate.texels
-    inside = texels.to_image(np.ones(texels.count, bool), False)
-    return dilate(texels.to_image(values, fill), inside, gutter)
+    return dilate(made.texels.to_image(values, fill), made.texels.inside(), gutter)

@@ -20,7 +20,7 @@ import numpy as np
 from svu_mi.capture.picture import quantized
 from svu_mi.errors import OutputError
 from svu_mi.files import write_text
-from svu_mi.output.style import css
+from svu_mi.output.style import css, css_gradient
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -61,15 +61,7 @@ def drawing(image: np.ndarray, side: int | None = None) -> Picture:
 
 
 def photograph(image: np.ndarray, side: int | None = THUMBNAIL) -> Picture:
-    """Embed a photograph, as JPEG.
-
-    Args:
-        image: (H, W, 3) screen values in [0, 1].
-        side: the longer side is made this small, if it is longer.
-
-    Raises:
-        OutputError: a value is NaN or infinite, or there is no pixel.
-    """
+    """Embed a photograph (H, W, 3) as ``drawing`` does a map, but as JPEG."""
     return _embedded(image, side, "jpeg", quality=JPEG_QUALITY)
 
 
@@ -138,5 +130,7 @@ def _environment() -> Environment:
         "style": Markup((TEMPLATES / STYLE).read_text(encoding="utf-8")),
         "script": Markup(script),
     }
-    environment.filters |= {"css": css, "grouped": grouped, "percent": percent}
+    environment.filters |= {
+        "css": css, "gradient": css_gradient, "grouped": grouped, "percent": percent,
+    }  # fmt: skip
     return environment

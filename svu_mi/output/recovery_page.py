@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.output import style, views
 from svu_mi.output.figures import all_seen, draw_on_object, draw_scaled_map, draw_texture
 from svu_mi.output.page import grouped
-from svu_mi.output.relit import Relit
+from svu_mi.output.relit import Comparison
 from svu_mi.output.result import is_seen, words
 from svu_mi.output.style import GREY, INK, LEFT, OUTSIDE, RIGHT, RULE, VIEWS_COLORMAP
 from svu_mi.parameters import NAMES
+from svu_mi.pipeline import Estimate
+from svu_mi.recovery.recover import Recovery
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +26,7 @@ if TYPE_CHECKING:
     from svu_mi.output.style import Panel
 
 SIZE = (18.0, 10.2)  # inches
-HEADING = "The reflectance that the photographs were taken of"
+HEADING = "Reflectance recovered from the photographs"
 TITLES = tuple(words(name).capitalize() for name in NAMES)
 GREYS = "grey: never seen"
 WIDEST_SD = 0.3  # at the upper end of the colours; an even prior's is 0.29, that of metals 0.46
@@ -31,11 +34,11 @@ SMOOTH = 50  # losses are averaged over this part of the steps
 
 
 def write_recovery_overview(
-    capture: Any,
-    recovery: Any,
-    comparisons: Sequence[Relit],
+    capture: Capture,
+    recovery: Recovery,
+    comparisons: Sequence[Comparison],
     path: str | Path,
-    estimate: Any | None = None,
+    estimate: Estimate | None = None,
 ) -> None:
     """Draw textures, what is known of them, losses and comparisons: a page of 1800 x 1020 pixels.
 
@@ -49,7 +52,8 @@ def write_recovery_overview(
     Raises:
         OutputError: the file cannot be written.
     """
-    figure = style.new_page(SIZE, HEADING, _notes(capture, recovery, estimate), (0.962, 0.925))
+    figure = style.new_figure(*SIZE)
+    style.heading(figure, HEADING, _notes(capture, recovery, estimate), (0.962, 0.925))
     maps = figure.add_gridspec(1, 7, left=LEFT, right=0.83, top=0.875, bottom=0.63, wspace=0.12)
     plot = figure.add_gridspec(1, 1, left=0.87, right=RIGHT, top=0.875, bottom=0.64)
     rows = figure.add_gridspec(
@@ -64,7 +68,7 @@ def write_recovery_overview(
     style.save_figure(figure, path)
 
 
-def _notes(capture: Any, recovery: Any, estimate: Any | None) -> list[str]:
+def _notes(capture: Capture, recovery: Recovery, estimate: Estimate | None) -> list[str]:
     width, height = recovery.texels.resolution
     seen = is_seen(recovery)
     return [
@@ -78,7 +82,7 @@ def _notes(capture: Any, recovery: Any, estimate: Any | None) -> list[str]:
     ]
 
 
-def _maps(recovery: Any, estimate: Any | None) -> list[Panel]:
+def _maps(recovery: Recovery, estimate: Estimate | None) -> list[Panel]:
     """The recovered textures, and what is known of each, in the layout of the texture."""
     inside = recovery.texels.inside()
     color = views.srgb(np.clip(recovery.image("base_color"), 0, 1))
@@ -99,7 +103,7 @@ def _texture(axes: Axes, image: np.ndarray) -> None:
     style.framed(axes)
 
 
-def _scaled(axes: Axes, estimate: Any | None, **options: Any) -> None:
+def _scaled(axes: Axes, estimate: Estimate | None, **options: Any) -> None:
     """Draw a map, narrow as it is, or say that there is none."""
     if estimate is None:
         _empty(axes, "not estimated")
@@ -107,7 +111,7 @@ def _scaled(axes: Axes, estimate: Any | None, **options: Any) -> None:
         draw_scaled_map(axes, estimate, **{"ticks": (0, 0.5, 1), **options})
 
 
-def _uncertainty(axes: Axes, estimate: Any | None, name: str) -> None:
+def _uncertainty(axes: Axes, estimate: Estimate | None, name: str) -> None:
     """Draw the standard deviation of a parameter, of base colour that of the worst channel."""
     if estimate is None or name not in estimate.posterior.axes:
         _empty(axes, "not estimated")
@@ -117,7 +121,7 @@ def _uncertainty(axes: Axes, estimate: Any | None, name: str) -> None:
     _scaled(axes, estimate, values=worst, limits=(0, WIDEST_SD), ticks=(0, 0.1, 0.2), label=GREYS)
 
 
-def _losses(axes: Axes, recovery: Any) -> None:
+def _losses(axes: Axes, recovery: Recovery) -> None:
     losses = np.array(recovery.losses, np.float64)
     if len(losses) < 2:
         _empty(axes, "no descent")
@@ -131,7 +135,7 @@ def _losses(axes: Axes, recovery: Any) -> None:
     style.plain(axes)
 
 
-def _compared(comparison: Relit) -> list[Panel]:
+def _compared(comparison: Comparison) -> list[Panel]:
     """A photograph, what the textures make of it, and the difference."""
     error = comparison.mean_difference
     titles = (
@@ -143,7 +147,9 @@ def _compared(comparison: Relit) -> list[Panel]:
             for title, image in zip(titles, images, strict=False)]  # fmt: skip
 
 
-def _parameters(capture: Any, recovery: Any, comparison: Relit, _: Any) -> list[Panel]:
+def _parameters(
+    capture: Capture, recovery: Recovery, comparison: Comparison, _: Estimate | None
+) -> list[Panel]:
     """The three parameters on the object."""
     color = views.srgb(np.clip(np.array(recovery.textures.base_color, np.float32), 0, 1))
     on_object = partial(
@@ -157,7 +163,9 @@ def _parameters(capture: Any, recovery: Any, comparison: Relit, _: Any) -> list[
     ]  # fmt: skip
 
 
-def _rest(capture: Any, recovery: Any, comparison: Relit, estimate: Any | None) -> list[Panel]:
+def _rest(
+    capture: Capture, recovery: Recovery, comparison: Comparison, estimate: Estimate | None
+) -> list[Panel]:
     """The other light, and what is known of the object from there."""
     coverage = np.array(recovery.coverage)
     on_object = partial(draw_on_object, capture=capture, view=comparison.view)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,22 +32,18 @@ class Comparison:
         photograph: (h, w, 3) linear radiance; NaN where it is not usable.
         render: (h, w, 3) linear radiance of the object in the textures under the capture's light.
         inside: (h, w) bool, the pixels that show nothing but the object.
+        relit: as ``render`` under another light, or None.
     """
 
     view: int
     photograph: np.ndarray
     render: np.ndarray
     inside: np.ndarray
-
-    @property
-    def white(self) -> float:
-        """Radiance that is shown as white in the photograph and in the render."""
-        return views.exposure(self.photograph, self.inside)
+    relit: np.ndarray | None = None
 
     def difference(self) -> np.ndarray:
         """Return (h, w): the largest difference of sRGB values among channels; NaN outside."""
-        both = (views.tone_mapped(i, white=self.white) for i in (self.photograph, self.render))
-        error = np.abs(np.subtract(*both)).max(axis=2)
+        error = np.abs(np.subtract(*self._exposed())).max(axis=2)
         usable = self.inside & np.isfinite(self.photograph).all(axis=2)
         return np.where(usable, error, np.nan)
 
@@ -57,45 +53,33 @@ class Comparison:
         error = self.difference()
         return float(np.nanmean(error)) if np.isfinite(error).any() else None
 
-    def pictures(self) -> tuple[np.ndarray, ...]:
-        """Return photograph, render and difference as screen colours (h, w, 3), white outside.
+    def pictures(self) -> list[np.ndarray]:
+        """Return photograph, render, difference and any ``relit`` as screen colours (h, w, 3).
 
-        The difference is of sRGB values, from 0 (black) to a quarter (yellow).
+        White outside. The difference is from 0 (black) to a quarter (yellow); what is under the
+        other light is exposed for itself.
         """
-        difference = self.difference()
-        colors = style.colors(difference, (0, WORST), DIFFERENCE_COLORMAP)
-        return (
-            views.tone_mapped(self.photograph, white=self.white),
-            self._on_white(views.tone_mapped(self.render, white=self.white)),
-            np.where(np.isnan(difference)[..., None], 1, colors),
-        )
+        photograph, render = self._exposed()
+        error = self.difference()[..., None]
+        colors = style.colors(error[..., 0], (0, WORST), DIFFERENCE_COLORMAP)
+        pictures = [photograph, self._on_white(render), np.where(np.isnan(error), 1, colors)]
+        if self.relit is not None:
+            pictures.append(self._on_white(views.tone_mapped(self.relit, self.inside)))
+        return pictures
 
     def cropped(self) -> list[np.ndarray]:
         """Return ``pictures``, cut to the object."""
         window = views.object_window(self.inside)
         return [views.crop(image, window) for image in self.pictures()]
 
+    def _exposed(self) -> tuple[np.ndarray, np.ndarray]:
+        """Photograph and render as sRGB values, both exposed for the object as photographed."""
+        white = views.exposure(self.photograph, self.inside)
+        return (views.tone_mapped(self.photograph, white=white),
+                views.tone_mapped(self.render, white=white))  # fmt: skip
+
     def _on_white(self, image: np.ndarray) -> np.ndarray:
         return np.where(self.inside[..., None], image, np.float32(1))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Relit(Comparison):
-    """A comparison, and the object under another light.
-
-    Attributes:
-        relit: (h, w, 3) linear radiance.
-    """
-
-    relit: np.ndarray
-
-    def pictures(self) -> tuple[np.ndarray, ...]:
-        """Return what a ``Comparison`` does, and the object under the other light.
-
-        That one is exposed for itself.
-        """
-        relit = self._on_white(views.tone_mapped(self.relit, self.inside))
-        return (*super().pictures(), relit)
 
 
 def explain(
@@ -108,7 +92,7 @@ def explain(
     """Render the object in some textures as some of the cameras saw it.
 
     Args:
-        capture: the ``Capture``.
+        capture: whose scene is rendered.
         textures: of the object.
         chosen: indices of its sensors.
         spp: samples per pixel.
@@ -128,33 +112,17 @@ def explain(
 
 
 def compare(
-    capture: Capture,
-    textures: Textures,
-    chosen: Sequence[int],
-    spp: int = SAMPLES,
-) -> list[Relit]:
-    """Render the recovered object as some of the cameras saw it, and under ``novel_light``.
-
-    Args:
-        capture: the ``Capture``.
-        textures: of the object.
-        chosen: indices of its sensors.
-        spp: samples per pixel.
-    """
+    capture: Capture, textures: Textures, chosen: Sequence[int], spp: int = SAMPLES
+) -> list[Comparison]:
+    """Render as ``explain`` does, and under ``novel_light``."""
     sensors = [scaled_sensor(capture.sensors[view], SIDE) for view in chosen]
     relit = relight(capture, textures, novel_light(capture), sensors, spp)
-    return [
-        Relit(**vars(comparison), relit=image)
-        for comparison, image in zip(explain(capture, textures, chosen, spp), relit, strict=True)
-    ]
+    explained = explain(capture, textures, chosen, spp)
+    return [replace(c, relit=image) for c, image in zip(explained, relit, strict=True)]
 
 
-def write_relit(comparisons: Sequence[Relit], path: str | Path) -> None:
-    """Draw one row per view: photograph, render, their difference, and another light.
-
-    Args:
-        comparisons: at least one.
-        path: the PNG file.
+def write_relit(comparisons: Sequence[Comparison], path: str | Path) -> None:
+    """Draw one row per view of ``compare``: photograph, render, their difference, another light.
 
     Raises:
         OutputError: the file cannot be written.
@@ -163,15 +131,12 @@ def write_relit(comparisons: Sequence[Relit], path: str | Path) -> None:
     figure = style.new_figure(CELL * len(COLUMNS), CELL * rows + 0.4, layout="constrained")
     cells = figure.subplots(rows, len(COLUMNS), squeeze=False)
     for row, comparison in zip(cells, comparisons, strict=True):
-        for axes, image in zip(row, comparison.cropped(), strict=True):
-            style.draw_image(axes, image)
         error = comparison.mean_difference
-        notes = {0: f"view {comparison.view}", 2: "" if error is None else f"mean {error:.3f}"}
-        for column, note in notes.items():
-            row[column].text(
-                0.5, -0.02, note, size=9.5, color=FAINT, ha="center", va="top",
-                transform=row[column].transAxes,
-            )  # fmt: skip
+        notes = (f"view {comparison.view}", "", "" if error is None else f"mean {error:.3f}", "")
+        for axes, image, note in zip(row, comparison.cropped(), notes, strict=True):
+            style.draw_image(axes, image)
+            axes.text(0.5, -0.02, note, size=9.5, color=FAINT, ha="center", va="top",
+                      transform=axes.transAxes)  # fmt: skip
     for axes, title in zip(cells[0], COLUMNS, strict=True):
         axes.set_title(title, size=12, color=INK)
     style.save_figure(figure, path)

@@ -37,15 +37,12 @@ class Result:
     @classmethod
     def of(cls, estimate: Any) -> Result:
         """Copy what an estimate says."""
-        coverage = np.array(estimate.coverage).astype(np.int64)
-        texels, seen = estimate.texels, coverage > 0
+        texels, seen = estimate.texels, is_seen(estimate)
         return cls(
             entropy=np.array(estimate.entropy, np.float32),
-            coverage=coverage,
-            seen=seen,
-            inside=texels.to_image(np.ones(texels.count, bool), False),
-            unseen=texels.to_image(~seen, False),
-        )
+            coverage=np.array(estimate.coverage).astype(np.int64),
+            seen=seen, inside=texels.inside(), unseen=texels.to_image(~seen, False),
+        )  # fmt: skip
 
 
 def is_seen(estimate: Any) -> np.ndarray:
@@ -86,17 +83,10 @@ def prior_marginal(posterior: Any, name: str) -> np.ndarray:
     return np.asarray(posterior.prior.sum(axis=others))
 
 
-def mean_marginals(estimate: Any, result: Result, name: str) -> dict[bool, np.ndarray]:
-    """Return mean marginals of a parameter, if any texel is seen.
+def mean_marginals(estimate: Any, result: Result, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean marginals of a parameter: over texels seen, and those of the lowest entropy.
 
-    Args:
-        estimate: the ``Estimate``.
-        result: what it says.
-        name: of the parameter.
-
-    Returns:
-        (nodes, 1), or (nodes, 3) where channels differ: over all texels seen (False), and over
-        those of the lowest entropy (True).
+    Some texel must be seen. They are (nodes, 1), or (nodes, 3) where channels differ.
     """
     limit = np.quantile(result.entropy[result.seen], LOWEST_PART)
 
@@ -106,4 +96,4 @@ def mean_marginals(estimate: Any, result: Result, name: str) -> dict[bool, np.nd
         p = np.array(estimate.posterior.marginal(name, some), np.float64)
         return p.reshape(len(some), p.shape[1], -1).mean(axis=0)
 
-    return {True: mean(result.seen & (result.entropy <= limit)), False: mean(result.seen)}
+    return mean(result.seen), mean(result.seen & (result.entropy <= limit))

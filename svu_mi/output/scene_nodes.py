@@ -94,7 +94,7 @@ def _material(bsdf: Any, prefix: str, folder: Path, stem: str) -> Element:
     if kind is None:
         warnings.warn(
             f"{stem}: a material of type {bsdf.class_name()} cannot be written and becomes a "
-            f"diffuse one of reflectance {GREY}; edit the written scene if it matters.",
+            f"diffuse one of reflectance {GREY}; edit the written scene if that matters.",
             SvuWarning,
             stacklevel=2,
         )

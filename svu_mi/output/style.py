@@ -1,7 +1,7 @@
 """The look of all pages: colours, margins, headings, titles, axes and colour bars.
 
-A page is lists of panels in grids of a figure: ``new_page`` makes it with its heading, and
-``draw_panels`` fills a grid. What several pages draw into a panel is in ``figures.py``. Pages in
+A page is a figure with a ``heading``, and lists of panels in grids of it, which ``draw_panels``
+fills. What several pages draw into a panel is in ``figures.py``. Pages in
 HTML have the same colours from here, and their layout from ``templates/page.css``.
 """
 
@@ -52,15 +52,6 @@ def new_figure(width: float, height: float, dpi: float = DPI, **options: Any) ->
     return figure
 
 
-def new_page(
-    size: tuple[float, float], text: str, notes: Sequence[str], places: tuple[float, float]
-) -> Figure:
-    """Return a figure of so many inches with a ``heading``."""
-    figure = new_figure(*size)
-    heading(figure, text, notes, places)
-    return figure
-
-
 def save_figure(figure: Figure, path: str | Path) -> None:
     """Write a figure as PNG, atomically.
 
@@ -85,14 +76,12 @@ def draw_panels(
 
     Args:
         figure: of the cells.
-        cells: a grid of the figure, of which the first cells are filled; or a list of cells, or
-            of places: left, bottom, width and height in parts of the figure.
+        cells: a grid of the figure, of which the first cells are filled; or a list of cells.
         panels: titles, and what draws into axes.
         anchor: side of its cell at which a picture is that does not fill it.
     """
     for k, (text, draw) in enumerate(panels):
-        is_place = isinstance(cells[k], tuple)
-        axes = figure.add_axes(cells[k]) if is_place else figure.add_subplot(cells[k])
+        axes = figure.add_subplot(cells[k])
         axes.set_anchor(anchor)
         title(axes, text)
         draw(axes)

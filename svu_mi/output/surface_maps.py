@@ -14,12 +14,12 @@ from svu_mi.output.figures import GUTTER, albedo_colors, map_colors
 from svu_mi.output.knowledge import TOLERANCE, WIDEST, Intervals
 from svu_mi.output.result import Result, open_axes, words
 from svu_mi.output.style import COLORMAP, ENTROPY_ENDS, UNSEEN, VALUES_COLORMAP, VIEWS_COLORMAP
+from svu_mi.parameters import PARAMETERS
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.textures import Textures
 
-ENDS = {"base_color": ("0: black", "1: white"), "roughness": ("0: mirror", "1: matt"),
-        "metallic": ("0: no metal", "1: metal"),
-        "specular": ("0: no gloss", "1: mirror of all light")}  # fmt: skip
+ENDS = {"specular": ("0: no gloss", "1: mirror of all light")}  # Ks of a ``ParameterGrid``
+ENDS |= {p.name: p.ends for p in PARAMETERS.values()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +142,7 @@ def most_probable(estimate: Estimate, name: str) -> SurfaceMap:
         scale = None
         sentence = "The colour that explains the photographs best; chequered where unseen."
     elif name == "base_color":
-        sentence = "Of the material that explains the photographs best; of its colour, brightness."
+        sentence = "Brightness of the material that explains the photographs best."
     return SurfaceMap(
         name=f"most probable {words(name)}", sentence=sentence, estimate=estimate,
         values=lambda: estimate.posterior.map()[name], scale=scale,
@@ -170,7 +170,7 @@ def recovered_maps(textures: Textures) -> list[SurfaceMap]:
             name=f"recovered {words(name)}", estimate=None, values=partial(np.array, tensor),
             scale=None if name == "base_color" else
             Scale(colormap=VALUES_COLORMAP, label=words(name), ends=ENDS[name]),
-            sentence="As the recovered texture has it, also where nothing was seen.",
+            sentence="The recovered texture, also where nothing was seen.",
         )
         for name, tensor in textures.items()
     ]  # fmt: skip

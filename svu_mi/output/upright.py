@@ -50,13 +50,10 @@ def facing(up: np.ndarray, ahead: np.ndarray) -> np.ndarray:
 
 
 def up_of(poses: np.ndarray) -> np.ndarray:
-    """Return the direction (3,) that is up for cameras.
+    """Return the direction (3,) that is up for poses (V, 4, 4), camera to world.
 
     It is their mean upward direction, or the world's axis next to it; +Y if they are turned
     in all ways, or if there are none.
-
-    Args:
-        poses: (V, 4, 4) camera to world, in Mitsuba's axes.
     """
     mean = poses[:, :3, 1].mean(axis=0) if len(poses) else np.zeros(3)
     length = np.linalg.norm(mean)

@@ -20,6 +20,7 @@ SIDE = 512  # pixels of the longer side of a picture
 SAMPLES = 16
 MARGIN = 0.06  # around the object, in parts of its size
 WHITE = 0.95  # part of the object's pixels that a tone-mapped photograph does not clip
+Window = tuple[float, float, float, float]  # left, right, top, bottom, in parts of a picture
 
 
 def far_apart(
@@ -46,21 +47,21 @@ def far_apart(
 
 
 def picture(capture: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
-    """Render a texture on the object alone, slightly shaded.
-
-    Args:
-        capture: the ``Capture``; its ``mesh`` is shown.
-        texture: (H, W, 3) colours as they shall appear on the screen, row 0 at v = 0.
-        sensor: one of its sensors; the picture is at most 512 pixels on its longer side.
-
-    Returns:
-        (h, w, 4) float32, colour over white and the part of the pixel that is covered.
-    """
+    """Render a texture on the mesh of a capture alone, as ``painted`` does."""
     return painted(alone(capture), texture, sensor)
 
 
 def painted(scene: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
-    """Render a texture on the one shape of a scene, as ``picture`` does."""
+    """Render a texture on the one shape of a scene, slightly shaded.
+
+    Args:
+        scene: as of ``alone``.
+        texture: (H, W, 3) colours as they shall appear on the screen, row 0 at v = 0.
+        sensor: from where; the picture is at most 512 pixels on its longer side.
+
+    Returns:
+        (h, w, 4) float32, colour over white and the part of the pixel that is covered.
+    """
     bitmap = {
         "type": "bitmap",
         "bitmap": mi.Bitmap(np.ascontiguousarray(texture, np.float32)),
@@ -85,8 +86,8 @@ def alone(capture: Any) -> Any:
     )
 
 
-def object_window(alpha: np.ndarray) -> tuple[float, float, float, float]:
-    """Return (left, right, top, bottom) of the object with a margin, in parts of the image.
+def object_window(alpha: np.ndarray) -> Window:
+    """Return the window of an object with a margin, given where it is (H, W).
 
     Square in pixels where the image allows; the whole image if the object is not in it.
     """
@@ -100,8 +101,8 @@ def object_window(alpha: np.ndarray) -> tuple[float, float, float, float]:
     return left, right, top, bottom
 
 
-def crop(image: np.ndarray, window: tuple[float, float, float, float]) -> np.ndarray:
-    """Cut a window, as ``object_window`` returns it, out of an (H, W, ...) image."""
+def crop(image: np.ndarray, window: Window) -> np.ndarray:
+    """Cut a window out of an (H, W, ...) image."""
     height, width = image.shape[:2]
     left, right = int(window[0] * width), int(np.ceil(window[1] * width))
     top, bottom = int(window[2] * height), int(np.ceil(window[3] * height))
@@ -111,9 +112,7 @@ def crop(image: np.ndarray, window: tuple[float, float, float, float]) -> np.nda
 def exposure(photograph: np.ndarray, mask: np.ndarray | None = None) -> float:
     """Return the radiance that becomes white when a photograph is exposed for its object.
 
-    Args:
-        photograph: (H, W, 3) linear radiance; NaN = not usable.
-        mask: (H, W) bool, the pixels to expose for; all of them by default.
+    Arguments are those of ``tone_mapped``.
     """
     brightness = photograph.max(axis=2)
     chosen = brightness[mask] if mask is not None and mask.any() else brightness

@@ -27,7 +27,7 @@ FITTED = 3  # roughness, Kd and Ks, which the marginal noise rule pays for
 
 @dataclass(frozen=True, kw_only=True)
 class AngularPosterior(Posterior):
-    """p over (roughness, metallic, base_color), or over (roughness, specular).
+    """p over the axes of a ``PrincipledGrid``, or over (roughness, specular).
 
     Attributes:
         problem: factors of S texels, noise and grid (see ``angular_kernel``).
@@ -46,7 +46,7 @@ class AngularPosterior(Posterior):
 
     @property
     def prior(self) -> np.ndarray:
-        """Prior probability of every cell, (R, M, K) or (R, S) float64; of each channel."""
+        """Prior probability of every cell, (R, M ..., K) or (R, S) float64; of each channel."""
         return streaming.prior_of(self.problem.prior, self.grid.shape)
 
     def _entropy_of_all(self) -> Any:
@@ -119,14 +119,14 @@ def angular_posterior(
     switches = find_preset(preset, method="angular")
     if switches.noise == "estimated":
         raise OptionError(
-            "angular_posterior(): a noise that is estimated is for calibrated_posterior(); use "
+            "angular_posterior(): estimated noise is for calibrated_posterior(); use "
             "preset='fixed', or another noise."
         )
     grid = angular_grid(grid, switches)
     levels = np.ones(grid.shape[0], bool) if levels is None else np.asarray(levels)
     if levels.dtype != bool or levels.shape != grid.shape[:1]:
         raise ShapeError(
-            f"angular_posterior(): levels must be ({grid.shape[0]},) True or False, got "
+            f"angular_posterior(): levels must be ({grid.shape[0]},) booleans, got "
             f"{levels.dtype} of shape {levels.shape}."
         )
     factors = statistics.factor() if isinstance(statistics, Statistics) else statistics
@@ -155,7 +155,7 @@ def angular_posterior(
         sigma=dr.opaque(mi.Float, sigma),
         averaged=switches.errors == "mean",
         power=owned(mi.Float, power) if switches.noise == "marginal" else None,
-        metallic=grid.metallic_nodes if isinstance(grid, PrincipledGrid) else None,
+        mixed=grid.mixed_nodes if isinstance(grid, PrincipledGrid) else None,
         cells=cells,
         prior=None if tables is None else (
             owned(mi.Float64, tables[0]), owned(mi.Float, np.minimum(tables[1], UNLIKELY))

@@ -1,6 +1,6 @@
 """Energies of grid cells from angular statistics.
 
-A row is one roughness and metallic; its cells are base colours, along which errors are
+A row is one cell of all but base colour; its cells are base colours, along which errors are
 linear. On the smaller grid a row is one roughness, its cells are values of Ks = R0, and Kd
 takes the best value in [0, 1] for each ("profiled out"): the first component of the error is 0
 then, unless that value lies outside.
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from math import prod
 from typing import Any
 
 import drjit as dr
@@ -17,7 +18,9 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.posterior import streaming
+from svu_mi.reflection.principled import Mixture, lobe_mixture, mixture
 from svu_mi.statistics import Factors
+from svu_mi.statistics.factors import FLOOR, combined
 
 HOPELESS = 1e30  # an energy beyond single precision would be infinite, its differences NaN
 
@@ -36,7 +39,7 @@ class Problem:
         averaged: whether d is the mean over views of their squared errors, or the sum.
         power: (S,) Float nu / 2 of d^(-nu/2), or None for exp(-d / (2 sigma^2)); sigma^2 is
             then the floor that is added to d.
-        metallic: (M,) nodes, or None for a grid of Ks.
+        mixed: (M,) nodes of every parameter that mixes the columns, or None for a grid of Ks.
         cells: nodes of base colour, or of Ks.
         prior: (-log prior of a row, of a cell given its row) as Float64 and Float, or None.
     """
@@ -49,14 +52,14 @@ class Problem:
     sigma: Any
     averaged: bool
     power: Any | None
-    metallic: np.ndarray | None
+    mixed: list[np.ndarray] | None
     cells: np.ndarray
     prior: tuple[Any, Any] | None
 
     @property
     def columns(self) -> int:
         """Rows per roughness: M, or 1."""
-        return 1 if self.metallic is None else len(self.metallic)
+        return prod(len(nodes) for nodes in self.mixed or ())
 
 
 def entropy(problem: Problem) -> Any:
@@ -91,7 +94,7 @@ def _row_energies(problem: Problem, lane: Any) -> streaming.RowEnergies:
         groups = []
         for channel in range(factors.channels):
             *entries, floor = (scale * entry for entry in reader.entries(slot, channel))
-            x = _cells(problem, row - level * problem.columns, entries, scale * floor)
+            x = _cells(problem, row - level * problem.columns, [*entries, scale * floor])
             x = [dr.minimum(value, HOPELESS) for value in x]
             if power is not None:
                 x = [power * dr.log(2 * (value + least[channel]) + 1) for value in x]
@@ -101,26 +104,28 @@ def _row_energies(problem: Problem, lane: Any) -> streaming.RowEnergies:
     return energies
 
 
-def _cells(problem: Problem, column: Any, entries: list[Any], floor: Any) -> list[Any]:
+def _cells(problem: Problem, column: Any, U: list[Any]) -> list[Any]:
     """Mean squared error of every cell of a row, over 2 sigma^2: |U x|^2 (``Factors``)."""
-    ee, ep, eg, et, pp, pg, pt, gg, gt = entries
     nodes = [mi.Float(node) for node in streaming.cells(problem.cells)]
-    if problem.metallic is None:
-        # x = (Kd, Ks, 1, 1).
-        inverse = dr.select(ee > 0, dr.rcp(dr.select(ee > 0, ee, 1)), 0)
-        first_0, second_0 = eg + et, pg + pt
-        energies = []
-        for Ks in nodes:
-            rest = dr.fma(ep, Ks, first_0)
-            first = dr.fma(ee, dr.clip(-rest * inverse, 0, 1), rest)
-            energies.append((first, dr.fma(pp, Ks, second_0)))
-        third = gg + gt
-    else:
-        # x = (c (1 - m), c m, m, 1).
-        m = streaming.node(mi.Float, problem.metallic, column)
-        first_0, first_1 = dr.fma(eg, m, et), dr.fma(ee, 1 - m, ep * m)
-        second_0, second_1 = dr.fma(pg, m, pt), pp * m
-        third = dr.fma(gg, m, gt)
-        energies = [(dr.fma(first_1, c, first_0), dr.fma(second_1, c, second_0)) for c in nodes]
-    same = dr.fma(third, third, floor)
-    return [dr.fma(a, a, dr.fma(b, b, same)) for a, b in energies]
+    if problem.mixed is None:
+        return [_over_diffuse(U, lobe_mixture(Ks)) for Ks in nodes]
+    how = mixture(*streaming.nodes(mi.Float, problem.mixed, column))
+    u, v = (combined(U, x)[:-1] for x in (how.scaled, how.constant))
+    return [_square([dr.fma(a, c, b) for a, b in zip(u, v, strict=True)], U[FLOOR]) for c in nodes]
+
+
+def _over_diffuse(U: list[Any], how: Mixture) -> Any:
+    """The same at the best Kd in [0, 1], which only the first component depends on."""
+    first, *others = combined(U, how.constant)[:-1]
+    slope = U[0]
+    inverse = dr.select(slope > 0, dr.rcp(dr.select(slope > 0, slope, 1)), 0)
+    first = dr.fma(slope, dr.clip(-first * inverse, 0, 1), first)
+    return _square([first, *others], U[FLOOR])
+
+
+def _square(components: list[Any], floor: Any) -> Any:
+    """|U x|^2, of whose last component ``floor`` is the square."""
+    total = floor
+    for x in reversed(components):
+        total = dr.fma(x, x, total)
+    return total

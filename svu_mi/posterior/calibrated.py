@@ -3,7 +3,7 @@
     log p(psi | B, L) = -sum_i w_i |r_i(psi) - b_i|^2 / (2 s^2 tau) + log p(psi)
 
 over all views and channels, with the noise s of ``noise``; base colour is integrated in closed
-form (``truncated``), roughness and metallic on fine nodes (``nodes``). Probabilities and entropy
+form (``truncated``), all others on fine nodes (``nodes``). Probabilities and entropy
 (Eq. 5) are those of the *masses* of a grid's cells, integrated, not evaluated at nodes.
 """
 
@@ -21,6 +21,7 @@ from svu_mi.errors import ShapeError
 from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
 from svu_mi.options import preset as find_preset
+from svu_mi.parameters import MIXED, PARAMETERS
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import streaming
 from svu_mi.posterior.cells import marginals_of
@@ -29,15 +30,16 @@ from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import shortest
 from svu_mi.posterior.nodes import (
     COLOR_PARTS,
-    METALLIC_PARTS,
+    MIXED_PARTS,
+    Product,
     cell_edges,
     cell_widths,
-    metallic_axis,
+    mixed_axis,
     uniform_axis,
 )
 from svu_mi.posterior.noise import noise_variance
+from svu_mi.posterior.problem import Problem
 from svu_mi.posterior.record import Posterior
-from svu_mi.posterior.walk import Problem
 from svu_mi.statistics import Factors, Statistics
 
 FEWEST = 4  # levels of roughness that a spline goes through
@@ -45,7 +47,7 @@ FEWEST = 4  # levels of roughness that a spline goes through
 
 @dataclass(frozen=True, kw_only=True)
 class CalibratedPosterior(Posterior):
-    """p over (roughness, metallic, base_color); base colour has a distribution per channel.
+    """p over the axes of a ``PrincipledGrid``; base colour has a distribution per channel.
 
     Attributes:
         problem: factors of S texels, noise, nodes and prior (see ``calibrated_kernel``).
@@ -74,8 +76,8 @@ class CalibratedPosterior(Posterior):
 
     @property
     def prior(self) -> np.ndarray:
-        """Prior probability of every cell, (R, M, K) float64."""
-        return prior_masses(self.problem)
+        """Prior probability of every cell, (R, M ..., K) float64, the mean over channels."""
+        return prior_tables(self.problem).mean(axis=3).reshape(self.grid.shape)
 
     @property
     def most(self) -> float:
@@ -102,19 +104,19 @@ class CalibratedPosterior(Posterior):
 
     def _tables(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p = np.repeat(kernel.tables(self.problem, self._lane[chosen]), self.problem.copies, -1)
+        shape = self.grid.shape
         rows = p[..., 0].sum(axis=-1).reshape(len(p), -1).argmax(axis=1)
-        shape = self.problem.shape
         given = p.reshape(len(p), -1, *p.shape[-2:])[np.arange(len(p)), rows]
-        best = np.unravel_index(rows, shape[:2])
+        best = np.unravel_index(rows, shape[:-1])
         shared = [np.repeat(node[:, None], p.shape[-1], axis=1) for node in best]
         nodes = np.stack([*shared, given.argmax(axis=1)], axis=1)
-        return p.astype(np.float32), nodes.astype(np.int64)
+        return p.astype(np.float32).reshape(len(p), *shape, -1), nodes.astype(np.int64)
 
     def _moments(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         found = self._summary_of_lanes
         at = [list(self.axes).index(name)]
         if name == "base_color":
-            at = list(range(2, 2 + self.problem.factors.channels)) * self.problem.copies
+            at = list(range(at[0], at[0] + self.problem.factors.channels)) * self.problem.copies
         mean, sd = (np.stack([np.array(x[k]) for k in at], axis=-1) for x in (found.mean, found.sd))
         return self._everywhere(mean), self._everywhere(sd)
 
@@ -124,8 +126,8 @@ class CalibratedPosterior(Posterior):
         problem, lanes = self.problem, self._lane[texels]
         if name == "base_color":
             return self._ends_of_color(level, lanes)
-        found, parts = self._summary_of_lanes, getattr(problem, name)
-        low, high = shortest(getattr(found, name), parts, problem.factors.count, level)
+        masses = self._summary_of_lanes.masses(problem, name)
+        low, high = shortest(masses, problem.axis(name), problem.factors.count, level)
         return np.array(low)[lanes, None], np.array(high)[lanes, None]
 
     def _ends_of_color(self, level: float, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -151,7 +153,7 @@ class CalibratedPosterior(Posterior):
         if name == "base_color":
             edges = self.problem.edges
             return edges[:-1], edges[1:], of_cells
-        axis = getattr(self.problem, name)
+        axis = self.problem.axis(name)
         return axis.low, axis.high, of_cells[axis.cell] * axis.mass / axis.of_cells()[axis.cell]
 
     def _prior_draws(self, count: int, random: np.random.Generator) -> dict[str, np.ndarray]:
@@ -163,7 +165,7 @@ class CalibratedPosterior(Posterior):
             low, high, p = self._prior_parts(name)
             own = cell
             if name != "base_color":
-                axis = getattr(self.problem, name)
+                axis = self.problem.axis(name)
                 below = np.concatenate([[0], np.cumsum(p)])
                 first, last = below[axis.first[cell]], below[axis.first[cell + 1]]
                 at = first + random.random(count) * (last - first)
@@ -177,14 +179,13 @@ class CalibratedPosterior(Posterior):
         drawn: dict[str, np.ndarray] = {}
         for number in range(count):
             random = np.random.default_rng((seed, number)).random(
-                (3 + 2 * self.groups, lanes), np.float32
+                (len(self.axes) + 2 * self.groups, lanes), np.float32
             )
-            colors, r, m = kernel.draw(
-                problem, self._summary_of_lanes.total, dr.arange(mi.UInt32, lanes),
-                [owned(mi.Float, u) for u in random],
-            )  # fmt: skip
-            values = {"roughness": [r], "metallic": [m], "base_color": colors}
-            for name, of_name in values.items():
+            shared, colors = kernel.draw(
+                problem, self._summary_of_lanes.total, [owned(mi.Float, u) for u in random]
+            )
+            values = [*([x] for x in shared), colors]
+            for name, of_name in zip(self.axes, values, strict=True):
                 table = self._everywhere(np.stack([np.array(x) for x in of_name], axis=-1))
                 drawn.setdefault(name, np.empty((count, *table.shape), np.float32))[number] = table
         return drawn
@@ -257,12 +258,15 @@ def _problem(
 ) -> Problem:  # fmt: skip
     """Everything but the noise."""
     r = uniform_axis(grid.roughness_nodes, switches.parts)
-    m = metallic_axis(grid.metallic_nodes, METALLIC_PARTS, switches.metals)
+    mixed = Product(tuple(
+        mixed_axis(grid.axes[name], MIXED_PARTS, switches.metals * PARAMETERS[name].extremes)
+        for name in MIXED
+    ))  # fmt: skip
     edges = cell_edges(grid.base_color_nodes)
     tables = streaming.log_prior(prior, grid.shape, "calibrated_posterior()")
     given = None
     if tables is None:
-        rows = -np.log(np.outer(r.of_cells(), m.of_cells()).ravel())
+        rows = -np.log(np.outer(r.of_cells(), mixed.of_cells()).ravel())
     else:
         rows = tables[0]
         width = cell_widths(edges)
@@ -270,7 +274,7 @@ def _problem(
         possible = rows.reshape(r.cells, -1) < streaming.IMPOSSIBLE
         r = r.only(np.any(possible, axis=1))
     empty = dr.zeros(mi.Float, factors.count)
-    return Problem(factors, copies, r, m, edges, rows, given, empty, empty)
+    return Problem(factors, copies, r, mixed, edges, rows, given, empty, empty)
 
 
 def _with_noise(
@@ -308,8 +312,3 @@ def prior_tables(problem: Problem) -> np.ndarray:
     masses = np.moveaxis(rows * given * width, 2, 3)
     masses = masses / masses.sum(axis=(0, 1, 2))
     return np.repeat(masses, problem.factors.channels // problem.tables, axis=3)
-
-
-def prior_masses(problem: Problem) -> np.ndarray:
-    """Return the prior probability of every cell, (R, M, K) float64, the mean over channels."""
-    return prior_tables(problem).mean(axis=3)

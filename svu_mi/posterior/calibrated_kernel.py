@@ -1,6 +1,6 @@
 """Integrals over the parameters of a texel: entropy, moments, marginals, probabilities, draws.
 
-Each is one walk over the nodes of roughness and metallic (``walk``).
+Each is one walk over the nodes of all but base colour (``walk``).
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
+from svu_mi.parameters import MIXED
 from svu_mi.posterior.nodes import Axis
-from svu_mi.posterior.walk import Node, Problem, Walker
+from svu_mi.posterior.problem import Problem
+from svu_mi.posterior.walk import Node, Walker
 from svu_mi.statistics.blocks import BLOCK, size, start
 
 
@@ -25,7 +27,7 @@ def least(problem: Problem, *, excess: bool = False) -> Any:
         problem: of S texels.
         excess: what it has, prior included, above ``problem.least``, which else is not used.
     """
-    walker, columns = Walker(problem), dr.opaque(mi.UInt32, problem.metallic.count)
+    walker, columns = Walker(problem), dr.opaque(mi.UInt32, problem.mixed.count)
     nodes = dr.opaque(mi.UInt32, problem.roughness.count)
 
     def of_row(row: Any, best: Any) -> tuple[Any, Any]:
@@ -52,73 +54,85 @@ class Summary:
     Attributes:
         entropy: (S,) Float, nats, of the masses of the cells; the mean over channels.
         total: (S,) Float, integral of the posterior before it is normalised.
-        mean, sd: Floats (S,) of roughness, metallic, and the base colour of every channel.
-        roughness, metallic: Floats in blocks (statistics/blocks.py), not normalised: the
-            masses of N and L parts.
+        mean, sd: Floats (S,) of roughness, the parameters that mix, and the base colour of every
+            channel.
+        rows, columns: Floats in blocks (statistics/blocks.py), not normalised: the masses of N
+            nodes of roughness, and of L columns.
     """
 
     entropy: Any
     total: Any
     mean: list[Any]
     sd: list[Any]
-    roughness: Any
-    metallic: Any
+    rows: Any
+    columns: Any
+
+    def masses(self, problem: Problem, name: str) -> Any:
+        """Return the masses of the nodes of a parameter that is walked over, in blocks."""
+        if name not in MIXED:
+            return self.rows
+        which, shape = MIXED.index(name), problem.mixed.shape
+        if shape[which] == problem.mixed.count:
+            return self.columns  # there is nothing else to sum over
+        table = self.columns.numpy().reshape(-1, *shape, BLOCK)
+        others = tuple(1 + k for k in range(len(shape)) if k != which)
+        return owned(mi.Float, table.sum(axis=others).ravel())
 
 
 def summarize(problem: Problem) -> Summary:
     """Walk once over all nodes of all texels."""
     walker, count = Walker(problem), problem.factors.count
     channels, nodes = problem.factors.channels, problem.nodes
-    rows, columns = problem.roughness.count, problem.metallic.count
-    _, of_metallic, of_color = problem.shape
-    cells = of_metallic * channels * of_color
+    rows, columns = problem.roughness.count, problem.mixed.count
+    _, of_column, of_color = problem.shape
+    cells = of_column * channels * of_color
     masses = _cleared(cells + columns)
-    first = dr.opaque(mi.UInt32, cells)  # of the metallic nodes, behind the cells
-    by_roughness, by_metallic = (dr.zeros(mi.Float, size(n, count)) for n in (rows, columns))
-    dr.eval(by_roughness, by_metallic)
+    first = dr.opaque(mi.UInt32, cells)  # of the columns, behind the cells
+    by_row, by_column = (dr.zeros(mi.Float, size(n, count)) for n in (rows, columns))
+    dr.eval(by_row, by_column)
     place = start(walker.lane, dr.opaque(mi.UInt32, rows))
 
     def visit(node: Node, masses: Any, of_row: Any, *sums: Any) -> tuple[Any, ...]:
         _add_cells(problem, masses, node)
         masses[first + node.column] = masses[first + node.column] + node.weight
         w = mi.Float64(node.weight)
-        m = mi.Float64(dr.gather(mi.Float, nodes.metallic, node.column))
-        within = mi.Float64(dr.gather(mi.Float, nodes.spread[1], node.column))
-        values = [(m, within)] + [(mi.Float64(c.mean), mi.Float64(c.variance)) for c in node.colors]
-        added = [x for mean, v in values for x in (mean, dr.fma(mean, mean, v))]
+        added = [x for values in nodes.columns for x in values.moments(node.column)]
+        for color in node.colors:
+            mean = mi.Float64(color.mean)
+            added += [mean, dr.fma(mean, mean, mi.Float64(color.variance))]
         sums = tuple(dr.fma(w, x, old) for x, old in zip(added, sums, strict=True))
         return (masses, of_row + node.weight, *sums)
 
     def row_ends(row: Any, masses: Any, of_row: Any, *state: Any) -> tuple[Any, ...]:
         *sums, total, r1, r2, zx = state
-        dr.scatter(by_roughness, of_row, place + row * BLOCK, mode=dr.ReduceMode.NoConflicts)
+        dr.scatter(by_row, of_row, place + row * BLOCK, mode=dr.ReduceMode.NoConflicts)
         w = mi.Float64(of_row)
-        r = mi.Float64(dr.gather(mi.Float, nodes.roughness, row))
-        within = mi.Float64(dr.gather(mi.Float, nodes.spread[0], row))
+        mean, square = nodes.rows.moments(row)
         masses, zx = _close(problem, masses, row, zx)
-        return (masses, mi.Float(0), *sums, total + w, dr.fma(w, r, r1),
-                dr.fma(w, dr.fma(r, r, within), r2), zx)  # fmt: skip
+        return (masses, mi.Float(0), *sums, total + w, dr.fma(w, mean, r1),
+                dr.fma(w, square, r2), zx)  # fmt: skip
 
     def visit_all(node: Node, masses: Any, of_row: Any, *sums: Any) -> tuple[Any, ...]:
         return (*visit(node, masses, of_row, *sums[:-4]), *sums[-4:])
 
-    zeros = (*(dr.zeros(mi.Float64, count) for _ in range(2 + 2 * channels + 3)),
+    moments = 2 * (len(nodes.columns) + channels)
+    zeros = (*(dr.zeros(mi.Float64, count) for _ in range(moments + 3)),
              dr.zeros(mi.Float, count))  # fmt: skip
     masses, _, *sums, total, r1, r2, zx = walker.over_rows(
         mi.UInt32(0), dr.opaque(mi.UInt32, rows), visit_all, row_ends,
         (masses, dr.zeros(mi.Float, count), *zeros),
     )  # fmt: skip
-    by_metallic = _write(masses, first, columns, walker.lane, by_metallic)
+    by_column = _write(masses, first, columns, walker.lane, by_column)
     total = dr.select(total > 0, total, 1)
-    moments = [r1, r2, *sums]
-    mean = [x / total for x in moments[::2]]
+    sums = [r1, r2, *sums]
+    mean = [x / total for x in sums[::2]]
     sd = [dr.sqrt(dr.maximum(x / total - dr.square(m), 0))
-          for x, m in zip(moments[1::2], mean, strict=True)]  # fmt: skip
+          for x, m in zip(sums[1::2], mean, strict=True)]  # fmt: skip
     mean, sd = [mi.Float(x) for x in mean], [mi.Float(x) for x in sd]
     total = mi.Float(total)
     entropy = dr.log(total) - zx / (total * channels)
-    dr.eval(entropy, total, mean, sd, by_roughness, by_metallic)
-    return Summary(entropy, total, mean, sd, by_roughness, by_metallic)
+    dr.eval(entropy, total, mean, sd, by_row, by_column)
+    return Summary(entropy, total, mean, sd, by_row, by_column)
 
 
 def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
@@ -131,13 +145,13 @@ def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
     Returns:
         (t, R, M, K, C) float64, of sum 1 for every texel and channel, the others marginalised.
     """
-    rows, of_metallic, of_color = problem.shape
+    rows, of_column, of_color = problem.shape
     channels, nodes = problem.factors.channels, problem.nodes
     launch = dr.arange(mi.UInt32, len(chosen) * rows)
     number = dr.opaque(mi.UInt32, rows)
     texel, cell = launch // number, launch % number
     walker = Walker(problem, dr.gather(mi.UInt32, owned(mi.UInt32, chosen), texel))
-    size_of_row = of_metallic * channels * of_color
+    size_of_row = of_column * channels * of_color
 
     def visit(node: Node, masses: Any) -> tuple[Any, ...]:
         _add_cells(problem, masses, node)
@@ -151,7 +165,7 @@ def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
     dr.eval(result)
     result = _write(masses, mi.UInt32(0), size_of_row, None, result, launch * size_of_row)
     dr.eval(result)
-    found = result.numpy().reshape(len(chosen), rows, of_metallic, channels, of_color)
+    found = result.numpy().reshape(len(chosen), rows, of_column, channels, of_color)
     found = np.moveaxis(found, 3, 4).astype(np.float64)
     total = found.sum(axis=(1, 2, 3), keepdims=True)
     return found / np.where(total > 0, total, 1)
@@ -192,44 +206,41 @@ def color_masses(problem: Problem, parts: Axis, chosen: np.ndarray) -> list[Any]
     return found
 
 
-def draw(problem: Problem, total: Any, lane: Any, random: list[Any]) -> tuple[list[Any], Any, Any]:
-    """Draw parameters.
+def draw(problem: Problem, total: Any, random: list[Any]) -> tuple[list[Any], list[Any]]:
+    """Draw parameters of all texels.
 
     Args:
         problem: of S texels.
         total: (S,) Float, of their ``Summary``.
-        lane: (N,) UInt32, which texel each draw is of.
-        random: Floats (N,) in [0, 1): 3, and 2 for every channel, copies included.
+        random: Floats (S,) in [0, 1): one, one for every parameter but base colour, and two for
+            each of its channels, copies included.
 
     Returns:
-        Base colour by channel, copies included, roughness and metallic: Floats (N,).
+        Roughness and the parameters that mix; and base colour by channel, copies included: Floats
+        (S,).
     """
-    walker, nodes = Walker(problem, lane), problem.nodes
-    wanted = random[0] * dr.gather(mi.Float, total, lane)
+    walker, nodes, count = Walker(problem), problem.nodes, problem.factors.count
+    wanted = random[0] * total
 
     def visit(node: Node, below: Any, row: Any, column: Any) -> tuple[Any, ...]:
         here = below <= wanted
         return (below + node.weight, dr.select(here, node.row, row),
                 dr.select(here, node.column, column))  # fmt: skip
 
-    zero = dr.zeros(mi.UInt32, dr.width(lane))
+    zero = dr.zeros(mi.UInt32, count)
     _, row, column = walker.over_rows(
         mi.UInt32(0), dr.opaque(mi.UInt32, problem.roughness.count), visit,
-        lambda _, *state: state, (dr.zeros(mi.Float, dr.width(lane)), zero, zero),
+        lambda _, *state: state, (dr.zeros(mi.Float, count), zero, zero),
     )  # fmt: skip
     dr.eval(row, column)
-    m = dr.gather(mi.Float, nodes.metallic, column)
-    colors = walker.colors_at(row, column, random[3:])
-    # Anywhere within a part.
-    r, m = (
-        value + (u - 0.5) * dr.sqrt(12 * dr.gather(mi.Float, spread, index))
-        for value, u, spread, index in (
-            (dr.gather(mi.Float, nodes.roughness, row), random[1], nodes.spread[0], row),
-            (m, random[2], nodes.spread[1], column),
-        )
-    )
-    dr.eval(colors, r, m)
-    return colors, r, m
+    places = [(nodes.rows, row), *((values, column) for values in nodes.columns)]
+    colors = walker.colors_at(row, column, random[1 + len(places) :])
+    shared = [
+        values.anywhere(place, u)
+        for (values, place), u in zip(places, random[1 : 1 + len(places)], strict=True)
+    ]
+    dr.eval(colors, shared)
+    return shared, colors
 
 
 def _cleared(number: int) -> Any:
@@ -248,7 +259,7 @@ def _cleared(number: int) -> Any:
 
 
 def _add_cells(problem: Problem, masses: Any, node: Node) -> None:
-    """Add a node to the masses of (metallic, channel, base colour)."""
+    """Add a node to the masses of (column, channel, base colour)."""
     of_color = problem.shape[2]
     of_row = problem.factors.channels * of_color
     column = dr.gather(mi.UInt32, problem.nodes.column, node.column) * of_row

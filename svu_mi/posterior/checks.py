@@ -9,7 +9,7 @@ from svu_mi.statistics import Factors
 
 
 def require_scale(caller: str, scale: float) -> None:
-    """Refuse a radiance that is no unit.
+    """Refuse a radiance that cannot be a unit.
 
     Raises:
         OptionError: it is not positive, or not finite.

@@ -11,6 +11,7 @@ import numpy as np
 
 from svu_mi.errors import OptionError
 from svu_mi.options import Preset
+from svu_mi.parameters import AXES, MIXED
 from svu_mi.reflection.principled import F0
 from svu_mi.switches import GridSpacing
 
@@ -44,7 +45,7 @@ class ParameterGrid:
 
     Raises:
         OptionError: fewer than 2 or more than 64 nodes, an unknown spacing, or known values
-            that are no parameters, not in [0, 1], or all there is.
+            that are not parameters, not in [0, 1], or all there is.
     """
 
     roughness: int = 8
@@ -93,7 +94,7 @@ class PrincipledGrid:
     Attributes:
         roughness: number of nodes R; 8 as in the paper.
         metallic: number of nodes M.
-        base_color: number of nodes C of a grey base colour.
+        base_color: number of nodes K of a grey base colour.
         known: values of parameters that are not in question, by name; each is one node. Another
             roughness is another kernel of the angular method, other values are not.
 
@@ -108,7 +109,7 @@ class PrincipledGrid:
     known: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        _require_valid(self, ("roughness", "metallic", "base_color"))
+        _require_valid(self, AXES)
 
     @property
     def roughness_nodes(self) -> np.ndarray:
@@ -116,27 +117,23 @@ class PrincipledGrid:
         return _nodes(self, "roughness")
 
     @property
-    def metallic_nodes(self) -> np.ndarray:
-        """(M,) float64."""
-        return _nodes(self, "metallic")
+    def mixed_nodes(self) -> list[np.ndarray]:
+        """Float64 nodes of every parameter that mixes the columns, metallic first."""
+        return [_nodes(self, name) for name in MIXED]
 
     @property
     def base_color_nodes(self) -> np.ndarray:
-        """(C,) float64, linear."""
+        """(K,) float64, linear."""
         return _nodes(self, "base_color")
 
     @property
     def axes(self) -> dict[str, np.ndarray]:
-        """Nodes by parameter: ``roughness``, ``metallic`` and ``base_color``."""
-        return {
-            "roughness": self.roughness_nodes,
-            "metallic": self.metallic_nodes,
-            "base_color": self.base_color_nodes,
-        }
+        """Nodes by parameter, in the order of ``parameters.AXES``."""
+        return {name: _nodes(self, name) for name in AXES}
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """(R, M, C)."""
+        """(R, M, K)."""
         return tuple(len(nodes) for nodes in self.axes.values())
 
 
@@ -154,12 +151,12 @@ def _require_valid(grid: ParameterGrid | PrincipledGrid, names: tuple[str, ...])
         _require_nodes(kind, name, getattr(grid, name))
     for name, value in grid.known.items():
         if name not in names:
-            raise OptionError(f"{kind}: known {name!r} is no parameter; use {', '.join(names)}.")
+            raise OptionError(f"{kind}: known {name!r} is not a parameter; use {', '.join(names)}.")
         number = isinstance(value, Real) and not isinstance(value, bool)
         if not (number and 0 <= float(value) <= 1):
             raise OptionError(f"{kind}: known {name} must be in [0, 1], got {value!r}.")
     if len(grid.known) == len(names):
-        raise OptionError(f"{kind}: {', '.join(names)} are all known; nothing is left to ask for.")
+        raise OptionError(f"{kind}: {', '.join(names)} are all known; leave at least one unknown.")
 
 
 def _require_nodes(grid: str, name: str, count: object) -> None:

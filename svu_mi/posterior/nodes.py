@@ -1,4 +1,4 @@
-"""Where a continuous posterior is integrated: nodes of roughness and metallic, and their prior.
+"""Where a continuous posterior is integrated: nodes of all but base colour, and their prior.
 
 The cells of a grid are what lies nearest to each of its nodes; the outermost are half as wide.
 Each is cut into parts of equal width, a part is a node in its middle, and probability is spread
@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-METALLIC_PARTS = 14  # between 0 and 1, at least
+MIXED_PARTS = 14  # of a parameter that mixes columns, between 0 and 1, at least
 COLOR_PARTS = 42  # for intervals only
-NEAR_ENOUGH = 0.02  # to metallic 0 or 1: textures of 8 bits seldom hold exactly these
+NEAR_ENOUGH = 0.02  # to the ends, where these have a probability: few 8-bit textures hold them
 
 
 @dataclass(frozen=True)
@@ -74,6 +74,52 @@ class Axis:
         )
 
 
+@dataclass(frozen=True)
+class Product:
+    """All combinations of the parts of several parameters, those of the last one fastest.
+
+    Attributes:
+        axes: of each.
+    """
+
+    axes: tuple[Axis, ...]
+
+    def each(self, what: str) -> list[np.ndarray]:
+        """Return an array of ``Axis`` at all combinations, (N,) for each parameter."""
+        of_axes = [getattr(axis, what) for axis in self.axes]
+        return [values.ravel() for values in np.meshgrid(*of_axes, indexing="ij")]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of parts of each parameter."""
+        return tuple(axis.count for axis in self.axes)
+
+    @property
+    def count(self) -> int:
+        """N."""
+        return int(np.prod(self.shape))
+
+    @property
+    def cells(self) -> int:
+        """Number of cells of the grid, those of all combinations."""
+        return int(np.prod([axis.cells for axis in self.axes]))
+
+    @property
+    def cell(self) -> np.ndarray:
+        """(N,) int64, which of these each belongs to."""
+        places, sizes = self.each("cell"), [axis.cells for axis in self.axes]
+        return np.asarray(np.ravel_multi_index(tuple(places), sizes))
+
+    @property
+    def mass(self) -> np.ndarray:
+        """(N,) float64, prior probability, of sum 1."""
+        return np.asarray(np.prod(self.each("mass"), axis=0))
+
+    def of_cells(self) -> np.ndarray:
+        """(cells,) float64, prior probability of every cell."""
+        return np.bincount(self.cell, self.mass, self.cells)
+
+
 def cell_edges(nodes: np.ndarray) -> np.ndarray:
     """Return the (N + 1,) borders of what lies nearest to each of N nodes on [0, 1].
 
@@ -111,22 +157,23 @@ def uniform_axis(nodes: np.ndarray, parts: int) -> Axis:
     return Axis(edges[:-1], edges[1:], cell, np.full(count, 1 / count), len(nodes))
 
 
-def metallic_axis(nodes: np.ndarray, parts: int, metals: float) -> Axis:
-    """Cut the cells of metallic, of which 0 and 1 have a probability of their own.
+def mixed_axis(nodes: np.ndarray, parts: int, extremes: float) -> Axis:
+    """Cut the cells of a parameter of which 0 and 1 may have a probability of their own.
 
     Args:
         nodes: (N,) of the grid, uniform on [0, 1]; or one, what is known.
         parts: how many there are at least in between.
-        metals: prior probability that a surface is a metal or is none, shared alike.
+        extremes: prior probability that it is 0 or 1, shared alike: of metallic, that a surface
+            is a metal or is none.
     """
     between = uniform_axis(nodes, parts)
-    if len(nodes) == 1 or metals == 0:
+    if len(nodes) == 1 or extremes == 0:
         return between
-    ends = metals / 2
+    ends = extremes / 2
     return Axis(
         np.concatenate([[0.0], between.low, [1.0]]),
         np.concatenate([[0.0], between.high, [1.0]]),
         np.concatenate([[0], between.cell, [between.cell[-1]]]),
-        np.concatenate([[ends], (1 - metals) * between.mass, [ends]]),
+        np.concatenate([[ends], (1 - extremes) * between.mass, [ends]]),
         len(nodes),
     )

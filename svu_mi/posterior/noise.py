@@ -25,8 +25,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from svu_mi.parameters import CHANNELS
+
 SMALLEST = 1e-3  # noise, in the unit: no photograph, and no model of it, is better than that
-FITTED = 5  # roughness, metallic and three channels of base colour, which every texel has used up
+FITTED = sum(CHANNELS.values())  # 5 parameters, which every texel has used up
 FULL = 8  # views from which on a texel tells all that it can
 
 

@@ -25,7 +25,7 @@ from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import streaming
 from svu_mi.posterior.calibrated import CalibratedPosterior, prior_tables
 from svu_mi.posterior.nodes import cell_widths
-from svu_mi.posterior.walk import Problem
+from svu_mi.posterior.problem import Problem
 
 ROUNDS = 2  # more of them drift where all texels err alike; chosen on our own scenes
 SHARPNESS = 1.3
@@ -37,7 +37,7 @@ LEAST = 1e-30  # probability that stands for 0 in a logarithm
 def shared(posterior: CalibratedPosterior, rounds: int = ROUNDS) -> CalibratedPosterior:
     """Return the posterior of texels that have a prior in common, learned from all of them.
 
-    Base colours of R, G and B each have their own prior, given roughness and metallic. What the
+    Base colours of R, G and B each have their own prior, given all others. What the
     given posterior's prior excludes stays excluded. One that has such a prior is returned as it
     is: no photograph has been added.
 
@@ -64,7 +64,7 @@ def _mixed(mean: np.ndarray, alone: np.ndarray) -> np.ndarray:
     sharp = mean**SHARPNESS
     result = (1 - OTHERWISE) * sharp / np.maximum(sharp.sum(axis=(0, 1, 2)), LEAST)
     result += OTHERWISE * alone
-    rows = result.sum(axis=2, keepdims=True)  # of one channel; all share roughness and metallic
+    rows = result.sum(axis=2, keepdims=True)  # of one channel; all share the others
     given = (1 - OTHERWISE) * result / np.maximum(rows, LEAST)
     given += OTHERWISE * alone / np.maximum(alone.sum(axis=2, keepdims=True), LEAST)
     return given * rows.mean(axis=3, keepdims=True)

@@ -253,7 +253,7 @@ class Posterior(ABC):
             low and high: TensorXf (t,), or (t, 3) where channels have their own.
 
         Raises:
-            OptionError: an unknown parameter, a level that is no probability, or an index outside
+            OptionError: an unknown parameter, a level outside (0, 1), or an index outside
                 [0, T).
         """
         self._check_parameter(name)
@@ -278,7 +278,7 @@ class Posterior(ABC):
             parameters of one draw belong together. Where nobody looked, from the prior.
 
         Raises:
-            OptionError: a count below 1, or a seed that is none.
+            OptionError: a count below 1, or a seed that is not a whole number.
         """
         for name, value, least in (("count", count, 1), ("seed", seed, 0)):
             if isinstance(value, bool) or not isinstance(value, Integral) or value < least:

@@ -27,7 +27,7 @@ FITTED = 2  # parameters per texel and channel that the marginal noise rule pays
 
 @dataclass(frozen=True, kw_only=True)
 class SpectrumPosterior(Posterior):
-    """p over (roughness, specular) or (roughness, metallic, base_color), from power spectra.
+    """p over (roughness, specular) or the axes of a ``PrincipledGrid``, from power spectra.
 
     Attributes:
         problem: spectra, noise and grid tables (see ``spectrum_kernel``).
@@ -42,7 +42,7 @@ class SpectrumPosterior(Posterior):
 
     @property
     def prior(self) -> np.ndarray:
-        """Prior probability of every cell, (R, S) or (R, M, K) float64; of each channel."""
+        """Prior probability of every cell, (R, S) or (R, M ..., K) float64; of each channel."""
         return streaming.prior_of(self.problem.prior, self.grid.shape)
 
     def _entropy_of_all(self) -> Any:
@@ -106,15 +106,13 @@ def spectrum_posterior(
     if sigma is not None:
         switches = replace(switches, sigma=float(sigma))
     grid = spectrum_grid(grid, switches, irradiance=irradiance is not None)
-    S_L, S_B = _spectrum("incoming", incoming), _spectrum("outgoing", outgoing)
-    if S_L.shape != S_B.shape:
-        raise ShapeError(
-            f"spectrum_posterior(): incoming is {S_L.shape} but outgoing is {S_B.shape}."
-        )
+    S_L, S_B = _spectra(incoming, outgoing)
     count, degrees, channels = S_L.shape
     seen = np.ones(count, bool) if observed is None else np.array(observed, bool).ravel()
     if len(seen) != count:
-        raise ShapeError(f"spectrum_posterior(): {len(seen)} flags for {count} texels.")
+        raise ShapeError(
+            f"spectrum_posterior(): {len(seen)} flags for {count} texels; give one per texel."
+        )
     tables = streaming.log_prior(prior, grid.shape, "spectrum_posterior()")
     unit = _unit(switches, S_L, S_B, seen, scale)
     *_, cells = grid.axes.values()
@@ -136,6 +134,15 @@ def spectrum_posterior(
     )
     posterior = SpectrumPosterior(grid=grid, observed=seen, problem=problem)
     return _most_certain_channel(posterior) if switches.channels == "minimum" else posterior
+
+
+def _spectra(incoming: Any, outgoing: Any) -> tuple[Any, Any]:
+    S_L, S_B = _spectrum("incoming", incoming), _spectrum("outgoing", outgoing)
+    if S_L.shape != S_B.shape:
+        raise ShapeError(
+            f"spectrum_posterior(): incoming is {S_L.shape} but outgoing is {S_B.shape}."
+        )
+    return S_L, S_B
 
 
 def _spectrum(name: str, values: Any) -> Any:
@@ -181,7 +188,7 @@ def spectrum_grid(
     if isinstance(grid, ParameterGrid):
         return grid.resolved(switches)
     if not isinstance(grid, PrincipledGrid):
-        raise OptionError(f"A grid is a ParameterGrid or a PrincipledGrid, got {grid!r}.")
+        raise OptionError(f"The grid must be a ParameterGrid or a PrincipledGrid, got {grid!r}.")
     if not irradiance:
         raise OptionError(
             "spectrum_posterior(): a PrincipledGrid needs the irradiance; give it, or use a "
@@ -189,7 +196,7 @@ def spectrum_grid(
         )
     if switches.channels not in ("grey", "joint"):
         raise OptionError(
-            f"channels={switches.channels!r} have one Ks for all, or nothing in common; use a "
+            f"channels={switches.channels!r} does not work with a PrincipledGrid; use a "
             "ParameterGrid, or channels='joint'."
         )
     return grid
@@ -234,7 +241,7 @@ def _constant(
         raise OptionError("spectrum_posterior(): the irradiance is negative or not finite.")
     sigma = switches.constant_sigma * (1.0 if switches.noise == "fixed" else unit**0.5)
     return kernel.Constant(
-        metallic=grid.metallic_nodes,
+        mixed=grid.mixed_nodes,
         irradiance=known.array,
         albedo=owned(mi.Float64, _albedo(switches, grid)),
         sigma=dr.opaque(mi.Float64, sigma),
@@ -276,7 +283,10 @@ def _power(switches: Preset, samples: Any | None, count: int) -> Any | None:
         )
     seen = np.array(samples, np.float64).ravel()
     if len(seen) != count:
-        raise ShapeError(f"spectrum_posterior(): {len(seen)} sample counts for {count} texels.")
+        raise ShapeError(
+            f"spectrum_posterior(): {len(seen)} sample counts for {count} texels; give one per "
+            "texel."
+        )
     return owned(mi.Float64, np.maximum(seen - FITTED, 1) / 2)
 
 

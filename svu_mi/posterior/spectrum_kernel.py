@@ -9,8 +9,8 @@ once per texel, degrees once per row, cells cost two multiplications each. It ca
 in double precision: what is left of d / (2 sigma^2) is exact to 1e-16 of sum S_B^2 / (2 sigma^2),
 below what the rounding of single precision *spectra* does to it. Exponentials are in single.
 
-A row is a roughness and its cells are values of Ks, as in the paper; or a row is a roughness
-and metallic, its cells are base colours, and degree 0 takes part with the diffuse term that
+A row is a roughness and its cells are values of Ks, as in the paper; or a row is all but base
+colour, which its cells are, and degree 0 takes part with the diffuse term that
 these have: a constant Kd E / pi has the coefficient c_00 = 2 Kd E / sqrt(pi) (Eq. 7).
 """
 
@@ -34,13 +34,13 @@ class Constant:
     """Degree 0: sqrt(S_B(0)) = 2 Kd E / sqrt(pi) + R0 a sqrt(S_L(0)).
 
     Attributes:
-        metallic: (M,) nodes.
+        mixed: (M,) nodes of every parameter that mixes the columns.
         irradiance: (T * C) Float, E.
         albedo: (R,) Float64, a: what a lobe of each roughness reflects of constant light.
         sigma: Float64, one number: standard deviation of sqrt(S_B(0)), in radiance.
     """
 
-    metallic: np.ndarray
+    mixed: list[np.ndarray]
     irradiance: Any
     albedo: Any
     sigma: Any
@@ -73,7 +73,7 @@ class Problem:
         cells: nodes of Ks, or of base colour.
         prior: ((rows,), (rows * cells,)) Float64 of -log prior: of a row, of a cell given it;
             or None.
-        constant: degree 0 and the metallic nodes, or None for a grid of Ks.
+        constant: degree 0 and the nodes of what mixes, or None for a grid of Ks.
     """
 
     incoming: Any
@@ -94,7 +94,7 @@ class Problem:
     @property
     def columns(self) -> int:
         """Rows per roughness."""
-        return 1 if self.constant is None else len(self.constant.metallic)
+        return 1 if self.constant is None else math.prod(map(len, self.constant.mixed))
 
 
 def entropy(problem: Problem, count: int) -> Any:
@@ -114,8 +114,7 @@ def _row_energies(problem: Problem, texel: Any) -> streaming.RowEnergies:
         decay = _decay(problem, level)
         result = []
         for product, constant in zip(products, constants, strict=True):
-            metallic = row - level * problem.columns
-            R0, first = _cells(problem, level, metallic, constant)
+            R0, first = _cells(problem, level, row - level * problem.columns, constant)
             x = row_distances([R * R for R in R0], product, decay)
             if first is not None:
                 x = [value + more for value, more in zip(x, first, strict=True)]
@@ -134,13 +133,13 @@ def _cells(
     cells = streaming.cells(problem.cells)
     if problem.constant is None or read is None:
         return cells, None
-    m = streaming.node(mi.Float64, problem.constant.metallic, column)
+    mixed = streaming.nodes(mi.Float64, problem.constant.mixed, column)
     seen, diffuse, specular = read
     specular = specular * dr.gather(mi.Float64, problem.constant.albedo, level)
-    R0 = [specular_from_principled(c, m) for c in cells]
+    R0 = [specular_from_principled(c, *mixed) for c in cells]
     energies = []
     for c, R in zip(cells, R0, strict=True):
-        residual = seen - diffuse_from_principled(c, m) * diffuse - R * specular
+        residual = seen - diffuse_from_principled(c, *mixed) * diffuse - R * specular
         energies.append(residual * residual)
     return R0, energies
 

@@ -246,6 +246,15 @@ def node(kind: Any, nodes: np.ndarray, index: Any) -> Any:
     return dr.fma(kind(index), float(nodes[1] - nodes[0]), float(nodes[0]))
 
 
+def nodes(kind: Any, axes: list[np.ndarray], index: Any) -> list[Any]:
+    """Return the nodes of a row of several axes, the last of which is fastest, as ``kind``."""
+    found = []
+    for axis in axes[:0:-1]:
+        index, place = index // len(axis), index % len(axis)
+        found.append(node(kind, axis, place))
+    return [node(kind, axes[0], index), *found[::-1]]
+
+
 def cells(nodes: np.ndarray) -> list[Any]:
     """Return the nodes along a row: literals, or what is known of the only one."""
     return nodes.tolist() if len(nodes) > 1 else [dr.opaque(mi.Float64, nodes[0])]

@@ -23,7 +23,7 @@ HALVINGS = 24  # of [0, 1], in a search
 TINIEST = 1e-290  # what is left of a cell in double precision
 IMPOSSIBLE = 1e9  # nats, of a cell that the prior excludes
 GENTLE = 1e-4  # density from which on a prior of colours excludes nothing
-DIM = 0.1  # sqrt(A / 2) below which a variance is no difference of tails in single precision
+DIM = 0.1  # sqrt(A / 2) below which a variance is not a difference of tails in single precision
 FARTHEST = 64.0  # |mu|: photographs so many times brighter than any base colour makes them
 
 # (1 + 2 x) erfcx(x) as a polynomial in (x - 2.5) / (x + 2.5), the variable of Shepherd and

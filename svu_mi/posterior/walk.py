@@ -1,4 +1,4 @@
-"""A walk over the nodes of roughness and metallic of every texel.
+"""A walk over the nodes of roughness, and over those of the parameters that mix, of every texel.
 
 Base colour is integrated in closed form at each node, channel by channel; nodes that explain a
 texel hopelessly worse than its best one are left out. A visitor decides what is summed up.
@@ -7,8 +7,7 @@ texel hopelessly worse than its best one are left out. A visitor decides what is
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -16,152 +15,17 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
-from svu_mi.posterior.nodes import Axis
-from svu_mi.posterior.truncated import GENTLE, Channel, Integrals
-from svu_mi.statistics import Factors
-from svu_mi.statistics.factors import FLOOR, PAIRS
-from svu_mi.statistics.spline import catmull_rom
+from svu_mi.posterior.problem import NEAR, Problem
+from svu_mi.posterior.truncated import Channel, Integrals
+from svu_mi.reflection.principled import Mixture, mixture
+from svu_mi.statistics.factors import FLOOR, PAIRS, combined
 
-NEAR = 4  # levels that a roughness is interpolated from
 FAR = 28.0  # nats, prior included, from which on a node is left out
-NEVER = 1e30  # -log of the prior of what it excludes
-
-
-@dataclass(frozen=True)
-class Problem:
-    """Everything a posterior depends on.
-
-    Attributes:
-        factors: of S texels and C channels.
-        copies: how many equal channels each stands for.
-        roughness, metallic: nodes.
-        edges: (K + 1,) of the cells of base colour; or two equal ones, what is known of it.
-        rows: (R * M,) float64, -log of the prior of a row of cells, a roughness and a metallic.
-        given: (R * M * tables * K,) Float, density of base colour in a cell, given roughness and
-            metallic; or None: 1 everywhere.
-        scale: Float of S values or one, sqrt(W / (s^2 tau)): errors in units of noise, per unit of
-            weight.
-        least: (S,) Float, energy of the best node, less what no node explains.
-        tables: of ``given``: 1 for all channels, or one for each.
-    """
-
-    factors: Factors
-    copies: int
-    roughness: Axis
-    metallic: Axis
-    edges: np.ndarray
-    rows: np.ndarray
-    given: Any | None
-    scale: Any
-    least: Any
-    tables: int = 1
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Cells (R, M, K)."""
-        return self.roughness.cells, self.metallic.cells, len(self.edges) - 1
-
-    @cached_property
-    def nodes(self) -> Nodes:
-        """Tables that kernels read."""
-        return Nodes.of(self)
-
-    @cached_property
-    def slack(self) -> float:
-        """Nats that a prior of colours may take off a node's energy, at most."""
-        if self.given is None:
-            return 0.0
-        most = float(dr.max(self.given)[0])
-        return self.copies * self.factors.channels * float(np.log(max(most, 1.0)))
-
-    @cached_property
-    def gentle(self) -> bool:
-        """Whether the prior of colours excludes nothing (see ``Channel.weighed``)."""
-        return self.given is not None and float(dr.min(self.given)[0]) > GENTLE
-
-    def some(self, chosen: np.ndarray) -> Problem:
-        """Return the problem of some texels, by their numbers among S."""
-        lanes = owned(mi.UInt32, chosen)
-        return replace(
-            self, factors=self.factors.some(chosen),
-            scale=dr.gather(mi.Float, self.scale, lanes),
-            least=dr.gather(mi.Float, self.least, lanes),
-        )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Nodes:
-    """Nodes in memory: N of roughness, L of metallic.
-
-    Attributes:
-        levels, weights: (N * 4,) UInt32 and Float: what a roughness is interpolated from.
-        roughness, metallic: (N,) and (L,) Float, the values.
-        spread: (N,), (L,) Floats, variances within a part.
-        row, column: (N,), (L,) UInt32, cells.
-        prior: (N * L,) Float, -log of the prior.
-        first: (R + 1,) UInt32, nodes of roughness where a cell begins.
-        last: (N,) UInt32, number of cells of (metallic, channel, base colour) if a node of
-            roughness is the last of its cell, else 0.
-    """
-
-    levels: Any
-    weights: Any
-    roughness: Any
-    metallic: Any
-    spread: tuple[Any, Any]
-    row: Any
-    column: Any
-    prior: Any
-    first: Any
-    last: Any
-
-    @staticmethod
-    def of(problem: Problem) -> Nodes:
-        r, m = problem.roughness, problem.metallic
-        levels, weights = spline(r.value, problem.factors.roughness)
-        ends = np.diff(r.cell, append=r.cells) != 0
-        cells = problem.shape[1] * problem.factors.channels * problem.shape[2]
-        inside = [axis.mass / axis.of_cells()[axis.cell] for axis in (r, m)]
-        rows = problem.rows.reshape(problem.shape[:2])[r.cell][:, m.cell]
-        prior = np.minimum(rows - np.log(inside[0])[:, None] - np.log(inside[1]), NEVER)
-        return Nodes(
-            levels=owned(mi.UInt32, levels.ravel().astype(np.uint32)),
-            weights=owned(mi.Float, weights.ravel()),
-            roughness=owned(mi.Float, r.value),
-            metallic=owned(mi.Float, m.value),
-            spread=(owned(mi.Float, r.spread), owned(mi.Float, m.spread)),
-            row=owned(mi.UInt32, r.cell.astype(np.uint32)),
-            column=owned(mi.UInt32, m.cell.astype(np.uint32)),
-            prior=owned(mi.Float, prior.ravel()),
-            first=owned(mi.UInt32, r.first.astype(np.uint32)),
-            last=owned(mi.UInt32, (ends * cells).astype(np.uint32)),
-        )
-
-
-def spline(values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return four levels around every value and their weights [Catmull and Rom 1974].
-
-    Args:
-        values: (N,).
-        levels: (R,) ascending at equal distances; values beyond them take the nearest. One level
-            is all there is.
-
-    Returns:
-        (N, 4) int64 and (N, 4) float64.
-    """
-    last = len(levels) - 1
-    if last == 0:
-        return np.zeros((len(values), NEAR), int), np.tile([1.0, 0, 0, 0], (len(values), 1))
-    place = np.clip((values - levels[0]) / (levels[-1] - levels[0]), 0, 1) * last
-    begin = np.minimum(np.floor(place), last - 1)
-    weights = catmull_rom(place - begin)
-    near = np.clip(begin[:, None] + np.arange(-1, 3), 0, last).astype(int)
-    return near, np.stack(weights, axis=1)
 
 
 @dataclass(frozen=True)
 class Node:
-    """One roughness and metallic of every texel.
+    """One node of every texel: all parameters but base colour.
 
     Attributes:
         row, column: UInt32, numbers of the nodes.
@@ -194,21 +58,21 @@ class Walker:
         self._reader = problem.factors.at(self.lane)
         self._scale = dr.gather(mi.Float, problem.scale, self.lane)
         self._least = dr.gather(mi.Float, problem.least, self.lane)
-        self._columns = dr.opaque(mi.UInt32, problem.metallic.count)
+        self._columns = dr.opaque(mi.UInt32, problem.mixed.count)
         self._slack = dr.opaque(mi.Float, problem.slack)
 
     def over_rows(
         self, begin: Any, end: Any, visit: Callable[..., Any], row_ends: Callable[..., Any],
         state: tuple[Any, ...],
     ) -> tuple[Any, ...]:  # fmt: skip
-        """Fold over nodes of roughness, and within each over those of metallic.
+        """Fold over nodes of roughness, and within each over columns.
 
         Args:
             begin: UInt32, the first node of roughness.
             end: UInt32, the one after the last.
             visit: ``visit(node, *state)`` returns the new state; only called where a node
                 matters; traced once.
-            row_ends: ``row_ends(row, *state)`` returns the new state after all metallic nodes.
+            row_ends: ``row_ends(row, *state)`` returns the new state after all columns.
             state: Dr.Jit arrays and local memory.
         """
 
@@ -253,20 +117,25 @@ class Walker:
             found.append(U)
         return found
 
-    def channel(self, U: list[Any], metallic: Any) -> Channel:
-        """Return the likelihood of a base colour at a metallic, from the factor of a channel."""
-        ee, ep, eg, et, pp, pg, pt, gg, gt, floor = U
-        m = metallic
-        u = [dr.lerp(ee, ep, m), m * pp]
-        v = [dr.fma(m, eg, et), dr.fma(m, pg, pt), dr.fma(m, gg, gt)]
-        return Channel.of(u, v, floor)
+    def channels(self, U: list[list[Any]], column: Any) -> list[Channel]:
+        """Return the likelihood of every channel's base colour at a node, from their factors."""
+        how = self._mixture(column)
+        return [
+            Channel.of(
+                combined(of_channel, how.scaled)[:-1], combined(of_channel, how.constant)[:-1],
+                of_channel[FLOOR],
+            )
+            for of_channel in U
+        ]  # fmt: skip
 
     def energy(self, U: list[list[Any]], column: Any) -> Any:
-        """Return the energy of the best colour at a node of metallic, without any prior: Float."""
-        m = dr.gather(mi.Float, self.nodes.metallic, column)
+        """Return the energy of the best colour at a column, without any prior: Float."""
         if self._known:
-            return self._at_known(U, m)
-        return self.problem.copies * sum(self.channel(of_channel, m).least for of_channel in U)
+            c, how = dr.opaque(mi.Float, float(self.problem.edges[0])), self._mixture(column)
+            energies = [energy_at(of_channel, how.at(c)) for of_channel in U]
+        else:
+            energies = [channel.least for channel in self.channels(U, column)]
+        return self.problem.copies * sum(energies)
 
     def excess(self, U: list[list[Any]], row: Any, column: Any, best: Any) -> Any:
         """Return what a node's energy, prior included, has above ``least``, or ``best`` if that
@@ -285,15 +154,14 @@ class Walker:
 
         Args:
             row: UInt32, node of roughness.
-            column: UInt32, node of metallic.
+            column: UInt32, node of the parameters that mix.
             random: two Floats in [0, 1) for each channel.
         """
         problem = self.problem
         number = problem.factors.channels * problem.copies
         if self._known:
             return [dr.opaque(mi.Float, float(problem.edges[0]), dr.width(self.lane))] * number
-        m = dr.gather(mi.Float, self.nodes.metallic, column)
-        channels = [self.channel(U, m) for U in self.entries(row)]
+        channels = self.channels(self.entries(row), column)
         prior = self._color_prior(row, column)
         ends = owned(mi.Float, problem.edges)
         found = []
@@ -314,8 +182,7 @@ class Walker:
         prior = dr.gather(mi.Float, self.nodes.prior, place) - self._least
         if self._known:
             return prior + self.energy(U, column), []
-        m = dr.gather(mi.Float, self.nodes.metallic, column)
-        channels = [self.channel(of_channel, m) for of_channel in U]
+        channels = self.channels(U, column)
         energy = self.problem.copies * sum(one.least for one in channels)
         return prior + energy, [(c.least, c.mirrored, c.mu, c.s) for c in channels]
 
@@ -336,10 +203,8 @@ class Walker:
     def _known(self) -> bool:
         return bool(self.problem.edges[0] == self.problem.edges[-1])
 
-    def _at_known(self, U: list[list[Any]], metallic: Any) -> Any:
-        """Energy of the base colour that is known."""
-        c = dr.opaque(mi.Float, float(self.problem.edges[0]))
-        return self.problem.copies * sum(energy_at(of_channel, metallic, c) for of_channel in U)
+    def _mixture(self, column: Any) -> Mixture:
+        return mixture(*(values.at(column) for values in self.nodes.columns))
 
     def _node(self, row: Any, column: Any, energy: Any, parts: list[Any]) -> Node:
         if not self._known and self.problem.given is not None:
@@ -374,14 +239,12 @@ class Walker:
         return [[density[k] for k in own] for density in of_channels]
 
 
-def energy_at(U: list[Any], metallic: Any, color: Any) -> Any:
-    """Return 1/2 |U x|^2 at x = (c (1 - m), c m, m, 1): Float."""
-    ee, ep, eg, et, pp, pg, pt, gg, gt, floor = U
-    a, b = color * (1 - metallic), color * metallic
-    x = dr.fma(ee, a, dr.fma(ep, b, dr.fma(eg, metallic, et)))
-    y = dr.fma(pp, b, dr.fma(pg, metallic, pt))
-    z = dr.fma(gg, metallic, gt)
-    return 0.5 * dr.fma(x, x, dr.fma(y, y, dr.fma(z, z, floor)))
+def energy_at(U: list[Any], x: list[Any]) -> Any:
+    """Return 1/2 |U x|^2 where columns count x times, the last of them once: Float."""
+    energy = U[FLOOR]
+    for component in reversed(combined(U, x)[:-1]):
+        energy = dr.fma(component, component, energy)
+    return 0.5 * energy
 
 
 def _picked(parts: list[Any], random: Any) -> Any:

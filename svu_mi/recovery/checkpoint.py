@@ -57,13 +57,13 @@ class State:
         stored = {name: value.shape for name, value in self.values.items()}
         if dict(shapes) != stored:
             raise OptionError(
-                f"{label}: the checkpoint has the parameters {excerpt(stored)}, this run has "
+                f"{label}: the checkpoint has the parameters {excerpt(stored)}, but this run has "
                 f"{shapes}; remove it and start again."
             )
         if self.step > steps:
             raise OptionError(
-                f"{label}: the checkpoint has {self.step} steps, this run takes {steps} at most; "
-                "remove it and start again."
+                f"{label}: the checkpoint has {self.step} steps, but this run takes at most "
+                f"{steps}; remove it and start again."
             )
 
 
@@ -101,14 +101,14 @@ class Checkpoint:
             OptionError: ``every`` is negative, or a setting cannot be written as JSON.
         """
         if not every >= 0:
-            raise OptionError(f"Checkpoint: every must be seconds, at least 0, got {every!r}.")
+            raise OptionError(f"Checkpoint: every must be at least 0 seconds, got {every!r}.")
         self.path, self.resume, self.every = Path(path), resume, every
         self.content = dict(content or {})
         try:
             self.settings: dict[str, Any] = json.loads(_canonical(settings))
         except (TypeError, ValueError) as error:
             raise OptionError(
-                f"Checkpoint: a setting cannot be written down ({error}); give numbers, text, "
+                f"Checkpoint: a setting cannot be written as JSON ({error}); give numbers, text, "
                 "lists and dictionaries."
             ) from error
         self._saved = time.monotonic()
@@ -168,8 +168,8 @@ class Checkpoint:
         changed = sorted(key for key in mine | stored if mine.get(key) != stored.get(key))
         if changed:
             raise OptionError(
-                f"{self.path}: the checkpoint belongs to another run (changed since then: "
-                f"{excerpt(', '.join(changed))}); resume with what it was started with, or remove "
+                f"{self.path}: the checkpoint belongs to another run (changed since: "
+                f"{excerpt(', '.join(changed))}); resume with the original inputs, or remove "
                 "it and start again."
             )
 
@@ -206,21 +206,19 @@ def _state(stored: Mapping[str, np.ndarray]) -> State:
         if separator and group in groups:
             groups[group][name] = array
         elif key not in RECORDS:
-            raise ValueError(f"it has an array {excerpt(key, 40)!r}")
+            raise ValueError(f"it has an unknown array {excerpt(key, 40)!r}")
     step, values = _whole(stored, "step"), groups["values"]
-    shapes = {
-        "values": {name: values[name].shape for name in values},
-        "first": {name: (values[name].size,) for name in values},
-        "second": {name: (values[name].size,) for name in values},
-    }
+    moments = {name: (value.size,) for name, value in values.items()}
+    textures = {name: value.shape for name, value in values.items()}
+    shapes: dict[str, Any] = {"values": textures, "first": moments, "second": moments}
     for group, wanted in shapes.items():
         if {name: array.shape for name, array in groups[group].items()} != wanted:
             raise ValueError(f"the arrays of {group!r} are not those of its parameters")
     if "losses" not in stored or stored["losses"].shape != (step,):
-        raise ValueError(f"it has not one loss for each of its {step} steps")
+        raise ValueError(f"it does not have one loss for each of its {step} steps")
     for array in (stored["losses"], *(a for group in groups.values() for a in group.values())):
         if array.dtype != np.float32 or not np.isfinite(array).all():
-            raise ValueError("it has numbers that are NaN, infinite or no float32")
+            raise ValueError("it has values that are NaN, infinite or not float32")
     if any(array.size and array.min() < 0 for array in groups["second"].values()):
         raise ValueError("a mean of squares is negative")
     return State(step=step, losses=stored["losses"], **groups)
@@ -229,7 +227,7 @@ def _state(stored: Mapping[str, np.ndarray]) -> State:
 def _whole(stored: Mapping[str, np.ndarray], name: str) -> int:
     array = stored.get(name)
     if array is None or array.shape or array.dtype.kind not in "iu" or array < 0:
-        raise ValueError(f"{name!r} is no whole number")
+        raise ValueError(f"{name!r} is not a whole number")
     return int(array)
 
 
@@ -237,14 +235,14 @@ def _object(stored: Mapping[str, np.ndarray], name: str) -> dict[str, Any]:
     """Return a JSON object, nested names and all (``_flat``)."""
     array = stored.get(name)
     if array is None or array.shape or array.dtype.kind != "U":
-        raise ValueError(f"{name!r} is no text")
+        raise ValueError(f"{name!r} is not text")
     try:
         found = json.loads(str(array))
         if isinstance(found, dict):
             return _flat(found)
     except RecursionError:
         pass
-    raise ValueError(f"{name!r} is no JSON object")
+    raise ValueError(f"{name!r} is not a JSON object")
 
 
 def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

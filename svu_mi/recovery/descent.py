@@ -127,7 +127,6 @@ class _Run:
             lr=options.learning_rate,
             beta_1=options.beta_1,
             beta_2=options.beta_2,
-            mask_updates=options.mask_updates,
         )
         for name, tensor in start.items():
             self._optimizer[name] = self._project(mi.TensorXf(tensor))
@@ -279,7 +278,7 @@ def _one_number(loss: Any) -> Any:
     if not dr.grad_enabled(loss):
         raise ShapeError(
             "descend(): the loss does not depend on the textures it was given; compute it from "
-            "them, and detach nothing on the way."
+            "them, without detaching anything."
         )
     return loss
 
@@ -290,5 +289,5 @@ def _require_finite(step: int, loss: float, broken: bool) -> None:
     what = "a gradient" if np.isfinite(loss) else "the loss"
     raise SvuError(
         f"Descent: {what} of step {step} is NaN or infinite; look for NaN in the photographs and "
-        "for zeros that are divided by, or lower the learning rate."
+        "for divisions by zero, or lower the learning rate."
     )

@@ -11,7 +11,7 @@ from math import inf
 from typing import Any, Literal
 
 from svu_mi.errors import OptionError
-from svu_mi.settings import require, require_one_of, require_types
+from svu_mi.settings import require, require_types
 
 ShLoss = Literal["statistics", "angular", "coefficients", "spectrum"]
 PathLoss = Literal["l1", "l2", "relative"]
@@ -33,8 +33,6 @@ class DescentOptions:
         low, high: bounds of every parameter; values are projected onto them after each step.
         scales: factors of the rates of single parameters, by name; 1 for all others.
         beta_1, beta_2: how long Adam remembers gradients and their squares.
-        mask_updates: leave parameters without a gradient as they are, instead of letting them
-            drift on by what they remember.
     """
 
     steps: int = 200
@@ -47,7 +45,6 @@ class DescentOptions:
     scales: Mapping[str, float] = field(default_factory=dict)
     beta_1: float = 0.9
     beta_2: float = 0.999
-    mask_updates: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scales", dict(self.scales))  # the caller's may change
@@ -108,7 +105,6 @@ class ShOptions:
 
     def __post_init__(self) -> None:
         require_types(self)
-        require_one_of(self, "loss", ShLoss)
         require(self, 0 <= self.robust <= 20, "robust", "in [0, 20]")
         _require_weights(self)
 
@@ -170,15 +166,13 @@ class PathOptions:
         depth = self.max_depth
         require(self, depth is None or (isinstance(depth, int) and (depth >= 2 or depth == -1)),
                 "max_depth", "at least 2, -1 for paths of any length, or None")  # fmt: skip
-        require_one_of(self, "loss", PathLoss)
         _require_weights(self)
         require(self, 0 <= self.seed < 2**32, "seed", "in [0, 2^32)")
 
 
 def _require_weights(options: ShOptions | PathOptions) -> None:
-    """Refuse regularisers that are none."""
+    """Refuse regularisers with an invalid weight."""
     require(options, 0 <= options.tv < inf, "tv", "at least 0")
-    require_one_of(options, "tv_space", TvSpace)
     require(options, 0 <= options.tv_epsilon < inf, "tv_epsilon", "at least 0")
     require(options, 0 <= options.sharing < inf, "sharing", "at least 0")
 
@@ -247,7 +241,7 @@ def path_preset(name: str) -> PathOptions:
 def _preset(known: dict[str, Any], name: str, method: str) -> Any:
     if name not in known:
         raise OptionError(
-            f"Unknown preset {name!r} of method {method!r}; there are {', '.join(known)}."
+            f"Unknown preset {name!r} of method {method!r}; use one of {', '.join(known)}."
         )
     return known[name]
 

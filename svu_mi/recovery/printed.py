@@ -94,7 +94,7 @@ class Printed:
         prior = None if self.given is None else of_roughness(self.given)
         if prior is not None and len(prior) != grid.shape[0]:
             raise OptionError(
-                f"recover(): the estimate's prior has {len(prior)} roughness nodes, that of "
-                f"Eq. 11 {grid.shape[0]}; estimate with a grid of as many, or without a prior."
+                f"recover(): the estimate's prior has {len(prior)} roughness nodes, but that "
+                f"of Eq. 11 has {grid.shape[0]}; estimate with as many nodes, or without a prior."
             )
         return grid, prior

@@ -21,7 +21,7 @@ from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, observed_of, subject_of
 from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
-from svu_mi.recovery.fingerprint import fingerprint
+from svu_mi.recovery.descent import Descent
 from svu_mi.recovery.options import Method, Options, PathOptions, ShOptions
 from svu_mi.recovery.run import Run, require_resolution
 from svu_mi.recovery.textures import Textures
@@ -94,23 +94,21 @@ def recover(
     """Recover the textures of an object from its photographs (Sec. 5.2 to 5.4 of the paper).
 
     Args:
-        source: a capture (scene, photographs and light); or an estimate of one. ``sh`` goes on from
-            the posterior of an estimate in colour (``default``); one of another method or preset
-            is made again with its reflection model, without tracing rays. Parameters that it
-            takes as known stay as they are.
-        texels: texels of ``capture.mesh``, textures have their resolution; those of the estimate
-            if there is one.
+        source: a capture; or an estimate of one, whose rays are not traced again. ``sh`` goes on
+            from the posterior of an estimate in colour (``default``); others are made again with
+            their reflection model. Parameters that it takes as known stay as they are.
+        texels: texels of ``capture.mesh``, textures have their resolution; may be left out with
+            an estimate.
         method: ``sh`` compares photographs with a reflection model; ``path`` with renderings by
             Mitsuba's ``prb``; ``sh+path`` goes on from the result of the first with one epoch
             of the second.
         preset: ``default`` or ``paper``; ``coefficients`` and ``spectrum`` are the paper's other
             losses, of ``sh`` and of that part of ``sh+path``, whose epoch is then the paper's, too.
             For ``path``, also ``polish`` and ``paper_polish``, those epochs by themselves.
-        sharing: let uncertain texels be like others. True learns from all texels what the object is
-            made of, a prior that they have in common (``posterior/object_prior.py``); with presets
-            of the paper's, it is Eq. 14 and 15 as printed, by the posterior of Eq. 11: that of
-            ``source`` if it is one over (roughness, Ks), or one made for it. Or a
-            ``GlobalSharing`` of one's own making.
+        sharing: let uncertain texels be like others. True learns a prior that texels have in common
+            (``posterior/object_prior.py``); with presets of the paper's, it is Eq. 14 and 15 as
+            printed, by the posterior of Eq. 11: that of ``source`` if it is one over (roughness,
+            Ks), or one made for it. Or a ``GlobalSharing`` of one's own making.
         tv: weight of total variation, instead of the options'.
         parameters: names of the textures to recover; others stay as ``start``, or the scene's
             own material, has them.
@@ -130,52 +128,56 @@ def recover(
         SvuError: the loss or a gradient is NaN or infinite.
         OutputError: the checkpoint cannot be read or written.
     """
-    if method not in get_args(Method):
-        raise OptionError(f"Unknown method {method!r}; there are {', '.join(get_args(Method))}.")
     if resume and checkpoint is None:
-        raise OptionError("recover(): resume=True needs the checkpoint to go on from.")
-    if not isinstance(sharing, bool | GlobalSharing):
-        raise OptionError(
-            f"recover(): sharing is True, False or a GlobalSharing, got {sharing!r}; weights are "
-            "options (sh=, path=)."
-        )
-    names = _names(parameters)
-    chosen = Options.of(method, preset, sh, path, tv)
+        raise OptionError("recover(): resume=True needs a checkpoint to resume from.")
+    names = _checked(method, sharing, parameters)
+    options = Options.of(method, preset, sh, path, tv)
     progress = progress or Progress()
     require_resolution(subject_of(source, texels)[1], start)
     observed = observed_of(source, texels, progress)
     with progress.stage("Reading the light"):
         _ = observed.lighting  # refused before any work: a black light shows nothing
     given = source if isinstance(source, Estimate) else None
-    run = Run(method, observed, given, names, chosen, start, sharing, progress)
-    settings, saved = run.settings(), None
+    run = Run(method, observed, given, names, options, start, sharing, progress)
+    saved = None
     if checkpoint is not None:
-        content = fingerprint(
-            observed.capture, observed.texels, start, sharing,
-            None if given is None else given.posterior,
-        )  # fmt: skip
         saved = Checkpoint(
-            checkpoint, settings, content=content, resume=resume, every=checkpoint_seconds
-        )
+            checkpoint, run.settings, content=run.content(), resume=resume,
+            every=checkpoint_seconds,
+        )  # fmt: skip
     textures, descent = run.run(saved)
+    return _result(run, textures, descent)
+
+
+def _result(run: Run, textures: Textures, descent: Descent) -> Recovery:
     return Recovery(
-        method=method,
-        texels=observed.texels,
+        method=run.method,
+        texels=run.texels,
         textures=textures,
-        coverage=observed.coverage,
+        coverage=run.observed.coverage,
         losses=descent.losses,
         stopped=descent.stopped,
-        settings=settings,
-        timings=progress.timings,
+        settings=run.settings,
+        timings=run.progress.timings,
         estimate=run.estimate if run.asked else None,
     )
 
 
-def _names(parameters: Sequence[str]) -> tuple[str, ...]:
+def _checked(
+    method: str, sharing: GlobalSharing | bool, parameters: Sequence[str]
+) -> tuple[str, ...]:
+    """Refuse what makes no sense; return the names of parameters in their usual order."""
+    if method not in get_args(Method):
+        raise OptionError(f"Unknown method {method!r}; use one of {', '.join(get_args(Method))}.")
+    if not isinstance(sharing, bool | GlobalSharing):
+        raise OptionError(
+            f"recover(): sharing must be True, False or a GlobalSharing, got {sharing!r}; weights "
+            "are options (sh=, path=)."
+        )
     unknown = [name for name in parameters if name not in NAMES]
     if unknown or not parameters:
         raise OptionError(
-            f"recover(): parameters are one or more of {', '.join(NAMES)}, got "
+            f"recover(): parameters must be one or more of {', '.join(NAMES)}, got "
             f"{', '.join(map(str, parameters)) or 'none'}."
         )
     return tuple(name for name in NAMES if name in parameters)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from math import sqrt
 from typing import Any
@@ -15,6 +15,7 @@ from svu_mi.posterior import CalibratedPosterior
 from svu_mi.progress import Progress
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import Descent, Objective, descend
+from svu_mi.recovery.fingerprint import fingerprint
 from svu_mi.recovery.options import Method, Options, PathOptions, ShOptions
 from svu_mi.recovery.path.objective import path_objective
 from svu_mi.recovery.printed import Printed
@@ -34,30 +35,44 @@ GENTLE = 0.6  # part of total variation that smooths a start, whose texels must 
 HOLD = 0.5  # weight of the pull towards posterior means, which know the prior
 
 
+@dataclass
 class Run:
-    """One recovery: its parts are made when they are first needed."""
+    """One recovery: its parts are made when they are first needed.
 
-    def __init__(
-        self, method: Method, observed: Observed, given: Estimate | None,
-        names: tuple[str, ...], options: Options, start: Textures | None,
-        sharing: GlobalSharing | bool, progress: Progress,
-    ) -> None:  # fmt: skip
-        self.method, self.observed, self.given = method, observed, given
-        self.capture, self.texels = observed.capture, observed.texels
-        self.known = {} if given is None else known_values(given)
-        self.printed = Printed(given, self.known)
-        self.names = tuple(name for name in names if name not in self.known)
-        if not self.names:
+    Attributes:
+        method, options, start, sharing, progress: as for ``recover``.
+        observed: the photographs.
+        given: the estimate that it goes on from, if there is one.
+        names: parameters to recover; those that the estimate knows leave the list.
+        asked: whether anybody asked for ``estimate``.
+    """
+
+    method: Method
+    observed: Observed
+    given: Estimate | None
+    names: tuple[str, ...]
+    options: Options
+    start: Textures | None
+    sharing: GlobalSharing | bool
+    progress: Progress
+    asked: bool = field(default=False, init=False)
+    _variations: dict[tuple[str, float], Rule] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        self.capture, self.texels = self.observed.capture, self.observed.texels
+        self.known = {} if self.given is None else known_values(self.given)
+        self.printed = Printed(self.given, self.known)
+        left = tuple(name for name in self.names if name not in self.known)
+        if not left:
             raise OptionError(
-                f"recover(): nothing is left to recover, as the estimate takes {', '.join(names)} "
-                "as known; estimate without known=."
+                "recover(): nothing is left to recover, because the estimate takes "
+                f"{', '.join(self.names)} as known; estimate without known=."
             )
-        self.options, self.start, self.progress = options, start, progress
-        self.sharing, self.asked = sharing, False  # whether anybody asked for the estimate
-        self._variations: dict[tuple[str, float], Rule] = {}
+        self.names = left
 
+    @cached_property
     def settings(self) -> dict[str, Any]:
-        """Return everything that the result depends on, besides the capture, as JSON has it."""
+        """Everything that the result depends on, besides the capture, as JSON has it."""
         found = self.options.settings(self.method)
         found |= {"parameters": list(self.names), "sharing": self._shares()}
         given = self.given
@@ -66,6 +81,11 @@ class Run:
                 "method": given.method, **asdict(given.preset), "known": self.known
             }  # fmt: skip
         return found
+
+    def content(self) -> dict[str, str]:
+        """Return digests of what it works on."""
+        posterior = None if self.given is None else self.given.posterior
+        return fingerprint(self.capture, self.texels, self.start, self.sharing, posterior)
 
     def _shares(self) -> bool | dict[str, Any]:
         """Return how texels share: not at all, by a prior in common (True), or by which rule."""
@@ -124,7 +144,7 @@ class Run:
         options = self.options.sh
         data = self._sh_data(options)
         if options.loss == "statistics" and options.closed_form and self.start is None:
-            start = self._smoothed(replace(start, **self._free(posterior_means(self.estimate))))
+            start = self._smoothed(start.but(**self._free(posterior_means(self.estimate))))
         rule = self._sharing(options)
         return self._descend("Descending (SH)", start, data, options, rule, checkpoint)
 
@@ -155,7 +175,7 @@ class Run:
         objective = regularized(pull, [(GENTLE * self._tv(options), smooth)], fixed)
         with self.progress.stage("Smoothing the start", options.smoothing.steps) as stage:
             found = descend(objective, self._free(start), options.smoothing, progress=stage)
-        return replace(start, **found.values)
+        return start.but(**found.values)
 
     def _tv(self, options: ShOptions | PathOptions) -> float:
         """Return the weight of total variation: in nats, what edges cost does not depend on the
@@ -222,8 +242,8 @@ class Run:
         middle = uniform(self.texels)
         others = [n for n in NAMES if n not in self.names and n not in self.known]
         own = scene_textures(self.capture, self.texels) if others else middle
-        known = {n: getattr(uniform(self.texels, v), n) for n, v in self.known.items()}
-        return replace(middle, **{n: getattr(own, n) for n in others}, **known)
+        known = {n: uniform(self.texels, v)[n] for n, v in self.known.items()}
+        return middle.but(**{n: own[n] for n in others}, **known)
 
 
 def require_resolution(texels: Texels, start: Textures | None) -> None:
@@ -236,7 +256,7 @@ def require_resolution(texels: Texels, start: Textures | None) -> None:
     if min(texels.resolution) < 2:
         width, height = texels.resolution
         raise OptionError(
-            f"Textures need at least 2 texels per side, got {width} x {height}; lay out more."
+            f"Textures need at least 2 texels per side, got {width} x {height}; use more."
         )
     if start is not None:
         start.require_resolution(texels)

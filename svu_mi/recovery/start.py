@@ -22,6 +22,7 @@ from svu_mi.posterior.object_prior import shared
 from svu_mi.progress import Progress
 from svu_mi.recovery.sh.objective import moments, values_of
 from svu_mi.recovery.textures import Textures, lay_out
+from svu_mi.statistics.gather import Weighting
 
 
 def estimate_for_textures(
@@ -53,7 +54,7 @@ def estimate_for_textures(
     if not _serves(found):
         found = _in_colour(found, observed, progress)
     for _ in range(robust):
-        with progress.stage("Weighing samples again"):
+        with progress.stage("Reweighting samples"):
             found = replace(found, posterior=_reweighted(found, observed))
     if sharing:
         with progress.stage("Learning what texels have in common"):
@@ -105,10 +106,13 @@ def _reweighted(found: Estimate, observed: Observed) -> CalibratedPosterior:
     assert isinstance(posterior, CalibratedPosterior) and isinstance(switches, AngularPreset)
     factors = posterior.problem.factors
     means, _ = moments(posterior)
+    texels = factors.texel.numpy()
+    weighting = Weighting(
+        switches.kappa(observed.unit), switches.edges, values_of(means, texels)
+    )
     statistics = observed.statistics(
-        factors.roughness, switches, 3, kappa=switches.kappa(observed.unit), edges=switches.edges,
-        texels=factors.texel.numpy(), current=values_of(means[:, factors.texel.numpy()]),
-    )  # fmt: skip
+        factors.roughness, switches, 3, weighting=weighting, texels=texels
+    )
     return calibrated_posterior(
         statistics, posterior.grid, observed.unit, switches, prior=found.prior,
         texels=posterior.count,
@@ -121,6 +125,6 @@ def posterior_means(found: Estimate) -> Textures:
     posterior: Any = found.posterior
     means, _ = moments(posterior)
     seen = posterior.observed
-    means[:, ~seen] = means[:, seen].mean(axis=1, keepdims=True)
-    color = means[:3].T
-    return lay_out(found.texels, dict(zip(NAMES, (color, *means[3:]), strict=True)))
+    for rows in means.values():
+        rows[:, ~seen] = rows[:, seen].mean(axis=1, keepdims=True)
+    return lay_out(found.texels, {name: rows.T for name, rows in means.items()})

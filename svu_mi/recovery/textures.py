@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import mitsuba as mi
@@ -12,27 +11,24 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
-from svu_mi.parameters import CHANNELS, NAMES, PARAMETERS
+from svu_mi.parameters import CHANNELS, NAMES, PARAMETERS, ByParameter
 from svu_mi.surface import Texels
 from svu_mi.surface.gutter import dilate
 from svu_mi.surface.material import parameters_at
 
 
-@dataclass(frozen=True, kw_only=True)
-class Textures:
+class Textures(ByParameter):
     """Parameters of Mitsuba's ``principled`` BSDF over a UV map, all in [0, 1].
 
-    Attributes:
-        base_color: (H, W, 3) TensorXf, linear; row 0 is v = 0.
-        roughness: (H, W, 1) TensorXf.
-        metallic: (H, W, 1) TensorXf.
+    By name or as an attribute a TensorXf: ``base_color`` (H, W, 3), linear, ``roughness`` and all
+    others (H, W, 1); row 0 is v = 0.
+
+    Raises:
+        ShapeError: one has another shape.
     """
 
-    base_color: Any
-    roughness: Any
-    metallic: Any
-
-    def __post_init__(self) -> None:
+    def __init__(self, **tensors: Any) -> None:
+        super().__init__(**tensors)
         height, width = tuple(self.base_color.shape)[:2]
         for name, tensor in self.items():
             wanted = (height, width, CHANNELS[name])
@@ -55,10 +51,6 @@ class Textures:
         height, width = tuple(self.base_color.shape)[:2]
         return width, height
 
-    def items(self) -> Iterator[tuple[str, Any]]:
-        """Return pairs of name and tensor, in the order of ``NAMES``."""
-        return ((name, getattr(self, name)) for name in NAMES)
-
     def require_resolution(self, texels: Texels) -> None:
         """Refuse textures of another resolution than the texels have.
 
@@ -67,13 +59,13 @@ class Textures:
         """
         if self.resolution != texels.resolution:
             raise ShapeError(
-                f"The textures have {self.resolution} texels, but {texels.resolution} are asked "
-                "for; lay texels out at the textures' resolution, or resample these."
+                f"The textures have {self.resolution} texels, but {texels.resolution} were "
+                "requested; lay texels out at the textures' resolution, or resample these."
             )
 
     def at(self, texels: Texels, name: str) -> np.ndarray:
         """Return a parameter of every texel: (T, 3), or (T,) for a single channel."""
-        values = np.array(getattr(self, name)).reshape(-1, CHANNELS[name])[texels.index.numpy()]
+        values = np.array(self[name]).reshape(-1, CHANNELS[name])[texels.index.numpy()]
         return values if CHANNELS[name] > 1 else values[:, 0]
 
 
@@ -82,8 +74,8 @@ def lay_out(texels: Texels, values: Mapping[str, Any]) -> Textures:
 
     Args:
         texels: T texels.
-        values: base_color (T, 3), roughness (T,) and metallic (T,), finite; values outside
-            [0, 1] are clipped.
+        values: base_color (T, 3), and all others (T,) or (T, 1), finite; values outside [0, 1]
+            are clipped.
 
     Raises:
         OptionError: a parameter is missing, or is NaN or infinite.
@@ -110,7 +102,7 @@ def scene_textures(capture: Capture, texels: Texels) -> Textures:
         texels: of ``capture.mesh``.
 
     Raises:
-        SceneError: another BSDF, or a mesh that was unwrapped anew.
+        SceneError: another BSDF, or a mesh that was unwrapped again.
     """
     return lay_out(texels, parameters_at(capture, texels))
 

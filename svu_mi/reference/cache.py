@@ -17,6 +17,7 @@ from svu_mi.files import clear_temporaries, prepare_folder
 from svu_mi.npz import read_arrays, write_arrays
 from svu_mi.reference.options import Options
 from svu_mi.reference.record import Reference, Traced
+from svu_mi.statistics.factors import PAIRS
 from svu_mi.surface import Texels
 
 log = logging.getLogger(__name__)
@@ -92,7 +93,7 @@ def _unpack(stored: dict[str, np.ndarray], name: str, options: Options) -> Refer
         ValueError: it belongs to another file name, or is not what is stored.
     """
     if str(stored.get("name")) != name:
-        raise ValueError("it is that of another capture or of other options")
+        raise ValueError("it belongs to another capture or other options")
     _require_shapes(stored, options)
     found = Traced(stored["tables"], stored.get("weight"), stored["coverage"])
     unit = float(stored["unit"])
@@ -131,12 +132,11 @@ def _require_shapes(stored: dict[str, np.ndarray], options: Options) -> None:
         "name": ("U", ()),
     }  # fmt: skip
     if options.noise == "estimated":
-        sums = (3, len(options.levels), 3, 10, count)
+        sums = (3, len(options.levels), 3, len(PAIRS), count)
         wanted |= {"tables": ("f", sums), "weight": ("f", (count,))}
     else:
-        axes = (grid.roughness_nodes, grid.metallic_nodes, grid.base_color_nodes)
-        wanted |= {"tables": ("f", (3, count, *map(len, axes)))}
+        wanted |= {"tables": ("f", (3, count, *grid.shape))}
     found = {name: (array.dtype.kind, array.shape) for name, array in stored.items()}
     if found != wanted:
         wrong = sorted(k for k in found | wanted if found.get(k) != wanted.get(k))
-        raise ValueError(f"its arrays are others: {excerpt(', '.join(wrong))}")
+        raise ValueError(f"these arrays do not match: {excerpt(', '.join(wrong))}")

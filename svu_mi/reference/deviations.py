@@ -9,20 +9,22 @@ down most is a false minimum. Products give a worse entropy at every number of s
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from svu_mi.posterior import PrincipledGrid
+from svu_mi.reflection.principled import columns
 from svu_mi.statistics import Statistics
 from svu_mi.statistics.factors import PAIRS
 
-Render = Callable[[float, float, float], tuple[np.ndarray, np.ndarray]]
-"""(roughness, metallic, base colour) to the radiances (P, 3) of halves A and B, float64."""
+Render = Callable[[Mapping[str, float]], tuple[np.ndarray, np.ndarray]]
+"""Grey parameters, by name, to the radiances (P, 3) of halves A and B, float64."""
 
 KINDS = 3  # mean of both halves, A, B
-CORNERS = ((0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0))  # (metallic, base colour)
+# Materials that show what the reflection model is made of: d, e + d, q and p + q.
+CORNERS = tuple({"metallic": m, "base_color": c} for m in (0.0, 1.0) for c in (0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -61,16 +63,16 @@ def brute(observed: np.ndarray, mean: PerTexel, grid: PrincipledGrid, render: Re
     Args:
         observed: (P,) float64, grey radiance b.
         mean: the texels of the pairs.
-        grid: R x M x C nodes of psi.
+        grid: nodes of psi.
         render: traces both halves of one psi.
 
     Returns:
-        (3, n, R, M, C) float64: means of (b - (A + B) / 2)^2, (b - A)^2 and (b - B)^2.
+        (3, n, R, M ..., K) float64: means of (b - (A + B) / 2)^2, (b - A)^2 and (b - B)^2.
     """
     result = np.empty((KINDS, mean.count, *grid.shape))
     for cell in np.ndindex(*grid.shape):
-        psi = (float(nodes[k]) for nodes, k in zip(grid.axes.values(), cell, strict=True))
-        a, b = (observed - half.mean(axis=1) for half in render(*psi))
+        psi = {name: float(x[k]) for (name, x), k in zip(grid.axes.items(), cell, strict=True)}
+        a, b = (observed - half.mean(axis=1) for half in render(psi))
         both = (a + b) / 2
         result[(slice(None), slice(None), *cell)] = [mean.mean(x * x) for x in (both, a, b)]
     return result
@@ -80,9 +82,8 @@ def sums(observed: np.ndarray, mean: PerTexel, levels: np.ndarray, render: Rende
     """Render four psi per roughness: the sums that all others follow from, exact for direct
     light alone.
 
-    At fixed roughness, principled radiance is bilinear in metallic m and base colour c,
-    r = (1 - m) (c e + d) + m (c p + q), so four renders with a grey base colour give e, p, q and
-    d of every channel, and the sums of their products (``Statistics``) all cells.
+    At fixed roughness, four renders with a grey base colour give e, p, q and d of every channel
+    (``reflection/principled.py``), and the sums of products of columns (``Statistics``) all cells.
 
     Args:
         observed: (P, C) float64, radiance b; of one channel, grey.
@@ -91,22 +92,20 @@ def sums(observed: np.ndarray, mean: PerTexel, levels: np.ndarray, render: Rende
         render: traces both halves of one psi.
 
     Returns:
-        (3, R, C, 10, n) float64: with the mean of both halves, with A and with B.
+        (3, R, C, P, n) float64: with the mean of both halves, with A and with B.
     """
     channels = observed.shape[1]
     result = np.empty((KINDS, len(levels), channels, len(PAIRS), mean.count))
     for row, roughness in enumerate(levels):
-        corners = [render(float(roughness), *corner) for corner in CORNERS]
+        corners = [render({"roughness": float(roughness)} | corner) for corner in CORNERS]
         if channels == 1:
             corners = [tuple(half.mean(axis=1, keepdims=True) for half in c) for c in corners]
         a, b = ([corner[half] for corner in corners] for half in range(2))
         both = [(x + y) / 2 for x, y in zip(a, b, strict=True)]
         for kind, (black, white, dark, bright) in enumerate((both, a, b)):
-            columns = (white - black, bright - dark, dark - black, black - observed)
+            x = columns(white - black, bright - dark, dark, black, observed)
             for c in range(channels):
-                result[kind, row, c] = [
-                    mean.total(columns[i][:, c] * columns[j][:, c]) for i, j in PAIRS
-                ]
+                result[kind, row, c] = [mean.total(x[i][:, c] * x[j][:, c]) for i, j in PAIRS]
     return result
 
 
@@ -119,7 +118,7 @@ def linear(
     """
     found = [
         Statistics.of(table, mean.pairs, mean.pairs, grid.roughness_nodes).errors(
-            grid.metallic_nodes, grid.base_color_nodes
+            *grid.mixed_nodes, grid.base_color_nodes
         )
         for table in sums(observed[:, None], mean, grid.roughness_nodes, render)
     ]

@@ -36,45 +36,37 @@ class Options:
     errors: Errors = "mean"
 
     def __post_init__(self) -> None:
-        label = "reference_posterior()"
-        if not _is_whole(self.spp, 2) or self.spp % 2:
-            raise OptionError(
-                f"{label}: spp must be even and at least 2, got {self.spp!r}: two independent "
-                "halves tell how noisy the reference is."
-            )
-        if not (np.isfinite(self.sigma) and self.sigma > 0):
-            raise OptionError(f"{label}: sigma must be above 0, got {self.sigma!r}.")
-        if not _is_whole(self.max_depth, 2):
-            raise OptionError(
-                f"{label}: max_depth must be at least 2 (direct light), got {self.max_depth!r}."
-            )
-        if not _is_whole(self.seed, 0):
-            raise OptionError(f"{label}: seed must be a whole number >= 0, got {self.seed!r}.")
-        if self.method not in ("linear", "brute"):
-            raise OptionError(f"{label}: method must be linear or brute, got {self.method!r}.")
-        if self.noise not in get_args(Noise):
-            raise OptionError(
-                f"{label}: noise must be {' or '.join(get_args(Noise))}, got {self.noise!r}."
-            )
-        if self.errors not in get_args(Errors):
-            raise OptionError(
-                f"{label}: errors must be {' or '.join(get_args(Errors))}, got {self.errors!r}."
-            )
-        if self.noise == "estimated" and self.errors == "sum":
-            raise OptionError(
-                f"{label}: a noise that is estimated counts every view already; use errors='mean', "
-                "or noise='relative'."
-            )
-        if self.noise == "estimated" and self.method != "linear":
-            raise OptionError(
-                f"{label}: a noise that is estimated needs method='linear', whose sums it is "
-                f"found from; got {self.method!r}."
-            )
-        if self.method == "linear" and self.max_depth > 2:
-            raise OptionError(
-                f"{label}: radiance is linear in the material for direct light alone; use "
-                f"method='brute' for max_depth {self.max_depth}, or max_depth=2."
-            )
+        estimated, linear = self.noise == "estimated", self.method == "linear"
+        for name in ("method", "noise", "errors"):
+            words = get_args({"method": Method, "noise": Noise, "errors": Errors}[name])
+            given = getattr(self, name)
+            _require(given in words, f"{name} must be {' or '.join(words)}, got {given!r}.")
+        _require(
+            _is_whole(self.spp, 2) and self.spp % 2 == 0,
+            f"spp must be even and at least 2, got {self.spp!r}: its noise is measured from two "
+            "halves.",
+        )
+        positive = bool(np.isfinite(self.sigma) and self.sigma > 0)
+        _require(positive, f"sigma must be above 0, got {self.sigma!r}.")
+        _require(
+            _is_whole(self.max_depth, 2),
+            f"max_depth must be at least 2 (direct light), got {self.max_depth!r}.",
+        )
+        _require(_is_whole(self.seed, 0), f"seed must be a whole number >= 0, got {self.seed!r}.")
+        _require(
+            not (estimated and self.errors == "sum"),
+            "estimated noise counts every view already; use errors='mean', or noise='relative'.",
+        )
+        _require(
+            linear or not estimated,
+            "estimated noise needs method='linear', whose sums it is computed from; got "
+            f"{self.method!r}.",
+        )
+        _require(
+            not linear or self.max_depth == 2,
+            "radiance is linear in the material only for direct light; use method='brute' for "
+            f"max_depth {self.max_depth}, or max_depth=2.",
+        )
 
     @property
     def levels(self) -> np.ndarray:
@@ -112,9 +104,14 @@ def check_subset(subset: Any, count: int) -> int | np.ndarray:
     wrong = (indices < 0) | (indices >= count)
     if wrong.any():
         raise OptionError(
-            f"{label} names texel {indices[wrong][0]}, but there are texels 0 to {count - 1}."
+            f"{label} must hold texel indices 0 to {count - 1}, got {indices[wrong][0]}."
         )
     return indices.astype(np.int64)
+
+
+def _require(fine: bool, sentence: str) -> None:
+    if not fine:
+        raise OptionError(f"reference_posterior(): {sentence}")
 
 
 def _is_whole(value: object, least: int) -> bool:

@@ -53,7 +53,7 @@ def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Pairs
     Takes 100 bytes per texel of the batch and view.
 
     Args:
-        observed: the photographs, and who sees whom.
+        observed: the photographs, and which of them see which texels.
         batch: (n,) UInt32, which of the T texels.
         target: the scene that will be traced.
     """

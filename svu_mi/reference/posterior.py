@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -62,7 +62,7 @@ def reference_posterior(
 
     Args:
         source: a capture (scene, photographs and light; nothing of it is modified); or an
-            estimate of one, which knows who sees whom.
+            estimate of one, which knows the visibility of texels.
         texels: texels of ``capture.mesh``; those of the estimate if there is one.
         subset: that many texels, drawn at random from those that some view sees (all if there
             are fewer), or an array of indices into the T texels.
@@ -193,12 +193,10 @@ class _Renderer:
         self._done, self._total = batch * options.renders, batches * options.renders
         self._update = update
 
-    def __call__(
-        self, roughness: float, metallic: float, base_color: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, psi: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         if not self._pairs.count:
             return np.zeros((0, 3)), np.zeros((0, 3))
-        self._target.paint(roughness, metallic, base_color)
+        self._target.paint(psi)
         halves = trace(
             self._target.scene, self._integrator, self._pairs.rays, self._spp, self._seed
         )
@@ -217,8 +215,8 @@ def _choose(wanted: int | np.ndarray, seen: Survey, capture: Capture, seed: int)
         )
     if not seen.scale > 0:
         raise CaptureError(
-            f"All that the photographs show of '{capture.shape.id()}' is black, so sigma, a part "
-            "of the mean radiance, would be 0; check the photographs."
+            f"'{capture.shape.id()}' is black in all photographs, so sigma, a fraction of the "
+            "mean radiance, would be 0; check the photographs."
         )
     if isinstance(wanted, np.ndarray):
         return wanted

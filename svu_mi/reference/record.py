@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from svu_mi.errors import OptionError
 from svu_mi.options import AngularPreset
 from svu_mi.posterior import Posterior, TabulatedPosterior, calibrated_posterior
 from svu_mi.reference.options import Options
@@ -19,7 +18,7 @@ class Traced:
     """What was traced, with the mean of both halves of the samples, and with each of them.
 
     Attributes:
-        tables: (3, n, R, M, C) float64 energies, means over views; or (3, R, 3, 10, n) sums
+        tables: (3, n, R, M ..., K) float64 energies, means over views; or (3, R, 3, P, n) sums
             (``Statistics``).
         weight: (n,) float64 of those sums; None with energies.
         coverage: (n,) int64, number of views used.
@@ -38,7 +37,8 @@ class Traced:
         """
         grid, seen = options.grid, self.coverage > 0
         if self.weight is None:
-            views = self.coverage[:, None, None, None] if options.errors == "sum" else 1
+            over = self.coverage.reshape(-1, *(1 for _ in grid.shape))
+            views = over if options.errors == "sum" else 1
             return [
                 TabulatedPosterior(energies=views * table, grid=grid, observed=seen)
                 for table in self.tables
@@ -73,7 +73,7 @@ class Reference:
 
     Attributes:
         subset: (n,) int64, which of the T texels.
-        posterior: p(psi | B, L) on roughness x metallic x base colour. Not observed, with
+        posterior: p(psi | B, L) on the axes of a ``PrincipledGrid``. Not observed, with
             entropy 1, is a texel that no view sees or that no ray met.
         halves: the same from the first and from the second half of the samples.
         traced: what they were made from.
@@ -116,24 +116,6 @@ class Reference:
     def entropy(self) -> np.ndarray:
         """Normalised entropy (n,) float64 in [0, 1]; 1 where not observed (Eq. 5)."""
         return _entropy(self.posterior)
-
-    @property
-    def unbiased_energies(self) -> np.ndarray:
-        """(n, R, M, C) float64 energies, means over views, free of the renders' variance; may be
-        negative.
-
-        (b - A)(b - B) of the halves A and B, whose noise makes them worse for a posterior.
-
-        Raises:
-            OptionError: the noise was estimated, so there are no energies of cells.
-        """
-        if self.traced.weight is not None:
-            raise OptionError(
-                "Reference.unbiased_energies: there are none where the noise is estimated; trace "
-                "with noise='relative'."
-            )
-        whole, first, second = self.traced.tables
-        return np.asarray((4 * whole - first - second) / 2)
 
     def split_half(self) -> SplitHalf:
         """Compare the entropies of the two independent halves of the samples.

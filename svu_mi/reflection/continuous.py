@@ -7,12 +7,7 @@ What it needs of a level is interpolated linearly in roughness between two level
 under the lobe, and how much a lobe reflects. Seen obliquely, a lobe is narrower across the plane
 of incidence, where turning the half vector turns the reflected direction by 2 cos theta_h of
 that angle instead of 2; here its light is that of a round lobe of the same solid angle, of width
-alpha sqrt(cos theta_h). In (base colour c, metallic m) the model is
-
-    r = (1 - m) (c e + d) + m (c p + q)
-
-with the diffuse shading e, the lobe d of a dielectric, and the two parts of a metal's: p that is
-proportional to R0, and q that Fresnel adds whatever R0 is.
+alpha sqrt(cos theta_h). How parts of the light are mixed is in ``principled.py``.
 """
 
 from __future__ import annotations
@@ -39,7 +34,7 @@ from svu_mi.reflection.lobes import (
 )
 from svu_mi.reflection.narrow import NarrowLobes
 from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.shading import Shading
+from svu_mi.reflection.shading import Parts, parts_of
 from svu_mi.visibility.observe import mirror_direction
 
 NARROWEST = 1e-3  # cosine: more grazing views are treated like this one
@@ -97,7 +92,7 @@ def shade(
     *,
     visible: Callable[[Any, Any], Any] | None = None,
     to_moments: Any | None = None,
-) -> Shading:
+) -> list[Parts]:
     """Evaluate the model for one direction of view per lane.
 
     Args:
@@ -124,7 +119,7 @@ def shade(
     if visible is not None:
         seen = visible(mirror, alpha)
         lobe = [seen * value for value in lobe]
-    return Shading.of(shading, roughness, _reflected(model, place, alpha, cosine), lobe)
+    return parts_of(shading, roughness, _reflected(model, place, alpha, cosine), lobe)
 
 
 def _narrower(model: Continuous, center: Any, direction: Any) -> Any:

@@ -180,7 +180,7 @@ def _widths(roughness: Any) -> tuple[Any, Any]:
 
 def _square(light: MirroredLight, alpha: Any) -> Any:
     """alpha^2; less alpha'^2, what light is filtered by already, if that is undone."""
-    undone = light.lighting.prefilter**2 if light.fit.undo_prefilter else 0.0
+    undone = light.observed.lighting.prefilter**2 if light.fit.undo_prefilter else 0.0
     maximum = dr.maximum if dr.is_array_v(alpha) else np.maximum
     return maximum(alpha * alpha - undone, 0)
 

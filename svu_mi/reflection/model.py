@@ -1,14 +1,9 @@
 """The reflection model (Eq. 6): what texels reflect, at every level of roughness.
 
-Mitsuba's ``principled`` BSDF of base colour c and metallic m reflects
-
-    r = (1 - m) (c e + d) + m (c p + q)
-
-of the light: e is diffuse shading, d the lobe of a dielectric, and p and q are the two parts of
-a metal's, that which R0 = c scales and that which Fresnel adds. They are what photographs are
-compared with, in every part of svu_mi. Narrow lobes look filtered light up, wide ones sum cells
-of it; the preset ``fast`` looks all of them up and traces nothing, ``paper`` expands the light that
-each texel mirrors in spherical harmonics.
+Four parts of the light, e, p, q and d, of which parameters say how much there is
+(``principled.py``): what photographs are compared with, in every part of svu_mi. Narrow lobes look
+filtered light up, wide ones sum cells of it; the preset ``fast`` looks all of them up and traces
+nothing, ``paper`` expands the light that each texel mirrors in spherical harmonics.
 """
 
 from __future__ import annotations
@@ -28,12 +23,10 @@ from svu_mi.reflection.diffuse import diffuse_shading
 from svu_mi.reflection.fitted import FittedLobes
 from svu_mi.reflection.narrow import NarrowLobes
 from svu_mi.reflection.principled import alpha_from_roughness
+from svu_mi.reflection.shading import Parts
 from svu_mi.reflection.wide import NARROW, WideLobes
 from svu_mi.visibility.observe import Surface
 from svu_mi.visibility.reach import Reach
-
-Column = tuple[Any, Any, Any, Any]
-"""(e, p, q, d) of one level and channel, Floats: radiance."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +105,7 @@ class Model:
         """Whether ``columns`` depends on what stands in the mirror direction."""
         return self.narrow is not None and self.switches.traced and self.switches.occluded
 
-    def columns(self, direction: Any, cosine: Any, free: Any) -> list[list[Column]]:
+    def columns(self, direction: Any, cosine: Any, free: Any) -> list[list[Parts]]:
         """Evaluate the model for one view of every texel.
 
         Args:

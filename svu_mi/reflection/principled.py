@@ -2,10 +2,19 @@
 
 Plain arithmetic: works on floats, NumPy arrays and Dr.Jit arrays alike. All quantities are
 dimensionless; colours are linear. ``specular`` is 0.5, an index of refraction of 1.5.
+
+What a texel reflects is a sum of parts of the light (``reflection/model.py``): e is diffuse
+shading, d the lobe of a dielectric, and p and q are what R0 = c scales of a metal's lobe and what
+Fresnel adds to it. How much there is of each is affine in the base colour c, and in every other
+parameter by itself; this is the one place that says how:
+
+    r = (1 - m) (c e + d) + m (c p + q).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -30,33 +39,68 @@ def alpha_from_roughness(roughness: Any) -> Any:
     return maximum(alpha, MIN_ALPHA)
 
 
-def roughness_from_alpha(alpha: Any) -> Any:
-    """Return the roughness whose alpha this is: sqrt(alpha)."""
-    return alpha**0.5
+def columns(e: Any, p: Any, q: Any, d: Any, observed: Any = 0) -> tuple[Any, ...]:
+    """Return what r - b is a sum of, for an observed radiance b: the fewest combinations of parts.
 
-
-def specular_from_principled(base_color: Any, metallic: Any) -> Any:
-    """Return Ks = R0 = 0.04 + (base_color - 0.04) metallic, in [0, 1]."""
-    return F0 + (base_color - F0) * metallic
-
-
-def diffuse_from_principled(base_color: Any, metallic: Any) -> Any:
-    """Return Kd = (1 - metallic) base_color, in [0, 1]."""
-    return (1 - metallic) * base_color
-
-
-def principled_from_specular(specular: Any, diffuse: Any) -> tuple[Any, Any]:
-    """Return (base_color, metallic) that have this Ks and Kd.
-
-    With c = base_color and m = metallic, Kd = c (1 - m) and Ks = F0 + (c - F0) m give
-    c = s + F0 m with s = Kd + Ks - F0, and F0 m^2 + (s - F0) m - (Ks - F0) = 0.
-
-    Args:
-        specular: Ks in [0.04, 1].
-        diffuse: Kd in [0, 1]; not both Kd = 0 and Ks = 0.04, which has no unique metallic.
+    The last, which b is subtracted from, counts once (see ``Mixture``).
     """
-    s = diffuse + specular - F0
-    half = s - F0
-    # The positive root, written without cancellation.
-    metallic = 2 * (specular - F0) / (half + (half * half + 4 * F0 * (specular - F0)) ** 0.5)
-    return s + F0 * metallic, metallic
+    return e, p, q - d, d - observed
+
+
+COLUMNS = len(columns(0, 0, 0, 0))
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """How often each column counts, at a base colour c: x = scaled c + constant.
+
+    Attributes:
+        scaled, constant: a coefficient of each of ``COLUMNS`` columns. What is always 0 or 1 is a
+            number, which Dr.Jit leaves out of kernels.
+    """
+
+    scaled: tuple[Any, ...]
+    constant: tuple[Any, ...]
+
+    def at(self, color: Any) -> list[Any]:
+        """Return x at a base colour."""
+        return [color * a + b for a, b in zip(self.scaled, self.constant, strict=True)]
+
+
+def mixture(metallic: Any) -> Mixture:
+    """Return how parameters mix the columns: a value of every name of ``MIXED``, in this order."""
+    return Mixture((1 - metallic, metallic, 0, 0), (0, 0, metallic, 1))
+
+
+def lobe_mixture(specular: Any) -> Mixture:
+    """Return the same for the paper's parameters: r = Kd e + Ks p + q, with Kd in place of c."""
+    return Mixture((1, 0, 0, 0), (0, specular, 1, 1))
+
+
+def slope(values: Sequence[Any], which: int) -> Mixture:
+    """Return the derivative of ``mixture`` for one of its values, exactly: it is affine in it."""
+    low, high = (
+        mixture(*(end if k == which else value for k, value in enumerate(values)))
+        for end in (0, 1)
+    )
+    return Mixture(_less(high.scaled, low.scaled), _less(high.constant, low.constant))
+
+
+def _less(a: tuple[Any, ...], b: tuple[Any, ...]) -> tuple[Any, ...]:
+    return tuple(x - y for x, y in zip(a, b, strict=True))
+
+
+def specular_from_principled(base_color: Any, *mixed: Any) -> Any:
+    """Return Ks = R0, in [0, 1]: 0.04 + (base_color - 0.04) metallic; others as ``mixture``."""
+    return _of_parts(base_color, mixed, columns(0, 1, 0, F0))
+
+
+def diffuse_from_principled(base_color: Any, *mixed: Any) -> Any:
+    """Return Kd, in [0, 1]: (1 - metallic) base_color; others as ``mixture``."""
+    return _of_parts(base_color, mixed, columns(1, 0, 0, 0))
+
+
+def _of_parts(base_color: Any, mixed: Sequence[Any], columns: Sequence[float]) -> Any:
+    """Return what is reflected where the parts of the light are numbers."""
+    x = mixture(*mixed).at(base_color)
+    return sum(a * b for a, b in zip(x, columns, strict=True))

@@ -1,59 +1,54 @@
-"""What one sample reflects, in parts that base colour and metallic mix."""
+"""What one sample reflects, in parts that the material's parameters mix."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
 
+from svu_mi.reflection.principled import columns, mixture
 
-@dataclass(frozen=True)
-class Shading:
-    """e, p, q and d of one sample per lane: a Float per channel of the light each."""
+Parts = tuple[Any, Any, Any, Any]
+"""(e, p, q, d) of one channel of the light, Floats: radiance (``reflection/principled.py``)."""
 
-    diffuse: list[Any]
-    scaled: list[Any]
-    added: list[Any]
-    dielectric: list[Any]
 
-    @staticmethod
-    def of(
-        diffuse: list[tuple[Any, Any]], roughness: Any, reflected: tuple[Any, Any, Any],
-        light: list[Any],
-    ) -> Shading:  # fmt: skip
-        """Put diffuse and specular light together.
+def parts_of(
+    diffuse: list[tuple[Any, Any]], roughness: Any, reflected: tuple[Any, Any, Any],
+    light: list[Any],
+) -> list[Parts]:  # fmt: skip
+    """Put diffuse and specular light together, for every channel of the light.
 
-        Args:
-            diffuse: a and b of a + b roughness, per channel (``diffuse_shading``).
-            roughness: Float.
-            reflected: (A, B, D), what a lobe reflects: R0 A + B, and that of a dielectric D.
-            light: under the lobe, per channel.
-        """
-        A, B, D = reflected
-        return Shading(
-            diffuse=[dr.fma(roughness, b, a) for a, b in diffuse],
-            scaled=[A * value for value in light],
-            added=[B * value for value in light],
-            dielectric=[D * value for value in light],
-        )
+    Args:
+        diffuse: a and b of a + b roughness, per channel (``diffuse_shading``).
+        roughness: Float.
+        reflected: (A, B, D), what a lobe reflects: R0 A + B, and that of a dielectric D.
+        light: under the lobe, per channel.
+    """
+    A, B, D = reflected
+    return [
+        (dr.fma(roughness, b, a), A * value, B * value, D * value)
+        for (a, b), value in zip(diffuse, light, strict=True)
+    ]
 
-    @property
-    def parts(self) -> tuple[list[Any], ...]:
-        """e, p, q and d."""
-        return self.diffuse, self.scaled, self.added, self.dielectric
 
-    def radiance(self, base_color: Any, metallic: Any) -> list[Any]:
-        """Outgoing radiance, a Float per channel of the base colour.
+def radiance(parts: list[Parts], base_color: Sequence[Any], mixed: Sequence[Any]) -> list[Any]:
+    """Return outgoing radiance, a Float per channel of the base colour.
 
-        Args:
-            base_color: sequence of Floats in [0, 1].
-            metallic: Float in [0, 1].
-        """
-        result = []
-        for k, color in enumerate(base_color):
-            c = k % len(self.diffuse)  # grey light has one channel for all
-            dielectric = dr.fma(color, self.diffuse[c], self.dielectric[c])
-            metal = dr.fma(color, self.scaled[c], self.added[c])
-            result.append(dr.lerp(dielectric, metal, metallic))
-        return result
+    Args:
+        parts: per channel of the light, one of which stands for all under grey light.
+        base_color: Floats in [0, 1].
+        mixed: other parameters, as ``mixture`` takes them.
+    """
+    how = mixture(*mixed)
+    return [
+        dot(how.at(color), columns(*parts[k % len(parts)])) for k, color in enumerate(base_color)
+    ]
+
+
+def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
+    """Return the sum of products."""
+    total: Any = 0.0
+    for x, y in zip(a, b, strict=True):
+        total = dr.fma(x, y, total)
+    return total

@@ -24,7 +24,8 @@ import numpy as np
 
 from svu_mi.light.cells import Cells
 from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
-from svu_mi.visibility.reach import Reach, fold
+from svu_mi.visibility.observe import fold
+from svu_mi.visibility.reach import Reach
 
 NARROW = 0.03  # lobe alpha up to which light is looked up; its leaves are as far apart
 LARGE = 1.6  # rho^2 / (s cos^2 theta_d) from which a cell is too large

@@ -24,37 +24,20 @@ def find_seeds(estimate: Estimate, around: Neighbors, count: int = 20) -> np.nda
     alone may all be of one material, and leave the others without a seed.
 
     Args:
-        estimate: entropy and posterior of T texels; those never seen are no seeds.
+        estimate: entropy and posterior of T texels; those never seen are not seeds.
         around: the neighbours of each texel.
         count: most seeds.
     """
     observed = np.array(estimate.coverage) > 0
-    entropy = np.where(observed, np.array(estimate.entropy, np.float64), 1)
-    found, worth = candidates(entropy, observed, around)
-    if len(found) == 0:
-        return found
-    return found[spread(mean_parameters(estimate.posterior, found), worth, count)]
-
-
-def candidates(
-    entropy: np.ndarray, observed: np.ndarray, around: Neighbors
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return local minima of the more certain half, most certain first, and 1 - H of each.
-
-    Args:
-        entropy: (T,) in [0, 1], 1 where nobody looked.
-        observed: (T,) bool.
-        around: the neighbours of each texel.
-    """
     if not observed.any():
-        return np.empty(0, np.int64), np.empty(0)
-    smooth = smoothed(entropy, around)
+        return np.empty(0, np.int64)
+    smooth = smoothed(np.where(observed, np.array(estimate.entropy, np.float64), 1), around)
     found = minima(smooth, observed, around)
-    half = np.median(smooth[observed])
-    certain = found[smooth[found] <= half]
+    certain = found[smooth[found] <= np.median(smooth[observed])]
     found = certain if len(certain) else found
     found = found[np.argsort(smooth[found], kind="stable")]
-    return found, 1 - smooth[found]
+    means = mean_parameters(estimate.posterior, found)
+    return found[spread(means, 1 - smooth[found], count)]
 
 
 def smoothed(values: np.ndarray, around: Neighbors) -> np.ndarray:
@@ -76,7 +59,7 @@ def least_minima(
 
     Args:
         entropy: (T,).
-        observed: (T,) bool; a texel that nobody saw is no minimum, and does not keep its
+        observed: (T,) bool; a texel that nobody saw is not a minimum, and does not keep its
             neighbours from being one.
         around: the neighbours of each texel.
         count: at most so many; ordered by entropy, then by number.
@@ -95,7 +78,7 @@ def minima(
 
     Args:
         values: (T,).
-        allowed: (T,) bool; others are no minima, and do not keep others from being one.
+        allowed: (T,) bool; others are not minima, and do not keep others from being one.
         around: the neighbours of each texel.
         rings: steps from texel to texel within which nothing is lower.
         resolution: values are compared in steps of it; exactly if it is 0.

@@ -16,7 +16,7 @@ from svu_mi.pipeline import Estimate
 from svu_mi.posterior import Posterior
 from svu_mi.regularization.gradients import Regularizer
 from svu_mi.regularization.seeds import find_seeds, least_minima
-from svu_mi.settings import require_one_of
+from svu_mi.settings import require_types
 from svu_mi.surface import Texels
 
 Divergence = Literal["forward", "reverse"]
@@ -75,8 +75,7 @@ class GlobalSharing(Regularizer):
     _seeds: Any = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        require_one_of(self, "divergence", Divergence)
-        require_one_of(self, "seeding", Seeding)
+        require_types(self)
         if not (np.isfinite(self.tau) and self.tau > 0):
             raise OptionError(f"GlobalSharing: tau must be positive, got {self.tau!r}.")
         posterior = self.estimate.posterior
@@ -153,6 +152,8 @@ class GlobalSharing(Regularizer):
         for c in range(channels):
             dr.scatter(gradient, 2 * scale * pull[c], index * channels + c)
         if not self.anchored:
+            # Now: writes and additions that wait for one evaluation have no order among them.
+            dr.eval(gradient)
             self._let_go(gradient, psi, seeds, 2 * scale)
         return dr.sum(total) * scale, gradient
 
@@ -179,13 +180,14 @@ class GlobalSharing(Regularizer):
 
     def _let_go(self, gradient: Any, psi: list[Any], seeds: list[Any], scale: Any) -> None:
         """Add what pulls at the seeds: - sum_p w_pq (psi_p - psi_q)."""
-        count, texels = len(self.seeds), self.estimate.texels
-        weights = mi.TensorXf(self.weights, shape=(count, texels.count))
-        at = dr.gather(mi.UInt32, texels.index, self._seeds) * len(psi)
-        weight = dr.block_sum(self.weights, texels.count)
+        count, index = self.estimate.texels.count, self.estimate.texels.index
+        lane = dr.arange(mi.UInt32, dr.width(self.weights))
+        seed = lane // dr.opaque(mi.UInt32, count)
+        texel = lane - seed * dr.opaque(mi.UInt32, count)
+        at = dr.gather(mi.UInt32, index, self._seeds) * len(psi)
         for c, (here, there) in enumerate(zip(psi, seeds, strict=True)):
-            mean = (weights @ mi.TensorXf(here, shape=(texels.count, 1))).array
-            force = scale * (mean - weight * there)
+            apart = dr.gather(mi.Float, here, texel) - dr.gather(mi.Float, there, seed)
+            force = scale * dr.block_sum(self.weights * apart, count)
             dr.scatter_add(gradient, -force, at + c, mode=dr.ReduceMode.NoConflicts)
 
 

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.errors import OptionError, ShapeError
+from svu_mi.errors import OptionError
 from svu_mi.interop import owned
 from svu_mi.regularization.gradients import Regularizer, sign
 from svu_mi.surface import Texels
@@ -40,19 +40,17 @@ class TotalVariation(Regularizer):
         texels: T texels.
         mesh: the mesh they lie on; or their ``Neighbors``, if these are at hand; or None, for
             texture space, blind to seams.
-        valid: (T,) bool; pairs count if both texels are valid. All by default.
         epsilon: differences far below it count as squares, those far above as they are; 0 for
             absolute values.
 
     Raises:
         OptionError: an epsilon that is negative, infinite or NaN.
-        ShapeError: ``valid`` or the neighbours are not those of T texels.
+        ShapeError: the neighbours are not those of T texels.
     """
 
     texels: Texels
     mesh: Any | None = None
-    valid: Any | None = None
-    epsilon: float = EPSILON
+    epsilon: float = field(default=EPSILON, kw_only=True)
     _around: tuple[Any, ...] = field(init=False, repr=False, compare=False)
     _scale: Any = field(init=False, repr=False, compare=False)
     _epsilon: Any = field(init=False, repr=False, compare=False)
@@ -60,7 +58,7 @@ class TotalVariation(Regularizer):
     def __post_init__(self) -> None:
         if not (np.isfinite(self.epsilon) and self.epsilon >= 0):
             raise OptionError(f"TotalVariation: epsilon must be at least 0, got {self.epsilon}.")
-        around, pairs = _table(self.texels, self._neighbors(self.mesh), self.valid)
+        around, pairs = _table(self.texels, self._neighbors(self.mesh))
         columns = tuple(owned(mi.UInt32, column) for column in around)
         object.__setattr__(self, "_around", columns)
         object.__setattr__(self, "_scale", dr.opaque(mi.Float, 1 / max(pairs, 1)))
@@ -96,21 +94,13 @@ class TotalVariation(Regularizer):
         return dr.square(difference) / (smooth + self._epsilon), difference / smooth
 
 
-def _table(texels: Texels, around: Neighbors, valid: Any) -> tuple[np.ndarray, int]:
+def _table(texels: Texels, around: Neighbors) -> tuple[np.ndarray, int]:
     """Return the flat index of the neighbours of all H W texels, (K, H W), and P.
 
     One that has none is its own neighbour: the difference is 0.
     """
     table = around.table()
     own = np.arange(texels.count)
-    if valid is not None:
-        valid = np.array(valid).astype(bool)
-        if valid.shape != own.shape:
-            raise ShapeError(
-                f"TotalVariation: expected one flag for each of {texels.count} texels, "
-                f"got shape {valid.shape}."
-            )
-        table = np.where(valid & valid[table], table, own)
     width, height = texels.resolution
     index = texels.index.numpy()
     flat = np.tile(np.arange(width * height, dtype=np.uint32), (len(table), 1))

@@ -102,7 +102,7 @@ def _acquire(path: Path, place: Path, who: str, wait: float) -> int | None:
             other = _signature(descriptor)
             os.close(descriptor)
             if error.errno in UNKNOWN:
-                log.warning("%s: locks are not known there; let no two runs write to it.", place)
+                log.warning("%s: locks do not work there; let only one run write to it.", place)
                 return None
             if time.monotonic() >= deadline:
                 raise _occupied(place, other) from error
@@ -110,7 +110,7 @@ def _acquire(path: Path, place: Path, who: str, wait: float) -> int | None:
 
 
 def _open(path: Path, place: Path) -> int:
-    reason = "it is no file of ours"
+    reason = "it was not made by svu"
     try:
         descriptor = os.open(path, FLAGS, 0o666)
         status = os.fstat(descriptor)
@@ -120,7 +120,7 @@ def _open(path: Path, place: Path) -> int:
     except OSError as error:
         reason = error.strerror or type(error).__name__
     raise OutputError(
-        f"{place}: cannot be locked for writing by {path.name} ({reason}); remove that, or choose "
+        f"{place}: cannot be locked for writing with {path.name} ({reason}); remove it, or choose "
         "another folder."
     )
 

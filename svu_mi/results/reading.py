@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from svu_mi.errors import CaptureError
-from svu_mi.exr import read_attributes
+from svu_mi.exr import read_header
 from svu_mi.results.record import CAPTURE, RUN, entries
 
 HEAD = 4096  # bytes in which a scene file or a mesh has its marks
@@ -25,7 +25,7 @@ def marks_of(path: Path) -> tuple[str, str]:
         CaptureError: it cannot be read.
     """
     if path.suffix.lower() == ".exr":
-        found = read_attributes(path)
+        found = read_header(path).attributes
         return str(found.get(RUN, "")), str(found.get(CAPTURE, ""))
     try:
         with path.open("rb") as stream:
@@ -57,8 +57,8 @@ def require_one_run(folder: Path, names: Sequence[str], record: str, command: st
     other = next((n for n, run in runs.items() if run and first and run != runs[first]), None)
     if other is not None:
         raise CaptureError(
-            f"{folder}: {first} and {other} are of different runs; take both from one, or run svu "
-            f"{command} again, into an empty folder."
+            f"{folder}: {first} and {other} come from different runs; take both from one, or run "
+            f"svu {command} again, into an empty folder."
         )
 
 

@@ -57,9 +57,9 @@ def complete(folder: Path, *ready: Path) -> None:
             _move(folder, one)
         except OSError as error:
             raise OutputError(
-                f"{folder}: the result is complete in {one.name}, but cannot be put in its place "
+                f"{folder}: the result is complete in {one.name}, but cannot be moved into place "
                 f"({error.strerror or type(error).__name__}); the next command that reads or "
-                "writes there will do so, if it can."
+                "writes there will try again."
             ) from error
 
 
@@ -90,8 +90,8 @@ def _at(folder: Path, name: str) -> Path:
     """
     if not is_inside(name) or link_above(folder, name) is not None:
         raise OutputError(
-            f"{folder}: {excerpt(name, 80)} of a result that a stopped run has left leads "
-            f"elsewhere; remove the hidden folders {READY}... there, and compute it again."
+            f"{folder}: {excerpt(name, 80)}, left by an interrupted run, leads out of the "
+            f"folder; remove the hidden folders {READY}... there, and compute the result again."
         )
     return folder / name
 
@@ -100,7 +100,7 @@ def _journal(ready: Path) -> dict[str, Any] | None:
     """Return what is to be done; None when nothing is left, as the journal is removed last.
 
     Raises:
-        OutputError: it is no journal.
+        OutputError: it is not a journal.
     """
     path = ready / JOURNAL
     if not path.is_file():
@@ -113,8 +113,8 @@ def _journal(ready: Path) -> dict[str, Any] | None:
     except (CaptureError, KeyError, TypeError, AttributeError):
         pass
     raise OutputError(
-        f"{ready}: its {JOURNAL} is not one of svu; remove this folder, and compute the result "
-        "again."
+        f"{ready}: its {JOURNAL} was not written by svu; remove this folder, and compute the "
+        "result again."
     )
 
 

@@ -141,7 +141,7 @@ def writing(
         command: that writes it: entropy, recover, ...
         record: name of the JSON file that the block writes last, with ``draft.entries()``.
         capture: key of the capture that it is about.
-        consumed: files of the folder that are of no use any more when the result is there.
+        consumed: files of the folder that are no longer needed when the result is there.
 
     Raises:
         OutputError: the folder cannot be written, or another process writes there.
@@ -247,7 +247,7 @@ def _kept(draft: Draft, new: Sequence[str], own: Collection[str]) -> dict[str, s
         more = f" (and {len(kept) - 1} more likewise)" if len(kept) > 1 else ""
         warnings.warn(
             f"{draft.target}: {old}, not written by this version of svu or changed since, is kept "
-            f"as {other}{more}; remove it when you need it no more.",
+            f"as {other}{more}; remove it when you no longer need it.",
             SvuWarning,
             stacklevel=6,
         )

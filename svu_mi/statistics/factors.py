@@ -1,18 +1,19 @@
 """The sums in square-root form, which single precision is enough for.
 
 The triangular factor U of a texel's sums, as a QR factorisation of its samples would give it:
-the weighted mean squared error of (c, m) at one roughness is
+the weighted mean squared error of parameters that mix the columns by x (``Mixture``) is
 
-    |U (c (1 - m), c m, m, 1)|^2,
+    |U x|^2,
 
 never negative, neither by rounding nor where factors of two levels are interpolated, and exact
 to rounding of *radiance*, where one taken from the sums would be to rounding of its square. The
-square of the last entry is what no c and m explain; what no roughness of a channel explains
+square of the last entry is what no parameters explain; what no roughness of a channel explains
 either is kept apart, in double precision until then: it would drown differences.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,9 +22,9 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
+from svu_mi.reflection.principled import COLUMNS
 from svu_mi.statistics.blocks import Reader, in_blocks, rows_of, scattered
 
-COLUMNS = 4  # e, p, q - d, d - b
 PAIRS = tuple((i, j) for i in range(COLUMNS) for j in range(i, COLUMNS))
 FLOOR = len(PAIRS) - 1  # the entry that is kept as a square
 TINY = 1e-13  # part of its diagonal below which a pivot is nothing but rounding
@@ -34,10 +35,10 @@ class Factors:
     """The factors U of S texels at R levels of roughness and in C channels.
 
     Attributes:
-        values: (ceil(S / 16) * (R * C * 10 + C + 1) * 16,) Float in blocks (see ``blocks``): for
-            level, channel and pair of columns an entry of U, in radiance; the last of them
-            ``floor``, squared radiance, U_44^2 less the ``least`` of its channel. Then least of
-            every channel, and the sum of the weights that U was divided by.
+        values: (ceil(S / 16) * (R * C * P + C + 1) * 16,) Float in blocks (see ``blocks``): for
+            level, channel and each of P pairs of columns an entry of U, in radiance; the last of
+            them ``floor``, squared radiance, its square less the ``least`` of its channel. Then
+            least of every channel, and the sum of the weights that U was divided by.
         views: (S,) UInt32, how many views see each texel.
         texel: (S,) UInt32, which of all texels each is.
         roughness: (R,) float64 of the levels.
@@ -62,12 +63,12 @@ class Factors:
 
     @property
     def rows(self) -> int:
-        """Number of values per texel, R C 10 + C + 1."""
+        """Number of values per texel, R C P + C + 1."""
         return self.entries + self.channels + 1
 
     @property
     def entries(self) -> int:
-        """Number of entries of U per texel, R C 10."""
+        """Number of entries of U per texel, R C P."""
         return self.levels * self.channels * len(PAIRS)
 
     def at(self, lane: Any | None = None) -> FactorReader:
@@ -85,7 +86,7 @@ class Factors:
         )
 
     def table(self) -> np.ndarray:
-        """Return U as (R, C, 10, S) float32, with U_44 itself."""
+        """Return U as (R, C, P, S) float32, with its last entry itself."""
         rows = self._table()
         least = rows[self.entries : -1]
         shape = (self.levels, self.channels, len(PAIRS), self.count)
@@ -139,6 +140,22 @@ class FactorReader:
         return [*entries, dr.sqrt(floor + self.least(channel))]
 
 
+def combined(U: list[Any], x: Sequence[Any]) -> list[Any]:
+    """Return the components of U x.
+
+    Args:
+        U: entries in the order of ``PAIRS``.
+        x: how often each column counts.
+    """
+    entries, found = dict(zip(PAIRS, U, strict=True)), []
+    for row in range(COLUMNS):
+        total: Any = 0.0
+        for column in reversed(range(row, COLUMNS)):
+            total = dr.fma(entries[row, column], x[column], total)
+        found.append(total)
+    return found
+
+
 def factorize(
     sums: Any, views: Any, texel: Any, roughness: np.ndarray, channels: int
 ) -> Factors:
@@ -155,7 +172,7 @@ def factorize(
             U = _cholesky([scale * reader.read(row + entry) for entry in range(len(PAIRS))])
             least[channel] = dr.minimum(least[channel], U[-1])
             columns += U
-    # Channels take turns, level by level; the last of ten entries is the floor.
+    # Channels take turns, level by level; the last entry of each is the floor.
     for place in range(FLOOR, len(columns), len(PAIRS)):
         columns[place] = columns[place] - least[place // len(PAIRS) % channels]
     values = scattered(mi.Float, [*columns, *least, weight], count)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import inf, nan
-from typing import Any, NamedTuple
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
 from svu_mi.errors import OptionError
-from svu_mi.reflection.model import Column, Model
+from svu_mi.parameters import MIXED, NAMES
+from svu_mi.reflection.model import Model
+from svu_mi.reflection.principled import columns
+from svu_mi.reflection.shading import Parts, radiance
 from svu_mi.statistics.blocks import scattered
 from svu_mi.statistics.factors import PAIRS
 from svu_mi.statistics.sums import EDGES, Statistics, noise_weight
@@ -21,61 +25,71 @@ GRAZING = 1e-3  # cosine: more grazing views are treated like this one
 SMALLEST = 0.05  # error, in units of kappa, from which a sample counts no more than others
 
 
-class Values(NamedTuple):
-    """Parameters of S texels, a Float each."""
+Values = dict[str, list[Any]]
+"""Parameters of S texels, by name: a Float for every channel."""
 
-    red: Any
-    green: Any
-    blue: Any
-    roughness: Any
-    metallic: Any
+
+@dataclass(frozen=True)
+class Weighting:
+    """How much samples count.
+
+    Attributes:
+        kappa: radiance around which they begin to count less (see ``Statistics``).
+        edges: how much less those on edges of a photograph count (``noise_weight``).
+        current: parameters of the texels. Samples then also count less the more these are off,
+            by 1 / |r - b|: squares become absolute errors [Holland and Welsch 1977]. Sums that
+            are weighted so never add to others: their kappa is NaN. Levels must be uniform on
+            [0, 1], between which r is interpolated.
+    """
+
+    kappa: float = inf
+    edges: float = EDGES
+    current: Values | None = None
+
+
+ALIKE = Weighting()
 
 
 def gather(
-    views: Views, found: Survey, model: Model, mirrors: Mirrors | None, *,
-    channels: int | None = None, kappa: float = inf, edges: float = EDGES,
-    current: Values | None = None,
+    views: Views, found: Survey, model: Model, mirrors: Mirrors | None,
+    channels: int | None = None, weighting: Weighting = ALIKE,
 ) -> Statistics:  # fmt: skip
     """Collect the statistics of the texels of a model.
 
     Args:
         views: the packed capture.
-        found: who sees whom, of all texels.
+        found: which views see which texels, of all texels.
         model: the reflection model of S texels.
         mirrors: what stands in the mirror direction of a sample; None if nothing does.
         channels: C of the photographs, 3 or 1; the model's by default. A model of one channel,
             under grey light, stands for all.
-        kappa: radiance around which samples begin to count less (see ``Statistics``).
-        edges: how much less samples on edges of a photograph count (``noise_weight``).
-        current: parameters of the texels. Samples then also count less the more these are off,
-            by 1 / |r - b|: squares become absolute errors [Holland and Welsch 1977]. Sums that
-            are weighted so never add to others: their kappa is NaN. Levels must be uniform on
-            [0, 1], between which r is interpolated.
+        weighting: how much samples count; all alike by default.
 
     Raises:
         OptionError: ``current`` without a finite kappa, or in grey.
     """
     surface, levels = model.surface, model.levels
+    kappa, current = weighting.kappa, weighting.current
     channels = channels or model.channels
     if current is not None and not (kappa < inf and channels == 3):
         raise OptionError("gather(): current needs a finite kappa and 3 channels.")
     knee, weighted = dr.opaque(mi.Float, kappa), kappa < inf
-    eta = dr.opaque(mi.Float, edges)
+    eta = dr.opaque(mi.Float, weighting.edges)
 
     def consume(seen: Observation, slot: Any, *sums: Any) -> Any:
         free = mi.Bool(True) if mirrors is None else mirrors.test(slot, surface.index)
 
         def add(weight: Any, *state: Any) -> tuple[Any, ...]:
-            columns = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free)
-            radiance = as_channels(seen.radiance, channels)
+            lobes = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free)
+            observed = as_channels(seen.radiance, channels)
             w = dr.select(seen.seen, mi.Float(1), 0)
             if weighted:
-                w *= noise_weight(sum(radiance) / channels, knee, seen.contrast, eta)
+                w *= noise_weight(sum(observed) / channels, knee, seen.contrast, eta)
             if current is not None:
-                off = sum(_errors(columns, radiance, current)) / channels
+                off = sum(_errors(lobes, observed, current)) / channels
                 w *= knee / dr.maximum(off, SMALLEST * knee)
             w = mi.Float64(w)
-            added = [x for level in columns for x in _products(level, radiance)]
+            added = [x for level in lobes for x in _products(level, observed)]
             return weight + w, *(
                 dr.fma(w, new, old) for old, new in zip(state, added, strict=True)
             )
@@ -92,29 +106,36 @@ def gather(
     dr.eval(coverage)
     return Statistics(
         scattered(mi.Float64, [*sums, weight], surface.count), coverage, surface.index,
-        model.roughness, channels, kappa if current is None else nan, edges,
+        model.roughness, channels, kappa if current is None else nan, weighting.edges,
     )  # fmt: skip
 
 
-def _products(level: list[Column], radiance: list[Any]) -> list[Any]:
-    """Products of the columns (e, p, q - d, d - b) of every channel, in double precision."""
+def flat(values: Values) -> list[Any]:
+    """Return all Floats, parameter by parameter in the order of ``NAMES``."""
+    return [x for name in NAMES for x in values[name]]
+
+
+def mixed_of(values: Values) -> list[Any]:
+    """Return the values that mix the columns, in the order of ``MIXED``."""
+    return [values[name][0] for name in MIXED]
+
+
+def _products(level: list[Parts], radiance: list[Any]) -> list[Any]:
+    """Products of the columns of every channel, in double precision."""
     products = []
     for c, b in enumerate(radiance):
-        e, p, q, d = level[c % len(level)]  # grey light has one channel for all
-        u = [mi.Float64(column) for column in (e, p, q - d, d - b)]
+        # Grey light has one channel for all.
+        u = [mi.Float64(column) for column in columns(*level[c % len(level)], b)]
         products += [u[i] * u[j] for i, j in PAIRS]
     return products
 
 
-def _errors(columns: list[list[Column]], radiance: list[Any], current: Values) -> list[Any]:
+def _errors(found: list[list[Parts]], observed: list[Any], current: Values) -> list[Any]:
     """|r - b| of every channel; r between two levels is interpolated."""
-    place, m = current.roughness * (len(columns) - 1), current.metallic
-    result = []
-    for channel, (b, c) in enumerate(zip(radiance, current[:3], strict=True)):
-        r = mi.Float(0)
-        for k, level in enumerate(columns):
-            e, p, q, d = level[channel % len(level)]
-            share = dr.maximum(1 - dr.abs(place - k), 0)
-            r = dr.fma(share, dr.lerp(dr.fma(c, e, d), dr.fma(c, p, q), m), r)
-        result.append(dr.abs(r - b))
-    return result
+    (roughness,) = current["roughness"]
+    place, r = roughness * (len(found) - 1), [mi.Float(0) for _ in observed]
+    for k, level in enumerate(found):
+        share = dr.maximum(1 - dr.abs(place - k), 0)
+        here = radiance(level, current["base_color"], mixed_of(current))
+        r = [dr.fma(share, new, old) for new, old in zip(here, r, strict=True)]
+    return [dr.abs(x - b) for x, b in zip(r, observed, strict=True)]

@@ -1,11 +1,12 @@
-"""Statistics that add: sums over the views of a texel, ten per level of roughness and channel.
+"""Statistics that add: sums over the views of a texel, P per level of roughness and channel.
 
-At one roughness a photograph b is off what the reflection model says (reflection/model.py) by
+At one roughness a photograph b is off what the reflection model says by r - b, a sum of a few
+columns (``reflection/principled.py``): for base colour c and metallic m
 
-    r - b = c (1 - m) e + c m p + m (q - d) + (d - b),
+    r - b = c (1 - m) e + c m p + m (q - d) + (d - b).
 
-so the squared error of every base colour c and metallic m follows from the products of four
-columns, (e, p, q - d, d - b), summed over the views with their weights. Nothing is divided by,
+So the squared error of all parameters follows from the products of P pairs of columns, 10 of
+these four, summed over the views with their weights. Nothing is divided by,
 and nothing subtracted, so the sums of two sets of views are those of both together, in any
 order; after this pass no photograph is needed any more.
 
@@ -26,6 +27,7 @@ import numpy as np
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
+from svu_mi.reflection.principled import mixture
 from svu_mi.statistics.blocks import in_blocks, rows_of
 from svu_mi.statistics.factors import PAIRS, Factors, factorize
 
@@ -45,7 +47,7 @@ class Statistics:
     """What the photographs say of S texels.
 
     Attributes:
-        sums: (ceil(S / 16) * (R * C * 10 + 1) * 16,) Float64, squared radiance, in blocks (see
+        sums: (ceil(S / 16) * (R * C * P + 1) * 16,) Float64, squared radiance, in blocks (see
             ``blocks``): for level, channel and pair of columns, sum w x y. Then sum w.
         views: (S,) UInt32, how many views see each texel.
         texel: (S,) UInt32, which of all texels each is.
@@ -76,7 +78,7 @@ class Statistics:
 
     @property
     def rows(self) -> int:
-        """Number of values per texel, R C 10 + 1."""
+        """Number of values per texel, R C P + 1."""
         return self.levels * self.channels * len(PAIRS) + 1
 
     def __add__(self, other: Statistics) -> Statistics:
@@ -92,14 +94,14 @@ class Statistics:
             or not np.array_equal(self.texel.numpy(), other.texel.numpy())
         ):
             raise ShapeError(
-                "Statistics of different texels, roughness levels or channels do not add: "
+                "Statistics of different texels, roughness levels or channels cannot be added: "
                 f"{self._shape()} and {other._shape()}."
             )
         if self.kappa != other.kappa or (self.kappa < inf and self.edges != other.edges):
             raise OptionError(
                 f"Statistics with kappa {self.kappa:g} and {other.kappa:g} (edges {self.edges:g} "
-                f"and {other.edges:g}) do not add, as their samples were weighted differently; "
-                "gather both with those of the first."
+                f"and {other.edges:g}) cannot be added, because their samples were weighted "
+                "differently; gather both with the same values."
             )
         sums, views = self.sums + other.sums, self.views + other.views
         dr.eval(sums, views)
@@ -122,26 +124,25 @@ class Statistics:
         return rows_of(self.sums, self.rows, self.count)[-1]
 
     def table(self) -> np.ndarray:
-        """Return the sums as (R, C, 10, S) float64."""
+        """Return the sums as (R, C, P, S) float64."""
         rows = rows_of(self.sums, self.rows, self.count)[:-1]
         return rows.reshape(self.levels, self.channels, len(PAIRS), self.count)
 
-    def errors(self, metallic: np.ndarray, base_color: np.ndarray) -> np.ndarray:
+    def errors(self, *nodes: np.ndarray) -> np.ndarray:
         """Return the weighted mean squared error of cells in double precision, for a few texels.
 
         Args:
-            metallic: (M,) nodes.
-            base_color: (K,) nodes.
+            nodes: (M,) of every mixed parameter, and (K,) of base colour.
 
         Returns:
-            (S, R, C, M, K); 0 for a texel that no view sees.
+            (S, R, C, M ..., K); 0 for a texel that no view sees.
         """
-        m, c = np.meshgrid(metallic, base_color, indexing="ij")
-        x = np.stack([c * (1 - m), c * m, m, np.ones_like(m)])
+        *mixed, color = np.meshgrid(*nodes, indexing="ij")
+        x = mixture(*mixed).at(color)
         forms = np.stack([(2 - (i == j)) * x[i] * x[j] for i, j in PAIRS])
         mean = self.table() / np.maximum(self.weight, 1e-300)
         # Rounding may take a sum of squares below zero.
-        return np.maximum(np.einsum("rcps,pmk->srcmk", mean, forms, optimize=True), 0)
+        return np.maximum(np.einsum("rcps,p...->src...", mean, forms, optimize=True), 0)
 
     @staticmethod
     def of(
@@ -151,7 +152,7 @@ class Statistics:
         """Take sums from NumPy: the inverse of ``table``.
 
         Args:
-            table: (R, C, 10, S).
+            table: (R, C, P, S).
             weight: (S,).
             views: (S,).
             roughness: (R,).

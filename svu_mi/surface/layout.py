@@ -118,7 +118,7 @@ def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
     if len(source.positions) and _step(source) > COARSEST * _extent(source):
         raise MeshError(
             f"{name} is {_extent(source):g} wide, but single precision coordinates are "
-            f"{_step(source):g} apart where it stands; move the scene closer to the origin."
+            f"{_step(source):g} apart at its position; move the scene closer to the origin."
         )
     owner, count = rasterize(_unit_square(source, name)[source.faces], (width, height))
     overlapping = int((count > 1).sum())
@@ -157,7 +157,7 @@ def _pair(resolution: Any) -> tuple[int, int]:
         width, height = (operator.index(side) for side in sides)
     except (TypeError, ValueError) as error:
         raise OptionError(
-            f"The texel grid's resolution must be a whole number or two, got {resolution!r}."
+            f"The texel grid's resolution must be one or two whole numbers, got {resolution!r}."
         ) from error
     return width, height
 

@@ -11,6 +11,7 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.capture.material import is_principled
 from svu_mi.errors import SceneError
+from svu_mi.parameters import CHANNELS
 from svu_mi.surface.layout import Texels
 
 
@@ -22,33 +23,36 @@ def parameters_at(capture: Capture, texels: Texels) -> dict[str, np.ndarray]:
         texels: T texels of ``capture.mesh``.
 
     Returns:
-        base_color (T, 3), linear, roughness (T,) and metallic (T,), float64.
+        By name float64: base_color (T, 3), linear, and all others (T,).
 
     Raises:
-        SceneError: another BSDF, or a mesh that was unwrapped anew.
+        SceneError: another BSDF, or a mesh that was unwrapped again.
     """
     label = f"Shape '{capture.shape.id()}'"
     if capture.mesh is not capture.shape:
         raise SceneError(
-            f"{label} was unwrapped anew, so its texels have no place in its textures; give it "
-            "UVs of its own."
+            f"{label} was unwrapped, so its texels do not match its textures; give it UVs "
+            "of its own."
         )
     bsdf = capture.shape.bsdf()
     if not is_principled(bsdf):
         raise SceneError(f"{label} has no principled BSDF, so its parameters are unknown.")
     si = dr.zeros(mi.SurfaceInteraction3f, texels.count)
     si.uv = texels.uv
+    found = {}
+    for name, values in attributes(bsdf, si).items():
+        # A uniform texture gives one value for all.
+        columns = [
+            np.broadcast_to(np.array(x, np.float64).ravel(), (texels.count,)) for x in values
+        ]
+        found[name] = np.stack(columns, axis=-1) if len(columns) > 1 else columns[0].copy()
+    return found
+
+
+def attributes(bsdf: Any, si: Any, active: Any = True) -> dict[str, list[Any]]:
+    """Evaluate all parameters of a ``principled`` BSDF, by name: a Float for every channel."""
     return {
-        "base_color": _columns(bsdf.eval_attribute("base_color", si), texels.count),
-        "roughness": _column(bsdf.eval_attribute_1("roughness", si), texels.count),
-        "metallic": _column(bsdf.eval_attribute_1("metallic", si), texels.count),
-    }
-
-
-def _column(value: Any, count: int) -> np.ndarray:
-    """Copy to (T,) float64; a uniform texture gives one value for all."""
-    return np.broadcast_to(np.array(value, np.float64).ravel(), (count,)).copy()
-
-
-def _columns(color: Any, count: int) -> np.ndarray:
-    return np.stack([_column(channel, count) for channel in color], axis=-1)
+        name: list(bsdf.eval_attribute(name, si, active)) if channels > 1
+        else [bsdf.eval_attribute_1(name, si, active)]
+        for name, channels in CHANNELS.items()
+    }  # fmt: skip

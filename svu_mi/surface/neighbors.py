@@ -17,7 +17,7 @@ from svu_mi.surface.layout import Texels
 
 REACH = 2.0  # longest link, in steps from a texel to the next
 OPPOSITE = -0.5  # cosine of normals below which two texels are two sides of a sheet
-HOPS = 3  # texels so near inside a chart are no neighbours across a seam
+HOPS = 3  # texels so near inside a chart are not neighbours across a seam
 CANDIDATES = 8  # texels looked at for every texel next to a seam
 MOST = 8  # neighbours of one texel; a coarse chart may border on a finer one
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -54,7 +53,7 @@ class Surface:
             position=take(texels.position),
             normal=take(texels.normal),
             geometric_normal=take(texels.geometric_normal),
-            # Far from the origin, less than the step between coordinates is no offset at all.
+            # Far from the origin, less than the step between coordinates is not an offset at all.
             offset=dr.opaque(mi.Float, max(RAY_OFFSET * texels.extent, 2 * texels.step)),
             texel=selection,
             sides=(take(texels.sides[0]), take(texels.sides[1])),
@@ -120,13 +119,26 @@ def observe(views: Views, surface: Surface, view: Any, *, dense: bool = False) -
         & (dr.dot(surface.geometric_normal, direction) > MIN_COSINE)
         & taps.on_film
     )
+
+    def reach(
+        start: Any, way: tuple[Any, Any], pixels: list[Any], weights: list[Any], seen: Any
+    ) -> tuple[Any, Any]:
+        """Look the pixels up and trace visibility, for lanes that face the camera."""
+        for pixel in pixels:
+            seen &= dr.gather(mi.Bool, views.usable, pixel, seen)
+        # Neighbouring texels look at one camera: packets stay together, which is 10 % faster.
+        ray = mi.Ray3f(start, *way, 0.0, [])
+        seen &= ~views.scene.ray_test(ray, coherent=True, active=asked(seen, dense))
+        return dr.select(seen, interpolated(views, pixels, weights, seen), 0), seen
+
+    # Mitsuba's own spawn_ray offset has an absolute part, which drowns small meshes.
+    start = surface.position + surface.offset * surface.geometric_normal
     radiance, seen = dr.if_stmt(
-        args=(surface.position, surface.geometric_normal, taps.pixels, taps.weights,
-              direction, distance, seen),
+        args=(start, (direction, distance * (1 - RAY_END)), taps.pixels, taps.weights, seen),
         cond=asked(seen, dense),
-        true_fn=partial(_reach, views, surface.offset, dense),
+        true_fn=reach,
         false_fn=lambda *args: (black(), args[-1]),
-    )  # fmt: skip
+    )
     return Observation(direction, dr.select(seen, cosine, 0), radiance, seen, mi.Float(0))
 
 
@@ -168,30 +180,6 @@ def look(
     return Observation(direction, cosine, radiance, seen, contrast)
 
 
-def _reach(
-    views: Views,
-    offset: Any,
-    dense: bool,
-    position: Any,
-    normal: Any,
-    pixels: list[Any],
-    weights: list[Any],
-    direction: Any,
-    distance: Any,
-    seen: Any,
-) -> tuple[Any, Any]:
-    """Look the pixels up and trace visibility, for lanes that face the camera."""
-    for pixel in pixels:
-        seen &= dr.gather(mi.Bool, views.usable, pixel, seen)
-    # Mitsuba's own spawn_ray offset has an absolute part, which drowns small meshes.
-    origin = position + offset * normal
-    reach = distance * (1 - RAY_END)
-    ray = mi.Ray3f(origin, direction, reach, 0.0, [])
-    # Neighbouring texels look at one camera: packets stay together, which is 10 % faster.
-    seen &= ~views.scene.ray_test(ray, coherent=True, active=asked(seen, dense))
-    return dr.select(seen, interpolated(views, pixels, weights, seen), 0), seen
-
-
 def over_views(
     views: Views,
     surface: Surface,
@@ -216,8 +204,18 @@ def over_views(
     def body(view: Any, *state: Any) -> tuple[Any, ...]:
         return (view + 1, *consume(observe(views, surface, view, dense=dense), view, *state))
 
+    return fold(mi.UInt32(0), views.count, body, *state)
+
+
+def fold(start: Any, end: Any, body: Callable[..., Any], *state: Any) -> tuple[Any, ...]:
+    """Run a body over numbers from start to end, in one symbolic loop; return the last state.
+
+    Args:
+        start: UInt32, the first number.
+        end: UInt32, the one after the last.
+        body: ``body(number, *state)`` returns the next number, and the new state; traced once.
+        *state: Dr.Jit arrays.
+    """
     return dr.while_loop(
-        state=(mi.UInt32(0), *state),
-        cond=lambda view, *_: view < views.count,
-        body=body,
+        state=(mi.UInt32(start), *state), cond=lambda number, *_: number < end, body=body
     )[1:]

@@ -9,7 +9,6 @@ under the cosine, wide lobes cell by cell.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +21,7 @@ from svu_mi.light.cells import LightCells
 from svu_mi.light.lighting import Lighting
 from svu_mi.light.moments import MOMENTS
 from svu_mi.visibility.bits import Bits
-from svu_mi.visibility.observe import Observation, Surface, mirror_direction
+from svu_mi.visibility.observe import Observation, Surface, fold, mirror_direction
 from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.survey import Survey
 from svu_mi.visibility.views import Views
@@ -158,20 +157,6 @@ def trace_reach(
     return Reach(cells, coarse, fine, surface.index)
 
 
-def fold(start: Any, end: Any, body: Callable[..., Any], *state: Any) -> tuple[Any, ...]:
-    """Run a body over numbers from start to end, in one symbolic loop; return the last state.
-
-    Args:
-        start: UInt32, the first number.
-        end: UInt32, the one after the last.
-        body: ``body(number, *state)`` returns the next number, and the new state; traced once.
-        *state: Dr.Jit arrays.
-    """
-    return dr.while_loop(
-        state=(mi.UInt32(start), *state), cond=lambda number, *_: number < end, body=body
-    )[1:]
-
-
 @dataclass(frozen=True)
 class Mirrors:
     """Whether nothing stands in the mirror direction of a sample.
@@ -195,7 +180,7 @@ def trace_mirrors(views: Views, surface: Surface, found: Survey, lane: Any) -> M
     Args:
         views: the packed capture.
         surface: S texels, among which all that are seen.
-        found: who sees whom.
+        found: which views see which texels.
         lane: (T,) UInt32, which of them each texel is.
     """
     bits, place = Bits.clear(dr.width(found.order), surface.count), surface.lane

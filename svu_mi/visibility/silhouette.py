@@ -1,6 +1,6 @@
 """Pixels that show one continuous piece of the object, and nothing of what lies behind it.
 
-A pixel on a silhouette mixes two radiances, and the mixture is no measurement of either. A
+A pixel on a silhouette mixes two radiances, and the mixture is not a measurement of either. A
 pixel is interior when rays through its four corners all hit the object, at distances that a
 smooth surface through it explains.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.visibility.bits import Bits
-from svu_mi.visibility.observe import Observation, Surface, asked, look, over_views
+from svu_mi.visibility.observe import Observation, Surface, asked, fold, look, over_views
 from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.views import Views
 
@@ -74,17 +74,13 @@ class Survey:
         def body(slot: Any, *state: Any) -> tuple[Any, ...]:
             return (slot + 1, *consume(self.look(views, surface, slot), slot, *state))
 
-        return dr.while_loop(
-            state=(mi.UInt32(0), *state),
-            cond=lambda slot, *_: slot < self.count,
-            body=body,
-        )[1:]
+        return fold(mi.UInt32(0), self.count, body, *state)
 
 
 def survey(
     views: Views, surface: Surface, *, skip_blind: bool = True, skip_pairs: bool = True
 ) -> Survey:
-    """Find who sees whom, and how bright it is: one pass over all views, the only
+    """Find which views see which texels, and how bright: one pass over all views, the only
     one that traces rays to the cameras.
 
     Args:

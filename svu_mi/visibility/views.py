@@ -44,6 +44,7 @@ class Views:
         count: V, an opaque UInt32, so that its value is not part of a kernel.
         number: V as a Python int.
         scene: the ``mi.Scene`` that visibility is traced in.
+        rays: (V * 24,) Float, what rays through the photographs are made of, see ``ray_floats``.
         grey: R = G = B in every usable pixel of the photographs (to 1e-6 of the largest), so
             that one channel says what three do. True without any usable pixel.
     """
@@ -57,15 +58,18 @@ class Views:
     count: Any
     number: int
     scene: Any
+    rays: Any
     grey: bool
 
 
-def pack_views(capture: Capture) -> Views:
+def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
     """Lay the used views of a capture out for the gather kernels.
 
     Args:
         capture: the photographs and where they were taken. If they lie in one block they are used
             where they are: do not write to them meanwhile.
+        silhouettes: take the pixels of the masks as they are, those on a silhouette too, wherever
+            the object is.
 
     Raises:
         CaptureError: no photograph that may be used, one of another size than its film, or more
@@ -74,7 +78,7 @@ def pack_views(capture: Capture) -> Views:
     kept = [index for index in range(capture.count) if capture.used[index]]
     if not kept:
         raise CaptureError(
-            f"There is no photograph to look at: {capture.count} were given, and none can be used."
+            f"There is no photograph to look at: none of the {capture.count} given can be used."
         )
     for index in kept:
         _require_size(capture, index)
@@ -82,27 +86,21 @@ def pack_views(capture: Capture) -> Views:
     if block.size >= 2**32:
         raise CaptureError(
             f"The photographs have {block.size // 3} pixels in all, but 32-bit indices reach only "
-            f"{2**32 // 3}: reduce their resolution."
+            f"{2**32 // 3}; reduce their resolution."
         )
     poses = [_Pose.of(capture.sensors[index]) for index in kept]
     films = _films(poses, offset)
     # The photographs stay where they are; they are only looked up, never streamed.
     pixels = _Pixels(mi.Float(block), _allowed(capture, kept, offset, block.size // 3))
-    masks = [capture.masks[index] for index in kept]
-    tiles = _tiles(capture.shape, poses, masks)
-    for index, inside in interior(capture.scene, capture.shape, films, tiles):
-        pixels.judge(index, inside)
-    return Views(
-        cameras=owned(mi.Float, np.array([pose.camera for pose in poses], np.float32).ravel()),
-        width=films.width,
-        height=films.height,
-        offset=films.offset,
-        pixels=pixels.radiance,
-        usable=pixels.usable,
-        count=dr.opaque(mi.UInt32, len(kept)),
-        number=len(kept),
-        scene=capture.scene,
-        grey=not pixels.coloured[0],
+    if silhouettes:
+        pixels.judge(dr.arange(mi.UInt32, block.size // 3), mi.Bool(True))
+    else:
+        masks = [capture.masks[index] for index in kept]
+        tiles = _tiles(capture.shape, poses, masks)
+        for index, inside in interior(capture.scene, capture.shape, films, tiles):
+            pixels.judge(index, inside)
+    return _views(
+        capture.scene, poses, films, pixels.usable, pixels.radiance, grey=not pixels.coloured[0]
     )
 
 
@@ -127,18 +125,7 @@ def pack_sensors(scene: Any, target: Any, sensors: Sequence[Any]) -> Views:
     for index, inside in interior(scene, target, films, _tiles(target, poses, [None] * len(poses))):
         dr.scatter(usable, mi.Bool(True), index, inside)
         dr.eval(usable)
-    return Views(
-        cameras=owned(mi.Float, np.array([pose.camera for pose in poses], np.float32).ravel()),
-        width=films.width,
-        height=films.height,
-        offset=films.offset,
-        pixels=None,
-        usable=usable,
-        count=dr.opaque(mi.UInt32, len(poses)),
-        number=len(poses),
-        scene=scene,
-        grey=True,
-    )
+    return _views(scene, poses, films, usable)
 
 
 class _Pixels:
@@ -204,6 +191,25 @@ class _Pose:
             rays=ray_floats(sensor, record["principal_point_offset"]),
             angle=float(1 / abs(projection[0, 0] * width)),
         )
+
+
+def _views(
+    scene: Any, poses: Sequence[_Pose], films: Films, usable: Any, pixels: Any | None = None, *,
+    grey: bool = True,
+) -> Views:  # fmt: skip
+    return Views(
+        cameras=owned(mi.Float, np.array([pose.camera for pose in poses], np.float32).ravel()),
+        width=films.width,
+        height=films.height,
+        offset=films.offset,
+        pixels=pixels,
+        usable=usable,
+        count=dr.opaque(mi.UInt32, len(poses)),
+        number=len(poses),
+        scene=scene,
+        rays=films.rays,
+        grey=grey,
+    )
 
 
 def _films(poses: Sequence[_Pose], offset: np.ndarray) -> Films:

@@ -162,7 +162,7 @@ def angular_entropy(
     for c in range(b.shape[0]):
         samples = (w, e[:, c], p[:, c], q[:, c])
         if _is_principled(grid):
-            nodes = grid.metallic_nodes, grid.base_color_nodes
+            nodes = grid.axes["metallic"], grid.axes["base_color"]
             errors = angular.principled_errors(*samples, d[:, c], b[c], *nodes)
         else:
             errors = angular.specular_errors(*samples, b[c], grid.specular_nodes)
@@ -188,7 +188,7 @@ def _reflectance(grid: Any, albedo: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """Kd and Ks of every cell, of the grid's shape (Kd = 0 on a grid of Ks)."""
     if not _is_principled(grid):
         return np.zeros(grid.shape), np.broadcast_to(grid.specular_nodes, grid.shape)
-    m, c = grid.metallic_nodes[:, None], grid.base_color_nodes[None, :]
+    m, c = grid.axes["metallic"][:, None], grid.axes["base_color"][None, :]
     R0 = posterior.F0 + (c - posterior.F0) * m
     return np.broadcast_to((1 - m) * c, grid.shape), albedo[:, None, None] * R0
 

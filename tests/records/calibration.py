@@ -24,8 +24,8 @@ About 5 minutes on two cores when the photographs are there; references take 20 
 
 from __future__ import annotations
 
+import argparse
 import json
-from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,8 @@ from scipy.stats import pearsonr, spearmanr
 import svu_mi as svu  # first: it chooses LLVM
 
 import mitsuba as mi  # isort: skip
+
+from svu_mi.bench.cells import OWN_OBJECTS
 
 NAMES = ("roughness", "metallic", "base_color")
 SETTLED = 0.05
@@ -67,39 +69,38 @@ SHOWN = {
 }  # fmt: skip
 
 
+def parser() -> argparse.ArgumentParser:
+    """Return what this record is asked."""
+    found = record.arguments(__doc__)
+    found.add_argument("--objects", nargs="*", default=[], help="others of DATA than usual")
+    found.add_argument("--reference", type=int, default=0, help="texels to path trace")
+    found.add_argument("--footprints", action="store_true")
+    found.add_argument("--switches", action="store_true")
+    return found
+
+
 def main() -> None:
     """Measure what is asked for, and keep it; or print tables."""
-    parser = record.arguments(__doc__)
-    parser.add_argument("--objects", nargs="*", default=[], help="others of DATA than usual")
-    parser.add_argument("--reference", type=int, default=0, help="texels to path trace")
-    parser.add_argument("--footprints", action="store_true")
-    parser.add_argument("--switches", action="store_true")
-    asked = parser.parse_args()
+    asked = parser().parse_args()
     if asked.table:
         print(tables(json.loads(asked.table.read_text())))
         return
     mi.set_variant("llvm_ad_rgb")
-    kept = json.loads(asked.output.read_text()) if asked.output.exists() else {}
+    kept = record.read(asked.output)
     cells = record.cells_of(asked.data, asked.work, asked.objects)
-    cells = [cell for cell in cells if asked.only in cell.name]
-    kept |= {"commit": record.commit(), "date": str(date.today())}
     if asked.footprints:
         measure, part = footprints, "footprints"
         cells = [cell for cell in cells if cell.object in ("chess_king_black", "water_bottle")
                  and cell.light in ("rural_asphalt_road", "st_fagans_interior")]  # fmt: skip
     elif asked.switches:
         measure, part = switched, "switches"
-        cells = [cell for cell in cells if cell.object in ("vase", "knot", "spheres")]
+        cells = [cell for cell in cells if cell.object in OWN_OBJECTS]
     elif asked.reference:
         measure, part = traced(asked.reference), "traced"
     else:
         measure, part = calibration, "cells"
-    for cell in cells:
-        found = kept.setdefault(part, {})
-        if cell.name not in found:
-            found[cell.name] = measure(cell, asked.work)
-            print(cell.title, found[cell.name], flush=True)
-            record.save(asked.output, kept)
+    found = record.run(f"calibration_{part}", cells, asked, record.alone(measure, asked))
+    record.save(asked.output, {**kept, part: {**kept.get(part, {}), **found}})
 
 
 def setting(cell: Any, work: Path) -> tuple[Any, Any, dict[str, np.ndarray], np.ndarray]:

@@ -18,7 +18,7 @@ yet, entropy is 1. Tables have the mean over cells, how many views each strategy
 the mean curve: added ones, interpolated), and a test of what best views gain over farthest ones in
 every cell, as a mean over the added views: Wilcoxon's signed ranks, two-sided.
 
-Finished cells of the same commit are kept; so are photographs. A cell takes one to three minutes on
+Finished cells of one version are kept; so are photographs. A cell takes one to three minutes on
 two cores, most of it recovery as in the paper: 10 times 200 steps.
 """
 
@@ -264,37 +264,36 @@ def draw(place: Any, cells: Sequence[dict[str, Any]], what: str, way: str) -> No
     place.set_xticks(photographs)
 
 
+def parser() -> argparse.ArgumentParser:
+    """Return what this record is asked."""
+    found = records.arguments(__doc__)
+    found.add_argument("--plot", type=Path, help="draw the curves into this PNG file")
+    return found
+
+
 def main() -> None:
-    """Record all cells; finished ones of the same commit are kept."""
-    parser = records.arguments(__doc__)
-    parser.add_argument("--plot", type=Path, help="draw the curves into this PNG file")
-    asked = parser.parse_args()
-    record: dict[str, Any]
+    """Record all cells; finished ones of the same version are kept."""
+    asked = parser().parse_args()
     if asked.table:
         record = json.loads(asked.table.read_text())
     else:
-        record = run(asked)
+        mi.set_variant("llvm_ad_rgb")
+        record = records.read(asked.output)
+        cells = records.some_cells(asked.data, asked.work, OWN_LIGHTS, LIGHTS)
+        record["cells"] = records.run("figure9", cells, asked, records.alone(measure, asked))
+        records.save(asked.output, record)
     print(tables(record))
     if asked.plot:
         plot(record, asked.plot)
 
 
-def run(asked: argparse.Namespace) -> dict[str, Any]:
-    """Return the record, with the cells that were asked for."""
-    mi.set_variant("llvm_ad_rgb")
-    record = records.resumed(asked.output)
-    for cell in records.some_cells(asked.data, asked.work, OWN_LIGHTS, LIGHTS):
-        if asked.only in cell.name and cell.name not in record["cells"]:
-            folder = asked.work / f"{cell.name}_{FILM}_of_{VIEWS}"
-            capture = records.rendered(cell, folder, FILM, VIEWS, SPP)
-            began = time.perf_counter()
-            curves = Shoot(capture).run()
-            record["cells"][cell.name] = {"seconds": time.perf_counter() - began, "curves": curves}
-            ends = {s: f"{gains([record['cells'][cell.name]], s, 'psnr', 'paper')[0, -1]:+.2f} dB"
-                    for s in STRATEGIES}  # fmt: skip
-            print(cell.title, ends, f"{record['cells'][cell.name]['seconds']:.0f} s", flush=True)
-            records.save(asked.output, record)
-    return record
+def measure(cell: Any, work: Path) -> dict[str, Any]:
+    """Return the curves of a cell, and how long they took."""
+    folder = work / f"{cell.name}_{FILM}_of_{VIEWS}"
+    capture = records.rendered(cell, folder, FILM, VIEWS, SPP)
+    began = time.perf_counter()
+    curves = Shoot(capture).run()
+    return {"seconds": time.perf_counter() - began, "curves": curves}
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ cores; truths are kept in the working folder.
 
 from __future__ import annotations
 
-import argparse
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -146,25 +145,24 @@ def errors(found: Samples, corners: np.ndarray) -> dict[str, list[float]]:
 
 def main() -> None:
     """Print a line per cell and preset."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path)
-    parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--work", type=Path, default=Path("out/records"))
-    asked = parser.parse_args()
+    asked = record.arguments(__doc__).parse_args()
     mi.set_variant("llvm_ad_rgb")
-    table: dict[str, Any] = {}
-    for cell in record.cells_of(asked.data, asked.work, OBJECTS):
-        if cell.object not in OBJECTS:
-            continue
+    cells = [cell for cell in record.cells_of(asked.data, asked.work, OBJECTS)
+             if cell.object in OBJECTS]  # fmt: skip
+
+    def prepare(cell: Any) -> Any:
         found = samples(cell, asked.work)
-        table[cell.name] = {
-            preset: errors(found, predicted(found, preset)) for preset in ("default", "fast")
-        }
-        for preset, row in table[cell.name].items():
+        return lambda preset: {"errors": errors(found, predicted(found, preset))}
+
+    found = record.run("model", cells, asked, prepare, ("default", "fast"))
+    table = {name: {preset: row["errors"] for preset, row in rows.items()}
+             for name, rows in found.items()}  # fmt: skip
+    for cell in cells:
+        for preset, row in table.get(cell.name, {}).items():
             words = [f"{a:.1%} {b:.1%} ({c:+.1%})" for a, b, c in row.values()]
             print(f"{cell.name} [{LIGHTS[cell.light]}] {preset}: {' | '.join(words)}", flush=True)
-        if asked.output:
-            asked.output.write_text(json.dumps({"bins": BINS, "cells": table}, indent=1) + "\n")
+    if asked.output:
+        asked.output.write_text(json.dumps({"bins": BINS, "cells": table}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -20,17 +20,29 @@ import argparse
 import json
 import statistics
 import subprocess
+import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from datetime import date
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 
 import svu_mi as svu  # first: it chooses LLVM
 
 import mitsuba as mi  # isort: skip
+
+from svu_mi.bench.captures import some_views
+from svu_mi.bench.cells import OWN_OBJECTS, Cell, data_cells, own_cells
+from svu_mi.bench.experiment import Bench, Experiment
+from svu_mi.bench.fresh import in_new_process
+from svu_mi.progress import Progress
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # studies, and helpers of the tests
 
 TEXELS, JUDGED, REFERENCE, FINER = 256, 1500, 1000, 4
 PHOTOGRAPHS: dict[str, Any] = {"views": 60, "film": 256, "spp": 32}
@@ -40,36 +52,30 @@ LIGHTS = ["photo_studio_01", "rural_asphalt_road", "potsdamer_platz", "st_fagans
 TIMED, RUNS = ("water_bottle", "rural_asphalt_road"), 5
 
 
+def parser() -> argparse.ArgumentParser:
+    """Return what this record is asked."""
+    found = arguments(__doc__)
+    found.add_argument("--times", action="store_true", help="run times alone")
+    return found
+
+
 def main() -> None:
-    """Record all cells, then times; finished cells of the same version are kept."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path)
-    parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--work", type=Path, default=Path("out/records"))
-    parser.add_argument("--only", default="", help="cells whose name contains this")
-    parser.add_argument("--times", action="store_true", help="run times alone")
-    asked = parser.parse_args()
+    """Record all cells, or times; finished cells of the same version are kept."""
+    asked = parser().parse_args()
     mi.set_variant("llvm_ad_rgb")
-    record = json.loads(asked.output.read_text()) if asked.output.exists() else {"cells": {}}
-    record |= {"commit": commit(), "date": str(date.today()), "photographs": PHOTOGRAPHS}
+    record = read(asked.output)
     cells = cells_of(asked.data, asked.work)
     if asked.times:
         timed = [cell for cell in cells if (cell.object, cell.light) == TIMED] or cells[:1]
         record["seconds"] = seconds(timed[0], asked.work)
     else:
-        for cell in cells:
-            if asked.only in cell.name and cell.name not in record["cells"]:
-                record["cells"][cell.name] = judge(cell, asked.work)
-                print(cell.title, record["cells"][cell.name], flush=True)
-                save(asked.output, record)
+        record["cells"] = run("record", cells, asked, alone(judge, asked))
         record["means"] = means(record["cells"])
     save(asked.output, record)
 
 
-def cells_of(data: Path | None, work: Path, objects: Sequence[str] = ()) -> list[Any]:
+def cells_of(data: Path | None, work: Path, objects: Sequence[str] = ()) -> list[Cell]:
     """Return our own 12 cells, and the 24 of a folder of data, or those of other objects there."""
-    from svu_mi.bench.cells import data_cells, own_cells
-
     chosen = [name for name in objects or OBJECTS if name not in ("vase", "knot")]
     theirs = data_cells(data, work, chosen, LIGHTS) if data else ()
     return [*own_cells(), *theirs]
@@ -164,8 +170,6 @@ def seconds(cell: Any, work: Path) -> dict[str, float]:
     """Return median seconds of warm runs, by what is run."""
     from studies.kernels.end_to_end import run_once
 
-    from svu_mi.bench.fresh import in_new_process
-
     folder = str(photographs(cell, work, 512))
     found: dict[str, float] = {}
     for preset in ("default", "fast"):
@@ -176,8 +180,6 @@ def seconds(cell: Any, work: Path) -> dict[str, float]:
     found["files to entropy.exr, default, cold, with imports"] = cold["process_seconds"]
     found["peak MiB, cold"] = cold["peak_mib"]
     small = svu.load_capture(photographs(cell, work, 256))
-    from svu_mi.bench.captures import some_views
-
     capture = some_views(small, 40)
     layout = svu.texels(capture.mesh, 256)
     found["recovery, 256 x 256, 40 photographs"] = median(lambda: svu.recover(capture, layout))
@@ -224,9 +226,9 @@ def means(cells: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
     }
 
 
-def arguments(description: str) -> argparse.ArgumentParser:
+def arguments(description: str | None) -> argparse.ArgumentParser:
     """Return what every record is asked: data, output, working folder, cells, or a table."""
-    parser = argparse.ArgumentParser(description=description.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(description or "").splitlines()[0])
     parser.add_argument("--data", type=Path)
     parser.add_argument("-o", "--output", type=Path)
     parser.add_argument("--work", type=Path, default=Path("out/records"))
@@ -235,10 +237,91 @@ def arguments(description: str) -> argparse.ArgumentParser:
     return parser
 
 
-def some_cells(data: Path | None, work: Path, own: list[str], theirs: list[str]) -> list[Any]:
-    """Return our own objects under some lights, then those of DATA under others."""
-    from svu_mi.bench.cells import data_cells, own_cells
+@dataclass(frozen=True)
+class Label:
+    """A row of a record, by its label."""
 
+    label: str
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A cell of a record.
+
+    Attributes:
+        cell: object and light.
+        rows: what is measured on it.
+        prepare: loads the cell, and returns what measures a row, given its label.
+    """
+
+    cell: Cell
+    rows: Sequence[Label]
+    prepare: Callable[[Cell], Callable[[str], dict[str, Any]]]
+
+    @property
+    def name(self) -> str:
+        return self.cell.name
+
+    @property
+    def title(self) -> str:
+        return self.cell.title
+
+    def settings(self, row: Label | None) -> Any:
+        return str(self.cell.scene), self.cell.defines, row and row.label
+
+    def head(self) -> dict[str, Any]:
+        """Return the name of the cell."""
+        return {"name": self.name}
+
+    def measure(self, row: Label) -> dict[str, Any]:
+        """Return the figures of a row."""
+        return self._figures(row.label)
+
+    @cached_property
+    def _figures(self) -> Callable[[str], dict[str, Any]]:
+        return self.prepare(self.cell)
+
+
+def alone(
+    judge: Callable[[Cell, Path], dict[str, Any]], asked: argparse.Namespace
+) -> Callable[[Cell], Callable[[str], dict[str, Any]]]:
+    """Return what prepares a record with one row: all that ``judge`` says of a cell."""
+    return lambda cell: lambda _: judge(cell, asked.work)
+
+
+WHOLE = "cell"  # the row of a record that has one
+
+
+def run(
+    name: str, cells: Sequence[Cell], asked: argparse.Namespace,
+    prepare: Callable[[Cell], Callable[[str], dict[str, Any]]], rows: Sequence[str] = (WHOLE,),
+) -> dict[str, Any]:  # fmt: skip
+    """Measure the cells that are asked for; what this version has finished is kept.
+
+    Args:
+        name: of the record.
+        cells: objects x lights.
+        asked: what ``arguments`` reads.
+        prepare: see ``Recorded``.
+        rows: labels.
+
+    Returns:
+        By name of the cell, the figures by label; without ``rows``, the figures alone.
+    """
+    labels = [Label(row) for row in rows]
+    chosen = (Recorded(cell, labels, prepare) for cell in cells if asked.only in cell.name)
+    here = Path(__file__).parent
+    code = here, here.parent / "studies"
+    bench = Bench(asked.work, progress=Progress(Console()), code=code)
+    found = Experiment(name, chosen, whole=True).run(bench)
+    measured = {cell["name"]: cell["rows"] for cell in found["cells"]}
+    if tuple(rows) == (WHOLE,):
+        return {cell: figures[WHOLE] for cell, figures in measured.items()}
+    return measured
+
+
+def some_cells(data: Path | None, work: Path, own: list[str], theirs: list[str]) -> list[Cell]:
+    """Return our own objects under some lights, then those of DATA under others."""
     others = data_cells(data, work, OBJECTS, theirs) if data else ()
     return [*own_cells(lights=own), *others]
 
@@ -255,21 +338,16 @@ def rendered(cell: Any, folder: Path, film: int, views: int, spp: int) -> Any:
 
 def groups(cells: dict[str, Any]) -> dict[str, list[Any]]:
     """Return the records of cells by name as those of our own, and of DATA; no empty group."""
-    from svu_mi.bench.cells import OWN_OBJECTS
-
     found: dict[str, list[Any]] = {"own": [], "DATA": []}
     for name, cell in cells.items():
         found["own" if name.split("__")[0] in OWN_OBJECTS else "DATA"].append(cell)
     return {name: chosen for name, chosen in found.items() if chosen}
 
 
-def resumed(file: Path) -> dict[str, Any]:
-    """Return a record to fill, with the cells that this commit has finished already."""
-    record: dict[str, Any] = {"commit": commit(), "date": str(date.today()), "cells": {}}
-    if file.exists():
-        before = json.loads(file.read_text())
-        record["cells"] = before["cells"] if before["commit"] == record["commit"] else {}
-    return record
+def read(file: Path | None) -> dict[str, Any]:
+    """Return a record to fill: what is in the file, if it is there, under today's commit."""
+    before = json.loads(file.read_text()) if file is not None and file.exists() else {}
+    return {**before, "commit": commit(), "date": str(date.today()), "photographs": PHOTOGRAPHS}
 
 
 def commit() -> str:
@@ -278,8 +356,10 @@ def commit() -> str:
     return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
 
 
-def save(file: Path, record: dict[str, Any]) -> None:
-    """Write the record; figures to four digits."""
+def save(file: Path | None, record: dict[str, Any]) -> None:
+    """Write the record, if it has a file; figures to four digits."""
+    if file is None:
+        return
     digits = json.loads(json.dumps(record), parse_float=lambda text: round(float(text), 4))
     file.write_text(json.dumps(digits, indent=1) + "\n")
 

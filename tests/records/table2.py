@@ -13,14 +13,16 @@ texels that a photograph shows:
 * Fig. 8: the mean absolute error of the most and of the least certain texels, by the paper's
   entropy, for masks of 10 to 90 % of the surface.
 
-Finished rows of the same commit are kept; so are photographs. Takes about an hour on two cores,
+Finished rows of the same version are kept; so are photographs. Takes about an hour on two cores,
 most of it path tracing (``--untraced`` leaves that out: 10 minutes).
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,8 @@ import svu_mi as svu  # before Mitsuba: it chooses LLVM
 
 import mitsuba as mi  # isort: skip
 
+from studies.captures import uneven_views
+
 FILM, DENSE, FRONT, BACK, TEXELS, SPP = 96, 48, 20, 4, 96, 32
 OWN_LIGHTS = ["window", "studio", "overcast"]
 LIGHTS = ["photo_studio_01", "rural_asphalt_road", "st_fagans_interior"]
@@ -39,8 +43,6 @@ PARTS = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9]
 
 def photographs(cell: Any, work: Path) -> Any:
     """Return a cell's photographs from one side mostly; rendered once."""
-    from svu_mi.bench.captures import uneven_views
-
     folder = work / f"{cell.name}_{FILM}_of_{DENSE}"
     return uneven_views(records.rendered(cell, folder, FILM, DENSE, SPP), FRONT, BACK)
 
@@ -124,28 +126,32 @@ def tables(record: dict[str, Any]) -> str:
     return "\n\n".join(parts)
 
 
+def parser() -> argparse.ArgumentParser:
+    """Return what this record is asked."""
+    found = records.arguments(__doc__)
+    found.add_argument("--untraced", action="store_true", help="leave path tracing out")
+    return found
+
+
 def main() -> None:
-    """Record all cells; finished rows of the same commit are kept."""
-    parser = records.arguments(__doc__)
-    parser.add_argument("--untraced", action="store_true", help="leave path tracing out")
-    asked = parser.parse_args()
+    """Record all cells; finished rows of the same version are kept."""
+    asked = parser().parse_args()
     if asked.table:
         print(tables(json.loads(asked.table.read_text())))
         return
     mi.set_variant("llvm_ad_rgb")
-    record = records.resumed(asked.output)
-    for cell in records.some_cells(asked.data, asked.work, OWN_LIGHTS, LIGHTS):
-        if asked.only not in cell.name:
-            continue
-        done, judge = record["cells"].setdefault(cell.name, {}), None
-        for row in rows(not asked.untraced):
-            if row.label in done:
-                continue
-            judge = judge or Judge(photographs(cell, asked.work))
-            done[row.label] = judge.judge(row)
-            print(cell.title, row.label, f"{done[row.label]['psnr']['average']:.2f} dB",
-                  f"{done[row.label]['seconds']:.1f} s", flush=True)  # fmt: skip
-            records.save(asked.output, record)
+    ways = {row.label: row for row in rows(not asked.untraced)}
+
+    def prepare(cell: Any) -> Callable[[str], dict[str, Any]]:
+        judge = Judge(photographs(cell, asked.work))
+        return lambda label: judge.judge(ways[label])
+
+    record = records.read(asked.output)
+    record["cells"] = records.run(
+        "table2", records.some_cells(asked.data, asked.work, OWN_LIGHTS, LIGHTS), asked,
+        prepare, list(ways),
+    )  # fmt: skip
+    records.save(asked.output, record)
     print(tables(record))
 
 

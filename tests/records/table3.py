@@ -20,7 +20,6 @@ second time 4.
 from __future__ import annotations
 
 import json
-from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -148,13 +147,9 @@ def main() -> None:
         print(table(json.loads(asked.table.read_text())))
         return
     mi.set_variant("llvm_ad_rgb")
-    record: dict[str, Any] = {"commit": records.commit(), "date": str(date.today()), "cells": {}}
-    for cell in records.cells_of(asked.data, asked.work):
-        if asked.only in cell.name:
-            record["cells"][cell.name] = judge(cell, asked.work)
-            print(cell.title, {k: round(v, 3) for k, v in record["cells"][cell.name].items()},
-                  flush=True)  # fmt: skip
-            records.save(asked.output, record)
+    record, cells = records.read(asked.output), records.cells_of(asked.data, asked.work)
+    record["cells"] = records.run("table3", cells, asked, records.alone(judge, asked))
+    records.save(asked.output, record)
     print(table(record))
 
 

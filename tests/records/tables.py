@@ -5,8 +5,8 @@
 
 from __future__ import annotations
 
+import argparse
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -53,9 +53,18 @@ def model(before: dict[str, Any], after: dict[str, Any]) -> str:
     return table(["object / light", "", *(f"alpha {head}" for head in heads)], rows)
 
 
+def parser() -> argparse.ArgumentParser:
+    """Return what this is asked."""
+    found = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    found.add_argument("before", type=Path)
+    found.add_argument("after", type=Path)
+    return found
+
+
 def main() -> None:
     """Print all tables."""
-    before, after = (json.loads(Path(file).read_text()) for file in sys.argv[1:3])
+    asked = parser().parse_args()
+    before, after = (json.loads(file.read_text()) for file in (asked.before, asked.after))
     for make in (model, agreement, seconds):
         print(make(before, after))
 

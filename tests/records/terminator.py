@@ -108,12 +108,17 @@ def draw(found: list[dict[str, Any]], file: Path) -> None:
     figure.savefig(file, dpi=80)
 
 
+def parser() -> argparse.ArgumentParser:
+    """Return what this record is asked."""
+    found = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    found.add_argument("--work", type=Path, default=Path("out/records"))
+    found.add_argument("--plot", type=Path)
+    return found
+
+
 def main() -> None:
     """Print a line per light and material; exit with 1 if the default steps too far."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--work", type=Path, default=Path("out/records"))
-    parser.add_argument("--plot", type=Path)
-    asked = parser.parse_args()
+    asked = parser().parse_args()
     mi.set_variant("llvm_ad_rgb")
     found = [measure(light, name, asked.work) for light in ("clear", "window")
              for name in MATERIALS]  # fmt: skip

@@ -12,9 +12,16 @@ from svu_mi.progress import Progress
 
 AXES = {axis.name: axis for axis in stability.AXES}
 ELSEWHERE = ("cameras", "distance from the origin", "degree of a fit", "exposure")  # test_limits.py
+LONG = (
+    "light", "noise that is estimated", "size of the mesh", "faces", "paint",
+    "radiance of statistics", "grids of statistics", "filtered light",
+)  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [name for name in AXES if name not in ELSEWHERE])
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=[pytest.mark.slow] if name in LONG else [])
+    for name in AXES if name not in ELSEWHERE
+])  # fmt: skip
 def test_every_error_is_within_its_bound(name, tmp_path):
     row = measure(AXES[name], tmp_path, quick=True)
     assert not row.failed, row

@@ -47,6 +47,7 @@ def test_no_light_is_refused(method, tmp_path):
         svu.estimate(dark, svu.texels(dark.mesh, 16), method)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("power", [-33, 33])
 @BOTH
 def test_exposure_does_not_matter_within_range(method, rule, power, capture, tmp_path):
@@ -78,6 +79,7 @@ def test_no_radiance_makes_the_marginal_rule_nan(gain, scale):
     assert ((H >= 0) & (H <= 1)).all()
 
 
+@pytest.mark.few(1)
 @BOTH
 def test_a_single_texel_is_enough(method, rule, capture):
     found = svu.estimate(capture, svu.texels(capture.mesh, 1), method, rule)

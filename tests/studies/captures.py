@@ -1,4 +1,4 @@
-"""Captures without files."""
+"""Captures without files, and with photographs mostly from one side."""
 
 from __future__ import annotations
 
@@ -7,7 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.bench.captures import chosen_views
 from svu_mi.capture import Capture
+from svu_mi.capture.scene import to_world
+from svu_mi.errors import OptionError
+
+FRONT = (0.0, 0.3, 1.0)  # direction from the object to the middle of the crowded side
 
 
 def in_memory(scene: Any, shape: Any, sensors: Sequence[Any], images: Any) -> Capture:
@@ -27,3 +32,26 @@ def in_memory(scene: Any, shape: Any, sensors: Sequence[Any], images: Any) -> Ca
         names=tuple(f"view_{view:04d}.exr" for view in range(count)),
         unusable=(0,) * count, used=(True,) * count,
     )  # fmt: skip
+
+
+def uneven_views(capture: Capture, front: int, back: int) -> Capture:
+    """Return the capture with most of its views from one side.
+
+    Args:
+        capture: views all around the object.
+        front: so many with the smallest angle to the front direction.
+        back: so many of the others, evenly spread over the order of that angle.
+
+    Raises:
+        OptionError: there are fewer views than that.
+    """
+    if front + back > capture.count:
+        raise OptionError(f"There are {capture.count} views; {front} + {back} are too many.")
+    origins = np.array([to_world(sensor)[:3, 3] for sensor in capture.sensors])
+    directions = origins - origins.mean(axis=0)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    axis = np.array(FRONT) / np.linalg.norm(FRONT)
+    order = np.argsort(-(directions @ axis), kind="stable")
+    rest = order[front:]
+    others = rest[np.linspace(0, len(rest) - 1, back + 2).round().astype(int)[1:-1]]
+    return chosen_views(capture, np.sort(np.concatenate([order[:front], others])))

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from svu_mi.bench.store import Store
-from svu_mi.errors import OptionError, OutputError, SvuError, SvuWarning
+from svu_mi.errors import OptionError, OutputError, SvuWarning
 from svu_mi.npz import DIGEST, read_arrays, write_arrays
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import descend
@@ -59,15 +59,22 @@ def liar(path, shape):
         archive.writestr("losses.npy", told)
 
 
-def test_a_packed_file_is_refused_before_it_is_unpacked(path):
-    bomb(path)
-    assert path.stat().st_size < 2**21
+def peak_of(work):
+    """Return the bytes that something has taken at most."""
     tracemalloc.start()
-    with pytest.raises(OutputError, match="damaged .a part of it is packed.; remove it and start"):
-        load(path)
+    work()
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert peak < 2**22
+    return peak
+
+
+def test_a_packed_file_is_refused_before_it_is_unpacked(path):
+    def refused():
+        with pytest.raises(OutputError, match="damaged .one of its arrays is compressed.; remove"):
+            load(path)
+
+    bomb(path)
+    assert path.stat().st_size < 2**21 and peak_of(refused) < 2**22
 
 
 @pytest.mark.parametrize("shape", [b"(2**9,)}", b"(-16,),}", b"(10**9)}", b"(9**99,}", b"(8,), }"])
@@ -79,7 +86,7 @@ def test_an_array_that_promises_what_there_is_not_is_refused(path, shape):
 
 def test_objects_are_never_unpickled(path):
     np.savez(path, step=np.array([print], object))
-    with pytest.raises(OutputError, match="checkpoint is damaged .an array says"):
+    with pytest.raises(OutputError, match="checkpoint is damaged .an array declares"):
         load(path)
 
 
@@ -109,39 +116,39 @@ def test_an_array_that_was_exchanged_is_told(path):
         arrays = dict(archive)
     arrays["step"] = np.array(2)
     np.savez(path, **arrays)
-    with pytest.raises(OutputError, match="digest does not fit"):
+    with pytest.raises(OutputError, match="checksum does not match"):
         load(path)
 
 
 FLOATS = np.full((4, 6, 1), 0.5, np.float32)
 DEEP = "[" * 100_000
 FORGED = {
-    "step -1": ({"step": -1}, "'step' is no whole number"),
-    "step 10^9": ({"step": 10**9}, "not one loss for each of its 1000000000 steps"),
-    "step 2.0": ({"step": 2.0}, "'step' is no whole number"),
-    "two steps": ({"step": [2, 2]}, "'step' is no whole number"),
-    "step True": ({"step": True}, "'step' is no whole number"),
-    "no step": ({"step": None}, "'step' is no whole number"),
-    "no format": ({"format": None}, "'format' is no whole number"),
-    "no losses": ({"losses": None}, "not one loss for each"),
-    "too few losses": ({"losses": np.zeros(3, np.float32)}, "not one loss for each"),
-    "losses of NaN": ({"losses": np.full(4, np.nan, np.float32)}, "NaN, infinite or no float32"),
-    "double losses": ({"losses": np.zeros(4)}, "NaN, infinite or no float32"),
+    "step -1": ({"step": -1}, "'step' is not a whole number"),
+    "step 10^9": ({"step": 10**9}, "one loss for each of its 1000000000 steps"),
+    "step 2.0": ({"step": 2.0}, "'step' is not a whole number"),
+    "two steps": ({"step": [2, 2]}, "'step' is not a whole number"),
+    "step True": ({"step": True}, "'step' is not a whole number"),
+    "no step": ({"step": None}, "'step' is not a whole number"),
+    "no format": ({"format": None}, "'format' is not a whole number"),
+    "no losses": ({"losses": None}, "one loss for each"),
+    "too few losses": ({"losses": np.zeros(3, np.float32)}, "one loss for each"),
+    "losses of NaN": ({"losses": np.full(4, np.nan, np.float32)}, "NaN, infinite or not float32"),
+    "double losses": ({"losses": np.zeros(4)}, "NaN, infinite or not float32"),
     "no values": ({"values/roughness": None}, "arrays of 'first' are not those"),
     "no means": ({"second/roughness": None}, "arrays of 'second' are not those"),
     "shaped means": ({"first/roughness": FLOATS}, "arrays of 'first' are not those"),
     "few means": ({"first/roughness": FLOATS.ravel()[1:]}, "arrays of 'first' are not those"),
     "infinite": ({"values/roughness": FLOATS * np.float32(np.inf)}, "NaN, infinite"),
-    "text": ({"values/roughness": np.full((4, 6, 1), "a")}, "NaN, infinite or no float32"),
+    "text": ({"values/roughness": np.full((4, 6, 1), "a")}, "NaN, infinite or not float32"),
     "negative squares": ({"second/roughness": -FLOATS.ravel()}, "mean of squares is negative"),
-    "another array": ({"other": 1}, "it has an array 'other'"),
-    "another group": ({"third/roughness": FLOATS}, "it has an array 'third/roughness'"),
-    "settings of numbers": ({"settings": 3}, "'settings' is no text"),
-    "no settings": ({"settings": None}, "'settings' is no text"),
+    "another array": ({"other": 1}, "an unknown array 'other'"),
+    "another group": ({"third/roughness": FLOATS}, "an unknown array 'third/roughness'"),
+    "settings of numbers": ({"settings": 3}, "'settings' is not text"),
+    "no settings": ({"settings": None}, "'settings' is not text"),
     "no JSON": ({"settings": "{"}, "Expecting"),
-    "a list": ({"settings": "[]"}, "'settings' is no JSON object"),
-    "deep": ({"settings": DEEP}, "'settings' is no JSON object"),
-    "deep objects": ({"content": '{"a":' * 5000 + "1" + "}" * 5000}, "'content' is no JSON object"),
+    "a list": ({"settings": "[]"}, "'settings' is not a JSON object"),
+    "deep": ({"settings": DEEP}, "'settings' is not a JSON object"),
+    "deep objects": ({"content": '{"a":' * 5000 + "1" + "}" * 5000}, "is not a JSON object"),
 }
 
 
@@ -170,7 +177,7 @@ def test_what_a_run_has_not_is_refused(path, tmp_path):
     path.unlink()
     descend(objective, start, DescentOptions(steps=12), checkpoint=Checkpoint(path, {}))
     assert resumed((4, 6, 1), 12).steps == 12
-    with pytest.raises(OptionError, match="has 12 steps, this run takes 11 at most; remove it"):
+    with pytest.raises(OptionError, match="has 12 steps, but this run takes at most 11; remove it"):
         resumed((4, 6, 1), 11)
     with pytest.raises(OptionError, match="the checkpoint has the parameters"):
         resumed((6, 4, 1), 12)
@@ -222,11 +229,7 @@ def test_a_sound_reference_is_taken(reference):
 
 def test_a_packed_reference_is_not_unpacked(reference):
     bomb(reference)
-    tracemalloc.start()
-    assert "a part of it is packed" in told(reference)
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak < 2**22
+    assert peak_of(lambda: told(reference)) < 2**22
 
 
 def test_a_reference_under_another_name_is_not_taken(reference):
@@ -241,17 +244,9 @@ def test_a_reference_with_other_numbers_is_not_taken(reference, name):
         arrays = dict(archive)
     arrays[name] = arrays[name] + np.ones((), arrays[name].dtype)
     np.savez(reference, **arrays)
-    assert "digest does not fit" in told(reference)
+    assert "checksum does not match" in told(reference)
     del arrays[DIGEST]
     write_arrays(reference, {**arrays, name: np.stack([arrays[name]] * 2)})
-    assert "arrays are others" in told(reference)
+    assert "arrays do not match" in told(reference)
     write_arrays(reference, {k: v for k, v in arrays.items() if k != name})
-    assert "arrays are others" in told(reference)
-
-
-def test_the_fuzzed_rows_are_refused_as_users_see_it(path, reference):
-    for file, read in ((path, rows.read_checkpoint), (reference, rows.read_reference)):
-        read(file.parent, file.parent)
-        file.write_bytes(file.read_bytes()[:-30])
-        with pytest.raises(SvuError, match=str(file)):
-            read(file.parent, file.parent)
+    assert "arrays do not match" in told(reference)

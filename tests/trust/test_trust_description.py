@@ -12,7 +12,8 @@ import pytest
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture import load_capture
 from svu_mi.capture.poses import make_sensor
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.limits import MAX_VIEWS, require_views
 
 
 @pytest.fixture
@@ -37,7 +38,9 @@ def edited(folder, changes):
 
 SENSOR = "sensors/0/"
 BAD = {
-    "scene": {"scene": 3}, "scene of nothing": {"scene": "x" * 3000}, "define": {"define": [1]},
+    "format": {"format": "other"}, "version": {"version": 99}, "exposure 0": {"exposure": [1, 0]},
+    "exposure of one view": {"exposure": [1]}, "scene": {"scene": 3},
+    "scene of nothing": {"scene": "x" * 3000}, "define": {"define": [1]},
     "define of lists": {"define": {"a": [1]}}, "shape": {"shape": 3}, "import": {"import": 3},
     "exposure": {"exposure": 2}, "exposure of text": {"exposure": ["1", "2"]},
     "exposure True": {"exposure": [True, 1e-40]}, "exposure 10^400": {"exposure": [10**400, 1]},
@@ -90,24 +93,34 @@ def test_numbers_are_fine_where_text_is_expected_of_parameters(capture):
     assert found.defines == {"a": "1", "b": "0.5", "c": "True", "d": "x"}
 
 
-def test_a_hundred_thousand_sensors_are_refused_at_once(capture):
+def test_more_sensors_than_photographs_have_numbers_are_refused_at_once(capture):
     path = capture / "capture.json"
     record = json.loads(path.read_text())
-    text = json.dumps({**record, "sensors": record["sensors"] * 40_000})
+    text = json.dumps({**record, "sensors": record["sensors"] * 5_001})
     path.write_text(text)
     started = time.process_time()
     json.loads(text)  # nothing is done but this, about twice as slow beside other work
     parsed = time.process_time()
-    with pytest.raises(CaptureError, match="sensors has the wrong type; .* at most 10000"):
+    with pytest.raises(CaptureError, match="sensors must be .* at most 10000"):
         load_capture(capture)
     assert time.process_time() - parsed < 4 * (parsed - started) + 0.5
+
+
+def test_the_most_sensors_that_are_rendered_can_be_read(capture):
+    """``view_9999`` is the last name of a photograph."""
+    path = capture / "capture.json"
+    record = json.loads(path.read_text())
+    path.write_text(json.dumps({**record, "sensors": record["sensors"] * (MAX_VIEWS // 2)}))
+    assert len(capture_folder.read(capture).sensors) == MAX_VIEWS
+    with pytest.raises(OptionError, match="--views: at most 10000 are supported, got 10001"):
+        require_views(MAX_VIEWS + 1, "--views")
 
 
 def test_a_file_that_no_capture_fills_is_not_read(capture):
     path = capture / "capture.json"
     with path.open("r+b") as stream:
         stream.truncate(2**27)
-    with pytest.raises(CaptureError, match="134217728 bytes, more than any capture"):
+    with pytest.raises(CaptureError, match="134217728 bytes are too many for a capture"):
         load_capture(capture)
 
 

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
 import tracemalloc
 from dataclasses import replace
 
 import mitsuba as mi
 import numpy as np
 import pytest
-import trimesh
-from helpers import memory_capture, sensor_xml, write_scene
+from helpers import ball, memory_capture, python, sensor_xml, write_scene
 
 import svu_mi as svu
 from svu_mi.capture import load_capture
 from svu_mi.capture.fingerprint import Key, capture_key, capture_parts
-from svu_mi.errors import OptionError
+from svu_mi.capture.mesh import make
+from svu_mi.errors import OptionError, SvuWarning
 from svu_mi.exr import write_exr
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.recovery.fingerprint import fingerprint
@@ -30,6 +28,7 @@ import sys
 import svu_mi, mitsuba as mi
 mi.set_variant("llvm_ad_rgb")
 from svu_mi.capture import load_capture
+from svu_mi.capture.mesh import make
 from svu_mi.capture.fingerprint import capture_key
 print(capture_key(load_capture(sys.argv[1], unwrap=True)))
 """
@@ -47,8 +46,8 @@ def write(folder):
     """Write a scene with nodes without ids, a texture, and a mesh whose normals are computed."""
     folder.mkdir(exist_ok=True)
     path = write_scene(folder, sensors=sensor_xml(2, 16, 8), extra=OTHERS)
-    other = trimesh.creation.icosphere(5)
-    (folder / "other.ply").write_bytes(trimesh.exchange.ply.export_ply(other, vertex_normal=False))
+    other = replace(ball(180, 90), normals=None)  # so many that the order of sums differs
+    make("other", other).write_ply(str(folder / "other.ply"))
     rng = np.random.default_rng(911)
     for name in ("texture", "sky", "images/view_0000", "images/view_0001"):
         (folder / "images").mkdir(exist_ok=True)
@@ -72,17 +71,13 @@ def capture(scene):
     return load_capture(scene)
 
 
-def key_elsewhere(scene):
-    words = [sys.executable, "-W", "ignore", "-c", SCRIPT, str(scene)]
-    return subprocess.run(words, capture_output=True, text=True, check=True).stdout.strip()
-
-
 def test_the_same_files_have_one_key_in_every_process_and_folder(scene, tmp_path):
     """Although Mitsuba sums up missing normals in an order of its own each time."""
-    copy = tmp_path / "copied to another place"
-    shutil.copytree(scene.parent, copy)
-    keys = [key_elsewhere(scene), key_elsewhere(scene), key_elsewhere(copy / scene.name)]
-    assert len(set(keys)) == 1 and len(keys[0]) == 32
+    copy = shutil.copytree(scene.parent, tmp_path / "copied to another place")
+    with pytest.warns(SvuWarning, match="unwrapped again"):
+        key = capture_key(load_capture(scene, unwrap=True))
+    done = python("-W", "ignore", "-c", SCRIPT, copy / scene.name)
+    assert done.stdout.strip() == key and len(key) == 32, done.stderr
 
 
 def test_names_and_loading_again_do_not_matter(capture, scene):
@@ -203,9 +198,8 @@ def test_computed_normals_are_no_other_capture_to_references_and_checkpoints(sce
     path = scene.with_name("computed.xml")
     path.write_text(text)
     found = set()
-    for _ in range(4):
-        with pytest.warns(svu.errors.SvuWarning, match="UVs"):
-            capture = load_capture(path, shape="ball")
+    for _ in range(3):
+        capture = load_capture(path, shape="ball")
         layout = svu.texels(capture.mesh, (8, 8))
         content = fingerprint(capture, layout, None, False, None)
         found.add((cache.locate(tmp_path, capture, layout, 5, options).name, *content.values()))
@@ -236,7 +230,7 @@ def test_a_resumed_run_says_in_words_what_has_changed(scene, kept, change):
     path.write_text(scene.read_text().replace(old, new))
     with pytest.raises(OptionError, match="belongs to another run") as caught:
         recover(load_capture(path), kept, resume=True)
-    assert f"(changed since then: {part})" in str(caught.value)
+    assert f"(changed since: {part})" in str(caught.value)
     assert str(kept) in str(caught.value)
 
 

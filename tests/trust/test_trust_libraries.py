@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -11,7 +10,7 @@ from pathlib import Path
 
 import mitsuba as mi
 import pytest
-from helpers import write_scene
+from helpers import python, write_scene
 
 import svu_mi as svu
 from svu_mi.capture.scene import load_scene, require_variant
@@ -26,6 +25,10 @@ __attribute__((constructor)) static void run(void) { fclose(fopen(getenv("LOADED
 """
 TAGS = ("bsdf", "rfilter", "sampler", "phase", "medium", "film", "integrator", "volume", "texture",
         "emitter", "sensor", "shape", "spectrum")  # fmt: skip
+
+
+# The installed program; ``python -m`` would put the folder on Python's own path.
+PROGRAM = "import sys; from svu_mi.cli.main import main; sys.exit(main())"
 
 
 @pytest.fixture(scope="session")
@@ -205,31 +208,26 @@ def test_paths_of_a_scene_end_with_it(tmp_path):
     assert list(map(str, mi.file_resolver())) == before
 
 
-@pytest.mark.parametrize("command", ["import .", "export .", "check .", "render scene.xml"])
+@pytest.mark.parametrize("command", [
+    "import .", "render scene.xml",
+    *(pytest.param(words, marks=pytest.mark.slow) for words in ("export .", "check .")),
+])  # fmt: skip
 def test_commands_load_nothing_from_where_they_run(tmp_path, library, loaded, command):
     """In processes of their own, whose Mitsuba has loaded no plugin yet."""
     scene_of(tmp_path)
     for name in ("ply", "perspective", "hdrfilm", "prb"):
         plant(library, tmp_path / "plugins" / f"{name}.so")
-    done = _svu(tmp_path, *command.split())
+    done = python("-P", "-c", PROGRAM, *command.split(), cwd=tmp_path)
     assert not loaded.exists()
     assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
 
 
+@pytest.mark.slow
 def test_the_doctor_runs_nothing_from_where_it_is_asked(tmp_path, library, loaded):
     for name in ("direct", "constant", "sphere", "perspective"):
         plant(library, tmp_path / "plugins" / f"{name}.so")
     for name in ("mitsuba", "svu_mi", "numpy"):
         (tmp_path / f"{name}.py").write_text(f"open({str(loaded)!r}, 'w')")
-    done = _svu(tmp_path, "doctor")
+    done = python("-P", "-c", PROGRAM, "doctor", cwd=tmp_path)
     assert not loaded.exists()
     assert "mean 1.0" in done.stdout + done.stderr
-
-
-def _svu(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run the installed program; ``python -m`` would put the folder on Python's own path."""
-    program = "import sys; from svu_mi.cli.main import main; sys.exit(main())"
-    command = [sys.executable, "-P", "-c", program, *words]
-    return subprocess.run(
-        command, cwd=folder, env=dict(os.environ), capture_output=True, text=True, check=False
-    )

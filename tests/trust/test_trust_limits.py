@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import time
-from types import SimpleNamespace
 
 import mitsuba as mi
 import numpy as np
@@ -14,35 +13,31 @@ from helpers import fails, sensor_xml, write_scene
 
 from svu_mi import limits, scenes
 from svu_mi.capture import render_capture
-from svu_mi.capture.folder import Description
 from svu_mi.capture.images import read_photographs
-from svu_mi.capture.poses import sphere_sensors
 from svu_mi.capture.scene import load_scene
 from svu_mi.errors import CaptureError, OptionError, SceneError
-from svu_mi.exr import exr_size, read_exr, write_exr
+from svu_mi.exr import read_exr, read_header, write_exr
 from svu_mi.light.environment import radiance_from, read_environment
 from svu_mi.light.grid import grid_size
-from svu_mi.output.overview import _hatch
-from svu_mi.output.style import new_figure
 
 SECONDS = 8  # a refusal, on a busy machine
 VASE = scenes.path("vase")
 ABSURD = [
-    (("render", VASE, "--views", 10**9), r"--views: there may be 16384 at most, got 10+; leave"),
+    (("render", VASE, "--views", 10**9), r"--views: at most 10000 are supported, got 10+; leave"),
     (("render", VASE, "--views", 1, "--resolution", 10**6), "film must be 1 to 65536 per side"),
     (("render", VASE, "--spp", 10**9), "spp must be at most 65535|spp must be at most 16383"),
     (("render", VASE, "--spp", 10**12), r"--spp must be at least 1 and below 2\^32, got 10+\."),
-    (("guide", "SHOT", "--candidates", 10**9), "--candidates: there may be 16384 at most"),
+    (("guide", "SHOT", "--candidates", 10**9), "--candidates: at most 10000 are supported"),
     (("guide", "SHOT", "--hypotheses", 10**9), r"hypotheses must be in \[1, 4096\]"),
     *(
         ((command, "SHOT", "--resolution", *size), words)
         for command in ("entropy", "recover", "report", "guide")
         for size, words in (
-            ([10**6], "takes 2 to 16384 texels per side, got 1000000 x 1000000"),
-            ([1, 300], "takes 2 to 16384 texels per side, got 1 x 300"),
+            ([10**6], "must be 2 to 16384 texels per side, got 1000000 x 1000000"),
+            ([1, 300], "must be 2 to 16384 texels per side, got 1 x 300"),
         )
     ),
-    (("view", "SHOT", "--resolution", 1, 300), "takes 2 to 16384 texels per side"),
+    (("view", "SHOT", "--resolution", 1, 300), "must be 2 to 16384 texels per side"),
 ]
 
 
@@ -64,14 +59,14 @@ def test_absurd_options_are_refused_at_once(words, says, shot, tmp_path, capsys)
 def test_texels_are_held_against_the_memory(monkeypatch, shot, tmp_path, capsys):
     free(monkeypatch, 4 * 10**9)
     line = fails(capsys, "entropy", shot, "--resolution", 8192, "-o", tmp_path / "out")
-    assert "8192 x 8192 texels take at least 68.7 GB of memory, but 4 GB are free; give few" in line
+    assert "8192 x 8192 texels take at least 68.7 GB of memory, but only 4 GB are free; use" in line
 
 
 def test_a_scene_with_80000_sensors_is_refused_unread(tmp_path, capsys):
     path = write_scene(tmp_path, sensors=sensor_xml(1) * 80_000)
     begin = time.perf_counter()
     line = fails(capsys, "entropy", path, "-o", tmp_path / "out")
-    assert "sensors: there may be 16384 at most, got 80000" in line
+    assert "sensors: at most 10000 are supported, got 80000" in line
     assert time.perf_counter() - begin < SECONDS
 
 
@@ -81,13 +76,8 @@ def test_sensors_are_counted_wherever_they_are_and_nowhere_else(tmp_path):
     more = f'<scene version="3.0.0">{sensor_xml(1) * 20_000}</scene>'
     (tmp_path / "more.xml").write_text(more, encoding="utf-16")
     path = write_scene(tmp_path, extra='<include filename="more.xml"/>')
-    with pytest.raises(SceneError, match="sensors: there may be 16384 at most, got 20003"):
+    with pytest.raises(SceneError, match="sensors: at most 10000 are supported, got 20003"):
         load_scene(path)
-
-
-def test_a_capture_with_80000_sensors_is_refused_unread(tmp_path):
-    with pytest.raises(CaptureError, match="capture.json: sensors: there may be 16384 at most"):
-        Description(sensors=[{}] * 80_000).make_sensors(tmp_path)
 
 
 def huge(tmp_path, side: int, count: int = 3):
@@ -102,7 +92,7 @@ def test_films_that_no_kernel_takes_are_not_rendered(tmp_path):
 def test_forty_films_of_20000_pixels_are_not_rendered(monkeypatch, tmp_path):
     free(monkeypatch, 24 * 10**9)
     with pytest.raises(CaptureError, match=r"40 photographs of up to 20000 x 20000 pixels take at "
-                                           r"least 296 GB of memory, but 24 GB are free; make the"):
+                                           r"least 296 GB of memory, but only 24 GB are free; m"):
         render_capture(huge(tmp_path, 20_000, 40), 1)
 
 
@@ -125,17 +115,12 @@ def test_a_wrong_film_is_told_before_memory_is_taken(tmp_path):
         read_photographs([tmp_path / "view_0000.exr"], [(60_000, 60_000)], [1.0])
 
 
-def test_sensors_around_an_object_are_counted():
-    with pytest.raises(OptionError, match="there may be 16384 at most, got 20000"):
-        sphere_sensors(None, 20_000, (8, 8))
-
-
 def map_of(width: int, height: int):
     pixels = np.random.default_rng(5).random((height, width, 3)).astype(np.float32) + 0.1
     return mi.load_dict({"type": "envmap", "bitmap": mi.Bitmap(pixels)})
 
 
-@pytest.mark.parametrize("size", [(1, 1), (2, 1), (4096, 1), (16384, 2), (1, 4096), (1, 300)])
+@pytest.mark.parametrize("size", [(1, 1), (4096, 1), (1, 4096), (1, 300)])
 def test_maps_of_odd_sizes_are_quick(size):
     """4096 x 1 was sampled 65 times finer on both sides: 35 million nodes."""
     emitter = map_of(*size)
@@ -155,12 +140,6 @@ def test_a_map_that_does_not_fit_into_memory_is_refused(monkeypatch):
     free(monkeypatch, 300_000)
     with pytest.raises(SceneError, match="64 x 32 pixels take at least 0.000369 GB of memory, but"):
         read_environment(emitter)
-
-
-def test_one_column_of_texels_can_be_drawn():
-    axes = new_figure(2, 2).add_subplot()
-    inside = np.array([[True], [False], [True]])
-    _hatch(axes, SimpleNamespace(inside=inside, unseen=np.array([True])))
 
 
 def part(name: str | None, channels, **header):
@@ -184,7 +163,7 @@ def test_a_deep_file_is_refused_by_its_header(tmp_path, capfd):
     with part(None, deep(), type=OpenEXR.deepscanline) as file:
         file.write(path)
     capfd.readouterr()
-    for read in (read_exr, exr_size):
+    for read in (read_exr, read_header):
         with pytest.raises(CaptureError, match="a deep EXR file; export it as a flat image"):
             read(path)
     assert capfd.readouterr() == ("", "")
@@ -194,7 +173,7 @@ def test_thousands_of_channels_are_refused(tmp_path):
     many = {f"c{k}": np.zeros((2, 2), np.float32) for k in range(3000)}
     with part(None, many | colors(2)) as file:
         file.write(str(tmp_path / "many.exr"))
-    with pytest.raises(CaptureError, match="has 3003 channels, but 1024 are the most; export its"):
+    with pytest.raises(CaptureError, match="has 3003 channels, more than 1024; export its"):
         read_exr(tmp_path / "many.exr")
 
 
@@ -217,7 +196,7 @@ def test_all_parts_are_held_against_the_memory(tmp_path, monkeypatch):
     with OpenEXR.File(parts) as file:
         file.write(str(tmp_path / "parts.exr"))
     free(monkeypatch, 300_000)
-    with pytest.raises(CaptureError, match="values take at least .* export its colours alone"):
+    with pytest.raises(CaptureError, match="values take at least .* export its colours only"):
         read_exr(tmp_path / "parts.exr")
 
 

@@ -5,23 +5,22 @@ from __future__ import annotations
 import json
 import logging
 import os
+import re
 import resource
 import struct
-import subprocess
-import sys
 import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import ball, sensor_xml, write_ball, write_scene
+from helpers import ball, python, sensor_xml, write_ball, write_scene
 
 from svu_mi.capture.loading import load_capture
 from svu_mi.capture.mesh import MeshArrays, arrays, make, read_ply, write_ply
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
 from svu_mi.cli.main import main
-from svu_mi.errors import MeshError, OutputError, SceneError
+from svu_mi.errors import OutputError, SceneError
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int64)
@@ -66,15 +65,15 @@ def obj(last: str) -> bytes:
 
 
 DAMAGED = {
-    "corner.ply": (ply(WRONG), "a corner that there is not"),
-    "next.ply": (ply(np.where(FACES == 3, 4, FACES)), r"a corner .* \(vertex 4 of 4\); export"),
-    "none.ply": (ply(vertices=0), "cannot be read|a corner that"),
+    "corner.ply": (ply(WRONG), "refers to vertex"),
+    "next.ply": (ply(np.where(FACES == 3, 4, FACES)), r"vertex 4, .* \(4 vertices\); export"),
+    "none.ply": (ply(vertices=0), "cannot be read|refers to vertex"),
     "cut.ply": (ply()[:-20], "cannot be read: "),
     "many.ply": (ply(count=2**32 + 4), "cannot be read: "),
     "huge.ply": (ply(vertices=10**15), "cannot be read: "),
     "nan.ply": (ply().replace(CORNERS.tobytes()[:4], b"\0\0\xc0\x7f"), "invalid vertex position"),
     "empty.ply": (b"", "cannot be read: "),
-    "corner.serialized": (serialized(WRONG), "a corner that there is not"),
+    "corner.serialized": (serialized(WRONG), "refers to vertex"),
     "huge.serialized": (serialized(count=10**15), "cannot be read: "),
     "cut.serialized": (serialized()[:30], "cannot be read: "),
     "corner.obj": (obj("1 2 9999999"), "invalid vertex 9999999"),
@@ -92,19 +91,12 @@ def test_damaged_meshes_of_a_scene_are_refused_in_one_sentence(tmp_path):
         kind = name.split(".")[1]
         shape = f'<shape type="{kind}"><string name="filename" value="{name}"/></shape>'
         paths[-1].write_text(f'<scene version="3.0.0">{shape}</scene>')
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *map(str, paths)], capture_output=True, text=True,
-        check=False,
-    )  # fmt: skip
+    done = python("-c", PROGRAM, *paths)
     said = [json.loads(line) for line in done.stdout.splitlines()]
     assert done.returncode == 0, (paths[len(said)], done.stderr)
     for path, text, (name, (_, pattern)) in zip(paths, said, DAMAGED.items(), strict=True):
         assert text.startswith(f"{path}: ") and name in text.removeprefix(str(path))
-        pytest.raises(SceneError, _raise, text).match(pattern)
-
-
-def _raise(text: str) -> None:
-    raise SceneError(text)
+        assert re.search(pattern, text), text
 
 
 INSIDE = '<string name="filename" value="$file"/>'
@@ -126,7 +118,7 @@ def test_a_mesh_is_found_wherever_it_is_named(tmp_path, place):
     (tmp_path / "more.xml").write_text(more)
     (tmp_path / "far").mkdir()
     (tmp_path / ("far" if place == "a path" else ".") / "bad.ply").write_bytes(ply(WRONG))
-    with pytest.raises(SceneError, match=r"bad\.ply: a face has a corner"):
+    with pytest.raises(SceneError, match=r"bad\.ply: a face refers to"):
         load_scene(path)
     assert load_scene(path, {"file": "ball.ply"}).shapes()
 
@@ -134,10 +126,10 @@ def test_a_mesh_is_found_wherever_it_is_named(tmp_path, place):
 @pytest.mark.parametrize("depth", [600, 100_000])
 def test_elements_nested_without_end_are_refused(tmp_path, depth):
     words = '<bsdf type="twosided">' * depth + "</bsdf>" * depth
-    with pytest.raises(SceneError, match=r"scene\.xml: more than 500 elements are nested"):
+    with pytest.raises(SceneError, match=r"scene\.xml: elements are nested more than 500 deep"):
         load_scene(write_scene(tmp_path, extra=words))
     (tmp_path / "more.xml").write_text(f'<scene version="3.0.0">{words}</scene>')
-    with pytest.raises(SceneError, match=r"more\.xml: more than 500 elements are nested"):
+    with pytest.raises(SceneError, match=r"more\.xml: elements are nested more than 500 deep"):
         load_scene(write_scene(tmp_path, extra='<include filename="more.xml"/>'))
 
 
@@ -150,7 +142,7 @@ def test_xml_that_another_parser_would_refuse_is_refused(tmp_path, words):
     deep = '<bsdf type="twosided">' * 600 + "</bsdf>" * 600
     path = write_scene(tmp_path, extra=words + deep)
     path.write_bytes(path.read_text().encode("latin-1"))
-    with pytest.raises(SceneError, match=r"scene\.xml: no sound XML \("):
+    with pytest.raises(SceneError, match=r"scene\.xml: not well-formed XML \("):
         load_scene(path)
 
 
@@ -159,10 +151,10 @@ def test_what_is_included_by_a_parameter_is_looked_through(tmp_path):
     (tmp_path / "more.xml").write_text(f'<scene version="3.0.0">{deep}</scene>')
     words = '<default name="f" value="less"/><include filename="$f.xml"/>'
     path = write_scene(tmp_path, extra=words)
-    with pytest.raises(SceneError, match=r"more\.xml: more than 500 elements are nested"):
+    with pytest.raises(SceneError, match=r"more\.xml: elements are nested more than 500 deep"):
         load_scene(path, {"f": "more"})
     os.mkfifo(tmp_path / "less.xml")
-    with pytest.raises(SceneError, match="less.xml, which is no file"):
+    with pytest.raises(SceneError, match="less.xml, which is not a file"):
         load_scene(path)
 
 
@@ -177,7 +169,7 @@ def test_what_is_included_by_a_parameter_is_looked_through(tmp_path):
 )
 def test_a_pipe_is_not_waited_for(tmp_path, words):
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(SceneError, match="pipe,? (which )?is no file"):
+    with pytest.raises(SceneError, match="pipe, which is not a file"):
         load_scene(write_scene(tmp_path, extra=words))
 
 
@@ -187,7 +179,7 @@ def test_commands_refuse_a_damaged_mesh(tmp_path, capsys, command):
     (tmp_path / "ball.ply").write_bytes(ply(WRONG))
     assert main([command, str(path), "-o", str(tmp_path / "out")]) == 2
     error = capsys.readouterr().err
-    assert "ball.ply: a face has a corner that there is not" in error and error.count("\n") == 1
+    assert "ball.ply: a face refers to vertex" in error and error.count("\n") == 1
 
 
 def bare(**changes: object) -> object:
@@ -207,7 +199,11 @@ def spoilt(folder: Path, **changes: np.ndarray) -> None:
 
 
 def test_uvs_that_were_kept_are_taken_again(tmp_path, caplog):
+    """The mesh's own normals are taken, whatever those in the file are."""
     first = arrays(unwrapped(bare(), tmp_path))
+    header = (tmp_path / UNWRAPPED).read_bytes().partition(b"end_header")[0]
+    assert b"\ncomment svu_mi unwrapped " in header and b" xatlas " in header
+    spoilt(tmp_path, normals=np.full_like(first.positions, np.nan))
     written = (tmp_path / UNWRAPPED).stat()
     again = arrays(unwrapped(bare(), tmp_path))
     for name in ("positions", "faces", "normals", "uvs"):
@@ -226,64 +222,45 @@ def test_other_normals_are_another_mesh(tmp_path, caplog):
     unwrapped(bare(), tmp_path)
     turned = np.roll(ball(12, 6).normals, 1, axis=1)
     found = arrays(unwrapped(bare(normals=turned), tmp_path))
-    assert "belongs to another mesh, or was changed; it is made again." in caplog.text
+    assert "belongs to another mesh, or was changed; the mesh is unwrapped again." in caplog.text
     source = arrays(bare(normals=turned))
     np.testing.assert_array_equal(found.normals[found.faces], source.normals[source.faces])
 
 
-@pytest.mark.parametrize(
-    "change, reason",
-    [
-        ("faces", "a corner that there is not"), ("moved", "was changed"), ("uvs", "finite UVs"),
-        ("no uvs", "no finite UVs"), ("shift", "was changed"), ("cut", "cannot be read"),
-        ("comment", "was changed"), ("garbage", "cannot be read"), ("pipe", "is no file"),
-    ],
-)  # fmt: skip
-def test_a_damaged_unwrapping_is_made_again(tmp_path, caplog, change, reason):
+def rewritten(change):
+    """Return what changes the bytes of a file."""
+    return lambda path: path.write_bytes(change(path.read_bytes()))
+
+
+def piped(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+SPOILT = {
+    "moved": (lambda path: spoilt(path.parent, faces=read_ply(path).faces[::-1]), "was changed"),
+    "NaN": (lambda path: spoilt(path.parent, uvs=read_ply(path).uvs + np.nan), "no finite UVs"),
+    "no uvs": (lambda path: spoilt(path.parent, uvs=None), "no finite UVs"),
+    "shift": (lambda path: spoilt(path.parent, uvs=read_ply(path).uvs + 0.01), "was changed"),
+    "corner": (rewritten(lambda data: data[:-4] + struct.pack("<I", 2**30)), "refers to vertex"),
+    "cut": (rewritten(lambda data: data[:-10]), "cannot be read"),
+    "comment": (rewritten(lambda data: data.replace(b"unwrapped", b"something")), "was changed"),
+    "garbage": (rewritten(lambda _: b"<html>not found</html>"), "cannot be read"),
+    "pipe": (piped, "is not a file"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("spoil", "reason"), SPOILT.values(), ids=SPOILT)
+def test_a_damaged_unwrapping_is_made_again(tmp_path, caplog, spoil, reason):
     good = arrays(unwrapped(bare(), tmp_path))
-    path, found = tmp_path / UNWRAPPED, read_ply(tmp_path / UNWRAPPED)
+    path = tmp_path / UNWRAPPED
     data = path.read_bytes()
-    match change:
-        case "faces":
-            spoilt(tmp_path)
-            path.write_bytes(path.read_bytes()[:-4] + struct.pack("<I", 2**30))
-        case "moved":
-            spoilt(tmp_path, faces=found.faces[::-1])
-        case "uvs":
-            spoilt(tmp_path, uvs=np.full_like(found.uvs, np.nan))
-        case "no uvs":
-            spoilt(tmp_path, uvs=None)
-        case "shift":
-            spoilt(tmp_path, uvs=found.uvs + 0.01)
-        case "cut":
-            path.write_bytes(data[:-10])
-        case "comment":
-            path.write_bytes(data.replace(b"unwrapped", b"something"))
-        case "garbage":
-            path.write_bytes(b"<html>not found</html>")
-        case "pipe":
-            path.unlink()
-            os.mkfifo(path)
+    spoil(path)
     with caplog.at_level(logging.WARNING):
         again = arrays(unwrapped(bare(), tmp_path))
     assert reason in caplog.text and f"{path}" in caplog.text
     np.testing.assert_array_equal(again.uvs, good.uvs)
     assert path.read_bytes() == data
-
-
-def test_the_file_says_which_xatlas_made_it(tmp_path):
-    unwrapped(bare(), tmp_path)
-    header = (tmp_path / UNWRAPPED).read_bytes().partition(b"end_header")[0]
-    assert b"\ncomment svu_mi unwrapped " in header and b" xatlas " in header
-
-
-def test_normals_in_the_file_do_not_matter(tmp_path, caplog):
-    good = arrays(unwrapped(bare(), tmp_path))
-    found = read_ply(tmp_path / UNWRAPPED)
-    spoilt(tmp_path, normals=np.full_like(found.positions, np.nan))
-    again = arrays(unwrapped(bare(), tmp_path))
-    np.testing.assert_array_equal(again.normals, good.normals)
-    assert not caplog.records
 
 
 def test_a_full_disk_is_noticed_while_a_mesh_is_written(tmp_path):
@@ -299,9 +276,3 @@ def test_a_full_disk_is_noticed_while_a_mesh_is_written(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert [path.name for path in tmp_path.iterdir()] == ["ball.ply"]
     assert (tmp_path / "ball.ply").read_bytes() == before
-
-
-def test_a_ply_that_is_read_is_checked(tmp_path):
-    (tmp_path / "bad.ply").write_bytes(ply(WRONG))
-    with pytest.raises(MeshError, match=r"bad\.ply: a face has a corner that there is not"):
-        read_ply(tmp_path / "bad.ply")

@@ -15,9 +15,9 @@ from helpers import fails, names, run, write_scene
 from svu_mi.capture import loading
 from svu_mi.errors import CaptureError, SvuWarning
 from svu_mi.export.reading import load_asset
-from svu_mi.exr import read_attributes, write_exr
-from svu_mi.files import replacing
-from svu_mi.results.reading import marks_of
+from svu_mi.exr import read_header, write_exr
+from svu_mi.files import replacing, stamp, stamped, write_json
+from svu_mi.results.reading import are_of_one_capture, marks_of, require_one_run
 
 SMALL = ("--resolution", 16)
 
@@ -52,7 +52,7 @@ def test_every_file_of_a_result_has_the_id_of_its_run(made):
         assert marks_of(folder / name) == (entry["run"], entry["capture"]), name
     found = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
     assert found == sorted([*entry["files"], "run.json"])
-    assert read_attributes(made / "a" / "shot" / "view_0000.exr")["svu:run"]
+    assert read_header(made / "a" / "shot" / "view_0000.exr").attributes["svu:run"]
 
 
 @pytest.mark.parametrize(
@@ -61,22 +61,22 @@ def test_every_file_of_a_result_has_the_id_of_its_run(made):
 def test_a_file_of_another_run_is_refused(made, result, tmp_path, capsys, name):
     shutil.copy(made / "b" / "r" / name, result / name)
     line = fails(capsys, "export", result, "-o", tmp_path / "asset")
-    assert f"base_color.exr and {name} are of different runs; take both from one" in line
+    assert f"base_color.exr and {name} come from different runs; take both from one" in line
     assert names(tmp_path) == ["r"]
     if name.endswith(".exr") or name == "run.json":
         words = ("report", made / "a" / "shot", *SMALL, "--recovered", result)
-        assert "are of different runs" in fails(capsys, *words, "-o", tmp_path / "page.html")
+        assert "come from different runs" in fails(capsys, *words, "-o", tmp_path / "page.html")
 
 
 def test_maps_of_another_capture_are_refused(made, result, tmp_path, capsys):
     other = made / "b" / "e"
     shutil.copy(other / "coverage.exr", result / "coverage.exr")
     line = fails(capsys, "export", result, "-o", tmp_path / "asset")
-    assert "entropy.exr and coverage.exr are of different runs" in line
+    assert "entropy.exr and coverage.exr come from different runs" in line
     shutil.copy(other / "entropy.exr", result / "entropy.exr")
     line = fails(capsys, "export", result, "-o", tmp_path / "asset")
-    assert "entropy.exr: is about another capture than" in line
-    with pytest.warns(SvuWarning, match="is about another capture"):  # as asked for
+    assert "entropy.exr: comes from another capture than" in line
+    with pytest.warns(SvuWarning, match="comes from another capture"):  # as asked for
         load_asset(result, other)
     assert run("export", result, "--entropy", made / "a" / "e", "-o", tmp_path / "asset") == 0
 
@@ -84,20 +84,20 @@ def test_maps_of_another_capture_are_refused(made, result, tmp_path, capsys):
 def test_a_file_that_is_missing_is_named(made, result, tmp_path, capsys):
     (result / "metallic.exr").unlink()
     line = fails(capsys, "export", result, "-o", tmp_path / "asset")
-    assert "has no metallic.exr, which svu recover had written; run it again" in line
+    assert "has no metallic.exr, which svu recover wrote; run it again" in line
 
 
 def test_a_capture_that_was_moved_without_its_scene_says_so(made, tmp_path, capsys):
     shutil.copytree(made / "a" / "shot", tmp_path / "far" / "away")
     line = fails(capsys, "entropy", tmp_path / "far" / "away", "-o", tmp_path / "out")
-    assert "capture.json: its scene" in line and "is not there; bring it along" in line
+    assert "capture.json: its scene" in line and "does not exist; copy it there" in line
 
 
 def test_a_photograph_of_another_run_is_refused(made, tmp_path, capsys):
     shot = shutil.copytree(made / "a" / "shot", made / "a" / "mixed")
     shutil.copy(made / "b" / "shot" / "view_0001.exr", shot / "view_0001.exr")
     line = fails(capsys, "entropy", shot, *SMALL, "-o", tmp_path / "out")
-    assert "view_0001.exr: is of another run than capture.json beside it" in line
+    assert "view_0001.exr: comes from another run than capture.json beside it" in line
     write_exr(shot / "view_0001.exr", {"RGB": np.full((24, 24, 3), 0.5)})  # one's own
     assert run("entropy", shot, *SMALL, "-o", tmp_path / "out") == 0
 
@@ -105,7 +105,7 @@ def test_a_photograph_of_another_run_is_refused(made, tmp_path, capsys):
 def test_a_capture_that_is_exchanged_while_it_is_read_is_refused(made, monkeypatch):
     shot = shutil.copytree(made / "a" / "shot", made / "a" / "exchanged")
 
-    read = loading._photographs
+    read = loading.read_photographs
 
     def exchange(*arguments):
         found = read(*arguments)
@@ -113,8 +113,8 @@ def test_a_capture_that_is_exchanged_while_it_is_read_is_refused(made, monkeypat
         return found
 
     with monkeypatch.context() as patch:
-        patch.setattr(loading, "_photographs", exchange)
-        with pytest.raises(CaptureError, match="was written anew while it was read; load it again"):
+        patch.setattr(loading, "read_photographs", exchange)
+        with pytest.raises(CaptureError, match="changed while it was being read; load it again"):
             loading.load_capture(shot)
 
 
@@ -131,6 +131,7 @@ def test_textures_made_by_hand_are_anybody_s(result, tmp_path):
     assert run("export", result, "-o", tmp_path / "asset") == 0
 
 
+@pytest.mark.slow
 def test_a_page_clears_what_a_killed_one_has_left(made, tmp_path):
     with replacing(tmp_path / "report.html") as temporary:
         name = temporary.name
@@ -140,6 +141,37 @@ def test_a_page_clears_what_a_killed_one_has_left(made, tmp_path):
     stale.write_text("half")
     assert run("report", made / "a" / "shot", *SMALL, "-o", tmp_path / "report.html") == 0
     assert names(tmp_path) == ["report.html"]
+
+
+def test_files_have_the_marks_of_their_run(tmp_path):
+    with stamped({"svu:run": "12ab", "svu:capture": "34cd"}):
+        write_exr(tmp_path / "a.exr", {"Y": np.zeros((2, 2))}, {"svu:method": "sh"})
+        (tmp_path / "a.xml").write_text(f"<!-- {' '.join(f'{k}={v}' for k, v in stamp().items())}")
+    write_exr(tmp_path / "b.exr", {"Y": np.zeros((2, 2))})
+    assert read_header(tmp_path / "a.exr").attributes["svu:method"] == "sh"
+    assert marks_of(tmp_path / "a.exr") == marks_of(tmp_path / "a.xml") == ("12ab", "34cd")
+    assert marks_of(tmp_path / "b.exr") == ("", "")
+
+
+def test_readers_refuse_files_of_two_runs(tmp_path):
+    def marked(name: str, run: str, capture: str = "") -> None:
+        with stamped({"svu:run": run, "svu:capture": capture}):
+            write_exr(tmp_path / name, {"Y": np.zeros((2, 2))})
+
+    marked("a.exr", "12ab", "01")
+    marked("b.exr", "12ab", "01")
+    write_exr(tmp_path / "mine.exr", {"Y": np.zeros((2, 2))})
+    files = ["a.exr", "b.exr", "mine.exr"]
+    require_one_run(tmp_path, files, "run.json", "recover")
+    marked("b.exr", "34cd", "02")
+    with pytest.raises(CaptureError, match=r"a.exr and b.exr come from different runs; take both"):
+        require_one_run(tmp_path, files, "run.json", "recover")
+    assert not are_of_one_capture(tmp_path / "a.exr", tmp_path / "b.exr")
+    assert are_of_one_capture(tmp_path / "a.exr", tmp_path / "mine.exr")
+    entry = {"run": "56ef", "command": "recover", "capture": "", "files": {}}
+    write_json(tmp_path / "run.json", {"written": entry})
+    with pytest.raises(CaptureError, match=r"a.exr and run.json come from different runs"):
+        require_one_run(tmp_path, ["a.exr"], "run.json", "recover")
 
 
 # --- photographs of others ----------------------------------------------------------------

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import zlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from svu_mi.bench.captures import chosen_views
+from svu_mi.bench.experiment import OnCell, Record
 from svu_mi.bench.sizes import GuidanceSizes
 from svu_mi.bench.truth import Truth
 from svu_mi.capture import Capture
@@ -21,28 +23,92 @@ from svu_mi.guidance.strategies import TABLE
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.recovery.recover import recover
-from svu_mi.surface import Texels
-
-Record = dict[str, Any]
+from svu_mi.surface import Texels, texels
 
 
 @dataclass(frozen=True)
-class Shoot:
+class Strategy:
+    """A way of choosing views, by its name in the table of strategies."""
+
+    label: str
+
+
+@dataclass(frozen=True)
+class Shoot(OnCell):
     """A photographer who has photographed everything, and lets strategies choose.
 
     Attributes:
-        capture: all views, each with its photograph.
-        grid: texels of the textures.
-        sizes: of the benchmark.
-        seed: of the start, and of the random strategy.
-        kind: of the start, see ``Sizes``.
+        number: of the start; each has random views of its own.
+        kind: of the start, see ``GuidanceSizes``.
     """
 
-    capture: Capture
-    grid: Texels
-    sizes: GuidanceSizes
-    seed: int
+    number: int
     kind: str = "even"
+
+    @property
+    def name(self) -> str:
+        return f"{self.cell.name}/{self.kind}_{self.number}"
+
+    @property
+    def title(self) -> str:
+        return f"{self.cell.title}, {self.kind} start {self.number}"
+
+    @property
+    def rows(self) -> Sequence[Strategy]:
+        return [Strategy(name) for name in self.sizes.strategies]
+
+    @property
+    def sizes(self) -> GuidanceSizes:
+        """How large everything is, beside the photographs."""
+        return self.bench.sizes.guidance
+
+    @property
+    def seed(self) -> int:
+        """Of the start, and of the random strategy: no two cells share their luck."""
+        return zlib.crc32(f"{self.cell.name} {self.number}".encode())
+
+    def settings(self, row: Strategy | None) -> Any:
+        size = self.bench.sizes
+        return (
+            str(self.cell.scene), self.cell.defines, self.kind, self.number,
+            (size.views, size.film, size.spp, size.seed), asdict(self.sizes),
+            row and row.label,
+        )  # fmt: skip
+
+    def head(self) -> Record:
+        """Return ``cell``, ``object``, ``kind``, ``start``, ``first``: what ``judge`` says of it,
+        and ``agreement`` of forecasts."""
+        return {
+            "cell": self.cell.title, "object": self.cell.object, "kind": self.kind,
+            "start": self.start, "first": self.first, "agreement": self.agreement(),
+        }  # fmt: skip
+
+    def measure(self, row: Strategy) -> Record:
+        """Return the ``order`` of a strategy, and per mark what ``judge`` says, as lists."""
+        order = self.order(row.label)
+        marks = self.sizes.marks
+        points = [self.first, *(self.judge(self.start + order[:mark]) for mark in marks)]
+        return {
+            "order": order,
+            "psnr": [point["psnr"]["average"] for point in points],
+            "entropy": [point["entropy"] for point in points],
+            "parameters": {name: [point["psnr"][name] for point in points] for name in NAMES},
+        }
+
+    @cached_property
+    def capture(self) -> Capture:
+        """All views, each with its photograph."""
+        return self.bench.capture(self.cell)
+
+    @cached_property
+    def grid(self) -> Texels:
+        """Texels of the textures."""
+        return texels(self.capture.mesh, self.sizes.texels)
+
+    @cached_property
+    def first(self) -> Record:
+        """What ``judge`` says of the start."""
+        return self.judge(self.start)
 
     @cached_property
     def start(self) -> list[int]:
@@ -68,7 +134,7 @@ class Shoot:
     def order(self, strategy: str) -> list[int]:
         """Return the views that a strategy adds to the start, in order.
 
-        After each, it has the photograph: what it forecasts from is estimated anew. Others know
+        After each, it has the photograph: what it forecasts from is estimated again. Others know
         their order at once.
         """
         count = max(self.sizes.marks)
@@ -118,25 +184,6 @@ class Shoot:
             "gains": gains.tolist(), "changes": changes,
             "correlation": float(np.corrcoef(gains, changes)[0, 1]),
         }  # fmt: skip
-
-    def curve(self, strategy: str, start: Record) -> Record:
-        """Return the ``order`` of a strategy, and per mark what ``judge`` says, as lists."""
-        order = self.order(strategy)
-        points = [start, *(self.judge(self.start + order[:mark]) for mark in self.sizes.marks)]
-        return {
-            "order": order,
-            "psnr": [point["psnr"]["average"] for point in points],
-            "entropy": [point["entropy"] for point in points],
-            "parameters": {
-                name: [point["psnr"][name] for point in points] for name in NAMES
-            },
-        }  # fmt: skip
-
-    def curves(self) -> Iterator[tuple[str, Record]]:
-        """Yield the curve of every strategy."""
-        start = self.judge(self.start)
-        for strategy in self.sizes.strategies:
-            yield strategy, self.curve(strategy, start)
 
     def _farthest(self, views: list[int], count: int) -> list[int]:
         """Return views, and ``count`` more by farthest-point sampling."""

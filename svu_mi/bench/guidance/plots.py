@@ -2,47 +2,35 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from svu_mi.bench.experiment import Record
 from svu_mi.bench.guidance.verdict import object_curves
-from svu_mi.bench.plots import COLORS, INK, MARKS, page, save, tidy
+from svu_mi.bench.plots import COLORS, INK, MARKS, page, tidy
+from svu_mi.bench.sizes import GuidanceSizes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-Record = dict[str, Any]
-
-
-def draw_guidance(folder: Path, record: Record) -> list[Path]:
-    """Write ``guidance.png``, unless there is nothing to show.
-
-    Args:
-        folder: of the file.
-        record: what ``run_guidance`` returns.
-
-    Returns:
-        The files written.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
-    if not record["runs"]:
-        return []
+def draw_guidance(found: Record) -> Figure:
+    """Draw both curves of every strategy, from the records of all benchmarks."""
+    runs, sizes = found["guidance"]["cells"], found["guidance"]["sizes"].guidance
     figure = page(12.0, 4.6)
     left, right = figure.subplots(1, 2)
-    _curves(left, record, "psnr", "average texture PSNR over the start's (dB)")
-    left.axhline(record["sizes"].step, color=INK, linewidth=0.6, linestyle=":")
-    _curves(right, record, "entropy", "mean entropy, relative to the start's")
+    _curves(left, runs, sizes, "psnr", "average texture PSNR over the start's (dB)")
+    left.axhline(sizes.step, color=INK, linewidth=0.6, linestyle=":")
+    _curves(right, runs, sizes, "entropy", "mean entropy, relative to the start's")
     left.legend(frameon=False, fontsize=8)
-    return [save(figure, folder, "guidance")]
+    return figure
 
 
-def _curves(axes: Axes, record: Record, name: str, label: str) -> None:
+def _curves(
+    axes: Axes, runs: list[Record], sizes: GuidanceSizes, name: str, label: str
+) -> None:
     """Mean over objects, and its standard error as a band."""
-    runs, sizes = record["runs"], record["sizes"]
     places = [0, *sizes.marks]
     for k, strategy in enumerate(sizes.strategies):
         color, mark = COLORS[k % len(COLORS)], MARKS[k % len(MARKS)]

@@ -1,76 +1,63 @@
-"""What ``run_guidance`` found, as Markdown tables."""
+"""What the guidance benchmark found, as Markdown tables."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from svu_mi.bench.bars import bar_table
-from svu_mi.bench.failures import left_out
+from svu_mi.bench.experiment import Record
 from svu_mi.bench.guidance.verdict import compare, mean_curve, mean_gain, views_needed
-from svu_mi.bench.text import number, seconds, table
+from svu_mi.bench.sizes import GuidanceSizes
+from svu_mi.bench.text import Column, columns, number, table
 
-Record = dict[str, Any]
+COMPARED = (
+    Column("strategy", lambda found: found["strategy"]),
+    Column("over", lambda found: found["other"]),
+    Column("difference", lambda found: found["difference"], lambda value: f"{value:+.3f}"),
+    Column("p", lambda found: found["p"], lambda value: f"{value:.2g}"),
+    Column("better for", lambda found: f"{found['better']} of {found['objects']}"),
+)
 
 
-def guidance_tables(record: Record) -> str:
+def guidance_tables(record: Record) -> list[str]:
     """Return the tables of a record.
 
     Args:
-        record: what ``run_guidance`` returns.
+        record: of ``svu bench guidance``.
     """
-    parts = []
-    if record["bars"]:
-        parts += ["## Bars", bar_table(record["bars"])]
-    if record["quick"]:
-        parts.append("Quick sizes, which the bars are not meant for.")
-    if record["runs"]:
-        parts += _curves(record["runs"], record["sizes"])
-    if record["speed"]:
-        parts += _speed(record["speed"])
-    parts += left_out("Left out of guidance", record)
-    return "\n\n".join(parts)
-
-
-def _curves(runs: list[Record], sizes: Any) -> list[str]:
-    strategies, marks = sizes.strategies, sizes.marks
-    heads = ("strategy", *(f"+{mark}" for mark in marks), f"views for +{sizes.step:g} dB")
-    rows = [
+    runs, sizes = record["cells"], record["sizes"].guidance
+    if not runs:
+        return []
+    marks = [f"+{mark}" for mark in sizes.marks]
+    gains = [
         [s, *(f"{v:+.2f}" for v in mean_curve(runs, s)[1:]),
-         _needed(views_needed(marks, mean_curve(runs, s), sizes.step), marks)]
-        for s in strategies
+         _needed(views_needed(sizes.marks, mean_curve(runs, s), sizes.step), sizes)]
+        for s in sizes.strategies
     ]  # fmt: skip
-    bits = [[s, *(f"{v:+.3f}" for v in mean_curve(runs, s, "entropy")[1:])] for s in strategies]
+    entropies = [[s, *(f"{v:+.3f}" for v in mean_curve(runs, s, "entropy")[1:])]
+                 for s in sizes.strategies]  # fmt: skip
     parts = [
-        "## Views to photograph next",
         f"{len(runs)} starts of {sizes.start} photographs. Average texture PSNR, recovered by SH, "
         "above that of the start (dB), by the number of added views; means over objects. Texels "
         "that any view sees count, also before they are seen.",
-        table(heads, rows),
+        table(("strategy", *marks, f"views for +{sizes.step:g} dB"), gains),
         "Mean entropy, relative to the start's.",
-        table(("strategy", *(f"+{mark}" for mark in marks)), bits),
+        table(("strategy", *marks), entropies),
     ]
     for name, what in (("psnr", "PSNR (dB)"), ("entropy", "entropy (positive: lower)")):
-        rows = [
-            [f["strategy"], f["other"], f"{f['difference']:+.3f}", f"{f['p']:.2g}",
-             f"{f['better']} of {f['objects']}"]
-            for f in compare(runs, sizes, name)
-        ]  # fmt: skip
         parts += [
             f"Mean gain in {what} of one strategy over another; paired t-test over objects.",
-            table(("strategy", "over", "difference", "p", "better for"), rows),
+            columns(COMPARED, compare(runs, sizes, name)),
         ]
     return [*parts, *_cells(runs, sizes)]
 
 
-def _cells(runs: list[Record], sizes: Any) -> list[str]:
+def _cells(runs: list[Record], sizes: GuidanceSizes) -> list[str]:
     """Mean gain of PSNR in every cell, starts averaged."""
     rows = []
     for cell in dict.fromkeys(run["cell"] for run in runs):
         own = [run for run in runs if run["cell"] == cell]
         gains = [
-            np.mean([mean_gain(sizes.marks, run["curves"][s]["psnr"]) for run in own])
+            np.mean([mean_gain(sizes.marks, run["rows"][s]["psnr"]) for run in own])
             for s in sizes.strategies
         ]
         rows.append([cell, *(f"{gain:+.2f}" for gain in gains)])
@@ -78,26 +65,5 @@ def _cells(runs: list[Record], sizes: Any) -> list[str]:
             table(("cell", *sizes.strategies), rows)]  # fmt: skip
 
 
-def _speed(speed: Record) -> list[str]:
-    rows = [
-        [row["label"], point["candidates"], point["texels"], number(point["hypotheses"], 1),
-         seconds(point["prepare"]), seconds(point["first"]), seconds(point["later"])]
-        for row in speed["methods"] for point in row["points"]
-    ]  # fmt: skip
-    refit = speed["refitting"]
-    return [
-        "## Time per added view",
-        f"{speed['photographs']} photographs; warm, medians. Prepare: once, all views of all "
-        "texels; first: every candidate; later: what the view before has changed.",
-        table(("method", "candidates", "texels", "truths", "prepare", "first", "later"), rows),
-        f"Refitting one candidate for one truth takes {seconds(refit['seconds'])} (fits, spectra, "
-        f"posterior; kernels compiled); all {refit['evaluations']} would take "
-        f"{seconds(refit['seconds'] * refit['evaluations'])}, {refit['times']:.0f} times as long "
-        f"as the step by rank-1 changes ({seconds(refit['step'])}). With one fit per candidate, "
-        f"as spectra of truths follow from that of the light: {seconds(refit['once'])}, "
-        f"{refit['once'] / refit['step']:.0f} times as long.",
-    ]
-
-
-def _needed(value: float, marks: tuple[int, ...]) -> str:
-    return number(value, 1) if np.isfinite(value) else f"> {marks[-1]}"
+def _needed(value: float, sizes: GuidanceSizes) -> str:
+    return number(value, 1) if np.isfinite(value) else f"> {sizes.marks[-1]}"

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy import stats
 
-from svu_mi.bench.bars import Bar
+from svu_mi.bench.experiment import Record
 from svu_mi.bench.sizes import GuidanceSizes
+from svu_mi.bench.text import Bar
 
-Record = dict[str, Any]
 # Times as many views as the judged strategy that farthest-point sampling needs, by kind of start.
 FEWER = {"even": 1.4, "one-sided": 1.2}
 AGREES = 0.8  # mean correlation of forecasts with what photographs change
 LUCK = 0.01
-SECONDS, TIMES, LINEAR = 1.0, 200.0, 1.25  # per added view, over refitting, of the exponent
 
 
 def views_needed(marks: tuple[int, ...], psnr: list[float], step: float) -> float:
@@ -46,11 +43,11 @@ def mean_gain(marks: tuple[int, ...], values: list[float]) -> float:
 def object_curves(runs: list[Record], strategy: str, name: str = "psnr") -> np.ndarray:
     """Return a strategy's curve above the start, (objects, 1 + marks).
 
-    Starts and lights of one object are no independent samples: they are averaged.
+    Starts and lights of one object are not independent samples: they are averaged.
     """
     found: dict[str, list[np.ndarray]] = {}
     for run in runs:
-        curve = np.asarray(run["curves"][strategy][name])
+        curve = np.asarray(run["rows"][strategy][name])
         found.setdefault(run["object"], []).append(curve - curve[0])
     return np.array([np.mean(curves, axis=0) for curves in found.values()])
 
@@ -86,12 +83,6 @@ def compare(runs: list[Record], sizes: GuidanceSizes, name: str = "psnr") -> lis
     return found
 
 
-def find_bars(record: Record, sizes: GuidanceSizes) -> list[Record]:
-    """Return the bars that a record has figures for."""
-    bars = [*_curves(record["runs"], sizes), *_speed(record["speed"])]
-    return [bar.record() for bar in bars]
-
-
 def times_as_many(runs: list[Record], sizes: GuidanceSizes, first: str, other: str) -> float:
     """Return how many times as many views another strategy needs on the mean curve.
 
@@ -103,9 +94,13 @@ def times_as_many(runs: list[Record], sizes: GuidanceSizes, first: str, other: s
     return (sizes.marks[-1] if np.isnan(others) else others) / needed
 
 
-def _curves(runs: list[Record], sizes: GuidanceSizes) -> list[Bar]:
-    if not runs:
-        return []
+def find_bars(record: Record) -> list[Bar]:
+    """Return the bars that a record has figures for.
+
+    Args:
+        record: of ``svu bench guidance``.
+    """
+    runs, sizes = record["cells"], record["sizes"].guidance
     bars = []
     for kind in dict.fromkeys(run["kind"] for run in runs):
         own = [run for run in runs if run["kind"] == kind]
@@ -116,27 +111,10 @@ def _curves(runs: list[Record], sizes: GuidanceSizes) -> list[Bar]:
             bars.append(Bar(what, times, FEWER[kind], "times", least=True))
         agreement = float(np.mean([run["agreement"]["correlation"] for run in own]))
         what = f"{kind} starts: correlation of expected and real change of entropy, mean"
-        bars.append(Bar(what, agreement, AGREES, "", least=True))
-    for found in compare(runs, sizes):
+        bars.append(Bar(what, agreement, AGREES, least=True))
+    for found in compare(runs, sizes) if runs else ():
         if found["other"] in ("coverage", "random"):
             what = f"{found['strategy']} over {found['other']}: mean gain of texture PSNR"
             bars.append(Bar(what, found["difference"], 0.0, "dB", least=True))
-            bars.append(Bar(f"{what}: p of a paired t-test over objects", found["p"], LUCK, ""))
-    return bars
-
-
-def _speed(speed: Record | None) -> list[Bar]:
-    if not speed:
-        return []
-    bars = []
-    for row in speed["methods"]:
-        bars.append(Bar(f"{row['label']}: time per added view", row["per_view"], SECONDS, "s"))
-        for axis in ("candidates", "texels"):
-            bars.append(
-                Bar(f"{row['label']}: time grows with {axis} to the power of",
-                    row["exponents"][axis], LINEAR, "")
-            )  # fmt: skip
-    times = speed["refitting"]["times"]
-    what = "Eq. 13 by refitting every candidate for every truth, over one step"
-    bars.append(Bar(what, times, TIMES, "times", least=True))
+            bars.append(Bar(f"{what}: p of a paired t-test over objects", found["p"], LUCK))
     return bars

@@ -1,37 +1,116 @@
-"""Run one row on one cell: what comes out, and how long it takes when kernels are compiled."""
+"""One cell of the benchmark, and how a way of recovery is measured on it."""
 
 from __future__ import annotations
 
-import statistics
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 
-import drjit as dr
-import numpy as np
-
-from svu_mi.bench.clock import Timed
-from svu_mi.bench.fresh import memory_mib
-from svu_mi.bench.recovery.rows import Row, find_row
+from svu_mi.bench.captures import some_views
+from svu_mi.bench.cells import Cell, chosen_cells
+from svu_mi.bench.clock import Timed, warm
+from svu_mi.bench.experiment import OnCell, Record
+from svu_mi.bench.recovery.judge import Judge, Relit
+from svu_mi.bench.recovery.rows import Row
 from svu_mi.bench.sizes import RecoverySizes
-from svu_mi.capture import Capture, load_capture
-from svu_mi.progress import Progress, Stage, compiled_kernels
+from svu_mi.capture import Capture
+from svu_mi.errors import OptionError
+from svu_mi.progress import Progress
+from svu_mi.recovery.textures import lay_out
 from svu_mi.surface import Texels, texels
 
 BRIEF = 4  # steps after which all kernels are compiled
 
 
-def figures(timed: Timed) -> dict[str, Any]:
-    """Return what is kept of a run of ``run_warm`` itself."""
-    return {
-        "seconds": timed.seconds,
-        "runs": timed.runs,
-        "compiled": timed.compiled,
-        "steps": len(timed.result.losses),
-        "timings": timed.timings,
-    }
+@dataclass(frozen=True)
+class Recovered(OnCell):
+    """A cell, loaded only when a row is missing.
+
+    Attributes:
+        cell: object and the light of the photographs, which are from everywhere.
+        relit_as: returns the same object under a light not used for recovery.
+        rows: ways of recovery.
+    """
+
+    relit_as: Callable[[], Cell]
+    rows: Sequence[Row]
+
+    @property
+    def sizes(self) -> RecoverySizes:
+        """How large everything is, beside the photographs."""
+        return self.bench.sizes.recovery
+
+    def settings(self, row: Row | None) -> Any:
+        cells = [(str(one.scene), one.defines) for one in (self.cell, self.other)]
+        size = self.bench.sizes
+        photographs = (size.views, size.film, size.spp, size.texels, size.seed)
+        return cells, photographs, asdict(self.sizes), row and asdict(row)
+
+    def head(self) -> Record:
+        """Return what holds for all rows: names, counts, and what the true textures themselves
+        reach at this resolution under the other light."""
+        return {
+            "object": self.cell.object, "light": self.cell.light, "relit": self.other.light,
+            "views": self.capture.count, **self.judge.figures(),
+            "truth_relit": self.relit.judge(lay_out(self.grid, self.judge.truth.values)),
+        }  # fmt: skip
+
+    def measure(self, row: Row) -> Record:
+        """Recover, judge and relight; return the figures."""
+        timed = run_warm(row, self.capture, self.grid, self.sizes)
+        textures = timed.result.textures
+        relit = self.relit.judge(textures)
+        return {**figures(timed), **self.judge.judge(textures), "relit": relit}
+
+    @cached_property
+    def other(self) -> Cell:
+        """The same object under another light."""
+        return self.relit_as()
+
+    @cached_property
+    def capture(self) -> Capture:
+        """The photographs."""
+        whole = self.bench.capture(self.cell)
+        return some_views(whole, min(self.sizes.even_views, whole.count))
+
+    @cached_property
+    def grid(self) -> Texels:
+        """Texels of the textures."""
+        return texels(self.capture.mesh, self.bench.sizes.texels)
+
+    @cached_property
+    def judge(self) -> Judge:
+        """What textures are held against."""
+        return Judge.of(self.capture, self.grid, self.sizes.poor)
+
+    @cached_property
+    def relit(self) -> Relit:
+        """What pictures under the other light are held against."""
+        sizes = self.sizes
+        return Relit.of(self.capture, self.other, sizes.relit_views, sizes.relit_spp)
+
+
+def under_another_light(cell: Cell, data: Path | None, workspace: Path) -> Cell:
+    """Return the same object under the light after the cell's, in the order of all lights.
+
+    Args:
+        cell: object and light.
+        data: folder the cell comes from, None for the scenes of svu_mi.
+        workspace: for objects that have to be converted.
+
+    Raises:
+        OptionError: there is one light only.
+    """
+    around = chosen_cells(data, workspace, [cell.object])
+    lights = [one.light for one in around]
+    if len(lights) < 2:
+        raise OptionError(
+            f"{cell.title}: there is no second light to relight the object with; add another "
+            "image to envmaps/."
+        )
+    return around[(lights.index(cell.light) + 1) % len(lights)]
 
 
 def run_warm(row: Row, capture: Capture, grid: Texels, sizes: RecoverySizes) -> Timed:
@@ -40,108 +119,19 @@ def run_warm(row: Row, capture: Capture, grid: Texels, sizes: RecoverySizes) -> 
     Kernels are compiled by a brief run that does not count. A row that takes longer than
     ``sizes.long_s`` is timed once.
     """
-    if sizes.warm:
-        row.recover_in(BRIEF, capture, grid, Progress())
-    runs = [_run(row, capture, grid, sizes)]
-    if sizes.warm and runs[0].compiled and runs[0].seconds < sizes.long_s:
-        runs = [_run(row, capture, grid, sizes)]
-    while len(runs) < sizes.repeats and runs[0].seconds < sizes.long_s:
-        runs.append(_run(row, capture, grid, sizes))
-    return Timed(
-        result=runs[-1].result,
-        seconds=statistics.median(one.seconds for one in runs),
-        timings=runs[-1].timings,
-        compiled=sum(one.compiled for one in runs),
-        runs=len(runs),
-    )
+    run = partial(row.recover, capture, grid, sizes.scale)
+    if not sizes.warm:
+        return warm(run, sizes.repeats, long_s=0)
+    row.recover_in(BRIEF, capture, grid, Progress())
+    return warm(run, sizes.repeats, sizes.long_s)
 
 
-def _run(row: Row, capture: Capture, grid: Texels, sizes: RecoverySizes) -> Timed:
-    dr.sync_thread()
-    compiled, start = compiled_kernels(), time.perf_counter()
-    found = row.recover(capture, grid, sizes.scale)
-    dr.sync_thread()
-    seconds = time.perf_counter() - start
-    return Timed(found, seconds, dict(found.timings), compiled_kernels() - compiled)
-
-
-def recover_once(folder: str, resolution: int, label: str, scale: float) -> dict[str, Any]:
-    """Recover as a user's first run does, in a new process (see ``fresh.in_new_process``).
-
-    Args:
-        folder: of the capture.
-        resolution: texels per side.
-        label: of the row.
-        scale: see ``RecoverySizes``.
-
-    Returns:
-        ``seconds`` of the recovery, and ``compiled`` kernels.
-    """
-    capture = load_capture(folder)
-    grid = texels(capture.mesh, resolution)
-    run = _run(find_row(label), capture, grid, RecoverySizes(scale=scale))
-    return {"seconds": run.seconds, "compiled": run.compiled}
-
-
-# --- watching a run -----------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Mark:
-    """What was seen when a run reported its progress.
-
-    Attributes:
-        step: number of steps done.
-        seconds: on the clock.
-        compiled: kernels of this process so far.
-        resident: memory in MiB, None if it is not known.
-    """
-
-    step: int
-    seconds: float
-    compiled: int
-    resident: float | None
-
-
-class _Watching(Stage):
-    """A stage that notes when it is told of a step."""
-
-    def __init__(self, marks: list[Mark]) -> None:
-        super().__init__()
-        self._marks = marks
-
-    def update(self, done: int, total: int) -> None:
-        del total
-        dr.sync_thread()
-        self._marks.append(Mark(done, time.perf_counter(), compiled_kernels(), memory_mib("VmRSS")))
-
-
-class Watch(Progress):
-    """Progress that keeps a mark for every update of its last descent."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._stages: list[list[Mark]] = []
-
-    @property
-    def marks(self) -> list[Mark]:
-        """Marks of the last stage that had any."""
-        return next((marks for marks in reversed(self._stages) if marks), [])
-
-    @contextmanager
-    def stage(self, name: str, total: int | None = None) -> Iterator[Stage]:
-        """Run a stage, watched."""
-        with super().stage(name, total):
-            self._stages.append([])
-            yield _Watching(self._stages[-1])
-
-
-def step_seconds(marks: list[Mark]) -> float:
-    """Return the median seconds per step between marks, without the first interval.
-
-    NaN with fewer than three marks.
-    """
-    pairs = list(zip(marks[1:], marks[2:], strict=False))
-    if not pairs:
-        return float("nan")
-    return float(np.median([(b.seconds - a.seconds) / (b.step - a.step) for a, b in pairs]))
+def figures(timed: Timed) -> Record:
+    """Return what is kept of a run of ``run_warm`` itself."""
+    return {
+        "seconds": timed.seconds,
+        "runs": timed.runs,
+        "compiled": timed.compiled,
+        "steps": len(timed.result.losses),
+        "timings": timed.timings,
+    }

@@ -39,12 +39,6 @@ class Row:
         """Whether paths are traced, which takes long."""
         return "path" in self.method
 
-    @property
-    def slug(self) -> str:
-        """The label as a file name."""
-        words = "".join(c if c.isalnum() else " " for c in self.label.replace("+", "with"))
-        return "_".join(words.lower().split())
-
     def options(self, scale: float = 1.0) -> tuple[ShOptions, PathOptions]:
         """Return the presets' options, for direct light.
 
@@ -112,34 +106,24 @@ OURS = (SH, SH_SHARING, SH_PATH, PATH, PATH_SHARING)
 PAPER = (SH_PAPER, SH_PAPER_SHARING, SPECTRUM, SH_PAPER_PATH, PATH_PAPER, PATH_PAPER_SHARING)
 ROWS = OURS + PAPER
 USUAL = (*OURS, SH_PAPER, SH_PAPER_SHARING, SPECTRUM)  # unless others are asked for: they take long
-SHARING_ROWS = (SH, SH_SHARING, PATH, PATH_SHARING)  # of the groups that sharing is judged by
-COLD = (SH.label, SH_PAPER.label, PATH.label)  # also timed in a new process
 
 
 def find_row(label: str) -> Row:
     """Return a row by its label.
 
     Raises:
-        OptionError: there is none.
+        OptionError: a row is unknown.
     """
     rows = {row.label: row for row in ROWS}
     require_known([label], rows, "row")
     return rows[label]
 
 
-def choose_rows(labels: Sequence[str], group: str, *, traced: bool = True) -> tuple[Row, ...]:
-    """Return the rows that a cell is recovered with, cheap ones first.
-
-    Args:
-        labels: only these, if there are any.
-        group: of the cell.
-        traced: whether paths may be traced.
+def choose_rows(labels: Sequence[str]) -> tuple[Row, ...]:
+    """Return the rows of these labels, cheap ones first; the usual ones if there are no labels.
 
     Raises:
         OptionError: there is no such row.
     """
-    chosen = [find_row(label) for label in labels] or list(USUAL)
-    kept = ROWS if group == "even" else SHARING_ROWS
-    return tuple(
-        row for row in ROWS if row in chosen and row in kept and (traced or not row.traced)
-    )
+    chosen = [find_row(label) for label in labels] or USUAL
+    return tuple(row for row in ROWS if row in chosen)

@@ -1,128 +1,88 @@
-"""What ``run_recovery`` found, as Markdown tables."""
+"""What the recovery benchmark found, as Markdown tables."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import reduce
 from typing import Any
 
 import numpy as np
 
-from svu_mi.bench.bars import bar_table
-from svu_mi.bench.failures import left_out
-from svu_mi.bench.recovery.bars import gain, paired
-from svu_mi.bench.recovery.rows import PATH, PATH_SHARING, ROWS, SH, SH_SHARING, Row
-from svu_mi.bench.text import number, seconds, table
+from svu_mi.bench.experiment import Record
+from svu_mi.bench.recovery.rows import ROWS, Row
+from svu_mi.bench.text import Column, columns, digits, seconds, table
 from svu_mi.parameters import NAMES
 
-Record = dict[str, Any]
-TITLES = {
-    "even": "Photographs from everywhere",
-    "repeated": "Sharing: few materials that repeat, photographs mostly from one side",
-    "varied": "Sharing: nothing repeats, photographs mostly from one side",
-}
+Line = tuple[str, Sequence[Record]]  # a label, and the records that its figures are means of
 
 
-def recovery_tables(record: Record) -> str:
+def _mean_at(*path: str) -> Callable[[Line], float | None]:
+    """Return what takes the mean of a figure that records hold at a path of names.
+
+    Where no record has it, there is none.
+    """
+
+    def mean(line: Line) -> float | None:
+        values: list[Any] = [reduce(_entry, path, record) for record in line[1]]
+        found = [value for value in values if value is not None]
+        return float(np.mean(found)) if found else None
+
+    return mean
+
+
+def _entry(record: Any, name: str) -> Any:
+    return None if record is None else record.get(name)
+
+
+MEANS = (
+    Column("recovery", lambda line: line[0]),
+    *(Column(name.replace("_", " ").replace("color", "colour"), _mean_at("psnr", name),
+             digits(2)) for name in NAMES),
+    Column("average", _mean_at("psnr", "average"), digits(2)),
+    Column("average, hardly seen", _mean_at("psnr_hardly_seen", "average"), digits(2)),
+    Column("relit, HDR", _mean_at("relit", "psnr_hdr"), digits(2)),
+    Column("relit, LDR", _mean_at("relit", "psnr_ldr"), digits(2)),
+    Column("relit, SSIM", _mean_at("relit", "ssim"), digits(3)),
+    Column("time", _mean_at("seconds"), seconds),
+    Column("error with entropy, Pearson", _mean_at("entropy_correlation"), digits(2)),
+)  # fmt: skip
+
+
+def recovery_tables(record: Record) -> list[str]:
     """Return the tables of a record.
 
     Args:
-        record: what ``run_recovery`` returns.
+        record: of ``svu bench recovery``.
     """
-    parts = [_heading(record)]
-    if record["bars"]:
-        parts += ["## Bars", _note(record), bar_table(record["bars"])]
-    for group, title in TITLES.items():
-        cells = [cell for cell in record["cells"] if cell["group"] == group]
-        if cells:
-            parts += [f"## {title}", *_group(group, cells)]
-    if record["costs"]:
-        parts += ["## Steps", *_costs(record["costs"])]
-    parts += left_out("Left out of recovery", record)
-    return "\n\n".join(parts)
-
-
-def _heading(record: Record) -> str:
-    text = (
+    cells = record["cells"]
+    if not cells:
+        return []
+    rows = [row for row in ROWS if any(row.label in cell["rows"] for cell in cells)]
+    return [
         "PSNR of textures over the texels that a photograph shows, in dB; relit: pictures under "
         "another light with recovered and with true textures, pixels of the object only, PSNR of "
-        "radiance and of tone-mapped values. Times are warm, by the clock. Direct light."
-    )
-    if record["versions"] > 1:
-        text += f" Figures of {record['versions']} versions of the code."
-    return text
-
-
-def _note(record: Record) -> str:
-    if record["quick"]:
-        return "Quick sizes, which the bars are not meant for; times are with compilation."
-    return "PSNR: means over the cells that have both rows. Times: medians over cells of ratios."
-
-
-def _group(group: str, cells: list[Record]) -> list[str]:
-    rows = [row for row in ROWS if any(row.label in cell["rows"] for cell in cells)]
-    names = ", ".join(f"{cell['object']} / {cell['light']}" for cell in cells)
-    parts = [
-        f"{len(cells)} cells (object / light): {names}; {cells[0]['views']} photographs.",
-        _means(cells, rows),
+        "radiance and of tone-mapped values. Times are warm, by the clock. Direct light.",
+        f"{len(cells)} cells (object / light): {', '.join(map(title_of, cells))}; "
+        f"{cells[0]['views']} photographs.",
+        columns(MEANS, _lines(cells, rows)),
+        _by_cell(cells, rows),
     ]
-    if group != "even":
-        parts.append(_gains(group, cells))
-    return [*parts, _by_cell(cells, rows)]
 
 
-def _means(cells: list[Record], rows: list[Row]) -> str:
+def title_of(cell: Record) -> str:
+    """Return ``object / light`` of a cell."""
+    return f"{cell['object']} / {cell['light']}"
+
+
+def _lines(cells: list[Record], rows: list[Row]) -> list[Line]:
     """Means over cells; a row that not all cells have says how many it is the mean of."""
-    lines = []
+    lines: list[Line] = []
     for row in rows:
         found = [cell["rows"][row.label] for cell in cells if row.label in cell["rows"]]
         label = row.label if len(found) == len(cells) else f"{row.label} ({len(found)} cells)"
-        poor = [one["psnr_hardly_seen"]["average"] for one in found if one["psnr_hardly_seen"]]
-        lines.append([
-            label, *(number(_mean(found, lambda r, n=name: r["psnr"][n])) for name in NAMES),  # type: ignore[misc]
-            number(_mean(found, lambda r: r["psnr"]["average"])),
-            number(float(np.mean(poor)) if poor else None),
-            *(number(_mean(found, lambda r, n=name: r["relit"][n]), digits)  # type: ignore[misc]
-              for name, digits in (("psnr_hdr", 2), ("psnr_ldr", 2), ("ssim", 3))),
-            seconds(_mean(found, lambda r: r["seconds"])),
-            number(_mean(found, lambda r: r["entropy_correlation"])),
-        ])  # fmt: skip
-    ceiling = [cell["truth_relit"] for cell in cells]
-    lines.append([
-        "true textures at this resolution", "", "", "", "", "",
-        *(number(_mean(ceiling, lambda r, n=name: r[n]), digits)  # type: ignore[misc]
-          for name, digits in (("psnr_hdr", 2), ("psnr_ldr", 2), ("ssim", 3))), "", "",
-    ])  # fmt: skip
-    heads = ("recovery", "base colour", "roughness", "metallic", "average", "average, hardly seen",
-             "relit, HDR", "relit, LDR", "relit, SSIM", "time",
-             "error with entropy, Pearson")  # fmt: skip
-    return table(heads, lines)
-
-
-def _gains(group: str, cells: list[Record]) -> str:
-    """What sharing gains, per cell."""
-    pairs = ((SH_SHARING, SH), (PATH_SHARING, PATH))
-    lines = []
-    for cell in cells:
-        line: list[str] = [f"{cell['object']} / {cell['light']}", f"{cell['hardly_seen']:,}"]
-        for row, base in pairs:
-            found = gain([cell], group, row, base)
-            hardly = paired([cell], group, row, base, _hardly)
-            line += [_signed(found[0]) if found else "",
-                     _signed(hardly[0][0] - hardly[0][1]) if hardly else ""]  # fmt: skip
-        lines.append(line)
-    heads = ["cell", "texels hardly seen"]
-    for row, base in pairs:
-        heads += [f"{row.label} over {base.label}", "hardly seen"]
-    return table(heads, lines)
-
-
-def _hardly(row: Record) -> float:
-    found = row["psnr_hardly_seen"]
-    return found["average"] if found else float("nan")
-
-
-def _signed(value: float) -> str:
-    return "" if value != value else f"{value:+.2f}"
+        lines.append((label, found))
+    ceiling = [{"relit": cell["truth_relit"]} for cell in cells]
+    return [*lines, ("true textures at this resolution", ceiling)]
 
 
 def _by_cell(cells: list[Record], rows: list[Row]) -> str:
@@ -130,44 +90,6 @@ def _by_cell(cells: list[Record], rows: list[Row]) -> str:
     lines = []
     for cell in cells:
         found = [cell["rows"].get(row.label) for row in rows]
-        name = f"{cell['object']} / {cell['light']}"
-        lines.append([name, *("" if one is None else f"{one['psnr']['average']:.2f}, "
+        lines.append([title_of(cell), *("" if one is None else f"{one['psnr']['average']:.2f}, "
                               f"{seconds(one['seconds'])}" for one in found)])  # fmt: skip
     return table(("cell", *(row.label for row in rows)), lines)
-
-
-def _costs(costs: Record) -> list[str]:
-    shared = costs["sharing"]
-    steps = [
-        *([f"path, and with sharing ({name})",
-           f"{one['pixels']:,} pixels, {one['spp']} paths each; {one['part']:+.1%}",
-           f"{seconds(one['seconds'])}, {seconds(one['seconds_shared'])}"]
-          for name, one in shared.items()),
-        *([f"sharing ({name}) alone", f"{one['part_alone']:.1%} of a path step",
-           seconds(one["alone"])] for name, one in shared.items()),
-        *(["SH (ours)", f"{one['views']} views, {one['texels']:,} texels seen",
-           seconds(one["seconds"])] for one in costs["views"]),
-    ]  # fmt: skip
-    runs = [
-        [method, one["steps"], one["compiled"], number(one["resident"], 0),
-         "" if one["grown"] is None else f"{one['grown']:+.1f}", seconds(one["seconds"])]
-        for method, one in costs["long"].items()
-    ]  # fmt: skip
-    parts = [
-        f"{costs['cell']}. One step, loss to gradients, median; what sharing adds is a median of "
-        "pairs.",
-        table(("step", "of", "time"), steps),
-        table(("long run", "steps", "kernels compiled after the start", "resident MiB", "growth",
-               "time per step"), runs),
-    ]  # fmt: skip
-    if costs["cold"]:
-        cold = [[label, seconds(one["seconds"]), one["compiled"], seconds(one["process_seconds"])]
-                for label, one in costs["cold"].items()]  # fmt: skip
-        heads = ("first run, empty kernel cache", "recovery", "kernels compiled",
-                 "with start, imports and loading")  # fmt: skip
-        parts.append(table(heads, cold))
-    return parts
-
-
-def _mean(records: list[Record], value: Callable[[Record], float]) -> float:
-    return float(np.mean([value(record) for record in records]))

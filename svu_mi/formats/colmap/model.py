@@ -105,16 +105,16 @@ def read_model(folder: Path) -> tuple[dict[int, Camera], list[View]]:
     else:
         cameras, views = _parse_cameras(files[0]), _parse_views(files[1])
     if not views:
-        raise CaptureError(f"{files[1]}: there is no image; run COLMAP's mapper first.")
+        raise CaptureError(f"{files[1]}: has no images; run COLMAP's mapper first.")
     names = set()
     for view in views:
         label = f"{files[1]}: image {excerpt(repr(view.name))}"
         if view.camera not in cameras:
-            raise CaptureError(f"{label}: there is no camera {view.camera}; export both again.")
+            raise CaptureError(f"{label}: has no camera {view.camera}; export the model again.")
         if not abs(math.hypot(*view.rotation) - 1) < UNIT:
-            raise CaptureError(f"{label}: the rotation is no unit quaternion (w, x, y, z).")
+            raise CaptureError(f"{label}: the rotation must be a unit quaternion (w, x, y, z).")
         if view.name in names:
-            raise CaptureError(f"{label}: is there twice; export the model again.")
+            raise CaptureError(f"{label}: occurs twice; export the model again.")
         names.add(view.name)
     return cameras, sorted(views, key=lambda view: view.name)
 
@@ -187,7 +187,7 @@ class _Records:
 
     def finish(self) -> None:
         if self._at != len(self._data):
-            raise ValueError(f"there are {len(self._data) - self._at} bytes too many")
+            raise ValueError(f"the file has {len(self._data) - self._at} bytes too many")
 
 
 @contextlib.contextmanager
@@ -213,7 +213,7 @@ def _read_cameras(path: Path) -> dict[int, Camera]:
         for _ in range(records.take("Q")[0]):  # a damaged count ends with the file
             number, model, width, height = records.take("IiQQ")
             if not 0 <= model < len(models):
-                raise ValueError(f"there is no camera model {model}")
+                raise ValueError(f"camera model {model} is unknown")
             values = records.take(f"{PARAMETERS[models[model]]}d")
             cameras[number] = _camera(models[model], width, height, values)
     return cameras
@@ -235,7 +235,7 @@ def _parse_cameras(path: Path) -> dict[int, Camera]:
         for line in filter(_is_told, lines):
             number, model, width, height, *values = _fields(line, CAMERA_FIELDS, -1)
             if model not in PARAMETERS:
-                raise ValueError(f"there is no camera model {model!r}")
+                raise ValueError(f"camera model {model!r} is unknown")
             parameters = [float(value) for value in values]
             cameras[_number(number)] = _camera(model, int(width), int(height), parameters)
     return cameras

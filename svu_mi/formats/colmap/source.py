@@ -6,18 +6,60 @@ the centre of the first pixel is (0.5, 0.5). The world is wherever the reconstru
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from svu_mi.capture.picture import SUFFIXES
 from svu_mi.capture.poses import affine
-from svu_mi.errors import CaptureError, OutputError
-from svu_mi.files import copy_file, prepare_folder
-from svu_mi.formats.colmap.model import Camera, View, is_model, write_model
-from svu_mi.formats.colmap.project import IMAGES, MASKS, Project, read_project
+from svu_mi.errors import CaptureError, excerpt
+from svu_mi.formats.colmap.model import Camera, View, is_model, read_model
+from svu_mi.formats.paths import inside
 from svu_mi.formats.source import OPENCV, Frame, Source
+
+if TYPE_CHECKING:
+    from svu_mi.formats.reading import ReadOptions
+
+# Undistorted models go before those they were made from: both have the same world.
+# nerfstudio keeps the project in colmap/, with the photographs beside it.
+PLACES = ("dense/sparse", "dense/0/sparse", "sparse/0", "sparse", "colmap/sparse/0", ".")
+IMAGES, MASKS = "images", "masks"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Project:
+    """A sparse model and its pictures.
+
+    Attributes:
+        model: folder of the model.
+        cameras: by their number.
+        views: V views, in the order of their names.
+        images: folder of the photographs.
+        photographs: V files in there.
+        masks: V files; None for each that has none.
+    """
+
+    model: Path
+    cameras: dict[int, Camera]
+    views: Sequence[View]
+    images: Path
+    photographs: Sequence[Path]
+    masks: Sequence[Path | None]
+
+
+def recognises(path: Path, _: str) -> bool:
+    """Whether a folder holds a sparse model."""
+    return find_model(path) is not None
+
+
+def read(path: Path, options: ReadOptions) -> Source:
+    """Read a project (see ``read_colmap``)."""
+    return read_colmap(path, images=options.images, masks=options.masks)
 
 
 def read_colmap(path: Path, *, images: Path | None = None, masks: Path | None = None) -> Source:
@@ -41,7 +83,7 @@ def read_colmap(path: Path, *, images: Path | None = None, masks: Path | None = 
         camera = project.cameras[view.camera]
         focal, center = _pinhole(camera, f"{project.model}: camera {view.camera}")
         frames.append(Frame(
-            label=project.label(view),
+            label=_label(project.model, view),
             image=photograph,
             mask=mask,
             to_world=_to_world(view),
@@ -54,41 +96,66 @@ def read_colmap(path: Path, *, images: Path | None = None, masks: Path | None = 
     )
 
 
-def write_colmap(root: Path, source: Source) -> None:
-    """Write a project: ``sparse/0``, ``images/view_0000...`` and ``masks`` if there are any.
+def find_model(path: Path) -> Path | None:
+    """Return the folder of the sparse model in a project, or the folder itself; None without."""
+    folders = [Path(os.path.normpath(path / place)) for place in PLACES]
+    return next((folder for folder in folders if is_model(folder)), None)
 
-    COLMAP has no place for the mesh and the light.
+
+def read_project(path: Path, images: Path | None, masks: Path | None) -> Project:
+    """Read the model and find its pictures.
 
     Args:
-        root: its folder, made if missing.
-        source: the capture; its photographs and masks are copied.
+        path: the model's folder, or a project with ``sparse/0``, ``sparse`` or ``dense/sparse``.
+        images: folder of the photographs; None = ``images`` beside the model.
+        masks: folder of the masks; None = ``masks`` beside the model, if there is one.
 
     Raises:
-        CaptureError: a photograph or mask is missing.
-        OutputError: a photograph has an exposure or an encoding that COLMAP cannot tell, or
-            a file cannot be written.
+        CaptureError: the model is missing or damaged, or a photograph is missing.
     """
-    numbers: dict[Camera, int] = {}
-    views = []
-    digits = max(4, len(str(len(source.frames) - 1)))  # names in the order of the frames
-    for index, frame in enumerate(source.frames):
-        is_integer = frame.image.suffix.lower() in (".png", ".jpg", ".jpeg")
-        if frame.exposure != 1 or (is_integer and frame.transfer != "srgb"):
-            raise OutputError(
-                f"{frame.label}: COLMAP has no place for an exposure of {frame.exposure} or for "
-                f"{frame.transfer} pixels; write radiance as EXR first."
-            )
-        camera = Camera("PINHOLE", *frame.size, (*frame.focal, *frame.center))
-        number = numbers.setdefault(camera, len(numbers) + 1)
-        name = f"view_{index:0{digits}d}{frame.image.suffix.lower()}"
-        views.append(_view(name, number, frame.to_world))
-        copy_file(frame.image, root / IMAGES / name)
-        if frame.mask is not None:
-            suffix = frame.mask.suffix.lower()  # COLMAP's own are all PNG
-            mask = f"{name}.png" if suffix == ".png" else Path(name).with_suffix(suffix)
-            copy_file(frame.mask, root / MASKS / mask)
-    model = prepare_folder(root / "sparse" / "0")
-    write_model(model, dict(enumerate(numbers, 1)), views)
+    model = find_model(path)
+    if model is None:
+        raise CaptureError(f"{path}: not a COLMAP model; expected cameras.bin or .txt in sparse/0.")
+    cameras, views = read_model(model)
+    images = images or _beside(model, IMAGES) or model / IMAGES
+    if not images.is_dir():
+        raise CaptureError(f"{images}: no such folder; give that of the photographs with --images.")
+    if masks is not None and not masks.is_dir():
+        raise CaptureError(f"{masks}: no such folder; give that of the masks with --masks.")
+    masks = masks or _beside(model, MASKS)
+    files = [inside(images, view.name, _label(model, view)) for view in views]
+    missing = [file for file in files if not file.is_file()]
+    if missing:
+        raise CaptureError(
+            f"{images}: {len(missing)} of {len(files)} photographs are missing, "
+            f"{excerpt(missing[0].relative_to(images))} first; give their folder with --images."
+        )
+    return Project(
+        model=model,
+        cameras=cameras,
+        views=views,
+        images=images,
+        photographs=files,
+        masks=[None if masks is None else _mask(masks, f.relative_to(images)) for f in files],
+    )
+
+
+def _label(model: Path, view: View) -> str:
+    return f"{model}: image {excerpt(repr(view.name))}"
+
+
+def _beside(model: Path, name: str) -> Path | None:
+    """Return a folder in the model's own or one above, as far as projects nest it."""
+    ways = (".", "..", "../..", *(["../../.."] if model.parts[-3:-2] == ("colmap",) else []))
+    folders = [Path(os.path.normpath(model / up / name)) for up in ways]
+    return next((folder for folder in folders if folder.is_dir()), None)
+
+
+def _mask(folder: Path, name: Path) -> Path | None:
+    """Return the mask of an image: ``name.jpg.png``, ``name.jpg``, or ``name`` with any suffix."""
+    stems = [folder / name.with_suffix(suffix) for suffix in SUFFIXES]
+    names = (folder / f"{name}.png", folder / name, *stems)
+    return next((file for file in names if file.is_file()), None)
 
 
 def _pinhole(camera: Camera, label: str) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -107,19 +174,11 @@ def _to_world(view: View) -> np.ndarray:
     return affine(rotation.T, -rotation.T @ view.translation) @ OPENCV
 
 
-def _view(name: str, camera: int, to_world: np.ndarray) -> View:
-    camera_to_world = to_world @ OPENCV
-    rotation = camera_to_world[:3, :3].T
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
-    translation = -rotation @ camera_to_world[:3, 3]
-    return View(name, camera, (w, x, y, z), tuple(translation.tolist()))
-
-
 def _notes(project: Project) -> Iterator[str]:
     yield (
-        f"{len(project.views)} images of COLMAP, whose world has a unit and an up axis of its own: "
-        "the mesh must be in it."
+        f"{len(project.views)} images of COLMAP, whose world has its own unit and up axis: the "
+        "mesh must be in that world."
     )
     folder = project.model.parent
     if project.model.name == "0" and is_model(folder / "1"):
-        yield f"{folder}: holds several models, parts of a whole; 0 is taken."
+        yield f"{folder}: has several models, parts of a whole; 0 is used."

@@ -23,7 +23,7 @@ from svu_mi.capture.picture import quantized, read_planes
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 from svu_mi.files import making_folder, prepare_folder
 from svu_mi.formats.colmap.model import Camera, View, read_model, write_model
-from svu_mi.formats.colmap.project import IMAGES, MASKS, read_project
+from svu_mi.formats.colmap.source import IMAGES, MASKS, read_project
 
 KINDS = (".png", ".jpg", ".jpeg")  # COLMAP resamples eight bits
 # A JPEG file is compressed a second time.
@@ -85,7 +85,7 @@ def _checked(camera: Camera, file: Path, mask: Path | None) -> np.ndarray | None
     """Read a photograph and return its mask, (H, W) uint8."""
     if file.suffix.lower() not in KINDS:
         raise CaptureError(
-            f"{file}: COLMAP undistorts {', '.join(KINDS)} alone; undistort the photographs first."
+            f"{file}: COLMAP undistorts only {', '.join(KINDS)}; undistort the photographs first."
         )
     planes, _ = read_planes(file)
     given = planes[3] if planes[3:] else None
@@ -120,6 +120,7 @@ def _straightened(
     for camera in read_model(output / "sparse")[0].values():
         if camera.pinhole() is None:
             raise CaptureError(
-                f"{pictures}: COLMAP cannot undistort cameras of kind {camera.model}."
+                f"{pictures}: COLMAP cannot undistort cameras of model {camera.model}; undistort "
+                "the photographs first."
             )
     return output

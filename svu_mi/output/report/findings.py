@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +9,45 @@ import numpy as np
 
 from svu_mi.output.knowledge import TOLERANCE, part, within
 from svu_mi.output.page import grouped
-from svu_mi.output.result import Result, areas, known, words
+from svu_mi.output.result import areas, is_seen, known, words
 
 ROUGHLY = 0.15  # half-width of an interval up to which a parameter counts as roughly known
 STEEP = 0.5  # mean sine of elevation from which a part of the surface faces up, or down
+# What is skipped: for one, and for several. {unseen} is the entropy of the prior.
+SKIPPED = {
+    "texels outside the charts": (
+        "One point of the texture lies outside its UV charts.",
+        "{n} points of the texture lie outside its UV charts.",
+    ),
+    "texels on overlapping charts": (
+        "One point is on several charts (they overlap) and was left out.",
+        "{n} points are on several charts (they overlap) and were left out.",
+    ),
+    "texels never seen": (
+        "One point of the surface is in no photograph; its entropy is {unseen}.",
+        "{n} points of the surface are in no photograph; nothing was computed for them, and "
+        "their entropy is {unseen}.",
+    ),
+    "views left out": ("One photograph was left out.", "{n} photographs were left out."),
+    "views that show no texel": (
+        "One photograph does not show the object; check its camera.",
+        "{n} photographs do not show the object; check their cameras.",
+    ),
+    "channels of the light equal to another": (
+        "The light is grey: one colour channel was used for all three.",
+    ) * 2,
+    "channels of the photographs equal to another": (
+        "The photographs are grey: one colour channel was used for all three.",
+    ) * 2,
+    "roughness levels that the prior excludes": (
+        "One roughness is excluded by the prior and was not tried.",
+        "{n} values of roughness are excluded by the prior and were not tried.",
+    ),
+    "parameters known": (
+        "One parameter was taken as known: {known}.",
+        "{n} parameters were taken as known: {known}.",
+    ),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -31,16 +65,11 @@ class Parts:
     wide: float
 
     @classmethod
-    def of(cls, estimate: Any, result: Result, half_width: np.ndarray) -> Parts:
-        """Measure the parts.
-
-        Args:
-            estimate: the ``Estimate``.
-            result: what it says; some texel must be seen.
-            half_width: (T,) of the parameter's intervals.
-        """
-        area = areas(estimate)[result.seen]
-        settled, roughly = (within(half_width[result.seen], x) for x in (TOLERANCE, ROUGHLY))
+    def of(cls, estimate: Any, half_width: np.ndarray) -> Parts:
+        """Measure the parts, of which some texel must be seen, by half-widths of intervals (T,)."""
+        seen = is_seen(estimate)
+        area = areas(estimate)[seen]
+        settled, roughly = (within(half_width[seen], x) for x in (TOLERANCE, ROUGHLY))
         return cls(part(area, settled), part(area, roughly & ~settled), part(area, ~roughly))
 
 
@@ -48,7 +77,7 @@ def facing(estimate: Any, chosen: np.ndarray, up: np.ndarray) -> str | None:
     """Return ``upwards`` or ``downwards`` if that is where some texels mostly face, else None.
 
     Args:
-        estimate: the ``Estimate``.
+        estimate: says where texels are.
         chosen: (T,) bool.
         up: unit vector.
     """
@@ -62,55 +91,11 @@ def facing(estimate: Any, chosen: np.ndarray, up: np.ndarray) -> str | None:
 
 def skipped(estimate: Any) -> list[str]:
     """Return what was not computed as sentences, without what there is nothing of."""
-    of = {name: int(number) for name, number in estimate.skipped.items() if number}
-    unseen = f"{estimate.posterior.prior_entropy:.3g}"
-    fixed = ", ".join(f"{words(n)} = {value:g}" for n, value in known(estimate).items())
-    sentences: Mapping[str, tuple[str, str]] = {
-        "texels outside the charts": (
-            "One point of the texture carries no surface.",
-            "{n} points of the texture carry no surface: they lie outside its UV charts.",
-        ),
-        "texels on overlapping charts": (
-            "One point is used twice by the texture and was left out.",
-            "{n} points are used twice by the texture (overlapping charts) and were left out.",
-        ),
-        "texels never seen": (
-            f"One point of the surface is in no photograph; its entropy is {unseen}.",
-            "{n} points of the surface are in no photograph; nothing was computed for them, and "
-            f"their entropy is {unseen}.",
-        ),
-        "views left out": (
-            "One photograph was left out.", "{n} photographs were left out."
-        ),
-        "views that show no texel": (
-            "One photograph does not show the object; check its camera.",
-            "{n} photographs do not show the object; check their cameras.",
-        ),
-        "channels of the light equal to another": (
-            "", "The light is grey: one colour channel stands for all three."
-        ),
-        "channels of the photographs equal to another": (
-            "", "The photographs are grey: one colour channel stands for all three."
-        ),
-        "roughness levels that the prior excludes": (
-            "One roughness is impossible by the prior and was not tried.",
-            "{n} values of roughness are impossible by the prior and were not tried.",
-        ),
-        "parameters known": (
-            f"One parameter was taken as known: {fixed}.",
-            f"{{n}} parameters were taken as known: {fixed}.",
-        ),
-    }  # fmt: skip
-    lines = []
-    for name, number in of.items():
-        one, many = sentences.get(name, (f"{name}: 1.", f"{name}: {{n}}."))
-        lines.append(one if number == 1 and one else many.format(n=grouped(number)))
-    return lines
-
-
-def why_left_out(photograph: np.ndarray) -> str:
-    """Return why a photograph may not have been used."""
-    usable = photograph[np.isfinite(photograph).all(axis=2)]
-    if usable.size == 0:
-        return "no photograph, or no usable pixel"
-    return "entirely black" if usable.max() <= 0 else "left out on request"
+    about = {
+        "unseen": f"{estimate.posterior.prior_entropy:.3g}",
+        "known": ", ".join(f"{words(n)} = {value:g}" for n, value in known(estimate).items()),
+    }
+    return [
+        SKIPPED.get(name, (f"{name}: {{n}}.",) * 2)[number != 1].format(n=grouped(number), **about)
+        for name, number in estimate.skipped.items() if number
+    ]  # fmt: skip

@@ -18,7 +18,7 @@ from svu_mi.output.knowledge import Intervals, Knowledge
 from svu_mi.output.manifest import environment_record
 from svu_mi.output.page import NARROW_SPACE, grouped, percent, write_page
 from svu_mi.output.relit import WORST
-from svu_mi.output.report import findings, pictures, plots
+from svu_mi.output.report import errors, findings, pictures, plots
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import Result, known, open_axes, words
 from svu_mi.pipeline import Estimate
@@ -63,45 +63,45 @@ def write_report(
     warnings = [_within(capture.source, sentence) for sentence in capture.warnings]
     result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
     intervals = Intervals(estimate.posterior)
-    shown, left_out = pictures.thumbnails(capture, estimate)
+    thumbnails, left_out = pictures.thumbnails(capture, estimate)
     report(1, 5)
-    frames = pictures.turning(table, estimate)
+    frames = list(pictures.turning(table, estimate))
     report(2, 5)
     maps = pictures.maps(table, estimate, intervals)
     recovered = [] if textures is None else pictures.texture_maps(table, estimate, textures)
     report(3, 5)
-    examples = plots.examples(table, estimate, result, intervals, [frame[0] for frame in frames])
+    shown = [frame[0] for frame in frames]
+    examples = list(plots.examples(table, estimate, result, intervals, shown))
     report(4, 5)
-    errors = _errors(capture, estimate, result, textures)
+    compared = _errors(capture, estimate, result, textures)
     write_page(
         path, TEMPLATE,
-        title=title or _name(capture), version=svu_mi.__version__,
-        date=f"{today.day} {today:%B %Y}",
+        title=title or _name(capture), date=f"{today.day} {today:%B %Y}",
         summary=_summary(capture, estimate, result, intervals, table),
-        thumbnails=shown, left_out=left_out,
-        count=capture.count, used=sum(capture.used), frames=frames, maps=maps, recovered=recovered,
-        histogram=plots.histogram(result),
-        marginals=plots.marginals(estimate, result), examples=examples, errors=errors,
-        error_colors=style.css_gradient(style.DIFFERENCE_COLORMAP), error_end=percent(WORST),
-        colors=style.SETTLED_COLORS, unseen=style.UNSEEN, textured=textures is not None,
+        count=capture.count, used=sum(capture.used), thumbnails=thumbnails, left_out=left_out,
+        frames=frames, maps=maps, recovered=recovered, textured=textures is not None,
+        histogram=plots.histogram(result), marginals=list(plots.marginals(estimate, result)),
+        examples=examples, errors=compared, error_end=WORST,
+        error_colormap=style.DIFFERENCE_COLORMAP, colors=style.SETTLED_COLORS, unseen=style.UNSEEN,
         color=estimate.posterior.groups == 3, skipped=findings.skipped(estimate),
         warnings=warnings[:WARNINGS], more_warnings=warnings[WARNINGS:],
-        **_record(capture, estimate, settings),
+        given=[(name, _plain(value)) for name, value in (settings or {}).items()],
+        **_settings(capture, estimate), **_environment(estimate.timings),
     )  # fmt: skip
     report(5, 5)
 
 
 def _errors(
     capture: Capture, estimate: Estimate, result: Result, textures: Textures | None
-) -> plots.Errors | None:
+) -> errors.Errors | None:
     grey = textures is None and estimate.posterior.groups == 1
     if textures is None and result.seen.any():
-        textures = plots.most_probable(estimate)
-    return None if textures is None else plots.errors(capture, textures, grey)
+        textures = errors.most_probable(estimate)
+    return None if textures is None else errors.errors(capture, textures, grey)
 
 
 def _summary(
-    capture: Any, estimate: Any, result: Result, intervals: Intervals, table: Turntable
+    capture: Capture, estimate: Estimate, result: Result, intervals: Intervals, table: Turntable
 ) -> dict[str, Any]:
     """Numbers for the head of the page, and words for them."""
     knowledge = Knowledge.of(estimate, intervals)
@@ -111,7 +111,7 @@ def _summary(
     return {
         "seen": knowledge.seen_part,
         "settled": [
-            (words(name), findings.Parts.of(estimate, result, intervals.half_width(name)),
+            (words(name), findings.Parts.of(estimate, intervals.half_width(name)),
              f"±{knowledge.median_half_width[name]:.2f}")
             for name in knowledge.known_part
         ],
@@ -130,42 +130,45 @@ def _summary(
             ("Mean entropy", f"{seen.mean():.2f}" if len(seen) else "–",
              f"of the points seen: {style.ENTROPY_ENDS}"),
         ],
-        "cells": grouped(np.prod(estimate.posterior.grid.shape)),
+        "cells": grouped(int(np.prod(estimate.posterior.grid.shape))),
         "parameters": [words(name) for name in open_axes(estimate)],
     }  # fmt: skip
 
 
-def _record(capture: Any, estimate: Any, settings: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Settings, times and versions as rows of words."""
+def _settings(capture: Capture, estimate: Estimate) -> dict[str, Any]:
+    """What the estimate was made with, as rows of words."""
     preset = dataclasses.asdict(estimate.preset)
     width, height = estimate.texels.resolution
-    grid = " × ".join(f"{len(v)} {words(n)}" for n, v in open_axes(estimate).items())
     sizes = sorted({f"{image.shape[1]} × {image.shape[0]}" for image in capture.images})
-    rows = [
-        ("Method", estimate.method),
-        ("Preset", preset.pop("name")),
-        ("Cells of the grid", grid),
-        *((f"Known {words(n)}", f"{value:g}") for n, value in known(estimate).items()),
-        ("Texture", f"{width} × {height}"),
-        ("Photographs", f"{', '.join(sizes[:4])}{', …' if len(sizes) > 4 else ''} pixels"),
-    ]
-    timings = [(stage, seconds) for stage, seconds in estimate.timings.items()]
-    environment = environment_record()
-    llvm = environment["llvm"]["version"]
     return {
-        "settings": rows,
-        "switches": [(name, _plain(value)) for name, value in preset.items()],
-        "given": [(name, _plain(value)) for name, value in (settings or {}).items()],
-        "timings": [(stage, f"{s:.2f}{NARROW_SPACE}s") for stage, s in timings if np.isfinite(s)],
-        "seconds": f"{np.nansum([s for _, s in timings]):.1f}",
-        "versions": [(n, v) for n, v in environment["versions"].items() if v],
-        "machine": [
-            ("Platform", environment["platform"]),
-            ("Mitsuba variant", environment["variant"] or "–"),
-            ("Threads", environment["threads"] or "–"),
-            ("LLVM", llvm or "–"),
+        "settings": [
+            ("Method", estimate.method),
+            ("Preset", preset.pop("name")),
+            ("Cells of the grid",
+             " × ".join(f"{len(v)} {words(n)}" for n, v in open_axes(estimate).items())),
+            *((f"Known {words(n)}", f"{value:g}") for n, value in known(estimate).items()),
+            ("Texture", f"{width} × {height}"),
+            ("Photographs", f"{', '.join(sizes[:4])}{', …' if len(sizes) > 4 else ''} pixels"),
         ],
-    }
+        "switches": [(name, _plain(value)) for name, value in preset.items()],
+    }  # fmt: skip
+
+
+def _environment(timings: Mapping[str, float]) -> dict[str, Any]:
+    """Times, versions and the machine, as rows of words."""
+    environment = environment_record()
+    machine = {
+        "Platform": environment["platform"], "Mitsuba variant": environment["variant"],
+        "Threads": environment["threads"], "LLVM": environment["llvm"]["version"],
+    }  # fmt: skip
+    return {
+        "timings": [(stage, f"{seconds:.2f}{NARROW_SPACE}s")
+                    for stage, seconds in timings.items() if np.isfinite(seconds)],
+        "seconds": f"{np.nansum(list(timings.values())):.1f}",
+        "version": svu_mi.__version__,
+        "versions": [(name, value) for name, value in environment["versions"].items() if value],
+        "machine": [(name, value or "–") for name, value in machine.items()],
+    }  # fmt: skip
 
 
 def _plain(value: Any) -> str:
@@ -187,5 +190,5 @@ def _within(folder: Path | None, sentence: str) -> str:
     return sentence if folder is None else sentence.replace(f"{folder}{os.sep}", "")
 
 
-def _name(capture: Any) -> str:
+def _name(capture: Capture) -> str:
     return capture.source.resolve().name if capture.source else str(capture.shape.id())

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture import Capture
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.poses import bounding_sphere, film_size, make_sensor
 from svu_mi.capture.scene import to_world
@@ -30,22 +30,25 @@ class Turntable:
     """Sensors in a ring around an object, slightly above it.
 
     Attributes:
-        capture: whose ``mesh`` is shown.
+        scene: the object alone.
         sensors: in the order of turning; the first looks from where the first photograph was
             taken.
+        window: what the object covers in any frame. All are cut to it alike, so that nothing jumps
+            as the object turns.
         up: (3,) unit vector.
     """
 
-    capture: Any
+    scene: Any
     sensors: tuple[Any, ...]
+    window: views.Window
     up: np.ndarray
 
     @classmethod
-    def around(cls, capture: Any, count: int, side: int) -> Turntable:
-        """Place sensors around the object of a capture.
+    def around(cls, capture: Capture, count: int, side: int) -> Turntable:
+        """Place sensors around the ``mesh`` of a capture.
 
         Args:
-            capture: the ``Capture``.
+            capture: whose cameras say which way is up, and what is the front.
             count: number of sensors.
             side: width and height of their films in pixels, before empty borders are cut off.
         """
@@ -55,18 +58,20 @@ class Turntable:
         front, right = front_and_right(capture, center, up)
         high = np.radians(ELEVATION)
         sensors = []
-        for k in range(count):
-            turn = 2 * np.pi * k / count
+        for turn in 2 * np.pi * np.arange(count) / count:
             level = np.cos(turn) * front + np.sin(turn) * right
             origin = center + distance * (np.cos(high) * level + np.sin(high) * up)
             pose = mi.ScalarTransform4f().look_at(list(origin), list(center), list(up))
-            record = {
+            sensors.append(make_sensor({
                 "to_world": np.array(pose.matrix, np.float64), "x_fov": FOV,
                 "principal_point_offset": [0, 0], "clip": [distance * 1e-2, distance * 1e2],
                 "film": [side, side], "crop_offset": [0, 0], "crop_size": [side, side],
-            }  # fmt: skip
-            sensors.append(make_sensor(record, f"turntable {k}"))
-        return cls(capture, tuple(sensors), up)
+            }, "turntable"))  # fmt: skip
+        points = arrays(capture.mesh).positions
+        places = np.concatenate([_places(points, sensor) for sensor in sensors])
+        (left, top), (right, bottom) = places.min(axis=0) - BORDER, places.max(axis=0) + BORDER
+        window = max(left, 0.0), min(right, 1.0), max(top, 0.0), min(bottom, 1.0)
+        return cls(views.alone(capture), tuple(sensors), window, up)
 
     def frame(self, texture: np.ndarray, number: int) -> np.ndarray:
         """Render a texture on the object.
@@ -78,28 +83,13 @@ class Turntable:
         Returns:
             (h, w, 4) screen colours and opacity, cut to ``window``.
         """
-        image = views.painted(self._scene, texture, self.sensors[number])
+        image = views.painted(self.scene, texture, self.sensors[number])
         alpha = image[..., 3:]
         # Over white it is c = a x + 1 - a; a page may be dark.
         color = np.clip((image[..., :3] + alpha - 1) / np.maximum(alpha, EMPTY), 0, 1)
         # Colour and coverage are sampled apart, so that a silhouette keeps some of the white.
         color = dilate(color, image[..., 3] == 1, EDGE)
         return views.crop(np.dstack([color, alpha]), self.window)
-
-    @cached_property
-    def window(self) -> tuple[float, float, float, float]:
-        """What the object covers in any frame: (left, right, top, bottom), in parts of the film.
-
-        All frames are cut alike, so that nothing jumps as the object turns.
-        """
-        points = arrays(self.capture.mesh).positions
-        places = np.concatenate([_places(points, sensor) for sensor in self.sensors])
-        (left, top), (right, bottom) = places.min(axis=0) - BORDER, places.max(axis=0) + BORDER
-        return max(left, 0.0), min(right, 1.0), max(top, 0.0), min(bottom, 1.0)
-
-    @cached_property
-    def _scene(self) -> Any:
-        return views.alone(self.capture)
 
     def find(self, texels: Texels, chosen: np.ndarray) -> tuple[int, int, float, float] | None:
         """Find the one of some texels that is shown best, and where.
@@ -134,7 +124,7 @@ class Turntable:
             mi.Point3f(*points.T.astype(np.float32)), mi.Vector3f(*offset.T.astype(np.float32))
         )
         ray.maxt = mi.Float(1.0)
-        return ~np.array(self._scene.ray_test(ray))
+        return ~np.array(self.scene.ray_test(ray))
 
 
 def _places(points: np.ndarray, sensor: Any) -> np.ndarray:

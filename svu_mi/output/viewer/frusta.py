@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
 from svu_mi.capture import Capture
 from svu_mi.capture.picture import quantized
@@ -35,20 +34,9 @@ class Frustum:
     aspect: float
     image: np.ndarray
 
-    @property
-    def quaternion(self) -> np.ndarray:
-        """The rotation as (w, x, y, z)."""
-        return Rotation.from_matrix(self.rotation).as_quat()[[3, 0, 1, 2]]
-
 
 def frustum(capture: Capture, view: int, side: int) -> Frustum:
-    """Return a camera of a capture with its photograph, exposed for the object.
-
-    Args:
-        capture: the ``Capture``.
-        view: index of the camera.
-        side: pixels of the photograph's longer side, at most.
-    """
+    """Return a camera with its photograph, exposed for the object and at most ``side`` wide."""
     sensor = capture.sensors[view]
     pose = to_world(sensor) @ OPENCV
     width, height = film_size(sensor)
@@ -63,9 +51,7 @@ def frustum(capture: Capture, view: int, side: int) -> Frustum:
     canvas.paste(small, tuple(before.tolist()))
     extent = canvas.size / scale  # of whole pixels
     return Frustum(
-        rotation=pose[:3, :3],
-        position=pose[:3, 3],
+        rotation=pose[:3, :3], position=pose[:3, 3],
         fov=float(2 * np.arctan(extent[1] / 2 / focal_length(sensor))),
-        aspect=float(extent[0] / extent[1]),
-        image=np.array(canvas),
-    )
+        aspect=float(extent[0] / extent[1]), image=np.array(canvas),
+    )  # fmt: skip

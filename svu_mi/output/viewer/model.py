@@ -7,7 +7,6 @@ colour on the object can be compared with the colour bar beside it, or with a ph
 
 from __future__ import annotations
 
-import io
 from typing import Any
 
 import numpy as np
@@ -28,8 +27,8 @@ FROM_ACES = np.array([
 B, C, D, E, F = 0.0245786, 0.000090537, 0.983729, 0.4329510, 0.238081
 
 
-def model(mesh: Any, colors: np.ndarray) -> bytes:
-    """Return a mesh as a GLB file with a texture.
+def model(mesh: Any, colors: np.ndarray) -> Any:
+    """Return a mesh with a texture as a ``trimesh.Trimesh``.
 
     Args:
         mesh: an ``mi.Mesh`` with UVs.
@@ -47,10 +46,7 @@ def model(mesh: Any, colors: np.ndarray) -> bytes:
     # trimesh turns V over when it writes glTF, whose v = 0 is the image's top row.
     uvs = meshes.flipped_v(source.uvs)
     visual = trimesh.visual.TextureVisuals(uv=uvs, material=material)
-    made = trimesh.Trimesh(source.positions, source.faces, visual=visual, process=False)
-    buffer = io.BytesIO()
-    made.export(buffer, file_type="glb")
-    return buffer.getvalue()
+    return trimesh.Trimesh(source.positions, source.faces, visual=visual, process=False)
 
 
 def material_colors(colors: np.ndarray) -> np.ndarray:
@@ -72,9 +68,3 @@ def before_tone_mapping(linear: np.ndarray) -> np.ndarray:
     a, b, c = 1 - D * curve, B - E * curve, -(C + F * curve)
     light = (-b + np.sqrt(b * b - 4 * a * c)) / (2 * a)
     return np.clip(light @ np.linalg.inv(TO_ACES).T * EXPOSURE / GAIN, 0, 1)
-
-
-def tone_mapped(linear: np.ndarray) -> np.ndarray:
-    """Return the linear colours (..., 3) that three.js shows for linear radiance (..., 3)."""
-    x = (linear / EXPOSURE) @ TO_ACES.T
-    return np.clip((x * (x + B) - C) / (x * (D * x + E) + F) @ FROM_ACES.T, 0, 1)

@@ -25,28 +25,22 @@ def says(capture: Capture, pick: Pick) -> str:
     """Return what is known of a texel, as Markdown."""
     lines = [f"**Texel {pick.column}, {pick.row}** (column, row), number {pick.texel}", ""]
     lines += [f"* entropy **{pick.entropy:.3f}**", f"* {_seen_by(capture, pick)}"]
-    if pick.most_probable is None:
-        return "\n".join([*lines, "* nothing is known of it"])
+    if not pick.beliefs:
+        return "\n".join([*lines, "* nothing is known"])
     return "\n".join([*lines, "", *_table(pick)])
 
 
 def _table(pick: Pick) -> list[str]:
     """Mean, interval and most probable value of each parameter, as lines of a Markdown table."""
-    assert pick.most_probable and pick.mean and pick.interval
     lines = [f"| | mean | {100 * pick.level:g} % interval | most probable |", "|-|-|-|-|"]
-    for name, best in pick.most_probable.items():
-        low, high = pick.interval[name]
-        for k, channel in enumerate(_channels(len(low))):
-            cells = (
-                f"{words(name)}{channel}".replace(" ", NO_BREAK), f"**{pick.mean[name][k]:.2f}**",
-                f"{low[k]:.2f}{DASH}{high[k]:.2f}", f"{best[k]:.2f}",
-            )  # fmt: skip
-            lines.append(f"| {' | '.join(cells)} |")
+    for name, of in pick.beliefs.items():
+        channels = (" R", " G", " B") if len(of.mean) == 3 else ("",)
+        for channel, best, mean, low, high in zip(
+            channels, of.best, of.mean, of.low, of.high, strict=True
+        ):
+            label = f"{words(name)}{channel}".replace(" ", NO_BREAK)
+            lines.append(f"| {label} | **{mean:.2f}** | {low:.2f}{DASH}{high:.2f} | {best:.2f} |")
     return lines
-
-
-def _channels(count: int) -> tuple[str, ...]:
-    return (" R", " G", " B") if count == 3 else ("",)
 
 
 def _seen_by(capture: Capture, pick: Pick) -> str:
@@ -59,12 +53,7 @@ def _seen_by(capture: Capture, pick: Pick) -> str:
 
 
 def draw_pick(estimate: Estimate, pick: Pick, recovered: Textures | None = None) -> np.ndarray:
-    """Draw the marginals of a texel, one below the other.
-
-    Args:
-        estimate: what the photographs say.
-        pick: the texel.
-        recovered: textures, whose value there is marked.
+    """Draw the marginals of a texel, one below the other, and mark its recovered values.
 
     Returns:
         (h, w, 3) uint8.

@@ -21,6 +21,23 @@ from svu_mi.surface.gutter import dilate
 
 
 @dataclass(frozen=True, kw_only=True)
+class Belief:
+    """What is known of a parameter at a texel: arrays of one value, or of one per channel.
+
+    Attributes:
+        best: of the most probable material.
+        mean: of all that are possible.
+        low: lower end of what holds the parameter with the probability ``Pick.level``.
+        high: its upper end.
+    """
+
+    best: np.ndarray
+    mean: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
 class Pick:
     """One texel, and what the photographs say of it.
 
@@ -31,10 +48,8 @@ class Pick:
         position: (3,) float64, the texel's centre in world space.
         entropy: in [0, 1].
         seen_by: indices of the sensors that see it.
-        most_probable: by parameter, one value, or one per colour channel; None if nobody sees it.
-        mean: the same, of the values that are possible.
-        interval: the same, lower and upper ends of what holds a parameter with a probability.
-        level: that probability.
+        beliefs: by parameter; none if nobody sees it.
+        level: probability that an interval holds.
     """
 
     texel: int
@@ -43,9 +58,7 @@ class Pick:
     position: np.ndarray
     entropy: float
     seen_by: tuple[int, ...]
-    most_probable: dict[str, np.ndarray] | None
-    mean: dict[str, np.ndarray] | None
-    interval: dict[str, tuple[np.ndarray, np.ndarray]] | None
+    beliefs: dict[str, Belief]
     level: float
 
 
@@ -53,8 +66,8 @@ class Picker:
     """Finds texels on the surface of a capture's object.
 
     Args:
-        capture: the ``Capture``; only its ``mesh`` is hit, nothing else in the scene.
-        estimate: its ``Estimate``, as ``svu.estimate`` returns it.
+        capture: only its ``mesh`` is hit, nothing else in the scene.
+        estimate: of the capture, as ``svu.estimate`` returns it.
         intervals: of its posterior; if not given, computed at the first pick that needs them.
     """
 
@@ -92,33 +105,37 @@ class Picker:
         Raises:
             OptionError: there is no such texel.
         """
-        texels, posterior = self._estimate.texels, self._estimate.posterior
+        texels = self._estimate.texels
         if not 0 <= texel < texels.count:
-            raise OptionError(f"Texels are numbered 0 to {texels.count - 1}, got {texel}.")
+            raise OptionError(f"The texel must be 0 to {texels.count - 1}, got {texel}.")
         column, row = place_of(self._estimate, texel)
         seen_by = self._seen_by(texel)
-        names = list(posterior.axes)
         return Pick(
-            texel=texel,
-            column=column,
-            row=row,
+            texel=texel, column=column, row=row,
             position=np.array(texels.position, np.float64)[:, texel],
             entropy=float(np.array(self._estimate.entropy)[texel]),
-            seen_by=seen_by,
-            most_probable=_of_texel(posterior.map([texel]), 0) if seen_by else None,
-            mean=_of_texel({n: posterior.mean(n) for n in names}, texel) if seen_by else None,
-            interval={n: self._interval(n, texel) for n in names} if seen_by else None,
+            seen_by=seen_by, beliefs=self._beliefs(texel) if seen_by else {},
             level=self._intervals.level,
-        )
+        )  # fmt: skip
 
-    def _interval(self, name: str, texel: int) -> tuple[np.ndarray, np.ndarray]:
-        low, high = self._intervals.ends(name)
-        return low[texel], high[texel]
+    def _beliefs(self, texel: int) -> dict[str, Belief]:
+        posterior, found = self._estimate.posterior, {}
+        best = posterior.map([texel])
+        for name in posterior.axes:
+            low, high = self._intervals.ends(name)
+            mean = np.array(posterior.mean(name))[texel]
+            found[name] = Belief(
+                best=np.atleast_1d(np.array(best[name])[0]), mean=np.atleast_1d(mean),
+                low=low[texel], high=high[texel],
+            )  # fmt: skip
+        return found
 
     def _seen_by(self, texel: int) -> tuple[int, ...]:
         observed = self._estimate.observed
         if observed is None:
-            raise OptionError("The estimate does not know which views it was made from.")
+            raise OptionError(
+                "The estimate does not know its views; use what svu.estimate() returns."
+            )
         used = np.flatnonzero(self._capture.used)
         view = dr.arange(mi.UInt32, len(used))
         seen = observed.found.bits.test(view, owned(mi.UInt32, np.full(len(used), texel)))
@@ -130,8 +147,3 @@ def nearest_texel(texels: Texels) -> np.ndarray:
     width, height = texels.resolution
     numbers = texels.to_image(np.arange(texels.count), -1)
     return dilate(numbers, texels.inside(), float(np.hypot(width, height)))
-
-
-def _of_texel(values: dict[str, Any], index: int) -> dict[str, np.ndarray]:
-    """Values of one of several texels: one, or one per colour channel."""
-    return {name: np.atleast_1d(np.array(of_all)[index]) for name, of_all in values.items()}

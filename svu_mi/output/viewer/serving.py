@@ -30,11 +30,7 @@ def require_viser() -> Any:
 
 
 def require_port(port: int) -> None:
-    """Refuse what is no port.
-
-    Raises:
-        OptionError: it is none.
-    """
+    """Refuse with an ``OptionError`` what is not a port."""
     if not 0 <= port < 65536:
         raise OptionError(f"--port must be 0 to 65535, got {port}.")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import queue
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -124,8 +125,8 @@ class Viewer:
         if name not in self._shown:
             self._status.content = f"Computing *{name}* ..."
             # Charts reach over all that is outside, so that no seam shows.
-            glb = model(self._capture.mesh, self._maps[name].colors(np.inf))
-            self._shown[name] = self._server.scene.add_glb(f"/object/{name}", glb)
+            mesh = model(self._capture.mesh, self._maps[name].colors(np.inf))
+            self._shown[name] = self._server.scene.add_mesh_trimesh(f"/object/{name}", mesh)
             self._status.content = self._heading()
         for other, handle in self._shown.items():
             handle.visible = other == name
@@ -217,49 +218,44 @@ class Viewer:
     def _listen(self) -> None:
         """Turn events into tasks; coroutines, because viser runs those in order."""
 
-        def task(widget: Any, work: Callable[[], None]) -> None:
+        def later(work: Callable[[Any], None]) -> Callable[[Any], Any]:
             async def put(event: Any) -> None:
                 if event.client is not None:  # else it was set here
-                    self._tasks.put(work)
+                    self._tasks.put(lambda: work(event))
 
-            widget.on_update(put)
+            return put
 
-        task(self._choice, lambda: self.show(self._choice.value))
-        task(self._cameras, self._update_frusta)
-        task(self._size, self._update_frusta)
-        task(self._opacity, self._fade)
-
-        async def choose(event: Any) -> None:
-            if event.client is not None:
-                names = (NOWHERE, *self._capture.names)
-                view = names.index(self._through.value) - 1
-                self._tasks.put(lambda: self.look_through(None if view < 0 else view, event.client))
-
-        self._through.on_update(choose)
-
-        async def click(event: Any) -> None:
-            if event.screen_pos != self._taken:
-                self._tasks.put(lambda: self.pick(event.ray_origin, event.ray_direction))
-
+        self._choice.on_update(later(lambda _: self.show(self._choice.value)))
+        self._through.on_update(later(self._choose))
+        for widget in (self._cameras, self._size):
+            widget.on_update(later(lambda _: self._update_frusta()))
+        self._opacity.on_update(later(lambda _: self._fade()))
         self._taken: tuple[float, float] | None = None  # where a click went to a frustum
-        self._server.scene.on_click()(click)
+        self._server.scene.on_click()(later(self._click))
         for view, handle in enumerate(self._frusta):
-            handle.on_click(self._on_frustum(view))
+            handle.on_click(later(partial(self._enter, view)))
 
-    def _on_frustum(self, view: int) -> Callable[[Any], Any]:
-        async def click(event: Any) -> None:
-            if view != self._view:  # else it was meant for what is behind the photograph
-                self._taken = event.screen_pos
-                self._tasks.put(lambda: self.look_through(view, event.client))
+    def _choose(self, event: Any) -> None:
+        view = (NOWHERE, *self._capture.names).index(self._through.value) - 1
+        self.look_through(None if view < 0 else view, event.client)
 
-        return click
+    def _click(self, event: Any) -> None:
+        if event.screen_pos != self._taken:
+            self.pick(event.ray_origin, event.ray_direction)
+
+    def _enter(self, view: int, event: Any) -> None:
+        if view != self._view:  # else it was meant for what is behind the photograph
+            self._taken = event.screen_pos
+            self.look_through(view, event.client)
 
     def _add_frustum(self, view: int) -> Any:
+        from viser.transforms import SO3
+
         camera = frustum(self._capture, view, THUMBNAIL)
         return self._server.scene.add_camera_frustum(
             f"/cameras/{view:04d}", camera.fov, camera.aspect, image=camera.image, color=CAMERA,
             scale=CAMERA_SIZE * self._radius, thickness=1.5, thickness_units="screen",
-            wxyz=camera.quaternion, position=camera.position,
+            wxyz=SO3.from_matrix(camera.rotation).wxyz, position=camera.position,
             cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
 

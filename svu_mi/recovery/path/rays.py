@@ -60,7 +60,7 @@ class PixelBatches:
     """What to render at each step, and what it should look like.
 
     A batch is a function of its step: every ``epoch`` steps all usable pixels come once, in
-    squares of pixels, or one by one, that are shuffled anew for each epoch. (Those of the last
+    squares of pixels, or one by one, that are shuffled again for each epoch. (Those of the last
     batch are filled up with pixels of the first.)
 
     Attributes:
@@ -92,8 +92,7 @@ class PixelBatches:
         """
         if (size is not None and size < 1) or seed < 0:
             raise OptionError(
-                f"Batches need at least 1 pixel and a seed that is not negative, got {size} and "
-                f"{seed}."
+                f"Batches need at least 1 pixel and a seed of at least 0, got {size} and {seed}."
             )
         if tile < 1:
             raise OptionError(f"Squares of pixels need at least 1 per side, got {tile}.")
@@ -110,7 +109,7 @@ class PixelBatches:
         self.pixels = int(usable.sum())
         if self.pixels == 0:
             raise CaptureError(
-                "No photograph shows the object in a pixel that can be used; check masks and poses."
+                "No photograph shows the object in a usable pixel; check masks and poses."
             )
         self.size = min(size or -(-self.pixels // len(kept)), self.pixels)
         self.mean = sum(float(t.sum(dtype=np.float64)) for t in targets) / (3 * self.pixels)
@@ -124,7 +123,7 @@ class PixelBatches:
     def at(self, step: int) -> tuple[Any, Any]:
         """Return (target, sensor) of a step: TensorXf (1, size, 3) and the sensor to render.
 
-        The sensor is one and the same object, aimed anew by every call.
+        The sensor is one and the same object, aimed again by every call.
         """
         return self.loader.at(step)
 

@@ -63,7 +63,7 @@ class PathScene:
         for name, tensor in textures.items():
             if name not in CHANNELS:
                 raise OptionError(
-                    f"There is no parameter {name!r} to recover; there are {', '.join(NAMES)}."
+                    f"There is no parameter {name!r} to recover; use one of {', '.join(NAMES)}."
                 )
             wanted = (height, width, CHANNELS[name])
             if tuple(tensor.shape) != wanted:

@@ -22,14 +22,15 @@ from svu_mi.interop import owned
 from svu_mi.light.moments import moment_map
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset
+from svu_mi.parameters import MIXED
 from svu_mi.recovery.sh.gradient import carry, look_up
 from svu_mi.reflection.diffuse import diffuse_shading
 from svu_mi.reflection.fitted import Convolved
 from svu_mi.reflection.lobes import reflected_at_view
-from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.shading import Shading
+from svu_mi.reflection.principled import alpha_from_roughness, columns, mixture, slope
+from svu_mi.reflection.shading import Parts, dot, parts_of, radiance
 from svu_mi.regularization.gradients import sign
-from svu_mi.statistics.gather import GRAZING, Values
+from svu_mi.statistics.gather import GRAZING, Values, mixed_of
 from svu_mi.visibility import Observation, Surface, Survey, Views
 from svu_mi.visibility.pixels import as_channels
 
@@ -41,7 +42,7 @@ class AngularObjective:
     Attributes:
         views: the packed capture, in C = 3 channels.
         surface: the S texels that some view sees.
-        found: who sees whom.
+        found: which views see which texels.
         switches: of the model.
         light: that the texels mirror.
         moments: of the diffuse light that arrives, 8 Floats (S,) per channel.
@@ -62,23 +63,27 @@ class AngularObjective:
         """Return the loss as a Float that derivatives reach the textures through.
 
         Args:
-            textures: base_color (H, W, 3), roughness and metallic (H, W, 1), TensorXf.
+            textures: (H, W, C) TensorXf by name.
             step: not used: every step looks at everything.
         """
         del step
         values = look_up(textures, self.place)
         with dr.suspend_grad():
-            loss, *slopes = self._sums(Values(*(dr.detach(v) for v in values)))
+            loss, slopes = self._sums(dr.detach(values))
             dr.eval(loss, slopes)
         return carry(loss, slopes, values, self.factor)
 
-    def _sums(self, values: Values) -> tuple[Any, ...]:
-        """Loss and its derivatives for R, G, B, roughness and metallic, summed per texel."""
-        lobes = Convolved.of(self.light, values.roughness)
+    def _sums(self, values: Values) -> tuple[Any, Values]:
+        """Loss and its derivatives for all parameters, summed per texel."""
+        lobes = Convolved.of(self.light, values["roughness"][0])
 
         def consume(seen: Observation, _: Any, *sums: Any) -> tuple[Any, ...]:
-            def add(values: Values, *sums: Any) -> tuple[Any, ...]:
-                return self._add(seen, lobes, values, sums)
+            def add(values: Values, loss: Any, slopes: Values) -> tuple[Any, Values]:
+                more, added = self._sample(seen, lobes, values)
+                return loss + more, {
+                    name: [old + new for old, new in zip(slopes[name], added[name], strict=True)]
+                    for name in slopes
+                }
 
             asked = self.found.asked(seen.seen)
             found = dr.if_stmt(
@@ -86,36 +91,40 @@ class AngularObjective:
             )
             return tuple(found)
 
-        zeros = tuple(dr.zeros(mi.Float, self.surface.count) for _ in range(6))
-        return self.found.over_views(self.views, self.surface, consume, zeros)
+        def zero() -> Any:
+            return dr.zeros(mi.Float, self.surface.count)
 
-    def _add(
-        self, seen: Observation, lobes: Convolved, values: Values, sums: tuple[Any, ...]
-    ) -> tuple[Any, ...]:
-        """Add one sample of every texel to the sums."""
-        base_color, metallic = [values.red, values.green, values.blue], values.metallic
+        none = {name: [zero() for _ in of_name] for name, of_name in values.items()}
+        loss, slopes = self.found.over_views(self.views, self.surface, consume, (zero(), none))
+        return loss, slopes
+
+    def _sample(self, seen: Observation, lobes: Convolved, values: Values) -> tuple[Any, Values]:
+        """What one sample of every texel adds to the loss and its derivatives."""
+        base_color, mixed = values["base_color"], mixed_of(values)
         with dr.resume_grad():
-            roughness = mi.Float(values.roughness)
+            roughness = mi.Float(values["roughness"][0])
             dr.enable_grad(roughness)
-            shading = self._shade(seen, lobes, roughness)
-            modelled = shading.radiance(base_color, metallic)
+            parts = self._shade(seen, lobes, roughness)
+            modelled = radiance(parts, base_color, mixed)
             dr.forward_from(roughness)
             rise = [dr.grad(value) for value in modelled]
-        shading, modelled = dr.detach(shading), dr.detach(modelled)
+        parts, modelled = dr.detach(parts), dr.detach(modelled)
         observed = as_channels(seen.radiance, len(base_color))
         away = [r - b for r, b in zip(modelled, observed, strict=True)]
         side = [dr.select(seen.seen, sign(difference), 0) for difference in away]
-        added = [sum(dr.select(seen.seen, dr.abs(difference), 0) for difference in away)]
-        to_metallic = mi.Float(0)
+        loss = sum(dr.select(seen.seen, dr.abs(difference), 0) for difference in away)
+        added = {name: [mi.Float(0)] for name in MIXED} | {
+            "base_color": [], "roughness": [sum(s * x for s, x in zip(side, rise, strict=True))],
+        }  # fmt: skip
+        how, turns = mixture(*mixed), [slope(mixed, k) for k in range(len(mixed))]
         for k, color in enumerate(base_color):
-            e, p, q, d = (part[k % len(part)] for part in shading.parts)
-            added.append(side[k] * dr.lerp(e, p, metallic))
-            to_metallic += side[k] * (color * (p - e) + q - d)
-        to_roughness = sum(s * slope for s, slope in zip(side, rise, strict=True))
-        added += [to_roughness, to_metallic]
-        return tuple(old + new for old, new in zip(sums, added, strict=True))
+            x = columns(*parts[k % len(parts)])
+            added["base_color"].append(side[k] * dot(how.scaled, x))
+            for name, turn in zip(MIXED, turns, strict=True):
+                added[name][0] += side[k] * dot(turn.at(color), x)
+        return loss, added
 
-    def _shade(self, seen: Observation, lobes: Convolved, roughness: Any) -> Shading:
+    def _shade(self, seen: Observation, lobes: Convolved, roughness: Any) -> list[Parts]:
         """Evaluate Eq. 6 towards the camera of every sample, with derivatives for roughness."""
         cosine = dr.maximum(seen.cosine, GRAZING)
         moved = roughness - dr.detach(roughness)  # 0, with a derivative
@@ -127,7 +136,7 @@ class AngularObjective:
             for each in self.moments
         ]
         reflected = reflected_at_view(self.switches.fresnel, cosine, alpha)
-        return Shading.of(diffuse, roughness, reflected, light)
+        return parts_of(diffuse, roughness, reflected, light)
 
 
 def angular_objective(observed: Observed, switches: AngularPreset) -> AngularObjective:
@@ -147,7 +156,7 @@ def angular_objective(observed: Observed, switches: AngularPreset) -> AngularObj
     light = observed.mirrored(switches.fit, channels, seen)
     if light is None:
         raise OptionError(
-            f"The angular loss is that of the SH model, whose light is fitted to every texel, but "
+            f"The angular loss needs the SH model, which fits light to every texel, but "
             f"preset {switches.name!r} has no fit; use preset('paper', method='angular')."
         )
     if not found.scale > 0:

@@ -11,12 +11,15 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.statistics.factors import COLUMNS, PAIRS, Factors
-from svu_mi.statistics.gather import Values
+from svu_mi.parameters import MIXED
+from svu_mi.reflection.principled import mixture, slope
+from svu_mi.reflection.shading import dot
+from svu_mi.statistics.factors import PAIRS, Factors, combined
+from svu_mi.statistics.gather import Values, mixed_of
 from svu_mi.statistics.spline import catmull_rom
 
 
-def energy(factors: Factors, values: Values) -> tuple[Any, list[Any]]:
+def energy(factors: Factors, values: Values) -> tuple[Any, Values]:
     """Return the squared error of S texels, the mean over their views and channels.
 
     Args:
@@ -26,53 +29,23 @@ def energy(factors: Factors, values: Values) -> tuple[Any, list[Any]]:
     Returns:
         Float (S,), squared radiance, and its derivatives by every parameter.
     """
-    levels, weights, slopes = _spline(factors, values.roughness)
-    m, colors = values.metallic, values[:3]
-    error, by_roughness, by_metallic = mi.Float(0), mi.Float(0), mi.Float(0)
-    by_color = []
+    levels, weights, slopes = _spline(factors, values["roughness"][0])
+    mixed, colors, error = mixed_of(values), values["base_color"], mi.Float(0)
+    how, turns = mixture(*mixed), [slope(mixed, k) for k in range(len(mixed))]
+    by = {name: [mi.Float(0) for _ in of_name] for name, of_name in values.items()}
     for channel, c in enumerate(colors):
         # One channel stands for all where photographs and light are grey.
         of_channel = channel % factors.channels
-        factor, turned = _interpolate(factors, of_channel, levels, weights, slopes)
-        u, v = halves(factor, m)
-        u_r, v_r = halves(turned, m)
-        rest = [dr.fma(c, a, b) for a, b in zip(u, v, strict=True)]
-        error += _dot(rest, rest)
-        by_color.append(2 * _dot(rest, u))
-        by_roughness += 2 * _dot(rest, [dr.fma(c, a, b) for a, b in zip(u_r, v_r, strict=True)])
-        (e, p, g, _) = _columns(factor)
-        change = [dr.fma(c, y - x, z) for x, y, z in zip(e, p, g, strict=True)]
-        by_metallic += 2 * _dot(rest, change)
+        U, change = _interpolate(factors, of_channel, levels, weights, slopes)
+        x = how.at(c)
+        rest = combined(U, x)
+        error += dot(rest, rest)
+        by["base_color"][channel] = 2 * dot(rest, combined(U, how.scaled))
+        by["roughness"][0] += 2 * dot(rest, combined(change, x))
+        for name, turn in zip(MIXED, turns, strict=True):
+            by[name][0] += 2 * dot(rest, combined(U, turn.at(c)))
     scale = 1 / len(colors)
-    return scale * error, [scale * slope for slope in (*by_color, by_roughness, by_metallic)]
-
-
-def halves(factor: list[Any], metallic: Any) -> tuple[list[Any], list[Any]]:
-    """Return u and v of r - b = c u + v (statistics/sums.py), as four components each.
-
-    Args:
-        factor: entries of U, in the order of ``PAIRS``.
-        metallic: m.
-    """
-    e, p, g, t = _columns(factor)
-    u = [dr.lerp(a, b, metallic) for a, b in zip(e, p, strict=True)]
-    v = [dr.fma(metallic, a, b) for a, b in zip(g, t, strict=True)]
-    return u, v
-
-
-def _columns(factor: list[Any]) -> list[list[Any]]:
-    """Return the columns of U: those of e, p, q - d and d - b."""
-    U = dict(zip(PAIRS, factor, strict=True))
-    return [
-        [U.get((row, column), mi.Float(0)) for row in range(COLUMNS)] for column in range(COLUMNS)
-    ]
-
-
-def _dot(a: list[Any], b: list[Any]) -> Any:
-    total = mi.Float(0)
-    for x, y in zip(a, b, strict=True):
-        total = dr.fma(x, y, total)
-    return total
+    return scale * error, {name: [scale * x for x in found] for name, found in by.items()}
 
 
 def _spline(factors: Factors, roughness: Any) -> tuple[list[Any], list[Any], list[Any]]:

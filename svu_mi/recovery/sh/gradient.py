@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.statistics.gather import Values
+from svu_mi.parameters import CHANNELS
+from svu_mi.statistics.gather import Values, flat
 
 
 def look_up(textures: Mapping[str, Any], place: Any) -> Values:
     """Take the parameters of texels out of their textures.
 
     Args:
-        textures: base_color (H, W, 3), roughness and metallic (H, W, 1), TensorXf.
+        textures: (H, W, C) TensorXf by name.
         place: (S,) UInt32, flat row-major, every texel once: derivatives are added without
             atomic operations.
     """
@@ -24,19 +25,18 @@ def look_up(textures: Mapping[str, Any], place: Any) -> Values:
         flat = textures[name].array
         return dr.gather(mi.Float, flat, index, mode=dr.ReduceMode.NoConflicts)
 
-    red, green, blue = (take("base_color", 3 * place + k) for k in range(3))
-    return Values(red, green, blue, take("roughness", place), take("metallic", place))
+    return {name: [take(name, n * place + k) for k in range(n)] for name, n in CHANNELS.items()}
 
 
-def carry(loss: Any, slopes: Sequence[Any], values: Values, factor: Any) -> Any:
+def carry(loss: Any, slopes: Values, values: Values, factor: Any) -> Any:
     """Return a scalar with known value and known derivatives.
 
     Args:
         loss: (S,) Float, evaluated: its sum times ``factor`` is the value.
-        slopes: five (S,) Floats, evaluated: derivatives of it for ``values``.
+        slopes: evaluated: derivatives of it for ``values``.
         values: what derivatives are passed on to.
         factor: opaque Float.
     """
     total = dr.sum(loss) * factor
-    inner = [slope * value for slope, value in zip(slopes, values, strict=True)]
+    inner = [slope * value for slope, value in zip(flat(slopes), flat(values), strict=True)]
     return dr.replace_grad(total, dr.sum(sum(inner)) * factor)

@@ -6,7 +6,7 @@ cost the same for any number of photographs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,12 +15,12 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
-from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.parameters import NAMES
 from svu_mi.posterior import CalibratedPosterior
 from svu_mi.recovery.sh.energy import energy
 from svu_mi.recovery.sh.gradient import carry, look_up
 from svu_mi.statistics import Factors
-from svu_mi.statistics.gather import Values
+from svu_mi.statistics.gather import Values, flat
 from svu_mi.surface import Texels
 
 SURE = 1e-2  # standard deviation below which a texel pulls no more: nothing is known better
@@ -59,8 +59,8 @@ class Likelihood:
         del step
         values = look_up(textures, self.place)
         with dr.suspend_grad():
-            error, slopes = energy(self.factors, Values(*(dr.detach(v) for v in values)))
-            error, slopes = self.weight * error, [self.weight * slope for slope in slopes]
+            error, slopes = energy(self.factors, dr.detach(values))
+            error, slopes = self.weight * error, _each(lambda slope: self.weight * slope, slopes)
             dr.eval(error, slopes)  # once: they are needed for the value and for the gradient
         return carry(error, slopes, values, dr.opaque(mi.Float, 1 / self.factors.count))
 
@@ -71,8 +71,8 @@ class Pull:
 
     Attributes:
         place: (S,) UInt32, where in a texture each texel is.
-        target: five (S,) Floats.
-        weight: five (S,) Floats.
+        target: what they probably are.
+        weight: of the square of each.
     """
 
     place: Any
@@ -86,53 +86,64 @@ class Pull:
         A mean hedges where a likelihood has several valleys, and its neighbours decide.
         """
         means, sds = moments(posterior)
-        return Pull._to(posterior, texels, means, 0.5 / (sds**2 + SURE**2))
+        weights = {name: 0.5 / (sd**2 + SURE**2) for name, sd in sds.items()}
+        return Pull._to(posterior, texels, means, weights)
 
     @staticmethod
     def by_trust(posterior: CalibratedPosterior, texels: Texels) -> Pull:
         """Squared distances to posterior means, the less the photographs have told, the less they
         count: by 1 - variance / the prior's."""
         means, sds = moments(posterior)
-        usual = np.concatenate([
-            np.broadcast_to(posterior.prior_moments(name)[1], CHANNELS[name]) for name in NAMES
-        ])  # fmt: skip
-        trust = 1 - (sds / np.maximum(usual, SURE)[:, None]) ** 2
-        return Pull._to(posterior, texels, means, np.clip(trust, 0, 1))
+        trust = {}
+        for name, sd in sds.items():
+            usual = np.reshape(posterior.prior_moments(name)[1], (-1, 1))  # of each channel, or all
+            trust[name] = np.clip(1 - (sd / np.maximum(usual, SURE)) ** 2, 0, 1)
+        return Pull._to(posterior, texels, means, trust)
 
     @staticmethod
     def _to(
-        posterior: CalibratedPosterior, texels: Texels, means: np.ndarray, weight: np.ndarray
+        posterior: CalibratedPosterior, texels: Texels, means: Table, weights: Table
     ) -> Pull:
         seen = posterior.problem.factors.texel
-        place = dr.gather(mi.UInt32, texels.index, seen)
-        chosen = seen.numpy()
-        return Pull(place, values_of(means[:, chosen]), values_of(weight[:, chosen]))
+        place, chosen = dr.gather(mi.UInt32, texels.index, seen), seen.numpy()
+        return Pull(place, values_of(means, chosen), values_of(weights, chosen))
 
     def __call__(self, textures: Mapping[str, Any], step: int = 0) -> Any:
         """Return the loss, a Float of one value; arguments as for ``Likelihood``."""
         del step
         values = look_up(textures, self.place)
         with dr.suspend_grad():
-            offsets = [dr.detach(v) - t for v, t in zip(values, self.target, strict=True)]
-            pairs = list(zip(self.weight, offsets, strict=True))
-            loss = sum(w * dr.square(offset) for w, offset in pairs)
-            slopes = [2 * w * offset for w, offset in pairs]
+            offsets = _each(lambda x, target: x - target, dr.detach(values), self.target)
+            loss = sum(flat(_each(lambda w, x: w * dr.square(x), self.weight, offsets)))
+            slopes = _each(lambda w, x: 2 * w * x, self.weight, offsets)
             dr.eval(loss, slopes)
         return carry(loss, slopes, values, dr.opaque(mi.Float, 1 / dr.width(self.place)))
 
 
-def moments(posterior: CalibratedPosterior) -> tuple[np.ndarray, np.ndarray]:
-    """Return means and standard deviations of red, green, blue, roughness and metallic of all T
-    texels: (5, T) float64 both."""
-    found = [
-        [np.array(getattr(posterior, what)(name), np.float64).reshape(posterior.count, -1).T
-         for name in NAMES]
-        for what in ("mean", "sd")
-    ]  # fmt: skip
-    means, sds = (np.concatenate(rows) for rows in found)
+Table = dict[str, np.ndarray]
+"""Values of texels, (C, T) by parameter."""
+
+
+def moments(posterior: CalibratedPosterior) -> tuple[Table, Table]:
+    """Return means and standard deviations of all T texels, float64."""
+    means, sds = (
+        {name: np.array(of(name), np.float64).reshape(posterior.count, -1).T for name in NAMES}
+        for of in (posterior.mean, posterior.sd)
+    )
     return means, sds
 
 
-def values_of(table: np.ndarray) -> Values:
-    """Return parameters (5, S) as Floats."""
-    return Values(*(owned(mi.Float, row.astype(np.float32)) for row in table))
+def values_of(table: Table, chosen: np.ndarray | None = None) -> Values:
+    """Return the values of texels, all by default, as Floats."""
+    texels = slice(None) if chosen is None else chosen
+    return {
+        name: [owned(mi.Float, row.astype(np.float32)) for row in rows[:, texels]]
+        for name, rows in table.items()
+    }
+
+
+def _each(do: Callable[..., Any], *values: Values) -> Values:
+    """Do something with every Float."""
+    return {
+        name: [do(*x) for x in zip(*(v[name] for v in values), strict=True)] for name in values[0]
+    }

@@ -34,7 +34,7 @@ from svu_mi.reflection.principled import (
     diffuse_from_principled,
     specular_from_principled,
 )
-from svu_mi.statistics.gather import Values
+from svu_mi.statistics.gather import Values, mixed_of
 
 Domain = Literal["coefficients", "spectrum"]
 
@@ -73,7 +73,7 @@ class SpectralObjective:
         """Return the loss as a Float that derivatives reach the textures through.
 
         Args:
-            textures: base_color (H, W, 3), roughness and metallic (H, W, 1), TensorXf.
+            textures: (H, W, C) TensorXf by name.
             step: not used: every step looks at everything.
         """
         del step
@@ -81,12 +81,13 @@ class SpectralObjective:
 
     def errors(self, values: Values) -> Any:
         """Return the sum of absolute differences of every texel, (S,) Float."""
-        alpha = alpha_from_roughness(values.roughness)
+        (roughness,), mixed = values["roughness"], mixed_of(values)
+        alpha = alpha_from_roughness(roughness)
         width = dr.maximum(dr.square(alpha) - self.prefilter, 0)
-        lobe, total = self._albedo(values.roughness), mi.Float(0)
-        for c, color in enumerate(values[:3]):
-            specular = lobe * specular_from_principled(color, values.metallic)
-            diffuse = diffuse_from_principled(color, values.metallic)
+        lobe, total = self._albedo(roughness), mi.Float(0)
+        for c, color in enumerate(values["base_color"]):
+            specular = lobe * specular_from_principled(color, *mixed)
+            diffuse = diffuse_from_principled(color, *mixed)
             constant = diffuse * self.irradiance[c % len(self.irradiance)] * 2 / math.sqrt(math.pi)
             for l in range(self.coefficients.degree + 1):
                 scale = specular * dr.exp(-width * (l * l)) if l else specular
@@ -145,9 +146,7 @@ def spectral_objective(
     light = 1 if lighting.environment.grey else 3
     seen = observed.coverage > 0
     texel = owned(mi.UInt32, np.flatnonzero(seen).astype(np.uint32))
-    fitted = fit_coefficients(
-        observed.views, lighting, texels, found, switches, light_channels=light
-    )
+    fitted = fit_coefficients(observed, switches, light_channels=light)
     power, mean_power = _powers(fitted, texel)
     unit = found.scale if domain == "coefficients" else mean_power
     terms = (switches.degree + 1) ** (2 if domain == "coefficients" else 1)

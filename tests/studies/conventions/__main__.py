@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from studies.command import Study, main, write_study
-from studies.conventions.run import conventions_tables, run_conventions
-from svu_mi.bench.accuracy import Bench
+from studies.command import Command, main
+from studies.conventions.run import checks_of, conventions_tables, experiment
+from svu_mi.bench.study import Asked, Study
 from svu_mi.cli.bench import Names, names
+
+STUDY = Study(title="Mistakes about axes", experiment=experiment,
+              tables=lambda record: [conventions_tables(checks_of(record))])  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
-class Conventions(Study):
-    """How often svu check finds axes that were imported wrongly.
-
-    Writes conventions.json and conventions.md; finished imports are kept.
-    """
+class Conventions(Command):
+    """How often svu check finds axes that were imported wrongly; finished imports are kept."""
 
     rows: Names = ""
     """Ways that photographs come, such as COLMAP; without it all."""
 
-    def measure(self, bench: Bench) -> list[str]:
-        """Measure, and write what was found."""
-        rows = run_conventions(bench, self.cells(), names(self.rows, "--rows"))
-        tables = conventions_tables(rows)
-        write_study(self.output, "conventions", rows, "Mistakes about axes", tables)
-        return []
+    def study(self) -> Study:
+        """Return what is measured."""
+        return STUDY
+
+    def asked(self) -> Asked:
+        """Return what of it is run."""
+        return replace(super().asked(), rows=names(self.rows, "--rows"))
 
 
 if __name__ == "__main__":

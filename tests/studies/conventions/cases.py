@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.checking.apply import spoil
+from svu_mi.checking.apply import apply_fixes
 from svu_mi.checking.record import Finding
-from svu_mi.formats.fixes import FIXES, Fix, fixes_named
+from svu_mi.formats.fixes import FIXES, Fix, fixes_named, turn_of
 
 OUTCOMES = ("right", "among several", "silent", "misled")
 
@@ -43,6 +43,18 @@ class Case:
         for fix in reversed(fixes_named(self.fixes)):
             capture = spoil(capture, fix, self.camera_axes)
         return capture
+
+
+def spoil(capture: Capture, fix: Fix, camera_axes: np.ndarray | None = None) -> Capture:
+    """Return the capture as it is when the mistake was made that ``fix`` corrects.
+
+    Args:
+        capture: one in which all axes are right.
+        fix: the correction that will be called for.
+        camera_axes: see ``apply_fixes``.
+    """
+    mistake = replace(fix, matrix=None if fix.matrix is None else fix.matrix.T)
+    return apply_fixes(capture, [mistake], np.eye(4) if camera_axes is None else camera_axes)
 
 
 def _inverse(fix: Fix) -> Fix:
@@ -83,16 +95,10 @@ def outcome(findings: Sequence[Finding], case: Case) -> str:
 
 def same(names: Sequence[str], others: Sequence[str]) -> bool:
     """Return whether corrections come to the same, whatever they are called."""
-    return all(np.allclose(_product(names, kind), _product(others, kind)) for kind in
-               ("light", "mesh")) and _rest(names) == _rest(others)  # fmt: skip
-
-
-def _product(names: Sequence[str], kind: str) -> np.ndarray:
-    result = np.eye(3)
-    for fix in fixes_named(names):
-        if fix.kind == kind and fix.matrix is not None:
-            result = result @ fix.matrix
-    return result
+    ours, theirs = fixes_named(names), fixes_named(others)
+    is_light_same = np.allclose(turn_of(ours, "light"), turn_of(theirs, "light"))
+    is_mesh_same = np.allclose(turn_of(ours, "mesh"), turn_of(theirs, "mesh"))
+    return is_light_same and is_mesh_same and _rest(names) == _rest(others)
 
 
 def _rest(names: Sequence[str]) -> set[str]:

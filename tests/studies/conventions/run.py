@@ -5,8 +5,8 @@ from __future__ import annotations
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,8 @@ from studies.conventions.cases import CASES, OUTCOMES, Case, outcome
 from studies.conventions.photographs import IMPORTERS, WAYS, Way
 from studies.conventions.visible import SEED, VIEWS, looks, shows
 from studies.conventions.written import Written, write
-from svu_mi.bench.accuracy import Bench
-from svu_mi.bench.cells import Cell
-from svu_mi.bench.store import Store
+from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
+from svu_mi.bench.study import Asked
 from svu_mi.bench.text import table
 from svu_mi.capture import Capture, load_capture
 from svu_mi.checking.run import find_mistakes
@@ -29,55 +28,68 @@ SIZES: dict[str, Any] = {"views": 24, "film": 128, "spp": 64}
 QUICK: dict[str, Any] = {"views": 16, "film": 96, "spp": 32}
 
 
-def run_conventions(
-    bench: Bench, cells: Sequence[Cell], ways: Sequence[str] = ()
-) -> list[dict[str, Any]]:
-    """Check captures of every cell that were imported wrongly; what is finished is kept.
+@dataclass(frozen=True)
+class Spoiled(OnCell):
+    """A cell whose right captures are imported with mistakes, and checked.
 
-    Args:
-        bench: where, and how large; ``quick`` takes the photographs as the importers give them.
-        cells: objects x lights.
-        ways: names among ``WAYS``; all by default.
+    Attributes:
+        rows: ways in which photographs come.
+    """
 
-    Returns:
-        All records of ``checked``.
+    rows: Sequence[Named]
+
+    def settings(self, row: Named | None) -> Any:
+        return super().settings(row), self.bench.quick
+
+    def head(self) -> Record:
+        """Return ``cell``, and of each case whether it is ``visible``: of a matt object with the
+        base colour that is given."""
+        with tempfile.TemporaryDirectory(prefix="svu-conventions-") as temporary:
+            form = Way("transforms")
+            written = write(self.capture, form.format, Path(temporary))
+            plain = imported_with(written, Case(), form, Path(temporary) / "imported")
+        right, again = looks(plain), looks(plain, SEED + VIEWS)
+        visible = [shows(right, again, looks(case.made(plain))) for case in CASES]
+        return {"cell": self.title, "visible": visible}
+
+    def measure(self, row: Named) -> Record:
+        """Return ``checks``: what ``checked`` returns."""
+        return {"checks": checked(self.capture, row.label)}
+
+    @cached_property
+    def capture(self) -> Capture:
+        """The photographs."""
+        sizes = QUICK if self.bench.quick else SIZES
+        return self.bench.capture(self.cell, "conventions", **sizes)
+
+
+@dataclass(frozen=True)
+class Named:
+    """A way in which photographs come, by its name in ``WAYS``."""
+
+    label: str
+
+
+def experiment(bench: Bench, asked: Asked) -> Experiment:
+    """Return what is measured: every cell of ``asked``, photographed in the ways that are its rows
+    (all by default; with ``quick``, as the importers give them).
 
     Raises:
         OptionError: an unknown way.
     """
-    require_known(ways, WAYS, "row")
-    chosen = tuple(ways) or (IMPORTERS if bench.quick else tuple(WAYS))
-    store, rows = Store(bench.folder / "conventions"), []
-    sizes = replace(bench.sizes, **(QUICK if bench.quick else SIZES))
-    for cell in cells:
-        capture = bench.capture(cell, sizes, "conventions")
-        key = bench.key(cell, ())
-        visible = partial(_visible, capture)
-        shown = store.recall(f"{cell.name}__visible", key, visible, fresh=bench.fresh)["visible"]
-        for name in chosen:
-            with bench.progress.stage(f"Importing {cell.title}: {name}"):
-                compute = partial(_checked, capture, name)
-                stem = f"{cell.name}__{name.replace(' ', '_')}"
-                found = store.recall(stem, key, compute, fresh=bench.fresh)["checks"]
-            rows += [
-                {"cell": cell.title, **row, "visible": seen}
-                for row, seen in zip(found, shown, strict=True)
-            ]
-    return rows
+    require_known(asked.rows, WAYS, "row")
+    ways = tuple(asked.rows) or (IMPORTERS if bench.quick else tuple(WAYS))
+    rows = [Named(way) for way in ways]
+    return Experiment("conventions", (Spoiled(bench, cell, rows) for cell in asked.cells), True)
 
 
-def _visible(capture: Capture) -> dict[str, Any]:
-    """Say of each case whether it shows, of a matt object with the base colour that is given."""
-    with tempfile.TemporaryDirectory(prefix="svu-conventions-") as temporary:
-        form = Way("transforms")
-        written = write(capture, form.format, Path(temporary))
-        plain = imported_with(written, Case(), form, Path(temporary) / "imported")
-    right, again = looks(plain), looks(plain, SEED + VIEWS)
-    return {"visible": [shows(right, again, looks(case.made(plain))) for case in CASES]}
-
-
-def _checked(capture: Capture, name: str) -> dict[str, Any]:
-    return {"checks": checked(capture, name)}
+def checks_of(record: Record) -> list[Record]:
+    """Return all checks of a record, each with its ``cell`` and whether it is ``visible``."""
+    return [
+        {"cell": cell["cell"], **check, "visible": seen}
+        for cell in record["cells"] for row in cell["rows"].values()
+        for check, seen in zip(row["checks"], cell["visible"], strict=True)
+    ]  # fmt: skip
 
 
 def checked(capture: Capture, name: str, cases: Sequence[Case] = CASES) -> list[dict[str, Any]]:
@@ -124,7 +136,7 @@ def conventions_tables(rows: Sequence[dict[str, Any]]) -> str:
     """Return Markdown tables: kinds of mistakes, and objects, x ways that photographs come.
 
     Args:
-        rows: records of ``run_conventions``.
+        rows: what ``checks_of`` returns.
     """
     told = [row for row in rows if row["visible"] or row["group"] == "nothing wrong"]
     wrong = [row for row in rows if row["group"] != "nothing wrong"]

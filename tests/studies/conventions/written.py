@@ -13,7 +13,10 @@ import trimesh
 from PIL import Image
 from trimesh.visual.material import PBRMaterial
 
+from studies.conventions.colmap import write_colmap
+from studies.conventions.owl import write_owl
 from studies.conventions.photographs import white_of
+from studies.orb.writer import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, arrays, flipped_v
 from svu_mi.capture.picture import quantized, srgb
@@ -22,14 +25,11 @@ from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.checking.appearance import base_color
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.files import prepare_folder
-from svu_mi.formats.colmap import write_colmap
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.importing import ImportOptions
-from svu_mi.formats.objects_with_lighting import write_owl
 from svu_mi.formats.reading import Format
 from svu_mi.formats.source import Light, Source, frame_of
 from svu_mi.formats.stanford_orb import MESH, TRUTH
-from svu_mi.formats.stanford_orb_writer import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.formats.textures import write_pictures
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.light.environment import directions, radiance_from, read_environment

@@ -4,26 +4,31 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from studies.command import Study, main, write_study
-from studies.kernels.run import recall_kernels
+from studies.command import Command, main
+from studies.kernels.run import Kernels, find_bars
 from studies.kernels.tables import kernel_tables
-from svu_mi.bench.accuracy import Bench
+from svu_mi.bench.experiment import Experiment
+from svu_mi.bench.study import Study
+
+STUDY = Study(
+    title="Kernels",
+    experiment=lambda bench, asked: Experiment("kernels", [Kernels(bench, asked.cells[0])]),
+    tables=kernel_tables, bars=find_bars,
+    note="Medians of warm runs; compilation with an empty kernel cache.",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kernels(Study):
+class Timed(Command):
     """Speed and error of every kernel, what skipping saves, scaling, memory.
 
     The whole way, from files to a map, is that of the first object under the first light.
-    Writes kernels.json and kernels.md.
     """
 
-    def measure(self, bench: Bench) -> list[str]:
-        """Measure, write what was found, and return the bars that are missed."""
-        found = recall_kernels(bench, self.cells()[0])
-        write_study(self.output, "kernels", found, "Kernels", kernel_tables(found))
-        return self.missed(found)
+    def study(self) -> Study:
+        """Return what is measured."""
+        return STUDY
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(Kernels))
+    raise SystemExit(main(Timed))

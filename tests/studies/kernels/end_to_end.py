@@ -9,10 +9,10 @@ from typing import Any
 
 import drjit as dr
 
+from studies.clock import WARM_UP, spread
 from studies.kernels.memory import resident_formula
-from svu_mi.bench.bars import Bar
-from svu_mi.bench.clock import WARM_UP, spread
 from svu_mi.bench.fresh import in_new_process
+from svu_mi.bench.text import Bar
 from svu_mi.capture import load_capture
 from svu_mi.output import write_maps
 from svu_mi.pipeline import estimate

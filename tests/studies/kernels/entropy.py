@@ -16,10 +16,9 @@ import numpy as np
 from oracle import batched
 from oracle.posterior import F0
 
-from studies.kernels.timing import compile_record, per_texel
-from svu_mi.bench.bars import Bar
-from svu_mi.bench.clock import measure
+from studies.clock import compile_record, measure, per_texel
 from svu_mi.bench.fresh import in_new_process
+from svu_mi.bench.text import Bar
 from svu_mi.interop import owned
 from svu_mi.options import Preset, preset
 from svu_mi.posterior import (

@@ -17,11 +17,11 @@ import mitsuba as mi
 import numpy as np
 from oracle import frequency
 
-from studies.kernels.timing import compile_record, per_texel
-from svu_mi.bench.bars import Bar
-from svu_mi.bench.clock import measure
+from studies.clock import compile_record, measure, per_texel
 from svu_mi.bench.fresh import in_new_process
+from svu_mi.bench.text import Bar
 from svu_mi.frequency import fit_lanes, power_lanes, scatter_rows, solver_groups
+from svu_mi.frequency.system import System
 from svu_mi.interop import owned
 from svu_mi.options import Preset, preset
 
@@ -207,17 +207,12 @@ def fit(blocks: Blocks, switches: Preset) -> tuple[Any, Any]:
     shape = (blocks.texels, switches.degree + 1, colors)
     outgoing, incoming = dr.zeros(mi.TensorXf, shape), dr.zeros(mi.TensorXf, shape)
     dr.eval(outgoing, incoming)
+    system = System.of(
+        switches.degree, 2 * colors, switches.regularizer, switches.penalize_constant
+    )
     for group in solver_groups(blocks.coverage, switches.degree):
-        coefficients = fit_lanes(
-            blocks.sampler(group.selection),
-            blocks.views,
-            degree=switches.degree,
-            channels=2 * colors,
-            regularizer=switches.regularizer,
-            penalize_constant=switches.penalize_constant,
-            method=group.method,
-            capacity=group.capacity,
-        )
+        sample = blocks.sampler(group.selection)
+        coefficients = fit_lanes(sample, blocks.views, system, group.capacity)
         power = power_lanes(coefficients)
         for spectra, channels in ((outgoing, slice(colors)), (incoming, slice(colors, None))):
             scatter_rows(spectra.array, [row[channels] for row in power], group.selection)

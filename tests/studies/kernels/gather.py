@@ -17,8 +17,8 @@ import numpy as np
 import trimesh
 
 from studies.captures import in_memory
-from studies.kernels.timing import measure_in_turns
-from svu_mi.bench.bars import Bar
+from studies.clock import measure_in_turns
+from svu_mi.bench.text import Bar
 from svu_mi.capture import Capture
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.poses import sphere_sensors

@@ -1,13 +1,14 @@
 """How fast and how exact the kernels are, and the whole way from files to a map.
 
 Each part has a file of its own: ``entropy``, ``fit``, ``gather``, ``end_to_end``,
-``skipping`` and ``scaling``. This one says how large everything is, and calls them in turn.
+``skipping`` and ``scaling``. This one says how large everything is.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +18,13 @@ from studies.kernels.fit import CASES, Case, measure_fit
 from studies.kernels.gather import fine_capture, large_enough, measure_gather
 from studies.kernels.scaling import Range, measure_scaling
 from studies.kernels.skipping import measure_skipping
-from svu_mi.bench.accuracy import Bench
 from svu_mi.bench.captures import capture_of
 from svu_mi.bench.cells import Cell, own_cells
+from svu_mi.bench.experiment import Bench, Part, Record
 from svu_mi.bench.sizes import Sizes
-from svu_mi.bench.speed import timed_setting
-from svu_mi.bench.store import Store, code_and_machine, key_of
+from svu_mi.bench.speed.measure import timed_setting
+from svu_mi.bench.text import Bar
 from svu_mi.capture import Capture
-from svu_mi.progress import Progress
 
 METHODS = ("angular", "spectrum")
 DESCRIPTION = "capture.json"  # in a folder that can be loaded again
@@ -68,68 +68,112 @@ QUICK = KernelSizes(
 )  # fmt: skip
 
 
-def run_kernels(
-    folder: Path, progress: Progress, quick: bool, capture: Capture | None
-) -> dict[str, Any]:
-    """Measure kernels, the whole way, and scaling.
+@dataclass(frozen=True)
+class Kernels:
+    """All kernels, and the whole way with the photographs of a cell.
 
     Everything is warm and synchronised: the median of several runs, with the least and the
     greatest. Compilation is measured in new processes with an empty kernel cache.
 
-    Args:
-        folder: photographs of our own are kept here.
-        progress: shows what is going on.
-        quick: small sizes, for which the bars are not meant.
-        capture: with a folder it was loaded from, it is used for the whole way, and, if its
-            mesh is fine enough, for the gather.
-
-    Returns:
-        ``entropy``, ``fit``, ``gather``, ``end_to_end``, ``skipping`` and ``scaling``: what the
-        files of these names return; ``bars``, all of theirs; and ``quick``.
-
-    Raises:
-        SvuEnvironmentError: a new process failed.
-        OutputError: the folder cannot be written.
+    Attributes:
+        bench: where and how.
+        cell: its photographs are used for the whole way, and, if its mesh is fine enough, for the
+            gather; without it, photographs of our own are rendered.
     """
-    sizes = QUICK if quick else FULL
-    record: dict[str, Any] = {"quick": quick}
-    with progress.stage("Timing the entropy"):
-        record["entropy"] = measure_entropy(sizes.texels, sizes.repeats)
-    with progress.stage("Timing the SH fit"):
-        record["fit"] = measure_fit(sizes.texels, sizes.repeats, sizes.fits)
-    with progress.stage("Timing the gather"):
-        seen = capture if capture and large_enough(capture) else None
+
+    bench: Bench
+    cell: Cell | None = None
+
+    name = "all"
+    title = "Kernels"
+
+    @property
+    def rows(self) -> Sequence[Part]:
+        return PARTS
+
+    @property
+    def sizes(self) -> KernelSizes:
+        """How large everything is."""
+        return QUICK if self.bench.quick else FULL
+
+    def settings(self, row: Part | None) -> Any:
+        del row
+        return self.cell and self.cell.title, asdict(self.sizes)
+
+    def head(self) -> Record:
+        """Return the ``cell``."""
+        return {"cell": self.cell and self.cell.title}
+
+    def measure(self, row: Part) -> Record:
+        """Measure one part."""
+        return row.measure(self)
+
+    @cached_property
+    def capture(self) -> Capture | None:
+        """Photographs of the cell."""
+        return None if self.cell is None else timed_setting(self.bench, self.cell)[0]
+
+    def entropy(self) -> Record:
+        """Time the entropy."""
+        return measure_entropy(self.sizes.texels, self.sizes.repeats)
+
+    def fit(self) -> Record:
+        """Time the SH fit."""
+        return measure_fit(self.sizes.texels, self.sizes.repeats, self.sizes.fits)
+
+    def gather(self) -> Record:
+        """Time the gather."""
+        sizes = self.sizes
+        seen = self.capture if self.capture and large_enough(self.capture) else None
         seen = seen or fine_capture(sizes.views, sizes.film)
-        record["gather"] = measure_gather(seen, sizes.resolution, sizes.repeats)
-    source = folder_of(capture) or _rendered(folder, progress, sizes.views, sizes.film, sizes)
-    with progress.stage("Timing the way from files to entropy.exr"):
-        record["end_to_end"] = measure_end_to_end(
-            source, sizes.resolution, sizes.repeats, sizes.methods
-        )
-    with progress.stage("Timing what can be skipped"):
-        record["skipping"] = measure_skipping(
+        return measure_gather(seen, sizes.resolution, sizes.repeats)
+
+    def end_to_end(self) -> Record:
+        """Time the way from files to entropy.exr."""
+        sizes = self.sizes
+        source = folder_of(self.capture) or folder_of(self._rendered(sizes.views, sizes.film))
+        assert source is not None
+        return measure_end_to_end(source, sizes.resolution, sizes.repeats, sizes.methods)
+
+    def skipping(self) -> Record:
+        """Time what can be skipped."""
+        sizes = self.sizes
+        return measure_skipping(
             sizes.views, sizes.skipping_film, sizes.resolution, sizes.repeats, sizes.methods
         )
-    small = _capture(folder, progress, sizes.scaled_views, sizes.scaled_film, sizes)
-    with progress.stage("Timing more and more texels and views"):
-        record["scaling"] = measure_scaling(small, sizes.scaled, sizes.repeats, sizes.methods)
-    parts = (part for part in record.values() if isinstance(part, dict))
-    record["bars"] = [bar for part in parts for bar in part.get("bars", ())]
-    return record
+
+    def scaling(self) -> Record:
+        """Time more and more texels and views."""
+        sizes = self.sizes
+        small = self._rendered(sizes.scaled_views, sizes.scaled_film)
+        return measure_scaling(small, sizes.scaled, sizes.repeats, sizes.methods)
+
+    def _rendered(self, views: int, film: int) -> Capture:
+        """Return photographs of our own, rendered once."""
+        (cell,) = own_cells(["vase"], ["window"])
+        photographs = Sizes(views=views, film=film, spp=self.sizes.spp)
+        folder = self.bench.folder / "kernels" / f"vase_{views}_{film}"
+        return capture_of(cell, photographs, folder, self.bench.progress)
 
 
-def recall_kernels(bench: Bench, cell: Cell) -> dict[str, Any]:
-    """Return what ``run_kernels`` finds with the photographs of a cell, from disk if it is there.
+PARTS = (
+    Part("entropy", Kernels.entropy),
+    Part("fit", Kernels.fit),
+    Part("gather", Kernels.gather),
+    Part("end_to_end", Kernels.end_to_end),
+    Part("skipping", Kernels.skipping),
+    Part("scaling", Kernels.scaling),
+)
 
-    Raises:
-        SceneError: the cell cannot be rendered.
-        OutputError: the folder cannot be written.
-    """
-    capture, _ = timed_setting(bench, cell)
-    store = Store(bench.folder / "kernels")
-    key = key_of(bench.quick, code_and_machine(), cell.title)
-    compute = partial(run_kernels, store.folder, bench.progress, bench.quick, capture)
-    return store.recall("kernels", key, compute, fresh=bench.fresh)
+
+def find_bars(record: Record) -> list[Bar]:
+    """Return the bars of all parts."""
+    names = [each.name for each in fields(Bar)]
+    return [
+        Bar(**{name: bar[name] for name in names})
+        for cell in record["cells"] for part in cell["rows"].values()
+        for bar in part.get("bars", ())
+    ]  # fmt: skip
 
 
 def folder_of(capture: Capture | None) -> Path | None:
@@ -137,21 +181,3 @@ def folder_of(capture: Capture | None) -> Path | None:
     if capture is None or capture.source is None:
         return None
     return capture.source if (capture.source / DESCRIPTION).is_file() else None
-
-
-def _rendered(folder: Path, progress: Progress, views: int, film: int, sizes: KernelSizes) -> Path:
-    """Return the folder of photographs of our own."""
-    _capture(folder, progress, views, film, sizes)
-    return _place(folder, views, film)
-
-
-def _capture(
-    folder: Path, progress: Progress, views: int, film: int, sizes: KernelSizes
-) -> Capture:
-    photographs = Sizes(views=views, film=film, spp=sizes.spp)
-    (cell,) = own_cells(["vase"], ["window"])
-    return capture_of(cell, photographs, _place(folder, views, film), progress)
-
-
-def _place(folder: Path, views: int, film: int) -> Path:
-    return folder / f"vase_{views}_{film}"

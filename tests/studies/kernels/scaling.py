@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from studies.clock import run, spread
 from studies.kernels.memory import BYTES_PER_TEXEL, MIB, allocated
-from svu_mi.bench.bars import Bar
 from svu_mi.bench.captures import chosen_views
-from svu_mi.bench.clock import run, spread
+from svu_mi.bench.text import Bar
 from svu_mi.capture import Capture
 from svu_mi.pipeline import estimate
 from svu_mi.surface import Texels, texels

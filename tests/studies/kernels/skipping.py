@@ -24,8 +24,8 @@ import numpy as np
 from scipy import ndimage
 
 from studies.captures import in_memory
-from svu_mi.bench.bars import Bar
-from svu_mi.bench.clock import WARM_UP
+from studies.clock import WARM_UP
+from svu_mi.bench.text import Bar
 from svu_mi.capture import Capture
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.poses import sphere_sensors

@@ -4,36 +4,24 @@ from __future__ import annotations
 
 from typing import Any
 
-from svu_mi.bench.bars import bar_table
 from svu_mi.bench.text import number, seconds, table
 
 Record = dict[str, Any]
 MILLION = 1e6
 
 
-def kernel_tables(record: Record) -> str:
-    """Return the tables of a record.
-
-    Args:
-        record: what ``run_kernels`` returns.
-    """
-    note = " Quick sizes, which the bars are not meant for." if record["quick"] else ""
-    parts = [
-        "## Bars",
-        f"Medians of warm runs; compilation with an empty kernel cache.{note}",
-        bar_table(record["bars"]),
-        *_entropy(record["entropy"]["rows"]),
-        *_fit(record["fit"]),
-        *_gather(record["gather"]),
-        *_end_to_end(record["end_to_end"]),
-        *_skipping(record["skipping"]),
-        *_scaling(record["scaling"]),
-        *_memory(record),
-    ]
-    return "\n\n".join(parts)
+def kernel_tables(record: Record) -> list[str]:
+    """Return the tables of a record, of the parts that it has."""
+    if not record["cells"]:
+        return []
+    parts = record["cells"][0]["rows"]
+    found = [text for name, show in SHOWN.items() if name in parts for text in show(parts[name])]
+    whole = {"scaling", "end_to_end"} <= set(parts)
+    return [*found, *_memory(parts)] if whole else found
 
 
-def _entropy(rows: list[Record]) -> list[str]:
+def _entropy(found: Record) -> list[str]:
+    rows = found["rows"]
     cells = [
         [
             row["label"], _spread(row["nanoseconds"]), f"{row['wall_nanoseconds']['median']:.3g}",
@@ -201,3 +189,7 @@ def _spread(found: Record) -> str:
 
 def _mib(value: float | None) -> str:
     return "" if value is None else f"{value:,.0f} MiB"
+
+
+SHOWN = {"entropy": _entropy, "fit": _fit, "gather": _gather, "end_to_end": _end_to_end,
+         "skipping": _skipping, "scaling": _scaling}  # fmt: skip

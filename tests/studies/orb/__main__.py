@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
-from studies.command import Study, main
+from studies.command import Command, main
 from studies.orb.options import Options
-from studies.orb.run import run_orb, write_orb_results
-from studies.orb.tables import orb_lines
-from svu_mi.bench.accuracy import Bench
+from studies.orb.run import orb_study
+from studies.orb.tables import orb_lines, write_csv
+from svu_mi.bench.experiment import Record
+from svu_mi.bench.study import Asked, Study
 from svu_mi.cli.bench import Names, names
 
 
 @dataclass(frozen=True, kw_only=True)
-class Orb(Study):
+class Orb(Command):
     """Textures recovered from the captures of Stanford-ORB, relit, against its photographs.
 
-    Writes orb.json, orb.md and orb.csv; finished captures are kept.
+    Writes orb.csv, too; finished captures are kept.
     """
 
     data: Path | None = None
@@ -32,14 +32,25 @@ class Orb(Study):
     """Test photograph, such as 0003, whose environment map is the light of recovery; without it
     the first."""
 
-    def measure(self, bench: Bench) -> list[str]:
-        """Recover and compare, write after each capture, and return the means of relighting."""
-        options = Options(
+    def study(self) -> Study:
+        """Return what is measured."""
+        return orb_study(Options(
             data=self.data, captures=names(self.objects, "--objects"),
             rows=names(self.rows, "--rows"), environment_view=self.environment_view,
-        )  # fmt: skip
-        found = run_orb(bench, options, finished=partial(write_orb_results, self.output))
-        return orb_lines(found)
+        ))  # fmt: skip
+
+    def asked(self) -> Asked:
+        """Nothing more: the data set has no objects and environments of its own."""
+        return Asked()
+
+    def lines(self, record: Record) -> list[str]:
+        """Return the means of relighting."""
+        return orb_lines(record)
+
+    def write(self, study: Study, record: Record) -> None:
+        """Write orb.csv, too."""
+        super().write(study, record)
+        write_csv(self.output / "orb.csv", record)
 
 
 if __name__ == "__main__":

@@ -18,16 +18,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from studies.orb.targets import albedo_pictures
-from svu_mi.bench.accuracy import Bench
+from studies.orb.writer import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.bench.captures import contents
 from svu_mi.bench.cells import Cell, own_cells
-from svu_mi.bench.store import Store, key_of
+from svu_mi.bench.experiment import Bench
+from svu_mi.bench.store import Store
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.poses import affine, describe, make_sensor, sphere_sensors
 from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.scene import find_environment, find_shape, load_scene, to_world
 from svu_mi.errors import OptionError
-from svu_mi.formats.stanford_orb_writer import OrbCapture, OrbPhotograph, write_orb
+from svu_mi.formats.stanford_orb import SUFFIXES, TRUTH
 from svu_mi.light.environment import directions, radiance_from
 from svu_mi.progress import Progress
 
@@ -75,8 +76,8 @@ def own_dataset(bench: Bench) -> Path:
         render_dataset(folder, cells, sizes, bench.progress)
         return {"sizes": sizes}
 
-    key = key_of(sizes, [(cell.name, contents(cell)) for cell in cells])
-    store.recall("data", key, render, fresh=bench.fresh)
+    settings = sizes, [(cell.name, contents(cell)) for cell in cells]
+    bench.recall(store, "data", "Rendering a data set", settings, render)
     return folder
 
 
@@ -171,3 +172,23 @@ def _photograph(
         environment=environment,
         albedo=albedo,
     )
+
+
+def find_captures(data: str | Path) -> tuple[Path, ...]:
+    """Return the folders of all captures of a data set, by name.
+
+    Args:
+        data: its folder.
+
+    Raises:
+        OptionError: there is none.
+    """
+    kind = next(iter(SUFFIXES))  # with high range
+    folder = Path(data) / kind
+    found = sorted(path.parent for path in folder.glob("*/transforms_train.json"))
+    if not found:
+        raise OptionError(
+            f"{folder}: holds no capture (a folder with transforms_train.json); give the folder "
+            f"that Stanford-ORB's {kind} and {TRUTH} were unpacked into."
+        )
+    return tuple(found)

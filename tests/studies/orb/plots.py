@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from studies.orb.metrics import channel_scale
 from studies.orb.targets import Target
 from svu_mi.bench.plots import FAINT, INK, page
 from svu_mi.capture.picture import srgb
-from svu_mi.metrics.orb import channel_scale
 from svu_mi.output.style import save_figure
 
 Shown = tuple[str, Target, np.ndarray, dict[str, Any], bool]

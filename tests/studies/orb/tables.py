@@ -1,20 +1,17 @@
-"""What ``run_orb`` found, as Markdown tables and as CSV."""
+"""What the study of Stanford-ORB found, as Markdown tables and as CSV."""
 
 from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from studies.orb.targets import FIGURES
-from svu_mi.bench.failures import left_out
+from svu_mi.bench.experiment import Record
 from svu_mi.bench.text import number, seconds, table
 from svu_mi.files import replacing
-
-Record = dict[str, Any]
 
 TASKS = {"light": "Relighting", "view": "New views", "albedo": "Base colour"}
 HEADS = {"psnr_hdr": "PSNR-H", "psnr_ldr": "PSNR-L", "ssim": "SSIM", "lpips": "LPIPS"}
@@ -32,13 +29,13 @@ PUBLISHED = (
 )
 
 
-def orb_tables(record: Record) -> str:
+def orb_tables(record: Record) -> list[str]:
     """Return the tables of a record.
 
     Args:
-        record: what ``run_orb`` returns.
+        record: of the study.
     """
-    captures = record["captures"]
+    captures = record["cells"]
     parts = [_heading(record)]
     for task, title in TASKS.items():
         parts += [f"## {title}", _means(captures, task)]
@@ -50,17 +47,16 @@ def orb_tables(record: Record) -> str:
         "an RTX 4090.",
         _published(),
     ]
-    parts += left_out("Captures left out", record, "capture")
-    return "\n\n".join(parts)
+    return parts
 
 
 def orb_lines(record: Record) -> list[str]:
     """Return what relighting reaches by each way of recovery, a line each.
 
     Args:
-        record: what ``run_orb`` returns.
+        record: of the study.
     """
-    captures = record["captures"]
+    captures = record["cells"]
     labels = dict.fromkeys(label for capture in captures for label, _ in _rows(capture))
     lines = []
     for label in labels:
@@ -75,7 +71,7 @@ def write_csv(path: Path, record: Record) -> None:
 
     Args:
         path: the file.
-        record: what ``run_orb`` returns.
+        record: of the study.
 
     Raises:
         OutputError: the file cannot be written.
@@ -83,7 +79,7 @@ def write_csv(path: Path, record: Record) -> None:
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(("capture", "row", "task", "of_capture", "photograph", *FIGURES))
-        for capture in record["captures"]:
+        for capture in record["cells"]:
             for label, row in _rows(capture):
                 for task in TASKS:
                     for one in (row[task] or {"single": ()})["single"]:
@@ -98,19 +94,19 @@ def _rows(capture: Record) -> Iterator[tuple[str, Record]]:
 
 
 def _heading(record: Record) -> str:
-    sizes, captures = record["sizes"], record["captures"]
+    sizes, captures = record["sizes"], record["cells"]
     count = sum(capture["novel"] for capture in captures)
     text = (
         f"Captures: {len(captures)}; photographs reduced to {sizes.film} pixels, {sizes.texels} x "
         f"{sizes.texels} texels. Means and standard deviations over captures, by the rules of the "
-        "data set (`svu_mi.metrics.orb`). Relighting: photographs of the object in other places "
+        "data set (`studies.orb.metrics`). Relighting: photographs of the object in other places "
         f"({count} in all), each under its own light, channels scaled. New views: test "
         "photographs of the same place, not scaled. Base colour: against the data set's own, "
         "channels scaled. Depth, normals and shape are not judged: geometry is given. Times are "
         "of recovery, by the clock."
     )
     if all(c["grey"]["light"]["mean"]["lpips"] is None for c in captures):
-        text += " LPIPS needs the extra `lpips`."
+        text += " LPIPS needs `pip install lpips`."
     if record["rendered"]:
         text = f"**Not the real data set: svu_mi's own scenes, rendered in its layout.** {text}"
     if record["quick"]:

@@ -14,7 +14,7 @@ from svu_mi.errors import SvuWarning
 def lpips(found: np.ndarray, truth: np.ndarray) -> float | None:
     """Return the LPIPS distance (Zhang et al., CVPR 2018) by VGG-16, 0 for equal pictures.
 
-    None without the package ``lpips``, which the extra of that name installs, or without the
+    None without the package, which ``pip install lpips`` installs with PyTorch, or without the
     weights of VGG-16, which it downloads when it is first used.
 
     Args:

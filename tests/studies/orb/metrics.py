@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import binary_erosion
 
+from studies.orb.lpips import lpips
 from svu_mi.capture.picture import srgb
 from svu_mi.errors import ShapeError
 from svu_mi.metrics.checks import pictures, require_finite
 from svu_mi.metrics.images import ssim_map
-from svu_mi.metrics.lpips import lpips
 from svu_mi.metrics.textures import psnr
 
 ERODED = 5  # pixels per side of the square the mask is eroded by

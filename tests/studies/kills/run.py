@@ -1,36 +1,25 @@
 """Commands that are killed, and commands that meet in one folder.
 
-    python tests/trust/kills.py --kills 200 --pairs 50
-
-prints a table of what was left behind; ``test_trust_kills.py`` runs a few of each. Whatever happens
-at whatever moment: a folder holds the old result or the new one, readers read it, and the same
-command again succeeds and leaves nothing else.
+Whatever happens at whatever moment: a folder holds the old result or the new one, readers read it,
+and the same command again succeeds and leaves nothing else.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
 import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from helpers import ball, foreign_source, write_scene
 from PIL import Image
-
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parents[1]))
-    import svu_mi  # noqa: F401 - chooses LLVM before Dr.Jit is imported
-
-from helpers import foreign_source, write_ball, write_scene
 
 from svu_mi.capture.loading import load_capture
 from svu_mi.export.reading import load_asset
@@ -124,16 +113,9 @@ def prepare(at: Path) -> None:
         foreign = foreign_source(folder)
         write_transforms(folder / "transforms.json", foreign.frames[:2])
         write_exr(folder / "light.exr", {"RGB": np.full((8, 16, 3), light)})
-        columns = dict(positions=1.5 * _ball(folder)) if which == "b" else {}
-        write_scene(folder, **columns)
+        write_scene(folder, positions=ball().positions * (1.5 if which == "b" else 1.0))
         svu("render", folder / "scene.xml", "-o", folder / "shot", "--spp", 2)
         svu("recover", folder / "shot", *SMALL, "--steps", 20, "-o", folder / "recovered")
-
-
-def _ball(folder: Path) -> np.ndarray:
-    from svu_mi.capture.mesh import read_ply
-
-    return read_ply(write_ball(folder)).positions
 
 
 @dataclass
@@ -243,48 +225,3 @@ def met(place: Place, out: Path) -> str:
     sentence = said[codes.index(2)]
     assert TWICE in sentence and sentence.count("\n") == 1, sentence
     return "one"
-
-
-def main() -> None:
-    """Kill, and let meet, as often as asked; print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--pairs", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=19)
-    options = parser.parse_args()
-    import mitsuba as mi
-
-    mi.set_variant("llvm_ad_rgb")
-    chance, names = random.Random(options.seed), list(COMMANDS)
-    with tempfile.TemporaryDirectory(prefix="svu-kills-") as folder:
-        at = Path(folder)
-        os.environ.setdefault("DRJIT_CACHE_DIR", str(at / "kernels"))
-        prepare(at)
-        places = {name: Place(name, at).begin() for name in names}
-        left = {name: Counter[str]() for name in names}
-        for index in range(options.kills):
-            name = names[index % len(names)]
-            left[name][_found(lambda p=places[name]: killed(p, chance, at / "again" / p.name))] += 1
-        pairs = {name: Counter[str]() for name in names}
-        for index in range(options.pairs):
-            name = names[index % len(names)]
-            pairs[name][_found(lambda p=places[name]: met(p, at / "again" / p.name))] += 1
-    print("| command | s | killed | old | new | wrong | met | one wrote | in turn | wrong |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
-    for name in names:
-        a, b = left[name], pairs[name]
-        wrong = [sum(c.values()) - sum(c[k] for k in ("old", "new", "one", "both")) for c in (a, b)]
-        print(f"| `{name}` | {places[name].seconds:.1f} | {a.total()} | {a['old']} | {a['new']} | "
-              f"{wrong[0]} | {b.total()} | {b['one']} | {b['both']} | {wrong[1]} |")  # fmt: skip
-
-
-def _found(attempt: Callable[[], str]) -> str:
-    try:
-        return attempt()
-    except Exception as error:  # whatever it is, it is counted
-        print(f"wrong: {type(error).__name__}: {error}", file=sys.stderr)
-        return "wrong"
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,271 @@
+"""What every benchmark is made of: rows measured on cells.
+
+What is finished is kept, under a key of its settings and of the code, so that an interrupted run
+goes on where it stopped; what cannot be run is told, and the rest goes on.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+from svu_mi.bench.captures import capture_of
+from svu_mi.bench.cells import Cell
+from svu_mi.bench.sizes import Sizes
+from svu_mi.bench.store import Store, code_now, key_of
+from svu_mi.capture import Capture
+from svu_mi.errors import SvuError, SvuWarning
+from svu_mi.progress import Progress
+
+Record = dict[str, Any]
+HEAD = "head"  # file of what holds for all rows of a cell
+
+
+class Row(Protocol):
+    """What is measured on a cell."""
+
+    @property
+    def label(self) -> str:
+        """The name in tables and plots, unique among the rows."""
+
+
+class Subject(Protocol):
+    """A cell; it loads what it needs when a record is missing."""
+
+    @property
+    def name(self) -> str:
+        """Folder of its records."""
+
+    @property
+    def title(self) -> str:
+        """For people."""
+
+    @property
+    def rows(self) -> Sequence[Any]:
+        """What is measured, in this order; a ``Row`` each."""
+
+    def settings(self, row: Any | None) -> Any:
+        """What a row's figures (None: those of ``head``) depend on, beside the code, as JSON."""
+
+    def head(self) -> Record:
+        """Measure what holds for all rows."""
+
+    def measure(self, row: Any) -> Record:
+        """Measure a row."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Where and how a benchmark runs.
+
+    Attributes:
+        folder: of all results.
+        sizes: how large everything is.
+        progress: shows what is going on.
+        quick: whether the sizes are small ones, which bars are not meant for.
+        fresh: measure again what is finished.
+        keep: take up results that another version of the code found.
+        stored: measure nothing; only gather what is there, of any version.
+        code: folders of code beside svu_mi's own that results depend on.
+    """
+
+    folder: Path
+    sizes: Sizes = field(default_factory=Sizes)
+    progress: Progress = field(default_factory=Progress)
+    quick: bool = False
+    fresh: bool = False
+    keep: bool = False
+    stored: bool = False
+    code: tuple[Path, ...] = ()
+
+    def capture(self, cell: Cell, name: str = "capture", **sizes: Any) -> Capture:
+        """Return the photographs of a cell, rendered once.
+
+        Args:
+            cell: object and light.
+            name: of their folder.
+            **sizes: changes of ``sizes``.
+
+        Raises:
+            SceneError: the scene cannot be rendered.
+            OutputError: the folder cannot be written.
+        """
+        folder = self.folder / "cells" / cell.name / name
+        return capture_of(cell, replace(self.sizes, **sizes), folder, self.progress)
+
+    def recall(
+        self, store: Store, name: str, title: str, settings: Any, measure: Callable[[], Record]
+    ) -> Record | None:
+        """Return a finished record, or measure it; None if only what is there is asked for.
+
+        Args:
+            store: where it is kept.
+            name: of its file.
+            title: of what is done.
+            settings: that it depends on, beside the code.
+            measure: what is done.
+        """
+        key, code = key_of(settings), code_now(*self.code)
+        record = None if self.fresh else store.load(name, key)
+        if record is not None and (self.keep or self.stored or record["code"] == code):
+            return record
+        if self.stored:
+            return None
+        with self.progress.stage(title):
+            return store.save(name, key, {"code": code, **measure()})
+
+
+@dataclass(frozen=True)
+class Part:
+    """A row that is a part of what is measured, rather than a thing to compare.
+
+    Attributes:
+        label: its name.
+        measure: what is measured of the subject.
+    """
+
+    label: str
+    measure: Callable[[Any], Record]
+
+
+@dataclass(frozen=True)
+class OnCell:
+    """A subject that is an object under a light; its figures depend on all sizes that are shared.
+
+    Attributes:
+        bench: where and how.
+        cell: object and light.
+    """
+
+    bench: Bench
+    cell: Cell
+
+    @property
+    def name(self) -> str:
+        return self.cell.name
+
+    @property
+    def title(self) -> str:
+        return self.cell.title
+
+    def settings(self, row: Any | None) -> Any:
+        shared = self.bench.sizes.shared
+        return str(self.cell.scene), self.cell.defines, shared, row and row.label
+
+    def head(self) -> Record:
+        """Return the ``cell``."""
+        return {"cell": self.title}
+
+    def measure(self, row: Any) -> Record:
+        """Measure a part."""
+        return row.measure(self)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Rows measured on cells.
+
+    Attributes:
+        name: folder of finished records.
+        subjects: the cells, each let go of when it is finished.
+        whole: whether a cell counts only with all of its rows.
+    """
+
+    name: str
+    subjects: Iterable[Subject]
+    whole: bool = False
+
+    def run(self, bench: Bench, told: Callable[[Record], None] | None = None) -> Record:
+        """Measure every row of every cell, but for what is finished.
+
+        What cannot be run is left out, with a warning.
+
+        Args:
+            bench: where and how.
+            told: called with the record so far after each cell.
+
+        Returns:
+            ``cells``: a record each, what ``head`` says and ``rows`` by label; ``failed``: what
+            was left out (``cell``) and why (``reason``); the number of ``versions`` of the code
+            that found the rest; ``quick``.
+
+        Raises:
+            SvuError: the first, if nothing could be run.
+            OutputError: the folder cannot be written.
+        """
+        failures = Failures()
+        record: Record = {"cells": [], "failed": failures.found, "versions": 0,
+                          "quick": bench.quick}  # fmt: skip
+        codes: set[str] = set()
+        for subject in self.subjects:
+            with failures.leave_out(subject.title):
+                found = self._cell(bench, subject, failures, codes)
+                if found is not None:
+                    record["cells"].append(found)
+            record["versions"] = len(codes)
+            if told is not None and record["cells"]:
+                told(record)
+        if not record["cells"] and failures.first is not None:
+            raise failures.first
+        return record
+
+    def _cell(
+        self, bench: Bench, subject: Subject, failures: Failures, codes: set[str]
+    ) -> Record | None:
+        """Return the record of a cell; None if no row of it could be run, or is there."""
+        store = Store(bench.folder / self.name / subject.name)
+        recall = partial(bench.recall, store)
+        head = recall(HEAD, subject.title, subject.settings(None), subject.head)
+        if head is None:
+            return None
+        rows: dict[str, Record] = {}
+        for row in subject.rows:
+            title = f"{subject.title}: {row.label}"
+            measure = partial(subject.measure, row)
+            with failures.leave_out(title, whole=self.whole):
+                settings = subject.settings(row)
+                found = recall(file_name(row.label), title, settings, measure)
+                if found is not None:
+                    rows[row.label] = _stripped(found)
+                    codes.add(found["code"])
+        return {**_stripped(head), "rows": rows} if rows else None
+
+
+@dataclass
+class Failures:
+    """Errors of a run so far.
+
+    Attributes:
+        found: a record each, with ``cell`` and ``reason``.
+        first: what was raised first.
+    """
+
+    found: list[dict[str, str]] = field(default_factory=list)
+    first: SvuError | None = None
+
+    @contextmanager
+    def leave_out(self, what: str, *, whole: bool = False) -> Iterator[None]:
+        """Keep an error of the block, warn, and go on after it; ``whole``: leave that to others."""
+        try:
+            yield
+        except SvuError as error:
+            if whole:
+                raise
+            self.first = self.first or error
+            self.found.append({"cell": what, "reason": str(error)})
+            warnings.warn(f"{what} is left out: {error}", SvuWarning, stacklevel=4)
+
+
+def file_name(label: str) -> str:
+    """Return a label as the name of a file: ``SH + path`` is ``sh_with_path``."""
+    words = "".join(c if c.isalnum() else " " for c in label.replace("+", "with"))
+    return "_".join(words.lower().split())
+
+
+def _stripped(record: Record) -> Record:
+    return {name: value for name, value in record.items() if name not in ("key", "code")}

@@ -1,0 +1,187 @@
+"""What a calibrated posterior is walked over: statistics, noise, prior, and nodes in memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.interop import owned
+from svu_mi.parameters import MIXED
+from svu_mi.posterior.nodes import Axis, Product
+from svu_mi.posterior.truncated import GENTLE
+from svu_mi.statistics import Factors
+from svu_mi.statistics.spline import catmull_rom
+
+NEAR = 4  # levels that a roughness is interpolated from
+NEVER = 1e30  # -log of the prior of what it excludes
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything a posterior depends on.
+
+    Attributes:
+        factors: of S texels and C channels.
+        copies: how many equal channels each stands for.
+        roughness: nodes.
+        mixed: combinations of nodes of the parameters that mix the columns.
+        edges: (K + 1,) of the cells of base colour; or two equal ones, what is known of it.
+        rows: (R * M,) float64, -log of the prior of a row of cells, all but base colour.
+        given: (R * M * tables * K,) Float, density of base colour in a cell, given the others; or
+            None: 1 everywhere.
+        scale: Float of S values or one, sqrt(W / (s^2 tau)): errors in units of noise, per unit of
+            weight.
+        least: (S,) Float, energy of the best node, less what no node explains.
+        tables: of ``given``: 1 for all channels, or one for each.
+    """
+
+    factors: Factors
+    copies: int
+    roughness: Axis
+    mixed: Product
+    edges: np.ndarray
+    rows: np.ndarray
+    given: Any | None
+    scale: Any
+    least: Any
+    tables: int = 1
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Cells (R, M, K)."""
+        return self.roughness.cells, self.mixed.cells, len(self.edges) - 1
+
+    def axis(self, name: str) -> Axis:
+        """Return the parts of a parameter that is walked over."""
+        return self.mixed.axes[MIXED.index(name)] if name in MIXED else self.roughness
+
+    @cached_property
+    def nodes(self) -> Nodes:
+        """Tables that kernels read."""
+        return Nodes.of(self)
+
+    @cached_property
+    def slack(self) -> float:
+        """Nats that a prior of colours may take off a node's energy, at most."""
+        if self.given is None:
+            return 0.0
+        most = float(dr.max(self.given)[0])
+        return self.copies * self.factors.channels * float(np.log(max(most, 1.0)))
+
+    @cached_property
+    def gentle(self) -> bool:
+        """Whether the prior of colours excludes nothing (see ``Channel.weighed``)."""
+        return self.given is not None and float(dr.min(self.given)[0]) > GENTLE
+
+    def some(self, chosen: np.ndarray) -> Problem:
+        """Return the problem of some texels, by their numbers among S."""
+        lanes = owned(mi.UInt32, chosen)
+        return replace(
+            self, factors=self.factors.some(chosen),
+            scale=dr.gather(mi.Float, self.scale, lanes),
+            least=dr.gather(mi.Float, self.least, lanes),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class AtNodes:
+    """A parameter at nodes.
+
+    Attributes:
+        value: (N,) Float.
+        spread: (N,) Float, variance within the part that a node stands for.
+    """
+
+    value: Any
+    spread: Any
+
+    @staticmethod
+    def of(value: np.ndarray, spread: np.ndarray) -> AtNodes:
+        return AtNodes(owned(mi.Float, value), owned(mi.Float, spread))
+
+    def at(self, node: Any) -> Any:
+        """Return the value of a node: Float."""
+        return dr.gather(mi.Float, self.value, node)
+
+    def moments(self, node: Any) -> tuple[Any, Any]:
+        """Return mean and mean square within the part of a node: Float64."""
+        mean = mi.Float64(self.at(node))
+        return mean, dr.fma(mean, mean, mi.Float64(dr.gather(mi.Float, self.spread, node)))
+
+    def anywhere(self, node: Any, random: Any) -> Any:
+        """Return a value within the part of a node, by a random number in [0, 1)."""
+        spread = dr.gather(mi.Float, self.spread, node)
+        return self.at(node) + (random - 0.5) * dr.sqrt(12 * spread)
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Nodes in memory: N rows of roughness, L columns of the parameters that mix.
+
+    Attributes:
+        levels, weights: (N * 4,) UInt32 and Float: what a roughness is interpolated from.
+        rows: (N,) Floats of roughness: the value, and its variance within a part.
+        columns: (L,) the same of every parameter that mixes.
+        row, column: (N,), (L,) UInt32, cells.
+        prior: (N * L,) Float, -log of the prior.
+        first: (R + 1,) UInt32, nodes of roughness where a cell begins.
+        last: (N,) UInt32, number of cells of (column, channel, base colour) if a node of
+            roughness is the last of its cell, else 0.
+    """
+
+    levels: Any
+    weights: Any
+    rows: AtNodes
+    columns: list[AtNodes]
+    row: Any
+    column: Any
+    prior: Any
+    first: Any
+    last: Any
+
+    @staticmethod
+    def of(problem: Problem) -> Nodes:
+        r, m = problem.roughness, problem.mixed
+        levels, weights = spline(r.value, problem.factors.roughness)
+        ends = np.diff(r.cell, append=r.cells) != 0
+        cells = problem.shape[1] * problem.factors.channels * problem.shape[2]
+        inside = [axis.mass / axis.of_cells()[axis.cell] for axis in (r, m)]
+        rows = problem.rows.reshape(problem.shape[:2])[r.cell][:, m.cell]
+        prior = np.minimum(rows - np.log(inside[0])[:, None] - np.log(inside[1]), NEVER)
+        return Nodes(
+            levels=owned(mi.UInt32, levels.ravel().astype(np.uint32)),
+            weights=owned(mi.Float, weights.ravel()),
+            rows=AtNodes.of(r.value, r.spread),
+            columns=[AtNodes.of(*x) for x in zip(m.each("value"), m.each("spread"), strict=True)],
+            row=owned(mi.UInt32, r.cell.astype(np.uint32)),
+            column=owned(mi.UInt32, m.cell.astype(np.uint32)),
+            prior=owned(mi.Float, prior.ravel()),
+            first=owned(mi.UInt32, r.first.astype(np.uint32)),
+            last=owned(mi.UInt32, (ends * cells).astype(np.uint32)),
+        )
+
+
+def spline(values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return four levels around every value and their weights [Catmull and Rom 1974].
+
+    Args:
+        values: (N,).
+        levels: (R,) ascending at equal distances; values beyond them take the nearest. One level
+            is all there is.
+
+    Returns:
+        (N, 4) int64 and (N, 4) float64.
+    """
+    last = len(levels) - 1
+    if last == 0:
+        return np.zeros((len(values), NEAR), int), np.tile([1.0, 0, 0, 0], (len(values), 1))
+    place = np.clip((values - levels[0]) / (levels[-1] - levels[0]), 0, 1) * last
+    begin = np.minimum(np.floor(place), last - 1)
+    weights = catmull_rom(place - begin)
+    near = np.clip(begin[:, None] + np.arange(-1, 3), 0, last).astype(int)
+    return near, np.stack(weights, axis=1)

@@ -1,0 +1,284 @@
+"""All benchmarks on tiny sizes, run once, and how they judge what they find."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from importlib import import_module
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from PIL import Image
+from scipy import stats
+
+from svu_mi.bench import BENCHMARKS
+from svu_mi.bench.cells import own_cells
+from svu_mi.bench.experiment import Bench
+from svu_mi.bench.guidance import few_lights
+from svu_mi.bench.guidance.curves import Shoot
+from svu_mi.bench.guidance.verdict import compare, mean_gain, times_as_many, views_needed
+from svu_mi.bench.recovery.bars import find_bars
+from svu_mi.bench.recovery.judge import Judge, Relit
+from svu_mi.bench.recovery.measure import under_another_light
+from svu_mi.bench.recovery.rows import PATH, SH, SH_PAPER, SH_PATH
+from svu_mi.bench.run import run_bench
+from svu_mi.bench.sizes import GuidanceSizes, RecoverySizes, Sizes
+from svu_mi.bench.speed import measure as speed
+from svu_mi.bench.study import Asked
+from svu_mi.bench.variants import Variant
+from svu_mi.capture.poses import bounding_sphere, directions_of
+from svu_mi.metrics.textures import CEILING_DB
+from svu_mi.recovery.textures import lay_out, uniform
+from svu_mi.surface import texels
+
+CELLS = own_cells(["vase"], ["window"])
+WAYS = (SH, SH_PATH, PATH, SH_PAPER)
+STRATEGIES = ("entropy", "farthest", "random")
+SIZES = Sizes(
+    views=6, film=32, spp=4, texels=32, speed_texels=32, reference_texels=20, reference_spp=4,
+    speed_film=32, repeats=1,
+    recovery=RecoverySizes(
+        rows=tuple(row.label for row in WAYS), relit_views=1, relit_spp=2, repeats=1, long_s=1e4,
+        scale=0.05,
+    ),
+    guidance=GuidanceSizes(
+        lights=1, texels=24, kinds=("one-sided",), start=2, asked=3, marks=(1, 2),
+        strategies=STRATEGIES, judged=("entropy",),
+    ),
+)  # fmt: skip
+LABEL = "spectrum default"
+VARIANTS = (Variant(LABEL, "spectrum", "default"),)
+SHORT = {"DEGREES": (2, 4), "NODES": (4,), "VIEWS": (3, 10), "SAMPLES": (2, 4, 8)}
+ASKED = Asked(cells=CELLS, variants=VARIANTS)
+
+
+@pytest.fixture(scope="module", params=[pytest.param("all", marks=pytest.mark.slow)])
+def finished(tmp_path_factory):
+    """Every benchmark on one cell: where, and the record."""
+    bench = Bench(tmp_path_factory.mktemp("bench"), SIZES, quick=True)
+    with pytest.MonkeyPatch.context() as patch:
+        for name, short in SHORT.items():
+            patch.setattr(speed, name, short)
+        return bench, run_bench(bench, list(BENCHMARKS), ASKED, "svu b")
+
+
+@pytest.fixture
+def capture(finished):
+    return finished[0].capture(CELLS[0])
+
+
+# --- the whole ----------------------------------------------------------------------------
+
+
+def test_one_benchmark_writes_its_page(tmp_path):
+    bench = Bench(tmp_path, SIZES, quick=True)
+    record = run_bench(bench, ["accuracy"], ASKED, "svu b")
+    assert json.loads((tmp_path / "bench.json").read_text())["accuracy"]["summary"]
+    assert LABEL in (tmp_path / "bench.md").read_text()
+    (cell,) = record["accuracy"]["cells"]
+    assert 0.3 < cell["rows"][LABEL]["pearson"] <= 1
+
+
+def test_figures_tables_and_plots_are_written(finished):
+    bench, record = finished
+    assert {path.name for path in bench.folder.glob("*.*")} == {
+        "bench.json", "bench.md", "time_error.png", "scatter.png", "sparsification.png",
+        "scaling.png", "recovery.png", "guidance.png",
+    }  # fmt: skip
+    written = json.loads((bench.folder / "bench.json").read_text())
+    assert written["command"] == "svu b" and set(BENCHMARKS) <= set(written)
+    assert written["environment"]["versions"]["mitsuba"] == mi.__version__
+    assert written["accuracy"]["summary"] == record["accuracy"]["summary"]
+    text = (bench.folder / "bench.md").read_text()
+    words = (*(row.label for row in WAYS), *STRATEGIES, LABEL, "brightness", "number of views",
+             "vase / window", "90%", "(extrapolated)", "paired t-test", "Quick sizes")  # fmt: skip
+    for word in words:
+        assert word in text, word
+    textures = text.partition("# Recovery of textures")[2].partition("\n# ")[0]
+    assert textures and "nan" not in textures
+    with Image.open(bench.folder / "time_error.png") as picture:
+        assert picture.width > 600
+
+
+def test_what_is_stored_is_all_that_a_second_run_needs(finished):
+    bench, record = finished
+    for name in BENCHMARKS:
+        study = import_module(f"svu_mi.bench.{name}").STUDY
+        again = study.run(replace(bench, stored=True), ASKED)
+        assert again["cells"] == record[name]["cells"] and again["failed"] == []
+
+
+def test_accuracy_has_every_figure_in_its_range(finished):
+    found = finished[1]["accuracy"]
+    (cell,) = found["cells"]
+    assert list(cell["rows"]) == [variant.label for variant in VARIANTS]
+    for row in cell["rows"].values():
+        assert -1 <= row["pearson"] <= 1 and -1 <= row["spearman"] <= 1
+        assert 0 <= row["mean_entropy"] <= 1
+        assert 0 < sum(row["timings"].values()) <= row["seconds"]
+        assert row["credible"]["0.5"]["plain"] <= row["credible"]["0.9"]["plain"]
+        assert list(row["parameters"]) == ["roughness", "metallic", "base_color"]
+        assert len(row["entropy"]) == cell["reference"]["texels"]
+    assert 0 < cell["reference"]["half_overlap"] < 1
+    assert list(cell["reference"]["parameters"]) == ["roughness", "metallic", "base_color"]
+    kinds = [row["kind"] for row in found["summary"]]
+    assert kinds == ["estimator", "sanity", "sanity", "reference"]
+
+
+def test_run_times_of_one_cell(finished):
+    (cell,) = finished[1]["speed"]["cells"]
+    parts = cell["rows"]
+    ((label, times),) = parts["estimators"].items()
+    assert label == LABEL and times["cold"]["kernels"] > 3
+    assert list(times["warm"]) == list(times["cold"]["timings"])
+    assert times["cold"]["process_seconds"] > times["cold"]["seconds"] > 0
+    values = {what: [point["value"] for point in next(iter(parts[what].values()))]
+              for what in ("degree", "grid", "views", "reference_spp")}  # fmt: skip
+    assert values == {"degree": [2, 4], "grid": [4], "views": [3, 6], "reference_spp": [2, 4]}
+    brute = parts["brute"]
+    assert brute["psi"] == 512 and brute["sample_rays"] % (8 * brute["spp"]) == 0
+    assert brute["seconds"] == pytest.approx(16 * brute["linear_seconds"])
+    assert brute["seconds"] > brute["sample_seconds"]
+
+
+def test_every_way_of_recovery_has_figures(finished):
+    (cell,) = finished[1]["recovery"]["cells"]
+    assert [row.label for row in WAYS] == list(cell["rows"])
+    assert 0 < cell["seen"] <= cell["texels"] and cell["relit"] != cell["light"]
+    for label, row in cell["rows"].items():
+        assert row["seconds"] > 0 and row["steps"] >= 1
+        assert row["compiled"] == 0, label
+        assert 0 < row["psnr"]["average"] < CEILING_DB
+        assert set(row["psnr"]) == {"base_color", "roughness", "metallic", "average"}
+        assert -1 <= row["relit"]["ssim"] <= 1 and -1 <= row["entropy_correlation"] <= 1
+        assert cell["truth_relit"]["psnr_ldr"] > row["relit"]["psnr_ldr"]
+
+
+def test_every_strategy_adds_views_that_are_judged(finished):
+    (run,) = finished[1]["guidance"]["cells"]
+    assert (run["cell"], run["kind"], len(run["start"])) == ("vase / window", "one-sided", 2)
+    assert len(run["agreement"]["gains"]) == len(run["agreement"]["changes"]) == 3
+    for curve in run["rows"].values():
+        assert len(set(curve["order"])) == 2 and not set(curve["order"]) & set(run["start"])
+        assert len(curve["psnr"]) == len(curve["entropy"]) == 3
+        assert curve["psnr"][0] == run["first"]["psnr"]["average"]
+        assert curve["entropy"][-1] < curve["entropy"][0]
+        single = [values[1] for values in curve["parameters"].values()]
+        assert curve["psnr"][1] == pytest.approx(np.mean(single))
+    whats = [bar["what"] for bar in finished[1]["guidance"]["bars"]]
+    assert any("one-sided" in what for what in whats)
+    assert any("correlation" in what for what in whats)
+
+
+# --- recovery -----------------------------------------------------------------------------
+
+
+def test_every_cell_is_relit_by_another_light(tmp_path):
+    for cell in own_cells(["knot"]):
+        other = under_another_light(cell, None, tmp_path)
+        assert other.object == cell.object and other.light != cell.light
+        assert other.defines["max_depth"] == "2"
+
+
+def test_true_textures_have_no_error_and_others_do(capture, tmp_path):
+    grid = texels(capture.mesh, 48)
+    judge = Judge.of(capture, grid, poor=2)
+    true = lay_out(grid, judge.truth.values)
+    best, grey = judge.judge(true), judge.judge(uniform(grid))
+    assert best["psnr"]["average"] > 99 and grey["psnr"]["average"] < 20
+    seen = judge.coverage > 0
+    by_hand = np.mean((judge.truth.values["roughness"][seen] - 0.5) ** 2)
+    assert grey["psnr"]["roughness"] == pytest.approx(-10 * np.log10(by_hand), rel=1e-6)
+    relit = Relit.of(capture, under_another_light(CELLS[0], None, tmp_path), 2, 16)
+    best, grey = relit.judge(true), relit.judge(uniform(grid))
+    for name in ("psnr_hdr", "psnr_ldr", "ssim"):
+        assert best[name] > grey[name]
+
+
+def test_the_truth_under_its_own_light_is_the_photograph(capture):
+    """Relit by the light of the photographs, with the same samples: the same picture."""
+    relit = Relit.of(capture, CELLS[0], 6, SIZES.spp, SIZES.seed)
+    for picture, photograph, mask in zip(relit.truth, capture.images, relit.masks, strict=True):
+        np.testing.assert_allclose(picture[mask], photograph[mask], rtol=2e-3)  # half floats
+
+
+def test_bars_tell_a_hit_from_a_miss(finished):
+    record = json.loads(json.dumps(finished[1]["recovery"], default=vars))
+    rows = record["cells"][0]["rows"]
+
+    def bars(of_path):
+        for row, average, seconds in ((SH, 20, 1), (PATH, of_path, 16), (SH_PAPER, 19, 2)):
+            rows[row.label]["psnr"]["average"] = average
+            rows[row.label]["seconds"] = seconds
+        return find_bars(record)[:2]
+
+    over, part = bars(20.4)
+    assert over.value == pytest.approx(-0.4) and over.holds
+    assert part.value == pytest.approx(1 / 16) and part.holds
+    assert not bars(20.6)[0].holds
+    del rows[PATH.label]
+    assert [bar.limit for bar in find_bars(record)] == [0, 1]  # those of the paper's
+
+
+# --- guidance -----------------------------------------------------------------------------
+
+MARKS = (1, 2, 4)
+
+
+def test_views_needed_is_where_a_curve_crosses_for_good():
+    assert views_needed(MARKS, [10, 10.5, 11.5, 12], 1.0) == pytest.approx(1.5)
+    assert views_needed(MARKS, [10, 11.5, 10.5, 12], 1.0) == pytest.approx(2 + 2 / 3)
+    assert views_needed(MARKS, [10, 12, 12, 12], 1.0) == pytest.approx(0.5)
+    assert np.isnan(views_needed(MARKS, [10, 11.5, 11.5, 10.9], 1.0))
+
+
+def test_mean_gain_is_the_area_under_a_curve():
+    assert mean_gain(MARKS, [5, 6, 7, 9]) == pytest.approx((0.5 + 1.5 + 2 * 3) / 4)
+
+
+def runs_of(first, second, starts=1):
+    """Runs of two strategies in as many cells as there are rows; a start per column."""
+    return [
+        {"cell": f"cell {c} {s}", "object": f"object {c}", "rows": {
+            name: {"psnr": [0, *rows[c][s]], "entropy": [0, *(-x for x in rows[c][s])]}
+            for name, rows in (("entropy", first), ("random", second))}}
+        for c in range(len(first)) for s in range(starts)
+    ]  # fmt: skip
+
+
+def test_starts_of_an_object_are_no_independent_samples():
+    rng = np.random.default_rng(0)
+    first, second = (rng.normal(1, 0.2, (6, 2, 2)).tolist() for _ in range(2))
+    sizes = GuidanceSizes(strategies=("entropy", "random"), judged=("entropy",), marks=(1, 2))
+    (found,) = compare(runs_of(first, second, 2), sizes)
+    gains = [[mean_gain((1, 2), [0, *s]) for s in cell] for cell in first]
+    others = [[mean_gain((1, 2), [0, *s]) for s in cell] for cell in second]
+    exact = stats.ttest_rel(np.mean(gains, axis=1), np.mean(others, axis=1))
+    assert found["p"] == pytest.approx(exact.pvalue) and found["objects"] == 6
+    (entropy,) = compare(runs_of(first, second, 2), sizes, "entropy")
+    assert entropy["difference"] == pytest.approx(found["difference"])  # lower is better there
+
+
+def test_who_never_gets_there_needs_at_least_all_views():
+    sizes = GuidanceSizes(strategies=("entropy", "random"), judged=("entropy",), marks=(1, 2))
+    runs = runs_of([[[1.0, 2.0]]], [[[0.1, 0.2]]])
+    assert times_as_many(runs, sizes, "entropy", "random") == pytest.approx(2)
+    assert np.isnan(times_as_many(runs, sizes, "random", "entropy"))
+
+
+def test_few_lights_of_every_object():
+    cells = own_cells(["vase", "knot"])
+    kept = few_lights(cells, 2)
+    assert [cell.object for cell in kept] == ["vase", "vase", "knot", "knot"]
+
+
+def test_farthest_is_the_library_s_own(finished, capture):
+    bench, record = finished
+    (run,) = record["guidance"]["cells"]
+    sided, even = (Shoot(bench, CELLS[0], 0, kind) for kind in ("one-sided", "even"))
+    assert sided.start == run["start"] and even.start[0] == sided.start[0]
+    directions = directions_of(capture.sensors, bounding_sphere(capture.shape)[0])
+    angles = directions @ directions[sided.start[0]]  # the nearest to it, and the farthest
+    assert np.argsort(-angles)[1] == sided.start[1] and np.argmin(angles) == even.start[1]
+    assert sided.order("farthest") == run["rows"]["farthest"]["order"]

@@ -1,0 +1,22 @@
+"""NumPy arrays as Dr.Jit arrays."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from svu_mi.interop import LARGE, owned
+
+
+@pytest.mark.parametrize("count", [300, LARGE // 4])
+def test_what_is_written_later_does_not_show(count):
+    """Also if Dr.Jit is busy, and gets to its copy only after the write."""
+    start = (mi.UInt32(0), dr.zeros(mi.Float, 1 << 16))
+    last = dr.opaque(mi.UInt32, 3000)
+    dr.eval(dr.while_loop(start, lambda i, _: i < last, lambda i, x: (i + 1, x + 1))[1])
+    values = np.full(count, 3, np.float32)
+    found = owned(mi.Float, values)
+    values[:] = 9
+    assert (found.numpy() == 3).all()

@@ -1,0 +1,28 @@
+"""Results whose files all hold one letter, so that a mixture of two is seen."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from svu_mi.files import write_json, write_text
+from svu_mi.results.settling import names_in
+from svu_mi.results.writing import writing
+
+
+def write(folder: Path, letter: str, files: tuple[str, ...], command: str = "recover") -> str:
+    """Write a result whose files all hold one letter; return its id."""
+    with writing(folder, command, "run.json", capture=letter * 8) as draft:
+        for name in files:
+            (draft.folder / name).parent.mkdir(exist_ok=True)
+            write_text(draft.folder / name, letter)
+        write_json(draft.folder / "run.json", {"letter": letter, **draft.entries()})
+    return draft.run
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """Return the letter in each file of a folder but the record, and the record's."""
+    found = {name: (folder / name).read_text().strip() for name in names_in(folder)}
+    if "run.json" in found:
+        found["run.json"] = json.loads(found["run.json"])["letter"]
+    return found
