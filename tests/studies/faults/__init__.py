@@ -1,0 +1,1 @@
+"""Whether the tests notice faults: twenty are planted, one at a time."""
