@@ -6,6 +6,7 @@ Runs in the sources themselves: leave them alone meanwhile.
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 
 import tyro
 from rich.console import Console
@@ -14,12 +15,16 @@ from studies.faults.faults import FAULTS
 from studies.faults.run import source, table, try_out
 
 
-def main(only: tuple[str, ...] = ()) -> int:
-    """Plant faults one by one, and tell which test notices each; how many none has is the status.
+@dataclass(frozen=True)
+class Options:
+    """Plant faults one by one, and tell which test notices each."""
 
-    Args:
-        only: names of faults; all by default.
-    """
+    only: tuple[str, ...] = ()
+    """Names of faults; all by default."""
+
+
+def main(only: tuple[str, ...]) -> int:
+    """Plant the faults of these names, or all; return how many no test has noticed."""
     unknown = set(only) - {fault.name for fault in FAULTS}
     if unknown:
         raise SystemExit(f"--only: there is no fault {', '.join(sorted(unknown))}.")
@@ -36,4 +41,4 @@ def main(only: tuple[str, ...] = ()) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(tyro.cli(main))
+    raise SystemExit(main(tyro.cli(Options).only))
