@@ -10,6 +10,11 @@ from typing import Any, Literal, get_args, get_origin
 
 from svu_mi.errors import OptionError
 
+KINDS: dict[Any, type] = {"int": int, "float": float, "bool": bool}
+WORDS: dict[Any, tuple[type, str]] = {
+    int: (Integral, "a whole number"), float: (Real, "a number"), bool: (bool, "True or False"),
+}  # fmt: skip
+
 
 def require(options: Any, condition: bool, name: str, expected: str) -> None:
     """Refuse a setting; NaN meets no condition.
@@ -46,19 +51,20 @@ def require_types(options: Any) -> None:
     Raises:
         OptionError: a field of another type.
     """
-    kinds = {"int": (Integral, "a whole number"), "float": (Real, "a number"),
-             "bool": (bool, "True or False")}  # fmt: skip
-    there = vars(sys.modules[type(options).__module__])  # types are text, as annotations are
+    there = vars(sys.modules[type(options).__module__])
     for each in fields(options):
-        if each.type in kinds:
-            kind, words = kinds[str(each.type)]
+        # Types are text, as annotations are, unless something such as tyro has resolved them.
+        kind = KINDS.get(each.type, each.type)
+        kind = there.get(kind) if isinstance(kind, str) else kind
+        if get_origin(kind) is Literal:
+            allowed = get_args(kind)
+            fits = getattr(options, each.name) in allowed
+            require(options, fits, each.name, f"one of {', '.join(allowed)}")
+        elif kind in WORDS:
+            number, words = WORDS[kind]
             value = getattr(options, each.name)
-            fits = isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
+            fits = isinstance(value, number) and (kind is bool or not isinstance(value, bool))
             require(options, fits, each.name, words)
-        elif get_origin(choices := there.get(str(each.type))) is Literal:
-            allowed = get_args(choices)
-            expected = f"one of {', '.join(allowed)}"
-            require(options, getattr(options, each.name) in allowed, each.name, expected)
 
 
 def require_ranges(options: Any, **ranges: tuple[float, float]) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+import typing
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from helpers import render_ball
 import svu_mi as svu
 from svu_mi import pipeline, scenes
 from svu_mi.errors import OptionError
-from svu_mi.options import ANGULAR_PRESETS, PRESETS, preset
+from svu_mi.options import ANGULAR_PRESETS, PRESETS, AngularPreset, preset
 
 SPECTRUM: dict[str, Any] = {
     "degree": 6, "regularizer": 1e-2, "penalize_constant": False, "band_limit": "photographs",
@@ -107,3 +108,16 @@ def test_what_the_paper_has_not_is_refused_beside_what_it_has(switches, sentence
 def test_numbers_of_cells_out_of_range_are_refused(cells):
     with pytest.raises(OptionError, match=r"cells must be in \[256, 4096\], or 0"):
         preset("default", method="angular", cells=cells)
+
+
+@pytest.mark.parametrize("resolved", [False, True])
+def test_types_are_checked_whether_annotations_are_text_or_not(resolved, monkeypatch):
+    """As where a program that reads command lines has looked them up before."""
+    wrong: dict[str, Any] = {"errors": "median", "cells": 256.5, "off_specular": 1, "knee": "all"}
+    if resolved:
+        hints = typing.get_type_hints(AngularPreset)
+        for each in fields(AngularPreset):
+            monkeypatch.setattr(each, "type", hints[each.name])
+    for name, value in wrong.items():
+        with pytest.raises(OptionError, match=f"{name} must be"):
+            AngularPreset(**{name: value})
