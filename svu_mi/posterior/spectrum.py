@@ -108,11 +108,7 @@ def spectrum_posterior(
     grid = spectrum_grid(grid, switches, irradiance=irradiance is not None)
     S_L, S_B = _spectra(incoming, outgoing)
     count, degrees, channels = S_L.shape
-    seen = np.ones(count, bool) if observed is None else np.array(observed, bool).ravel()
-    if len(seen) != count:
-        raise ShapeError(
-            f"spectrum_posterior(): {len(seen)} flags for {count} texels; give one per texel."
-        )
+    seen = _seen(observed, count)
     tables = streaming.log_prior(prior, grid.shape, "spectrum_posterior()")
     unit = _unit(switches, S_L, S_B, seen, scale)
     *_, cells = grid.axes.values()
@@ -134,6 +130,16 @@ def spectrum_posterior(
     )
     posterior = SpectrumPosterior(grid=grid, observed=seen, problem=problem)
     return _most_certain_channel(posterior) if switches.channels == "minimum" else posterior
+
+
+def _seen(observed: Any | None, count: int) -> np.ndarray:
+    """Return which texels are seen, (count,) bool; all if nothing is said."""
+    seen = np.ones(count, bool) if observed is None else np.array(observed, bool).ravel()
+    if len(seen) != count:
+        raise ShapeError(
+            f"spectrum_posterior(): {len(seen)} flags for {count} texels; give one per texel."
+        )
+    return seen
 
 
 def _spectra(incoming: Any, outgoing: Any) -> tuple[Any, Any]:

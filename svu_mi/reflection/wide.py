@@ -135,6 +135,14 @@ class WideLobes:
         return sums.over(self.reach.cells.coarse.count, tree.coarse, cosine)
 
 
+class _Depth(NamedTuple):
+    """Cells of one size; where the smaller ones begin that each is made of; what adds one."""
+
+    cells: Cells
+    first: Any
+    below: Callable[..., Any]
+
+
 class _Tree:
     """Goes through the cells of the light, into small ones where the narrowest lobe asks for it."""
 
@@ -148,7 +156,7 @@ class _Tree:
         """Add a coarse cell, or the fine ones that it is made of."""
         cells = self.reach.cells
         free = self.reach.coarse.test(cell, self.lane)
-        return self._add(cells.coarse, cell, free, sums, cells.first, self.fine)
+        return self._add(_Depth(cells.coarse, cells.first, self.fine), cell, free, sums)
 
     def fine(self, cell: Any, *sums: Any) -> tuple[Any, ...]:
         """Add a fine cell, or its leaves, which are seen if it is."""
@@ -158,13 +166,14 @@ class _Tree:
             look = self.sums.look(cells.leaves, below)
             return (below + 1, *self.sums.lit(cells.leaves, below, look, free, sums))
 
-        return self._add(cells.fine, cell, free, sums, cells.first_leaf, leaf, free)
+        depth = _Depth(cells.fine, cells.first_leaf, leaf)
+        return self._add(depth, cell, free, sums, inside=free)
 
     def _add(
-        self, cells: Cells, cell: Any, free: Any, sums: tuple[Any, ...], first: Any,
-        below: Callable[..., Any], inside: Any = True,
-    ) -> tuple[Any, ...]:  # fmt: skip
+        self, depth: _Depth, cell: Any, free: Any, sums: tuple[Any, ...], inside: Any = True
+    ) -> tuple[Any, ...]:
         """Add a cell, or what is below it where it is too large; only if ``inside`` is."""
+        cells, first, below = depth
         look = self.sums.look(cells, cell)
 
         def above(*sums: Any) -> tuple[Any, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -68,16 +68,24 @@ class Taps:
     on_film: Any
 
 
-def _project(camera: Camera, position: Any) -> tuple[Any, Any, Any, Any]:
-    """Return pixel coordinates, 0 at the first pixel's centre; 1 / depth; and whether the point
-    is in front of the camera."""
+class _Projected(NamedTuple):
+    """Pixel coordinates, 0 at the first pixel's centre; 1 / depth; whether in front of the
+    camera."""
+
+    x: Any
+    y: Any
+    scale: Any
+    in_front: Any
+
+
+def _project(camera: Camera, position: Any) -> _Projected:
     point = mi.Vector4f(position.x, position.y, position.z, 1)
     depth = dr.dot(camera.w, point)
     in_front = depth > camera.near
     scale = dr.rcp(dr.select(in_front, depth, 1))
     x = dr.dot(camera.x, point) * scale - 0.5
     y = dr.dot(camera.y, point) * scale - 0.5
-    return x, y, scale, in_front
+    return _Projected(x, y, scale, in_front)
 
 
 def taps_at(camera: Camera, position: Any) -> Taps:
@@ -128,8 +136,9 @@ def mean_over_texel(
     """
     if views.pixels is None:
         return black(), mi.Float(0)
-    x, y, scale, _ = _project(camera, position)
-    spans = [] if sides is None else [_span(camera, side, x, y, scale) for side in sides]
+    middle = _project(camera, position)
+    x, y, *_ = middle
+    spans = [] if sides is None else [_span(camera, side, middle) for side in sides]
     spans = spans or [(mi.Float(0), mi.Float(0))] * 2
     steps = [
         dr.clip(dr.ceil(dr.sqrt(a * a + b * b) / SPACING), 1, MOST_TAPS) for a, b in spans
@@ -168,8 +177,9 @@ def mean_over_texel(
     return mean, dr.maximum(inverse * squares - dr.square(grey), 0)
 
 
-def _span(camera: Camera, side: Any, x: Any, y: Any, scale: Any) -> tuple[Any, Any]:
+def _span(camera: Camera, side: Any, at: _Projected) -> tuple[Any, Any]:
     """Project a vector at a point: pixels (Floats), to first order."""
+    x, y, scale, _ = at
     vector = mi.Vector4f(side.x, side.y, side.z, 0)
     depth = dr.dot(camera.w, vector)
     return (
