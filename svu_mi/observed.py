@@ -22,7 +22,7 @@ from svu_mi.interop import owned
 from svu_mi.light import Lighting, light, light_cells
 from svu_mi.options import AngularPreset, Fit, Preset
 from svu_mi.progress import Progress
-from svu_mi.reflection.model import Model
+from svu_mi.reflection.model import Arriving, Model
 from svu_mi.statistics import Statistics, gather
 from svu_mi.statistics.gather import ALIKE, Weighting
 from svu_mi.surface import Texels
@@ -139,7 +139,8 @@ class Observed:
         if switches.traced:
             reach = self._reach_of(texels, switches)
         mirrored = self.mirrored(switches.fit, channels, texels)
-        return Model.of(self.lighting, surface, reach, roughness, switches, channels, mirrored)
+        light = Arriving(self.lighting, reach, channels, mirrored)
+        return Model.of(surface, light, roughness, switches)
 
     def mirrored(
         self, fit: Fit | None, channels: int, texels: np.ndarray | None = None

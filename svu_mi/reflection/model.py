@@ -30,6 +30,23 @@ from svu_mi.visibility.reach import Reach
 
 
 @dataclass(frozen=True)
+class Arriving:
+    """Light, and what of it arrives at texels.
+
+    Attributes:
+        lighting: the light.
+        reach: what the texels see of it; None if nothing hides any, and all lobes look it up.
+        channels: 3, or 1 for the mean of R, G and B.
+        mirrored: light to fit at every texel; None if the switches ask for no fit.
+    """
+
+    lighting: Lighting
+    reach: Reach | None
+    channels: int
+    mirrored: MirroredLight | None = None
+
+
+@dataclass(frozen=True)
 class Model:
     """What S texels reflect, at R levels of roughness.
 
@@ -53,30 +70,27 @@ class Model:
 
     @staticmethod
     def of(
-        lighting: Lighting, surface: Surface, reach: Reach | None, roughness: np.ndarray,
-        switches: AngularPreset, channels: int, mirrored: MirroredLight | None = None,
-    ) -> Model:  # fmt: skip
+        surface: Surface, light: Arriving, roughness: np.ndarray, switches: AngularPreset
+    ) -> Model:
         """Filter the light, and put together what reaches every texel.
 
         Args:
-            lighting: the light.
             surface: S texels.
-            reach: what they see of it; None if nothing hides any, and all lobes look it up.
+            light: what arrives at them.
             roughness: (R,) levels, ascending.
             switches: which model.
-            channels: 3, or 1 for the mean of R, G and B.
-            mirrored: light to fit; None if the switches ask for no fit.
 
         Raises:
             OptionError: levels that do not ascend.
         """
         if np.any(np.diff(roughness) <= 0):
             raise OptionError(f"Roughness levels must ascend, got {roughness.tolist()}.")
+        lighting, reach, channels = light.lighting, light.reach, light.channels
         alpha = alpha_from_roughness(roughness)
         split = len(alpha) if reach is None else int(np.searchsorted(alpha, NARROW, "right"))
         narrow, wide, lobes = None, None, None
-        if mirrored is not None:
-            lobes = FittedLobes.of(mirrored, alpha, switches)
+        if light.mirrored is not None:
+            lobes = FittedLobes.of(light.mirrored, alpha, switches)
         elif split > 0:
             narrow = NarrowLobes.of(
                 lighting, alpha[:split], switches, channels, disk=reach is None
@@ -84,8 +98,7 @@ class Model:
         if reach is not None and split < len(alpha):
             wide = WideLobes(reach, alpha[split:], channels)
         if reach is None:
-            light = moment_map(lighting.environment, channels)
-            moments = light.in_world(surface.normal)
+            moments = moment_map(lighting.environment, channels).in_world(surface.normal)
         else:
             moments = reach.diffuse(surface, lighting, channels)
         return Model(roughness, surface, switches, narrow, wide, lobes, moments)
