@@ -226,12 +226,17 @@ def test_a_second_capture_compiles_nothing(tmp_path, glossy, method):
     capture, texels = glossy
     for _ in range(2):
         estimate(capture, texels, method)
-    other = render_ball(tmp_path, studio(), DIFFUSE, views=24, spp=4)
-    there = svu.texels(other.mesh, 28)
-    dr.sync_thread()
-    before = sum(dr.detail.launch_stats()[1:])
-    estimate(other, there, method)
-    assert sum(dr.detail.launch_stats()[1:]) == before
+    compiled = []
+    for views, resolution in ((24, 28), (17, 23)):
+        other = render_ball(tmp_path, studio(), DIFFUSE, views=views, spp=4)
+        there = svu.texels(other.mesh, resolution)
+        dr.sync_thread()
+        before = sum(dr.detail.launch_stats()[1:])
+        estimate(other, there, method)
+        compiled.append(sum(dr.detail.launch_stats()[1:]) - before)
+    # One kernel has two forms, and now and then the same estimate takes the other: once, then it
+    # is known. What depends on the capture would be compiled for both.
+    assert min(compiled) == 0 and max(compiled) <= 1
 
 
 @pytest.mark.parametrize("method", [pytest.param("angular", marks=pytest.mark.slow), "spectrum"])
