@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,6 +21,7 @@ from svu_mi.bench.store import Store, code_now, key_of
 from svu_mi.capture import Capture
 from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.progress import Progress
+from svu_mi.surface import Texels, texels
 
 Record = dict[str, Any]
 HEAD = "head"  # file of what holds for all rows of a cell
@@ -133,8 +134,24 @@ class Part:
     measure: Callable[[Any], Record]
 
 
+class NamedAfterCell:
+    """A subject that is called what its cell is."""
+
+    cell: Cell
+
+    @property
+    def name(self) -> str:
+        """Folder of its records."""
+        return self.cell.name
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return self.cell.title
+
+
 @dataclass(frozen=True)
-class OnCell:
+class OnCell(NamedAfterCell):
     """A subject that is an object under a light; its figures depend on all sizes that are shared.
 
     Attributes:
@@ -144,14 +161,6 @@ class OnCell:
 
     bench: Bench
     cell: Cell
-
-    @property
-    def name(self) -> str:
-        return self.cell.name
-
-    @property
-    def title(self) -> str:
-        return self.cell.title
 
     def settings(self, row: Any | None) -> Any:
         shared = self.bench.sizes.shared
@@ -164,6 +173,16 @@ class OnCell:
     def measure(self, row: Any) -> Record:
         """Measure a part."""
         return row.measure(self)
+
+    @cached_property
+    def capture(self) -> Capture:
+        """Photographs of the cell."""
+        return self.bench.capture(self.cell)
+
+    @cached_property
+    def layout(self) -> Texels:
+        """Texels of its object."""
+        return texels(self.capture.mesh, self.bench.sizes.texels)
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ import mitsuba as mi  # isort: skip
 
 from svu_mi.bench.captures import some_views
 from svu_mi.bench.cells import OWN_OBJECTS, Cell, data_cells, own_cells
-from svu_mi.bench.experiment import Bench, Experiment
+from svu_mi.bench.experiment import Bench, Experiment, NamedAfterCell
 from svu_mi.bench.fresh import in_new_process
 from svu_mi.progress import Progress
 
@@ -245,7 +245,7 @@ class Label:
 
 
 @dataclass(frozen=True)
-class Recorded:
+class Recorded(NamedAfterCell):
     """A cell of a record.
 
     Attributes:
@@ -257,14 +257,6 @@ class Recorded:
     cell: Cell
     rows: Sequence[Label]
     prepare: Callable[[Cell], Callable[[str], dict[str, Any]]]
-
-    @property
-    def name(self) -> str:
-        return self.cell.name
-
-    @property
-    def title(self) -> str:
-        return self.cell.title
 
     def settings(self, row: Label | None) -> Any:
         return str(self.cell.scene), self.cell.defines, row and row.label

@@ -8,7 +8,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -87,16 +87,6 @@ class Steps(OnCell):
 
     def settings(self, row: Part | None) -> Any:
         return super().settings(row), asdict(self.sizes)
-
-    @cached_property
-    def capture(self) -> Capture:
-        """The photographs."""
-        return self.bench.capture(self.cell)
-
-    @cached_property
-    def layout(self) -> Texels:
-        """Texels of the textures."""
-        return texels(self.capture.mesh, self.bench.sizes.texels)
 
     def sharing(self) -> Record:
         """Return, by rule, what ``sharing_cost`` returns."""

@@ -16,7 +16,7 @@ from svu_mi.bench.experiment import Bench, OnCell, Record
 from svu_mi.bench.variants import Variant
 from svu_mi.capture import Capture
 from svu_mi.reference import reference_posterior
-from svu_mi.surface import Texels, texels
+from svu_mi.surface import Texels
 
 DIGITS = 4  # of the entropies that are kept for scatter plots
 
@@ -54,28 +54,20 @@ class Compared(OnCell):
             ``object``, ``light``, ``texels``, ``reference`` (its figures) and ``sanity``.
         """
         return {
-            "object": self.cell.object, "light": self.cell.light, "texels": self._grid.count,
+            "object": self.cell.object, "light": self.cell.light, "texels": self.layout.count,
             **self._traced.figures(),
         }  # fmt: skip
 
     def measure(self, row: Variant) -> Record:
         """Estimate, and compare."""
-        timed = warm(partial(row.estimate, self._capture, self._grid))
+        timed = warm(partial(row.estimate, self.capture, self.layout))
         return self._traced.judge(timed)
-
-    @cached_property
-    def _capture(self) -> Capture:
-        return self.bench.capture(self.cell)
-
-    @cached_property
-    def _grid(self) -> Texels:
-        return texels(self._capture.mesh, self.bench.sizes.texels)
 
     @cached_property
     def _traced(self) -> Traced:
         with self.bench.progress.stage(f"Tracing the reference of {self.title}"):
-            reference = reference_of(self.bench, self._capture, self._grid)
-            return Traced.of(reference, self._capture, self._grid)
+            reference = reference_of(self.bench, self.capture, self.layout)
+            return Traced.of(reference, self.capture, self.layout)
 
 
 @dataclass(frozen=True)

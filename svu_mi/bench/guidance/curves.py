@@ -14,7 +14,6 @@ from svu_mi.bench.captures import chosen_views
 from svu_mi.bench.experiment import OnCell, Record
 from svu_mi.bench.sizes import GuidanceSizes
 from svu_mi.bench.truth import Truth
-from svu_mi.capture import Capture
 from svu_mi.capture.poses import bounding_sphere, directions_of
 from svu_mi.guidance.baselines import farthest
 from svu_mi.guidance.candidates import Candidates
@@ -94,11 +93,6 @@ class Shoot(OnCell):
             "entropy": [point["entropy"] for point in points],
             "parameters": {name: [point["psnr"][name] for point in points] for name in NAMES},
         }
-
-    @cached_property
-    def capture(self) -> Capture:
-        """All views, each with its photograph."""
-        return self.bench.capture(self.cell)
 
     @cached_property
     def grid(self) -> Texels:

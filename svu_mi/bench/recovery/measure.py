@@ -19,7 +19,7 @@ from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
 from svu_mi.recovery.textures import lay_out
-from svu_mi.surface import Texels, texels
+from svu_mi.surface import Texels
 
 BRIEF = 4  # steps after which all kernels are compiled
 
@@ -54,12 +54,12 @@ class Recovered(OnCell):
         return {
             "object": self.cell.object, "light": self.cell.light, "relit": self.other.light,
             "views": self.capture.count, **self.judge.figures(),
-            "truth_relit": self.relit.judge(lay_out(self.grid, self.judge.truth.values)),
+            "truth_relit": self.relit.judge(lay_out(self.layout, self.judge.truth.values)),
         }  # fmt: skip
 
     def measure(self, row: Row) -> Record:
         """Recover, judge and relight; return the figures."""
-        timed = run_warm(row, self.capture, self.grid, self.sizes)
+        timed = run_warm(row, self.capture, self.layout, self.sizes)
         textures = timed.result.textures
         relit = self.relit.judge(textures)
         return {**figures(timed), **self.judge.judge(textures), "relit": relit}
@@ -76,14 +76,9 @@ class Recovered(OnCell):
         return some_views(whole, min(self.sizes.even_views, whole.count))
 
     @cached_property
-    def grid(self) -> Texels:
-        """Texels of the textures."""
-        return texels(self.capture.mesh, self.bench.sizes.texels)
-
-    @cached_property
     def judge(self) -> Judge:
         """What textures are held against."""
-        return Judge.of(self.capture, self.grid, self.sizes.poor)
+        return Judge.of(self.capture, self.layout, self.sizes.poor)
 
     @cached_property
     def relit(self) -> Relit:

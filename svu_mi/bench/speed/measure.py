@@ -58,18 +58,8 @@ class Timing(OnCell):
         }  # fmt: skip
 
     @cached_property
-    def capture(self) -> Capture:
-        """Photographs that agreement is measured on."""
-        return self.bench.capture(self.cell)
-
-    @cached_property
-    def layout(self) -> Texels:
-        """Texels of the same."""
-        return texels(self.capture.mesh, self.bench.sizes.texels)
-
-    @cached_property
     def reference(self) -> Any:
-        """The path-traced posterior of some of these."""
+        """The path-traced posterior of some of the texels, which agreement is measured with."""
         return reference_of(self.bench, self.capture, self.layout)
 
     @cached_property
