@@ -375,6 +375,7 @@ def kernels_of(capture, resolution, switches, lit_for=12):
     return {k["hash"] for k in history}, [k for k in history if not k["cache_hit"]]
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("noise", ["relative", "heteroscedastic", "marginal"])
 @pytest.mark.parametrize("channels", ["grey", "joint"])
 def test_other_captures_run_the_same_kernels(tmp_path, scene, channels, noise):

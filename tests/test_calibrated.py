@@ -257,6 +257,7 @@ def test_sets_hold_what_the_model_draws() -> None:
         assert abs(truth["metallic"][chosen].mean() - believed[chosen].mean()) < 0.06
 
 
+@pytest.mark.slow
 def test_draws_are_of_the_posterior(setting: tuple[svu.Posterior, oracle.Truth]) -> None:
     found, truth = setting
     drawn = {name: np.array(x) for name, x in found.draw(400, seed=5).items()}

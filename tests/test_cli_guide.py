@@ -81,6 +81,7 @@ def test_guide_writes_poses_maps_and_pictures_and_prints_a_table(planned):
     assert said[-1] == f"Wrote {folder}"
 
 
+@pytest.mark.slow
 def test_sensors_of_the_scene_that_have_no_photograph_are_candidates(partial, tmp_path):
     assert guide(partial, tmp_path, "--candidates", "scene", "--add", 9) == 0
     found = plan(tmp_path)
@@ -112,6 +113,7 @@ def test_what_is_not_photographed_has_no_say(shot, partial, garbage):
     assert [p.candidate for p in found[0].proposals] == [p.candidate for p in found[1].proposals]
 
 
+@pytest.mark.slow
 def test_the_poses_of_a_run_are_candidates_of_the_next(shot, planned, tmp_path, no_page):
     words = ("--candidates", planned[0] / "transforms.json", "--add", 1, "--seed", 5)
     assert guide(shot, tmp_path, *words) == 0
@@ -140,6 +142,7 @@ def test_what_can_be_reached_is_said_in_any_of_three_ways(tmp_path, text):
     assert np.flatnonzero(flags).tolist() == [0, 6, 9]
 
 
+@pytest.mark.slow
 def test_the_sphere_of_candidates_is_where_it_is_asked_to_be(shot, tmp_path, no_page):
     words = ("--candidates", 9, "--add", 9, "--lowest", 30, "--up", 0, 0, -2, "--distance", 5)
     assert guide(shot, tmp_path, *words, "--strategy", "random") == 0

@@ -77,6 +77,7 @@ def test_recover_writes_textures_a_scene_and_pictures(shot, tmp_path):
     assert sure < unsure
 
 
+@pytest.mark.slow
 def test_the_record_says_how_the_paper_s_preset_recovers(shot, tmp_path, no_pictures):
     words = ("--preset", "paper", "--sharing", "--method", "sh+path", "--epochs", 0.1)
     assert run("recover", shot, "-o", tmp_path, "--resolution", 16, "--steps", 5, *words) == 0
@@ -113,6 +114,7 @@ def test_textures_that_are_not_asked_for_stay(shot, tmp_path, no_pictures):
     assert np.ptp(found["roughness"]) > 0 and np.ptp(found["base_color"]) > 0
 
 
+@pytest.mark.slow
 def test_without_photographs_the_scene_is_rendered_once(
     tmp_path, capsys, monkeypatch, no_pictures
 ):

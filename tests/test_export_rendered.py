@@ -120,6 +120,7 @@ def unpack(glb, folder):
     return {name: folder / f"{name}.png" for name in ("base_color", "roughness", "metallic")}
 
 
+@pytest.mark.slow
 def test_the_glb_shows_what_was_recovered(rendered, tmp_path):
     textures = unpack(rendered.asset / "asset.glb", tmp_path)
     found = render(scene_with(rendered, tmp_path, painted(tmp_path / "read.ply", textures)))

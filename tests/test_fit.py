@@ -54,7 +54,7 @@ def spectrum_error(got: np.ndarray, truth: np.ndarray) -> float:
     return float((np.abs(got - truth) / truth.max(axis=1, keepdims=True)).max())
 
 
-@pytest.mark.few(6)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("kind", ["hemisphere", "grazing", "duplicated", "crowded", "collinear"])
 @pytest.mark.parametrize("views, lmax", [(1, 9), (7, 6), (32, 6), (100, 4), (256, 6)])

@@ -641,6 +641,7 @@ def prospect(estimate, candidates, **options):
 
 
 class TestNextBestView:
+    @pytest.mark.few(1)
     @pytest.mark.parametrize("switches", [{}, {"method": "spectrum", "preset": "paper"}])
     def test_photographs_of_candidates_are_never_looked_at(self, sunny, switches):
         capture, texels = sunny
@@ -738,6 +739,7 @@ class TestNextBestView:
         assert np.isnan(guidance.gains[best]) and best not in guidance.ranking
         assert sorted(guidance.ranking) == [c for c in range(18) if c != best]
 
+    @pytest.mark.slow
     def test_every_strategy_and_what_it_reports(self, sunny, estimated):
         capture, _ = sunny
         estimate = estimated(0, 1, 2)
@@ -796,6 +798,7 @@ class TestNextBestView:
         ]
         assert not compiled
 
+    @pytest.mark.slow
     def test_expected_change_is_what_photographs_then_change(self, sunny, estimated):
         """With the photograph taken, entropy falls as was expected, over all candidates.
 

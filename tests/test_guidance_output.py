@@ -213,6 +213,7 @@ def test_the_page_is_drawn_for_every_strategy(vase, guidance, tmp_path, strategy
     assert TABLE[strategy].unit
 
 
+@pytest.mark.slow
 def test_a_single_candidate_that_gains_nothing_is_drawn(vase, tmp_path):
     """Under the vase's centre, looking away: no texel is seen, and no gain has a colour."""
     away = describe(vase.capture.sensors[0])

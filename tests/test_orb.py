@@ -44,6 +44,7 @@ from svu_mi.light.environment import radiance_from
 from svu_mi.metrics.images import ssim_map
 from svu_mi.recovery.textures import Textures
 
+pytestmark = pytest.mark.slow  # test_import.py reads a small set of this layout
 LIGHTS = ("window", "studio")
 PHOTOGRAPHS = DatasetSizes(train=12, test=2, film=48, spp=48, test_spp=1024, environment=128)
 TINY = OrbSizes(film=48, texels=48, spp=256, recovery=RecoverySizes(warm=False, repeats=1))

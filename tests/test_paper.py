@@ -352,6 +352,7 @@ def exact_loss(samples: Samples, rows: np.ndarray, scale: float) -> tuple[float,
     return total, slopes
 
 
+@pytest.mark.slow
 def test_eq06_the_loss_of_recovery_by_the_sh_model(observed, samples):
     """G1(theta_i) is in what the light is fitted to: the fit changes with roughness, too."""
     rng = np.random.default_rng(66311)

@@ -365,6 +365,7 @@ def test_true_textures_are_a_stationary_point(capture, grid, loss):
         assert abs(truth[name].mean()) < 0.2 * np.abs(wrong[name]).mean()
 
 
+@pytest.mark.slow
 def test_parameters_that_are_not_given_stay_as_they_were_fixed(capture, grid):
     fixed = Textures(**textures_of(grid))
     objective = path_objective(capture, grid, options(spp=64), fixed=fixed)
@@ -389,6 +390,7 @@ def test_descent_finds_the_colour_of_a_surface(capture, grid):
     assert found.losses[-5:].mean() < 0.5 * found.losses[:3].mean()
 
 
+@pytest.mark.slow
 def test_resumed_in_the_middle_of_an_epoch_it_ends_as_if_uninterrupted(capture, grid, tmp_path):
     """Up to the order in which threads add gradients up, which Adam's division can enlarge."""
     settings = DescentOptions(steps=15, learning_rate=0.01)

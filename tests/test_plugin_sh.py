@@ -75,6 +75,7 @@ def psnr(image, reference):
 # --- images ---------------------------------------------------------------------------------
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("name", "light", "preset", "decibels"),
     [
@@ -138,6 +139,7 @@ def test_the_background_is_the_environment_unless_hidden():
     assert (hidden[SIZE // 2, SIZE // 2, 3] == 1) and shown[0, 0, 3] == 1
 
 
+@pytest.mark.slow
 def test_both_sides_of_a_twosided_bsdf_are_shown():
     """A sheet seen from behind: black, or as from the front when turned around."""
     T = mi.ScalarTransform4f
@@ -167,6 +169,7 @@ def two_sided(bsdf):
 # --- gradients ------------------------------------------------------------------------------
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("preset", "twosided"), [("default", True), ("gaussian", False)])
 def test_gradients_are_those_of_finite_differences(preset, twosided):
     """For all three textures, along random directions, with the same camera rays."""

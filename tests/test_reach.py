@@ -111,6 +111,7 @@ def test_moments_are_those_of_every_node():
             np.testing.assert_allclose(ours, truth, atol=0.012 * truth[:, 0].max())
 
 
+@pytest.mark.slow
 def test_disneys_diffuse_is_that_of_every_node():
     light = environment(scenery, rotation(5))
     rng = np.random.default_rng(41)
@@ -175,6 +176,7 @@ def test_a_wall_takes_the_light_that_comes_from_behind_it(turned):
     np.testing.assert_allclose(irradiance(result), truth, atol=0.01 * truth.max())
 
 
+@pytest.mark.slow
 def test_a_plate_overhead_takes_its_form_factor():
     heights, surface = (0.5, 1.0, 3.0), points(np.zeros(3), UP)
     plates = [rectangle(mi.ScalarTransform4f().translate([0, 0, h])) for h in heights]

@@ -166,6 +166,7 @@ def only_metals() -> np.ndarray:
     return prior
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("preset", "robust"), [("default", 0), ("fast", 1), ("fixed", 0)])
 def test_a_prior_of_one_s_own_stays(
     capture: Capture, grid: Texels, preset: str, robust: int
@@ -334,6 +335,7 @@ def test_a_brighter_exposure_changes_nothing(capture: Capture, grid: Texels) -> 
         assert np.quantile(np.abs(np.array(tensor) - other), 0.99) < 5e-3
 
 
+@pytest.mark.slow
 def test_robust_passes_resist_a_spoilt_photograph(
     capture: Capture, grid: Texels, truth: Textures
 ) -> None:
@@ -412,6 +414,7 @@ def test_a_checkpoint_of_another_capture_is_refused(
                     resume=True)  # fmt: skip
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("preset", ["coefficients", "spectrum"])
 def test_losses_of_the_paper_fall(capture: Capture, grid: Texels, preset: str) -> None:
     found = svu.recover(capture, grid, preset=preset)

@@ -299,6 +299,7 @@ def test_a_texture_that_is_written_otherwise_is_said(tmp_path, texture, sentence
         )
 
 
+@pytest.mark.slow
 def test_a_mesh_without_uvs_is_written_with_those_of_its_texels(tmp_path):
     flat = ball()
     path = write_scene(
@@ -396,6 +397,7 @@ def test_a_perfect_recovery_differs_by_noise_alone(vase, fine, tmp_path):
     assert mi.Bitmap(str(tmp_path / "relit.png")).size()[0] == 1160
 
 
+@pytest.mark.slow
 def test_pictures_of_large_photographs_are_small(vase, fine):
     """A photograph of more than 320 pixels is reduced; pixels next to unusable ones are lost."""
     record = describe(vase.capture.sensors[0])
@@ -447,6 +449,7 @@ def test_all_of_a_recovery_is_written(vase, fine, tmp_path):
     assert [row["step"] for row in rows[:2]] == ["0", "1"]
 
 
+@pytest.mark.slow
 def test_without_an_estimate_there_is_no_entropy(vase, fine, tmp_path):
     unknown = ("entropy.exr", "uncertainty.exr")
     write_older(tmp_path, "recover", "run.json", unknown)

@@ -144,6 +144,7 @@ def test_linear_and_brute_agree_within_their_noise(capture, layout):
     assert error.max() < 0.05 * means["brute"].max(), "too noisy to see a difference"
 
 
+@pytest.mark.slow
 def test_light_between_parts_needs_brute_force(tmp_path):
     """In a white valley a third of the light comes by way of the other side."""
     capture = valley_capture(tmp_path, max_depth=3)
@@ -382,6 +383,7 @@ def nodes(grid: PrincipledGrid) -> list[tuple[float, ...]]:
     return list(zip(*(axis.ravel() for axis in mesh), strict=True))
 
 
+@pytest.mark.slow
 def test_few_paths_do_not_bias_the_products_of_halves(capture, layout):
     """At the true psi, their mean for 2 paths is that for 128; squares are above it."""
     some = np.arange(0, layout.count, 4)
@@ -465,6 +467,7 @@ def test_split_half_tells_noise(capture, layout):
     assert "spp=64" in repr(reference)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", ["relative", "estimated"])
 def test_no_psi_and_no_batch_compiles_a_kernel(capture, layout, monkeypatch, noise):
     """After two renders of the first batch, everything is found in the cache."""

@@ -91,6 +91,7 @@ def found(grey):
     return estimated
 
 
+@pytest.mark.few(6)
 @RULES
 @pytest.mark.parametrize("name", [None, *vars(NOTHING)])
 def test_every_switch_leaves_the_result(found, method, rule, name):
@@ -164,6 +165,7 @@ def colored(request, tmp_path_factory):
     return request.param, capture, svu.texels(capture.mesh, 24)
 
 
+@pytest.mark.few(2)
 @RULES
 def test_of_coloured_photographs_only_grey_light_is_skipped(colored, method, rule):
     what, *subject = colored
@@ -189,6 +191,7 @@ def test_a_bright_grey_sun_does_not_make_a_coloured_sky_grey(tmp_path):
 # --- known parameters -----------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("method, rule", [("angular", "fixed"), ("spectrum", "default")])
 @pytest.mark.parametrize("name, node", [("metallic", 0), ("metallic", 7), ("roughness", 3),
                                         ("base_color", 5)])  # fmt: skip

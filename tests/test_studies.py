@@ -313,6 +313,7 @@ def test_the_formula_of_memory_is_the_readme_s(root):
     assert line in readme and f", {spectrum} with spectra)" in readme
 
 
+@pytest.mark.slow
 def test_a_failed_process_says_why(tmp_path):
     with pytest.raises(SvuEnvironmentError, match=r"run_once\(\) failed when cold: .*nowhere"):
         in_new_process(run_once, source=str(tmp_path / "nowhere"), resolution=8, method="angular")
@@ -330,6 +331,7 @@ def test_tiles_repeat_and_drift_does_not():
     assert len(np.unique(values.reshape(-1, 5), axis=0)) > 0.9 * rough.size
 
 
+@pytest.mark.slow
 def test_an_object_of_our_own_is_what_was_painted(tmp_path):
     """Through the files that are written: 8 bits, so the truth is within half a step of 1/255."""
     folder = own_object("mosaic", tmp_path)

@@ -42,6 +42,7 @@ def result(made, tmp_path):
     return shutil.copytree(made / "a" / "r", tmp_path / "r")
 
 
+@pytest.mark.slow
 def test_every_file_of_a_result_has_the_id_of_its_run(made):
     folder = made / "a" / "r"
     entry = json.loads((folder / "run.json").read_text())["written"]

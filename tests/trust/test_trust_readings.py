@@ -209,6 +209,7 @@ def test_light_that_is_no_number_names_its_file(value, tmp_path):
 # --- Pictures of results ------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_pages_of_two_equal_runs_are_equal_byte_for_byte(tmp_path):
     capture = render_ball(tmp_path, {"type": "constant"}, {"type": "principled"}, 4, (24, 24), 4)
     seen = observe(capture, texels(capture.mesh, 24))
