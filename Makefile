@@ -16,10 +16,10 @@ demo: .venv/installed
 	.venv/bin/svu demo -o out/demo
 
 test: lint
-	$(PY) -m pytest -n 2 --dist loadfile -m 'not slow'
+	$(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not slow'
 
 test-all: lint
-	$(PY) -m pytest -n 2 --dist loadfile
+	$(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 lint: .venv/installed-test
 	$(PY) -m ruff check .

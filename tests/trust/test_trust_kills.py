@@ -19,7 +19,7 @@ from svu_mi.results.writing import claimed
 
 KILLED = 9
 STEPS = ("rename", "replace", "unlink", "mkdir", "rmdir")  # of Path, that change a folder
-KILLS, PAIRS = 20, 4
+KILLS, PAIRS = 10, 3
 
 
 def killed_at(step: int, work: Callable[[], Any]) -> bool:
