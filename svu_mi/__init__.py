@@ -1,8 +1,8 @@
 """Uncertainty for SVBRDF acquisition using frequency analysis, on Mitsuba 3 and Dr.Jit.
 
-``import svu_mi as svu`` is light: it finds a usable LLVM library (``svu_mi._llvm``) and
-imports nothing else. Every public name below is loaded on first use; no Mitsuba variant
-is ever set on import.
+``import svu_mi as svu`` is light: it finds a usable LLVM library (``svu_mi._llvm``) and, except on
+one core (``svu_mi._workers``), imports nothing else. Every public name below is loaded on first
+use; no Mitsuba variant is ever set on import.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from svu_mi import _llvm
+from svu_mi import _llvm, _workers
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture, load_capture, render_capture
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from svu_mi.guidance.options import GuidanceOptions
     from svu_mi.guidance.result import Guidance
     from svu_mi.options import AngularPreset, Fit, Preset, Skip, preset
+    from svu_mi.output.compare import Comparison, compare
     from svu_mi.output.report.report import write_report
     from svu_mi.pipeline import Estimate, estimate
     from svu_mi.posterior import (
@@ -62,6 +63,7 @@ _HOME = {
     "Candidates": "guidance.candidates", "Guidance": "guidance.result",
     "GuidanceOptions": "guidance.options", "next_best_view": "guidance.next_view",
     "Estimate": "pipeline", "estimate": "pipeline",
+    "Comparison": "output.compare", "compare": "output.compare",
     "write_report": "output.report.report",
     "Reference": "reference", "reference_posterior": "reference",
     "Recovery": "recovery.recover", "recover": "recovery.recover",
@@ -74,18 +76,18 @@ _HOME = {
 }  # fmt: skip
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
-    "AngularPreset", "Asset", "Candidates", "Capture", "Check", "DescentOptions", "Estimate",
-    "ExportOptions", "Fit", "GlobalSharing", "Guidance", "GuidanceOptions", "ImportOptions",
-    "Light", "ParameterGrid", "PathOptions", "Posterior", "Preset", "PrincipledGrid", "Recovery",
-    "Reference", "ShOptions", "Skip", "SvuError", "SvuWarning", "Texels", "TotalVariation",
-    "angular_posterior",
-    "calibrated_posterior", "check", "estimate",
-    "export_asset", "fit_sh", "import_capture", "load_asset", "load_capture", "next_best_view",
-    "power_spectrum", "preset", "read_source", "recover", "reference_posterior",
+    "AngularPreset", "Asset", "Candidates", "Capture", "Check", "Comparison", "DescentOptions",
+    "Estimate", "ExportOptions", "Fit", "GlobalSharing", "Guidance", "GuidanceOptions",
+    "ImportOptions", "Light", "ParameterGrid", "PathOptions", "Posterior", "Preset",
+    "PrincipledGrid", "Recovery", "Reference", "ShOptions", "Skip", "SvuError", "SvuWarning",
+    "Texels", "TotalVariation", "angular_posterior", "calibrated_posterior", "check", "compare",
+    "estimate", "export_asset", "fit_sh", "import_capture", "load_asset", "load_capture",
+    "next_best_view", "power_spectrum", "preset", "read_source", "recover", "reference_posterior",
     "render_capture", "spectrum_posterior", "texels", "write_report",
 ]  # fmt: skip
 
 _llvm.bootstrap()
+_workers.bootstrap()
 
 
 def __getattr__(name: str) -> Any:

@@ -3,9 +3,12 @@
 Dr.Jit 1.5 accepts LLVM 15 and 16, but on x86-64 these abort the whole process at the first
 minimum or maximum ("Cannot select ... fminimum"). ``bootstrap`` therefore points
 ``DRJIT_LIBLLVM_PATH`` at a library of version 17 or later, looked for in this order: the
-user's own variable, the system, conda, Homebrew, Windows, the karellen-llvm-core wheel. It
-never raises, so that CUDA and Metal users are not bothered; ``require`` does, when an LLVM
-variant is about to be used.
+user's own variable, the system, conda, Homebrew, Windows, the karellen-llvm-core wheel.
+
+Where Dr.Jit was imported before, its library is exchanged (``svu_mi._reload``). If that cannot be
+done any more, and an LLVM variant is in use, ``import svu_mi`` says so. Nothing else is an error
+then, so that CUDA and Metal users are not bothered: ``require`` raises it, when an LLVM variant is
+about to be used.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
+from svu_mi._reload import is_in_use, reload
 from svu_mi.errors import SvuEnvironmentError
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
@@ -42,7 +46,7 @@ class LlvmStatus:
         path: the library; None if there is none, or if Dr.Jit found it by itself.
         version: such as (19, 1, 7), fewer numbers before Dr.Jit is loaded, () if unknown.
         source: where it comes from: ``user``, ``system``, ``conda``, ``brew``, ``windows``,
-            ``wheel``, ``drjit`` (loaded before svu_mi was imported) or ``none``.
+            ``wheel``, ``drjit`` (found by Dr.Jit, imported before svu_mi) or ``none``.
         problem: why LLVM variants cannot run, with the remedy; None if they can.
     """
 
@@ -56,7 +60,11 @@ _status: LlvmStatus | None = None
 
 
 def bootstrap() -> None:
-    """Choose a library and tell Dr.Jit; runs once, on ``import svu_mi``, and never raises."""
+    """Choose a library and tell Dr.Jit; runs once, on ``import svu_mi``.
+
+    Raises:
+        SvuEnvironmentError: Dr.Jit has made something with a library that will abort the process.
+    """
     global _status
     if _status is None:
         _status = _early_drjit() if "drjit" in sys.modules else choose()
@@ -201,14 +209,38 @@ def make_loadable(library: str) -> None:
 
 
 def _early_drjit() -> LlvmStatus:
-    """Judge what Dr.Jit found by itself, because it was imported before svu_mi."""
+    """Judge what Dr.Jit found by itself, because it was imported before svu_mi; exchange it.
+
+    Raises:
+        SvuEnvironmentError: that is too late, or there is nothing better.
+    """
     given = _given()
     found = _judge_loaded(LlvmStatus(given or None, (), "drjit"))
-    if found.problem is None:
+    if found.problem is None or not found.version:  # without any, it does not look again
         return found
     better = judge_given(given) if given else first_usable(find_candidates())
-    advice = better.problem or f"it would choose {better.path}."
-    problem = f"{found.problem} Import svu_mi before drjit and mitsuba: {advice}"
+    if better.problem is None:
+        assert better.path is not None
+        make_loadable(better.path)
+        cause = _cause(better.path)
+        if not cause and reload(VARIABLE, better.path):
+            return _judge_loaded(better)
+        if cause:
+            problem = f"{better.path} cannot be loaded{cause}; {remedy()}"
+            better = LlvmStatus(better.path, better.version, better.source, problem)
+    used = is_in_use()
+    if better.problem is not None:
+        what = f". {better.problem}"
+    elif used:
+        what = (
+            ", and something made with it is alive: restart Python (the kernel), and import svu_mi "
+            "before the first scene is loaded."
+        )
+    else:
+        what = ": restart Python (the kernel), and import svu_mi before drjit and mitsuba."
+    problem = f"Dr.Jit has loaded LLVM {dotted(found.version)}, {_reason(found.version)}{what}"
+    if used:
+        raise SvuEnvironmentError(problem)
     return LlvmStatus(found.path, found.version, found.source, problem)
 
 
@@ -232,8 +264,8 @@ def _judge_loaded(chosen: LlvmStatus) -> LlvmStatus:
 
 def _cause(path: str | None) -> str:
     try:
-        ctypes.CDLL(path) if path else None
-    except OSError as error:
+        _ = ctypes.CDLL(path).LLVMGetVersion if path else None
+    except (OSError, AttributeError) as error:  # not a library, or not this one
         return f" ({error})"
     return ""
 

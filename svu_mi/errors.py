@@ -7,11 +7,29 @@ The command line prints the sentence and exits with status 2; Python callers cat
 
 from __future__ import annotations
 
+import re
 from unicodedata import category
+
+CALLED = re.compile(r"^[\w.]+\(\): ")  # how sentences about a call begin: "estimate(): "
 
 
 class SvuError(Exception):
-    """Base of every error a user can cause and repair."""
+    """Base of every error a user can cause and repair.
+
+    Args:
+        sentence: what is wrong, and the fix, to whoever calls Python.
+        shell: the same to whoever uses the command line; by default the sentence, without the name
+            of the function that it begins with.
+    """
+
+    def __init__(self, sentence: str = "", *, shell: str | None = None) -> None:
+        super().__init__(sentence)
+        self._shell = shell
+
+    @property
+    def shell(self) -> str:
+        """The sentence that the command line prints."""
+        return CALLED.sub("", str(self)) if self._shell is None else self._shell
 
 
 class SvuEnvironmentError(SvuError):

@@ -101,7 +101,7 @@ def read_header(path: str | Path) -> Header:
     path = Path(path)
     _check_magic(path)
     try:
-        with quiet, OpenEXR.File(str(path), header_only=True) as file:
+        with OpenEXR.File(str(path), header_only=True) as file:  # which prints nothing
             parts = [dict(part.header) for part in file.parts]
         first = parts[0]
         windows = [np.array(part["dataWindow"], np.int64) for part in parts]

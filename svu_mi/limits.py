@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from contextlib import suppress
-from pathlib import Path
 
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuError
+from svu_mi.memory import address_space, free_memory
+from svu_mi.needs import Need as Need
+from svu_mi.needs import Size as Size
+from svu_mi.needs import Sizes as Sizes
 
 MAX_LANES = 2**32 - 1  # of one kernel: Dr.Jit counts them in 32 bits
 MAX_VIEWS = 10_000  # photographs are called view_0000 to view_9999
@@ -20,22 +21,7 @@ TEXEL_BYTES = 2**10  # of the grid; measured: 2100, of which charts may fill hal
 PIXEL_BYTES = 16  # of a photograph in memory: three floats, a mask, and what can be used
 RENDER_BYTES = 100  # per pixel of a film while it is rendered; measured: 90
 MASK_LANES = 9  # rays per pixel that find the object
-LIGHT_BYTES = 180  # per node of an environment map; measured
 GIGA = 1e9
-MEMINFO = Path("/proc/meminfo")
-GROUP_LIMITS = (  # of containers, version 2 and 1
-    Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"),
-)  # fmt: skip
-
-Size = tuple[int, int]  # width and height
-
-
-def free_memory() -> int | None:
-    """Return bytes that can still be had, all that there are at worst; None where nobody says."""
-    found = [_available(), *map(_group_limit, GROUP_LIMITS)]
-    known = [size for size in found if size is not None]
-    return min(known, default=None)
-
 
 def require_memory(size: float, what: str, fix: str, error: type[SvuError] = OptionError) -> None:
     """Refuse what takes more memory than there is.
@@ -49,12 +35,19 @@ def require_memory(size: float, what: str, fix: str, error: type[SvuError] = Opt
     Raises:
         SvuError: there is less.
     """
-    free = free_memory()
+    known = [free_memory(), _unreserved()]
+    free = min((room for room in known if room is not None), default=None)
     if free is not None and size > free:
         raise error(
             f"{what} take at least {size / GIGA:.3g} GB of memory, but only {free / GIGA:.3g} GB "
             f"are free; {fix}."
         )
+
+
+def _unreserved() -> int | None:
+    """Return bytes of address space that are left; None without a limit."""
+    space = address_space()
+    return None if space is None else max(space[0] - space[1], 0)
 
 
 def require_texels(resolution: Size, option: str) -> None:
@@ -144,19 +137,3 @@ def require_photographs(sizes: Sequence[Size], label: str, rendering: int = 0) -
         f"{label}: {len(sizes)} photographs of up to {width} x {height} pixels",
         f"{fix}, or use fewer", CaptureError,
     )  # fmt: skip
-
-
-def _available() -> int | None:
-    with suppress(OSError, ValueError, IndexError):
-        for line in MEMINFO.read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) * 1024
-    with suppress(OSError, ValueError, AttributeError):  # not on Windows
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return None
-
-
-def _group_limit(path: Path) -> int | None:
-    with suppress(OSError, ValueError):  # "max" is not a number
-        return int(path.read_text())
-    return None

@@ -1,47 +1,82 @@
-"""Libraries that print before they raise are silenced."""
+"""A library that prints before it raises is silenced; whatever else is printed is not.
+
+OpenEXR writes to the process's stderr, and its binding to ``sys.stdout``, when pixels are damaged.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import sys
+import tempfile
 import threading
+from typing import Any
+
+OPENEXR = b"(EXR_ERR_"  # in each of its lines
 
 
 class Quiet:
-    """Silence a library's own lines on stdout and stderr; our exception says it better.
+    """Keep OpenEXR's lines away while it reads or writes; our exception says it better.
 
-    Both belong to the whole process: the first thread that comes in turns them off and the
-    last one that leaves turns them on again.
+    Both streams belong to the whole process. On stdout the lines of other threads pass. On stderr
+    all lines, of every thread and library, wait for the last thread to leave, and those of OpenEXR
+    are then left out. If the process is killed or crashes meanwhile, what waits is lost: also the
+    last words of the crash.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._inside = 0
+        self._inside: set[int] = set()
         self._undo = contextlib.ExitStack()
 
     def __enter__(self) -> None:
         with self._lock:
-            if self._inside == 0:
-                self._undo.enter_context(contextlib.redirect_stdout(None))
+            if not self._inside:
+                self._undo.enter_context(contextlib.redirect_stdout(_Others(self._inside)))
                 with contextlib.suppress(OSError, ValueError, AttributeError):
-                    self._silence_stderr()
-            self._inside += 1
+                    self._hold_stderr()
+            self._inside.add(threading.get_ident())
 
     def __exit__(self, *_: object) -> None:
         with self._lock:
-            self._inside -= 1
-            if self._inside == 0:
+            self._inside.discard(threading.get_ident())
+            if not self._inside:
                 self._undo.close()
 
-    def _silence_stderr(self) -> None:
+    def _hold_stderr(self) -> None:
         sys.stderr.flush()
-        kept = os.dup(2)
-        self._undo.callback(os.close, kept)
-        sink = os.open(os.devnull, os.O_WRONLY)
-        self._undo.callback(os.close, sink)
-        os.dup2(sink, 2)
-        self._undo.callback(os.dup2, kept, 2)
+        screen = os.dup(2)
+        self._undo.callback(os.close, screen)
+        held = tempfile.TemporaryFile()  # noqa: SIM115 - closed with all that is undone
+        self._undo.callback(held.close)
+        os.dup2(held.fileno(), 2)
+
+        def let_go() -> None:
+            with contextlib.suppress(OSError, ValueError, AttributeError):
+                sys.stderr.flush()
+            os.dup2(screen, 2)
+            held.seek(0)
+            lines = held.read().splitlines(keepends=True)
+            with contextlib.suppress(OSError):
+                os.write(2, b"".join(line for line in lines if OPENEXR not in line))
+
+        self._undo.callback(let_go)
+
+
+class _Others:
+    """The stdout of a process without some of its threads."""
+
+    def __init__(self, silent: set[int]) -> None:
+        self._silent, self._stream = silent, sys.stdout
+
+    def write(self, text: str) -> int:
+        """Write, if it is another thread that does."""
+        if threading.get_ident() in self._silent:
+            return len(text)
+        return self._stream.write(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 quiet = Quiet()

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from helpers import python
 
 from svu_mi.errors import OptionError, SceneError
+from svu_mi.exr import write_exr
+from svu_mi.light import sampling
 from svu_mi.light.cells import LARGEST, fibonacci, light_cells
 from svu_mi.light.environment import (
     Environment,
@@ -366,3 +370,45 @@ def test_lattice_points_are_evenly_spread():
     assert abs(d.mean(axis=0)).max() < 5e-3
     nearest = np.sort(d @ d.T, axis=1)[:, -2]
     assert np.degrees(np.arccos(nearest)).min() > 12
+
+
+@pytest.mark.parametrize("size", [(256, 128), (200, 150), (200, 60)])
+def test_what_is_averaged_of_a_large_map_is_its_light(size, monkeypatch):
+    """On 2048 columns and 1025 rows at most, here on 130 and 65."""
+    columns, rows = size
+    rng = np.random.default_rng(5)
+    coarse = rng.random((rows // 4 + 1, columns // 4 + 1, 3))
+    pixels = np.kron(coarse, np.ones((4, 4, 1)))[:rows, :columns]
+    emitter = envmap(pixels)
+    whole = read_environment(emitter)
+    monkeypatch.setattr(sampling, "MOST", (130, 65))
+    less = read_environment(emitter)
+    assert less.radiance.shape == (min(whole.radiance.shape[0], 65), 130, 3)
+    before, after = whole.coefficients(8), less.coefficients(8)
+    np.testing.assert_allclose(after[0], before[0], rtol=2e-3)
+    np.testing.assert_allclose(after, before, atol=0.02 * np.abs(before[1:]).max())
+
+
+PEAK = """
+import sys, numpy as np, svu_mi, mitsuba as mi
+mi.set_variant("llvm_ad_rgb")
+from svu_mi.light.environment import radiance_from, read_environment
+def held(name):
+    return next(int(x.split()[1]) for x in open("/proc/self/status") if x.startswith(name)) / 1e3
+emitter = mi.load_dict({"type": "envmap", "filename": sys.argv[1]})
+radiance_from(emitter, np.array([[0.0, 1.0, 0.0]]))  # from now on Mitsuba has all that it takes
+loaded, peak = held("VmRSS"), held("VmHWM")
+read_environment(emitter).coefficients(24)
+print(max(held("VmHWM") - max(loaded, peak), 0), held("VmRSS") - loaded)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_map_of_4096_x_2048_costs_no_gigabyte(tmp_path):
+    """It was 1.8 GB; this is what comes on top of what Mitsuba takes for it."""
+    write_exr(tmp_path / "map.exr", {"RGB": np.ones((2048, 4096, 3), np.float32)}, half=True)
+    done = python("-c", PEAK, tmp_path / "map.exr")
+    assert done.returncode == 0, done.stderr
+    above, kept = map(float, done.stdout.split())
+    assert above < 200 and kept < 300, done.stdout

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import threading
+import time
 from pathlib import Path
 
 import mitsuba as mi
@@ -183,3 +187,37 @@ def test_other_programs_files_are_read(tmp_path):
     id_map = np.array([[1, 2, 70000]], np.uint32)
     OpenEXR.File(dict(kind), {"id": id_map}).write(str(tmp_path / "id.exr"))
     np.testing.assert_array_equal(read_exr(tmp_path / "id.exr")["id"], id_map)
+
+
+def test_what_others_print_meanwhile_is_not_lost(tmp_path, capfd):
+    """Another thread may say what it likes while photographs, a damaged one too, are read."""
+    good, bad = tmp_path / "good.exr", tmp_path / "bad.exr"
+    write_exr(good, {"RGB": np.zeros((400, 400, 3))})
+    data = good.read_bytes()
+    middle = len(data) // 2
+    bad.write_bytes(data[:middle] + bytes(64) + data[middle + 64 :])
+    stop = threading.Event()
+    said = 0
+
+    def talk() -> None:
+        nonlocal said
+        while not stop.is_set():
+            sys.stdout.write(f"out {said}\n")
+            sys.stderr.write(f"err {said}\n")
+            os.write(2, b"raw %d\n" % said)
+            said += 1
+            time.sleep(1e-4)
+
+    other = threading.Thread(target=talk)
+    other.start()
+    for _ in range(10):
+        read_exr(good)
+        with pytest.raises(CaptureError, match="damaged"):
+            read_exr(bad)
+    stop.set()
+    other.join()
+    out, err = capfd.readouterr()
+    assert said > 10
+    assert out.splitlines() == [f"out {k}" for k in range(said)]
+    lines = (f"{who} {k}" for k in range(said) for who in ("err", "raw"))
+    assert sorted(err.splitlines()) == sorted(lines)  # where a reader leaves, two may swap

@@ -206,15 +206,18 @@ def _gathered(environment: Environment, count: int) -> tuple[np.ndarray, np.ndar
     """Return flux and radiance-weighted sum of directions of even cells: (N, 3) each."""
     centers = fibonacci(count)
     rows, columns = environment.radiance.shape[:2]
-    local = env.directions(columns, rows).reshape(-1, 3)
+    nearest = _nearest(columns, rows, count)
+    solid = env.quadrature(rows)[:, None] * (2 * np.pi / columns)
+    local, light = env.directions(columns, rows), environment.radiance.sum(axis=2) * solid
+    # A column at a time: all of a large map together would be hundreds of megabytes.
+    flux = [_binned(nearest, environment.radiance[..., k] * solid, count) for k in range(3)]
+    pull = [_binned(nearest, local[..., k] * light, count) for k in range(3)]
+    disk = environment.disk_radiance * environment.disk_weights[:, None]
     on_disk = cKDTree(centers).query(environment.disk_directions)[1]
-    nearest = np.concatenate([_nearest(columns, rows, count), on_disk])
-    solid = np.repeat(env.quadrature(rows) * (2 * np.pi / columns), columns)
-    nodes = np.concatenate([local, environment.disk_directions])
-    solid = np.concatenate([solid, environment.disk_weights])
-    radiance = np.concatenate([environment.radiance.reshape(-1, 3), environment.disk_radiance])
-    flux = _sum(nearest, radiance * solid[:, None], count)
-    pull = _sum(nearest, nodes * (radiance.sum(axis=1) * solid)[:, None], count)
+    flux = np.stack(flux, axis=-1) + _sum(on_disk, disk, count)
+    pull = np.stack(pull, axis=-1) + _sum(
+        on_disk, environment.disk_directions * disk.sum(axis=1, keepdims=True), count
+    )
     length = np.linalg.norm(pull, axis=1, keepdims=True)
     # A black cell has no centroid, and needs none for its light; its centre serves the shape.
     least = 1e-12 * (length.max() or 1.0)
@@ -280,5 +283,9 @@ def fibonacci(count: int) -> np.ndarray:
 
 def _sum(cell: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     """Sum the columns of (N, K) values by cell: (count, K)."""
-    columns = [np.bincount(cell, weights=column, minlength=count) for column in values.T]
-    return np.stack(columns, axis=-1)
+    return np.stack([_binned(cell, column, count) for column in values.T], axis=-1)
+
+
+def _binned(cell: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """Sum values by cell, both of any shape: (count,)."""
+    return np.bincount(cell, weights=values.ravel(), minlength=count)

@@ -23,10 +23,14 @@ import numpy as np
 from svu_mi.capture import scene
 from svu_mi.capture.radiance import positive
 from svu_mi.errors import SceneError, SvuWarning
-from svu_mi.interop import owned
-from svu_mi.light.grid import grid_size, label_of, map_of
+from svu_mi.light.grid import SKY_GRID, grid_size, label_of, map_of
+from svu_mi.light.sampling import directions as directions
+from svu_mi.light.sampling import quadrature as quadrature
+from svu_mi.light.sampling import radiance_from as radiance_from
+from svu_mi.light.sampling import sampled
 
 GREY = 1e-6  # part of the brightest channel: others that differ by less are equal
+BAND = 2**18  # numbers of a map that are transformed at a time
 SUN_RINGS, SUN_SPOKES = 16, 64  # nodes on a sun's disk, finer than any sky grid
 
 
@@ -36,7 +40,8 @@ class Environment:
 
     Attributes:
         radiance: (H, W, 3) float64 at theta_j = j pi / (H - 1), phi_i = (i + 0.5) 2 pi / W:
-            rows 0 and H - 1 are the poles, columns are texel-centred, as Mitsuba samples.
+            rows 0 and H - 1 are the poles, columns are texel-centred, as Mitsuba samples. At most
+            1025 x 2048.
         disk_directions: (N, 3) float64 local directions of extra nodes.
         disk_weights: (N,) float64 solid angles of the extra nodes [sr].
         disk_radiance: (N, 3) float64, in excess of what ``radiance`` holds there.
@@ -81,12 +86,10 @@ def read_environment(emitter: Any) -> Environment:
         raise SceneError(
             f"Emitter '{emitter.id()}': to_world must be a rotation; remove its scale or shear."
         )
-    columns, rows = grid_size(emitter)
-    local = directions(columns, rows)
-    grid = radiance_from(emitter, local.reshape(-1, 3) @ to_world.T).reshape(rows, columns, 3)
+    grid = sampled(emitter, to_world, *grid_size(emitter))
     disk = (np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
     if emitter.class_name() == "SunskyEmitter":
-        grid, disk = _split_sun(emitter, grid, local, to_world)
+        grid, disk = _split_sun(emitter, grid, directions(*SKY_GRID), to_world)
     if not np.isfinite(grid).all():
         raise SceneError(f"{label_of(emitter)} has NaN or infinite radiance; repair its map.")
     for note in positive(map_of(emitter, grid), label_of(emitter), SceneError)[1]:
@@ -95,15 +98,6 @@ def read_environment(emitter: Any) -> Environment:
     if not (grid.max() > 0 or disk[2].max(initial=0) > 0):
         raise SceneError(f"Emitter '{emitter.id()}' is black; there is no light to reflect.")
     return Environment(grid, *disk, to_local=to_world.T)
-
-
-def directions(columns: int, rows: int) -> np.ndarray:
-    """Return the (rows, columns, 3) local directions of Mitsuba's lat-long sampling grid."""
-    theta = np.pi * np.arange(rows) / (rows - 1)
-    phi = 2 * np.pi * (np.arange(columns) + 0.5) / columns
-    sin, cos = np.sin(theta)[:, None], np.cos(theta)[:, None]
-    y = np.broadcast_to(cos, (rows, columns))
-    return np.stack([sin * np.sin(phi), y, -sin * np.cos(phi)], axis=-1)
 
 
 def lat_long(local: Any) -> tuple[Any, Any]:
@@ -123,18 +117,6 @@ def nearest_node(local: np.ndarray, rows: int, columns: int) -> tuple[np.ndarray
     """Return row and column of the node of a (rows, columns) map nearest to directions (..., 3)."""
     u, v = lat_long(local)
     return np.rint(v * (rows - 1)).astype(int), (u * columns).astype(int) % columns
-
-
-def radiance_from(emitter: Any, world: np.ndarray) -> np.ndarray:
-    """Return (N, 3) float64 radiance that an environment emitter sends from directions.
-
-    Args:
-        emitter: as for ``read_environment``.
-        world: (N, 3) unit directions towards it.
-    """
-    si = dr.zeros(mi.SurfaceInteraction3f, len(world))
-    si.wi = -owned(mi.Vector3f, world.T.astype(np.float32))
-    return np.broadcast_to(emitter.eval(si).numpy().T.astype(np.float64), world.shape).copy()
 
 
 def _split_sun(
@@ -187,20 +169,6 @@ def _disk_radius(
     return float(high)
 
 
-def quadrature(rows: int) -> np.ndarray:
-    """Return (rows,) Clenshaw-Curtis weights for the integral over cos(theta).
-
-    Exact for polynomials in cos(theta) up to degree rows - 1, on the nodes j pi / (rows - 1);
-    close to sin(theta) d(theta), and not zero at the poles.
-    """
-    n = rows - 1
-    j = np.arange(rows)
-    k = np.arange(1, n // 2 + 1)
-    b = np.where(2 * k == n, 1.0, 2.0)
-    series = 1 - (b / (4 * k**2 - 1) * np.cos(2 * np.outer(j, k) * np.pi / n)).sum(axis=1)
-    return np.where((j == 0) | (j == n), 1.0, 2.0) * series / n
-
-
 def polar_from_local(local: np.ndarray) -> np.ndarray:
     """Turn local directions (..., 3) into the polar frame (z, x, y)."""
     return np.roll(local, 1, axis=-1)
@@ -222,7 +190,10 @@ def analyze(grid: np.ndarray, degree: int) -> np.ndarray:
     azimuth = np.pi - 2 * np.pi * (np.arange(columns) + 0.5) / columns
     m = np.arange(degree + 1)
     wave = np.exp(-1j * np.outer(m, azimuth)) * (2 * np.pi / columns)
-    rings = np.tensordot(wave, grid, axes=(1, 1)) * quadrature(rows)[None, :, None]
+    # Some rows at a time: the product makes complex numbers of all it is given.
+    bands = np.array_split(grid, -(-grid.size // BAND))
+    rings = np.concatenate([np.tensordot(wave, band, axes=(1, 1)) for band in bands], axis=1)
+    rings *= quadrature(rows)[None, :, None]
     legendre = associated_legendre(np.cos(np.pi * np.arange(rows) / (rows - 1)), degree)
     result = np.zeros(((degree + 1) ** 2, grid.shape[2]))
     for order in range(degree + 1):

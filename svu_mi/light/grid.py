@@ -9,7 +9,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import SceneError, excerpt
-from svu_mi.limits import LIGHT_BYTES, require_memory
+from svu_mi.limits import require_memory
+from svu_mi.needs import light_bytes
 
 SKY_GRID = (512, 257)  # columns, rows at which a procedural sky is sampled
 FINEST = 130  # columns and rows that resolve degree 64; smaller maps are sampled finer
@@ -27,8 +28,9 @@ def map_of(emitter: Any, otherwise: np.ndarray) -> np.ndarray:
     """Return the pixels (H, W, 3) of an ``envmap``, and something else for other emitters."""
     if emitter.class_name() != "EnvironmentMapEmitter":
         return otherwise
-    # Mitsuba 3.9 keeps one halo column on each side.
-    return np.array(mi.traverse(emitter)["data"], np.float32)[:, 1:-1, :3]
+    data = mi.traverse(emitter)["data"]
+    pixels = data.array.numpy().reshape(data.shape)  # no copy, which data.numpy() would be
+    return pixels[:, 1:-1, :3]  # Mitsuba 3.9 keeps one halo column on each side
 
 
 def grid_size(emitter: Any) -> tuple[int, int]:
@@ -45,7 +47,7 @@ def grid_size(emitter: Any) -> tuple[int, int]:
     rows, columns = mi.traverse(emitter)["data"].shape[:2]
     columns -= 2  # Mitsuba 3.9 keeps one halo column on each side
     require_memory(
-        columns * rows * LIGHT_BYTES, f"{label_of(emitter)}: {columns} x {rows} pixels",
+        light_bytes((columns, rows)), f"{label_of(emitter)}: {columns} x {rows} pixels",
         "shrink the map; 2048 x 1024 show all that is looked up", SceneError,
     )  # fmt: skip
     finer = int(np.ceil(max(FINEST / columns, FINEST / (rows - 1))))

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
-from scipy.sparse import csr_array
 
 from svu_mi.light import environment as env
 from svu_mi.light.environment import Environment
 from svu_mi.light.lighting import Lighting, lat_long_texture, look_up
+from svu_mi.light.sampling import columns_to, rows_to
 
 DELTA = 2e-3  # lobes narrower than this [rad] are mirrors at the resolution of any map
 NEGLIGIBLE = 1e-5  # part of a lobe's peak below which it is cut off
@@ -66,7 +67,8 @@ def filter_light(
         environment = lighting.environment
         grid = resolved(environment) if disk else environment.radiance
         grid = grid.mean(axis=2, keepdims=True) if grey else grid
-        with ThreadPoolExecutor() as pool:  # NumPy lets go of the interpreter in what takes long
+        # NumPy lets go of the interpreter in what takes long; each thread holds copies of the map.
+        with ThreadPoolExecutor(max(1, dr.thread_count())) as pool:
             maps = pool.map(lambda key: convolve(grid, key[0], partial(profile, key[0])), missing)
             kept.update(zip(missing, map(lat_long_texture, maps), strict=True))
     return Levels(textures=tuple(kept[key] for key in keys), to_local=lighting.to_local)
@@ -153,33 +155,18 @@ def _coarser(grid: np.ndarray, width: float) -> np.ndarray:
     Returns:
         (H', W', C + 1): radiance times solid angle, and the solid angle, up to a factor.
     """
-    rows, columns = grid.shape[:2]
-    solid = np.broadcast_to(env.quadrature(rows)[:, None, None], (rows, columns, 1))
-    flux = np.concatenate([grid * solid, solid], axis=2)
+    rows, columns, channels = grid.shape
+    solid, own = env.quadrature(rows), np.ones(columns)
     fewer = max(int(np.ceil(COARSE / width)) + 1, FEWEST)
     if fewer >= rows:
-        return flux
-    down = _shares(np.linspace(0, fewer - 1, rows), fewer, wrap=False)
-    flux = (down @ flux.reshape(rows, -1)).reshape(fewer, columns, -1)
-    across = 2 * (fewer - 1)
-    if across < columns:
-        place = (np.arange(columns) + 0.5) * across / columns - 0.5
-        around = _shares(place, across, wrap=True)
-        turned = np.moveaxis(flux, 1, 0)
-        shared = (around @ turned.reshape(columns, -1)).reshape(across, fewer, -1)
-        flux = np.ascontiguousarray(np.moveaxis(shared, 0, 1))
-    return flux
-
-
-def _shares(place: np.ndarray, count: int, wrap: bool) -> csr_array:
-    """(count, N), sparse: what each of N points gives to its neighbours among ``count`` nodes."""
-    first = np.floor(place).astype(int)
-    part = place - first
-    second = first + 1
-    if wrap:
-        first, second = first % count, second % count
+        flux = grid * solid[:, None, None]
     else:
-        second = np.minimum(second, count - 1)
-    points = np.arange(len(place))
-    nodes = (np.concatenate([first, second]), np.concatenate([points, points]))
-    return csr_array((np.concatenate([1 - part, part]), nodes), shape=(count, len(place)))
+        down = rows_to(fewer, rows) * solid[None]  # what is small soon is never made large
+        flux = (down @ grid.reshape(rows, -1)).reshape(fewer, columns, channels)
+        solid, across = down.sum(axis=1), 2 * (fewer - 1)
+        if across < columns:
+            around = columns_to(across, columns)
+            turned = np.moveaxis(flux, 1, 0)
+            shared = (around @ turned.reshape(columns, -1)).reshape(across, fewer, channels)
+            flux, own = np.moveaxis(shared, 0, 1), around.sum(axis=1)
+    return np.concatenate([flux, np.outer(solid, own)[..., None]], axis=2)

@@ -64,21 +64,23 @@ def moment_map(environment: Environment, channels: int = 3) -> MomentMap:
         environment: the light.
         channels: 3, or 1 for the mean of the colour channels.
     """
-    rows, columns = environment.radiance.shape[:2]
-    along = env.directions(columns, rows), environment.disk_directions
-    lights = [environment]
-    for axis in range(3):
-        part = replace(
-            environment,
-            radiance=environment.radiance * along[0][..., axis, None],
-            disk_radiance=environment.disk_radiance * along[1][..., axis, None],
-        )
-        lights.append(part)
     factors = zonal_cosine(COSINE_DEGREE, 0), zonal_cosine(COSINE_DEGREE, 5)
-    expanded = [light.coefficients(COSINE_DEGREE) for light in lights]
+    expanded = [environment.coefficients(COSINE_DEGREE)]
+    expanded += [_along(environment, axis).coefficients(COSINE_DEGREE) for axis in range(3)]
     if channels == 1:
         expanded = [c.mean(axis=1, keepdims=True) for c in expanded]
     wide = [c * f[degrees(COSINE_DEGREE)][:, None] for f in factors for c in expanded]
     by_channel = np.stack(wide, axis=-1).reshape(len(wide[0]), -1)  # (lm, channel * moment)
     grid = env.synthesize(by_channel, 2 * (COSINE_ROWS - 1), COSINE_ROWS)
     return MomentMap(lat_long_texture(grid), mi.Matrix3f(environment.to_local), channels)
+
+
+def _along(environment: Environment, axis: int) -> Environment:
+    """Return the light times a component of its direction."""
+    rows, columns = environment.radiance.shape[:2]
+    part = env.directions(columns, rows)[..., axis, None]
+    return replace(
+        environment,
+        radiance=environment.radiance * part,
+        disk_radiance=environment.disk_radiance * environment.disk_directions[:, axis, None],
+    )

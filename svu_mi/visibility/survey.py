@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -15,6 +16,8 @@ from svu_mi.visibility.bits import Bits
 from svu_mi.visibility.observe import Observation, Surface, asked, fold, look, over_views
 from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.views import Views
+
+GLARE = 1e3  # medians of all texels, beyond which one does not add to the mean radiance
 
 
 @dataclass(frozen=True)
@@ -39,11 +42,20 @@ class Survey:
     count: Any
     dense: bool = False
 
-    @property
+    @cached_property
     def scale(self) -> float:
-        """Mean grey radiance over all visible (texel, view) samples; 0 without any."""
-        samples = int(self.coverage.numpy().sum(dtype=np.int64))
-        return float(self.total.numpy().sum(dtype=np.float64) / max(samples, 1))
+        """Mean grey radiance over all visible (texel, view) samples; 0 without any.
+
+        Texels far above the median count as 1000 times that: a few pixels that the camera has
+        got wrong, or that show the sun, say nothing about noise elsewhere.
+        """
+        samples = self.coverage.numpy().astype(np.float64)
+        total = self.total.numpy().astype(np.float64)
+        lit = total > 0
+        if not lit.any():
+            return 0.0
+        most = GLARE * np.median(total[lit] / samples[lit])
+        return float(np.minimum(total, most * samples).sum() / samples.sum())
 
     def look(self, views: Views, surface: Surface, slot: Any) -> Observation:
         """Observe every texel of a launch in the view ``order[slot]``."""

@@ -7,6 +7,7 @@ looked up there; others are copied. Nothing here depends on the number of texels
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +19,7 @@ import numpy as np
 from svu_mi.capture import Capture, scene
 from svu_mi.capture.block import in_one_block
 from svu_mi.capture.poses import describe, film_size, scaled_sensor
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, SvuWarning
 from svu_mi.interop import owned
 from svu_mi.visibility.rays import ray_floats
 from svu_mi.visibility.silhouette import Films, interior
@@ -26,6 +27,8 @@ from svu_mi.visibility.tiles import find_tiles
 
 CAMERA_FLOATS = 16  # rows x, y, w of the projection (4 each), position (3), near clip
 LARGEST_FILM = 512  # pixels per side, of sensors without a photograph
+HOT = 1e6  # medians of what shows the object, from which a pixel is one that the camera got wrong
+SAMPLED = 2**18  # pixels, those of the object among which have the median of all
 GREY = 1e-6  # part of its largest channel that the channels of a grey pixel differ by
 
 
@@ -99,6 +102,13 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
         tiles = _tiles(capture.shape, poses, masks)
         for index, inside in interior(capture.scene, capture.shape, films, tiles):
             pixels.judge(index, inside)
+    for place, count, ratio in pixels.drop_hot(offset):
+        pixel = "pixel is" if count == 1 else "pixels are up to"
+        warnings.warn(
+            f"{capture.names[kept[place]]}: {count} {pixel} {ratio:.0e} times as bright as the "
+            "median of the object; left out.",
+            SvuWarning, stacklevel=3,
+        )  # fmt: skip
     return _views(
         capture.scene, poses, films, pixels.usable, pixels.radiance, grey=not pixels.coloured[0]
     )
@@ -154,6 +164,37 @@ class _Pixels:
         coloured = good & (most - dr.min(color) > GREY * most)
         dr.scatter(self.coloured, mi.UInt32(1), 0, coloured)
         dr.eval(self.usable, self.coloured)
+
+    def drop_hot(self, offset: np.ndarray) -> list[tuple[int, int, float]]:
+        """Take pixels out of use that are too bright to be true.
+
+        One of 1e10 in one photograph would be most of their mean radiance, which noise is a part
+        of.
+
+        Args:
+            offset: (V,) index of each photograph's first pixel.
+
+        Returns:
+            Of each photograph that has some: its number, theirs, and how often the brightest
+            holds the median.
+        """
+        colors = self.radiance.numpy().reshape(-1, 3)
+        step = len(colors) // SAMPLED | 1  # odd: not a whole number of rows
+        lit = colors[::step][self.usable.numpy()[::step]].max(axis=1, initial=0)
+        lit = lit[lit > 0]
+        most = HOT * float(np.median(lit)) if len(lit) else np.inf
+        index = dr.arange(mi.UInt32, len(colors))
+        bright = dr.max(dr.gather(mi.Color3f, self.radiance, index, self.usable))
+        hot = self.usable & (bright > dr.opaque(mi.Float, most))
+        pixels = np.flatnonzero(hot.numpy())
+        self.usable &= ~hot
+        dr.eval(self.usable)
+        found = []
+        owner = np.searchsorted(offset, pixels, side="right") - 1
+        for view in np.unique(owner):
+            own = colors[pixels[owner == view]].max()
+            found.append((int(view), int((owner == view).sum()), float(own / most * HOT)))
+        return found
 
 
 @dataclass(frozen=True)

@@ -198,14 +198,3 @@ def test_all_parts_are_held_against_the_memory(tmp_path, monkeypatch):
     free(monkeypatch, 300_000)
     with pytest.raises(CaptureError, match="values take at least .* export its colours only"):
         read_exr(tmp_path / "parts.exr")
-
-
-def test_free_memory_is_that_of_the_container(tmp_path, monkeypatch):
-    meminfo, group = tmp_path / "meminfo", tmp_path / "max"
-    meminfo.write_text("MemTotal: 9 kB\nMemAvailable:    4000 kB\n")
-    monkeypatch.setattr(limits, "MEMINFO", meminfo)
-    monkeypatch.setattr(limits, "GROUP_LIMITS", (group, tmp_path / "none"))
-    group.write_text("max\n")
-    assert limits.free_memory() == 4000 * 1024
-    group.write_text("123456\n")
-    assert limits.free_memory() == 123456

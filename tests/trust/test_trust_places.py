@@ -112,3 +112,52 @@ def test_one_core_is_enough(tmp_path, option, said):
     done = python("-c", code, *words, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, said)
     assert (tmp_path / "out" / "view_0000.exr").is_file()
+
+
+ONE = "import os, sys; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
+PLAIN = """
+import svu_mi, mitsuba as mi
+mi.set_variant("llvm_ad_rgb")
+scene, light = sys.argv[1:]
+mi.Bitmap(light)
+mi.load_dict({"type": "bitmap", "filename": light})
+mi.load_dict({"type": "scene", "light": {"type": "envmap", "filename": light}})
+mi.load_file(scene, resolution="8")
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs Linux")
+def test_plain_mitsuba_runs_on_one_core(tmp_path):
+    """It waited for ever, in a notebook that shows recovered.xml, say."""
+    light = scenes.path("vase").parents[1] / "lights" / "window.exr"
+    done = python("-c", ONE + PLAIN, scenes.path("vase"), light, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+COMMAND = "from svu_mi.cli.main import main; sys.exit(main(sys.argv[1:]))"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs Linux")
+@pytest.mark.parametrize("command", ["demo", "entropy", "recover"])
+def test_commands_run_on_one_core(command, shot, tmp_path):
+    words = ("demo", "--spp", 1) if command == "demo" else (command, shot)
+    done = python(
+        "-c", ONE + COMMAND, *words, "--resolution", 24, "-o", tmp_path / "out", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "run.json").is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs Linux")
+def test_the_tests_of_the_pipeline_run_on_one_core(root):
+    """They call Mitsuba as users do; the first of them has waited for ever."""
+    file = root / "tests" / "test_pipeline.py"
+    words = ("-x", "-m", "not slow", "-p", "no:cacheprovider")
+    code = ONE + "import pytest; sys.exit(pytest.main(sys.argv[1:]))"
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(file), *words], cwd=root, capture_output=True, text=True,
+        timeout=400, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout

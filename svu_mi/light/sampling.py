@@ -1,0 +1,116 @@
+"""The nodes that a lat-long map is sampled at, on as many as are of use."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from scipy.sparse import csr_array
+
+from svu_mi.interop import owned
+
+MOST = (2048, 1025)  # columns and rows: more are not told apart by any lobe that is looked up
+BAND = 2**17  # nodes that are sampled at a time: 20 MB
+
+
+def sampled(emitter: Any, to_world: np.ndarray, columns: int, rows: int) -> np.ndarray:
+    """Sample an emitter at lat-long nodes; what is more than ``MOST`` is averaged.
+
+    Every node's light is then shared among its nearest neighbours, so that none is lost.
+
+    Args:
+        emitter: as for ``read_environment``.
+        to_world: (3, 3) its rotation.
+        columns: nodes around.
+        rows: nodes from pole to pole.
+
+    Returns:
+        (H, W, 3) float64 radiance.
+    """
+    across, down = min(columns, MOST[0]), min(rows, MOST[1])
+    solid = quadrature(rows)
+    flux, weight = np.zeros((down, across, 3)), np.zeros(down)
+    below, around = rows_to(down, rows), columns_to(across, columns)
+    height = max(BAND // columns, 1)
+    for top in range(0, rows, height):
+        band = slice(top, min(top + height, rows))
+        local = directions(columns, rows, band)
+        found = radiance_from(emitter, local.reshape(-1, 3) @ to_world.T).reshape(local.shape)
+        if across < columns:
+            turned = np.moveaxis(found, 1, 0)
+            shared = around @ turned.reshape(columns, -1) / around.sum(axis=1)[:, None]
+            found = np.moveaxis(shared.reshape(across, -1, 3), 0, 1)
+        if down == rows:
+            flux[band] = found
+            continue
+        share = below[:, band] * solid[None, band]
+        flux += (share @ found.reshape(len(found), -1)).reshape(flux.shape)
+        weight += share.sum(axis=1)
+    return flux if down == rows else flux / weight[:, None, None]
+
+
+def directions(columns: int, rows: int, band: slice = slice(None)) -> np.ndarray:
+    """Return the (rows, columns, 3) local directions of Mitsuba's lat-long sampling grid.
+
+    Args:
+        columns: nodes around.
+        rows: nodes from pole to pole.
+        band: which of the rows.
+    """
+    theta = (np.pi * np.arange(rows) / (rows - 1))[band]
+    phi = 2 * np.pi * (np.arange(columns) + 0.5) / columns
+    sin, cos = np.sin(theta)[:, None], np.cos(theta)[:, None]
+    y = np.broadcast_to(cos, (len(theta), columns))
+    return np.stack([sin * np.sin(phi), y, -sin * np.cos(phi)], axis=-1)
+
+
+def radiance_from(emitter: Any, world: np.ndarray) -> np.ndarray:
+    """Return (N, 3) float64 radiance that an environment emitter sends from directions.
+
+    Args:
+        emitter: as for ``read_environment``.
+        world: (N, 3) unit directions towards it.
+    """
+    si = dr.zeros(mi.SurfaceInteraction3f, len(world))
+    si.wi = -owned(mi.Vector3f, world.T.astype(np.float32))
+    return np.broadcast_to(emitter.eval(si).numpy().T.astype(np.float64), world.shape).copy()
+
+
+def quadrature(rows: int) -> np.ndarray:
+    """Return (rows,) Clenshaw-Curtis weights for the integral over cos(theta).
+
+    Exact for polynomials in cos(theta) up to degree rows - 1, on the nodes j pi / (rows - 1);
+    close to sin(theta) d(theta), and not zero at the poles.
+    """
+    n = rows - 1
+    j = np.arange(rows)
+    k = np.arange(1, n // 2 + 1)
+    b = np.where(2 * k == n, 1.0, 2.0)
+    series = 1 - (b / (4 * k**2 - 1) * np.cos(2 * np.outer(j, k) * np.pi / n)).sum(axis=1)
+    return np.where((j == 0) | (j == n), 1.0, 2.0) * series / n
+
+
+def rows_to(fewer: int, rows: int) -> csr_array:
+    """(fewer, rows), sparse: what each row of nodes gives to the nearest of fewer."""
+    return _shares(np.linspace(0, fewer - 1, rows), fewer, wrap=False)
+
+
+def columns_to(fewer: int, columns: int) -> csr_array:
+    """(fewer, columns), sparse: what each column of nodes gives to the nearest of fewer."""
+    return _shares((np.arange(columns) + 0.5) * fewer / columns - 0.5, fewer, wrap=True)
+
+
+def _shares(place: np.ndarray, count: int, wrap: bool) -> csr_array:
+    """(count, N), sparse: what each of N points gives to its neighbours among ``count`` nodes."""
+    first = np.floor(place).astype(int)
+    part = place - first
+    second = first + 1
+    if wrap:
+        first, second = first % count, second % count
+    else:
+        second = np.minimum(second, count - 1)
+    points = np.arange(len(place))
+    nodes = (np.concatenate([first, second]), np.concatenate([points, points]))
+    return csr_array((np.concatenate([1 - part, part]), nodes), shape=(count, len(place)))

@@ -1,0 +1,61 @@
+"""A pixel that the camera got wrong costs its texel, not the map."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import svu_mi as svu
+from svu_mi.errors import SvuWarning
+from svu_mi.visibility import pack_views
+
+VIEW = 2
+
+
+def with_hot_pixel(capture, value: float):
+    """One pixel of view 2, in the middle of the object, of another value."""
+    images = [image.copy() for image in capture.images]
+    rows, columns = np.nonzero(np.isfinite(images[VIEW]).all(axis=2) & capture.masks[VIEW])
+    middle = len(rows) // 2
+    images[VIEW][rows[middle], columns[middle]] = value
+    return replace(capture, images=tuple(images))
+
+
+def off(found: np.ndarray, before: np.ndarray) -> float:
+    """Part of the texels whose entropy is another one."""
+    return float((np.abs(found - before) > 0.02).mean())
+
+
+def test_a_pixel_of_1e10_is_left_out_and_its_photograph_named(vase):
+    hot = with_hot_pixel(vase.capture, 1e10)
+    with pytest.warns(SvuWarning, match="left out") as caught:
+        found = svu.estimate(hot, vase.texels).entropy.numpy()
+    name = vase.capture.names[VIEW]
+    sentence = str(caught[0].message)
+    assert sentence.startswith(f"{name}: 1 pixel is ") and sentence.endswith(
+        " times as bright as the median of the object; left out."
+    )
+    before = vase.estimate.entropy.numpy()
+    assert off(found, before) < 0.005
+    assert found.mean() == pytest.approx(before.mean(), abs=0.002)
+
+
+@pytest.mark.parametrize("value", [1e2, 1e5])
+def test_a_glaring_pixel_does_not_change_the_map(vase, value):
+    """It may be the sun, in something polished: it is used, and costs the texels that show it."""
+    hot = with_hot_pixel(vase.capture, value)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", SvuWarning)
+        found = svu.estimate(hot, vase.texels).entropy.numpy()
+    assert found.mean() == pytest.approx(vase.estimate.entropy.numpy().mean(), abs=0.01)
+
+
+def test_photographs_that_are_what_they_seem_lose_no_pixel(vase):
+    views = pack_views(vase.capture)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", SvuWarning)
+        again = pack_views(with_hot_pixel(vase.capture, 1.0))
+    assert (views.usable.numpy() == again.usable.numpy()).all()
