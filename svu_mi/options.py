@@ -126,5 +126,5 @@ def _require(name: str, method: str, what: str, known: dict[str, list[str]]) -> 
         others = [other for other in known if name in known[other]]
         raise OptionError(
             f"Unknown {what} {name!r}; method {method!r} has {', '.join(sorted(known[method]))}."
-            + (f" {name!r} is one of method={others[0]!r}." if others else "")
+            + (f" {name!r} is one of method {others[0]!r}." if others else "")
         )

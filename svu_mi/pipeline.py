@@ -23,6 +23,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.capture.scene import require_variant
 from svu_mi.errors import OptionError
 from svu_mi.frequency.gather import fit_spectra
 from svu_mi.observed import Observed, observe
@@ -45,7 +46,7 @@ from svu_mi.statistics.gather import Weighting
 from svu_mi.surface import Texels
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Estimate:
     """What the photographs say about each of T texels.
 
@@ -73,6 +74,14 @@ class Estimate:
     timings: dict[str, float] = field(default_factory=dict)
     observed: Observed | None = field(default=None, repr=False)
     prior: Any | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        seen = np.array(self.coverage) > 0
+        mean = float(np.array(self.entropy, np.float64).mean())
+        return (
+            f"<Estimate {self.method}: mean entropy {mean:.2f} of {self.texels.count} texels, "
+            f"{seen.mean():.0%} seen in {len(self.seen_per_view)} photographs>"
+        )
 
     @cached_property
     def entropy(self) -> Any:
@@ -204,7 +213,9 @@ def estimate(
             known value that is none, or texels that do not belong to the source.
         ShapeError: a prior that does not fit the grid.
         CaptureError: no texel is seen in any photograph.
+        SvuEnvironmentError: no suitable Mitsuba variant is active.
     """
+    require_variant()
     switches: Any = find_preset(preset, method=method)
     progress, skip = progress or Progress(), skip or Skip()
     angular = isinstance(switches, AngularPreset)

@@ -10,14 +10,15 @@ were compiled in it, and, with a console, shows what is going on:
     progress.timings                                 # {"Gathering radiance": 0.41}, seconds
 
 On a terminal (or in a notebook) a stage is a live line, replaced by one plain line when it
-ends; elsewhere, such as a log file, there is only that plain line.
+ends; elsewhere, such as a log file, there is only that plain line, and now and then one about a
+long stage.
 """
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
@@ -28,21 +29,33 @@ if TYPE_CHECKING:
 
 COMPILING = "compiling kernels (first run only)"
 PATIENCE = 2.0  # seconds of silence after which a stage says that it may be compiling
+PERIOD = 30.0  # seconds between lines about a stage in a log
 
 
 class Stage:
     """One running stage.
 
     A stage that nobody looks at accepts the same calls and does nothing.
+
+    Args:
+        bar: rich's, on a terminal.
+        task: the stage in it.
+        say: prints a line in a log.
     """
 
-    def __init__(self, bar: Any = None, task: Any = None) -> None:
-        self._bar, self._task = bar, task
+    def __init__(
+        self, bar: Any = None, task: Any = None, say: Callable[[str], None] | None = None
+    ) -> None:
+        self._bar, self._task, self._say = bar, task, say
+        self._last = time.monotonic()
 
     def update(self, done: int, total: int) -> None:
         """Show ``done`` of ``total`` steps; fits as a ``(done, total)`` callback."""
         if self._bar is not None:
             self._bar.update(self._task, completed=done, total=total, state="")
+        elif self._say is not None and time.monotonic() - self._last >= PERIOD and done < total:
+            self._say(f"{done}/{total}")
+            self._last = time.monotonic()
 
     def state(self, text: str) -> None:
         """Say what the stage is waiting for, until the next ``update``."""
@@ -84,15 +97,16 @@ class Progress:
                 yield stage
                 _synchronize()
         except BaseException:
-            self._say(f"{name}: failed after {time.perf_counter() - start:.2f} s")
+            self.say(f"{name}: failed after {time.perf_counter() - start:.2f} s")
             raise
         seconds, built = time.perf_counter() - start, compiled_kernels() - compiled
         self.timings[name] = self.timings.get(name, 0.0) + seconds
         self.kernels[name] = self.kernels.get(name, 0) + built
         note = f", {built} kernel{'s' if built > 1 else ''} compiled" if built else ""
-        self._say(f"{name}: {seconds:.2f} s{note}")
+        self.say(f"{name}: {seconds:.2f} s{note}")
 
-    def _say(self, line: str) -> None:
+    def say(self, line: str) -> None:
+        """Print a line of its own, if there is a console."""
         if self._console is None:
             return
         # Nobody may read any more, which rich ends the process for.
@@ -102,8 +116,11 @@ class Progress:
 
     @contextmanager
     def _shown(self, name: str, total: int | None) -> Iterator[Stage]:
-        if self._console is None or self._live or not _can_redraw(self._console):
+        if self._console is None or self._live:
             yield Stage()
+            return
+        if not _can_redraw(self._console):
+            yield Stage(say=lambda text: self.say(f"{name}: {text}"))
             return
         self._live = True
         try:
@@ -132,10 +149,18 @@ def _bar(console: Console) -> Any:
                 state = COMPILING if silent else ""
             return Text(printable(state), style="dim")
 
+    class Steps(rich.ProgressColumn):
+        """How many steps are done, of how many; nothing of a stage that does not know."""
+
+        def render(self, task: rich.Task) -> Text:
+            known = task.total is not None
+            return Text(f"{task.completed:.0f}/{task.total:.0f}" if known else "")
+
     return rich.Progress(
         rich.SpinnerColumn("dots" if console.encoding.startswith("utf") else "line"),
         rich.TextColumn("{task.description}", markup=False),
         rich.BarColumn(bar_width=24),
+        Steps(),
         rich.TimeElapsedColumn(),
         State(),
         console=console,

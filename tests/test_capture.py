@@ -4,23 +4,29 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import shutil
+import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import mitsuba as mi
 import numpy as np
 import pytest
-from helpers import ball, sensor_xml, write_scene
+from helpers import ball, fails, names, run, sensor_xml, write_scene
 from PIL import Image
 
-from svu_mi.capture import load_capture, render_capture
+from svu_mi.capture import load_capture, render_capture, rendering
 from svu_mi.capture.folder import Description
+from svu_mi.capture.ignored import ignored
 from svu_mi.capture.loading import read_capture
+from svu_mi.capture.matching import NoPhotographsError
 from svu_mi.capture.mesh import arrays, make
 from svu_mi.capture.picture import open_picture
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
+from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.unwrap import unwrap
 from svu_mi.errors import (
     CaptureError,
@@ -31,6 +37,8 @@ from svu_mi.errors import (
     SvuWarning,
 )
 from svu_mi.exr import read_exr, read_header, write_exr
+from svu_mi.pipeline import estimate
+from svu_mi.results.record import RUN
 from svu_mi.surface import texels
 
 
@@ -186,6 +194,159 @@ def test_an_interrupted_render_can_be_repeated(tmp_path):
     assert {file.name: file.read_bytes() for file in (tmp_path / "shot").iterdir()} == before
 
 
+@pytest.fixture
+def stopping(monkeypatch):
+    """Stops a render before view 2, once; keeps the numbers of the views that are rendered."""
+    shot, seen = rendering._shot, []
+
+    def stop(scene, target, sensors, spp, seed, index):
+        if index == 2 and 2 not in seen:
+            seen.append(2)
+            raise KeyboardInterrupt
+        seen.append(index)
+        return shot(scene, target, sensors, spp, seed, index)
+
+    monkeypatch.setattr(rendering, "_shot", stop)
+    return seen
+
+
+def test_an_interrupted_render_is_continued(tmp_path, capsys, stopping, variant):
+    """By the photographs that it would have made, and no view is rendered twice."""
+    path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
+    words = ("render", path, "--spp", 2, "-o", out)
+    assert fails(capsys, *words, "--resume") == (
+        f"svu: {out}: there is nothing of an interrupted run to resume; omit --resume."
+    )
+    assert run(*words) == 130
+    assert capsys.readouterr().err == (
+        f"svu: interrupted; 2 views are kept in {out}: continue with the same command and "
+        "--resume\n"
+    )
+    assert fails(capsys, "entropy", out, "-o", tmp_path / "maps") == (
+        f"svu: {out}: holds an interrupted svu render; finish it with the same command and "
+        "--resume."
+    )
+    assert fails(capsys, *words, "--resume", "--spp", 3) == (
+        f"svu: {out}: what an interrupted run has left was made with other options, or of "
+        "something else; restore these, or omit --resume to start again."
+    )
+    del stopping[:-1]
+    assert run(*words, "--resume") == 0
+    assert stopping == [2, 2, 3]
+    whole = render_capture(path, spp=2)
+    assert names(out) == ["capture.json"] + [f"view_{k:04d}.exr" for k in range(4)]
+    again = load_capture(out)
+    for one, other in zip(again.images, whole.images, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-5)
+
+
+@pytest.mark.usefixtures("variant")
+def test_an_interrupted_render_can_be_begun_again(tmp_path, stopping):
+    """Also after another kind of end: what is kept lies in the folder from the first view on."""
+    path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
+    assert run("render", path, "--spp", 2, "-o", out) == 130
+    (kept,) = out.iterdir()
+    assert names(kept) == ["view_0000.exr", "view_0001.exr"]
+    assert run("render", path, "--spp", 1, "-o", out) == 0
+    assert stopping == [0, 1, 2, 0, 1, 2, 3]
+    assert names(out) == ["capture.json"] + [f"view_{k:04d}.exr" for k in range(4)]
+
+
+INTEGRATOR = '<integrator type="path">'
+CHANGES = {
+    "max_depth": (INTEGRATOR, INTEGRATOR + '<integer name="max_depth" value="2"/>'),
+    "hide_emitters": (INTEGRATOR, INTEGRATOR + '<boolean name="hide_emitters" value="true"/>'),
+    "integrator": ('"path"', '"direct"'),
+    "filter": ("</film>", '<rfilter type="box"/></film>'),
+    "sampler": ("</sensor>", '<sampler type="stratified"/></sensor>'),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+@pytest.mark.usefixtures("stopping")
+def test_an_interrupted_render_is_not_mixed_with_another(tmp_path, change):
+    """What renders otherwise is something else."""
+    path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
+    plain = path.read_text().replace('<integrator type="direct"/>', INTEGRATOR + "</integrator>")
+    path.write_text(plain)
+    with pytest.raises(KeyboardInterrupt):
+        render_capture(path, spp=1, folder=out, resume=False)
+    assert plain.replace(*change) != plain
+    path.write_text(plain.replace(*change))
+    with pytest.raises(OutputError, match="made with other options, or of something else"):
+        render_capture(path, spp=1, folder=out, resume=True)
+    path.write_text(plain)
+    assert render_capture(path, spp=1, folder=out, resume=True).count == 4
+
+
+def linked(path, foreign):
+    path.unlink()
+    path.symlink_to(foreign)
+
+
+UNUSABLE = {
+    "a link": linked,
+    "cut": lambda path, _: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+    "of another run": lambda path, foreign: shutil.copy(foreign, path),
+    "of another size": lambda path, _: write_exr(
+        path, {"RGB": np.ones((8, 8, 3))}, {RUN: read_header(path).attributes[RUN]}
+    ),
+    "a folder": lambda path, _: (path.unlink(), path.mkdir()),
+}
+
+
+@pytest.mark.parametrize("spoil", UNUSABLE.values(), ids=UNUSABLE)
+def test_only_whole_views_of_an_interrupted_render_are_kept(tmp_path, stopping, spoil):
+    """Another one is rendered again, and what is no view at all does not get into the capture."""
+    path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
+    foreign = tmp_path / "foreign.exr"
+    write_exr(foreign, {"RGB": np.ones((24, 24, 3))}, {RUN: "0" * 16})
+    with pytest.raises(KeyboardInterrupt):
+        render_capture(path, spp=1, folder=out, resume=False)
+    (draft,) = out.iterdir()
+    spoil(draft / "view_0001.exr", foreign)
+    (draft / "mask_0000.png").symlink_to(foreign)
+    before = foreign.read_bytes()
+    del stopping[:-1]
+    capture = render_capture(path, spp=1, folder=out, resume=True)
+    assert stopping == [2, 1, 2, 3] and foreign.read_bytes() == before
+    assert names(out) == ["capture.json"] + [f"view_{k:04d}.exr" for k in range(4)]
+    assert not any(file.is_symlink() for file in out.iterdir())
+    whole = render_capture(path, spp=1)
+    np.testing.assert_allclose(capture.images[1], whole.images[1], rtol=1e-5)
+
+
+@pytest.mark.usefixtures("stopping")
+def test_a_render_that_keeps_nothing_clears_what_was_kept(tmp_path):
+    path, out = write_scene(tmp_path, sensors=sensor_xml(4)), tmp_path / "shot"
+    with pytest.raises(KeyboardInterrupt):
+        render_capture(path, spp=1, folder=out, resume=False)
+    assert len(list(out.glob(".svu-draft-kept-*"))) == 1
+    render_capture(path, spp=1, folder=out)
+    assert names(out) == ["capture.json"] + [f"view_{k:04d}.exr" for k in range(4)]
+    assert not list(out.glob(".svu-draft-*"))
+
+
+@pytest.mark.slow
+def test_a_killed_render_is_continued(tmp_path):
+    """No view that is there is rendered again: its file stays as it was."""
+    path, out = write_scene(tmp_path, sensors=sensor_xml(6, 128, 128)), tmp_path / "shot"
+    words = [sys.executable, "-m", "svu_mi", "render", path, "--spp", "64", "-o", out]
+    rendering = subprocess.Popen(words, stdout=subprocess.DEVNULL)
+    end = time.monotonic() + 60
+    while len(kept := sorted(out.glob(".svu-draft-kept-*/view_*.exr"))) < 2:
+        assert rendering.poll() is None and time.monotonic() < end
+        time.sleep(0.01)
+    rendering.kill()
+    rendering.wait()
+    before = {each.name: each.stat().st_mtime_ns for each in kept}
+    done = subprocess.run([*words, "--resume"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert names(out) == ["capture.json"] + [f"view_{k:04d}.exr" for k in range(6)]
+    assert {name: (out / name).stat().st_mtime_ns for name in before} == before
+    assert load_capture(out).count == 6
+
+
 def test_a_luminance_film_gives_grey_photographs(tmp_path):
     luminance = '<string name="pixel_format" value="luminance"/>'
     sensors = sensor_xml(1).replace('"hdrfilm">', f'"hdrfilm">{luminance}')
@@ -212,7 +373,7 @@ def test_sensors_without_a_photograph_can_be_left_out(scene):
     capture = load_capture(scene)
     for name in ("view_0001.exr", "view_0002.exr"):
         (images / name).unlink()
-    partly = load_capture(scene, missing="leave out")
+    partly = load_capture(scene, missing="leave-out")
     assert partly.used == (True, False, False)
     assert partly.names == ("view_0000.exr", "view_0001.exr", "view_0002.exr")
     np.testing.assert_array_equal(partly.images[0], capture.images[0])
@@ -222,9 +383,126 @@ def test_sensors_without_a_photograph_can_be_left_out(scene):
         assert image.strides == (0, 0, 0)  # one number, whatever the film
     (images / "view_0000.exr").unlink()
     with pytest.raises(CaptureError, match="3 of 3 photographs are missing"):
-        load_capture(scene, missing="leave out")
-    with pytest.raises(OptionError, match="'refuse', 'leave out', got 'ignore'"):
+        load_capture(scene, missing="leave-out")
+    with pytest.raises(OptionError, match="'refuse', 'leave-out', got 'ignore'"):
         load_capture(scene, missing="ignore")
+
+
+def renamed(folder, name):
+    """Give the photographs of a folder other names, by their number."""
+    for index, path in enumerate(sorted(folder.glob("view_*"))):
+        path.rename(folder / f"{name(index)}.exr")
+
+
+def test_photographs_are_matched_by_the_ids_of_their_sensors(scene):
+    """In whatever order their names are: here the reverse one."""
+    folder = scene.parent / "images"
+    scene.write_text(scene.read_text().replace("cam0", "night").replace("cam1", "evening"))
+    for index in range(3):
+        image = np.full((24, 24, 3), 0.1 * (index + 1))
+        write_exr(folder / f"view_{index:04d}.exr", {"RGB": image})
+    renamed(folder, ["night", "evening", "cam2"].__getitem__)
+    capture = load_capture(scene)
+    assert capture.names == capture.files == ("night.exr", "evening.exr", "cam2.exr")
+    assert [round(float(image.mean()), 3) for image in capture.images] == [0.1, 0.2, 0.3]
+    (folder / "cam2.exr").rename(folder / "cam3.exr")
+    message = r"1 of 3 photographs are missing, first cam2.exr; give the others, or --missing leave"
+    with pytest.raises(CaptureError, match=message):
+        load_capture(scene)
+    with pytest.raises(CaptureError, match="cam3.exr: there are 3 photographs but only 3 sensors"):
+        load_capture(scene, missing="leave-out")
+    (folder / "cam3.exr").unlink()
+    assert load_capture(scene, missing="leave-out").used == (True, True, False)
+
+
+@pytest.mark.parametrize("mask", ["IMG_{}_mask", "mask_IMG_{}"])
+def test_photographs_of_any_name_are_taken_in_their_natural_order(tmp_path, mask):
+    """2 before 10; their masks are none of them, nor what macOS hides beside them."""
+    path = write_scene(tmp_path, sensors=sensor_xml(11))
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for index in range(11):
+        image = np.full((24, 24, 3), 0.01 * (index + 1))
+        write_exr(folder / f"IMG_{index}.exr", {"RGB": image})
+        (folder / f"._IMG_{index}.exr").write_bytes(b"")
+    inside = np.zeros((24, 24), np.uint8)
+    inside[:7] = 255
+    Image.fromarray(inside).save(folder / f"{mask.format(3)}.png")
+    with pytest.warns(SvuWarning) as said:
+        capture = load_capture(path, folder)
+    assert [str(warning.message) for warning in said] == [
+        f"{folder}: 11 photographs are taken in the order of their names: IMG_0.exr is sensor 0 "
+        "('cam0'), ..., IMG_10.exr is sensor 10 ('cam10')."
+    ]
+    assert capture.names == tuple(f"IMG_{index}.exr" for index in range(11))
+    assert [round(100 * float(image.mean())) for image in capture.images] == list(range(1, 12))
+    assert [mask is None for mask in capture.masks] == [index != 3 for index in range(11)]
+    assert capture.masks[3][:7].all() and not capture.masks[3][7:].any()
+
+
+def test_textures_beside_a_scene_are_no_photographs(tmp_path):
+    path = write_scene(tmp_path, sensors=sensor_xml(1))
+    write_exr(tmp_path / "base_color.exr", {"RGB": np.ones((24, 24, 3))})
+    message = f"{tmp_path}: 1 of 1 photographs are missing, first view_0000.exr; no picture there"
+    with pytest.raises(CaptureError, match=message):
+        load_capture(path)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_textures_in_images_are_no_photographs(tmp_path, capsys, count):
+    """The usual folder of a scene's textures; as many as sensors are still none of them."""
+    path, folder = write_scene(tmp_path), tmp_path / "images"
+    folder.mkdir()
+    for name in ("base_color", "metallic", "roughness")[:count]:
+        write_exr(folder / f"{name}.exr", {"RGB": np.ones((24, 24, 3))})
+    assert fails(capsys, "entropy", path, "-o", tmp_path / "out") == (
+        f"svu: {path}: no photographs beside it; give their folder with --images, or --render to "
+        "render the scene itself (3 sensors)."
+    )
+    for index in range(3):  # beside the scene, by the ids of their sensors
+        write_exr(tmp_path / f"cam{index}.exr", {"RGB": np.full((24, 24, 3), 0.5)})
+    assert load_capture(path).names == ("cam0.exr", "cam1.exr", "cam2.exr")
+
+
+def test_an_error_comes_back_from_another_process(tmp_path):
+    with pytest.raises(NoPhotographsError) as caught:
+        load_capture(write_scene(tmp_path))
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (str(again), again.sensors) == (str(caught.value), 3)
+
+
+def test_one_photograph_as_two_files_is_refused(scene):
+    folder = scene.parent / "images"
+    renamed(folder, "DSC{}".format)
+    shutil.copy(folder / "DSC1.exr", folder / "DSC1.hdr")
+    with pytest.raises(CaptureError, match=r"DSC1.exr and DSC1.hdr are the same view; keep one"):
+        load_capture(scene, folder)
+
+
+@pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
+def test_imported_photographs_keep_the_names_that_they_had(scene):
+    """In messages; their files are called by their number."""
+    folder = scene.parent / "images"
+    paths = ["left/IMG_7.JPG", "left/IMG_8.JPG", "right/IMG_9.JPG"]
+    record = {"format": "svu-capture", "import": {"photographs": paths}}
+    write_exr(folder / "view_0001.exr", {"RGB": np.zeros((24, 24, 3))})
+
+    def load():
+        (folder / "capture.json").write_text(json.dumps(record))
+        return load_capture(scene)
+
+    capture = load()
+    assert capture.names == ("IMG_7.JPG", "IMG_8.JPG", "IMG_9.JPG")
+    assert capture.files == ("view_0000.exr", "view_0001.exr", "view_0002.exr")
+    assert capture.warnings == (
+        f"{folder / 'view_0001.exr'} (IMG_8.JPG): the photograph is entirely black; the view is "
+        "left out. Check its exposure, or remove it with its sensor.",
+    )
+    paths[2] = "right/IMG_7.JPG"  # a camera of its own, that counts like the first
+    assert load().names == tuple(paths)
+    for odd in ([*paths, "more.jpg"], paths[:2], [1, 2, 3], "three"):
+        record["import"]["photographs"] = odd
+        assert load().names == capture.files
 
 
 def copied(name):
@@ -341,6 +619,33 @@ def test_all_black_photographs_are_refused(scene):
         load_capture(scene)
 
 
+@pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
+def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
+    path = write_scene(tmp_path, sensors=sensor_xml(30))
+    folder = tmp_path / "images"
+    folder.mkdir()
+    pixels = np.full((24, 24, 3), 188, np.uint8)
+    pixels[:2] = 255
+    for index in range(30):
+        Image.fromarray(pixels).save(folder / f"view_{index:04d}.png")
+    assert load_capture(path).warnings == (
+        f"{folder}: all 30 photographs: 8-bit images, not HDR; decoded as sRGB, 1440 saturated "
+        "pixels left out. Clipped highlights hide gloss: use HDR.",
+    )
+    for index in (3, 4, 9, 20, 21):
+        write_exr(folder / f"view_{index:04d}.exr", {"RGB": np.zeros((24, 24, 3))})
+        (folder / f"view_{index:04d}.png").unlink()
+    found = load_capture(path).warnings
+    assert found == (
+        f"{folder}: 25 of 30 photographs (view_0000.png, view_0001.png, view_0002.png and 22 "
+        "more): 8-bit images, not HDR; decoded as sRGB, 1200 saturated pixels left out. Clipped "
+        "highlights hide gloss: use HDR.",
+        f"{folder}: 5 of 30 photographs (view_0003.exr, view_0004.exr, view_0009.exr and 2 more): "
+        "entirely black; these views are left out. Check their exposure, or remove them with "
+        "their sensors.",
+    )
+
+
 def test_eight_bit_photographs_are_linearised_and_warned_of(scene):
     folder = scene.parent / "images"
     (folder / "view_0001.exr").unlink()
@@ -388,10 +693,162 @@ def test_a_scene_that_will_not_do_is_named(tmp_path, changes, message):
 
 
 def test_no_emitter(tmp_path):
+    """What can do without a light asks for that."""
     path = write_scene(tmp_path)
+    write_images(tmp_path / "images", 3)
+    assert load_capture(path, light="optional").environment.id() == "light"
     path.write_text(path.read_text().replace('<emitter type="constant" id="light"/>', ""))
     with pytest.raises(SceneError, match="no emitter"):
         load_capture(path)
+    capture = load_capture(path, light="optional")
+    assert capture.environment is None
+    with pytest.raises(SceneError, match="no emitter"):
+        estimate(capture, texels(capture.mesh, 16))
+    with pytest.raises(OptionError, match="light must be one of 'required', 'optional', got 'no'"):
+        load_capture(path, light="no")
+    record = {"format": "svu-capture", "import": {"format": "nerf"}}
+    (tmp_path / "images" / "capture.json").write_text(json.dumps(record))
+    with pytest.raises(SceneError) as refused:
+        load_capture(path)
+    assert str(refused.value) == (
+        f"{tmp_path / 'images'}: was imported without a light, and only svu check can do without; "
+        "import it again with --environment, the map of the light that the photographs were taken "
+        "under."
+    )
+
+
+def test_a_light_on_a_shape_is_named(tmp_path):
+    lamp = '<shape type="sphere" id="lamp"><emitter type="area"/></shape>'
+    with pytest.raises(SceneError, match=r"emitter of shape 'lamp' \(AreaLight\) is not supported"):
+        load_capture(write_scene(tmp_path, extra=lamp))
+
+
+# --- what is ignored is said ----------------------------------------------------------------
+
+
+PRINCIPLED = {"type": "principled", "id": "paint"}
+IGNORED = {
+    "clearcoat and anisotropy": (
+        {**PRINCIPLED, "clearcoat": 1.0, "anisotropic": 0.8}, "clearcoat 1 and anisotropic 0.8"
+    ),
+    "a clearcoat texture": (
+        {**PRINCIPLED, "clearcoat": {"type": "checkerboard"}}, "a clearcoat texture"
+    ),
+    "sheen and transmission": (
+        {**PRINCIPLED, "sheen": 1.0, "spec_trans": 0.5}, "sheen 1 and spec_trans 0.5"
+    ),
+    "specular": ({**PRINCIPLED, "specular": 0.9}, "specular 0.9"),
+    "a refractive index": ({**PRINCIPLED, "eta": 1.8}, "eta 1.8"),
+    "a normal map": (
+        {"type": "normalmap", "normalmap": {"type": "checkerboard"}, "inner": PRINCIPLED},
+        "a normal map",
+    ),
+    "a bump map on both sides": (
+        {"type": "twosided", "inner": {
+            "type": "bumpmap", "bump": {"type": "checkerboard"}, "inner": PRINCIPLED}},
+        "a bump map",
+    ),
+    "opacity": ({"type": "mask", "opacity": 0.4, "inner": PRINCIPLED}, "an opacity"),
+}  # fmt: skip
+
+
+def shape_of(bsdf, name="ball", **changes):
+    return mi.load_dict({"type": "sphere", "id": name, "bsdf": bsdf, **changes})
+
+
+@pytest.mark.parametrize(("bsdf", "words"), IGNORED.values(), ids=IGNORED)
+def test_parts_of_a_material_that_are_not_accounted_for_are_said(bsdf, words):
+    shape = shape_of(bsdf)
+    assert ignored(scene_of([shape]), shape) == [
+        f"Shape 'ball' has {words}, which svu does not account for: if the photographs show that, "
+        "roughness and base colour will be off."
+    ]
+
+
+@pytest.mark.parametrize("bsdf", [
+    PRINCIPLED, {"type": "twosided", "inner": PRINCIPLED}, {"type": "diffuse"},
+    {"type": "principled", "eta": 1.5, "base_color": {"type": "checkerboard"}, "metallic": 1.0},
+])  # fmt: skip
+def test_nothing_is_said_of_materials_that_are_accounted_for(bsdf):
+    shape = shape_of(bsdf)
+    assert ignored(scene_of([shape]), shape) == []
+
+
+def test_a_grey_table_under_the_object_is_said(tmp_path):
+    table = (
+        '<shape type="rectangle" id="table"><transform name="to_world"><rotate x="1" angle="-90"/>'
+        '<translate y="-1.1"/></transform><bsdf type="diffuse"><rgb name="reflectance" '
+        'value="0.5"/></bsdf></shape>'
+    )
+    sentence = (
+        "Shape 'table' reflects light onto 'ball', which svu does not account for: base colours "
+        "near it will be too bright; put something black around the object when it is photographed."
+    )
+    with pytest.warns(SvuWarning) as said:
+        capture = render_capture(write_scene(tmp_path, extra=table), spp=1, shape="ball")
+    assert [str(warning.message) for warning in said] == [sentence]
+    assert capture.warnings == (sentence,)
+    black = table.replace('value="0.5"', 'value="0"')
+    assert render_capture(write_scene(tmp_path, extra=black), spp=1).warnings == ()
+
+
+GREY = {"type": "diffuse"}
+DARK = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.05}}
+SPOT = np.zeros((4, 4, 3), np.float32)
+SPOT[1, 2] = 0.5
+
+
+def painted(data):
+    return {"type": "bitmap", "bitmap": mi.Bitmap(data), "raw": True}
+
+
+BLACK = {
+    "dark": lambda: DARK,
+    "two-sided": lambda: {"type": "twosided", "inner": DARK},
+    "bitmap": lambda: {"type": "diffuse", "reflectance": painted(0 * SPOT)},
+    "invisible": lambda: {"type": "mask", "opacity": 0.0, "inner": GREY},
+    "half": lambda: {"type": "mask", "opacity": 0.5, "inner": DARK},
+    "plastic": lambda: {"type": "roughplastic", "diffuse_reflectance": 0.02},
+    "blend": lambda: {"type": "blendbsdf", "weight": 0.5, "a": DARK, "b": DARK},
+}
+BRIGHT = {
+    "grey": lambda: {"type": "diffuse", "reflectance": 0.06},
+    "spot": lambda: {"type": "diffuse", "reflectance": painted(SPOT)},
+    "seen": lambda: {"type": "mask", "opacity": 0.5, "inner": GREY},
+    "plastic": lambda: {"type": "plastic", "diffuse_reflectance": 0.3},
+    "gloss": lambda: {"type": "plastic", "diffuse_reflectance": 0.0, "int_ior": 2.4},
+    "blend": lambda: {"type": "blendbsdf", "weight": 0.5, "a": DARK, "b": GREY},
+    "metal": lambda: {"type": "conductor"},
+    "glass": lambda: {"type": "dielectric"},
+}
+
+
+@pytest.mark.parametrize("bsdf", BLACK.values(), ids=BLACK)
+def test_nothing_is_said_of_what_is_black(bsdf):
+    target = shape_of(PRINCIPLED)
+    assert ignored(scene_of([target, shape_of(bsdf(), "wall", center=[3, 0, 0])]), target) == []
+
+
+@pytest.mark.parametrize("bsdf", BRIGHT.values(), ids=BRIGHT)
+def test_what_is_not_black_is_said(bsdf):
+    target = shape_of(PRINCIPLED)
+    (said,) = ignored(scene_of([target, shape_of(bsdf(), "wall", center=[3, 0, 0])]), target)
+    assert said.startswith("Shape 'wall' reflects light onto 'ball', which")
+
+
+def test_several_shapes_that_reflect_are_one_sentence():
+    target = shape_of(PRINCIPLED)
+    others = [shape_of({"type": "diffuse"}, f"wall{k}", center=[3 + k, 0, 0]) for k in range(7)]
+    (sentence,) = ignored(scene_of([target, *others[:2]]), target)
+    assert sentence.startswith("Shapes 'wall0' and 'wall1' reflect light onto 'ball', which")
+    far = shape_of({"type": "diffuse"}, "moon", center=[1000, 0, 0], radius=100.0)
+    (sentence,) = ignored(scene_of([target, others[0], far]), target)
+    assert sentence.startswith("Shape 'wall0' reflects light onto 'ball', which")
+    (sentence,) = ignored(scene_of([target, *others]), target)
+    assert "'wall0', 'wall1', 'wall2', 'wall3', 'wall4' and others reflect light" in sentence
+
+
+# --- scenes with several shapes -------------------------------------------------------------
 
 
 SECOND = (
@@ -405,7 +862,8 @@ def test_two_candidate_shapes_need_a_choice(tmp_path):
     write_images(tmp_path / "images", 3)
     with pytest.raises(SceneError, match=r"several shapes.*'ball', 'other'.*--shape"):
         load_capture(path)
-    assert load_capture(path, shape="other").shape.id() == "other"
+    with pytest.warns(SvuWarning, match="'ball' reflects light onto 'other'"):
+        assert load_capture(path, shape="other").shape.id() == "other"
     with pytest.raises(SceneError, match=r"no shape 'third'.*'ball', 'other'"):
         load_capture(path, shape="third")
 

@@ -6,12 +6,14 @@ import json
 import re
 import subprocess
 import sys
+from typing import get_args
 
 import numpy as np
 import pytest
-from helpers import ball, fails, names, run, sensor_xml, write_scene
+from helpers import ball, fails, names, run, sensor_xml, write_older, write_scene
 
 from svu_mi import scenes
+from svu_mi.cli import main
 from svu_mi.errors import SvuError
 from svu_mi.exr import read_exr, write_exr
 
@@ -54,9 +56,55 @@ def test_entropy_writes_four_files(shot, tmp_path, capsys):
         ("under 1 %" if 0 < part <= 0.005 else f"{100 * part:.0f} %" for part in known.values()),
         strict=True,
     )]  # fmt: skip
+    found, _, told = told.partition(". ")
     assert told == f"{words[0]} {words[1]}, {words[2]} (90 % intervals)."
+    assert re.fullmatch(r"\d+ % of the surface seen, mean entropy 0\.\d\d", found)
 
 
+def test_a_result_is_no_capture_and_says_which_one_it_was_made_of(tmp_path, capsys):
+    result = tmp_path / "result"
+    write_older(result, "recover", "run.json", ["base_color.exr"])
+    words = ("entropy", result, "-o", tmp_path / "out")
+    assert fails(capsys, *words) == (
+        f"svu: {result}: is a result of svu recover; give the capture it was made of."
+    )
+    record = json.loads((result / "run.json").read_text())
+    record["inputs"] = {"source": "shots/vase"}
+    (result / "run.json").write_text(json.dumps(record))
+    assert fails(capsys, *words).endswith("; give the capture it was made of (shots/vase).")
+
+
+@pytest.mark.parametrize(
+    "command", ["entropy", *(pytest.param(c, marks=pytest.mark.slow) for c in ("recover", "guide"))]
+)
+def test_results_are_not_written_among_the_files_of_the_scene(tmp_path, capsys, command):
+    scene = write_scene(tmp_path)
+    shot = tmp_path / "shot"
+    assert run("render", scene, "--spp", 1, "-o", shot) == 0
+    before = names(tmp_path)
+    for given in ((shot,), (scene,), (scene, "--render"), (scene, "--images", shot)):
+        capsys.readouterr()
+        assert fails(capsys, command, *given, "-o", tmp_path) == (
+            f"svu: {tmp_path}: holds the capture's own scene, scene.xml, whose textures could be "
+            "replaced; choose another folder with -o."
+        )
+    assert names(tmp_path) == before
+    if command == "recover":
+        assert run(command, shot, "-o", tmp_path / "out", "--resolution", 16, "--steps", 1) == 0
+        capsys.readouterr()
+        line = fails(capsys, "export", tmp_path / "out", "-o", tmp_path)
+        assert "holds the capture's own scene, scene.xml" in line
+        assert names(tmp_path) == [*before[:1], "out", *before[1:]]
+    if command == "entropy":  # among rendered photographs they may lie
+        assert run(command, shot, "-o", shot, "--resolution", 16) == 0
+        capsys.readouterr()
+        assert fails(capsys, "render", scene, "--spp", 1, "-o", shot) == (
+            f"svu: {shot}: holds other files: coverage.exr was written by svu entropy; choose "
+            "another folder, or empty this one."
+        )
+
+
+@pytest.mark.slow
 def test_a_scene_and_a_folder_of_images_are_an_input_too(shot, tmp_path):
     status = run("entropy", scenes.path("vase"), "--images", shot, "-D", "light=window", "-t", 1,
                  "--resolution", 48, "-o", tmp_path, "--preset", "paper")  # fmt: skip
@@ -64,12 +112,65 @@ def test_a_scene_and_a_folder_of_images_are_an_input_too(shot, tmp_path):
     assert names(tmp_path) == FILES
 
 
-def test_without_photographs_the_scene_is_rendered(tmp_path, capsys):
+def test_without_photographs_a_scene_is_rendered_only_when_asked(tmp_path, capsys):
     path = write_scene(tmp_path, sensors=sensor_xml(4, 32, 32))
-    assert run("entropy", path, "-o", tmp_path / "out", "--resolution", 24, "--spp", 2) == 0
-    assert "the scene was rendered" in capsys.readouterr().err
+    words = ("entropy", path, "-o", tmp_path / "out", "--resolution", 24)
+    line = fails(capsys, *words)
+    assert line == (
+        f"svu: {path}: no photographs beside it; give their folder with --images, or --render to "
+        "render the scene itself (4 sensors)."
+    )
+    assert run(*words, "--render", "--spp", 2) == 0
     assert (tmp_path / "out" / "capture" / "view_0003.exr").exists()
     assert (tmp_path / "out" / "entropy.exr").exists()
+    line = fails(capsys, *words, "--render", "--images", tmp_path)
+    assert line == "svu: --render has no effect with --images; omit one of them."
+    line = fails(capsys, "entropy", tmp_path / "out" / "capture", "--render", "-o", tmp_path / "o")
+    assert "--render takes a Mitsuba scene (.xml)" in line
+
+
+def test_60_photographs_of_100_sensors(tmp_path, capsys):
+    """Here 3 of 5."""
+    path = write_scene(tmp_path, sensors=sensor_xml(5, 32, 32))
+    photographs, out = tmp_path / "photographs", tmp_path / "out"
+    assert run("render", path, "--spp", 2, "-o", photographs) == 0
+    for number in (1, 4):
+        (photographs / f"view_000{number}.exr").unlink()
+    words = ("entropy", photographs, "-o", out, "--resolution", 24)
+    assert fails(capsys, *words) == (
+        f"svu: {photographs}: 2 of 5 photographs are missing, first view_0001.exr; give the "
+        "others, or --missing leave-out to go on without them."
+    )
+    assert run(*words, "--missing", "leave-out") == 0
+    record = json.loads((out / "run.json").read_text())["inputs"]
+    assert record["left_out"] == ["view_0001.exr", "view_0004.exr"]
+
+
+@pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
+def test_photographs_under_their_own_names(tmp_path, capsys):
+    path = write_scene(tmp_path, sensors=sensor_xml(12, 32, 32))
+    assert run("render", path, "--spp", 2, "-o", tmp_path / "shot") == 0
+    own = tmp_path / "own"
+    own.mkdir()
+    for number in range(12):
+        made = (tmp_path / "shot" / f"view_{number:04d}.exr").read_bytes()
+        (own / f"IMG_{number + 1}.exr").write_bytes(made)
+    (own / "notes.txt").write_text("any other file is no photograph")
+    capsys.readouterr()
+    words = ("entropy", path, "--images", own, "-o", tmp_path / "out", "--resolution", 24)
+    assert run(*words) == 0
+    assert capsys.readouterr().err.strip() == (
+        f"svu: warning: {own}: 12 photographs are taken in the order of their names: IMG_1.exr is "
+        "sensor 0 ('cam0'), ..., IMG_12.exr is sensor 11 ('cam11')."
+    )
+    record = json.loads((tmp_path / "out" / "run.json").read_text())["inputs"]
+    assert record["photographs"] == [f"IMG_{number + 1}.exr" for number in range(12)]
+    (own / "IMG_7.exr").unlink()
+    lack = f"svu: {own}: 11 photographs for 12 sensors, and none has a name that says"
+    names = "call them view_0000, ... by the number of their sensor, or by its id"
+    assert fails(capsys, *words) == f"{lack} whose it is; {names}, or give one for each."
+    line = fails(capsys, *words, "--missing", "leave-out")
+    assert line == f"{lack} which are missing; {names}."
 
 
 @pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
@@ -82,8 +183,8 @@ def test_overlapping_uvs_are_unwrapped_when_asked_rendered_scenes_too(tmp_path, 
         "uvs": np.concatenate([flat.uvs] * 2),
     }
     path = write_scene(tmp_path, sensors=sensor_xml(3, 32, 32), **doubled)
-    words = ["entropy", path, "-o", tmp_path / "out", "--resolution", 32, "--spp", 1]
-    assert "--unwrap" in fails(capsys, *words, warnings=1)
+    words = ["entropy", path, "-o", tmp_path / "out", "--resolution", 32, "--render", "--spp", 1]
+    assert "--unwrap" in fails(capsys, *words)
     assert run(*words, "--unwrap") == 0
 
 
@@ -110,6 +211,59 @@ def test_bad_input_is_one_line_and_status_2(shot, tmp_path, capsys):
     assert "at most" in fails(capsys, "entropy", shot, "-t", 100000, "-o", out)
     assert "$parallel" in fails(capsys, "entropy", shot, "-D", "parallel=0", "-o", out)
     assert "seed" in fails(capsys, "render", scenes.path("vase"), "--seed", -1, "-o", out)
+
+
+def test_what_has_nothing_to_do_with_photographs_is_refused_before_they_are_read(
+    tmp_path, capsys, monkeypatch
+):
+    """No scene is loaded: there is none."""
+    words = (tmp_path / "no.xml", "-o", tmp_path / "out")
+    line = fails(capsys, "entropy", *words, "--method", "spectrum", "--preset", "fixed")
+    assert line == (
+        "svu: Unknown preset 'fixed'; method 'spectrum' has default, fast, paper. "
+        "'fixed' is one of method 'angular'."
+    )
+    assert fails(capsys, "entropy", *words, "-m", "cuda") == (
+        "svu: This Mitsuba has no variant 'cuda'; leave -m out, or use cuda_ad_rgb or "
+        "llvm_ad_rgb."
+    )
+    monkeypatch.setattr("drjit.has_backend", lambda backend: backend.name != "CUDA")
+    assert fails(capsys, "entropy", *words, "-m", "cuda_ad_rgb") == (
+        "svu: No GPU that Dr.Jit can use was found, which cuda_ad_rgb needs; leave -m out, or run "
+        "svu doctor."
+    )
+
+
+def test_a_scene_without_sensors_is_told_of_commands_that_place_some(tmp_path, capsys):
+    path = write_scene(tmp_path, sensors="")
+    for command, remedy in (
+        ("entropy", "render some with svu render --views N"),
+        ("check", "render some with svu render --views N"),
+        ("guide", "render some with svu render --views N"),
+        ("render", "pass --views N to place some"),
+    ):
+        assert fails(capsys, command, path, "-o", tmp_path / command) == (
+            f"svu: {path}: the scene has no sensor, so there is no view; add one <sensor> per "
+            f"photograph, or {remedy}."
+        )
+
+
+@pytest.mark.parametrize("command", ["entropy", "recover", "guide", "report", "check"])
+def test_memory_is_announced_or_refused_before_any_pixel_is_read(
+    shot, tmp_path, capsys, monkeypatch, command
+):
+    """The figures are those of ``svu_mi.limits.Need``."""
+    monkeypatch.setattr("svu_mi.capture.images._read_photograph", None)
+    monkeypatch.setattr("svu_mi.needs.free_memory", lambda: 10**11)
+    words = (command, shot, "-o", tmp_path / "out.html")
+    with pytest.raises(TypeError):  # nothing reads the photographs
+        run(*words, "-v")
+    told = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(r"Needs up to [.\d]+ GB of memory, \d+ are there", told[0])
+    monkeypatch.setattr("svu_mi.needs.free_memory", lambda: 0)
+    monkeypatch.setattr("svu_mi.needs.resident", lambda: 3 * 10**8)
+    line = fails(capsys, *words)
+    assert re.match(rf"svu: {shot}: needs [.\d]+ GB of memory, 0.3 are there; ", line)
 
 
 @pytest.mark.parametrize("name", ["scalar_rgb", "llvm_ad_spectral", "nonsense_rgb"])
@@ -153,5 +307,38 @@ def test_the_module_is_the_program(tmp_path):
 def test_demo_leaves_four_files(tmp_path, capsys):
     assert run("demo", "-o", tmp_path, "--spp", 1, "--resolution", 32) == 0
     told = capsys.readouterr().out.splitlines()[-1]
-    assert re.match(r"Roughness known to ±0\.05 on .* of the surface seen, .* intervals\)\.$", told)
+    assert re.match(
+        r"\d+ % of the surface seen, mean entropy 0\.\d\d\. Roughness known to ±0\.05 on .* of the "
+        r"surface seen, .* intervals\)\.$", told
+    )  # fmt: skip
     assert names(tmp_path) == FILES
+
+
+COMMANDS = [get_args(command)[1].name for command in get_args(main.Command)]
+
+
+def help_of(command, width, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", str(width))
+    with pytest.raises(SystemExit) as ended:
+        run(*command, "--help")
+    assert ended.value.code == 0
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)], ids=str)
+def test_help_can_be_read_in_a_narrow_window(command, monkeypatch, capsys):
+    """No line is longer than the window, none ends inside a word, and no type is spelt out."""
+    wide = help_of(command, 500, monkeypatch, capsys)
+    assert "None}" not in wide
+    words = set(re.split(r"[\s,]+", wide))
+    for width in (60, 80):
+        narrow = help_of(command, width, monkeypatch, capsys)
+        assert max(map(len, narrow.splitlines())) <= width
+        assert set(re.split(r"[\s,]+", re.sub("[─╭╮╰╯]|-{9,}", "", narrow))) <= words | {""}
+
+
+def test_an_option_that_may_be_left_out_says_what_it_takes(monkeypatch, capsys):
+    shown = help_of(["recover"], 80, monkeypatch, capsys)
+    for words in ("--images FOLDER ", "--tv FLOAT ", "--steps INT ", "--start FOLDER ",
+                  "path tracer in a loop; sh+path: the path tracer, from"):  # fmt: skip
+        assert words in shown

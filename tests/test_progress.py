@@ -48,6 +48,27 @@ def test_a_log_file_gets_one_plain_line_per_stage():
     assert lines[0].startswith("Fitting [bold]spectra[/]: 0.0")
 
 
+def test_a_log_file_gets_a_line_now_and_then_about_a_long_stage(monkeypatch):
+    where, stream = console(terminal=False)
+    monkeypatch.setattr(progress_module, "PERIOD", 0.1)
+    with Progress(where).stage("Rendering photographs") as stage:
+        for view in range(1, 6):
+            if view in (2, 5):
+                time.sleep(0.11)
+            stage.update(view, 5)
+    lines = stream.getvalue().splitlines()
+    assert lines[:-1] == ["Rendering photographs: 2/5"]  # the last is said by the stage's end
+    assert lines[-1].startswith("Rendering photographs: 0.2")
+
+
+def test_a_bar_counts_the_views():
+    where, stream = console(terminal=True)
+    with Progress(where).stage("Rendering photographs") as stage:
+        stage.update(12, 60)
+        time.sleep(0.25)
+    assert " 12/60 " in stream.getvalue()
+
+
 def test_a_terminal_shows_a_bar_and_the_state():
     where, stream = console(terminal=True)
     with Progress(where).stage("Gathering", total=4) as stage:

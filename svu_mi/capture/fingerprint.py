@@ -20,6 +20,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture import mesh as meshes
 from svu_mi.capture.poses import describe
 from svu_mi.capture.record import Capture
 from svu_mi.capture.repaint import is_same
@@ -90,6 +91,28 @@ def capture_key(capture: Capture) -> str:
     return Key(capture_parts(capture)).digest()
 
 
+def mesh_key(mesh: Any) -> str:
+    """Return a digest of what texels of a ``mi.Mesh`` are: its faces and their UVs."""
+    source = meshes.arrays(mesh)
+    assert source.uvs is not None
+    return Key(source.faces, source.uvs.astype(np.float32)).digest()
+
+
+def scene_key(scene: Any, target: Any) -> str:
+    """Return a digest of a scene's shapes and light, whatever its sensors: 32 hexadecimal letters.
+
+    Args:
+        scene: the ``mi.Scene``.
+        target: the object in it.
+    """
+    return Key(_shapes(scene, target).digest(), _light(scene).digest()).digest()
+
+
+def integrator_key(scene: Any) -> str:
+    """Return a digest of how a scene is rendered: 32 hexadecimal letters."""
+    return _integrator(scene).digest()
+
+
 def capture_parts(capture: Capture) -> dict[str, str]:
     """Return digests of what a capture consists of.
 
@@ -101,13 +124,14 @@ def capture_parts(capture: Capture) -> dict[str, str]:
     used = [view for view in range(capture.count) if capture.used[view]]
     pixels = _digests(capture.images[view] for view in used)
     masks = _digests(capture.masks[view] for view in used)
-    integrator = capture.scene.integrator()
+    shapes = _shapes(capture.scene, capture.shape)
+    if not is_same(capture.mesh, capture.shape):  # the same surface, unwrapped
+        params = mi.traverse(capture.mesh)
+        shapes.add(*(np.asarray(params[name]) for name in UNWRAPPED))
     keys = {
-        "shapes": _shapes(capture),
+        "shapes": shapes,
         "light": _light(capture.scene),
-        "integrator": Key(
-            ADDRESS.sub("", str(integrator)), getattr(integrator, "hide_emitters", None)
-        ),
+        "integrator": _integrator(capture.scene),
         "sensors": Key([describe(sensor) for sensor in capture.sensors]),
         "photographs": Key(list(map(bool, capture.used)), pixels),
         "masks": Key(masks),
@@ -122,14 +146,11 @@ def _digests(arrays: Iterable[np.ndarray | None]) -> list[str]:
         return list(threads.map(lambda array: Key(array).digest(), arrays))
 
 
-def _shapes(capture: Capture) -> Key:
+def _shapes(scene: Any, target: Any) -> Key:
     key = Key()
-    for shape in capture.scene.shapes():
-        key.add(shape.id(), is_same(shape, capture.shape))
+    for shape in scene.shapes():
+        key.add(shape.id(), is_same(shape, target))
         _add_shape(key, shape)
-    if not is_same(capture.mesh, capture.shape):  # the same surface, unwrapped
-        params = mi.traverse(capture.mesh)
-        key.add(*(np.asarray(params[name]) for name in UNWRAPPED))
     return key
 
 
@@ -152,6 +173,12 @@ def _light(scene: Any) -> Key:
     for emitter in scene.emitters():
         key.add_node(emitter)
     return key
+
+
+def _integrator(scene: Any) -> Key:
+    integrator = scene.integrator()
+    hidden = getattr(integrator, "hide_emitters", None)  # which it does not print
+    return Key(ADDRESS.sub("", str(integrator)), hidden)
 
 
 def _settings(node: Any) -> list[Any]:

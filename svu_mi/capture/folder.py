@@ -11,7 +11,7 @@ from typing import Any
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import check_sensor
 from svu_mi.capture.sensor_record import LARGEST
-from svu_mi.errors import CaptureError, excerpt
+from svu_mi.errors import CaptureError, OutputError, excerpt
 from svu_mi.files import read_json, write_json
 from svu_mi.limits import MAX_VIEWS
 from svu_mi.results.record import RESULT, Entry, entries
@@ -47,6 +47,18 @@ class Description:
     imported: Mapping[str, Any] = field(default_factory=dict)
     rendered: Mapping[str, Any] = field(default_factory=dict)
     run: str = ""
+
+    @property
+    def photographs(self) -> list[str]:
+        """Names of the photographs that were imported, one per view; empty = not known.
+
+        Without their folders, if that leaves no two alike.
+        """
+        paths = self.imported.get("photographs", ())
+        if not (isinstance(paths, list | tuple) and all(isinstance(path, str) for path in paths)):
+            return []
+        names = [path.rpartition("/")[2] for path in paths]
+        return names if len(set(names)) == len(names) and all(names) else list(paths)
 
     def make_sensors(self, path: Path) -> tuple[Any, ...]:
         """Make the sensors that the photographs of this folder were taken with.
@@ -105,6 +117,27 @@ def read(folder: Path) -> Description | None:
         rendered=record.get("rendered", {}),
         run=written.run if written else "",
     )
+
+
+def require_apart(output: Path, given: Path) -> None:
+    """Refuse to write results where a capture's scene lies, whose textures they might replace.
+
+    Args:
+        output: where results are going to be written.
+        given: the scene, or the capture folder.
+
+    Raises:
+        OutputError: the scene's file is in that folder.
+        CaptureError: what the capture folder says cannot be read.
+    """
+    scene: Path | None = given
+    if given.suffix.lower() != ".xml":
+        scene = (read(given) or Description()).scene if given.is_dir() else None
+    if scene is not None and scene.resolve().parent == output.resolve():
+        raise OutputError(
+            f"{output}: holds the capture's own scene, {excerpt(scene.name)}, whose textures could "
+            "be replaced; choose another folder with -o."
+        )
 
 
 def _is_number(value: Any) -> bool:

@@ -1,23 +1,21 @@
-"""Photographs: find the files, read them as linear radiance, mark what must not be used."""
+"""Photographs: read them as linear radiance, mark what must not be used."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import drjit as dr
 import numpy as np
 
 from svu_mi.capture.block import allocate
+from svu_mi.capture.matching import masks_of
 from svu_mi.capture.picture import SUFFIXES, Picture, decoded, open_picture, read_planes
 from svu_mi.errors import CaptureError
-from svu_mi.limits import require_photographs
+from svu_mi.limits import Size, require_photographs
 from svu_mi.results.record import RUN
-
-Missing = Literal["refuse", "leave out"]
 
 # Of the encoded range, by bits; a clipped highlight is not a measurement. JPEG blurs it, too.
 SATURATED = {8: 0.98, 16: 0.995}
@@ -63,53 +61,13 @@ def not_taken(size: tuple[int, int]) -> Photograph:
     return Photograph(pixels, None, 0, 0, 0, 0, True)
 
 
-def find_images(folder: Path, count: int, missing: Missing = "refuse") -> list[Path | None]:
-    """Return the files ``view_0000.*`` ... in the order of the sensors.
-
-    Args:
-        folder: where they are.
-        count: number of sensors.
-        missing: ``refuse``, or ``leave out``: None for each that is not there.
-
-    Raises:
-        CaptureError: the folder is missing, an image is missing (all are, if those may be left
-            out), or there are more.
-    """
-    if not folder.is_dir():
-        raise CaptureError(
-            f"{folder}: no such folder; --images needs the one that holds view_0000.exr, ..."
-        )
-    found: dict[str, Path] = {}
-    for path in sorted(folder.iterdir()):
-        if path.stem.startswith("view_") and path.suffix.lower() in SUFFIXES:
-            if path.stem in found:
-                raise CaptureError(
-                    f"{folder}: {found[path.stem].name} and {path.name} are the same view; "
-                    "keep one of them."
-                )
-            found[path.stem] = path
-    expected = [f"view_{index:04d}" for index in range(count)]
-    absent = [name for name in expected if name not in found]
-    if absent and (missing == "refuse" or len(absent) == count):
-        raise CaptureError(
-            f"{folder}: {len(absent)} of {count} photographs are missing, first "
-            f"{absent[0]}.exr; there must be one view_NNNN image per sensor, in their order."
-        )
-    extra = [name for name in found if name not in expected]
-    if extra:
-        raise CaptureError(
-            f"{found[extra[0]]}: there are {len(found)} photographs but only {count} sensors; "
-            "remove the extra images or add their sensors to the scene."
-        )
-    return [found.get(name) for name in expected]
-
-
 def read_photographs(
-    paths: Sequence[Path | None], sizes: Sequence[tuple[int, int]], exposures: Sequence[float]
-) -> list[Photograph]:
+    paths: Sequence[Path | None], sizes: Sequence[Size], exposures: Sequence[float],
+    opened: Callable[[Sequence[Size]], None] | None = None,
+) -> list[Photograph]:  # fmt: skip
     """Read photographs and their masks, on as many threads as Dr.Jit has.
 
-    A mask is the image's alpha channel, or ``mask_NNNN.*`` beside it. All pixels lie in one
+    A mask is the image's alpha channel, or a file beside it (``masks_of``). All pixels lie in one
     block of memory, one photograph after the other, where kernels can look them up.
 
     Args:
@@ -117,6 +75,8 @@ def read_photographs(
             photograph that nobody has taken (``not_taken``).
         sizes: V (width, height) of the sensors' films (their crop windows).
         exposures: V gains of the photographs; pixels are divided by them.
+        opened: called with the sizes of those that there are, when all headers have been read and
+            no pixel has.
 
     Raises:
         CaptureError: one is unreadable or of another size than its film, the first in order; or
@@ -130,6 +90,8 @@ def read_photographs(
     if not pictures:
         return [not_taken(size) for size in sizes]
     films = [sizes[view] for view in pictures]
+    if opened is not None:
+        opened(films)
     require_photographs(films, str(next(iter(pictures.values())).path.parent))
     gains = [exposures[view] for view in pictures]
     with ThreadPoolExecutor(max(1, dr.thread_count())) as threads:
@@ -227,8 +189,9 @@ def read_mask(path: Path, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _mask_beside(path: Path, shape: tuple[int, ...]) -> np.ndarray | None:
-    for suffix in SUFFIXES:
-        candidate = path.with_name(path.stem.replace("view_", "mask_") + suffix)
-        if candidate.is_file():
-            return read_mask(candidate, shape)
+    for stem in masks_of(path.stem):
+        for suffix in SUFFIXES:
+            candidate = path.with_name(stem + suffix)
+            if candidate.is_file():
+                return read_mask(candidate, shape)
     return None

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
+
+import mitsuba as mi
 
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.folder import Description
-from svu_mi.capture.images import Missing, Photograph, find_images, read_photographs
-from svu_mi.capture.mesh import has_uvs
+from svu_mi.capture.ignored import ignored
+from svu_mi.capture.images import read_photographs
+from svu_mi.capture.judging import judged
+from svu_mi.capture.matching import Match, Missing, match_photographs, photographs_of
+from svu_mi.capture.mesh import covered_by_charts, has_uvs
 from svu_mi.capture.poses import film_size
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import (
@@ -23,12 +31,13 @@ from svu_mi.capture.scene import (
 )
 from svu_mi.capture.sensor_record import LARGEST
 from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
-from svu_mi.errors import CaptureError, OptionError, SvuWarning, excerpt
+from svu_mi.capture.winding import seen_from_behind
+from svu_mi.errors import CaptureError, OptionError, SceneError, SvuWarning, excerpt
+from svu_mi.limits import Size, Sizes
+from svu_mi.results.reading import require_no_result
 
-NOT_HDR = {
-    8: "an 8-bit image, not HDR; decoded as sRGB, ",
-    16: "a 16-bit image, not HDR; decoded as sRGB, ",
-}
+Light = Literal["required", "optional"]
+Preflight = Callable[[Sizes], None]
 
 
 def load_capture(
@@ -39,38 +48,46 @@ def load_capture(
     defines: Mapping[str, str] | None = None,
     unwrap: bool = False,
     missing: Missing = "refuse",
+    light: Light = "required",
     trust: bool = False,
+    preflight: Preflight | None = None,
 ) -> Capture:
     """Read a scene and its photographs.
 
     Args:
         path: a Mitsuba XML scene, or a capture folder (with ``capture.json``).
-        images: folder with ``view_0000.exr``, ... in the order of the sensors; by default
-            the capture folder, the scene's folder, or ``images`` beside the scene. If it has
-            a ``capture.json`` with sensors, those are the photographs' poses.
+        images: folder with the photographs: ``view_0000.exr``, ... in the order of the sensors, or
+            of the sensors' ids, or as many as there are sensors, in the natural order of their
+            names, which is said. By default the capture folder, the scene's folder, or ``images``
+            beside the scene if names there say that these are photographs. If it has a
+            ``capture.json`` with sensors, those are the photographs' poses.
         shape: id of the target; by default the only mesh (with a principled BSDF).
         defines: values for the scene's ``<default>`` parameters.
         unwrap: lay out new UVs even if the mesh has some. A mesh without UVs is unwrapped
             anyway, with a warning; the result is kept as ``unwrapped.ply`` with the images.
-        missing: what to do with sensors that have no photograph: ``refuse``, or ``leave out``
+        missing: what to do with sensors that have no photograph: ``refuse``, or ``leave-out``
             (they become views that are not used, of NaN that takes no memory, so that
             ``Candidates.without_photograph`` finds them).
+        light: whether the scene must have one: ``required``, or ``optional`` for what can do
+            without, such as ``svu_mi.check``; ``Capture.environment`` may be None then.
         trust: let the scene load libraries as Mitsuba plugins, from ``plugins`` beside it or in
             the working directory; only for scenes of people you know. A library never replaces
             a plugin of Mitsuba's own.
+        preflight: called before any pixel is read with how large everything is; it may refuse.
 
     Raises:
-        OptionError: another word for ``missing``.
+        OptionError: another word for ``missing`` or ``light``, or a path that is none.
         SvuEnvironmentError: no suitable Mitsuba variant is active.
         SceneError: the scene cannot be loaded or lacks something.
         CaptureError: photographs are missing, unreadable or do not fit.
     """
     require_variant()
-    if missing not in get_args(Missing):
+    if not isinstance(path, str | os.PathLike):
         raise OptionError(
-            f"load_capture(): missing must be one of {', '.join(map(repr, get_args(Missing)))}, "
-            f"got {missing!r}."
+            f"load_capture(): the path of a scene or a capture is needed, got a "
+            f"{type(path).__name__}."
         )
+    reading = Reading(unwrap=unwrap, missing=missing, light=light, preflight=preflight)
     path = Path(path)
     folder = Path(images) if images is not None else photographs_of(path)
     description = capture_folder.read(folder) or Description()
@@ -78,6 +95,7 @@ def load_capture(
     if xml is None and path.is_dir():
         xml = (capture_folder.read(path) or Description()).scene
     if xml is None:
+        require_no_result(path)
         raise CaptureError(
             f"{path}: neither a Mitsuba XML scene nor a capture folder that names one; give the "
             "scene, and this folder as --images."
@@ -96,7 +114,28 @@ def load_capture(
     )
     scene = load_scene(xml, description.defines, trust=trust)
     sensors = description.make_sensors(folder) or find_sensors(scene, str(xml))
-    return read_capture(scene, sensors, folder, description, unwrap=unwrap, missing=missing)
+    if images is None:
+        folder = photographs_of(path, [sensor.id() for sensor in sensors])
+    return read_capture(scene, sensors, folder, description, reading)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """How a capture is read; see ``load_capture``."""
+
+    unwrap: bool = False
+    missing: Missing = "refuse"
+    light: Light = "required"
+    preflight: Preflight | None = None
+
+    def __post_init__(self) -> None:
+        words = {"missing": get_args(Missing), "light": get_args(Light)}
+        for name, known in words.items():
+            if getattr(self, name) not in known:
+                raise OptionError(
+                    f"load_capture(): {name} must be one of {', '.join(map(repr, known))}, "
+                    f"got {getattr(self, name)!r}."
+                )
 
 
 def read_capture(
@@ -104,22 +143,30 @@ def read_capture(
     sensors: Sequence[Any],
     folder: Path,
     description: Description,
-    *,
-    unwrap: bool = False,
-    missing: Missing = "refuse",
+    reading: Reading | None = None,
 ) -> Capture:
     """Read the photographs of a folder for a live scene (see ``load_capture``)."""
+    reading = reading or Reading()
     label = str(description.scene or folder)
-    find_environment(scene, label)
+    light = _light(scene, description, reading, folder)
     target = find_shape(scene, description.shape, label)
-    paths = find_images(folder, len(sensors), missing)
+    found = _match(sensors, folder, description, reading)
     exposures = _exposures(description.exposures, len(sensors), folder)
-    photographs = read_photographs(paths, [film_size(each) for each in sensors], exposures)
-    runs = {p: each.run for p, each in zip(paths, photographs, strict=True) if p is not None}
+    films = [film_size(sensor) for sensor in sensors]
+    opened = None
+    if reading.preflight is not None:
+        opened = partial(_judge_sizes, reading, light, target)
+    photographs = read_photographs(found.paths, films, exposures, opened)
+    runs = {p: each.run for p, each in zip(found.paths, photographs, strict=True) if p is not None}
     capture_folder.require_one_run(folder, runs, description.run)
-    notes, used = _judge(photographs, paths)
-    mesh, note = _texel_mesh(target, unwrap, folder)
-    for sentence in notes + note:
+    names = found.names
+    if len(description.photographs) == len(names):  # else somebody has changed capture.json
+        names = [excerpt(name) for name in description.photographs]
+    notes, used = judged(photographs, found.paths, names)
+    mesh, note = _texel_mesh(target, reading.unwrap, folder)
+    notes = [*found.notes, *notes, *note, *ignored(scene, target)]
+    notes += seen_from_behind(scene, target, sensors)
+    for sentence in notes:
         warnings.warn(sentence, SvuWarning, stacklevel=3)
     return Capture(
         scene=scene,
@@ -129,34 +176,22 @@ def read_capture(
         images=tuple(photograph.pixels for photograph in photographs),
         masks=tuple(photograph.mask for photograph in photographs),
         exposures=tuple(exposures),
-        names=tuple(_name(path, view) for view, path in enumerate(paths)),
+        names=tuple(names),
+        files=tuple(found.names),
         unusable=tuple(p.invalid + p.marked + p.saturated for p in photographs),
         used=used,
         source=folder,
-        warnings=tuple(notes + note),
+        warnings=tuple(notes),
     )
 
 
-def photographs_of(path: Path) -> Path:
-    """Return where the photographs of a scene or capture are when nobody says.
-
-    A capture folder holds them itself; those of a scene are in ``images`` beside it, or in
-    its own folder.
-
-    Raises:
-        CaptureError: ``path`` does not exist.
-    """
-    if path.is_dir():
-        return path
-    if not path.exists():
-        raise CaptureError(f"{path}: no such file or folder; give a Mitsuba scene or a capture.")
-    beside = path.parent / "images"
-    return beside if has_photographs(beside) else path.parent
-
-
-def has_photographs(folder: Path) -> bool:
-    """Return whether a folder has any ``view_NNNN`` image."""
-    return next(folder.glob("view_*"), None) is not None
+def _judge_sizes(
+    reading: Reading, light: Any, target: Any, photographs: Sequence[Size]
+) -> None:
+    """Have the caller judge how large the capture is."""
+    assert reading.preflight is not None
+    charts = 1.0 if reading.unwrap else covered_by_charts(target)
+    reading.preflight(Sizes(photographs, map_size(light), charts))
 
 
 def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:
@@ -172,41 +207,36 @@ def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:
     return [float(gain) for gain in given] or [1.0] * count
 
 
-def _name(path: Path | None, view: int) -> str:
-    return f"view_{view:04d}.exr" if path is None else path.name
+def _light(scene: Any, description: Description, reading: Reading, folder: Path) -> Any:
+    """Return the light; None without one, where that is optional."""
+    if not scene.emitters():
+        if reading.light == "optional":
+            return None
+        if description.imported:
+            raise SceneError(
+                f"{folder}: was imported without a light, and only svu check can do without; "
+                "import it again with --environment, the map of the light that the photographs "
+                "were taken under."
+            )
+    return find_environment(scene, str(description.scene or folder))
 
 
-def _judge(
-    photographs: Sequence[Photograph], names: Sequence[Path | None]
-) -> tuple[list[str], tuple[bool, ...]]:
-    """Say what was found in the photographs; leave out those without any light."""
-    notes = []
-    for photograph, name in zip(photographs, names, strict=True):
-        if name is None:
-            continue
-        notes += [f"{name}: {remark}" for remark in photograph.remarks]
-        if photograph.bits:
-            notes.append(
-                f"{name}: {NOT_HDR[photograph.bits]}{photograph.saturated} saturated pixels left "
-                "out. Clipped highlights hide gloss: use HDR."
-            )
-        if photograph.invalid:
-            notes.append(
-                f"{name}: {photograph.invalid} pixels are NaN, infinite or negative; left out."
-            )
-        if photograph.black:
-            notes.append(
-                f"{name}: the photograph is entirely black; the view is left out. "
-                "Check its exposure, or remove it with its sensor."
-            )
-    used = tuple(not photograph.black for photograph in photographs)
-    if photographs and not any(used):
-        taken = [name for name in names if name is not None]
-        raise CaptureError(
-            f"{taken[0].parent}: all {len(taken)} photographs are entirely black; "
-            "check the exposure and the channel names of the files."
-        )
-    return notes, used
+def map_size(light: Any) -> Size:
+    """Return (width, height) of an environment map; (0, 0) of any other light, or None."""
+    if light is None or light.class_name() != "EnvironmentMapEmitter":
+        return 0, 0
+    height, width = mi.traverse(light)["data"].shape[:2]
+    return width - 2, height  # a column on each side is the other end's
+
+
+def _match(
+    sensors: Sequence[Any], folder: Path, description: Description, reading: Reading
+) -> Match:
+    """Find the photographs; beside a scene's file, not every picture is one."""
+    scene = description.scene
+    own = scene is None or scene.resolve().parent != folder.resolve()
+    ids = [sensor.id() for sensor in sensors]
+    return match_photographs(folder, ids, reading.missing, any_name=own)
 
 
 def _texel_mesh(shape: Any, unwrap: bool, folder: Path | None) -> tuple[Any, list[str]]:

@@ -21,6 +21,7 @@ from svu_mi.files import mark_text, replacing
 
 # What Mitsuba raises for a damaged mesh; the second where it quotes bytes that are not text.
 READING = (RuntimeError, UnicodeDecodeError)
+MARGIN = 1.05  # of the area of charts: texels that lie on their edges
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,18 @@ def read_ply(path: Path) -> MeshArrays:
     if problem := missing_corner(found):
         raise MeshError(f"{path}: {problem}")
     return arrays(found)
+
+
+def covered_by_charts(mesh: Any) -> float:
+    """Return the part of its texture that the UV charts of a ``mi.Mesh`` cover at most, in [0, 1];
+    1 without UVs."""
+    found = arrays(mesh)
+    if found.uvs is None:
+        return 1.0
+    a, b, c = (found.uvs[found.faces[:, corner]].astype(np.float64) for corner in range(3))
+    (u, v), (s, t) = (b - a).T, (c - a).T
+    area = np.abs(u * t - v * s).sum() / 2
+    return float(min(MARGIN * area, 1)) if np.isfinite(area) else 1.0
 
 
 def refusal(error: Exception) -> str:

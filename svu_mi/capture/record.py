@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Capture:
     """A scene, its target object, and one photograph per sensor.
 
@@ -23,11 +23,13 @@ class Capture:
             that must not be used (NaN, infinite, negative, saturated) is NaN.
         masks: V arrays (H, W) bool, True on the object, or None for a view without a mask.
         exposures: V gains the photographs were divided by.
-        names: V file names (or labels), for messages.
+        names: V names of the photographs as the user knows them, for messages: those that were
+            imported, or file names.
         unusable: V counts of pixels that were set to NaN.
         used: V booleans; False for a view left out, such as an entirely black photograph.
         source: the folder or file the capture was read from, None when made in memory.
-        warnings: sentences about what was found and repaired while loading.
+        warnings: sentences about what was found, repaired and ignored while loading.
+        files: V names of their files in ``source``; empty when it was made in memory.
     """
 
     scene: Any
@@ -42,11 +44,29 @@ class Capture:
     used: tuple[bool, ...]
     source: Path | None = None
     warnings: tuple[str, ...] = field(default=())
+    files: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        sizes = sorted({image.shape[1::-1] for image in self.images})
+        size = " x ".join(map(str, sizes[-1])) if sizes else "0 x 0"
+        left_out = self.count - sum(self.used)
+        parts = [
+            f"{self.count} photographs of {'up to ' if len(sizes) > 1 else ''}{size}",
+            *([f"{left_out} left out"] if left_out else []),
+            f"light {self.environment.class_name()}" if self.environment else "no light",
+            *([] if self.source is None else [f"from {self.source}"]),
+        ]
+        return f"<Capture {self.shape.id()}: {', '.join(parts)}>"
 
     @property
     def count(self) -> int:
         """Number of views V."""
         return len(self.sensors)
+
+    @property
+    def environment(self) -> Any:
+        """The light, an environment emitter; None if the capture was loaded without one."""
+        return self.scene.environment()
 
     @property
     def used_sensors(self) -> tuple[Any, ...]:

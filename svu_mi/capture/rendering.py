@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +16,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import folder as capture_folder
+from svu_mi.capture.fingerprint import Key, integrator_key, scene_key
 from svu_mi.capture.folder import Description
-from svu_mi.capture.loading import read_capture
+from svu_mi.capture.loading import Preflight, Reading, map_size, read_capture
+from svu_mi.capture.mesh import covered_by_charts
 from svu_mi.capture.poses import describe, film_size, sphere_sensors
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import (
@@ -27,9 +31,12 @@ from svu_mi.capture.scene import (
     require_variant,
 )
 from svu_mi.capture.unwrap import UNWRAPPED
-from svu_mi.errors import OptionError, SceneError, excerpt
-from svu_mi.exr import write_exr
-from svu_mi.limits import require_render, require_spp
+from svu_mi.errors import CaptureError, OptionError, SceneError, excerpt
+from svu_mi.exr import read_header, read_pixels, write_exr
+from svu_mi.limits import Size, Sizes, require_render, require_spp
+from svu_mi.results.record import RUN
+from svu_mi.results.settling import is_folder
+from svu_mi.results.unfinished import KEY
 from svu_mi.results.writing import exchanging
 
 MASK_GRID = 3  # mask rays per pixel side; any miss puts a pixel off the object
@@ -48,6 +55,8 @@ def render_capture(
     unwrap: bool = False,
     trust: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    preflight: Preflight | None = None,
+    resume: bool | None = None,
 ) -> Capture:
     """Render one photograph per sensor and read them back as a capture.
 
@@ -67,12 +76,16 @@ def render_capture(
         unwrap: lay out new UVs even if the mesh has some (see ``load_capture``).
         trust: let the scene load libraries, when it is a path (see ``load_capture``).
         progress: called with (views done, views in all).
+        preflight: called before any view is rendered (see ``load_capture``).
+        resume: keep the views in the folder if it is interrupted, and go on (True) with those that
+            such a run has kept, or start again (False). By default nothing is kept.
 
     Raises:
         SvuEnvironmentError: no suitable Mitsuba variant is active.
         SceneError: the scene cannot be loaded or lacks something.
         OptionError: ``spp`` is below 1 or ``seed`` negative.
-        OutputError: the folder cannot be written, or holds what was not rendered there.
+        OutputError: the folder cannot be written, holds what was not rendered there, or nothing to
+            go on with.
     """
     require_variant()
     require_spp(spp)
@@ -81,26 +94,33 @@ def render_capture(
     path = None if isinstance(scene, mi.Scene) else Path(scene)
     scene = scene if path is None else load_scene(path, defines, trust=trust)
     label = str(path or "scene")
-    find_environment(scene, label)
+    light = find_environment(scene, label)
     target = find_shape(scene, shape, label)
     if views is None:
-        sensors = find_sensors(scene, label)
+        sensors = find_sensors(scene, label, "pass --views N to place some")
     else:
         sensors = sphere_sensors(target, views, resolution)
-    require_render([film_size(sensor) for sensor in sensors], spp, label)
+    films = [film_size(sensor) for sensor in sensors]
+    require_render(films, spp, label)
+    if preflight is not None:
+        preflight(Sizes(films, map_size(light), 1.0 if unwrap else covered_by_charts(target)))
     description = Description(
         scene=path, defines=defines or {}, shape=target.id() or None,
         rendered={"spp": spp, "seed": seed},
     )  # fmt: skip
-    shots = _rendered(scene, target, sensors, spp, seed)
+    shots = partial(_shot, scene, target, sensors, spp, seed)
     if folder is not None:
-        with exchanging(folder, "render", capture_folder.FILE, [UNWRAPPED]) as draft:
+        key = "" if resume is None else _key(scene, target, sensors, spp, seed)
+        with exchanging(
+            folder, "render", capture_folder.FILE, [UNWRAPPED], key=key, resume=bool(resume)
+        ) as draft:
+            _keep_views(draft.folder, films, draft.run)
             _write(shots, len(sensors), draft.folder, progress)
             capture_folder.write(draft, description, sensors)
-        return read_capture(scene, sensors, Path(folder), description, unwrap=unwrap)
+        return read_capture(scene, sensors, Path(folder), description, Reading(unwrap=unwrap))
     with tempfile.TemporaryDirectory(prefix="svu-capture-") as temporary:
         _write(shots, len(sensors), Path(temporary), progress)
-        capture = read_capture(scene, sensors, Path(temporary), description, unwrap=unwrap)
+        capture = read_capture(scene, sensors, Path(temporary), description, Reading(unwrap=unwrap))
         return replace(capture, source=None)
 
 
@@ -127,22 +147,65 @@ def require_rendered(capture: Capture, spp: int) -> None:
     )
 
 
-def _rendered(
-    scene: Any, target: Any, sensors: Sequence[Any], spp: int, seed: int
-) -> Iterator[dict[str, np.ndarray]]:
-    """Render views when they are asked for; give the channels of each."""
-    for index, sensor in enumerate(sensors):
-        # Neighbouring seeds of the independent sampler are decorrelated by Mitsuba itself.
-        image = _radiance(scene, sensor, spp, (seed + index) % 2**32)
-        yield {"RGB": image, "A": object_mask(scene, target, sensor)}
+def _key(scene: Any, target: Any, sensors: Sequence[Any], spp: int, seed: int) -> str:
+    """Return 16 hexadecimal digits that say what is rendered."""
+    cameras = [
+        [describe(sensor), str(sensor.film()), sensor.sampler().class_name()] for sensor in sensors
+    ]
+    what = scene_key(scene, target), integrator_key(scene)
+    return Key(*what, cameras, spp, seed).digest()[:KEY]
+
+
+def _keep_views(folder: Path, films: Sequence[Size], run: str) -> None:
+    """Remove whatever a kept draft has beside whole views of its own run.
+
+    Others may have changed it since, and nothing but views is needed to go on.
+    """
+    expected = {_view(index): film for index, film in enumerate(films)}
+    for path in folder.iterdir():
+        if is_folder(path):
+            shutil.rmtree(path)
+        elif path.name not in expected or not _is_whole(path, expected[path.name], run):
+            path.unlink()
+
+
+def _is_whole(path: Path, film: Size, run: str) -> bool:
+    """Return whether a file, and no link to one, is a view that a run has finished."""
+    if path.is_symlink() or not path.is_file():
+        return False
+    try:
+        header = read_header(path)
+        if header.size != film or header.attributes.get(RUN) != run:
+            return False
+        read_pixels(path, header)
+    except CaptureError:
+        return False
+    return True
+
+
+def _view(index: int) -> str:
+    return f"view_{index:04d}.exr"
+
+
+def _shot(
+    scene: Any, target: Any, sensors: Sequence[Any], spp: int, seed: int, index: int
+) -> dict[str, np.ndarray]:
+    """Render a view; return its channels."""
+    sensor = sensors[index]
+    # Neighbouring seeds of the independent sampler are decorrelated by Mitsuba itself.
+    image = _radiance(scene, sensor, spp, (seed + index) % 2**32)
+    return {"RGB": image, "A": object_mask(scene, target, sensor)}
 
 
 def _write(
-    shots: Iterable[dict[str, np.ndarray]], count: int, folder: Path,
+    shot: Callable[[int], dict[str, np.ndarray]], count: int, folder: Path,
     progress: Callable[[int, int], None] | None,
 ) -> None:  # fmt: skip
-    for index, channels in enumerate(shots):
-        write_exr(folder / f"view_{index:04d}.exr", channels)
+    """Render the views that are not there yet, and write them."""
+    for index in range(count):
+        path = folder / _view(index)
+        if not path.exists():
+            write_exr(path, shot(index))
         if progress is not None:
             progress(index + 1, count)
 

@@ -26,6 +26,7 @@ from svu_mi.errors import SceneError, SvuEnvironmentError, SvuError, excerpt
 from svu_mi.limits import FEWEST_THREADS
 
 LONGEST = 400  # letters of what Mitsuba says
+PLACE = re.compile(r"\] (?:Error while loading|At) (.+) \(line (\d+), col \d+\): ")
 RESERVED = frozenset(("config", "filename"))  # arguments of mi.parser.parse_file itself
 
 
@@ -92,7 +93,20 @@ def load_scene(path: Path, defines: Mapping[str, str] | None = None, *, trust: b
         except SvuError:
             raise
         except Exception as error:  # Mitsuba raises RuntimeError for everything
-            raise SceneError(f"{path}: {last_sentence(str(error))}") from error
+            raise SceneError(_refusal(path, str(error))) from error
+
+
+def _refusal(path: Path, message: str) -> str:
+    """Return Mitsuba's reason alone, with the place that it is about: a line, maybe of an include.
+
+    Mitsuba tells it once for each file that it was on its way through.
+    """
+    places = list(PLACE.finditer(message))
+    if not places:
+        return f"{path}: {last_sentence(message)}"
+    file, line = places[-1].groups()
+    included = "" if Path(file).resolve() == path.resolve() else f" {excerpt(Path(file).name)},"
+    return f"{path}:{included} line {line}: {last_sentence(message[places[-1].end():])}"
 
 
 def last_sentence(message: str) -> str:
@@ -101,8 +115,15 @@ def last_sentence(message: str) -> str:
     return text if text.endswith((".", "!")) else text + "."
 
 
-def find_sensors(scene: Any, path: str) -> tuple[Any, ...]:
+def find_sensors(
+    scene: Any, path: str, remedy: str = "render some with svu render --views N"
+) -> tuple[Any, ...]:
     """Return the scene's sensors after checking each.
+
+    Args:
+        scene: the ``mi.Scene``.
+        path: its file, for messages.
+        remedy: what to do other than to add sensors.
 
     Raises:
         SceneError: there is none, or one is not a perspective camera or has a mirrored pose.
@@ -111,7 +132,7 @@ def find_sensors(scene: Any, path: str) -> tuple[Any, ...]:
     if not sensors:
         raise SceneError(
             f"{path}: the scene has no sensor, so there is no view; "
-            "add one <sensor> per photograph, or pass --views N to place some."
+            f"add one <sensor> per photograph, or {remedy}."
         )
     for index, sensor in enumerate(sensors):
         check_sensor(sensor, f"{path}: sensor {index} ('{sensor.id()}')")
@@ -161,8 +182,11 @@ def find_environment(scene: Any, path: str) -> Any:
         )
     for emitter in emitters:
         if emitter.class_name() not in supported:
+            shape = emitter.get_shape()  # of an area light, which has no id of its own
+            of = f"of shape '{shape.id()}'" if shape is not None else f"'{emitter.id()}'"
+            which = "an area light" if shape is not None and not shape.id() else f"emitter {of}"
             raise SceneError(
-                f"{path}: emitter '{emitter.id()}' ({emitter.class_name()}) is not supported; "
+                f"{path}: {which} ({emitter.class_name()}) is not supported; "
                 "the light must be one distant envmap, constant or sunsky emitter."
             )
     if len(emitters) > 1:
@@ -219,7 +243,7 @@ def _ids(shapes: Sequence[Any]) -> str:
     return ", ".join(f"'{shape.id()}'" for shape in shapes)
 
 
-def _is_closed(mesh: MeshArrays) -> bool:
+def is_closed(mesh: MeshArrays) -> bool:
     """Return whether the surface has an inside; a bowl seen from above has none."""
     import trimesh  # takes long to import, and is rarely needed here
 
@@ -251,7 +275,7 @@ def _check_orientation(mesh: MeshArrays, label: str) -> None:
     normal = mesh.normals[mesh.faces].mean(axis=1)
     flux = float((area * np.einsum("fi,fi->f", normal, outward)).sum())
     reach = float((area * np.linalg.norm(outward, axis=1)).sum())
-    if flux < -0.3 * reach and _is_closed(mesh):
+    if flux < -0.3 * reach and is_closed(mesh):
         raise SceneError(
             f"{label} point inwards (a mirrored to_world does this); set flip_normals on the shape "
             "or remove the mirror."

@@ -135,10 +135,12 @@ def _refuse_files_of(name: str) -> None:
 
 
 def _refused(path: Path) -> SceneError:
-    return SceneError(
+    words = (
         f"{excerpt(path, LONGEST)}: Mitsuba would run this library as a plugin; remove it, run "
-        "from another folder if it is in the working directory, or pass --trust (trust=True) if "
-        "you trust its author."
+        "from another folder if it is in the working directory, or {} if you trust its author."
+    )
+    return SceneError(
+        words.replace("{}", "pass trust=True"), shell=words.replace("{}", "give --trust")
     )
 
 

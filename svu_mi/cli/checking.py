@@ -8,16 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from svu_mi.cli.inputs import OfScene, given, say
+from svu_mi.cli.inputs import Folder, Missing, OfScene, Output, announcing, given, say
+from svu_mi.limits import Need, Sizes
 from svu_mi.progress import Progress
 from svu_mi.results.writing import claimed
 
 if TYPE_CHECKING:
+    from svu_mi.capture import Capture
     from svu_mi.checking.record import Check
 
 SHOWN = 5  # views that fit worst, in the table
 WRONG = 3  # exit status with --strict
-MARKS = {"fits": "fits", "wrong": "WRONG", "unclear": "UNCLEAR", "unknown": "unknown"}
+MARKS = {
+    "fits": "fits", "wrong": "WRONG", "unclear": "UNCLEAR", "unknown": "unknown", "note": "note",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,13 +29,22 @@ class CheckCapture(OfScene):
     """Compare photographs with mesh, poses and light, and name the fix if axes are wrong.
 
     Tries every known mistake: axes of cameras and mesh, inverse poses, how the environment map
-    is oriented, V of the texture. Works with or without masks. Writes check.html and check.json.
+    is oriented, V of the texture; compares gains. Works without masks and without a light. Writes
+    check.html and check.json.
     """
 
-    images: Path | None = None
-    """Folder with view_0000.exr, ..."""
+    output: Output = Path("out/check")
+    images: Folder = None
+    """Folder with the photographs: view_0000.exr, ... or named by the ids of their sensors, or as
+    many as there are sensors, in the order of their names."""
+    missing: Missing = "refuse"
+    """What to do if sensors have no photograph: leave-out goes on with the others."""
     strict: bool = False
     """Exit with status 3 if something does not fit."""
+
+    def need(self, sizes: Sizes) -> Need:
+        """Return what memory the command takes."""
+        return Need("check", sizes.photographs, light=sizes.light)
 
     def run(self, console: Console) -> int:
         """Check, print what was found, and write the page."""
@@ -45,24 +58,26 @@ class CheckCapture(OfScene):
             progress = Progress(console)
             with progress.stage("Loading the capture"):
                 capture = load_capture(
-                    self.scene, self.images, shape=self.shape, defines=defines, trust=self.trust
-                )
+                    self.scene, self.images, shape=self.shape, defines=defines, trust=self.trust,
+                    missing=self.missing, light="optional",
+                    preflight=announcing(progress, str(self.images or self.scene), self.need),
+                )  # fmt: skip
             found = check(capture, progress=progress)
             with progress.stage("Writing the page"):
                 write_check(capture, found, self.output, settings=given(self))
-        _print(console, found)
+        _print(console, found, capture)
         say(console, f"Wrote {self.output / 'check.html'}")
         return WRONG if self.strict and not found.fits else 0
 
 
-def _print(console: Console, found: Check) -> None:
+def _print(console: Console, found: Check, capture: Capture) -> None:
     from svu_mi.output.check_page import remedy, verdict
 
     console.print(_views(found), markup=False)
     for one in found.findings:
         line = f"{one.question} ({MARKS[one.verdict]}): {one.sentence}"
         say(console, line)
-    for line in (verdict(found), remedy(found)):
+    for line in (verdict(found), remedy(found, capture)):
         if line:
             say(console, line)
 

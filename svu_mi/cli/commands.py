@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Literal
 from rich.console import Console
 
 from svu_mi.cli.inputs import (  # isort: skip
-    Common, Estimated, OfScene, Output, Resolution, Scene, given, pair, say,
+    Common, Estimated, Interrupted, OfScene, Output, Resolution, Scene, WithPictures, given, pair,
+    say, was_interrupted,
 )  # fmt: skip
 from svu_mi.limits import require_spp, require_views
 from svu_mi.progress import Progress
+from svu_mi.results.unfinished import unfinished
 from svu_mi.results.writing import claimed
 
 if TYPE_CHECKING:
@@ -22,13 +24,15 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entropy(Estimated):
+class Entropy(WithPictures, Estimated):
     """Compute how much photographs tell about every texel.
 
     Writes entropy.exr (1 = nothing known), coverage.exr (number of views), overview.png and
     run.json.
     """
 
+    fills = True
+    output: Output = Path("out/entropy")
     skip: bool = True
     """Skip work that changes no result (unseen texels, blind views, equal channels, ...)."""
 
@@ -39,10 +43,11 @@ class Entropy(Estimated):
         with claimed(self.output, "svu entropy"):
             knowledge = self._run(console)
         say(console, f"Wrote {self.output}")
-        say(console, knowledge.sentence())
+        say(console, knowledge.summary())
         return 0
 
     def _run(self, console: Console) -> Knowledge:
+        from svu_mi.checking.brightness import warn_if_too_bright
         from svu_mi.options import NOTHING, Skip
         from svu_mi.output import Knowledge, Run, write_outputs
 
@@ -50,10 +55,13 @@ class Entropy(Estimated):
         progress = Progress(console)
         capture, grid = self.load(progress)
         result = self.estimate(progress, capture, grid, skip=Skip() if self.skip else NOTHING)
+        warn_if_too_bright(result)
         with progress.stage("Writing the results"):
             knowledge = Knowledge.of(result)
             run = Run(settings=given(self), kernels=progress.kernels)
-            write_outputs(capture, result, self.output, run, knowledge=knowledge)
+            write_outputs(
+                capture, result, self.output, run, knowledge=knowledge, pictures=self.pictures
+            )
         return knowledge
 
 
@@ -75,6 +83,8 @@ class Render(OfScene):
     """Place this many sensors on a sphere around the object instead of the scene's own."""
     resolution: Resolution = (512,)
     """Film of those sensors: pixels per side, or width and height."""
+    resume: bool = False
+    """Go on with the views that an interrupted run has left in the output folder."""
 
     def run(self, console: Console) -> int:
         """Render the views."""
@@ -83,14 +93,29 @@ class Render(OfScene):
         self.check()
         with claimed(self.output, "svu render", tidy=True):
             self.start()
-            with Progress(console).stage("Rendering photographs") as stage:
-                capture = render_capture(
-                    self.scene, self.spp, self.seed, folder=self.output, shape=self.shape,
-                    views=self.views, resolution=pair(self.resolution, "--resolution"),
-                    defines=self.defines(), progress=stage.update, trust=self.trust,
-                )  # fmt: skip
+            try:
+                with Progress(console).stage("Rendering photographs") as stage:
+                    capture = render_capture(
+                        self.scene, self.spp, self.seed, folder=self.output, shape=self.shape,
+                        views=self.views, resolution=pair(self.resolution, "--resolution"),
+                        defines=self.defines(), progress=stage.update, trust=self.trust,
+                        resume=self.resume,
+                    )  # fmt: skip
+            except BaseException as error:
+                if was_interrupted(error):
+                    raise Interrupted(self._advice()) from None
+                raise
         say(console, f"Wrote {capture.count} photographs to {self.output}")
         return 0
+
+    def _advice(self) -> str:
+        count = sum(one.files for one in unfinished(self.output))
+        if count:
+            return (
+                f"interrupted; {count} views are kept in {self.output}: continue with the same "
+                "command and --resume"
+            )
+        return "interrupted before the first view; run the same command again"
 
     def check(self) -> None:
         """Refuse options that make no sense, before any work.
@@ -125,10 +150,13 @@ class Demo(Common):
         ):
             common = {f.name: getattr(self, f.name) for f in dataclasses.fields(Common)}
             define = (f"light={self.light}",)
-            status = Render(
-                scene=scenes.path("vase"), output=Path(folder), define=define, spp=self.spp,
-                **common,
-            ).run(console)  # fmt: skip
+            try:
+                status = Render(
+                    scene=scenes.path("vase"), output=Path(folder), define=define, spp=self.spp,
+                    **common,
+                ).run(console)  # fmt: skip
+            except Interrupted:  # what it has kept goes with the folder
+                raise KeyboardInterrupt from None
             return status or Entropy(
                 scene=Path(folder), output=self.output, resolution=self.resolution, **common
             ).run(console)

@@ -1,8 +1,8 @@
 """``svu doctor``: what is installed, what can run, and what to do about the rest.
 
-Dr.Jit and Mitsuba are never loaded in this process. An unusable LLVM or GPU driver can
-abort a process, and a child that aborts is a finding; so children collect the facts and
-render the test picture.
+Dr.Jit and Mitsuba do nothing in this process, and are not even loaded unless it has one core. An
+unusable LLVM or GPU driver can abort a process, and a child that aborts is a finding; so children
+collect the facts and render the test picture.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ class Export(Common):
 
     result: Result
     """Folder that svu recover wrote."""
-    output: Output = Path("asset")
+    output: Output = Path("out/asset")
     entropy: Maps = None
     """Folder that svu entropy wrote about the same capture, for its maps; by default those in
     RESULT."""
@@ -49,9 +49,11 @@ class Export(Common):
 
     def run(self, console: Console) -> int:
         """Read the result, and write the asset."""
+        from svu_mi.capture.folder import require_apart
         from svu_mi.export.export import export_asset
         from svu_mi.export.options import ExportOptions
         from svu_mi.export.reading import load_asset
+        from svu_mi.results.reading import RUN_RECORD, scene_of
 
         options = ExportOptions(
             formats=self.formats, bits=self.bits, half=self.half, gutter=self.gutter, up=self.up
@@ -60,6 +62,8 @@ class Export(Common):
             self.start()
             progress = Progress(console)
             with progress.stage("Reading the result"):
+                if (scene := scene_of(self.result / RUN_RECORD)) is not None:
+                    require_apart(self.output, scene)
                 asset = load_asset(self.result, self.entropy)
             with progress.stage("Writing the asset"):
                 export_asset(asset, self.output, options)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -11,11 +11,11 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.inputs import Estimated, given, say
+from svu_mi.cli.inputs import Estimated, Missing, Output, WithPictures, given, say
 from svu_mi.errors import OptionError
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.limits import require_views
+from svu_mi.limits import Need, Sizes, require_views
 from svu_mi.options import AngularPreset, Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.progress import Progress
@@ -34,13 +34,17 @@ Up = Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Guide(Estimated):
+class Guide(WithPictures, Estimated):
     """Propose where to take the next photographs from.
 
-    Writes guidance.json and guidance.png, the poses as transforms.json and sensors.xml, gain_0.exr,
-    ... (what each proposal is expected to change in every texel), thumbnails/ and run.json.
+    Writes guidance.json and guidance.png, the poses as transforms.json and sensors.xml, maps
+    gain_0.exr, ... (what each proposal is expected to change in every texel), thumbnails/ and
+    run.json.
     """
 
+    work = "guide"
+    fills = True
+    output: Output = Path("out/next")
     candidates: From = "100"
     """Where photographs can be taken from: a number of views on a sphere around the object; the
     poses of a transforms.json, capture.json or Mitsuba XML file; or "scene", its sensors that have
@@ -64,7 +68,7 @@ class Guide(Estimated):
 
     def run(self, console: Console) -> int:
         """Judge the candidates, and write the results."""
-        from svu_mi.output import Run
+        from svu_mi.output import Knowledge, Run
         from svu_mi.output.guidance import write_guidance
 
         self.check()
@@ -76,9 +80,13 @@ class Guide(Estimated):
                 run = Run(
                     settings=given(self), kernels=progress.kernels, progress=stage.update
                 )
-                write_guidance(capture, estimate, guidance, self.output, run, up=self.up)
+                write_guidance(
+                    capture, estimate, guidance, self.output, run, up=self.up,
+                    pictures=self.pictures,
+                )  # fmt: skip
         _print(console, estimate, guidance)
         say(console, f"Wrote {self.output}")
+        say(console, Knowledge.of(estimate).summary())
         return 0
 
     def _guide(self, progress: Progress) -> tuple[Capture, Estimate, Guidance]:
@@ -87,7 +95,7 @@ class Guide(Estimated):
 
         # What a file says is refused before photographs are read.
         fixed = None if self._placed else self._restricted(Candidates.read(self.candidates))
-        missing: Any = "leave out" if self.candidates == SCENE else "refuse"
+        missing: Missing = "leave-out" if self.candidates == SCENE else self.missing
         capture, texels = self.load(progress, missing=missing)
         candidates = fixed or self._restricted(self._place(capture))
         known = self.estimate(progress, capture, texels)
@@ -95,6 +103,10 @@ class Guide(Estimated):
             known, candidates, self.add, options=self.judging, progress=progress
         )
         return capture, known, guidance
+
+    def need(self, sizes: Sizes) -> Need:
+        """Return what memory the command takes (see ``FromPhotographs``)."""
+        return replace(super().need(sizes), candidates=_number(self.candidates) or 0)
 
     @property
     def _placed(self) -> bool:

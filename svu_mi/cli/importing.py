@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -64,9 +64,19 @@ class Import(Common):
     """The file or folder."""
     output: Output = Path("capture")
     undistort: bool = False
-    """COLMAP: undistort the photographs first (needs pycolmap)."""
+    """COLMAP: undistort the photographs by pycolmap, which knows more kinds of lenses: fisheyes."""
     reading: ReadOptions = ReadOptions()
     conversion: Conversion = Conversion()
+
+    @property
+    def words(self) -> list[str]:
+        """What was asked for as words of this command, but for the folder of the result."""
+        light = self.conversion.environment
+        asked = {
+            "undistort": self.undistort, **_changed(self.reading),
+            **({} if light is None else _told(light)), **_changed(self.conversion),
+        }  # fmt: skip
+        return [str(self.source), *(word for option in asked.items() for word in _words(*option))]
 
     def run(self, console: Console) -> int:
         """Import the capture and say what was found."""
@@ -95,4 +105,31 @@ class Import(Common):
                 if self.undistort:
                     source = replace(source, root=self.source)
             with progress.stage("Converting photographs") as stage:
-                return import_capture(source, self.output, self.conversion, progress=stage.update)
+                return import_capture(
+                    source, self.output, self.conversion, words=self.words, progress=stage.update
+                )
+
+
+def _changed(options: Any) -> dict[str, Any]:
+    """Return options that are not what they are by default, but for the light."""
+    known = (field for field in fields(options) if field.name != "environment")
+    pairs = ((field.name, getattr(options, field.name), field.default) for field in known)
+    return {name: value for name, value, default in pairs if value != default}
+
+
+def _told(light: Light) -> dict[str, Any]:
+    """Return the options that describe a light, see ``_light``."""
+    axes = [name for name, axes in ENVIRONMENT_AXES.items() if (axes == light.to_world).all()]
+    return {
+        "environment": light.path,
+        **({} if axes == ["mitsuba"] else {"environment_axes": axes[0]}),
+        **({} if light.scale == 1 else {"environment_scale": light.scale}),
+    }
+
+
+def _words(name: str, value: Any) -> list[str]:
+    flag = {"fixes": "--fix"}.get(name, f"--{name.replace('_', '-')}")
+    if isinstance(value, bool):
+        return [flag] if value else []
+    values = value if isinstance(value, tuple) else [value]
+    return [word for one in values for word in (flag, str(one))]

@@ -1,10 +1,9 @@
-"""What commands have in common: their options, and the way to the photographs."""
+"""Options of commands that read a scene, and the way to its photographs."""
 
 from __future__ import annotations
 
 import dataclasses
-import logging
-import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -12,22 +11,22 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi import _llvm
-from svu_mi.errors import OptionError, SvuEnvironmentError, printable
-from svu_mi.limits import FEWEST_THREADS, require_spp, require_texels
+from svu_mi.cli.common import Common as Common
+from svu_mi.cli.common import Interrupted as Interrupted
+from svu_mi.cli.common import Output as Output
+from svu_mi.cli.common import was_interrupted as was_interrupted
+from svu_mi.errors import OptionError, printable
+from svu_mi.limits import Need, Sizes, require_spp, require_texels
+from svu_mi.options import preset as find_preset
+from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
-    from svu_mi.capture.images import Missing
     from svu_mi.pipeline import Estimate
     from svu_mi.surface import Texels
 
-log = logging.getLogger(__name__)
-
-VARIANTS = ("cuda_ad_rgb", "metal_ad_rgb", "llvm_ad_rgb")  # the first that this machine can run
-
-MAX_THREADS = 1024
+SPECULAR = "specular"  # Ks, of the paper's power spectra
 
 Defines = Annotated[
     tuple[str, ...],
@@ -39,67 +38,10 @@ Known = Annotated[
     tyro.conf.arg(metavar="NAME=VALUE | scene", help_behavior_hint="(can be repeated)"),
     tyro.conf.UseAppendAction,
 ]
-Threads = Annotated[
-    int,
-    tyro.conf.arg(
-        aliases=["-t"],
-        help="CPU threads; 0 = all. At least 2: Mitsuba cannot read EXR files with one.",
-    ),
-]
-Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"], help="Log more; errors with traceback.")]
-Variant = Annotated[str, tyro.conf.arg(aliases=["-m"], help="Mitsuba variant.")]
-Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder for the results.")]
+Folder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
+Missing = Literal["refuse", "leave-out"]
 Scene = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE.xml")]
 Resolution = Annotated[tuple[int, ...], tyro.conf.arg(metavar="SIZE | WIDTH HEIGHT")]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Common:
-    """Options of every command, with Mitsuba's letters."""
-
-    draws: ClassVar[bool] = True
-    """Whether the command draws pictures, for which matplotlib is imported."""
-    variant: Variant = "auto"
-    """Mitsuba variant; auto takes the first usable of cuda, metal and llvm _ad_rgb."""
-    threads: Threads = 0
-    verbose: Verbose = False
-    trust: bool = False
-    """Let Mitsuba load libraries from a folder named plugins beside the scene, or in the working
-    directory: they run with all your rights. Without it they are refused."""
-
-    def start(self) -> None:
-        """Set the variant and the number of threads.
-
-        Raises:
-            SvuEnvironmentError: the variant does not exist or cannot run here.
-            OptionError: a negative number of threads.
-            SceneError: the working directory has libraries that Mitsuba would load.
-        """
-        if self.threads < 0:
-            raise OptionError(f"--threads must be 0 (all) or more, got {self.threads}.")
-        if self.threads > MAX_THREADS:
-            raise OptionError(f"--threads must be at most {MAX_THREADS}, got {self.threads}.")
-        import drjit as dr
-        import mitsuba as mi
-
-        try:
-            mi.set_variant(*(VARIANTS if self.variant == "auto" else (self.variant,)))
-        except (ImportError, AttributeError, ValueError, RuntimeError) as error:
-            _llvm.require()  # the likely cause, with its remedy
-            raise SvuEnvironmentError(
-                f"Variant '{self.variant}' is not available: {error}; this Mitsuba has "
-                f"{', '.join(mi.variants())}."
-            ) from error
-        import svu_mi.plugins  # noqa: F401 - registers them for the variant
-        from svu_mi.capture.trust import require_own_plugins
-
-        require_own_plugins(self.trust)
-
-        wanted = self.threads or dr.thread_count()
-        if self.threads == 1:
-            log.warning(f"--threads 1: {FEWEST_THREADS} are used, which Mitsuba needs to read EXR.")
-        dr.set_thread_count(max(wanted, FEWEST_THREADS))
-        mi.set_log_level(mi.LogLevel.Info if self.verbose else mi.LogLevel.Error)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,18 +72,27 @@ class OfScene(Common):
 class FromPhotographs(OfScene):
     """Options of every command that starts from photographs."""
 
-    images: Path | None = None
-    """Folder with view_0000.exr, ...; without any photographs the scene itself is rendered."""
+    work: ClassVar[str] = "entropy"
+    """What the command does, by which its need of memory is known (``limits.COSTS``)."""
+    fills: ClassVar[bool] = False
+    """Whether it writes maps and textures into the output folder, where no scene may lie."""
+    images: Folder = None
+    """Folder with the photographs: view_0000.exr, ... or named by the ids of their sensors, or as
+    many as there are sensors, in the order of their names."""
+    missing: Missing = "refuse"
+    """What to do if sensors have no photograph: leave-out goes on with the others."""
+    render: bool = False
+    """Render the scene instead of reading photographs."""
     resolution: Resolution = (512,)
     """Texels per side, or width and height."""
     unwrap: bool = False
     """Lay out new UVs even if the mesh has some."""
     spp: int = 64
-    """Samples per pixel, when the scene is rendered."""
+    """Samples per pixel, with --render."""
 
     @property
     def rendered(self) -> Path:
-        """Where a scene without photographs is rendered to."""
+        """Where --render puts photographs."""
         return self.output / "capture"
 
     def check(self) -> None:
@@ -153,57 +104,88 @@ class FromPhotographs(OfScene):
         require_texels(pair(self.resolution, "--resolution"), "--resolution")
         require_spp(self.spp, "--spp")
         self.defines()
+        if self.render and self.images is not None:
+            raise OptionError("--render has no effect with --images; omit one of them.")
+        if self.render and self.scene.suffix.lower() != ".xml":
+            raise OptionError(
+                f"--render takes a Mitsuba scene (.xml), got {self.scene}; omit --render to read "
+                "the photographs there."
+            )
 
     def load(
-        self, progress: Progress, *, again: bool = False, missing: Missing = "refuse"
+        self, progress: Progress, *, again: bool = False, missing: Missing | None = None
     ) -> tuple[Capture, Texels]:
         """Load the photographs, or render them, and lay out texels.
 
         Args:
             progress: shows what is going on.
             again: take photographs that an earlier run has rendered into the output folder.
-            missing: what to do with sensors that have no photograph (see ``load_capture``).
+            missing: what to do with sensors that have no photograph, if not ``self.missing``.
 
         Raises:
             SceneError: the scene cannot be loaded or lacks something.
-            CaptureError: photographs are missing, unreadable or do not fit.
-            OptionError: the resolution is not a size.
+            CaptureError: photographs are missing, unreadable or do not fit, or there is not enough
+                memory.
+            OptionError: there are no photographs, and --render was not given.
+            OutputError: the results would lie among the files of the scene.
         """
         from svu_mi.surface import texels
 
+        if self.fills:
+            from svu_mi.capture.folder import require_apart
+
+            require_apart(self.output, self.scene)
         size = pair(self.resolution, "--resolution")
-        capture = self._capture(progress, again, missing)
+        if self.render:
+            capture = self._render(progress, again)
+        else:
+            capture = self._read(progress, self.images, missing or self.missing)
         with progress.stage("Laying out texels"):
             return capture, texels(capture.mesh, size)
 
-    def _capture(self, progress: Progress, again: bool, missing: Missing) -> Capture:
-        from svu_mi.capture import has_photographs, load_capture, photographs_of, render_capture
+    def need(self, sizes: Sizes) -> Need:
+        """Return what memory the command takes."""
+        return Need(
+            self.work, sizes.photographs, pair(self.resolution, "--resolution"),
+            light=sizes.light, charts=sizes.charts,
+        )  # fmt: skip
+
+    def _read(self, progress: Progress, images: Path | None, missing: Missing) -> Capture:
+        from svu_mi.capture import load_capture
+        from svu_mi.capture.matching import NoPhotographsError, photographs_of
+
+        _ = photographs_of(self.scene)  # refuses what is not there
+        with progress.stage("Loading the capture"):
+            try:
+                return load_capture(
+                    self.scene, images, shape=self.shape, defines=self.defines(),
+                    unwrap=self.unwrap, missing=missing, trust=self.trust,
+                    preflight=announcing(progress, str(images or self.scene), self.need),
+                )  # fmt: skip
+            except NoPhotographsError as error:
+                if images is not None or self.scene.suffix.lower() != ".xml":
+                    raise
+                raise OptionError(
+                    f"{self.scene}: no photographs beside it; give their folder with --images, or "
+                    f"--render to render the scene itself ({error.sensors} sensors)."
+                ) from error
+
+    def _render(self, progress: Progress, again: bool) -> Capture:
+        from svu_mi.capture import render_capture
+        from svu_mi.capture.matching import has_photographs
         from svu_mi.capture.rendering import require_rendered
 
-        images, defines = self.images, self.defines()
-        live = images is None and self.scene.suffix.lower() == ".xml" and missing == "refuse"
-        if live and not has_photographs(photographs_of(self.scene)):
-            images = self.rendered
-            if not (again and has_photographs(images)):
-                with progress.stage("Rendering photographs") as stage:
-                    capture = render_capture(
-                        self.scene, self.spp, folder=images, shape=self.shape, defines=defines,
-                        unwrap=self.unwrap, progress=stage.update, trust=self.trust,
-                    )  # fmt: skip
-                warnings.warn(
-                    f"No photographs beside {self.scene} and no --images: the scene was rendered "
-                    f"into {images} instead.",
-                    stacklevel=1,
-                )
-                return capture
-        with progress.stage("Loading the capture"):
-            capture = load_capture(
-                self.scene, images, shape=self.shape, defines=defines, unwrap=self.unwrap,
-                missing=missing, trust=self.trust,
-            )  # fmt: skip
-            if images is not None and self.images is None:
-                require_rendered(capture, self.spp)
+        images = self.rendered
+        if again and has_photographs(images):
+            capture = self._read(progress, images, "refuse")
+            require_rendered(capture, self.spp)
             return capture
+        with progress.stage("Rendering photographs") as stage:
+            return render_capture(
+                self.scene, self.spp, folder=images, shape=self.shape, defines=self.defines(),
+                unwrap=self.unwrap, progress=stage.update, trust=self.trust,
+                preflight=announcing(progress, str(self.scene), self.need),
+            )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,7 +203,13 @@ class Estimated(FromPhotographs):
     def check(self) -> None:
         """Refuse options that make no sense, before any work (see ``FromPhotographs``)."""
         super().check()
+        find_preset(self.preset, method=self.method)
         parse_known(self.known)
+
+    def need(self, sizes: Sizes) -> Need:
+        """Return what memory the command takes (see ``FromPhotographs``)."""
+        model = self.preset if self.method == "angular" else self.method
+        return dataclasses.replace(super().need(sizes), model=model)
 
     def estimate(
         self, progress: Progress, capture: Capture, texels: Texels, **options: Any
@@ -233,6 +221,33 @@ class Estimated(FromPhotographs):
             capture, texels, self.method, self.preset, known=parse_known(self.known),
             progress=progress, **options,
         )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithPictures:
+    """The option of commands that draw pictures beside what they compute."""
+
+    pictures: bool = True
+    """Draw PNG pictures of the results, too."""
+
+
+def announcing(
+    progress: Progress, label: str, need: Callable[[Sizes], Need]
+) -> Callable[[Sizes], None]:
+    """Return what refuses sizes that need too much memory, and announces the others.
+
+    Args:
+        progress: says so.
+        label: begins the refusal: the scene, or the folder of the photographs.
+        need: of how large everything is.
+    """
+
+    def preflight(sizes: Sizes) -> None:
+        found = need(sizes)
+        found.require(label)
+        progress.say(found.sentence())
+
+    return preflight
 
 
 def say(console: Console, text: str) -> None:
@@ -247,8 +262,23 @@ def pair(size: tuple[int, ...], option: str) -> tuple[int, int]:
         OptionError: another count of numbers, or one below 1.
     """
     if len(size) not in (1, 2) or min(size) < 1:
-        raise OptionError(f"{option} takes one or two positive numbers, got {size}.")
+        found = " ".join(map(str, size))
+        raise OptionError(f"{option} takes one or two positive numbers, got {found}.")
     return size[0], size[-1]
+
+
+def with_known_repeated(words: Sequence[str]) -> list[str]:
+    """Return the words of a command with ``--known a=0 b=1`` as ``--known a=0 --known b=1``.
+
+    An option that takes any number of words would take the scene after it, too.
+    """
+    spread: list[str] = []
+    for word in words:
+        name, is_value, _ = word.partition("=")
+        if spread[-2:-1] == ["--known"] and is_value and name in (*NAMES, SPECULAR):
+            spread.append("--known")
+        spread.append(word)
+    return spread
 
 
 def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] | None:
@@ -271,16 +301,13 @@ def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] |
             ) from None
     if len(known) < len(words):
         raise OptionError(f"--known must name each parameter once, got {', '.join(words)}.")
+    for name in known:
+        if name not in (*NAMES, SPECULAR):
+            raise OptionError(
+                f"--known: there is no parameter {name!r}; use {', '.join(NAMES[:-1])} or "
+                f"{NAMES[-1]}."
+            )
     return known or None
-
-
-def was_interrupted(error: BaseException | None) -> bool:
-    """Return whether Ctrl-C is behind an error: Dr.Jit wraps it, like all that a loop raises."""
-    while error is not None:
-        if isinstance(error, KeyboardInterrupt):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
 
 
 def given(options: Any) -> dict[str, Any]:

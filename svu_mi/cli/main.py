@@ -8,23 +8,29 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Annotated, Any
 
 import tyro
 
+from svu_mi import __version__
 from svu_mi.cli.bench import Bench
 from svu_mi.cli.checking import CheckCapture
 from svu_mi.cli.commands import Demo, Doctor, Entropy, Render
+from svu_mi.cli.comparing import Compare
 from svu_mi.cli.exporting import Export
 from svu_mi.cli.guide import Guide
+from svu_mi.cli.help import REGISTRY, flowing
 from svu_mi.cli.importing import Import
-from svu_mi.cli.inputs import was_interrupted
+from svu_mi.cli.inputs import was_interrupted, with_known_repeated
 from svu_mi.cli.pictures import import_matplotlib
 from svu_mi.cli.recover import Recover
 from svu_mi.cli.reporting import Report
+from svu_mi.cli.scenes import Scenes
 from svu_mi.cli.terminal import LogLines, OneLine, forgiving_streams
 from svu_mi.cli.viewing import View
 from svu_mi.errors import OptionError, SvuError, excerpt, printable
+from svu_mi.needs import require_start
 
 Command = (
     Annotated[Import, tyro.conf.subcommand("import")]
@@ -35,6 +41,8 @@ Command = (
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[View, tyro.conf.subcommand("view")]
+    | Annotated[Compare, tyro.conf.subcommand("compare")]
+    | Annotated[Scenes, tyro.conf.subcommand("scenes")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
@@ -78,16 +86,23 @@ def _run(arguments: Sequence[str], commands: Any, program: str, description: str
     for word in arguments:
         if problem := _problem(word):
             return _fail(f"{excerpt(word, LONGEST)}: {problem}.", 2)
+    if list(arguments) == ["--version"]:
+        print(f"{program} {__version__}")
+        return 0
     verbose = not {"-v", "--verbose"}.isdisjoint(arguments)
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[LogLines()])
     warnings.showwarning = _show_warning
     try:
-        command = tyro.cli(
-            commands, prog=program, description=description, args=arguments,
-            config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
-        )  # fmt: skip
+        asked = not {"-h", "--help"}.isdisjoint(arguments)
+        with flowing(commands) if asked else nullcontext():
+            command = tyro.cli(
+                commands, prog=program, description=description,
+                args=with_known_repeated(arguments),
+                config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands), registry=REGISTRY,
+            )  # fmt: skip
         _require_a_place()
-        if command.draws:
+        require_start()
+        if command.draws and getattr(command, "pictures", True):
             import_matplotlib()
         return command.run(OneLine())  # stderr is for the one line that says what went wrong
     except KeyboardInterrupt as stop:
@@ -128,7 +143,7 @@ def _require_a_place() -> None:
 def _sentence(error: Exception) -> tuple[str, int]:
     """Say what an error means, and with which status the process ends."""
     if isinstance(error, SvuError):
-        return str(error), 2
+        return error.shell, 2
     if isinstance(error, OSError):  # of the system: no space, no permission, a name too long, ...
         place = f"{excerpt(os.fsdecode(error.filename), LONGEST)}: " if _named(error) else ""
         remedy = f"; {REMEDIES[error.errno]}" if error.errno in REMEDIES else ""

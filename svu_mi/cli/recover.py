@@ -9,13 +9,22 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.inputs import FromPhotographs, given, say, was_interrupted
+from svu_mi.cli.inputs import (
+    FromPhotographs,
+    Interrupted,
+    Output,
+    WithPictures,
+    given,
+    say,
+    was_interrupted,
+)
 from svu_mi.errors import OptionError
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
 from svu_mi.results.writing import claimed
 
 if TYPE_CHECKING:
+    from svu_mi.output import Knowledge
     from svu_mi.recovery.textures import Textures
     from svu_mi.surface import Texels
 
@@ -25,12 +34,8 @@ Parameters = Annotated[tuple[Name, ...], tyro.conf.arg(metavar=f"{{{','.join(NAM
 From = Annotated[Path | None, tyro.conf.arg(name="start", metavar="FOLDER")]
 
 
-class Interrupted(KeyboardInterrupt):
-    """Ctrl-C; its text says how to go on."""
-
-
 @dataclass(frozen=True, kw_only=True)
-class Recover(FromPhotographs):
+class Recover(WithPictures, FromPhotographs):
     """Recover base colour, roughness and metallic textures from photographs.
 
     Writes the textures as EXR, recovered.xml (a Mitsuba scene that uses them), coverage.exr,
@@ -38,6 +43,9 @@ class Recover(FromPhotographs):
     run.json. --resume continues an interrupted run.
     """
 
+    work = "recover"
+    fills = True
+    output: Output = Path("out/textures")
     method: Literal["sh", "path", "sh+path"] = "sh"
     """sh: a reflection model, in seconds; path: Mitsuba's path tracer in a loop; sh+path: the
     path tracer, from what sh has found."""
@@ -75,12 +83,13 @@ class Recover(FromPhotographs):
             self._check_checkpoint(checkpoint)
             self.start()
             try:
-                self._run(Progress(console), checkpoint)
+                knowledge = self._run(Progress(console), checkpoint)
             except BaseException as error:
                 if was_interrupted(error):
                     raise Interrupted(self._advice(checkpoint)) from None
                 raise
         say(console, f"Wrote {self.output}")
+        say(console, knowledge.summary())
         return 0
 
     def check(self) -> None:
@@ -104,9 +113,10 @@ class Recover(FromPhotographs):
                 "the file."
             )
 
-    def _run(self, progress: Progress, checkpoint: Path) -> None:
+    def _run(self, progress: Progress, checkpoint: Path) -> Knowledge:
+        from svu_mi.checking.brightness import warn_if_too_bright
         from svu_mi.observed import observe
-        from svu_mi.output import Run
+        from svu_mi.output import Knowledge, Run
         from svu_mi.output.recovery import write_recovery
         from svu_mi.pipeline import estimate
         from svu_mi.recovery.options import PRINTED_PRESETS
@@ -124,12 +134,16 @@ class Recover(FromPhotographs):
         # Beside textures by the paper's losses, the posterior of the model that they come from.
         model = "paper" if self.preset in PRINTED_PRESETS else "default"
         known = recovery.estimate or estimate(seen, preset=model, progress=progress)
+        warn_if_too_bright(known)
         with progress.stage("Writing the results") as stage:
             run = Run(
                 settings=given(self), kernels=progress.kernels, consumed=[CHECKPOINT],
                 progress=stage.update,
             )  # fmt: skip
-            write_recovery(capture, recovery, self.output, run, estimate=known)
+            write_recovery(
+                capture, recovery, self.output, run, estimate=known, pictures=self.pictures
+            )
+            return Knowledge.of(known)
 
     def _initial(self, texels: Texels) -> Textures | None:
         """Read the textures of --start.

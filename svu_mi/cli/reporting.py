@@ -4,30 +4,36 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.inputs import Estimated, given, say
+from svu_mi.cli.inputs import given, say
+from svu_mi.cli.textured import Textured
 from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
 from svu_mi.results.lock import locked
 
+if TYPE_CHECKING:
+    from svu_mi.output.knowledge import Knowledge
+    from svu_mi.recovery.textures import Textures
+
+SUFFIXES = (".html", ".htm")
 Page = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE.html", help="The page.")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report(Estimated):
+class Report(Textured):
     """Write what photographs say as one HTML file, with all pictures inside.
 
     Photographs, entropy on a turntable, maps, probabilities, errors of views, settings, times and
-    versions: readable without a network, and without knowing the method.
+    versions: readable without a network, and without knowing the method. Textures of --recovered
+    are compared with the photographs.
     """
 
+    work = "report"
     output: Page = Path("report.html")
-    recovered: Path | None = None
-    """Folder of svu recover; its textures are shown, and compared with the photographs."""
     title: str | None = None
     """Title of the page; by default the name of the photographs' folder."""
 
@@ -36,29 +42,39 @@ class Report(Estimated):
         from svu_mi.files import clear_temporaries, prepare_folder
 
         self.check()
-        if self.output.is_dir():
-            raise OptionError(f"{self.output}: is a folder; -o takes a file, such as report.html.")
         prepare_folder(self.output.parent)
         with locked(self.output, "svu report"):
             clear_temporaries(self.output.parent)
-            self._write(Progress(console))
+            self.start()
+            sized, textures = self.sized()
+            knowledge = sized._write(Progress(console), textures)
         say(console, f"Wrote {self.output}")
+        say(console, knowledge.summary())
         return 0
 
-    def _write(self, progress: Progress) -> None:
-        from svu_mi.output.report.report import write_report
-        from svu_mi.output.textures import read_textures
+    def check(self) -> None:
+        """Refuse options that make no sense, before any work (see ``Textured``)."""
+        super().check()
+        if self.output.is_dir():
+            raise OptionError(f"{self.output}: is a folder; -o takes a file, such as report.html.")
+        if self.output.suffix.lower() not in SUFFIXES:
+            raise OptionError(
+                f"-o takes the name of a page, which ends in .html, such as report.html; got "
+                f"{self.output}."
+            )
 
-        self.start()
-        textures = None if self.recovered is None else read_textures(self.recovered)
+    def _write(self, progress: Progress, textures: Textures | None) -> Knowledge:
+        from svu_mi.checking.brightness import warn_if_too_bright
+        from svu_mi.output.report.report import write_report
+
         capture, texels = self.load(progress)
         found = self.estimate(progress, capture, texels)
+        warn_if_too_bright(found)
         with progress.stage("Writing the report") as stage:
-            write_report(
+            return write_report(
                 capture, found, self.output, textures=textures, title=self.title,
                 settings=given(self), progress=stage.update,
             )  # fmt: skip
-
     @property
     def rendered(self) -> Path:
         """Where a scene without photographs is rendered to: beside the page."""

@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 from rich.console import Console
 
-from svu_mi.cli.inputs import Estimated, say
+from svu_mi.cli.inputs import say
+from svu_mi.cli.textured import Textured
 from svu_mi.progress import Progress
-
-if TYPE_CHECKING:
-    from svu_mi.recovery.textures import Textures
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(Estimated):
+class View(Textured):
     """Look at entropy, textures and photographs on the object, in a browser.
 
     Click a texel for its posterior and a camera to look through it; Ctrl-C stops. Needs
     pip install 'svu_mi[viewer]'.
     """
 
-    recovered: Path | None = None
-    """Folder that svu recover wrote; its size is used for --resolution."""
+    work = "view"
     port: int = 8080
     """Port of the page on this machine; the next free one if it is in use."""
     up: Literal["y", "z"] | None = None
@@ -40,8 +36,7 @@ class View(Estimated):
         require_viser()
         self.start()
         progress = Progress(console)
-        recovered = self._recovered()
-        sized = self if recovered is None else replace(self, resolution=recovered.resolution)
+        sized, recovered = self.sized()
         capture, texels = sized.load(progress)
         result = self.estimate(progress, capture, texels)
         with progress.stage("Opening the viewer"):
@@ -49,8 +44,3 @@ class View(Estimated):
         say(console, f"Open {viewer.url} in a browser; press Ctrl-C to stop.")
         viewer.run()
         return 0
-
-    def _recovered(self) -> Textures | None:
-        from svu_mi.output.textures import read_textures
-
-        return None if self.recovered is None else read_textures(self.recovered)

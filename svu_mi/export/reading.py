@@ -21,8 +21,12 @@ from svu_mi.output.maps import COVERAGE, ENTROPY
 from svu_mi.output.scene_xml import MESH, SCENE
 from svu_mi.output.textures import FILES, read_textures
 from svu_mi.output.upright import nearest_axis, up_of
-from svu_mi.results.reading import are_of_one_capture, marks_of, require_one_run
-from svu_mi.results.record import entries
+from svu_mi.results.reading import (
+    are_of_one_capture,
+    marks_of,
+    require_one_run,
+    require_recovery,
+)
 from svu_mi.results.settling import settle
 
 HEADER = 4096  # bytes that hold the header of a PLY file
@@ -45,7 +49,7 @@ def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
     folder = Path(folder)
     if folder.is_dir():
         settle(folder)
-    _require_recovery(folder)
+    require_recovery(folder, [*FILES.values(), SCENE, MESH], RECORD, ENTROPY)
     require_one_run(folder, [*FILES.values(), SCENE, MESH], RECORD, "recover")
     maps = Path(folder if entropy is None else entropy)
     if entropy is not None:
@@ -88,24 +92,6 @@ def _require_same_capture(folder: Path, textured: Path, *, asked: bool) -> None:
             )
         warnings.warn(f"{sentence}; its values are used as they are.", SvuWarning, stacklevel=3)
         return
-
-
-def _require_recovery(folder: Path) -> None:
-    if not folder.is_dir():
-        raise CaptureError(f"{folder}: no such folder; give one that svu recover wrote.")
-    missing = [name for name in (*FILES.values(), SCENE, MESH) if not (folder / name).is_file()]
-    if not missing:
-        return
-    words = f"{folder}: has no {', '.join(missing)}"
-    if any(entry.command == "recover" for entry in entries(folder / RECORD)):
-        raise CaptureError(f"{words}, which svu recover wrote; run it again.")
-    words += ", so it is not a result of svu recover"
-    if (folder / ENTROPY).is_file():
-        raise CaptureError(
-            f"{words} but of svu entropy; run svu recover on the same capture, export what it "
-            "writes, and give this folder as --entropy."
-        )
-    raise CaptureError(f"{words}; run that first, or give the folder that it wrote.")
 
 
 def _parsed(path: Path) -> ElementTree.Element:

@@ -220,6 +220,11 @@ BOTH_PRESETS: dict[str, tuple[str, str]] = {
 }
 
 
+PRESETS_OF: dict[Method, Mapping[str, Any]] = {
+    "sh": SH_PRESETS, "path": PATH_PRESETS, "sh+path": BOTH_PRESETS,
+}  # fmt: skip
+
+
 def sh_preset(name: str) -> ShOptions:
     """Return the options of recovery by the SH model that a preset stands for.
 
@@ -240,8 +245,10 @@ def path_preset(name: str) -> PathOptions:
 
 def _preset(known: dict[str, Any], name: str, method: str) -> Any:
     if name not in known:
+        others = [other for other, theirs in PRESETS_OF.items() if name in theirs]
         raise OptionError(
             f"Unknown preset {name!r} of method {method!r}; use one of {', '.join(known)}."
+            + (f" {name!r} is one of method {others[0]!r}." if others else "")
         )
     return known[name]
 

@@ -6,10 +6,14 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, excerpt
 from svu_mi.exr import read_header
-from svu_mi.results.record import CAPTURE, RUN, entries
+from svu_mi.files import read_json
+from svu_mi.results.record import CAPTURE, RUN, entries, entries_in
+from svu_mi.results.unfinished import unfinished
 
+CAPTURES = ("render", "import")  # commands whose results are captures
+RUN_RECORD = "run.json"
 HEAD = 4096  # bytes in which a scene file or a mesh has its marks
 
 
@@ -70,3 +74,82 @@ def are_of_one_capture(first: Path, second: Path) -> bool:
     """
     keys = [marks_of(path)[1] for path in (first, second)]
     return not all(keys) or keys[0] == keys[1]
+
+
+def mesh_of(record: Path, run: str) -> str:
+    """Return the digest of the mesh that files of a run are over, as the record beside them says.
+
+    Args:
+        record: which need not be there.
+        run: id of the run, as in the files' marks; empty in those of others.
+
+    Returns:
+        Empty, where it is not known: the record is missing, or that of another run.
+    """
+    known = entries(record)
+    if not (run and known and known[0].run == run):
+        return ""
+    return _said(record, "inputs", "mesh")
+
+
+def scene_of(record: Path) -> Path | None:
+    """Return the scene or the capture that ``svu`` was given; None where a record does not say."""
+    scene = _said(record, "settings", "given", "scene")
+    return Path(scene) if scene else None
+
+
+def _said(record: Path, *names: str) -> str:
+    """Return a text that a record holds under names, one in the other; empty if it has none."""
+    found = read_json(record) if entries(record) else None
+    for name in names:
+        found = found.get(name) if isinstance(found, dict) else None
+    return found if isinstance(found, str) else ""
+
+
+def require_no_result(folder: Path) -> None:
+    """Refuse a folder that was given as a capture, if it is what a command has made of one.
+
+    Raises:
+        CaptureError: it is, or holds what an interrupted run has left.
+    """
+    if unfinished(folder):
+        raise CaptureError(
+            f"{folder}: holds an interrupted svu render; finish it with the same command and "
+            "--resume."
+        )
+    found = next((e.command for e in entries_in(folder) if e.command not in CAPTURES), None)
+    if found is not None:
+        source = _said(folder / RUN_RECORD, "inputs", "source")
+        raise CaptureError(
+            f"{folder}: is a result of svu {excerpt(found, 40)}; give the capture it was made of"
+            + (f" ({excerpt(source, 300)})." if source else ".")
+        )
+
+
+def require_recovery(folder: Path, names: Sequence[str], record: str, other: str) -> None:
+    """Refuse a folder without what ``svu recover`` writes, and say what it is instead.
+
+    Args:
+        folder: that is read.
+        names: of the files that are needed.
+        record: name of the record beside them, which need not be there.
+        other: name of a file by which a result of ``svu entropy`` is known.
+
+    Raises:
+        CaptureError: one is missing.
+    """
+    if not folder.is_dir():
+        raise CaptureError(f"{folder}: no such folder; give one that svu recover wrote.")
+    missing = [name for name in names if not (folder / name).is_file()]
+    if not missing:
+        return
+    words = f"{folder}: has no {', '.join(missing)}"
+    if any(entry.command == "recover" for entry in entries(folder / record)):
+        raise CaptureError(f"{words}, which svu recover wrote; run it again.")
+    words += ", so it is not a result of svu recover"
+    if (folder / other).is_file():
+        raise CaptureError(
+            f"{words} but of svu entropy; run svu recover on the same capture, and give what it "
+            "writes."
+        )
+    raise CaptureError(f"{words}; run that first, or give the folder that it wrote.")

@@ -18,7 +18,7 @@ from svu_mi.files import read_json
 
 RESULT, BESIDE = "written", "beside"
 RUN, CAPTURE = "svu:run", "svu:capture"  # marks in every EXR, PLY and scene file of a result
-RECORDS = ("run.json", "asset.json", "check.json", "capture.json")
+RECORDS = ("run.json", "asset.json", "check.json", "compare.json", "capture.json")
 LONGEST = 1024  # letters of a name
 MAX_BYTES = 2**26  # of a record
 

@@ -17,19 +17,19 @@ import os
 import re
 import secrets
 import shutil
-import warnings
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from svu_mi.errors import OutputError, SvuWarning, excerpt
+from svu_mi.errors import OutputError, excerpt
 from svu_mi.files import (
     clear_temporaries,
     is_temporary_of_dead,
     prepare_folder,
     stamped,
 )
+from svu_mi.results.keeping import say_kept, unused_name
 from svu_mi.results.lock import LOCK, locked
 from svu_mi.results.record import (
     BESIDE,
@@ -51,6 +51,7 @@ from svu_mi.results.settling import (
     names_in,
     walk,
 )
+from svu_mi.results.unfinished import begun, prepare
 
 DRAFT = ".svu-draft-"
 IGNORED = {LOCK, ".DS_Store", "Thumbs.db"}
@@ -129,6 +130,7 @@ def writing(
     *,
     capture: str = "",
     consumed: Sequence[str] = (),
+    key: str = "",
 ) -> Iterator[Draft]:
     """Give a draft that becomes the result in a folder when the block succeeds.
 
@@ -142,19 +144,24 @@ def writing(
         record: name of the JSON file that the block writes last, with ``draft.entries()``.
         capture: key of the capture that it is about.
         consumed: files of the folder that are no longer needed when the result is there.
+        key: says what is being made, as 16 hexadecimal digits: the draft is kept if the block
+            fails, and given again to the next that makes the same. Without one it is removed.
 
     Raises:
         OutputError: the folder cannot be written, or another process writes there.
     """
     with claimed(folder, f"svu {command}") as target:
         run = secrets.token_hex(8)
+        place = target / f"{DRAFT}{run}"
+        if key:
+            run, place = begun(target, run, key)
         draft = Draft(
-            folder=target / f"{DRAFT}{run}", target=target, run=run, command=command,
+            folder=place, target=target, run=run, command=command,
             capture=capture, earlier=tuple(entries(target / record)),
             known=tuple(entries_in(target)),
         )  # fmt: skip
         try:
-            draft.folder.mkdir()
+            draft.folder.mkdir(exist_ok=bool(key))
             with stamped({RUN: run, CAPTURE: capture} if capture else {RUN: run}):
                 yield draft
             ready = _make_count(draft, record, consumed)
@@ -168,18 +175,25 @@ def writing(
                 "there was changed."
             ) from error
         finally:
-            shutil.rmtree(draft.folder, ignore_errors=True)
+            if not (key and is_folder(draft.folder) and names_in(draft.folder)):
+                shutil.rmtree(draft.folder, ignore_errors=True)
         complete(target, ready)
 
 
 @contextlib.contextmanager
 def exchanging(
-    folder: str | Path, command: str, record: str, caches: Sequence[str] = ()
-) -> Iterator[Draft]:
-    """Give a draft as ``writing``, of a result that has its folder to itself (``require_own``)."""
+    folder: str | Path, command: str, record: str, caches: Sequence[str] = (), *,
+    key: str = "", resume: bool = False,
+) -> Iterator[Draft]:  # fmt: skip
+    """Give a draft as ``writing``, of a result that has its folder to itself (``require_own``).
+
+    With a ``key`` the draft is kept if the block fails; with ``resume`` one that was kept is given.
+    All others that were kept are removed.
+    """
     with claimed(folder, f"svu {command}", tidy=True) as target:
         require_own(target, command, record, caches)
-        with writing(target, command, record) as draft:
+        prepare(target, key, resume)
+        with writing(target, command, record, key=key) as draft:
             yield draft
 
 
@@ -203,12 +217,23 @@ def require_own(folder: Path, command: str, record: str, caches: Sequence[str] =
         if name.startswith(DRAFT) or any(entry.owns(folder, name) for entry in earlier):
             continue
         what = f"was not written by svu {command}, or by an older version of it"
+        if writer := _writer(folder, name):
+            what = f"was written by svu {excerpt(writer, 40)}"
         if any(name in entry.files for entry in earlier):
             what = f"was changed since svu {command} wrote it"
         raise OutputError(
             f"{folder}: holds other files: {excerpt(name)} {what}; choose another folder, or "
             "empty this one."
         )
+
+
+def _writer(folder: Path, name: str) -> str | None:
+    """Return which command has written a file, as the records of its folder say."""
+    for record in RECORDS:
+        for entry in entries(folder / record):
+            if name == record or name in entry.files:
+                return entry.command
+    return None
 
 
 def _make_count(draft: Draft, record: str, consumed: Sequence[str]) -> Path:
@@ -241,31 +266,16 @@ def _kept(draft: Draft, new: Sequence[str], own: Collection[str]) -> dict[str, s
             raise OutputError(f"{path}: is a folder; remove it, or choose another folder.")
         if at in kept or at in own or not os.path.lexists(path) or _is_record(draft, at):
             continue
-        kept[at] = _free(path).relative_to(draft.target).as_posix()
+        kept[at] = unused_name(path).relative_to(draft.target).as_posix()
     if kept:
         old, other = next(iter(kept.items()))
-        more = f" (and {len(kept) - 1} more likewise)" if len(kept) > 1 else ""
-        warnings.warn(
-            f"{draft.target}: {old}, not written by this version of svu or changed since, is kept "
-            f"as {other}{more}; remove it when you no longer need it.",
-            SvuWarning,
-            stacklevel=6,
-        )
+        say_kept(draft.target, old, other, len(kept) - 1)
     return kept
 
 
 def _is_record(draft: Draft, name: str) -> bool:
     """Return whether a file is a record, which no entry lists, but which has some of its own."""
     return name in RECORDS and bool(draft.earlier)
-
-
-def _free(path: Path) -> Path:
-    """Return a name for an older file that nobody has: ``map.before.exr``, ..."""
-    for number in range(10**6):
-        other = path.with_name(f"{path.stem}.before{number or ''}{path.suffix}")
-        if not os.path.lexists(other):
-            return other
-    raise OutputError(f"{path}: cannot be kept under another name; move it away.")
 
 
 def _sweep(folder: Path) -> None:

@@ -11,6 +11,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, arrays, has_uvs
+from svu_mi.capture.record import Capture
+from svu_mi.capture.scene import require_variant
 from svu_mi.errors import MeshError, OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.surface.raster import rasterize
@@ -21,7 +23,7 @@ MAX_RESOLUTION = 16384
 COARSEST = 1e-4  # part of a mesh's extent that coordinates must resolve
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Texels:
     """The T texels whose centre lies on the surface, neighbours next to each other.
 
@@ -54,6 +56,10 @@ class Texels:
     degenerate: int
     extent: float
     step: float
+
+    def __repr__(self) -> str:
+        width, height = self.resolution
+        return f"<Texels: {self.count} on the surface, of {width} x {height}>"
 
     @property
     def count(self) -> int:
@@ -93,18 +99,25 @@ def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
     """Lay a texel grid over a mesh's UV charts.
 
     Args:
-        mesh: an ``mi.Mesh`` with UVs in the unit square (``capture.mesh``).
+        mesh: an ``mi.Mesh`` with UVs in the unit square, or the capture whose ``mesh`` is meant.
         resolution: texels per side, or (width, height).
 
     Raises:
-        OptionError: the resolution is not positive or too large.
+        OptionError: the resolution is not positive or too large, or neither mesh nor capture.
         MeshError: no UVs, UVs outside [0, 1], charts that overlap, or none at all.
     """
-    width, height = _pair(resolution)
+    require_variant()
+    width, height = size_of(resolution)
     if not (0 < width <= MAX_RESOLUTION and 0 < height <= MAX_RESOLUTION):
         raise OptionError(
             f"The texel grid must have 1 to {MAX_RESOLUTION} texels per side, "
             f"got {width} x {height}."
+        )
+    mesh = mesh.mesh if isinstance(mesh, Capture) else mesh
+    if not isinstance(mesh, mi.Shape):
+        raise OptionError(
+            f"texels(): a mesh or a capture is needed, got a {type(mesh).__name__}; use "
+            "capture.mesh."
         )
     name = f"Shape '{mesh.id()}'"
     if not mesh.is_mesh():
@@ -124,10 +137,9 @@ def texels(mesh: Any, resolution: int | tuple[int, int] = 512) -> Texels:
     overlapping = int((count > 1).sum())
     covered = int((count > 0).sum())
     if overlapping > OVERLAP_LIMIT * covered:
-        raise MeshError(
+        raise _mesh_error(
             f"{name} has overlapping UV charts: {overlapping} of {covered} texels lie on "
-            "several surface points; use --unwrap (load_capture(unwrap=True)), or lay out UVs "
-            "without overlap."
+            "several surface points; {}, or lay out UVs without overlap."
         )
     single = np.flatnonzero(count == 1)
     face_area = _face_normals(source)[1]
@@ -150,8 +162,12 @@ def _step(source: MeshArrays) -> float:
     return float(np.spacing(np.float32(np.abs(source.positions).max(initial=0))))
 
 
-def _pair(resolution: Any) -> tuple[int, int]:
-    """Return (width, height) from an int or two of them, NumPy's own included."""
+def size_of(resolution: Any) -> tuple[int, int]:
+    """Return (width, height) from an int or two of them, NumPy's own included.
+
+    Raises:
+        OptionError: it is anything else.
+    """
     try:
         sides = resolution if np.iterable(resolution) else (resolution, resolution)
         width, height = (operator.index(side) for side in sides)
@@ -170,11 +186,19 @@ def _unit_square(source: MeshArrays, name: str) -> np.ndarray:
     center = source.uvs[source.faces].mean(axis=1)
     outside = ((center < -1e-6) | (center > 1 + 1e-6)).any(axis=1)
     if outside.sum() > OUTSIDE_LIMIT * len(outside):
-        raise MeshError(
+        raise _mesh_error(
             f"{name}: {int(outside.sum())} of {len(outside)} faces have UVs outside [0, 1] "
-            "(tiles or UDIMs are not supported); use --unwrap (load_capture(unwrap=True))."
+            "(tiles or UDIMs are not supported); {}."
         )
     return source.uvs
+
+
+def _mesh_error(words: str) -> MeshError:
+    """Return an error whose remedy, at {}, is to lay out new UVs."""
+    return MeshError(
+        words.replace("{}", "use load_capture(unwrap=True)"),
+        shell=words.replace("{}", "use --unwrap"),
+    )
 
 
 def _face_normals(source: MeshArrays) -> tuple[np.ndarray, np.ndarray]:

@@ -23,6 +23,10 @@ from svu_mi.recovery.options import DescentOptions, sh_preset
 from svu_mi.reference import cache
 from svu_mi.reference.options import Options
 
+# The scene has what is not accounted for, which is said.
+IGNORED = "ignore:.* which svu does not account for:svu_mi.errors.SvuWarning"
+pytestmark = pytest.mark.filterwarnings(IGNORED)
+
 SCRIPT = """
 import sys
 import svu_mi, mitsuba as mi

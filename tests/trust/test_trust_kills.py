@@ -76,6 +76,7 @@ def test_killed_at_any_step_leaves_the_old_result_or_the_new_one(tmp_path):
     assert step > 15 and found == sorted(found) and any(found) and not all(found)
 
 
+@pytest.mark.slow
 def test_completing_can_be_killed_too(tmp_path):
     """A reader that is killed while it puts a result in its place leaves it to the next."""
     for first in range(40):

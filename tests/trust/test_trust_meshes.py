@@ -177,7 +177,8 @@ def test_a_pipe_is_not_waited_for(tmp_path, words):
 def test_commands_refuse_a_damaged_mesh(tmp_path, capsys, command):
     path = write_scene(tmp_path, sensors=sensor_xml(1))
     (tmp_path / "ball.ply").write_bytes(ply(WRONG))
-    assert main([command, str(path), "-o", str(tmp_path / "out")]) == 2
+    output = tmp_path / ("out.html" if command == "report" else "out")
+    assert main([command, str(path), "-o", str(output)]) == 2
     error = capsys.readouterr().err
     assert "ball.ply: a face refers to vertex" in error and error.count("\n") == 1
 

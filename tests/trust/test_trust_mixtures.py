@@ -7,16 +7,19 @@ import os
 import shutil
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers import fails, names, run, write_scene
+from helpers import ball, fails, lettered, names, run, write_scene
 
 from svu_mi.capture import loading
 from svu_mi.errors import CaptureError, SvuWarning
 from svu_mi.export.reading import load_asset
 from svu_mi.exr import read_header, write_exr
 from svu_mi.files import replacing, stamp, stamped, write_json
+from svu_mi.output.textures import write_textures
+from svu_mi.output.viewer.viewer import Viewer
 from svu_mi.results.reading import are_of_one_capture, marks_of, require_one_run
 
 SMALL = ("--resolution", 16)
@@ -31,8 +34,8 @@ def made(tmp_path_factory):
         path = write_scene(at / which, emitter=light)
         shot, textures, maps = (at / which / name for name in ("shot", "r", "e"))
         assert run("render", path, "-o", shot, "--spp", 1) == 0
-        assert run("recover", shot, *SMALL, "--steps", 2, "-o", textures) == 0
-        assert run("entropy", shot, *SMALL, "-o", maps) == 0
+        assert run("recover", shot, *SMALL, "--steps", 2, "--no-pictures", "-o", textures) == 0
+        assert run("entropy", shot, *SMALL, "--no-pictures", "-o", maps) == 0
     return at
 
 
@@ -80,6 +83,35 @@ def test_maps_of_another_capture_are_refused(made, result, tmp_path, capsys):
     with pytest.warns(SvuWarning, match="comes from another capture"):  # as asked for
         load_asset(result, other)
     assert run("export", result, "--entropy", made / "a" / "e", "-o", tmp_path / "asset") == 0
+
+
+@pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
+@pytest.mark.parametrize("command", ["report", pytest.param("view", marks=pytest.mark.slow)])
+def test_textures_of_another_mesh_are_refused(made, result, tmp_path, capsys, monkeypatch, command):
+    monkeypatch.setattr(Viewer, "run", lambda self: self.stop())
+    page = SimpleNamespace(summary=str)  # takes long, and others look at it
+    monkeypatch.setattr("svu_mi.output.report.report.write_report", lambda *_, **__: page)
+    there = ("-o", tmp_path / "page.html") if command == "report" else ("--port", 0)
+    of_first, of_second = (
+        (command, made / which / "shot", *there, "--recovered") for which in "ab"
+    )
+    capsys.readouterr()
+    assert run(*of_first, result) == 0
+    assert "another" not in capsys.readouterr().err
+    assert run(*of_second, result) == 0
+    assert (
+        f"svu: warning: {result}: these textures come from another capture than "
+        f"{made / 'b' / 'shot'}; their values are used as they are.\n"
+    ) in capsys.readouterr().err
+    scene = write_scene(tmp_path, uvs=0.5 * ball().uvs)
+    other = ("--render", "--spp", 1, "-o", tmp_path / "other.html")
+    assert fails(capsys, command, scene, "--recovered", result, *other).startswith(
+        f"svu: {result}: these textures were recovered over another mesh than that of "
+    )
+    (tmp_path / "anybody").mkdir()
+    write_textures(lettered(16, 16), tmp_path / "anybody")
+    assert run(*of_second, tmp_path / "anybody") == 0
+    assert "another" not in capsys.readouterr().err
 
 
 def test_a_file_that_is_missing_is_named(made, result, tmp_path, capsys):
@@ -136,6 +168,7 @@ def test_textures_made_by_hand_are_anybody_s(result, tmp_path):
 def test_a_page_clears_what_a_killed_one_has_left(made, tmp_path):
     with replacing(tmp_path / "report.html") as temporary:
         name = temporary.name
+    (tmp_path / "report.html").unlink()
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
     stale = tmp_path / name.replace(f"-{os.getpid()}-", f"-{dead.pid}-")

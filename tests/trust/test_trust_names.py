@@ -147,7 +147,8 @@ class Tags(HTMLParser):
         self.found.append((tag, *(key for key, _ in attrs)))
 
 
-@pytest.mark.parametrize("command", ["check", pytest.param("report", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["check", "report"])
 def test_pages_of_a_folder_with_markup_in_its_name(command, shot, tmp_path, capsys):
     pages = []
     for name in (HARMLESS, "<img src=x onerror=alert(1)>\"'&amp;"):

@@ -15,6 +15,7 @@ from trust.letters import contents, write
 
 from svu_mi.errors import OutputError, SvuWarning
 from svu_mi.files import replacing, write_json, write_text
+from svu_mi.results.keeping import write_alone
 from svu_mi.results.record import entries, is_inside
 from svu_mi.results.settling import JOURNAL, READY, names_in, settle
 from svu_mi.results.writing import DRAFT, claimed, exchanging, require_own, writing
@@ -46,6 +47,34 @@ def test_files_of_others_are_kept(tmp_path):
     assert contents(tmp_path) == {
         "a": "n", "a.before": "mine", "a.before1": "edited", "run.json": "n"
     }  # fmt: skip
+
+
+def test_a_page_of_others_or_an_edited_one_is_kept(tmp_path):
+    page = tmp_path / "report.html"
+    page.write_text("mine")
+    with pytest.warns(SvuWarning) as said:
+        write_alone(page, "<p>first")
+    assert [str(warning.message) for warning in said] == [
+        f"{tmp_path}: report.html, not written by this version of svu or changed since, is kept as "
+        "report.before.html; remove it when you no longer need it."
+    ]
+    write_alone(page, "<p>second")  # over one's own, without a word
+    assert names(tmp_path) == ["report.before.html", "report.html"]
+    page.write_text(page.read_text().replace("second", "edited"))
+    with pytest.warns(SvuWarning, match="is kept as report.before1.html"):
+        write_alone(page, "<p>third")
+    found = contents(tmp_path)
+    assert found["report.before.html"] == "mine"
+    assert found["report.before1.html"].startswith("<p>edited\n<!-- svu:page=")
+    assert found["report.html"].startswith("<p>third\n<!-- svu:page=")
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.write_bytes(page.read_bytes())
+    page.unlink()
+    page.symlink_to(elsewhere)
+    with pytest.warns(SvuWarning, match="is kept as report.before2.html"):
+        write_alone(page, "<p>fourth")
+    assert (tmp_path / "report.before2.html").is_symlink() and not page.is_symlink()
+    assert elsewhere.read_text().startswith("<p>third")
 
 
 def test_edited_files_of_an_older_result_are_not_removed(tmp_path):

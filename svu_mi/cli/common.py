@@ -1,0 +1,109 @@
+"""Options of every command; how it begins (a variant of Mitsuba, threads), and is interrupted."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import tyro
+
+from svu_mi import _llvm
+from svu_mi.errors import OptionError, SvuEnvironmentError, excerpt
+from svu_mi.limits import FEWEST_THREADS
+
+log = logging.getLogger(__name__)
+
+VARIANTS = ("cuda_ad_rgb", "metal_ad_rgb", "llvm_ad_rgb")  # the first that this machine can run
+
+MAX_THREADS = 1024
+
+Threads = Annotated[
+    int,
+    tyro.conf.arg(
+        aliases=["-t"],
+        help="CPU threads; 0 = all. At least 2: Mitsuba cannot read EXR files with one.",
+    ),
+]
+Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"], help="Log more; errors with traceback.")]
+Variant = Annotated[str, tyro.conf.arg(aliases=["-m"], help="Mitsuba variant.")]
+Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder for the results.")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Common:
+    """Options of every command, with Mitsuba's letters."""
+
+    draws: ClassVar[bool] = True
+    """Whether the command draws pictures, for which matplotlib is imported."""
+    variant: Variant = "auto"
+    """Mitsuba variant; auto takes the first usable of cuda, metal and llvm _ad_rgb."""
+    threads: Threads = 0
+    verbose: Verbose = False
+    trust: bool = False
+    """Let Mitsuba load libraries from a folder named plugins beside the scene, or in the working
+    directory: they run with all your rights. Without it they are refused."""
+
+    def start(self) -> None:
+        """Set the variant and the number of threads.
+
+        Raises:
+            SvuEnvironmentError: the variant does not exist or cannot run here.
+            OptionError: a negative number of threads.
+            SceneError: the working directory has libraries that Mitsuba would load.
+        """
+        if self.threads < 0:
+            raise OptionError(f"--threads must be 0 (all) or more, got {self.threads}.")
+        if self.threads > MAX_THREADS:
+            raise OptionError(f"--threads must be at most {MAX_THREADS}, got {self.threads}.")
+        import drjit as dr
+        import mitsuba as mi
+
+        self._set_variant()
+        import svu_mi.plugins  # noqa: F401 - registers them for the variant
+        from svu_mi.capture.trust import require_own_plugins
+
+        require_own_plugins(self.trust)
+
+        wanted = self.threads or dr.thread_count()
+        if self.threads == 1:
+            log.warning(f"--threads 1: {FEWEST_THREADS} are used, which Mitsuba needs to read EXR.")
+        dr.set_thread_count(max(wanted, FEWEST_THREADS))
+        mi.set_log_level(mi.LogLevel.Info if self.verbose else mi.LogLevel.Error)
+
+    def _set_variant(self) -> None:
+        import drjit as dr
+        import mitsuba as mi
+
+        name, known = self.variant, mi.variants()
+        if name not in ("auto", *known):
+            usable = [each for each in VARIANTS if each in known]
+            raise SvuEnvironmentError(
+                f"This Mitsuba has no variant '{name}'; leave -m out, or use {' or '.join(usable)}."
+            )
+        if name.startswith("cuda") and not dr.has_backend(dr.JitBackend.CUDA):
+            raise SvuEnvironmentError(
+                f"No GPU that Dr.Jit can use was found, which {name} needs; leave -m out, or run "
+                "svu doctor."
+            )
+        try:
+            mi.set_variant(*(VARIANTS if name == "auto" else (name,)))
+        except (ImportError, AttributeError, ValueError, RuntimeError) as error:
+            _llvm.require()  # the likely cause, with its remedy
+            raise SvuEnvironmentError(
+                f"Variant '{name}' is not available: {excerpt(error)}; run svu doctor."
+            ) from error
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C; its text says how to go on."""
+
+
+def was_interrupted(error: BaseException | None) -> bool:
+    """Return whether Ctrl-C is behind an error: Dr.Jit wraps it, like all that a loop raises."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False

@@ -1,0 +1,83 @@
+"""``svu compare``: what differs between two results."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+
+from svu_mi.cli.common import Common, Output
+from svu_mi.cli.inputs import Resolution, announcing, given, pair, say
+from svu_mi.errors import OptionError
+from svu_mi.limits import require_texels
+from svu_mi.needs import MODELS, Need, Size, Sizes
+from svu_mi.progress import Progress
+from svu_mi.results.writing import claimed
+
+Result = Annotated[Path, tyro.conf.Positional]
+Preset = Literal["default", "fixed", "fast", "paper"]
+Presets = Annotated[tuple[Preset, ...], tyro.conf.arg(metavar="PRESET [PRESET]")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compare(Common):
+    """Compare two captures, results or folders of textures of one object.
+
+    Each of A and B is a capture (which is estimated), a folder that svu entropy or svu recover
+    wrote, or any folder with base_color, roughness and metallic (some of them) as EXR or PNG, over
+    the same UVs. Writes compare.html, compare.json and a difference_*.exr of every map.
+    """
+
+    a: Annotated[Result, tyro.conf.arg(metavar="A")]
+    """The first, such as before a change."""
+    b: Annotated[Result, tyro.conf.arg(metavar="B")]
+    """The second, which the first is subtracted from."""
+    output: Output = Path("out/compare")
+    preset: Presets = ("default",)
+    """Of estimates of captures: default, fixed, fast or paper; two for A and B."""
+    resolution: Resolution = ()
+    """Texels per side, or width and height; by default those of the coarser textures, or 512."""
+    tolerance: float = 0.05
+    """Difference that counts where it is not known how certain both are."""
+
+    def run(self, console: Console) -> int:
+        """Compare, write the page, and say what was found."""
+        from svu_mi.output.compare import compare
+        from svu_mi.output.compare_page import write_comparison
+
+        size = pair(self.resolution, "--resolution") if self.resolution else None
+        if size:
+            require_texels(size, "--resolution")
+        if not 1 <= len(self.preset) <= 2:
+            raise OptionError("--preset takes one preset, or two for A and B.")
+        if not self.tolerance >= 0:
+            raise OptionError(f"--tolerance must be 0 or more, got {self.tolerance:g}.")
+        with claimed(self.output, "svu compare"):
+            self.start()
+            progress = Progress(console)
+
+            def preflight(path: str, texels: Size) -> Callable[[Sizes], None]:
+                return announcing(progress, path, partial(self._need, texels))
+
+            found = compare(
+                self.a, self.b, preset=(self.preset[0], self.preset[-1]), resolution=size,
+                tolerance=self.tolerance, trust=self.trust, progress=progress, preflight=preflight,
+            )  # fmt: skip
+            with progress.stage("Writing the page"):
+                write_comparison(found, self.output, settings=given(self))
+        say(console, f"Wrote {self.output / 'compare.html'}")
+        say(console, found.sentence())
+        return 0
+
+    def _need(self, texels: Size, sizes: Sizes) -> Need:
+        """Return what memory the one takes of the two estimates that takes more."""
+        model = max(self.preset, key=MODELS.__getitem__)
+        return Need(
+            "compare", sizes.photographs, texels, light=sizes.light, model=model,
+            charts=sizes.charts,
+        )  # fmt: skip

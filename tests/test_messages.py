@@ -1,0 +1,135 @@
+"""Messages are for whoever reads them: the command line gives no advice in Python."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from helpers import ball, fails, lettered, write_known, write_scene
+
+import svu_mi as svu
+from svu_mi.errors import OptionError, SvuError
+from svu_mi.output.textures import write_textures
+from svu_mi.posterior.streaming import log_prior
+
+pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
+PYTHON = re.compile(
+    r"\w\(\)|\w\([^)]*=|\b(?!-)[a-z_]+=['\"]|\b[a-z_]+=(?:True|False|None)|\bsvu\.[a-z]"
+    r"|\bmitsuba\.[a-z]|\w\.[a-z_]+\("
+)
+# Stages that only Python asks for what these say, and words that mean something else.
+UNREACHED = (
+    "bench", "reference", "metrics", "regularization", "frequency", "posterior", "recovery",
+    "statistics", "pipeline", "switches", "parameters", "plugins", "output", "interop",
+)  # fmt: skip
+FINE = (  # what the command line cannot do wrong: no variant, another type, a mesh without UVs
+    "mitsuba.set_variant", "is needed, got a ", "must be Candidates or sensors",
+    "load it with svu.load_capture",
+)  # fmt: skip
+
+
+def sentences(source: str) -> Iterator[tuple[int, str]]:
+    """Yield where an error without a text of its own for the shell is made, and what it says."""
+    for node in ast.walk(ast.parse(source)):
+        is_error = isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Error")
+        if not is_error or not node.args or any(k.arg == "shell" for k in node.keywords):
+            continue
+        constants = [p.value for p in ast.walk(node.args[0]) if isinstance(p, ast.Constant)]
+        yield node.lineno, "".join(text for text in constants if isinstance(text, str))
+
+
+def test_the_shell_gives_no_advice_in_python(root):
+    wrong = []
+    for path in sorted((root / "svu_mi").rglob("*.py")):
+        if path.relative_to(root / "svu_mi").parts[0].removesuffix(".py") in UNREACHED:
+            continue
+        for line, text in sentences(path.read_text(encoding="utf-8")):
+            rest = re.sub(r"^[\w.]+\(\)(: | takes | needs )", "", text)
+            if PYTHON.search(rest) and not any(word in rest for word in FINE):
+                wrong.append(f"{path.relative_to(root)}:{line}: {text}")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_an_error_says_the_same_to_both_but_for_the_call():
+    assert SvuError("estimate(): the prior is bad.").shell == "the prior is bad."
+    both = OptionError("Use trust=True.", shell="Use --trust.")
+    assert (str(both), both.shell) == ("Use trust=True.", "Use --trust.")
+
+
+def test_options_are_named_as_they_are_given(shot, tmp_path, capsys):
+    """A scientist reads what was typed, not how Python holds it."""
+    words = ("entropy", shot, "-o", tmp_path / "out")
+    assert fails(capsys, *words, "--known", "metal=0") == (
+        "svu: --known: there is no parameter 'metal'; use base_color, roughness or metallic."
+    )
+    assert fails(capsys, *words, "--resolution", 0) == (
+        "svu: --resolution takes one or two positive numbers, got 0."
+    )
+    line = fails(capsys, "guide", shot, "--band-limit", "growing", "-o", tmp_path / "out")
+    assert line == "svu: --band-limit growing needs --method spectrum."
+
+
+@pytest.mark.filterwarnings("ignore::svu_mi.errors.SvuWarning")
+def test_overlapping_charts_name_the_option_or_the_argument(tmp_path, capsys):
+    flat = ball()
+    doubled = {
+        "positions": np.concatenate([flat.positions, 0.2 * flat.positions + [2, 0, 0]]),
+        "faces": np.concatenate([flat.faces, flat.faces + len(flat.positions)]),
+        "normals": np.concatenate([flat.normals] * 2), "uvs": np.concatenate([flat.uvs] * 2),
+    }  # fmt: skip
+    scene = write_scene(tmp_path, **doubled)
+    line = fails(
+        capsys, "entropy", scene, "--render", "--spp", 1, "--resolution", 32, "-o", tmp_path / "out"
+    )
+    assert re.fullmatch(
+        r"svu: Shape 'ball' has overlapping UV charts: \d+ of \d+ texels lie on several surface "
+        r"points; use --unwrap, or lay out UVs without overlap\.", line,
+    )  # fmt: skip
+    mesh = svu.render_capture(scene, spp=1).mesh
+    with pytest.raises(SvuError, match=r"use load_capture\(unwrap=True\), or lay out"):
+        svu.texels(mesh, 32)
+
+
+def test_a_report_says_what_a_folder_is_that_has_no_textures(shot, tmp_path, capsys):
+    """As svu export does; and it takes the resolution of the textures."""
+    known = tmp_path / "known"
+    write_known(known, 20, 30)
+    words = ("report", shot, "-o", tmp_path / "report.html", "--recovered")
+    assert fails(capsys, *words, known) == (
+        f"svu: {known}: has no base_color.exr, roughness.exr, metallic.exr, so it is not a result "
+        "of svu recover but of svu entropy; run svu recover on the same capture, and give what it "
+        "writes."
+    )
+    (tmp_path / "textures").mkdir()
+    write_textures(lettered(32, 16), tmp_path / "textures")
+    assert fails(capsys, *words, tmp_path / "textures", "--resolution", 64) == (
+        f"svu: {tmp_path / 'textures'}: the textures have 32 x 16 texels; omit --resolution, which "
+        "is theirs."
+    )
+    assert fails(capsys, *words, tmp_path / "none") == (
+        f"svu: {tmp_path / 'none'}: no such folder; give one that svu recover wrote."
+    )
+
+
+@pytest.mark.parametrize(
+    "prior", ["uniform", [[1, 2], [3]], {"roughness": 1}, object(), 1j * np.ones(8), [None] * 8]
+)
+def test_a_prior_that_is_no_numbers_is_a_sentence(prior):
+    kind = type(prior).__name__
+    with pytest.raises(OptionError) as error:
+        log_prior(prior, (8, 8, 8), "estimate()")
+    assert str(error.value) == (
+        f"estimate(): the prior must be numbers, (8, 8, 8) or (8,), got a {kind}."
+    )
+
+
+def test_what_is_no_capture_estimate_or_candidate_is_a_sentence(vase):
+    with pytest.raises(SvuError, match=r"check\(\): a capture is needed, got a str; read one with"):
+        svu.check("cap")
+    with pytest.raises(SvuError, match=r"next_best_view\(\): an estimate is needed, got a str;"):
+        svu.next_best_view("cap")
+    with pytest.raises(SvuError, match="candidates must be Candidates or sensors, got 100; place"):
+        svu.next_best_view(vase.estimate, 100, 5)
