@@ -37,6 +37,7 @@ from svu_mi.errors import SvuError
 from svu_mi.exr import write_exr
 from svu_mi.formats.exposures import with_exif_exposures, with_exposures
 from svu_mi.formats.geometry import read_geometry
+from svu_mi.formats.lenses import Lens
 from svu_mi.formats.light import write_environment
 from svu_mi.formats.photographs import convert
 from svu_mi.formats.reading import read_source
@@ -96,10 +97,14 @@ def mesh(folder: Path, out: Path) -> None:
 
 
 def source(folder: Path, out: Path, *, place: str = ".") -> None:
-    """Read poses, and make their sensors."""
+    """Read poses, make their sensors, and straighten a photograph of a distorted lens."""
     found = read_source(folder / place)
     for frame in found.frames:
-        squared(fitted(frame, open_picture(frame.image).size))[0].sensor()
+        frame = fitted(frame, open_picture(frame.image).size)
+        made, scale = squared(frame)
+        made.sensor()
+        if frame.lens is not None:
+            convert(frame, out / "view.exr", scale)
     if found.light is not None:
         write_environment(found.light, out / "environment.exr")
 
@@ -225,6 +230,11 @@ def _transforms(folder: Path) -> None:
     write_transforms(folder / "transforms.json", _source(folder, exposure=2.0).frames)
 
 
+def _distorted(folder: Path) -> None:
+    lens = Lens((-0.1, 0.05, -0.01, 0.004), (1e-3, -2e-3))
+    write_transforms(folder / "transforms.json", _source(folder, lens=lens).frames)
+
+
 def _colmap(folder: Path, *, text: bool = False) -> None:
     write_colmap(folder, _source(folder.parent / "other"))
     if text:
@@ -311,7 +321,9 @@ def _all_formats() -> Iterator[Format]:
         make = partial(write_mesh, name=f"mesh.{suffix}", **options)
         yield Format(name=name, make=make, read=mesh, share=2)
     for name, make, targets, place in (
-        ("transforms", _transforms, "*.json", "."), ("colmap-binary", _colmap, "*.bin", "."),
+        ("transforms", _transforms, "*.json", "."),
+        ("transforms-distorted", _distorted, "*.json", "."),
+        ("colmap-binary", _colmap, "*.bin", "."),
         ("colmap-text", partial(_colmap, text=True), "*.txt", "."), ("owl", _owl, "*.txt", "test"),
         ("orb", _orb, "*_t*.json", "blender_HDR/ball_scene001"),
     ):  # fmt: skip

@@ -21,6 +21,8 @@ from svu_mi.errors import CaptureError, SvuEnvironmentError
 from svu_mi.formats.colmap import read_colmap, undistortion
 from svu_mi.formats.colmap.model import Camera, View, read_model, write_model
 from svu_mi.formats.colmap.source import find_model
+from svu_mi.formats.lenses import Lens
+from svu_mi.formats.reading import read_source
 from svu_mi.formats.source import OPENCV
 
 POINTS = np.random.default_rng(4401).uniform(-0.4, 0.4, (6, 3))
@@ -137,6 +139,16 @@ def test_a_model_is_found_in_its_project(tmp_path, place):
     assert find_model(tmp_path / "images") is None
 
 
+def test_the_folder_that_has_the_model_0_will_do(tmp_path):
+    """``svu import project/sparse`` and nerfstudio's ``svu import data/colmap/sparse``."""
+    put(tmp_path / "project")
+    put(tmp_path / "data", model="colmap/sparse/0")
+    for folder, parts in (("project", "sparse"), ("data", "colmap/sparse")):
+        source = read_source(tmp_path / folder / parts)
+        assert source.format == "colmap"
+        assert source.frames[0].image == tmp_path / folder / "images" / "a.png"
+
+
 def test_the_undistorted_model_and_its_images_go_first(tmp_path):
     put(tmp_path, camera=replace(CAMERA, model="OPENCV", parameters=(9.0,) * 8))
     put(tmp_path / "dense", model="sparse")
@@ -171,14 +183,30 @@ def test_folders_that_are_not_there(tmp_path):
         read_colmap(tmp_path, images=tmp_path / "sparse")
 
 
-STRAIGHT = {"SIMPLE_RADIAL": (9.0, 4.0, 3.0, 0.0), "OPENCV": (9.0, 9.5, 4.0, 3.0, 0, 0, 0, 0)}
+STRAIGHT = {"SIMPLE_DIVISION": (9.0, 4.0, 3.0, 0.0),
+            "FULL_OPENCV": (9.0, 9.5, 4.0, 3.0, *[0] * 8)}  # fmt: skip
+BENT = {"SIMPLE_RADIAL": {"k1": 1e-3}, "RADIAL": {"k1": 1e-3, "k2": 2e-3},
+        "OPENCV": {"k1": 1e-3, "k2": 2e-3, "p1": 3e-3, "p2": 4e-3},
+        "FULL_OPENCV": {"k1": 1e-3, "k2": 2e-3, "p1": 3e-3, "p2": 4e-3, "k3": 5e-3}}  # fmt: skip
+
+
+@pytest.mark.parametrize("model", BENT)
+def test_lenses_of_opencvs_model_are_straightened_by_the_import(tmp_path, model):
+    """Without pycolmap, and photographs of floats, too."""
+    focal = (9.0, 9.5) if "OPENCV" in model else (9.0,)
+    rest = [0.0] * (3 if model == "FULL_OPENCV" else 0)
+    parameters = (*focal, 4.0, 3.0, *BENT[model].values(), *rest)
+    camera = replace(CAMERA, model=model, parameters=parameters)
+    (frame,) = read_colmap(put(tmp_path, camera=camera)).frames
+    assert frame.lens == Lens.of(BENT[model]) and frame.center == (4.0, 3.0)
+    assert frame.focal == (focal[0], focal[-1])
 
 
 @pytest.mark.parametrize("model", STRAIGHT)
-def test_only_a_lens_that_bends_lines_is_refused(tmp_path, model):
+def test_other_lenses_that_bend_lines_are_refused(tmp_path, model):
     camera = replace(CAMERA, model=model, parameters=STRAIGHT[model])
     (frame,) = read_colmap(put(tmp_path / "straight", camera=camera)).frames
-    assert frame.focal[0] == 9.0 and frame.center == (4.0, 3.0)
+    assert frame.focal[0] == 9.0 and frame.center == (4.0, 3.0) and frame.lens is None
     bent = replace(camera, parameters=(*camera.parameters[:-1], 1e-3))
     with pytest.raises(CaptureError, match=rf"camera 1: .*\({model}\).*--undistort"):
         read_colmap(put(tmp_path / "bent", camera=bent))
@@ -298,6 +326,11 @@ def test_what_cannot_be_straightened_leaves_nothing_behind(tmp_path, monkeypatch
     write_model(globe / "sparse", {1: sphere}, read_model(globe / "sparse")[1])
     with pytest.raises(CaptureError, match="images: COLMAP cannot undistort .* EQUIRECTANGULAR"):
         undistortion.undistort(globe, tmp_path / "straight")
+    ring = put_lens(tmp_path / "ring", [(0, 0)])
+    folded = replace(LENS, parameters=(*LENS.parameters[:3], -2.0))
+    write_model(ring / "sparse", {1: folded}, read_model(ring / "sparse")[1])
+    with pytest.raises(CaptureError, match=r"sparse: camera 1: the lens \(k1 -2\) folds over"):
+        undistortion.undistort(ring, tmp_path / "straight")
     with monkeypatch.context() as patch:
         patch.setattr(undistortion, "SCRIPT", "import sys; sys.exit('lost')")
         with pytest.raises(CaptureError, match=r"images: COLMAP cannot undistort these \(lost\)"):
@@ -310,4 +343,4 @@ def test_what_cannot_be_straightened_leaves_nothing_behind(tmp_path, monkeypatch
     with pytest.raises(SvuEnvironmentError, match=r"svu_mi\[colmap\]"):
         undistortion.undistort(small, tmp_path / "straight")
     left = {path.name for path in tmp_path.iterdir()}
-    assert left == {"small", "globe", "radiance"}
+    assert left == {"small", "globe", "ring", "radiance"}

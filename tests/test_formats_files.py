@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 import OpenEXR
 import pytest
@@ -23,7 +25,7 @@ from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.picture import read_planes
 from svu_mi.capture.poses import describe, film_size, focal_length
 from svu_mi.capture.scene import to_world
-from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError
+from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError, SceneError
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.files import making_folder, read_json
 from svu_mi.formats.fixes import FIXES
@@ -382,7 +384,82 @@ def test_a_mirrored_map_is_turned_over(tmp_path):
     light = Light(path=tmp_path / "map.exr", to_world=np.diag([-1.0, 1, 1]))
     matrix, _ = write_environment(light, tmp_path / "environment.exr")
     assert np.linalg.det(matrix) > 0
-    assert read_exr(tmp_path / "environment.exr")["R"][9, 64 - 1 - 5] == 5
+    assert read_exr(tmp_path / "environment.exr")["R"][2 * 9 + 1, 64 - 1 - 5] == 5
+
+
+def test_every_row_of_a_map_is_where_its_pixels_are(tmp_path):
+    """Mitsuba's rows 0 and H - 1 are the poles; those of files are half a row away from them."""
+    for height, rows in ((16, 33), (520, 521)):
+        bright = height // 4
+        pixels = np.zeros((height, 2 * height, 3), np.float32)
+        pixels[bright] = 1
+        write_exr(tmp_path / "map.exr", {"RGB": pixels})
+        light = Light(path=tmp_path / "map.exr")
+        write_environment(light, tmp_path / "environment.exr")
+        made = read_exr(tmp_path / "environment.exr")["R"]
+        assert made.shape == (rows, 2 * height)
+        emitter = mi.load_dict({"type": "envmap", "filename": str(tmp_path / "environment.exr")})
+        theta = np.linspace(0, np.pi, 5001)
+        towards = np.stack([0 * theta, np.cos(theta), np.sin(theta)])
+        si = dr.zeros(mi.SurfaceInteraction3f, theta.size)
+        si.wi = -mi.Vector3f(towards.astype(np.float32))
+        seen = np.array(emitter.eval(si))[0]
+        center = (theta * seen).sum() / seen.sum()
+        assert center == pytest.approx((bright + 0.5) * np.pi / height, abs=0.02 * np.pi / height)
+        flux = (seen * np.sin(theta)).sum() * theta[1]
+        edges = np.array([bright, bright + 1]) * np.pi / height
+        assert flux == pytest.approx(-np.diff(np.cos(edges))[0], rel=2e-3)
+
+
+def test_an_even_map_stays_even(tmp_path):
+    write_exr(tmp_path / "map.exr", {"RGB": np.full((8, 16, 3), 0.7, np.float32)})
+    light = Light(path=tmp_path / "map.exr", scale=2.0)
+    write_environment(light, tmp_path / "environment.exr")
+    made = read_exr(tmp_path / "environment.exr")["R"]
+    np.testing.assert_allclose(made, 1.4, rtol=1e-6)
+    assert made.shape == (17, 16)
+
+
+def light_of(path: Path, pose: np.ndarray) -> np.ndarray:
+    """Radiance of Mitsuba's envmap from 2000 directions of the world."""
+    emitter = mi.load_dict({
+        "type": "envmap", "filename": str(path), "to_world": mi.ScalarTransform4f(pose),
+    })  # fmt: skip
+    towards = np.random.default_rng(0).normal(size=(3, 2000))
+    si = dr.zeros(mi.SurfaceInteraction3f, 2000)
+    si.wi = -mi.Vector3f((towards / np.linalg.norm(towards, axis=0)).astype(np.float32))
+    return np.array(emitter.eval(si))
+
+
+@pytest.mark.parametrize("height", [3, 16, 520])
+@pytest.mark.parametrize("turn", [np.eye(3), np.diag([-1.0, 1, 1])])
+def test_an_imported_map_can_be_imported_again(tmp_path, height, turn):
+    """Its rows are Mitsuba's already, which its header says, whatever their number."""
+    pixels = np.random.default_rng(height).random((height, 2 * height, 3), np.float32)
+    write_exr(tmp_path / "map.exr", {"RGB": pixels})
+    first, again = tmp_path / "environment.exr", tmp_path / "again.exr"
+    pose, _ = write_environment(Light(path=tmp_path / "map.exr", to_world=turn), first)
+    turned, _ = write_environment(Light(path=first, to_world=pose[:3, :3]), again)
+    np.testing.assert_array_equal(light_of(again, turned), light_of(first, pose))
+    write_environment(Light(path=first, to_world=np.diag([-1.0, 1, 1])), again)
+    np.testing.assert_array_equal(read_exr(again)["G"], read_exr(first)["G"][:, ::-1])
+
+
+@pytest.mark.parametrize("name", ["window", "studio", "overcast"])
+def test_maps_of_scenes_are_the_same_light_when_they_are_imported(tmp_path, root, name):
+    """Their rows are Mitsuba's, as of every map with one row more than half its columns."""
+    path = root / "scenes" / "lights" / f"{name}.exr"
+    pose, _ = write_environment(Light(path=path), tmp_path / "environment.exr")
+    there, here = light_of(path, np.eye(4)), light_of(tmp_path / "environment.exr", pose)
+    np.testing.assert_array_equal(here, there)
+
+
+def test_a_header_alone_makes_no_map(tmp_path):
+    """One row cannot be both poles; and only this one word is understood."""
+    for shape, said in (((1, 8, 3), "poles"), ((33, 32, 3), "elsewhere")):
+        write_exr(tmp_path / "map.exr", {"RGB": np.ones(shape)}, {"svu:rows": said})
+        with pytest.raises(CaptureError, match="twice as wide"):
+            write_environment(Light(path=tmp_path / "map.exr"), tmp_path / "e.exr")
 
 
 def test_maps_that_are_none(tmp_path):
@@ -412,8 +489,8 @@ def source(tmp_path) -> Source:
     frames = []
     for k in range(2):
         write_exr(folder / f"{k}.exr", {"RGB": np.full((6, 8, 3), 0.5 + k)})
-        pose = np.eye(4)
-        pose[:3, 3] = (0.3 * k, 0.2, -4)
+        pose = np.diag([-1.0, 1, -1, 1])  # in front of the quad, a little below
+        pose[:3, 3] = (0.3 * k, -0.2, 4)
         frames.append(Frame(
             label=f"frame {k}", image=folder / f"{k}.exr", to_world=pose, focal=(9.0, 9.0),
             center=(4.2, 2.9), size=(8, 6), exposure=2.0,
@@ -480,9 +557,8 @@ def test_photographs_are_shrunk_with_their_cameras(source, tmp_path):
 
 
 def test_what_is_missing_is_asked_for(source, tmp_path):
-    for change, sentence in (({"mesh": None}, "--mesh"), ({"light": None}, "--environment")):
-        with pytest.raises(OptionError, match=sentence):
-            import_capture(replace(source, **change), tmp_path / "capture")
+    with pytest.raises(OptionError, match="does not name the object's mesh; give it with --mesh"):
+        import_capture(replace(source, mesh=None), tmp_path / "capture")
     for options, sentence in (
         ({"every": 0}, "--every"), ({"mesh_scale": -1.0}, "positive"), ({"shrink": 0.5}, "shrink"),
         ({"fixes": ("up",)}, "no fix 'up'"), ({"world_up": "z"}, "give both"),
@@ -490,9 +566,26 @@ def test_what_is_missing_is_asked_for(source, tmp_path):
         with pytest.raises(OptionError, match=sentence):
             import_capture(source, tmp_path / "capture", ImportOptions(**options))
     (source.root / "1.exr").unlink()
-    with pytest.raises(CaptureError, match="1.exr: no such photograph"):
+    with pytest.raises(CaptureError, match="1 of 2 photographs are missing, first 1.exr; add"):
         import_capture(source, tmp_path / "capture")
     assert not (tmp_path / "capture").exists()
+
+
+def test_a_capture_without_a_light_says_so_and_can_be_checked(source, tmp_path):
+    """Poses may be looked at before anybody has taken a picture of the light."""
+    notes = import_capture(replace(source, light=None), tmp_path / "capture")
+    sentence = (
+        "The capture has no light: svu check says whether its poses fit, but nothing can be found "
+        "about reflectance. Import it again with --environment, the map of the light that the "
+        "photographs were taken under."
+    )
+    assert sentence in notes
+    record = json.loads((tmp_path / "capture" / "capture.json").read_text())
+    assert sentence in record["import"]["notes"]
+    assert not (tmp_path / "capture" / "environment.exr").exists()
+    with pytest.raises(SceneError, match="capture: was imported without a light.*--environment"):
+        svu.load_capture(tmp_path / "capture")
+    assert svu.load_capture(tmp_path / "capture", light="optional").count == 2
 
 
 def test_only_an_earlier_import_is_replaced(source, tmp_path):
@@ -640,7 +733,7 @@ def test_nerf_synthetic_with_shouted_suffixes(tmp_path):
     (frame,) = read_source(transforms(tmp_path, camera_angle_y=0.5)).frames
     assert frame.focal == pytest.approx([20 / np.tan(0.35), 10 / np.tan(0.25)])
     frame.image.unlink()
-    with pytest.raises(CaptureError, match="r_0: no such photograph"):
+    with pytest.raises(CaptureError, match="1 of 1 photographs are missing, first train/r_0; put"):
         read_source(tmp_path)
 
 
@@ -657,8 +750,8 @@ def test_poses_of_pixels_that_are_not_square_are_candidates(tmp_path):
     [
         ({"camera_model": "EQUIRECTANGULAR"}, "equirectangular is not a pinhole"),
         ({"is_fisheye": True}, "a fisheye is not a pinhole"),
-        ({"distortion_params": [0.1, 0, 0, 0]}, "distorted.*--undistort"),
-        ({"k1": 1e-3}, "distorted.*--undistort"),
+        ({"camera_model": "OPENCV_FISHEYE", "k1": 0.1}, "opencv_fisheye is not a pinhole"),
+        ({"distortion_params": [0.1, 0, 0, 0]}, "distortion_params must be the 6 numbers"),
     ],
 )
 def test_lenses_that_are_not_straight(tmp_path, changes, sentence):

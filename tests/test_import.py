@@ -9,6 +9,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+from scipy.interpolate import interp1d
 from studies.conventions.written import WRITERS, as_orb, write_glb
 
 import svu_mi as svu
@@ -55,6 +56,11 @@ def centered(tmp_path_factory) -> Original:
 def photographed(folder: Path, shift: tuple[float, float]) -> Original:
     shutil.copytree(scenes.path("knot").parent, folder / "knot")
     shutil.copytree(scenes.path("knot").parent.parent / "lights", folder / "lights")
+    window = read_exr(folder / "lights" / "window.exr")
+    # Twice as wide as high, as lamps are photographed: with as many rows as it has, from pole to
+    # pole, it would be Mitsuba's own.
+    write_exr(folder / "probe.exr", {name: plane[:-1] for name, plane in window.items()})
+    write_exr(folder / "lights" / "window.exr", {"RGB": for_mitsuba(folder / "probe.exr")})
     scene = mi.load_file(str(folder / "knot" / "knot.xml"), optimize=False)
     changes = {"film": SIZE, "crop_size": SIZE, "principal_point_offset": shift}
     light = nodes.plugin("emitter", "envmap", id="light")
@@ -74,9 +80,20 @@ def photographed(folder: Path, shift: tuple[float, float]) -> Original:
     ]
     source = Source(
         format="svu", root=folder / "capture", frames=frames, mesh=folder / "knot" / "mesh.ply",
-        light=Light(path=folder / "lights" / "window.exr", to_world=LIGHT),
+        light=Light(path=folder / "probe.exr", to_world=LIGHT),
     )  # fmt: skip
     return Original(capture, entropy_of(capture), source)
+
+
+def for_mitsuba(path: Path) -> np.ndarray:
+    """Rows of a map from pole to pole, where Mitsuba has them, between the centres of pixels."""
+    pixels = np.stack([read_exr(path)[name] for name in "RGB"], axis=-1).astype(np.float64)
+    height = len(pixels)
+    poles = [np.broadcast_to(row.mean(axis=0), row.shape) for row in (pixels[0], pixels[-1])]
+    rows = np.stack([poles[0], *pixels, poles[1]])
+    return interp1d([0, *(np.arange(height) + 0.5), height], rows, axis=0)(
+        np.linspace(0, height, 2 * height + 1)
+    )
 
 
 def entropy_of(capture: svu.Capture) -> np.ndarray:

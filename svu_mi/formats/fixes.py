@@ -17,7 +17,7 @@ from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.capture.poses import affine
 from svu_mi.settings import require_known
 
-Kind = Literal["camera", "mesh", "light", "texture"]
+Kind = Literal["camera", "mesh", "light", "texture", "winding"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,13 +26,13 @@ class Fix:
 
     Attributes:
         name: as ``--fix`` takes it.
-        kind: what it changes: ``camera`` (all sensors), ``mesh`` (against the cameras), ``light``
-            or ``texture``.
+        kind: what it changes: ``camera`` (all sensors), ``mesh`` (against the cameras), ``light``,
+            ``texture`` or ``winding`` (which side of the surface is its front).
         cause: what probably went wrong, as half a sentence.
         matrix: (3, 3). ``camera``: multiplied from the right to each ``to_world``; ``mesh``: from
             the left to each position; ``light``: in the frame of Mitsuba's envmap, from the right
             to the emitter's rotation (det < 0: the map is mirrored left to right). None for
-            ``camera-inverse`` and ``texture-flip-v``, which are not matrices.
+            ``camera-inverse``, ``texture-flip-v`` and ``mesh-inside-out``, which are not matrices.
     """
 
     name: str
@@ -80,6 +80,8 @@ FIXES = {fix.name: fix for fix in (
         cause="the environment map has another axis up than the world"),
     Fix(name="texture-flip-v", kind="texture",
         cause="V of the texture coordinates is flipped"),
+    Fix(name="mesh-inside-out", kind="winding",
+        cause="the faces of the mesh are wound the wrong way"),
 )}  # fmt: skip
 
 
@@ -117,12 +119,15 @@ def corrected_poses(poses: np.ndarray, fix: Fix, camera_axes: np.ndarray) -> np.
 
 
 def corrected_mesh(mesh: MeshArrays, fix: Fix) -> MeshArrays:
-    """Return a mesh turned or mirrored, or textured the other way round.
+    """Return a mesh turned, mirrored, inside out, or textured the other way round.
 
     Args:
         mesh: its buffers.
-        fix: of kind ``mesh`` or ``texture``.
+        fix: of kind ``mesh``, ``texture`` or ``winding``.
     """
+    if fix.kind == "winding":
+        normals = None if mesh.normals is None else -mesh.normals
+        return replace(mesh, normals=normals, faces=mesh.faces[:, ::-1])
     if fix.matrix is None:
         return replace(mesh, uvs=None if mesh.uvs is None else flipped_v(mesh.uvs))
     mirrored = np.linalg.det(fix.matrix) < 0

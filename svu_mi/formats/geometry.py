@@ -19,7 +19,13 @@ from svu_mi.errors import CaptureError, MeshError, OutputError, excerpt
 from svu_mi.formats import gltf
 from svu_mi.formats.normals import repaired
 from svu_mi.formats.paths import inside
-from svu_mi.formats.textures import Textures, is_textured, load_pictures, textures_of
+from svu_mi.formats.textures import (
+    Textures,
+    ignored_of,
+    is_textured,
+    load_pictures,
+    textures_of,
+)
 
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tga", ".bmp", ".tif", ".tiff")
@@ -28,6 +34,10 @@ PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".tga", ".bmp", ".tif", ".tiff")
 V_DOWN = (".ply",)
 MAX_BYTES = 2**31
 MAX_NUMBER = 1e9  # units or UV tiles
+LEFT_OUT = (
+    "left out: the object is taken to have a base colour, roughness and metallic only, and the "
+    "normals of its mesh."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,9 +91,20 @@ def read_geometry(path: str | Path, *, geometry_only: bool = False) -> Geometry:
     mesh, notes = repaired(mesh, str(path))
     if files.missing:
         notes.append(f"{path}: refers to {excerpt(files.missing[0])}, which does not exist.")
+    if not geometry_only:
+        notes += _about_ignored(path, parts)
     if mesh.uvs is None and any(is_textured(part.visual) for part in parts):
         notes.append(f"{path}: its textures are left out, and its UVs are laid out again.")
     return Geometry(mesh=mesh, textures=textures, notes=notes)
+
+
+def _about_ignored(path: Path, parts: Sequence[_Part]) -> list[str]:
+    names = [name for part in parts for name in ignored_of(part.visual)]
+    if path.suffix.lower() in gltf.SUFFIXES:
+        with _damage_of(path):
+            names = gltf.ignored(path)
+    listed = ", ".join(excerpt(name) for name in dict.fromkeys(names))
+    return [f"{path}: has {listed}, {LEFT_OUT}"] if listed else []
 
 
 def _buffers(parts: Sequence[_Part], path: Path) -> MeshArrays:
@@ -144,9 +165,8 @@ class _Part:
         matrix, name = scene.graph[node]
         part = scene.geometry[name]
         faces = np.array(getattr(part, "faces", np.empty((0, 3))), np.int64)
-        # A file's own normals are there, others are computed on demand, up to UV seams.
-        given = len(faces) > 0 and "vertex_normals" in part._cache
-        normals = part.vertex_normals @ np.linalg.inv(matrix[:3, :3]) if given else None
+        own = _own_normals(part) if len(faces) > 0 else None
+        normals = None if own is None else own @ np.linalg.inv(matrix[:3, :3])
         mirrored = np.linalg.det(matrix[:3, :3]) < 0
         uvs = getattr(part.visual, "uv", None)
         load_pictures(part.visual)
@@ -160,6 +180,18 @@ class _Part:
             part.visual,
             hash(part.visual.material) if part.visual.kind == "texture" else None,
         )
+
+
+def _own_normals(part: Any) -> np.ndarray | None:
+    """Return a file's own normals, one per vertex; trimesh computes others when asked for them,
+    up to UV seams, and leaves those of a PLY where they are."""
+    if "vertex_normals" in part._cache:
+        return np.asarray(part.vertex_normals)
+    raw = part.metadata.get("_ply_raw", {}).get("vertex", {})
+    if not {"nx", "ny", "nz"} <= set(raw.get("properties", ())):
+        return None
+    found = np.stack([np.asarray(raw["data"][name], float).ravel() for name in ("nx", "ny", "nz")])
+    return found.T if found.shape[1] == len(part.vertices) else None
 
 
 def _parts(path: Path, files: _Inside, geometry_only: bool) -> list[_Part]:

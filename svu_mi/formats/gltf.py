@@ -26,6 +26,12 @@ HARMLESS = {"offset": [0, 0], "scale": [1, 1], "rotation": 0}  # of such a trans
 FLOAT = 5126
 FREE = 2**20  # numbers that any file may ask for; more must be in it, not repeated
 ATTRIBUTES = ("POSITION", "NORMAL", "TEXCOORD_0")
+# Parts of a material, and of those of PBR, that no parameter here stands for.
+IGNORED = {
+    "normalTexture": "a normal map", "occlusionTexture": "an occlusion map",
+    "emissiveTexture": "emission", "alphaMode": "transparency",
+}  # fmt: skip
+MODEL = "KHR_materials_"  # how extensions of the reflection model begin
 
 
 def check_gltf(path: Path, *, geometry_only: bool) -> int:
@@ -65,6 +71,27 @@ def check_gltf(path: Path, *, geometry_only: bool) -> int:
             "import only the geometry with --geometry-only."
         )
     return held
+
+
+def ignored(path: Path) -> list[str]:
+    """Return what a file's materials have that is left out, such as ``a normal map``.
+
+    Args:
+        path: a GLB or glTF that ``check_gltf`` has passed.
+    """
+    record = _header(path)
+    materials = record.get("materials", [])
+    primitives = [p for mesh in record.get("meshes", ()) for p in mesh["primitives"]]
+    used = [materials[p["material"]] for p in primitives if "material" in p]
+    names = [
+        name for material in used for key, name in IGNORED.items()
+        if material.get(key, "OPAQUE") != "OPAQUE"
+    ]  # fmt: skip
+    names += ["emission" for m in used if any(m.get("emissiveFactor", ()))]
+    extensions = [key for material in used for key in material.get("extensions", ())]
+    names += [key.removeprefix(MODEL) for key in extensions if key.startswith(MODEL)]
+    names += ["vertex colours" for p in primitives if "COLOR_0" in p["attributes"]]
+    return list(dict.fromkeys(names))
 
 
 def _header(path: Path) -> dict[str, Any]:

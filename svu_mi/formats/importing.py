@@ -18,8 +18,10 @@ from svu_mi.capture import nodes
 from svu_mi.capture.folder import Description
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.capture.picture import open_picture
+from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.scene import require_variant
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap
+from svu_mi.capture.winding import MOST, has_front_outside, part_from_behind
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.formats.exposures import with_exif_exposures, with_exposures
 from svu_mi.formats.fixes import FIXES, Fix, corrected_mesh, corrected_poses, fixes_named, turn_of
@@ -37,6 +39,11 @@ from svu_mi.results.writing import exchanging
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
 MAX_DEPTH = 6  # of the paths that a scene without a say of its own is rendered with
 PIXELS_AT_A_TIME = 2**26  # of the photographs in memory, some 40 bytes each
+NO_LIGHT = (
+    "The capture has no light: svu check says whether its poses fit, but nothing can be found "
+    "about reflectance. Import it again with --environment, the map of the light that the "
+    "photographs were taken under."
+)
 
 
 def import_capture(
@@ -44,6 +51,7 @@ def import_capture(
     folder: str | Path,
     options: ImportOptions | None = None,
     *,
+    words: Sequence[str] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> list[str]:
     """Write a capture folder: ``scene.xml`` with all it refers to, photographs, ``capture.json``.
@@ -55,6 +63,8 @@ def import_capture(
         folder: made if missing. A capture that was imported there earlier is replaced; a folder
             that holds anything else, or a file that was changed since, is refused.
         options: see there.
+        words: of the command that asked for it, without ``svu import`` and the folder; they are
+            kept for ``again.command``.
         progress: called with (photographs done, photographs in all).
 
     Returns:
@@ -63,34 +73,37 @@ def import_capture(
     Raises:
         CaptureError: a photograph, a mask or the environment is missing or damaged.
         MeshError: the mesh is.
-        OptionError: an option is out of range, or mesh or light are missing.
+        OptionError: an option is out of range, or the mesh is missing.
         OutputError: the folder cannot be written, or holds something else.
     """
     require_variant()
     options = options or ImportOptions()
     fixes = _fixes(options)
-    frames = _frames(source, options, fixes)
+    there, left_out = _there(source, options)
+    frames = _frames(there, source, options, fixes)
     mesh, light = options.mesh or source.mesh, options.environment or source.light
+    if light is not None and not light.path.is_file():
+        raise CaptureError(
+            f"{light.path}: no such file, which should be the light; give an HDR or EXR map with "
+            "--environment."
+        )
     if mesh is None:
         raise OptionError(f"{source.root}: does not name the object's mesh; give it with --mesh.")
-    if light is None:
-        raise OptionError(
-            f"{source.root}: does not name an environment map; the method needs the light "
-            "that the photographs were taken under: give it with --environment."
-        )
     with exchanging(folder, "import", capture_folder.FILE, [UNWRAPPED]) as draft:
         made = draft.folder
         geometry = _placed(read_geometry(mesh, geometry_only=options.geometry_only), options, fixes)
         found = _write_photographs(frames, made, options.shrink, progress)
         sensors = [frame.sensor(_clip(frame, geometry.mesh)) for frame, _ in found]
+        geometry = _facing(geometry, [frame for frame, _ in found], fixes, str(mesh))
         geometry = _with_uvs(geometry, str(mesh))
         if all(converted.empty for _, converted in found):
             raise CaptureError(
                 f"{frames[0].mask or frames[0].image}: this mask and all others are empty; "
                 "in a mask, white is the object."
             )
-        notes = [*source.notes, *geometry.notes, *about(frames, [c for _, c in found])]
-        light = replace(light, to_world=light.to_world @ turn_of(fixes, "light"))
+        notes = [*source.notes, *left_out, *geometry.notes, *about(frames, [c for _, c in found])]
+        if light is not None:
+            light = replace(light, to_world=light.to_world @ turn_of(fixes, "light"))
         notes += _write_scene(made, geometry, light, sensors)
         description = Description(
             scene=made / SCENE,
@@ -100,6 +113,7 @@ def import_capture(
                 "format": source.format, "from": str(source.root), "fixes": list(options.fixes),
                 "photographs": [name_in(source.root, frame.image) for frame, _ in found],
                 "notes": notes,
+                **({"options": list(words)} if words else {}),
             },
         )  # fmt: skip
         capture_folder.write(draft, description, sensors)
@@ -112,11 +126,31 @@ def _fixes(options: ImportOptions) -> tuple[Fix, ...]:
     return (*([] if between is None else [FIXES[between]]), *fixes_named(options.fixes))
 
 
-def _frames(source: Source, options: ImportOptions, fixes: Sequence[Fix]) -> list[Frame]:
-    """Return the frames that are asked for, as large as their photographs, with fixed cameras."""
-    require_views(len(source.frames[:: options.every]), f"{source.root}: photographs", CaptureError)
+def _there(source: Source, options: ImportOptions) -> tuple[list[Frame], list[str]]:
+    """Return the frames that are asked for and have a photograph, and what is left out."""
+    asked = source.frames[:: options.every]
+    require_views(len(asked), f"{source.root}: photographs", CaptureError)
+    there = [frame for frame in asked if frame.image.is_file()]
+    absent = [frame for frame in asked if not frame.image.is_file()]
+    if not absent:
+        return there, []
+    lack = (
+        f"{source.root}: {len(absent)} of {len(asked)} photographs are missing, first "
+        f"{name_in(source.root, absent[0].image)}"
+    )
+    if not there:
+        raise CaptureError(f"{lack}; put them where the poses name them.")
+    if options.missing == "refuse":
+        raise CaptureError(f"{lack}; add them, or --missing leave-out to go on without them.")
+    return there, [f"{lack}; left out."]
+
+
+def _frames(
+    there: Sequence[Frame], source: Source, options: ImportOptions, fixes: Sequence[Fix]
+) -> list[Frame]:
+    """Return frames as large as their photographs, with fixed cameras."""
     frames = []
-    for frame in _exposed(source.frames[:: options.every], options):
+    for frame in _exposed(there, options):
         poses = frame.to_world[None]
         for fix in fixes:
             if fix.kind == "camera":
@@ -142,10 +176,10 @@ def _exposed(frames: Sequence[Frame], options: ImportOptions) -> Sequence[Frame]
 
 
 def _placed(geometry: Geometry, options: ImportOptions, fixes: Sequence[Fix]) -> Geometry:
-    """Apply the fixes of mesh and texture, and scale the mesh."""
+    """Apply the fixes of the mesh and its texture, and scale it."""
     mesh = geometry.mesh
     for fix in fixes:
-        if fix.kind in ("mesh", "texture"):
+        if fix.kind in ("mesh", "texture", "winding"):
             mesh = corrected_mesh(mesh, fix)
     return replace(geometry, mesh=replace(mesh, positions=mesh.positions * options.mesh_scale))
 
@@ -156,6 +190,32 @@ def _clip(frame: Frame, mesh: MeshArrays) -> tuple[float, float]:
     distance = np.linalg.norm(frame.to_world[:3, 3] - (low + high) / 2)
     reach = float(max(distance, np.linalg.norm(high - low) / 2))
     return reach * 1e-2, reach * 1e2
+
+
+def _facing(
+    geometry: Geometry, frames: Sequence[Frame], fixes: Sequence[Fix], label: str
+) -> Geometry:
+    """Turn an open surface that the photographs show from behind, unless a correction says how."""
+    scene = scene_of([capture_mesh.make(OBJECT, geometry.mesh)])
+    eyes = [frame.to_world[:3, 3] for frame in frames]
+    behind = part_from_behind(scene, geometry.mesh, eyes)
+    if behind < MOST:
+        return geometry
+    mesh, what = geometry.mesh, "its triangles are flipped."
+    if any(fix.kind == "winding" for fix in fixes):
+        what = "--fix mesh-inside-out has turned it so: leave it out if that was not meant."
+    elif has_front_outside(mesh):
+        what = (
+            "it is closed, so the cameras are inside it: see that its units are those of the poses "
+            "(--mesh-scale)."
+        )
+    else:
+        mesh = corrected_mesh(mesh, FIXES["mesh-inside-out"])
+    note = (
+        f"{label}: {behind:.0%} of what the photographs show of it is its back, where nothing can "
+        f"be found; {what}"
+    )
+    return replace(geometry, mesh=mesh, notes=[*geometry.notes, note])
 
 
 def _with_uvs(geometry: Geometry, label: str) -> Geometry:
@@ -192,16 +252,18 @@ def _write_photographs(
 
 
 def _write_scene(
-    folder: Path, geometry: Geometry, light: Light, sensors: Sequence[Any]
+    folder: Path, geometry: Geometry, light: Light | None, sensors: Sequence[Any]
 ) -> list[str]:
     """Write the scene and what it refers to; return sentences about the light."""
     capture_mesh.write_ply(folder / MESH, OBJECT, geometry.mesh)
     write_pictures(geometry.textures, folder)
-    pose, notes = write_environment(light, folder / ENVIRONMENT)
     root = nodes.scene()
     root.append(nodes.put(nodes.plugin("integrator", "path"), max_depth=MAX_DEPTH))
-    emitter = nodes.plugin("emitter", "envmap", id="environment")
-    root.append(nodes.put(emitter, filename=ENVIRONMENT, to_world=pose))
+    notes = [NO_LIGHT]
+    if light is not None:
+        pose, notes = write_environment(light, folder / ENVIRONMENT)
+        emitter = nodes.plugin("emitter", "envmap", id="environment")
+        root.append(nodes.put(emitter, filename=ENVIRONMENT, to_world=pose))
     shape = nodes.put(nodes.plugin("shape", "ply", id=OBJECT), filename=MESH)
     material = nodes.plugin("bsdf", "principled", id=f"{OBJECT}_material")
     for name in geometry.textures:

@@ -31,7 +31,8 @@ class Light:
     """An environment map.
 
     Attributes:
-        path: an HDR or EXR lat-long map (text becomes a path).
+        path: an HDR or EXR lat-long map, whose rows are those of pixels: the first is half a row
+            away from the pole, unless it was made for Mitsuba (text becomes a path).
         to_world: (3, 3) float64, from the frame of Mitsuba's envmap to the world: a rotation,
             such as one of ``ENVIRONMENT_AXES``.
         scale: factor of its radiance.
@@ -68,6 +69,8 @@ class ImportOptions:
     """Shrink photographs by this factor."""
     every: int = 1
     """Take every N-th photograph."""
+    missing: Literal["refuse", "leave-out"] = "refuse"
+    """What to do if poses have no photograph: leave-out goes on with the others."""
     fixes: Sequence[str] = ()
     """Correction that svu check proposed; can be repeated."""
 
@@ -79,6 +82,8 @@ class ImportOptions:
         """
         if self.every < 1:
             raise OptionError(f"--every must be 1 (all photographs) or more, got {self.every}.")
+        if self.missing not in ("refuse", "leave-out"):
+            raise OptionError(f"--missing must be refuse or leave-out, got {self.missing!r}.")
         if not 0 < self.mesh_scale < np.inf:
             raise OptionError(f"--mesh-scale must be positive, got {self.mesh_scale}.")
         if (self.mesh_up is None) != (self.world_up is None):

@@ -11,7 +11,7 @@ import numpy as np
 from svu_mi.capture.images import IN_MASK, ON_OBJECT, SATURATED, UNUSABLE, read_mask
 from svu_mi.capture.picture import decoded, open_picture
 from svu_mi.exr import write_exr
-from svu_mi.formats.resampling import resampled
+from svu_mi.formats.resampling import resampled, unbent
 from svu_mi.formats.source import Frame
 
 BORDER = 0.9  # part of a photograph's border that no object covers
@@ -69,16 +69,17 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
             planes[channel] = decoded(plane, frame.transfer)
         invalid |= ~(np.isfinite(plane) & (plane >= 0))
     bad = clipped | invalid
-    for channel, plane in enumerate(planes):
-        plane[bad] = 0
-        planes[channel] = _resampled(plane, scale)
-    touched = _resampled(bad, scale) > PART
     for plane in planes:
-        plane[touched] = UNUSABLE
-    channels = dict(zip("RGB", planes, strict=True))
+        plane[bad] = 0
+    layers = {**dict(zip("RGB", planes, strict=True)), "bad": bad}
     if mask is not None:
-        channels["A"] = _resampled(mask, scale)
+        layers["A"] = mask
         clipped &= mask
+    del planes
+    channels = _resampled(layers, frame, scale)
+    touched = channels.pop("bad") > PART
+    for name in "RGB":
+        channels[name][touched] = UNUSABLE
     write_exr(path, channels, half=bits == 8)  # eight bits lose nothing there
     return Converted(
         bits=bits,
@@ -97,8 +98,16 @@ def _is_inverted(mask: np.ndarray) -> bool:
     return bool(border.mean() > BORDER and not mask.all())
 
 
-def _resampled(plane: np.ndarray, scale: tuple[float, float]) -> np.ndarray:
-    return resampled(np.asarray(plane, np.float32)[..., None], scale)[..., 0]
+def _resampled(
+    layers: dict[str, np.ndarray], frame: Frame, scale: tuple[float, float]
+) -> dict[str, np.ndarray]:
+    """Straighten and shrink layers, which are taken out one by one: photographs may be huge."""
+    names = list(layers)
+    straight = unbent([np.asarray(layers.pop(name), np.float32) for name in names], frame)
+    return {
+        name: resampled(plane[..., None], scale)[..., 0]
+        for name, plane in zip(names, straight, strict=True)
+    }
 
 
 def _mask(frame: Frame, planes: list[np.ndarray], low_range: bool) -> np.ndarray | None:
@@ -136,6 +145,9 @@ def about(frames: Sequence[Frame], found: Sequence[Converted]) -> list[str]:
               "are stored rotated; their EXIF orientation is ignored, because poses must be of the "
               "pixels as stored. If svu check shows them rotated, save their pixels upright and "
               "import again."),
+        *those([f.lens is not None for f in frames],
+              "are straightened, since their lenses are distorted; the focal length is kept, and "
+              "borders are cut where nothing was seen."),
         *those([c.foreign for c in found],
               "have chromaticities other than those of Rec. 709; their values are used as they "
               "are: convert them if colours matter."),

@@ -17,6 +17,7 @@ from svu_mi.capture.picture import Transfer
 from svu_mi.capture.poses import affine, film_size, focal_length, make_sensor, principal_point
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError, excerpt
+from svu_mi.formats.lenses import Lens
 from svu_mi.formats.options import ENVIRONMENT_AXES as ENVIRONMENT_AXES
 from svu_mi.formats.options import Light as Light
 
@@ -53,6 +54,7 @@ class Frame:
         size: (width, height) in pixels that focal and center refer to.
         exposure: gain of the photograph: radiance is its linear pixels divided by it.
         transfer: how an integer image encodes linear values; EXR, HDR and PFM are linear.
+        lens: what bends straight lines in the photograph; None = nothing does.
     """
 
     label: str
@@ -64,6 +66,7 @@ class Frame:
     size: tuple[int, int]
     exposure: float = 1.0
     transfer: Transfer = "srgb"
+    lens: Lens | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is not a camera.
@@ -108,8 +111,14 @@ class Frame:
             clip: distance of the near and the far plane.
 
         Raises:
-            CaptureError: the pixels are not square (see ``resampling.squared``).
+            CaptureError: the lens is distorted, or the pixels are not square (see
+                ``resampling.squared``).
         """
+        if self.lens is not None:
+            raise CaptureError(
+                f"{self.label}: the lens is distorted; straighten the photograph, or import it "
+                "with svu import, which does."
+            )
         if not self.has_square_pixels:
             raise CaptureError(
                 f"{self.label}: fl_x and fl_y differ, so the pixels are not square; resample the "

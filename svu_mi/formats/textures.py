@@ -16,6 +16,11 @@ from svu_mi.files import replacing
 MAX_PIXELS = 2**26  # 8192 x 8192
 CONSTANT = 4  # pixels per side of the texture that stands for a factor without a texture
 
+# Statements of an OBJ's material that no parameter here stands for.
+IGNORED = {
+    "bump": "a bump map", "map_bump": "a bump map", "norm": "a normal map", "disp": "displacement",
+}  # fmt: skip
+
 # By parameter: base_color (H, W, 3) bytes, sRGB; roughness and metallic (H, W) bytes, linear.
 Textures = Mapping[str, np.ndarray]
 
@@ -52,6 +57,12 @@ def is_textured(visual: Any) -> bool:
         return hash(material) != hash(empty_material())  # what trimesh gives to UVs alone
     names = ("baseColorTexture", "metallicRoughnessTexture")
     return any(getattr(material, name, None) is not None for name in names)
+
+
+def ignored_of(visual: Any) -> list[str]:
+    """Return what the material of an OBJ has that is left out, such as ``a bump map``."""
+    said = getattr(getattr(visual, "material", None), "kwargs", None) or {}
+    return [name for key, name in IGNORED.items() if key in said]
 
 
 def load_pictures(visual: Any) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from svu_mi.capture.picture import SUFFIXES, open_picture
 from svu_mi.errors import CaptureError, OptionError, excerpt
 from svu_mi.files import read_json, write_json
+from svu_mi.formats.lenses import COEFFICIENTS, Lens
 from svu_mi.formats.paths import inside, name_in
 from svu_mi.formats.source import OPENGL, Frame, Source
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 FILE = "transforms.json"
 SPLITS = ("train", "test", "val")  # parts that a folder usually has
-DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+UNKNOWN = ("k5", "k6")  # numbers of lenses that are not in the model
 BENT = ("FISHEYE", "EQUIRECTANGULAR", "ORTHO", "VR180", "OMNIDIRECTIONAL")  # parts of models' names
 
 
@@ -58,7 +59,8 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
     Intrinsics are taken from the frame, or else from the file: ``fl_x`` (or ``camera_angle_x``,
     the opening angle in radians), ``fl_y``, ``cx``, ``cy`` (the centre by default), ``w``, ``h``
     (by default those of the photograph). ``exposure`` is a gain per frame, ours. A
-    ``file_path`` without extension is looked for with each that photographs may have.
+    ``file_path`` without extension is looked for with each that photographs may have. Lenses are
+    ``k1``, ``k2``, ``k3``, ``k4``, ``p1``, ``p2``, or these six as a list ``distortion_params``.
 
     Args:
         path: the file.
@@ -67,12 +69,13 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
 
     Raises:
         CaptureError: the file is not such JSON, a frame lacks something, names a file outside
-            the folder, or its lens is not straight, or its pose mirrored.
+            the folder, or its camera is not of a supported model, or its pose mirrored.
     """
     path = Path(path)
     record, frames = read_poses(path)
     applied = _applied(record, path)
     before = np.linalg.inv(applied) if original_world else np.eye(4)
+    usual = _usual_size(path, record, frames)
     kept = not original_world and not np.allclose(applied, np.eye(4))
     note = (
         f"{path}: has an applied_transform; poses are used as they are, in the world after it. "
@@ -82,7 +85,7 @@ def read_transforms(path: str | Path, *, original_world: bool = False) -> Source
         format="transforms",
         root=path.parent,
         frames=tuple(
-            parse_frame(record, frame, path.parent, f"{path}: frame {index}", before)
+            parse_frame(record, frame, path.parent, f"{path}: frame {index}", before, usual)
             for index, frame in enumerate(frames)
         ),
         camera_axes=OPENGL,
@@ -127,6 +130,7 @@ def _record(frame: Frame, root: Path) -> dict[str, Any]:
         "fl_x": frame.focal[0], "fl_y": frame.focal[1],
         "cx": frame.center[0], "cy": frame.center[1],
         "w": frame.size[0], "h": frame.size[1],
+        **({} if frame.lens is None else frame.lens.record),
         "transform_matrix": (frame.to_world @ OPENGL).tolist(),
     }  # fmt: skip
 
@@ -148,7 +152,12 @@ def _matrix(value: Any) -> np.ndarray:
 
 
 def parse_frame(
-    record: Mapping[str, Any], given: Any, root: Path, label: str, before: np.ndarray
+    record: Mapping[str, Any],
+    given: Any,
+    root: Path,
+    label: str,
+    before: np.ndarray,
+    usual: tuple[int, int] | None = None,
 ) -> Frame:
     """Read one frame.
 
@@ -158,6 +167,7 @@ def parse_frame(
         root: folder that files are named relative to.
         label: the file and frame, for messages.
         before: (4, 4), applied to the pose from the left.
+        usual: size of a photograph that is missing.
 
     Raises:
         CaptureError: as ``read_transforms``.
@@ -168,17 +178,17 @@ def parse_frame(
         image = _image(root, known.get("file_path"), label)
         masked = known.get("mask_path")
         mask = None if masked is None else inside(root, masked, label)
-        size = _size(known, image)
+        size = _size(known, image, usual)
         fl_x = _focal(known, "x", size[0])
         fl_y = _focal(known, "y", size[1], fl_x)  # instant-ngp may say camera_angle_y
         center = (float(known.get("cx", size[0] / 2)), float(known.get("cy", size[1] / 2)))
         exposure = float(known.get("exposure", 1.0))
+        lens = _lens(known, label)
     except (KeyError, TypeError, ValueError, OverflowError, ZeroDivisionError) as error:
         raise CaptureError(
             f"{label}: {excerpt(repr(error))}; a frame needs transform_matrix, w, h, and fl_x or "
             "camera_angle_x."
         ) from error
-    _refuse_bent(known, label)
     with np.errstate(all="ignore"):  # what is not finite is refused by the frame
         to_world = before @ matrix @ OPENGL
     return Frame(
@@ -190,28 +200,75 @@ def parse_frame(
         center=center,
         size=size,
         exposure=exposure,
+        lens=lens,
     )
 
 
-def _refuse_bent(known: Mapping[str, Any], label: str) -> None:
+def _lens(known: Mapping[str, Any], label: str) -> Lens | None:
+    """Return what bends lines, None if nothing does; refuse cameras that are no pinholes at all."""
     model = str(known.get("camera_model", "")).upper()
     if any(name in model for name in BENT) or known.get("is_fisheye"):
         raise CaptureError(
             f"{label}: {model.lower()[:40] or 'a fisheye'} is not a pinhole camera; undistort the "
             "photographs first."
         )
-    listed = known.get("distortion_params") or ()
-    if any(known.get(key) for key in DISTORTION) or (isinstance(listed, list) and any(listed)):
+    numbers = [float(known.get(key) or 0) for key in COEFFICIENTS]
+    listed = known.get("distortion_params")
+    if listed and any(map(float, listed)):
+        if len(listed) != len(COEFFICIENTS):
+            raise CaptureError(
+                f"{label}: distortion_params must be the {len(COEFFICIENTS)} numbers "
+                f"{', '.join(COEFFICIENTS)}, got {len(listed)}; give each by its own name."
+            )
+        numbers = [float(number) for number in listed]
+    if not np.isfinite(numbers).all() or any(known.get(key) for key in UNKNOWN):
         raise CaptureError(
-            f"{label}: the lens is distorted; svu import undistorts COLMAP's photographs with "
-            "--undistort (nerfstudio keeps that model in colmap/sparse/0); undistort others first."
+            f"{label}: a lens must be finite numbers {', '.join(COEFFICIENTS)}, others and NaN are "
+            "not supported; undistort the photographs first."
         )
+    if not any(numbers):
+        return None
+    return Lens.of(dict(zip(COEFFICIENTS, numbers, strict=True)))
 
 
-def _size(known: Mapping[str, Any], image: Path) -> tuple[int, int]:
-    if "w" not in known and "h" not in known and known.get("file_path") is not None:
-        return open_picture(image).size
-    return int(known["w"]), int(known["h"])
+def _size(
+    known: Mapping[str, Any], image: Path, usual: tuple[int, int] | None
+) -> tuple[int, int]:
+    if _says_size(known) or known.get("file_path") is None:
+        return int(known["w"]), int(known["h"])
+    if usual is not None and not image.is_file():
+        return usual
+    return open_picture(image).size
+
+
+def _says_size(known: Mapping[str, Any]) -> bool:
+    return "w" in known or "h" in known
+
+
+def _usual_size(
+    path: Path, record: Mapping[str, Any], frames: Sequence[Any]
+) -> tuple[int, int] | None:
+    """Return the size of the first photograph, for others whose size nobody says.
+
+    Raises:
+        CaptureError: none of the photographs is there.
+    """
+    named = {
+        k: frame["file_path"] for k, frame in enumerate(frames)
+        if isinstance(frame, dict) and "file_path" in frame and not _says_size(frame)
+    }  # fmt: skip
+    if _says_size(record) or not named:
+        return None
+    first = None
+    for index, name in named.items():
+        image = _image(path.parent, name, f"{path}: frame {index}")
+        if image.is_file():
+            return open_picture(image).size
+        first = first or image
+    raise CaptureError(
+        f"{path}: {len(named)} of {len(frames)} photographs are missing, first "
+        f"{name_in(path.parent, first or path)}; put them where the poses name them."
+    )
 
 
 def _focal(

@@ -21,6 +21,7 @@ import numpy as np
 
 from svu_mi.errors import CaptureError, excerpt
 from svu_mi.files import replacing
+from svu_mi.formats.lenses import Lens
 
 # Parameters of each camera model, in the order of their numbers (COLMAP's sensor/models.h).
 PARAMETERS = {
@@ -34,6 +35,11 @@ PARAMETERS = {
 FOCAL_LENGTHS = {
     "SIMPLE_PINHOLE": 1, "PINHOLE": 2, "SIMPLE_RADIAL": 1, "RADIAL": 1, "OPENCV": 2,
     "FULL_OPENCV": 2, "SIMPLE_DIVISION": 1, "DIVISION": 2,
+}  # fmt: skip
+# What the parameters behind the centre are, of lenses that are straightened here.
+BENT = {
+    "SIMPLE_RADIAL": ("k1",), "RADIAL": ("k1", "k2"), "OPENCV": ("k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("k1", "k2", "p1", "p2", "k3"),  # if the others, k4 to k6, are zero
 }  # fmt: skip
 CAMERA_FIELDS = ("CAMERA_ID", "MODEL", "WIDTH", "HEIGHT", "PARAMS")
 VIEW_FIELDS = ("IMAGE_ID", "QW", "QX", "QY", "QZ", "TX", "TY", "TZ", "CAMERA_ID", "NAME")
@@ -60,11 +66,26 @@ class Camera:
 
     def pinhole(self) -> tuple[tuple[float, float], tuple[float, float]] | None:
         """Return focal lengths and principal point, None if straight lines are bent."""
-        count = FOCAL_LENGTHS.get(self.model, 0)
-        if not count or any(self.parameters[count + 2 :]):
-            return None
+        return self.intrinsics if self.model in FOCAL_LENGTHS and not any(self.bends) else None
+
+    @property
+    def intrinsics(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Focal lengths and principal point, of a model in ``FOCAL_LENGTHS``."""
+        count = FOCAL_LENGTHS[self.model]
         focal, center = self.parameters[:count], self.parameters[count : count + 2]
         return (focal[0], focal[-1]), (center[0], center[1])
+
+    @property
+    def bends(self) -> tuple[float, ...]:
+        """What bends lines, of a model in ``FOCAL_LENGTHS``."""
+        return self.parameters[FOCAL_LENGTHS[self.model] + 2 :]
+
+    def lens(self) -> Lens | None:
+        """Return what bends lines if it is of the model that is straightened here, else None."""
+        names = BENT.get(self.model, ())
+        if not names or any(self.bends[len(names) :]):
+            return None
+        return Lens.of(dict(zip(names, self.bends, strict=False)))
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from svu_mi.capture.picture import SUFFIXES
 from svu_mi.capture.poses import affine
 from svu_mi.errors import CaptureError, excerpt
 from svu_mi.formats.colmap.model import Camera, View, is_model, read_model
+from svu_mi.formats.lenses import Lens
 from svu_mi.formats.paths import inside
 from svu_mi.formats.source import OPENCV, Frame, Source
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 # Undistorted models go before those they were made from: both have the same world.
 # nerfstudio keeps the project in colmap/, with the photographs beside it.
-PLACES = ("dense/sparse", "dense/0/sparse", "sparse/0", "sparse", "colmap/sparse/0", ".")
+PLACES = ("dense/sparse", "dense/0/sparse", "sparse/0", "sparse", "colmap/sparse/0", ".", "0")
 IMAGES, MASKS = "images", "masks"
 
 
@@ -66,22 +67,24 @@ def read_colmap(path: Path, *, images: Path | None = None, masks: Path | None = 
     """Read a sparse model, in the order of the images' names.
 
     Args:
-        path: the model's folder, or a project with ``sparse/0``, ``sparse`` or ``dense/sparse``.
+        path: the model's folder, the folder ``sparse`` that its ``0`` is in, or a project with
+            ``sparse/0``, ``sparse`` or ``dense/sparse``.
         images: folder of the photographs; by default ``images`` beside the model.
         masks: folder of the masks, by default ``masks`` beside the model if there is one:
             ``NAME.png`` for the image NAME, as COLMAP has it, or of the same stem.
 
     Raises:
-        CaptureError: there is no model, it is damaged, a lens is distorted, or a photograph is
-            missing.
+        CaptureError: there is no model, it is damaged, a lens is of a model that only pycolmap
+            straightens, or a photograph is missing.
     """
-    project = read_project(path, images, masks)
+    project = read_project(path, images, masks, partly=True)
     frames = []
     for view, photograph, mask in zip(
         project.views, project.photographs, project.masks, strict=True
     ):
         camera = project.cameras[view.camera]
-        focal, center = _pinhole(camera, f"{project.model}: camera {view.camera}")
+        lens = None if camera.pinhole() else _lens(camera, f"{project.model}: camera {view.camera}")
+        focal, center = camera.intrinsics
         frames.append(Frame(
             label=_label(project.model, view),
             image=photograph,
@@ -90,6 +93,7 @@ def read_colmap(path: Path, *, images: Path | None = None, masks: Path | None = 
             focal=focal,
             center=center,
             size=(camera.width, camera.height),
+            lens=lens,
         ))  # fmt: skip
     return Source(
         format="colmap", root=path, frames=frames, camera_axes=OPENCV, notes=list(_notes(project))
@@ -102,16 +106,19 @@ def find_model(path: Path) -> Path | None:
     return next((folder for folder in folders if is_model(folder)), None)
 
 
-def read_project(path: Path, images: Path | None, masks: Path | None) -> Project:
+def read_project(
+    path: Path, images: Path | None, masks: Path | None, *, partly: bool = False
+) -> Project:
     """Read the model and find its pictures.
 
     Args:
         path: the model's folder, or a project with ``sparse/0``, ``sparse`` or ``dense/sparse``.
         images: folder of the photographs; None = ``images`` beside the model.
         masks: folder of the masks; None = ``masks`` beside the model, if there is one.
+        partly: whether some of the photographs may be missing.
 
     Raises:
-        CaptureError: the model is missing or damaged, or a photograph is missing.
+        CaptureError: the model is missing or damaged, or photographs are missing.
     """
     model = find_model(path)
     if model is None:
@@ -125,7 +132,7 @@ def read_project(path: Path, images: Path | None, masks: Path | None) -> Project
     masks = masks or _beside(model, MASKS)
     files = [inside(images, view.name, _label(model, view)) for view in views]
     missing = [file for file in files if not file.is_file()]
-    if missing:
+    if missing and not (partly and len(missing) < len(files)):
         raise CaptureError(
             f"{images}: {len(missing)} of {len(files)} photographs are missing, "
             f"{excerpt(missing[0].relative_to(images))} first; give their folder with --images."
@@ -146,7 +153,8 @@ def _label(model: Path, view: View) -> str:
 
 def _beside(model: Path, name: str) -> Path | None:
     """Return a folder in the model's own or one above, as far as projects nest it."""
-    ways = (".", "..", "../..", *(["../../.."] if model.parts[-3:-2] == ("colmap",) else []))
+    nested = model.absolute().parts[-3:-2] == ("colmap",)
+    ways = (".", "..", "../..", *(["../../.."] if nested else []))
     folders = [Path(os.path.normpath(model / up / name)) for up in ways]
     return next((folder for folder in folders if folder.is_dir()), None)
 
@@ -158,14 +166,14 @@ def _mask(folder: Path, name: Path) -> Path | None:
     return next((file for file in names if file.is_file()), None)
 
 
-def _pinhole(camera: Camera, label: str) -> tuple[tuple[float, float], tuple[float, float]]:
-    pinhole = camera.pinhole()
-    if pinhole is None:
+def _lens(camera: Camera, label: str) -> Lens:
+    lens = camera.lens()
+    if lens is None:
         raise CaptureError(
             f"{label}: the lens is distorted ({camera.model}); svu import undistorts the "
             "photographs with --undistort."
         )
-    return pinhole
+    return lens
 
 
 def _to_world(view: View) -> np.ndarray:

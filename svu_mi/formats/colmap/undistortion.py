@@ -1,5 +1,7 @@
 """Straight lines for COLMAP's distorted cameras: photographs and masks resampled by pycolmap.
 
+Only for lenses that are not of OpenCV's model (``formats.lenses``), such as fisheyes.
+
 It runs in a process of its own: it aborts on what it does not expect, and its copy of zlib must
 not meet that of Pillow. It gets nothing but a model with the cameras and poses that were read
 here, and pictures that were decoded here.
@@ -24,6 +26,8 @@ from svu_mi.errors import CaptureError, SvuEnvironmentError
 from svu_mi.files import making_folder, prepare_folder
 from svu_mi.formats.colmap.model import Camera, View, read_model, write_model
 from svu_mi.formats.colmap.source import IMAGES, MASKS, read_project
+from svu_mi.formats.resampling import straightened
+from svu_mi.formats.source import Frame
 
 KINDS = (".png", ".jpg", ".jpeg")  # COLMAP resamples eight bits
 # A JPEG file is compressed a second time.
@@ -62,6 +66,8 @@ def undistort(
         for view, file in zip(project.views, project.photographs, strict=True)
     ]
     cameras = {view.camera: project.cameras[view.camera] for view in views}
+    for number, camera in cameras.items():
+        _require_one_to_one(camera, f"{project.model}: camera {number}")
     with making_folder(output) as made, TemporaryDirectory(dir=made) as name:
         scratch = Path(name)
         masked = []
@@ -79,6 +85,18 @@ def undistort(
             straight = _straightened(cameras, masked, scratch / MASKS, scratch / "shapes")
             (straight / IMAGES).rename(made / MASKS)
     return output
+
+
+def _require_one_to_one(camera: Camera, label: str) -> None:
+    """Refuse a lens that shows something twice: COLMAP would undistort it to pictures of rings."""
+    lens = camera.lens()
+    if lens is None:
+        return
+    focal, center = camera.intrinsics
+    straightened(Frame(
+        label=label, image=Path(), to_world=np.eye(4), focal=focal, center=center,
+        size=(camera.width, camera.height), lens=lens,
+    ))  # fmt: skip
 
 
 def _checked(camera: Camera, file: Path, mask: Path | None) -> np.ndarray | None:

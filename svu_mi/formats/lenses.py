@@ -1,0 +1,107 @@
+"""Lenses that bend straight lines: OpenCV's model of them, and its inverse.
+
+What a pinhole would show at (x, y), in parts of the focal length from the principal point with +X
+right and +Y down, is seen at
+
+    x' = x d + 2 p1 x y + p2 (r^2 + 2 x^2)
+    y' = y d + p1 (r^2 + 2 y^2) + 2 p2 x y         d = 1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8
+
+which is Brown's model as OpenCV, COLMAP, instant-ngp and nerfstudio have it. k4 is nerfstudio's;
+OpenCV calls another number so, of a fraction that nobody writes to ``transforms.json``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+COEFFICIENTS = ("k1", "k2", "k3", "k4", "p1", "p2")  # in nerfstudio's order
+STEPS = 50  # of Newton's method; sound lenses take 3 to 7
+EXACT = 1e-12  # of a point's distance plus 1: 1e-8 pixels of a photograph of any size
+FRACTIONS = np.linspace(0, 1, 33)[1:]  # of the way from the centre, that is looked at for folds
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A lens, by the numbers of its model.
+
+    Attributes:
+        radial: k1, k2, k3, k4.
+        tangential: p1, p2.
+    """
+
+    radial: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    tangential: tuple[float, float] = (0.0, 0.0)
+
+    @staticmethod
+    def of(record: Mapping[str, float]) -> Lens:
+        """Return the lens of numbers by name, see ``COEFFICIENTS``; others are 0."""
+        k1, k2, k3, k4, p1, p2 = (float(record.get(name, 0)) for name in COEFFICIENTS)
+        return Lens((k1, k2, k3, k4), (p1, p2))
+
+    @property
+    def record(self) -> dict[str, float]:
+        """The numbers by name, see ``COEFFICIENTS``."""
+        return dict(zip(COEFFICIENTS, (*self.radial, *self.tangential), strict=True))
+
+    def bent(self, points: np.ndarray) -> np.ndarray:
+        """Return where points are seen: (..., 2) float64 of (..., 2), both as in the model."""
+        x, y = np.moveaxis(points, -1, 0)
+        p1, p2 = self.tangential
+        square, factor, _ = self._radial(x, y)
+        return np.stack([
+            x * factor + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+            y * factor + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
+        ], axis=-1)  # fmt: skip
+
+    def straightened(self, seen: np.ndarray) -> np.ndarray:
+        """Return the points (..., 2) that are seen at others: the inverse of ``bent``.
+
+        Newton's method starts where the points are seen. A point is NaN where that does not arrive:
+        the lens shows nothing there. Where the lens folds over, what it arrives at may be any of
+        several points (see ``is_one_to_one``).
+        """
+        points = np.array(seen, np.float64)
+        near = EXACT * (1 + np.abs(points))
+        with np.errstate(all="ignore"):  # what is lost becomes NaN
+            for _ in range(STEPS):
+                off = self.bent(points) - seen
+                if (np.abs(off) < near).all():
+                    break
+                xx, xy, yy = self._slopes(points)
+                ox, oy = np.moveaxis(off, -1, 0)
+                step = np.stack([yy * ox - xy * oy, xx * oy - xy * ox], axis=-1)
+                points -= step / (xx * yy - xy * xy)[..., None]
+            arrived = (np.abs(self.bent(points) - seen) < near).all(axis=-1)
+        points[~arrived] = np.nan
+        return points
+
+    def is_one_to_one(self, outline: np.ndarray) -> bool:
+        """Whether no two points inside an outline are seen at the same place.
+
+        Args:
+            outline: (N, 2), around the principal point or beside it; NaN makes it False.
+        """
+        with np.errstate(all="ignore"):
+            xx, xy, yy = self._slopes(FRACTIONS[:, None, None] * outline)
+            return bool((xx * yy - xy * xy > 0).all())
+
+    def _radial(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return r^2, d, and the derivative of d by r^2."""
+        square = x * x + y * y
+        k1, k2, k3, k4 = self.radial
+        factor = 1 + square * (k1 + square * (k2 + square * (k3 + square * k4)))
+        return square, factor, k1 + square * (2 * k2 + square * (3 * k3 + square * 4 * k4))
+
+    def _slopes(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return dx'/dx, dx'/dy, which dy'/dx equals, and dy'/dy."""
+        x, y = np.moveaxis(points, -1, 0)
+        p1, p2 = self.tangential
+        _, factor, slope = self._radial(x, y)
+        return (
+            factor + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x,
+            2 * x * y * slope + 2 * p1 * x + 2 * p2 * y,
+            factor + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x,
+        )

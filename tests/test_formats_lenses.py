@@ -1,0 +1,254 @@
+"""Distorted lenses: the model is COLMAP's and OpenCV's, and what it bends is straightened.
+
+pycolmap runs in a process of its own, see test_formats_colmap.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracle import lens as oracle
+from PIL import Image
+
+from svu_mi.capture.images import UNUSABLE
+from svu_mi.capture.picture import srgb
+from svu_mi.errors import CaptureError
+from svu_mi.exr import read_exr, write_exr
+from svu_mi.formats.lenses import Lens
+from svu_mi.formats.photographs import convert
+from svu_mi.formats.resampling import squared, straightened, unbent
+from svu_mi.formats.source import Frame
+from svu_mi.formats.transforms import read_transforms, write_transforms
+from svu_mi.guidance.candidates import Candidates
+
+# A telephone, a wide angle whose borders bulge outwards, a lens that is off its axis, nerfstudio's.
+LENSES = {
+    "telephone": {"k1": 0.0578, "k2": -0.0796, "p1": -0.0009, "p2": 0.0008},
+    "barrel": {"k1": -0.28, "k2": 0.07, "k3": -0.008},
+    "tilted": {"k1": 0.02, "p1": 0.013, "p2": -0.021},
+    "nerfstudio": {"k1": -0.1, "k2": 0.05, "k3": -0.01, "k4": 0.004, "p1": 1e-3, "p2": -2e-3},
+}
+WIDTH, HEIGHT, FOCAL, CENTER = 180, 120, (150.0, 140.0), (93.5, 57.25)
+PIXEL = 1e-6  # the bar
+# Looks directions up, and pixels, with COLMAP's camera of the same numbers.
+PYCOLMAP = """
+import json, sys
+import numpy as np
+import pycolmap
+cameras = json.loads(sys.argv[1])
+points = np.array(json.loads(sys.argv[2]))
+found = []
+for parameters in cameras:
+    camera = pycolmap.Camera(model="FULL_OPENCV", width=180, height=120, params=parameters)
+    pixels = camera.img_from_cam(np.c_[points, np.ones(len(points))])
+    found.append([np.asarray(pixels).tolist(), np.asarray(camera.cam_from_img(pixels)).tolist()])
+print(json.dumps(found))
+"""
+
+
+def frame_of(lens: Lens | None, image: Path = Path("a.exr"), **fields: object) -> Frame:
+    return Frame(**{
+        "label": "t.json: frame 0", "image": image, "to_world": np.eye(4), "focal": FOCAL,
+        "center": CENTER, "size": (WIDTH, HEIGHT), "lens": lens, **fields,
+    })  # fmt: skip
+
+
+def points() -> np.ndarray:
+    """Directions all over the photograph."""
+    x, y = np.meshgrid(np.linspace(-0.55, 0.55, 12), np.linspace(-0.4, 0.4, 9))
+    return np.stack([x.ravel(), y.ravel()], axis=-1)
+
+
+def test_pixels_are_those_of_colmaps_camera():
+    known = [name for name, numbers in LENSES.items() if "k4" not in numbers]  # COLMAP has none
+    cameras = []
+    for name in known:
+        k1, k2, k3, _, p1, p2 = Lens.of(LENSES[name]).record.values()
+        cameras.append([*FOCAL, *CENTER, k1, k2, p1, p2, k3, 0, 0, 0])
+    words = [json.dumps(cameras), json.dumps(points().tolist())]
+    done = subprocess.run(
+        [sys.executable, "-c", PYCOLMAP, *words], check=True, capture_output=True, text=True
+    )
+    for name, (pixels, back) in zip(known, json.loads(done.stdout), strict=True):
+        lens = Lens.of(LENSES[name])
+        np.testing.assert_allclose(lens.bent(points()) * FOCAL + CENTER, pixels, atol=PIXEL)
+        found = lens.straightened((np.array(pixels) - CENTER) / FOCAL)
+        np.testing.assert_allclose(found * FOCAL, np.array(back) * FOCAL, atol=PIXEL)
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_the_model_is_that_of_the_books_and_its_inverse(name):
+    lens = Lens.of(LENSES[name])
+    wanted = oracle.bent(*points().T, lens.record).T
+    np.testing.assert_allclose(lens.bent(points()), wanted, atol=1e-14)
+    np.testing.assert_allclose(lens.straightened(wanted), points(), atol=1e-11)
+    np.testing.assert_allclose(oracle.straight(*wanted.T, lens.record).T, points(), atol=1e-11)
+
+
+def photograph(lens: Lens, field: float = 24.0) -> np.ndarray:
+    """Chequers of so many pixels through a lens, (HEIGHT, WIDTH)."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    seen = (x - CENTER[0]) / FOCAL[0], (y - CENTER[1]) / FOCAL[1]
+    u, v = oracle.straight(*seen, lens.record)
+    return oracle.chequers(u * FOCAL[0] + CENTER[0], v * FOCAL[1] + CENTER[1], field)
+
+
+def chequers_of(frame: Frame, field: float = 24.0) -> np.ndarray:
+    """The same chequers as a camera without distortion sees them."""
+    y, x = np.mgrid[: frame.size[1], : frame.size[0]] + 0.5
+    u, v = x - frame.center[0] + CENTER[0], y - frame.center[1] + CENTER[1]
+    return oracle.chequers(u, v, field)
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_chequers_become_straight_again(name):
+    """Between four pixels 2 max |f''| / 8 is lost at most, and more where the lens shrinks."""
+    lens = Lens.of(LENSES[name])
+    (found,) = unbent([photograph(lens)], frame_of(lens))
+    straight = straightened(frame_of(lens))
+    assert found.shape == straight.size[::-1] and found.dtype == np.float32
+    off = np.abs(found - chequers_of(straight))
+    bound = 2 * 0.5 * (np.pi / 24) ** 2 / 8
+    assert off[1:-1, 1:-1].max() < 2.5 * bound and off.mean() < bound / 2
+    as_it_was = np.abs(photograph(lens) - chequers_of(frame_of(None)))
+    assert as_it_was.mean() > 5 * off.mean()
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_the_straight_photograph_is_the_largest_without_empty_borders(name):
+    lens = Lens.of(LENSES[name])
+    made = straightened(frame_of(lens))
+    assert made.lens is None and made.focal == FOCAL
+    corners = np.array([(x, y) for x in (0, made.size[0]) for y in (0, made.size[1])], float)
+    edges = np.linspace(corners[:-1], corners[1:], 50).reshape(-1, 2)  # around, and a diagonal
+    seen = lens.bent((edges - made.center) / made.focal) * FOCAL + CENTER
+    assert seen.min() > -0.01 and (seen < np.array([WIDTH, HEIGHT]) + 0.01).all()
+    for wider in ((1.5, 0), (0, 1.5)):  # some border would be empty
+        low, high = -np.array(wider), np.array(made.size) + wider
+        edges = np.concatenate([
+            np.stack([np.full(99, x), np.linspace(low[1], high[1], 99)], axis=-1)
+            for x in (low[0], high[0])
+        ] + [
+            np.stack([np.linspace(low[0], high[0], 99), np.full(99, y)], axis=-1)
+            for y in (low[1], high[1])
+        ])  # fmt: skip
+        seen = lens.bent((edges - made.center) / made.focal) * FOCAL + CENTER
+        assert (seen < 0).any() or (seen > [WIDTH, HEIGHT]).any()
+
+
+def test_a_straight_photograph_is_at_most_twice_as_wide():
+    """A lens that shrinks its borders by more than two; beyond, nothing but blur would be added."""
+    center, focal = (WIDTH / 2, HEIGHT / 2), (WIDTH / 2 / 0.46,) * 2
+    made = straightened(frame_of(Lens.of({"k1": -1, "k2": 0.46}), focal=focal, center=center))
+    assert made.size[0] == 2 * WIDTH and HEIGHT < made.size[1] < 2 * HEIGHT
+    assert made.center[0] == pytest.approx(WIDTH)
+
+
+@pytest.mark.parametrize("numbers", [{"k1": -0.9}, {"k1": 40.0, "k2": -3e3}, {"p1": 1.0, "p2": -2},
+                                     {"k4": 1e300}, {"k3": -1e30}])  # fmt: skip
+def test_a_lens_that_folds_over_is_refused(numbers):
+    with pytest.raises(CaptureError, match=r"t.json: frame 0: the lens \(.*\) folds over inside"):
+        straightened(frame_of(Lens.of(numbers)))
+
+
+def test_numbers_of_an_action_camera_that_hold_in_the_middle_only():
+    """Real ones do that at the corners: it is not called impossible, and a crop is taken."""
+    lens = Lens.of({"k1": -0.26, "k2": 0.09, "k3": -0.015})
+    focal = (0.4 * WIDTH, 0.4 * WIDTH)
+    sentence = re.escape(
+        "the lens (k1 -0.26, k2 0.09, k3 -0.015) folds over inside the photograph, so its numbers "
+        "do not hold as far as the corners; correct them, crop the photographs, or undistort them "
+        "by the camera's own program."
+    )
+    with pytest.raises(CaptureError, match=sentence):
+        straightened(frame_of(lens, focal=focal))
+    size = (WIDTH // 2, HEIGHT // 2)
+    cropped = replace(frame_of(lens, focal=focal), size=size, center=(size[0] / 2, size[1] / 2))
+    assert straightened(cropped).size >= size
+
+
+def test_photographs_of_floats_and_of_bytes_are_straightened_in_linear_light(tmp_path):
+    lens = Lens.of(LENSES["barrel"])
+    ramp = np.broadcast_to(np.linspace(0, 8, WIDTH, dtype=np.float32), (HEIGHT, WIDTH)).copy()
+    write_exr(tmp_path / "a.exr", {"RGB": np.stack([ramp] * 3, axis=-1)})
+    frame = frame_of(lens, tmp_path / "a.exr")
+    convert(frame, tmp_path / "view.exr", squared(frame)[1])
+    found = read_exr(tmp_path / "view.exr")["R"]
+    wide, scale = squared(frame)
+    x = (np.arange(wide.size[0]) + 0.5) / scale[0]  # of the straight photograph, before squaring
+    y = (np.arange(wide.size[1]) + 0.5) / scale[1]
+    straight = straightened(frame)
+    u, v = (np.stack(np.meshgrid(x, y), axis=-1) - straight.center).T
+    bent = lens.bent(np.stack([u.T / FOCAL[0], v.T / FOCAL[1]], axis=-1))[..., 0] * FOCAL[0]
+    wanted = (bent + CENTER[0] - 0.5) / (WIDTH - 1) * 8
+    np.testing.assert_allclose(found[3:-3, 3:-3], wanted[3:-3, 3:-3], atol=0.02)
+    pixels = (srgb(ramp / 10) * 255 + 0.5).astype(np.uint8)
+    Image.fromarray(np.stack([pixels] * 3, axis=-1)).save(tmp_path / "a.png")
+    convert(frame_of(lens, tmp_path / "a.png"), tmp_path / "view.exr", scale)
+    eight = read_exr(tmp_path / "view.exr")["R"]
+    np.testing.assert_allclose(eight[3:-3, 3:-3], found[3:-3, 3:-3] / 10, atol=0.005)
+
+
+def test_masks_and_pixels_that_cannot_be_used_go_along(tmp_path):
+    lens = Lens.of(LENSES["telephone"])
+    pixels = np.ones((HEIGHT, WIDTH, 3), np.float32)
+    pixels[40, 60] = -3
+    write_exr(tmp_path / "a.exr", {"RGB": pixels})
+    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+    mask[30:90, 50:130] = 255
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    frame = frame_of(lens, tmp_path / "a.exr", focal=(150.0, 150.0), mask=tmp_path / "mask.png")
+    found = convert(frame, tmp_path / "view.exr", squared(frame)[1])
+    made = read_exr(tmp_path / "view.exr")
+    assert found.invalid == 1 and found.masked
+    rows, columns = np.nonzero(made["R"] == UNUSABLE)
+    place = straightened(frame)
+    seen = lens.straightened((np.array([60.5, 40.5]) - CENTER) / frame.focal)
+    wanted = seen * place.focal + place.center - 0.5
+    assert 1 <= len(rows) <= 9
+    np.testing.assert_allclose([columns.mean(), rows.mean()], wanted, atol=1)
+    inside = made["A"] >= 0.999
+    assert abs(inside.sum() / (60 * 80) - 1) < 0.06 and set(np.unique(made["A"])) > {0, 1}
+
+
+def written(folder: Path, **changes: object) -> Path:
+    """A transforms.json as phones, instant-ngp and nerfstudio write it."""
+    record = {"fl_x": 150.0, "fl_y": 150.0, "w": WIDTH, "h": HEIGHT, **changes}
+    frame = {"file_path": "a.exr", "transform_matrix": np.eye(4).tolist()}
+    (folder / "transforms.json").write_text(json.dumps({**record, "frames": [frame]}))
+    return folder / "transforms.json"
+
+
+@pytest.mark.parametrize("changes", [
+    {"k1": -0.1, "k2": 0.05, "k3": -0.01, "k4": 0.004, "p1": 1e-3, "p2": -2e-3},
+    {"camera_model": "OPENCV", "distortion_params": [-0.1, 0.05, -0.01, 0.004, 1e-3, -2e-3]},
+])  # fmt: skip
+def test_a_distorted_transforms_json_is_read(tmp_path, changes):
+    (frame,) = read_transforms(written(tmp_path, **changes)).frames
+    assert frame.lens == Lens.of(LENSES["nerfstudio"])
+    write_transforms(tmp_path / "again.json", [frame])
+    assert read_transforms(tmp_path / "again.json").frames[0].lens == frame.lens
+    assert read_transforms(written(tmp_path, k1=0.0, p2=0)).frames[0].lens is None
+
+
+@pytest.mark.parametrize(("changes", "sentence"), [
+    ({"distortion_params": [0.1, 0, 0, 0]}, "must be the 6 numbers k1, k2, .*, got 4; give each"),
+    ({"k1": float("nan")}, "finite numbers"), ({"k5": 0.1}, "others and NaN are not supported"),
+    ({"k1": "much"}, "frame 0"), ({"distortion_params": {"k1": 1}}, "frame 0"),
+])  # fmt: skip
+def test_lenses_of_another_kind(tmp_path, changes, sentence):
+    with pytest.raises(CaptureError, match=sentence):
+        read_transforms(written(tmp_path, **changes))
+
+
+def test_a_distorted_camera_makes_no_sensor_and_a_straight_candidate(tmp_path):
+    with pytest.raises(CaptureError, match="the lens is distorted; .* import it with svu import"):
+        frame_of(Lens.of(LENSES["barrel"])).sensor()
+    assert Candidates.read(written(tmp_path, k1=-0.1)).count == 1

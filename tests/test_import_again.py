@@ -1,0 +1,141 @@
+"""``svu import`` remembers what it was asked for, and ``svu check`` prints it, ready to paste."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import svu_mi as svu
+from svu_mi.capture.poses import affine
+from svu_mi.cli.importing import Conversion, Import
+from svu_mi.cli.main import main
+from svu_mi.exr import write_exr
+from svu_mi.formats.again import SWITCHES, VALUED, _parsed, command
+from svu_mi.formats.options import ENVIRONMENT_AXES, Light
+from svu_mi.formats.reading import ReadOptions
+from svu_mi.formats.source import Frame
+from svu_mi.formats.transforms import write_transforms
+
+
+@pytest.fixture
+def given(tmp_path, monkeypatch):
+    """A folder of a NeRF tool with a photograph, a mesh and a light, in the working directory."""
+    folder = tmp_path / "my nerf"
+    folder.mkdir()
+    trimesh.creation.icosphere(subdivisions=2).export(folder / "scan.ply")
+    write_exr(folder / "probe.exr", {"RGB": np.ones((8, 16, 3))})
+    write_exr(folder / "0.exr", {"RGB": np.full((6, 8, 3), 0.5)})
+    pose = affine(np.diag([-1.0, 1, -1]), [0, 0, 4])
+    frame = Frame(
+        label="0", image=folder / "0.exr", to_world=pose, focal=(9.0, 9.0), center=(4.0, 3.0),
+        size=(8, 6),
+    )  # fmt: skip
+    write_transforms(folder / "transforms.json", [frame])
+    monkeypatch.chdir(tmp_path)
+    return folder
+
+
+NEEDED = ["my nerf", "--mesh", "my nerf/scan.ply"]
+OPTIONS = {
+    "nothing else": [],
+    "a light": ["--environment", "my nerf/probe.exr", "--environment-axes", "blender",
+                "--environment-scale", "2.5"],
+    "axes and units": ["--mesh-up", "y", "--world-up", "z", "--mesh-scale", "0.5"],
+    "a format": ["--format", "transforms", "--original-world"],
+    "fixes": ["--geometry-only", "--fix", "camera-z180", "--fix", "mesh-mirror"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", OPTIONS)
+def test_the_whole_command_is_printed_again(given, capsys, kind):
+    words = [*NEEDED, *OPTIONS[kind]]
+    assert main(["import", *words, "-o", "the capture"]) == 0
+    record = json.loads((given.parent / "the capture/capture.json").read_text())["import"]
+    assert sorted(record["options"]) == sorted(words)
+    capture = svu.load_capture("the capture", light="optional")
+    line = command(capture, ["camera-y180", "light-flip"])
+    assert line.startswith("svu import 'my nerf' ")
+    assert line.endswith(" --fix camera-y180 --fix light-flip -o 'the capture'")
+    program, *again = shlex.split(line)
+    assert program == "svu" and main(again) == 0  # as somebody pastes it
+    after = json.loads((given.parent / "the capture/capture.json").read_text())["import"]
+    assert after["fixes"] == [*record["fixes"], "camera-y180", "light-flip"]
+    assert after["options"] == again[1:-2]
+
+
+@pytest.mark.parametrize(("given_before", "said", "left"), [
+    (["camera-z180"], ["camera-z180"], []),
+    (["camera-x180", "mesh-x90"], ["mesh-x90"], ["camera-x180", "mesh-x90", "mesh-x90"]),
+    (["light-mirror", "camera-inverse"], ["camera-inverse", "light-mirror"], []),
+    (["light-flip"], ["light-turn-90"], ["light-flip", "light-turn-90"]),
+])  # fmt: skip
+def test_a_correction_that_was_wrong_is_left_out(given, given_before, said, left):
+    """Twice the same is nothing, but for quarter turns."""
+    words = [word for name in given_before for word in ("--fix", name)]
+    assert main(["import", *NEEDED, *words, "-o", "capture"]) == 0
+    line = command(svu.load_capture("capture", light="optional"), said)
+    words = [word for name in left for word in ("--fix", name)]
+    assert line == shlex.join(["svu", "import", *NEEDED, *words, "-o", "capture"])
+
+
+def test_what_is_said_after_an_import_without_a_light(given, capsys):
+    assert main(["import", *NEEDED, "-o", "capture"]) == 0
+    said = capsys.readouterr().out
+    assert "The capture has no light: svu check says whether its poses fit" in said
+    assert said.splitlines()[-1] == "Wrote capture; look at it with: svu check capture"
+
+
+def test_a_capture_of_unknown_words(given):
+    """Imported from Python, by an earlier version, or changed by somebody since."""
+    main(["import", *NEEDED, "-o", "capture"])
+    path = given.parent / "capture/capture.json"
+    record = json.loads(path.read_text())
+    capture = svu.load_capture("capture", light="optional")
+    for options in (None, "words", [1, 2], {}):
+        record["import"]["options"] = options
+        path.write_text(json.dumps(record))
+        assert command(capture, ["mesh-x90"]) == "svu import ... --fix mesh-x90"
+    assert command(replace(capture, source=None), []) == "svu import ..."
+
+
+@pytest.mark.parametrize("more", [
+    ["-o", "elsewhere"], ["--output", "elsewhere"], ["another source"], ["--resume"], ["--mesh"],
+    ["--mesh", "another.ply"], ["--split", "--undistort"], ["--split=test"], ["--fix", "-o"],
+    ["--fix", "unknown"], ["--split", "test\n"], ["--split", "--", "x"], ["--split", "\x1b[2J"],
+    ["--split", ""], ["--undistort", "--undistort"],
+])  # fmt: skip
+def test_words_that_an_import_would_not_have_written_are_not_printed(given, more):
+    """A stranger's capture must not make a command that reads or writes something else."""
+    main(["import", *NEEDED, "-o", "capture"])
+    path = given.parent / "capture/capture.json"
+    record = json.loads(path.read_text())
+    capture = svu.load_capture("capture", light="optional")
+    for options in ([*NEEDED, *more], [NEEDED[0], *more, *NEEDED[1:]], ["-o", *NEEDED]):
+        record["import"]["options"] = options
+        path.write_text(json.dumps(record))
+        assert command(capture, ["mesh-x90"]) == "svu import ... --fix mesh-x90"
+
+
+def test_every_option_is_known():
+    """So that the command is printed whole, whatever was asked for."""
+    options = Conversion(
+        mesh="m.ply", mesh_up="y", world_up="z", mesh_scale=2.0, geometry_only=True,
+        environment=Light(path=Path("l.exr"), to_world=ENVIRONMENT_AXES["blender"], scale=2.0),
+        exposures="exif", shrink=2.0, every=2, missing="leave-out",
+        fixes=("mesh-x90", "camera-inverse"),
+    )  # fmt: skip
+    reading = ReadOptions(
+        format="colmap", images=Path("i"), masks=Path("m"), split="test", environment_view="v",
+        original_world=True,
+    )  # fmt: skip
+    asked = Import(source=Path("s"), undistort=True, reading=reading, conversion=options)
+    given, known = _parsed(asked.words)
+    assert sorted([*given, *known, "--fix", "--fix"]) == sorted(asked.words)
+    assert known == ["mesh-x90", "camera-inverse"]
+    assert {word for word in given if word.startswith("--")} == VALUED | SWITCHES
