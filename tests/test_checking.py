@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import json
+import shlex
 import shutil
 from dataclasses import replace
 from functools import partial
@@ -19,6 +21,7 @@ from svu_mi import scenes
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture.poses import sphere_sensors
 from svu_mi.capture.rendering import object_mask
+from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.scene import to_world
 from svu_mi.checking import apply_fixes
 from svu_mi.checking.appearance import read_texture, texture_fit
@@ -35,10 +38,12 @@ from svu_mi.checking.verdicts import LIGHT_GAIN, judge_light, judge_poses, judge
 from svu_mi.checking.views import check_views
 from svu_mi.cli.main import main
 from svu_mi.formats.fixes import FIXES, fixes_named, turn_of
+from svu_mi.formats.geometry import LEFT_OUT
 from svu_mi.formats.importing import import_capture
 from svu_mi.formats.reading import read_source
 from svu_mi.formats.source import ENVIRONMENT_AXES, OPENCV, OPENGL
 from svu_mi.light.environment import read_environment
+from svu_mi.output.check_page import verdict
 from svu_mi.scenes import lights, meshes
 from tests.helpers import ball, memory_capture
 
@@ -324,6 +329,8 @@ def test_a_fix_undoes_its_mistake_and_changes_nothing_else(capture, name):
         "mesh": np.allclose(mesh.positions, before[1].positions),
         "texture": np.allclose(mesh.uvs, before[1].uvs),
         "light": np.allclose(light.to_local, old.to_local),
+        # A mirrored mesh is wound the other way, too, to keep its front.
+        "winding": name == "mesh-mirror" or np.array_equal(mesh.faces, before[1].faces),
     }
     assert [kind for kind, same in kept.items() if not same] == [FIXES[name].kind]
 
@@ -389,6 +396,131 @@ def test_the_command_says_what_is_wrong_and_how_to_mend_it(knot, tmp_path, capsy
         widths = shown.evaluate("[...document.images].map(i => i.naturalWidth)")
         assert len(widths) == 10 + 2 and min(widths) > 0
         shown.close()
+
+
+def without_light(capture):
+    others = [s for s in capture.scene.shapes() if s is not capture.shape]
+    return replace(capture, scene=scene_of([capture.shape, *others]))
+
+
+def test_poses_and_texture_are_checked_without_a_light(capture):
+    """Silhouettes, agreement of views and the texture tell; of light and gains nothing is said."""
+    dark = without_light(capture)
+    assert dark.environment is None
+    found = svu.check(dark)
+    assert [one.verdict for one in found.findings] == ["fits", "unknown", "fits", "unknown"]
+    light, gain = (one.sentence for one in found.findings if one.verdict == "unknown")
+    assert light == "The orientation of the light cannot be determined: the capture has none."
+    assert gain.endswith("have the same gain cannot be determined: the capture has no light.")
+    assert found.fits and all(view.color_error is None for view in found.views)
+    case = Case(("camera-x180", "texture-flip-v"))
+    assert same(svu.check(case.made(dark)).fixes, case.fixes)
+
+
+@pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
+def test_the_command_checks_a_scene_without_a_light(knot, tmp_path, capsys, browser):
+    folder, out = tmp_path / "capture", tmp_path / "out"
+    shutil.copytree(knot.source, folder)
+    mesh, sensors = scenes.path("knot").parent / "mesh.ply", "capture.json has them"
+    (tmp_path / "nolight.xml").write_text(
+        f'<scene version="3.0.0"><!-- {sensors} --><shape type="ply" id="knot">'
+        f'<string name="filename" value="{mesh}"/><bsdf type="principled"/></shape></scene>'
+    )
+    path = folder / "capture.json"
+    record = json.loads(path.read_text())
+    path.write_text(json.dumps(record | {"scene": "../nolight.xml", "define": {}}))
+    assert main(["check", str(folder), "-o", str(out), "--strict"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "poses (fits): Cameras and mesh fit the photographs (silhouettes overlap by" in printed
+    assert "cannot be determined: the capture has none." in printed
+    shown = browser.open(out / "check.html", 1280)
+    text = shown.evaluate("document.body.innerText")
+    assert "Colours differ by" not in text and "The light around the object" not in text
+    assert len(shown.evaluate("[...document.images].map(i => i.naturalWidth)")) == 10
+    shown.close()
+    assert main(["entropy", str(folder), "-o", str(tmp_path / "entropy")]) == 2
+    assert "nolight.xml: the scene has no emitter" in capsys.readouterr().err
+
+
+def test_a_mesh_that_shows_its_back_is_turned(capture):
+    """Before, light and texture were judged by the few points that happened to be seen."""
+    wrong = spoil(capture, FIXES["mesh-inside-out"])
+    found = svu.check(wrong)
+    assert found.fixes == ("mesh-inside-out",)
+    assert [one.verdict for one in found.findings[:3]] == ["wrong", "fits", "fits"]
+    assert found.findings[0].sentence.startswith(
+        "The faces of the mesh are wound the wrong way: 100% of what the photographs show of it is "
+        "its back (in a Mitsuba scene, set flip_normals on the shape). Cameras and mesh fit"
+    )
+    assert all(view.color_error is None for view in found.views)
+    assert np.mean([view.color_error for view in found.corrected]) < 0.4
+    both = Case(("camera-x180", "mesh-inside-out"))
+    assert same(svu.check(both.made(capture)).fixes, both.fixes)
+
+
+def test_cameras_within_a_mesh_do_not_show_its_back(capture):
+    """Of a mesh that is ten times too large they see the inside; that is not a wrong winding."""
+    large = apply_fixes(capture, [replace(FIXES["mesh-x180"], matrix=np.eye(3) * 10.0)])
+    findings, _ = find_mistakes(large)
+    assert findings[0].verdict == "unclear" and not findings[0].fixes
+    assert "scale" in findings[0].sentence
+
+
+@pytest.mark.slow
+def test_what_is_ignored_has_the_last_word(capture):
+    """Axes and gains fit, and yet base colours near a bright table will be wrong.
+
+    It is no mistake to have one: --strict lets it pass.
+    """
+    below = mi.ScalarTransform4f().translate([0, 0, -8]).scale(4)
+    table = mi.load_dict(
+        {"type": "rectangle", "id": "table", "to_world": below, "bsdf": {"type": "diffuse"}}
+    )
+    scene = scene_of([capture.shape, table, *capture.scene.emitters()])
+    found = svu.check(replace(capture, scene=scene))
+    ignored = found.findings[-1]
+    assert (ignored.question, ignored.verdict, found.fits) == ("ignored", "note", True)
+    assert ignored.sentence.startswith("Shape 'table' reflects light onto")
+    assert verdict(found) == (
+        "The capture fits its photographs, as far as can be determined; results may be off by what "
+        "is ignored."
+    )
+    gain = replace(found.findings[3], verdict="unclear")
+    unsure = replace(found, findings=(*found.findings[:3], gain, ignored))
+    assert not unsure.fits
+    assert verdict(unsure) == "Axes fit, but results may be wrong for another reason: gain."
+    assert svu.check(capture).findings[-1].question == "gain"
+
+
+def test_what_an_import_has_left_out_is_said_again(capture, tmp_path):
+    note = f"scan.glb: has a normal map, {LEFT_OUT}"
+    record = {"format": "svu-capture", "import": {"notes": ["Something else.", note]}}
+    (tmp_path / "capture.json").write_text(json.dumps(record))
+    found = svu.check(replace(capture, source=tmp_path))
+    assert found.findings[-1].sentence == note
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::svu_mi.SvuWarning")
+def test_the_whole_corrected_command_can_be_pasted(knot, tmp_path, capsys, monkeypatch):
+    """Import wrongly, check, paste what is printed, check again."""
+    wrong = Case(("camera-x180",)).made(knot)
+    written = write(wrong, "colmap", tmp_path / "my project")
+    monkeypatch.chdir(tmp_path)
+    options = written.options
+    words = ["import", str(written.path), "--mesh", str(options.mesh), "--environment",
+             str(options.environment.path), "-o", "imported capture"]  # fmt: skip
+    assert main(words) == 0
+    assert main(["check", "imported capture", "-o", "out"]) == 0
+    lines = [x for x in capsys.readouterr().out.splitlines() if x.startswith("Import it again")]
+    line = lines[0].removeprefix("Import it again with: ")
+    assert line.startswith("svu import ") and line.endswith("-o 'imported capture'")
+    assert "--fix camera-x180" in line and "..." not in line
+    assert line in html.unescape((tmp_path / "out/check.html").read_text())
+    program, *again = shlex.split(line)
+    assert program == "svu" and main(again) == 0
+    assert main(["check", "imported capture", "-o", "out"]) == 0
+    assert "Import it again" not in capsys.readouterr().out
 
 
 def test_rates_are_counted_by_what_was_said():

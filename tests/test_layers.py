@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 LAYERS = (
-    "errors", "names", "limits", "quiet", "_llvm", "interop", "files", "npz", "exr", "results",
-    "progress", "settings", "parameters", "switches", "options", "capture", "formats", "surface",
-    "light", "visibility", "frequency", "reflection", "statistics", "observed", "posterior",
-    "skipping", "pipeline", "guidance", "regularization", "recovery", "reference", "metrics",
-    "checking", "output", "export", "bench", "cli",
+    "errors", "names", "memory", "needs", "limits", "quiet", "_reload", "_llvm", "_workers",
+    "interop", "files", "npz", "exr", "results", "progress", "settings", "parameters", "switches",
+    "options", "capture", "formats", "surface", "light", "visibility", "frequency", "reflection",
+    "statistics", "observed", "posterior", "skipping", "pipeline", "guidance", "regularization",
+    "recovery", "reference", "metrics", "checking", "output", "export", "bench", "cli",
 )  # fmt: skip
 # Built on the stages; only what stands at the very top may use them.
 ABOVE = {"plugins": ("output", "cli"), "scenes": ("output", "bench", "cli")}

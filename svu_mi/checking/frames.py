@@ -87,8 +87,8 @@ def reduced(capture: Capture, side: int) -> Capture:
 
     Photographs are reduced by whole numbers, so they may end up smaller than ``side``. A pixel is
     the mean over the usable ones of a block, NaN without any; one that is left over at the end of a
-    side belongs to none. The median of all pixels that are not black is 1. Photographs that are not
-    used stay as they are.
+    side belongs to none. The median of all pixels that are not black is 1, which is a part of the
+    exposures from then on. Photographs that are not used stay as they are.
 
     Raises:
         CaptureError: no photograph is used.
@@ -98,6 +98,7 @@ def reduced(capture: Capture, side: int) -> Capture:
             f"There is no photograph to check: none of the {capture.count} given can be used."
         )
     sensors, images, masks = list(capture.sensors), list(capture.images), list(capture.masks)
+    exposures = list(capture.exposures)
     for index in np.flatnonzero(capture.used):
         sensor, image, mask = sensors[index], images[index], masks[index]
         block = min(-(-max(image.shape) // side), *image.shape[:2])
@@ -111,7 +112,11 @@ def reduced(capture: Capture, side: int) -> Capture:
     unit = np.float32(np.median(lit) if len(lit) else 1)
     for index in np.flatnonzero(capture.used):
         images[index] = images[index] / unit
-    return replace(capture, sensors=tuple(sensors), images=tuple(images), masks=tuple(masks))
+        exposures[index] = exposures[index] * float(unit)
+    return replace(
+        capture, sensors=tuple(sensors), images=tuple(images), masks=tuple(masks),
+        exposures=tuple(exposures),
+    )  # fmt: skip
 
 
 def some(capture: Capture, most: int) -> Capture:

@@ -8,7 +8,6 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-import trimesh
 
 from svu_mi.capture.mesh import arrays
 from svu_mi.checking.frames import Frames
@@ -53,11 +52,13 @@ class Points:
 def scatter_points(mesh: Any, count: int = COUNT) -> Points:
     """Draw points on a mesh, by area; always the same ones."""
     source = arrays(mesh)
-    surface = trimesh.Trimesh(source.positions, source.faces, process=False)
+    corners = source.positions[source.faces]
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    below = np.cumsum(np.linalg.norm(crosses, axis=1) / 2)
     random = np.random.default_rng(SEED)
     # Stratified by area: as even as random points get.
-    place = (np.arange(count) + random.random(count)) / count * surface.area
-    face = np.searchsorted(np.cumsum(surface.area_faces), place, side="right")
+    place = (np.arange(count) + random.random(count)) / count * below[-1]
+    face = np.searchsorted(below, place, side="right")
     face = np.minimum(face, len(source.faces) - 1)
     a, b = np.sqrt(random.random(count)), random.random(count)
     weights = np.stack([1 - a, a * (1 - b), a * b], axis=-1)
@@ -65,8 +66,8 @@ def scatter_points(mesh: Any, count: int = COUNT) -> Points:
     def mixed(values: np.ndarray) -> np.ndarray:
         return np.einsum("nk,nki->ni", weights, values[source.faces[face]])
 
-    flat = trimesh.util.unitize(surface.triangles_cross[face])
-    normal = flat if source.normals is None else trimesh.util.unitize(mixed(source.normals))
+    flat = _unit(crosses[face])
+    normal = flat if source.normals is None else _unit(mixed(source.normals))
     side = np.where(np.einsum("ni,ni->n", flat, normal) < 0, -1, 1)
     return Points(
         position=mixed(source.positions),
@@ -75,6 +76,12 @@ def scatter_points(mesh: Any, count: int = COUNT) -> Points:
         uv=None if source.uvs is None else mixed(source.uvs),
         offset=OFFSET * float(np.linalg.norm(np.ptp(source.positions, axis=0))),
     )
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors (N, 3) of length 1; 0 stays 0."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / np.where(length > 0, length, 1)
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-Question = Literal["poses", "light", "texture"]
-Verdict = Literal["fits", "wrong", "unclear", "unknown"]
+Question = Literal["poses", "light", "texture", "gain", "ignored"]
+Verdict = Literal["fits", "wrong", "unclear", "unknown", "note"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,10 +37,12 @@ class Finding:
     """The answer to one question about a capture.
 
     Attributes:
-        question: ``poses`` (of cameras and mesh), ``light`` or ``texture``.
+        question: ``poses`` (of cameras and mesh), ``light``, ``texture``, ``gain`` (of the
+            photographs, against the light and each other) or ``ignored`` (what the scene has that
+            is not accounted for).
         verdict: ``fits``; ``wrong`` (``fixes`` would put it right); ``unclear`` (something is
             wrong, or may be, but several explanations fit, or none); ``unknown`` (photographs and
-            light of this kind cannot tell).
+            light of this kind cannot tell); ``note`` (of ``ignored``: to be known, no mistake).
         sentence: the same for people.
         fixes: the best explanation, if it is better than what the capture says.
         alternatives: others that explain the photographs as well.
@@ -66,7 +68,7 @@ class ViewCheck:
         contrast: mean rank, 0 to 1, of the photograph's gradient along the silhouette's outline:
             0.5 is chance. None where the mesh is not in the picture.
         color_error: mean difference to the mesh as a diffuse object under the given light, in
-            parts of the mean radiance; None where no point of it is seen.
+            parts of the mean radiance; None where no point of it is seen, or without a light.
     """
 
     view: int
@@ -101,14 +103,14 @@ class Summary:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Check:
     """What a check of a capture has found.
 
     Attributes:
         views: one per photograph that is used, in the capture's order.
         corrected: the same with all suggestions applied; ``views`` itself without any.
-        findings: poses, light and texture, in this order.
+        findings: poses, light, texture, gain and, if anything is, ignored, in this order.
         camera_axes: (4, 4), what ``camera-inverse`` has assumed (``checking.apply``).
     """
 
@@ -116,6 +118,10 @@ class Check:
     corrected: tuple[ViewCheck, ...]
     findings: tuple[Finding, ...]
     camera_axes: np.ndarray
+
+    def __repr__(self) -> str:
+        said = (f"{one.question} ({one.verdict}): {one.sentence}" for one in self.findings)
+        return "\n".join([f"<Check of {len(self.views)} photographs", *said]) + ">"
 
     @property
     def fixes(self) -> tuple[str, ...]:
@@ -129,8 +135,8 @@ class Check:
 
     @property
     def fits(self) -> bool:
-        """Whether nothing is wrong, as far as this can be told."""
-        return all(finding.verdict in ("fits", "unknown") for finding in self.findings)
+        """Whether nothing is wrong, as far as this can be told; a note is not about a mistake."""
+        return not any(finding.verdict in ("wrong", "unclear") for finding in self.findings)
 
     @property
     def worst(self) -> tuple[ViewCheck, ...]:

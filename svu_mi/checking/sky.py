@@ -14,13 +14,13 @@ from svu_mi.capture import Capture
 from svu_mi.capture.scene import find_environment
 from svu_mi.interop import owned
 from svu_mi.light.cells import fibonacci, light_cells
-from svu_mi.light.environment import read_environment
+from svu_mi.light.environment import Environment, read_environment
 from svu_mi.light.levels import Levels, filter_light
 from svu_mi.light.lighting import band_limit, look_up
 from svu_mi.reflection.lobes import zonal_profile
 
 DIRECTIONS = fibonacci(256)  # that visibility is traced in
-CELLS = 64, 2048  # of the light, that irradiance is summed from
+CELLS, COARSE = 2048, 64  # of the light, that irradiance is summed from, and that they split
 WIDTHS = (0.06, 0.18, 0.4)  # alpha of the lobes that highlights are compared with
 
 
@@ -49,8 +49,7 @@ class Sky:
             mesh_turn: (3, 3), by which corrections turn the mesh before it is lit.
         """
         environment = read_environment(emitter)
-        cells = light_cells(environment, *CELLS).fine
-        flux, toward = (a.numpy().reshape(-1, 4)[:, :3] for a in (cells.flux, cells.toward))
+        flux, toward = cells_of(environment, CELLS)
         return Sky(
             flux=flux,
             toward=toward @ environment.to_local.T,
@@ -78,8 +77,17 @@ class Sky:
         return directions @ (matrix.T @ self.to_local).T
 
 
+def cells_of(environment: Environment, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the flux (M, 3) and the direction (M, 3), in world space, of M cells of the light."""
+    cells = light_cells(environment, COARSE, count).fine
+    flux, toward = (a.numpy().reshape(-1, 4)[:, :3] for a in (cells.flux, cells.toward))
+    return flux, toward
+
+
 def emitter_of(capture: Capture) -> Any:
-    """Return the environment emitter of a capture."""
+    """Return the environment emitter of a capture; None if it was loaded without one."""
+    if not capture.scene.emitters():
+        return None
     return find_environment(capture.scene, str(capture.source or "scene"))
 
 

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
+from svu_mi.checking.brightness import Excess
+from svu_mi.checking.gains import VIEWS, Gains
 from svu_mi.checking.light import LightScore, indistinguishable
 from svu_mi.checking.poses import PoseScore, certain, simplest
 from svu_mi.checking.record import Finding, Hypothesis
 from svu_mi.formats.fixes import FIXES
 
+INSIDE_OUT = "mesh-inside-out"
 POOR_OVERLAP = 0.7  # silhouettes that fit worse explain no masks
 POOR_CONTRAST, POOR_AGREEMENT = 0.6, 0.3  # the same without masks
 # Of the score, from which another way to turn the light counts as better. Four of our objects
@@ -22,6 +26,7 @@ LIGHT_MARGIN = 0.03  # below it, two ways explain the photographs equally well
 LIGHT_RANGE = 0.2  # of the score over all ways, below which nothing can be told
 SPEAKING = 0.1  # least cue that speaks for a way to turn the light
 FLIP_GAIN = 0.03  # of the correlation with a texture
+NAMED = 5  # photographs that a sentence names
 
 
 def judge_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
@@ -57,6 +62,24 @@ def judge_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
         ), chosen  # fmt: skip
     sentence = f"{_causes(names)}: {_fit(chosen)} instead of {current_fit}."
     return found(verdict="wrong", fixes=names, sentence=sentence), chosen
+
+
+def with_inside_out(poses: Finding, behind: float) -> Finding:
+    """Add to the finding about a mesh turned inside out that it had to be turned.
+
+    Args:
+        poses: of the mesh after that.
+        behind: part of what the photographs show that was its back.
+    """
+    sentence = (
+        f"{_causes((INSIDE_OUT,))}: {behind:.0%} of what the photographs show of it is its back "
+        f"(in a Mitsuba scene, set flip_normals on the shape). {poses.sentence}"
+    )
+    return replace(
+        poses, verdict="unclear" if poses.verdict == "unclear" else "wrong", sentence=sentence,
+        fixes=(*poses.fixes, INSIDE_OUT),
+        alternatives=tuple((*names, INSIDE_OUT) for names in poses.alternatives),
+    )  # fmt: skip
 
 
 def _table(scores: Sequence[PoseScore | LightScore]) -> tuple[Hypothesis, ...]:
@@ -153,6 +176,48 @@ def light_unknown(reason: str, table: tuple[Hypothesis, ...] = ()) -> Finding:
         question="light", verdict="unknown", hypotheses=table,
         sentence=f"The orientation of the light cannot be determined: {reason}.",
     )  # fmt: skip
+
+
+def judge_gains(excess: Excess | None, gains: Gains | None, names: Sequence[str]) -> Finding:
+    """Decide on the gain of the photographs.
+
+    Args:
+        excess: of all of them over the light; None if that cannot be told.
+        gains: of V photographs, against each other; None if they are too few.
+        names: of those.
+    """
+    said = [] if excess is None or excess.sentence is None else [excess.sentence]
+    if gains is not None and gains.odd.any():
+        said.append(_odd_gains(gains, names))
+    if said:
+        return Finding(question="gain", verdict="unclear", sentence=" ".join(said))
+    if gains is None:
+        return gain_unknown(f"there are fewer than {VIEWS}")
+    if not gains.known.any():
+        return gain_unknown("reflections are too sharp, poses too rough, or points too few")
+    some = "" if gains.known.all() else f", of {gains.known.sum()} that can be compared"
+    sentence = f"All photographs have the same gain, to about 20 %{some}."
+    return Finding(question="gain", verdict="fits", sentence=sentence)
+
+
+def _odd_gains(gains: Gains, names: Sequence[str]) -> str:
+    odd = np.flatnonzero(gains.odd)
+    odd = odd[np.argsort(-np.abs(gains.log[odd]), kind="stable")]
+    each = [f"{names[k]} (x {np.exp(gains.log[k]):.2f})" for k in odd[:NAMED]]
+    more = f" and {len(odd) - NAMED} more" if len(odd) > NAMED else ""
+    subject = "One photograph has" if len(odd) == 1 else f"{len(odd)} photographs have"
+    which = "it" if len(odd) == 1 else "them"
+    return (
+        f"{subject} another gain than the others: {', '.join(each)}{more}; give the exposure of "
+        f"each photograph (svu import --exposures, or divide its pixels by it), or leave "
+        f"{which} out."
+    )
+
+
+def gain_unknown(reason: str) -> Finding:
+    """Return the finding that nothing can be said about gains."""
+    sentence = f"Whether the photographs have the same gain cannot be determined: {reason}."
+    return Finding(question="gain", verdict="unknown", sentence=sentence)
 
 
 def _support(one: LightScore, other: LightScore) -> int:

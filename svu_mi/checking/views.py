@@ -38,14 +38,18 @@ def check_views(capture: Capture) -> tuple[ViewCheck, ...]:
 
 
 def _color_errors(capture: Capture, frames: Frames) -> list[float | None]:
-    """Return the mean error of each view, of a diffuse object; None where none of it is seen.
+    """Return the mean error of each view, of a diffuse object; None where none of it is seen, and
+    without a light.
 
     The reflectance is the scene's texture, or one colour, times a factor per channel that the
     photographs ask for.
     """
+    emitter = emitter_of(capture)
+    if emitter is None:
+        return [None] * frames.views.number
     points = scatter_points(capture.shape)
     sightings, texture = look(points, frames), read_texture(capture, points)
-    flux = Sky.of(emitter_of(capture), np.eye(3)).arriving(np.eye(3))
+    flux = Sky.of(emitter, np.eye(3)).arriving(np.eye(3))
     albedo = 1.0 if texture is None else texture.albedo
     predicted = albedo * (open_cosines(capture.scene, points, DIRECTIONS) @ flux) / np.pi
     view, point = np.nonzero(sightings.seen)

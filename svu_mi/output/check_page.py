@@ -11,11 +11,13 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.poses import bounding_sphere
-from svu_mi.capture.scene import find_environment, to_world
+from svu_mi.capture.scene import to_world
 from svu_mi.checking.apply import apply_fixes
 from svu_mi.checking.frames import Frames, reduced
 from svu_mi.checking.record import Check, Finding, Summary
 from svu_mi.checking.silhouettes import outline, silhouettes
+from svu_mi.checking.sky import emitter_of
+from svu_mi.formats.again import command
 from svu_mi.formats.fixes import fixes_named
 from svu_mi.light.environment import nearest_node, read_environment
 from svu_mi.light.levels import resolved
@@ -26,12 +28,14 @@ from svu_mi.output.upright import facing, up_of
 from svu_mi.output.views import tone_mapped
 from svu_mi.results.writing import writing
 
+AXES = ("poses", "light", "texture")  # what corrections are about
 TEMPLATE, RECORD = "check.html", "check.json"
 MOST = 120  # thumbnails; the worst
 ROWS = 8  # of each table of hypotheses
 LIGHT = (480, 240)  # pixels of a panorama
 QUESTIONS = {
     "poses": "Cameras and mesh", "light": "Environment map", "texture": "Texture coordinates",
+    "gain": "Gain of the photographs", "ignored": "Not accounted for",
 }  # fmt: skip
 # Attributes of ViewCheck and Summary: what their means say, how they are to be read, and a word.
 MEASURES = {
@@ -67,7 +71,7 @@ def write_check(
         corrected = apply_fixes(capture, fixes, found.camera_axes) if fixes else capture
         write_page(
             draft.folder / TEMPLATE, TEMPLATE,
-            verdict=verdict(found), remedy=remedy(found), numbers=_numbers(found),
+            verdict=verdict(found), remedy=remedy(found, capture), numbers=_numbers(found),
             findings=[_finding(one) for one in found.findings], questions=QUESTIONS,
             views=list(_views(capture, corrected, found)), total=len(found.views),
             panoramas=_panoramas(capture, corrected), source=str(capture.source or ""),
@@ -85,17 +89,20 @@ def verdict(found: Check) -> str:
         count = len(found.fixes)
         words = "one correction makes" if count == 1 else f"{count} corrections make"
         return f"Something is wrong, and {words} it fit: {' + '.join(found.fixes)}."
-    if any(one.verdict == "unclear" for one in found.findings):
+    unclear = [one.question for one in found.findings if one.verdict == "unclear"]
+    if any(question in AXES for question in unclear):
         return "Something may be wrong, but which correction is right cannot be determined."
-    return "The capture fits its photographs, as far as can be determined."
+    if unclear:
+        return f"Axes fit, but results may be wrong for another reason: {', '.join(unclear)}."
+    fits = "The capture fits its photographs, as far as can be determined"
+    if any(one.verdict == "note" for one in found.findings):
+        return f"{fits}; results may be off by what is ignored."
+    return f"{fits}."
 
 
-def remedy(found: Check) -> str:
+def remedy(found: Check, capture: Capture) -> str:
     """Return the command that corrects the capture; empty if nothing is to be done."""
-    if not found.fixes:
-        return ""
-    words = " ".join(f"--fix {name}" for name in found.fixes)
-    return f"Import it again with: svu import ... {words}"
+    return f"Import it again with: {command(capture, found.fixes)}" if found.fixes else ""
 
 
 def _numbers(found: Check) -> Iterator[tuple[str, str, str]]:
@@ -169,7 +176,9 @@ def _draw(picture: np.ndarray, seen: np.ndarray, color: tuple[float, float, floa
 
 
 def _panoramas(capture: Capture, corrected: Capture) -> list[tuple[Picture, str]]:
-    """The light as it is and, if that differs, corrected, around the object."""
+    """The light as it is and, if that differs, corrected, around the object; none without one."""
+    if emitter_of(capture) is None:
+        return []
     shown = [(_panorama(capture), "as the capture says")]
     return shown if corrected is capture else [*shown, (_panorama(corrected), "corrected")]
 
@@ -180,8 +189,7 @@ def _panorama(capture: Capture) -> Picture:
     The centre is where the first camera looks, so that it can be compared with what is behind
     the object in the first photograph. Cameras are dots.
     """
-    emitter = find_environment(capture.scene, str(capture.source or "scene"))
-    environment = read_environment(emitter)
+    environment = read_environment(emitter_of(capture))
     grid = resolved(environment)
     poses = np.array([to_world(sensor) for sensor in capture.used_sensors])
     # Seen from within, right is where it is left of somebody in front.
