@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
-from svu_mi.errors import OptionError
+from svu_mi.errors import OptionError, OutputError
+from svu_mi.files import prepare_folder, replacing
 
-NAMES = ("planes", "spheres", "vase", "knot")
+ABOUT = {
+    "planes": "two upright squares of copper, one matt, one glossy, seen from the front",
+    "spheres": "eight spheres, from glossy to matt, four of plastic and four of metal",
+    "vase": "unglazed clay, a glaze, painted bands and a golden rim, open at the top",
+    "knot": "a tube that hides parts of itself: ribbons of brass, lacquer and rubber",
+    "object": "any textured mesh of yours, under any environment map",
+}
+NAMES = tuple(name for name in ABOUT if name != "object")
 LIGHTS = ("studio", "overcast", "clear", "window")
 FOLDER = Path(__file__).resolve().parent
+ASSETS = (".xml", ".ply", ".exr")
 
 
 def names() -> tuple[str, ...]:
@@ -33,3 +43,34 @@ def path(name: str) -> Path:
     if name not in (*NAMES, "object"):
         raise OptionError(f"There is no scene {name!r}; use one of {', '.join(NAMES)} or object.")
     return FOLDER / name / f"{name}.xml"
+
+
+def copy(name: str, folder: str | Path) -> Path:
+    """Copy a scene with its assets and lights, so that it loads from there.
+
+    Files that are there already and are the same are left; the folder may hold other scenes.
+
+    Args:
+        name: as of ``path``.
+        folder: made if missing; gets a folder of this name, and one of lights beside it.
+
+    Returns:
+        The XML file of the copy.
+
+    Raises:
+        OptionError: an unknown name.
+        OutputError: another file is in the way, or the folder cannot be written.
+    """
+    scene, folder = path(name), Path(folder)
+    places = [scene.parent] if name == "object" else [scene.parent, FOLDER / "lights"]
+    files = [file for place in places for file in place.iterdir() if file.suffix in ASSETS]
+    copies = {folder / file.relative_to(FOLDER): file for file in sorted(files)}
+    missing = {target: file for target, file in copies.items() if not target.exists()}
+    for target, file in copies.items():
+        if target not in missing and (target.is_dir() or target.read_bytes() != file.read_bytes()):
+            raise OutputError(f"{target}: is there and differs; choose another folder.")
+    for target, file in missing.items():
+        prepare_folder(target.parent)
+        with replacing(target) as temporary:
+            shutil.copyfile(file, temporary)
+    return folder / scene.relative_to(FOLDER)

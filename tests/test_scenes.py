@@ -8,13 +8,14 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import trimesh
+from helpers import fails, run
 from PIL import Image
 
 from svu_mi import scenes
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.scene import find_environment, find_sensors, find_shape, load_scene
-from svu_mi.errors import OptionError
+from svu_mi.errors import OptionError, OutputError
 from svu_mi.exr import read_exr
 from svu_mi.scenes import make_assets
 from svu_mi.surface import texels
@@ -41,6 +42,7 @@ def test_a_scene_loads_from_any_working_directory(tmp_path, monkeypatch):
     assert [s.id() for s in scene.sensors()] == [f"view_{k:04d}" for k in range(24)]
 
 
+@pytest.mark.slow
 def test_the_object_scene_takes_a_folder_an_image_and_a_scale(tmp_path):
     """A stand-in for a user's files; twice the light is twice the image, sample by sample."""
     (tmp_path / "mesh.ply").write_bytes((scenes.FOLDER / "vase" / "mesh.ply").read_bytes())
@@ -166,3 +168,45 @@ def test_scenes_are_small_and_their_paths_relative():
 def test_an_unknown_scene_is_named():
     with pytest.raises(OptionError, match="no scene 'teapot'; use one of planes, spheres"):
         scenes.path("teapot")
+
+
+def test_the_command_lists_them(capsys):
+    assert run("scenes") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines[:-1]] == [*scenes.NAMES, "object"]
+    assert lines[2] == (
+        "vase     unglazed clay, a glaze, painted bands and a golden rim, open at the top"
+    )
+    assert lines[-1] == "Copy one with: svu scenes NAME"
+
+
+def test_the_command_copies_one_that_loads_from_there(tmp_path, monkeypatch, capsys):
+    """With its lights, twice, and beside others."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("vase", "vase", "planes"):
+        assert run("scenes", name) == 0
+    assert capsys.readouterr().out.splitlines()[:2] == [
+        "Wrote scenes/vase/vase.xml",
+        "Next: svu render scenes/vase/vase.xml -D light=window -o capture",
+    ]
+    assert run("scenes", "object", "-o", "mine") == 0
+    assert capsys.readouterr().out.splitlines()[-1] == (
+        "Next: svu render mine/object/object.xml -D object=FOLDER -D environment=FILE -o capture"
+    )
+    assert not (tmp_path / "mine" / "lights").exists()
+    for light in scenes.LIGHTS:
+        scene = load_scene(tmp_path / "scenes" / "vase" / "vase.xml", {**SMALL, "light": light})
+        assert find_environment(scene, "vase").id() == "light"
+        assert len(find_sensors(scene, "vase")) == 24
+    assert not list(tmp_path.rglob("*.py"))
+
+
+def test_a_copy_replaces_nothing(tmp_path, capsys):
+    copy = scenes.copy("vase", tmp_path)
+    copy.write_text("mine")
+    with pytest.raises(OutputError, match=r"vase\.xml: is there and differs; choose another fol"):
+        scenes.copy("vase", tmp_path)
+    assert copy.read_text() == "mine"
+    assert fails(capsys, "scenes", "teapot", "-o", tmp_path) == (
+        "svu: There is no scene 'teapot'; use one of planes, spheres, vase, knot or object."
+    )
