@@ -89,15 +89,37 @@ class AngularForecast(Forecast):
     def _evaluate(
         self, views: np.ndarray, candidates: np.ndarray | None, texels: np.ndarray
     ) -> np.ndarray:
-        launch = _Launch(self, numbers(texels))
-        asked = np.zeros(1, np.int64) if candidates is None else candidates
-        count, size = len(asked), len(texels)
-        out = dr.zeros(mi.Float, count * size)
+        if candidates is None:
+            return self._expect(views, np.zeros(1, np.int64), texels, first=0, keep=False)
+        return self._expect(views, candidates, texels, first=1, keep=False)
+
+    def one_by_one(self, views: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+        # Products of the views so far are summed up once, not once for every candidate.
+        asked = np.concatenate([[0], candidates])
+        steps = self._expect(views, asked, np.arange(self.count), first=0, keep=True)
+        steps[0, ~self.seen[views].any(axis=0)] = self.measure.unseen
+        for before, after, seen in zip(steps[:-1], steps[1:], self.seen[candidates], strict=True):
+            after[~seen] = before[~seen]
+        return steps
+
+    def _expect(
+        self, views: np.ndarray, asked: np.ndarray, texels: np.ndarray, *, first: int, keep: bool
+    ) -> np.ndarray:
+        """Expected measures (A, L): see the kernel; 0 where a view that is asked for sees nothing.
+
+        Args:
+            views: numbers of those so far.
+            asked: A numbers.
+            texels: (L,) of the T.
+            first: whether the first of ``asked`` is added (1), or stands for none (0).
+            keep: whether each one counts among the views so far for those after it.
+        """
+        out = dr.zeros(mi.Float, len(asked) * len(texels))
         dr.eval(out)
-        add = dr.opaque(mi.Float, 0 if candidates is None else 1)
-        _expect(launch, _Order(views), _Order(asked), add, out)
+        launch, add = _Launch(self, numbers(texels)), dr.opaque(mi.Float, first)
+        _expect(launch, _Order(views), _Order(asked), add, out, keep)
         dr.eval(out)
-        return out.numpy().reshape(count, size)
+        return out.numpy().reshape(len(asked), len(texels))
 
 
 class _Order:
@@ -202,7 +224,9 @@ class _Launch:
 
 
 @dr.syntax
-def _expect(launch: _Launch, known: _Order, asked: _Order, add: Any, out: Any) -> Any:
+def _expect(
+    launch: _Launch, known: _Order, asked: _Order, first: Any, out: Any, keep: bool
+) -> Any:
     """Add p(psi_0) times the measure, for every psi_0, to ``out`` (views asked for, texels).
 
     The products of the views so far, per row, are summed up once per hypothesis and kept in
@@ -212,8 +236,9 @@ def _expect(launch: _Launch, known: _Order, asked: _Order, add: Any, out: Any) -
         launch: texels and rows.
         known: the views so far.
         asked: the candidates.
-        add: 1 to add the candidate; 0 for the views so far alone, whatever is asked.
+        first: 1 to add the first candidate; 0 for the views so far alone, whatever it is.
         out: Float, zeros.
+        keep: whether each candidate is one of the views so far for those after it.
     """
     so_far = [dr.alloc_local(mi.Float, launch.rows) for _ in range(3 * launch.channels)]
     # A literal: Dr.Jit 1.5 leaves the size of local memory out of what tells kernels apart.
@@ -240,6 +265,7 @@ def _expect(launch: _Launch, known: _Order, asked: _Order, add: Any, out: Any) -
         j = mi.UInt32(0)
         while j < asked.count:
             view = asked.at(j)
+            add = dr.select(j > 0, mi.Float(1), first)
             if dr.select(add > 0, launch.sees(view), n) > 0:
                 shown = launch.shown(view, truth)
                 share = launch.share(n + add)
@@ -247,12 +273,17 @@ def _expect(launch: _Launch, known: _Order, asked: _Order, add: Any, out: Any) -
                 row = mi.UInt32(0)
                 while row < rows:
                     errors = [add * x for x in launch.errors(view, row, truth, shown)]
-                    total = [share * x for x in _sums(so_far, row, errors)]
+                    total = _sums(so_far, row, errors)
+                    if keep:
+                        _set(so_far, row, total)
+                    total = [share * x for x in total]
                     energy, channels = launch.row(total, row, truth)
                     if energy < HOPELESS:
                         sums = launch.add(sums, row, energy, channels)
                     row += 1
                 _add(out, j * launch.size + launch.place, truth[2] * launch.measure.value(sums))
+                if keep:
+                    n += add
             j += 1
         h += 1
     return out

@@ -73,7 +73,9 @@ class Candidates:
         if not left:
             raise OptionError(
                 "Every sensor of the capture has a photograph; place candidates with "
-                "Candidates.around(capture)."
+                "Candidates.around(capture).",
+                shell="Every sensor of the capture has a photograph; give --candidates a number "
+                "of views to place, such as 100.",
             )
         return Candidates.at(capture, left)
 
@@ -99,8 +101,13 @@ class Candidates:
             distance: from the object's centre; by default the photographs' median.
 
         Raises:
-            OptionError: a number out of range.
+            OptionError: a number out of range, or anything but a capture.
         """
+        if not isinstance(capture, Capture):
+            raise OptionError(
+                f"Candidates.around(): a capture is needed, got a {type(capture).__name__}; read "
+                "one with svu.load_capture(path)."
+            )
         used = capture.used_sensors or capture.sensors
         center, _ = bounding_sphere(capture.shape)
         if distance is None:

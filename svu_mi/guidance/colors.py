@@ -65,6 +65,8 @@ class Colors:
         mean = np.einsum("trkc,k->trc", p, middle) / np.maximum(p.sum(axis=2), 1e-30)
         cell = np.clip(np.searchsorted(self.edges, mean, "right") - 1, 0, len(middle) - 1)
         allowed = np.take_along_axis(p, cell[:, :, None], axis=2)[:, :, 0] > 0
+        if allowed.all():
+            return mean
         return np.where(allowed, mean, middle[p.argmax(axis=2)])  # a prior may have gaps
 
     def channels(self, sums: list[Any], truth: list[Any]) -> tuple[Any, list[Parts]]:

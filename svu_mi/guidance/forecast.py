@@ -74,6 +74,22 @@ class Forecast(ABC):
         found = self._evaluate(views, candidates, texels)
         return np.where(self.seen[np.ix_(candidates, texels)], found, np.nan)
 
+    def one_by_one(self, views: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+        """Return E[H] of photographs from some views, then with each candidate as well: (A + 1, T).
+
+        Args:
+            views: v' numbers.
+            candidates: A numbers, in the order in which they are photographed.
+        """
+        steps = [self.now(views)]
+        for k, candidate in enumerate(candidates):
+            texels = np.flatnonzero(self.seen[candidate])
+            after = steps[-1].copy()
+            so_far = np.append(views, candidates[:k])
+            after[texels] = self.expected(so_far, candidates[k : k + 1], texels)[0]
+            steps.append(after)
+        return np.stack(steps)
+
     @property
     def lasting(self) -> bool:
         """Whether E[H] of a texel stays when a view is added that does not see it."""

@@ -81,14 +81,18 @@ def _angular(
     if not isinstance(grid, PrincipledGrid):
         raise OptionError(
             "next_best_view(): an angular estimate of (roughness, Ks) does not predict "
-            "photographs; use parameters='principled', as the default preset does."
+            "photographs; use parameters='principled', as the default preset does.",
+            shell="An estimate of roughness and Ks does not predict photographs; leave --preset "
+            "out.",
         )
     assert isinstance(switches, AngularPreset)
     if switches.fit is not None:
         raise OptionError(
             f"next_best_view(): the SH model (preset {switches.name!r}) knows light only where "
             "photographs were taken; use method='spectrum', preset='paper' for Eq. 13, or another "
-            "preset."
+            "preset.",
+            shell=f"The SH model (preset {switches.name}) knows light only where photographs were "
+            "taken; give --method spectrum with --preset paper for Eq. 13, or another preset.",
         )
     if by_nodes:
         _require(switches, noise=("estimated", "fixed", "relative", "heteroscedastic"),
@@ -141,7 +145,9 @@ def _spectrum(
     if not isinstance(grid, ParameterGrid):
         raise OptionError(
             "next_best_view(): spectra of new photographs can be predicted over (roughness, Ks) "
-            "only; use preset='paper' or parameters='specular', or method='angular'."
+            "only; use preset='paper' or parameters='specular', or method='angular'.",
+            shell="Spectra of new photographs can be predicted over roughness and Ks only; give "
+            "--preset paper with --method spectrum, or leave both out.",
         )
     assert isinstance(switches, Preset)
     _require(switches, noise=("fixed", "relative"), channels=("grey", "sum"))
@@ -191,7 +197,9 @@ def refuse_growing(method: str, options: GuidanceOptions) -> None:
     if options.band_limit == "growing" and method != "spectrum":
         raise OptionError(
             "next_best_view(): band_limit='growing' is about power spectra (Eq. 13); use "
-            "method='spectrum' over (roughness, Ks), such as preset='paper', or omit it."
+            "method='spectrum' over (roughness, Ks), such as preset='paper', or omit it.",
+            shell="--band-limit growing is about power spectra (Eq. 13); give --method spectrum "
+            "with --preset paper, or omit it.",
         )
 
 
@@ -211,7 +219,9 @@ def _require(switches: AnyPreset, **allowed: tuple[str, ...]) -> None:
         if getattr(switches, name) not in values:
             raise OptionError(
                 f"next_best_view(): an estimate with {name}={getattr(switches, name)!r} does not "
-                f"predict what photographs would add; use {name}={' or '.join(map(repr, values))}."
+                f"predict what photographs would add; use {name}={' or '.join(map(repr, values))}.",
+                shell=f"An estimate with the preset {switches.name} does not predict what "
+                "photographs would add; use another.",
             )
 
 

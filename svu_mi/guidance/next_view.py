@@ -61,6 +61,11 @@ def next_best_view(
             that does not say what photographs would show, to a strategy that asks for it.
         SceneError: a candidate is not a pinhole camera.
     """
+    if not isinstance(estimate, Estimate):
+        raise OptionError(
+            f"next_best_view(): an estimate is needed, got a {type(estimate).__name__}; make one "
+            "with svu.estimate(capture, texels)."
+        )
     if not isinstance(count, Integral) or isinstance(count, bool) or count < 1:
         raise OptionError(
             f"next_best_view(): count must be at least 1, a whole number, got {count!r}."
@@ -70,8 +75,13 @@ def next_best_view(
     strategy, observed = _strategy(options, estimate), observed_of(estimate, None)
     if candidates is None:
         candidates = _default(observed.capture)
-    elif not isinstance(candidates, Candidates):
+    elif isinstance(candidates, Sequence) and not isinstance(candidates, str):
         candidates = Candidates.of(candidates)
+    elif not isinstance(candidates, Candidates):
+        raise OptionError(
+            f"next_best_view(): candidates must be Candidates or sensors, got {candidates!r}; "
+            "place some with svu.Candidates.around(capture, count)."
+        )
     texels = observed.texels
     known = Prospect(estimate, observed, candidates, _sample(texels.count, options), options)
     with progress.stage("Viewing from the candidates"):
@@ -103,7 +113,8 @@ def _strategy(options: GuidanceOptions, estimate: Estimate) -> Strategy:
     if strategy.method not in (None, estimate.method):
         raise OptionError(
             f"next_best_view(): {options.strategy} needs an estimate by "
-            f"method={strategy.method!r}."
+            f"method={strategy.method!r}.",
+            shell=f"--strategy {options.strategy} needs --method {strategy.method}.",
         )
     return strategy
 

@@ -54,7 +54,9 @@ class GuidanceOptions:
         if self.lazy and self.band_limit == "growing":
             raise OptionError(
                 "GuidanceOptions: lazy uses gains as bounds, but with band_limit='growing' the "
-                "light changes at every step; omit one of them."
+                "light changes at every step; omit one of them.",
+                shell="--lazy uses gains as bounds, but with --band-limit growing the light "
+                "changes at every step; omit one of them.",
             )
         require(self, self.texels >= 1, "texels", "at least 1")
         require(self, 1 <= self.hypotheses <= 4096, "hypotheses", "in [1, 4096]")

@@ -99,7 +99,9 @@ def collect(
     if room >= 2**32:
         raise OptionError(
             f"next_best_view(): {count} texels are too many for {number} views; use "
-            f"at most {count * 2**32 // room} (texels=...)."
+            f"at most {count * 2**32 // room} (texels=...).",
+            shell=f"{count} texels are too many for {number} views; give --texels "
+            f"{count * 2**32 // room}, or fewer.",
         )
     responses = Responses(
         values=dr.zeros(mi.Float, room), views=dr.opaque(mi.UInt32, number), columns=columns,

@@ -15,6 +15,7 @@ from svu_mi.guidance.prospect import Prospect
 from svu_mi.surface import Texels
 
 CHUNK = 8192  # texels whose maps are computed at a time
+NAMED = 3  # proposals that a line names
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Proposal:
     new: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Guidance:
     """Which photographs to take next.
 
@@ -76,6 +77,14 @@ class Guidance:
     timings: dict[str, float] = field(default_factory=dict)
     _prospect: Prospect | None = field(default=None, repr=False, compare=False)
 
+    def __repr__(self) -> str:
+        names = ", ".join(proposal.name for proposal in self.proposals[:NAMED])
+        more = ", ..." if len(self.proposals) > NAMED else ""
+        return (
+            f"<Guidance: {names}{more} of {self.candidates.count} candidates, mean entropy "
+            f"{self.entropy:.2f} so far>"
+        )
+
     @property
     def ranking(self) -> np.ndarray:
         """Numbers of the reachable candidates as the next photograph, the best first."""
@@ -99,12 +108,14 @@ class Guidance:
         assert self._prospect is not None
         maps = np.zeros((len(self.proposals), self.texels.count), np.float32)
         proposed = Candidates.of([proposal.sensor for proposal in self.proposals])
-        for first in range(0, self.texels.count, CHUNK):
-            chosen = np.arange(first, min(first + CHUNK, self.texels.count))
-            greedy = replace(self._prospect, candidates=proposed, texels=chosen).greedy
-            for k in range(len(self.proposals)):
-                maps[k, chosen] = greedy.texel_gains(k)
-                greedy.choose(k)
+        everywhere = replace(
+            self._prospect, candidates=proposed, texels=np.arange(self.texels.count)
+        )
+        # Where none of them sees anything, there is nothing to gain.
+        shown = np.flatnonzero(everywhere.seen[everywhere.photographs :].any(axis=0))
+        for first in range(0, len(shown), CHUNK):
+            chosen = shown[first : first + CHUNK]
+            maps[:, chosen] = _gains(replace(everywhere, texels=chosen))
         return maps
 
     def image(self, proposal: int = 0) -> np.ndarray:
@@ -119,3 +130,17 @@ class Guidance:
                 f"got {proposal}."
             )
         return self.texels.to_image(self._maps[proposal], 0.0)
+
+
+def _gains(prospect: Prospect) -> np.ndarray:
+    """Gain of every texel by each candidate, (C, t), those before it taken as photographed."""
+    known, count = prospect.photographs, prospect.candidates.count
+    forecast = prospect.forecast
+    if forecast.lasting:
+        steps = forecast.one_by_one(np.arange(known), known + np.arange(count))
+        return steps[:-1] - steps[1:]
+    greedy, gains = prospect.greedy, []
+    for candidate in range(count):
+        gains.append(greedy.texel_gains(candidate))
+        greedy.choose(candidate)
+    return np.stack(gains)

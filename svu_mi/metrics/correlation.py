@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.metrics.checks import pair, vector
@@ -25,6 +24,8 @@ def pearson(x: Any, y: Any) -> float:
         ShapeError: the arrays are empty or their lengths differ.
         OptionError: NaN or infinite values.
     """
+    from scipy import stats  # takes half a second to import, which pages do without
+
     a, b = pair(x, y, ("x", "y"))
     if _constant(a) or _constant(b):
         return 0.0
@@ -33,6 +34,8 @@ def pearson(x: Any, y: Any) -> float:
 
 def spearman(x: Any, y: Any) -> float:
     """Return Spearman's rank correlation, ties sharing their mean rank (as ``pearson``)."""
+    from scipy import stats
+
     a, b = pair(x, y, ("x", "y"))
     if _constant(a) or _constant(b):
         return 0.0
@@ -80,6 +83,8 @@ def mean_over_objects(
         ShapeError: the lengths differ or are 0.
         OptionError: a value is not finite, or the confidence not in (0, 1).
     """
+    from scipy import stats
+
     cells = vector(values, "values")
     if len(objects) != len(cells):
         raise ShapeError(f"There are {len(cells)} values but {len(objects)} objects' names.")

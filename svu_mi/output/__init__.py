@@ -46,6 +46,7 @@ def write_outputs(
     run: Run | None = None,
     *,
     knowledge: Knowledge | None = None,
+    pictures: bool = True,
 ) -> None:
     """Write ``entropy.exr``, ``coverage.exr``, ``overview.png`` and ``run.json``.
 
@@ -57,6 +58,7 @@ def write_outputs(
         folder: made if missing.
         run: how it came about.
         knowledge: what the estimate says in units; computed if not given.
+        pictures: whether ``overview.png`` is one of the files.
 
     Raises:
         OutputError: the folder or a file cannot be written.
@@ -64,6 +66,7 @@ def write_outputs(
     knowledge = knowledge or Knowledge.of(estimate)
     with writing(folder, "entropy", RECORD, capture=capture_key(capture)) as draft:
         write_maps(estimate, draft.folder)
-        write_overview(capture, estimate, draft.folder / "overview.png", knowledge)
+        if pictures:
+            write_overview(capture, estimate, draft.folder / "overview.png", knowledge)
         record = run_record(capture, estimate, knowledge)
         write_run(draft, record, run or Run())

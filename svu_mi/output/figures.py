@@ -20,7 +20,6 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
-from svu_mi.metrics import GroundTruth
 from svu_mi.output import style, views
 from svu_mi.output.result import is_seen, prior_marginal, words
 from svu_mi.pipeline import Estimate
@@ -34,6 +33,8 @@ if TYPE_CHECKING:
     from matplotlib.colorbar import Colorbar
     from matplotlib.colors import Colormap
     from matplotlib.image import AxesImage
+
+    from svu_mi.metrics import GroundTruth
 
 GUTTER = 3  # texels that charts grow by on the object, so that their borders show no seam
 KNOWN_WIDTH = 0.05  # at which the only node of a known parameter is drawn

@@ -38,6 +38,7 @@ def write_guidance(
     run: Run | None = None,
     *,
     up: tuple[float, float, float] = UP,
+    pictures: bool = True,
 ) -> None:
     """Write proposals as poses, maps and pictures, with ``guidance.json`` and ``run.json``.
 
@@ -51,6 +52,7 @@ def write_guidance(
         folder: made if missing.
         run: how it came about.
         up: top of the map of directions.
+        pictures: whether ``guidance.png`` and thumbnails are among the files.
 
     Raises:
         OutputError: the folder or a file cannot be written.
@@ -60,12 +62,14 @@ def write_guidance(
         _write_poses(capture, guidance, draft.folder)
         write_manifest(draft.folder / PLAN, plan(capture, estimate, guidance))
         run.progress(1, 4)
-        gains = Gains.of(capture, guidance)
+        maps = guidance.gain_maps()
+        _write_maps(guidance, maps, draft.folder)
         run.progress(2, 4)
-        _write_maps(guidance, gains.maps, draft.folder)
-        _write_thumbnails(gains.pictures, prepare_folder(draft.folder / THUMBNAILS))
-        run.progress(3, 4)
-        write_guidance_overview(capture, estimate, guidance, gains, draft.folder / PAGE, up=up)
+        if pictures:
+            gains = Gains.of(capture, guidance, maps)
+            _write_thumbnails(gains.pictures, prepare_folder(draft.folder / THUMBNAILS))
+            run.progress(3, 4)
+            write_guidance_overview(capture, estimate, guidance, gains, draft.folder / PAGE, up=up)
         run.progress(4, 4)
         write_run(draft, guidance_record(capture, estimate, guidance), run)
 
@@ -111,7 +115,7 @@ def file_names(capture: Capture, guidance: Guidance) -> list[str]:
     for proposal in guidance.proposals:
         own = [k for k, sensor in enumerate(capture.sensors) if sensor is proposal.sensor]
         if own:
-            names.append(capture.names[own[0]])
+            names.append((capture.files or capture.names)[own[0]])
         else:
             names.append(f"view_{free:04d}.exr")
             free += 1

@@ -49,9 +49,8 @@ class Gains:
     pictures: list[np.ndarray]
 
     @classmethod
-    def of(cls, capture: Capture, guidance: Guidance) -> Gains:
-        """Compute and draw them."""
-        maps = guidance.gain_maps()
+    def of(cls, capture: Capture, guidance: Guidance, maps: np.ndarray) -> Gains:
+        """Draw maps."""
         return cls(maps, [gain_picture(capture, guidance, k, maps) for k in range(len(maps))])
 
 

@@ -9,13 +9,12 @@ import numpy as np
 
 from svu_mi.output.page import NARROW_SPACE, percent
 from svu_mi.output.result import areas, is_seen, open_axes, words
-from svu_mi.posterior import CalibratedPosterior
 from svu_mi.posterior.nodes import cell_edges
 
 TOLERANCE = 0.05  # half-width of an interval from which on a parameter counts as known
 LEVEL = 0.9  # probability that an interval holds
 WIDEST = 6 * TOLERANCE  # half-width at the upper end of a map's colours
-ENOUGH = 16384  # texels that say what part of a surface is known
+ENOUGH = 4096  # texels that say what part of a surface is known
 ROUNDING = 1e-6  # of interval ends in single precision
 
 
@@ -61,6 +60,7 @@ class Knowledge:
         level: probability that an interval holds.
         tolerance: half-width of an interval from which on a parameter counts as known.
         seen_part: part of the surface that any photograph shows.
+        mean_entropy: of the texels seen; None if nothing is.
         known_part: by parameter that is in question, the part of the surface *seen* where it is
             known; empty if nothing is seen.
         all_known_part: part of the surface seen where all of them are; 0 if nothing is seen.
@@ -72,6 +72,7 @@ class Knowledge:
     level: float
     tolerance: float
     seen_part: float
+    mean_entropy: float | None
     known_part: dict[str, float]
     all_known_part: float
     median_half_width: dict[str, float]
@@ -91,6 +92,7 @@ class Knowledge:
             intervals = Intervals(estimate.posterior, chosen=_spread(np.flatnonzero(seen)))
         area = areas(estimate)
         seen_part = part(area, seen)
+        entropy = np.array(estimate.entropy, np.float64)[seen]
         area, seen = area[intervals.chosen], seen[intervals.chosen]
         names = list(open_axes(estimate)) if seen.any() else []
         half = {name: intervals.half_width(name)[seen] for name in names}
@@ -101,10 +103,21 @@ class Knowledge:
             level=intervals.level,
             tolerance=tolerance,
             seen_part=seen_part,
+            mean_entropy=float(entropy.mean()) if len(entropy) else None,
             known_part={name: part(area[seen], yes) for name, yes in narrow.items()},
             all_known_part=part(area[seen], every) if narrow else 0.0,
             median_half_width={name: _median(width, area[seen]) for name, width in half.items()},
             cell_width={name: w for name, w in widest.items() if not within(w / 2, tolerance)},
+        )
+
+    def summary(self) -> str:
+        """Say all that was found: "97 % of the surface seen, mean entropy 0.60. Roughness ..."."""
+        if self.mean_entropy is None:
+            return self.sentence()
+        part_seen = plain_percent(self.seen_part)
+        return (
+            f"{part_seen} of the surface seen, mean entropy {self.mean_entropy:.2f}. "
+            f"{self.sentence()}"
         )
 
     def sentence(self) -> str:
@@ -153,6 +166,6 @@ def _median(values: np.ndarray, weights: np.ndarray) -> float:
 
 def _widest_cell(posterior: Any, name: str) -> float:
     """Width of the widest cell that intervals are made of; 0 if they are finer than the grid."""
-    if isinstance(posterior, CalibratedPosterior):
+    if posterior.continuous:
         return 0.0
     return float(np.diff(cell_edges(posterior.axes[name])).max())

@@ -19,6 +19,7 @@ import numpy as np
 import svu_mi
 from svu_mi import _llvm
 from svu_mi.capture import Capture
+from svu_mi.capture.fingerprint import mesh_key
 from svu_mi.errors import OutputError
 from svu_mi.files import write_text
 from svu_mi.output.knowledge import Knowledge
@@ -140,6 +141,7 @@ def _record(
     """Return what the records of all runs have, in their order; ``seen`` says of which texels."""
     inputs = {
         "source": capture.source,
+        "mesh": mesh_key(capture.mesh),
         "views": capture.count,
         "photographs": capture.names,
         "exposures": capture.exposures,

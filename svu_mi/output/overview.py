@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -145,7 +145,7 @@ class _Overview:
             _nothing(axes)
             return
         nodes = self.estimate.posterior.axes[name]
-        of_all, of_lowest = mean_marginals(self.estimate, self.result, name)
+        of_all, of_lowest = (means[name] for means in self._marginals)
         several = of_all.shape[1] == 3
         label = words(name).capitalize()
         style.title(axes, f"{label}: R, G, B" if several else label, pad=21)
@@ -160,6 +160,10 @@ class _Overview:
         for line, what in (("o-", "mean of all seen"), ("--", "10 % of lowest entropy")):
             axes.plot([], [], line, color=style.INK, lw=1.4, ms=3, label=what)
         style.legend(axes, 8, loc="upper left", borderaxespad=0, handlelength=1.6, labelspacing=0.2)
+
+    @cached_property
+    def _marginals(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        return mean_marginals(self.estimate, self.result)
 
     def _known(self, name: str) -> str:
         """Word on how much of the surface seen a parameter is known."""

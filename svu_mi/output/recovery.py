@@ -34,6 +34,7 @@ def write_recovery(
     run: Run | None = None,
     *,
     estimate: Estimate | None = None,
+    pictures: bool = True,
 ) -> None:
     """Write textures, ``recovered.xml`` with its assets, maps, pictures, losses and ``run.json``.
 
@@ -46,6 +47,7 @@ def write_recovery(
         run: how it came about.
         estimate: the ``Estimate`` whose entropy and standard deviations are written and drawn; by
             default the one that the textures were recovered from, if there is one.
+        pictures: whether ``recovery.png`` and ``relit.png`` are among the files.
 
     Raises:
         OutputError: the folder or a file cannot be written.
@@ -60,14 +62,21 @@ def write_recovery(
         _write_known(recovery, estimate, target)
         write_losses(recovery.losses, target / LOSSES)
         run.progress(1, 4)
-        chosen = views.far_apart(capture, getattr(estimate, "seen_per_view", None), VIEWS)
-        comparisons = compare(capture, recovery.textures, chosen)
-        run.progress(2, 4)
-        write_relit(comparisons, target / RELIT)
-        run.progress(3, 4)
-        write_recovery_overview(capture, recovery, comparisons, target / PAGE, estimate)
+        if pictures:
+            _draw(capture, recovery, estimate, target, run)
         run.progress(4, 4)
         write_run(draft, recovery_record(capture, recovery, estimate), run)
+
+
+def _draw(
+    capture: Capture, recovery: Recovery, estimate: Estimate | None, folder: Path, run: Run
+) -> None:
+    chosen = views.far_apart(capture, getattr(estimate, "seen_per_view", None), VIEWS)
+    comparisons = compare(capture, recovery.textures, chosen)
+    run.progress(2, 4)
+    write_relit(comparisons, folder / RELIT)
+    run.progress(3, 4)
+    write_recovery_overview(capture, recovery, comparisons, folder / PAGE, estimate)
 
 
 def _write_known(recovery: Recovery, estimate: Estimate | None, folder: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 LOWEST_PART = 0.1  # texels of the lowest entropy, whose marginals are shown beside the mean
-SAMPLE = 4_000  # texels that a mean marginal is taken over
+SAMPLE = 2_000  # texels that a mean marginal is taken over
 
 
 @dataclass(frozen=True)
@@ -83,17 +83,22 @@ def prior_marginal(posterior: Any, name: str) -> np.ndarray:
     return np.asarray(posterior.prior.sum(axis=others))
 
 
-def mean_marginals(estimate: Any, result: Result, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean marginals of a parameter: over texels seen, and those of the lowest entropy.
+def mean_marginals(
+    estimate: Any, result: Result
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Return mean marginals by parameter: over texels seen, and those of the lowest entropy.
 
     Some texel must be seen. They are (nodes, 1), or (nodes, 3) where channels differ.
     """
     limit = np.quantile(result.entropy[result.seen], LOWEST_PART)
 
-    def mean(of: np.ndarray) -> np.ndarray:
+    def mean(of: np.ndarray) -> dict[str, np.ndarray]:
         every = np.flatnonzero(of)
         some = every[:: max(len(every) // SAMPLE, 1)]
-        p = np.array(estimate.posterior.marginal(name, some), np.float64)
-        return p.reshape(len(some), p.shape[1], -1).mean(axis=0)
+        found = {}
+        for name, table in estimate.posterior.marginals(some).items():
+            p = np.array(table, np.float64)
+            found[name] = p.reshape(len(some), p.shape[1], -1).mean(axis=0)
+        return found
 
     return mean(result.seen), mean(result.seen & (result.entropy <= limit))

@@ -16,6 +16,7 @@ from svu_mi.capture.repaint import is_two_sided
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import SvuWarning
 from svu_mi.exr import write_exr
+from svu_mi.formats.light import POLES, ROWS
 from svu_mi.recovery.relight import path_length
 
 MATERIALS = {"Principled": "principled", "SmoothDiffuse": "diffuse"}
@@ -47,7 +48,7 @@ def light(emitter: Any, folder: Path, assets: str) -> Element:
     # Mitsuba 3.9 keeps one halo column on each side.
     pixels = np.array(params["data"], np.float32)[:, 1:-1, :3]
     file = f"{assets}/environment.exr"
-    write_exr(folder / file, {"RGB": pixels})
+    write_exr(folder / file, {"RGB": pixels}, {ROWS: POLES})
     node = put(plugin("emitter", "envmap", id=name), filename=file, to_world=to_world(emitter))
     return put(node, scale=float(np.array(params["scale"]).ravel()[0]))
 

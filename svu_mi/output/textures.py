@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 import svu_mi
-from svu_mi.errors import CaptureError
+from svu_mi.capture import Capture
+from svu_mi.capture.fingerprint import capture_key, mesh_key
+from svu_mi.capture.picture import decoded, open_picture
+from svu_mi.errors import CaptureError, SvuWarning, excerpt
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.output.manifest import RECORD
+from svu_mi.output.maps import ENTROPY
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.textures import Textures
-from svu_mi.results.reading import require_one_run
+from svu_mi.results.reading import marks_of, mesh_of, require_one_run, require_recovery
 from svu_mi.results.settling import settle
 
 FILES = {name: f"{name}.exr" for name in NAMES}
+KINDS = (".exr", ".png")  # of textures of others
 
 
 def write_textures(
@@ -60,12 +66,12 @@ def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:
             outside [0, 1], or is of another run than the others.
     """
     folder = Path(folder)
-    if not folder.is_dir():
-        raise CaptureError(f"{folder}: no such folder; give one with {', '.join(FILES.values())}.")
-    settle(folder)
+    if folder.is_dir():
+        settle(folder)
+    require_recovery(folder, list(FILES.values()), RECORD, ENTROPY)
     if one_run:
         require_one_run(folder, list(FILES.values()), RECORD, "recover")
-    images = {name: _image(folder / FILES[name], CHANNELS[name]) for name in NAMES}
+    images = {name: _of_exr(folder / FILES[name], CHANNELS[name]) for name in NAMES}
     sizes = {name: image.shape[:2] for name, image in images.items()}
     if len(set(sizes.values())) > 1:
         words = ", ".join(f"{FILES[name]} {size[1]} x {size[0]}" for name, size in sizes.items())
@@ -73,7 +79,68 @@ def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:
     return Textures.of(images)
 
 
-def _image(path: Path, count: int) -> np.ndarray:
+def require_textures_of(capture: Capture, folder: str | Path) -> None:
+    """Refuse textures that were recovered over another mesh, as far as their record says.
+
+    Those of another capture of the mesh are taken as they are, with a warning.
+
+    Args:
+        capture: that they are to be shown with.
+        folder: holds them (see ``read_textures``); they may be anybody's.
+
+    Raises:
+        CaptureError: the UVs of their mesh are others, or a file cannot be read.
+    """
+    folder = Path(folder)
+    run, key = marks_of(folder / FILES["base_color"])
+    label = excerpt(capture.source or capture.shape.id(), 300)
+    mesh = mesh_of(folder / RECORD, run)
+    if mesh and mesh != mesh_key(capture.mesh):
+        raise CaptureError(
+            f"{folder}: these textures were recovered over another mesh than that of {label}, or "
+            "over other UVs; give those that svu recover wrote about this capture."
+        )
+    if key and key != capture_key(capture):
+        warnings.warn(
+            f"{folder}: these textures come from another capture than {label}; their values are "
+            "used as they are.",
+            SvuWarning,
+            stacklevel=3,
+        )
+
+
+def find_textures(folder: Path) -> dict[str, Path]:
+    """Return the textures of a folder, whoever wrote them, by parameter: EXR before PNG."""
+    places = {name: [folder / f"{name}{kind}" for kind in KINDS] for name in NAMES}
+    found = {name: next(filter(Path.is_file, paths), None) for name, paths in places.items()}
+    return {name: path for name, path in found.items() if path is not None}
+
+
+def read_texture(path: Path, name: str) -> tuple[np.ndarray, str]:
+    """Read one texture of anybody's.
+
+    Args:
+        path: EXR, whose values are linear; or PNG, of which a base colour is in sRGB, and all
+            others are linear.
+        name: of the parameter.
+
+    Returns:
+        (H, W, C) float32 in [0, 1], and a sentence on how it was read, which may be empty.
+
+    Raises:
+        CaptureError: it is damaged, has other channels, or holds values outside [0, 1] or NaN.
+    """
+    if path.suffix.lower() == ".exr":
+        return _of_exr(path, CHANNELS[name]), ""
+    picture = open_picture(path)
+    planes = picture.planes()[:3]
+    if CHANNELS[name] == 1:
+        return _grey(path, planes), ""
+    image = decoded(np.stack(planes, axis=-1))
+    return image, f"{path}: {picture.bits} bits, decoded as sRGB."
+
+
+def _of_exr(path: Path, count: int) -> np.ndarray:
     """Return (H, W, count) float32."""
     channels = read_exr(path)
     wanted = "RGB" if count == 3 else next((c for c in "YR" if c in channels), "Y")
@@ -81,10 +148,18 @@ def _image(path: Path, count: int) -> np.ndarray:
         raise CaptureError(
             f"{path}: expected the channels {', '.join(wanted)}, found {', '.join(channels)}."
         )
-    if count == 1 and not all(np.array_equal(channels[wanted], c) for c in channels.values()):
-        raise CaptureError(f"{path}: a grey texture with unequal channels; export one channel.")
-    image = np.stack([channels[letter] for letter in wanted], axis=-1)
+    if count == 1:
+        image = _grey(path, [channels[wanted], *channels.values()])
+    else:
+        image = np.stack([channels[letter] for letter in wanted], axis=-1)
     bad = int((~((image >= 0) & (image <= 1))).sum())  # NaN fails both
     if bad:
         raise CaptureError(f"{path}: {bad} values are outside [0, 1] or NaN; clip them.")
     return image
+
+
+def _grey(path: Path, planes: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the one channel (H, W, 1) that all planes are."""
+    if not all(np.array_equal(planes[0], plane) for plane in planes):
+        raise CaptureError(f"{path}: a grey texture with unequal channels; export one channel.")
+    return planes[0][..., None]

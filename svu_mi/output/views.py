@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-import svu_mi.plugins  # noqa: F401 - registers svu_entropy
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture import picture as pictures
-from svu_mi.capture.poses import bounding_sphere, directions_of, scaled_sensor
-from svu_mi.capture.rendering import object_mask
-from svu_mi.capture.trust import own_plugin
+from svu_mi.capture.poses import (
+    bounding_sphere,
+    describe,
+    directions_of,
+    film_size,
+    scaled_sensor,
+)
 from svu_mi.guidance.baselines import farthest
+from svu_mi.interop import owned
+from svu_mi.visibility.rays import film_ray, ray_floats
 
 SIDE = 512  # pixels of the longer side of a picture
-SAMPLES = 16
+SAMPLES = 3  # along each side of a pixel
+AMBIENT = 0.35  # brightness of a surface that is seen edge on
 MARGIN = 0.06  # around the object, in parts of its size
 WHITE = 0.95  # part of the object's pixels that a tone-mapped photograph does not clip
 Window = tuple[float, float, float, float]  # left, right, top, bottom, in parts of a picture
@@ -47,34 +55,74 @@ def far_apart(
 
 
 def picture(capture: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
-    """Render a texture on the mesh of a capture alone, as ``painted`` does."""
-    return painted(alone(capture), texture, sensor)
+    """Render a texture on the mesh of a capture alone, as ``Look.painted`` does.
 
-
-def painted(scene: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
-    """Render a texture on the one shape of a scene, slightly shaded.
-
-    Args:
-        scene: as of ``alone``.
-        texture: (H, W, 3) colours as they shall appear on the screen, row 0 at v = 0.
-        sensor: from where; the picture is at most 512 pixels on its longer side.
-
-    Returns:
-        (h, w, 4) float32, colour over white and the part of the pixel that is covered.
+    The picture is at most 512 pixels on its longer side.
     """
-    bitmap = {
-        "type": "bitmap",
-        "bitmap": mi.Bitmap(np.ascontiguousarray(texture, np.float32)),
-        "raw": True,  # antialiasing and shading then work on screen values: good enough here
-        "filter_type": "nearest",
-        "wrap_mode": "clamp",
-    }
-    integrator = {"type": "svu_entropy", "colormap": "none", "shading": True, "map": bitmap}
-    integrator = own_plugin({**integrator, "background": [1.0, 1.0, 1.0]})
-    small = scaled_sensor(sensor, SIDE)
-    image = np.array(mi.render(scene, sensor=small, integrator=integrator, spp=SAMPLES))
-    covered = object_mask(scene, scene.shapes()[0], small)
-    return np.clip(np.dstack([image[..., :3], covered]), 0, 1)
+    return Look.of(alone(capture), scaled_sensor(sensor, SIDE)).painted(texture)
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a sensor sees of an object: traced once, for any number of textures.
+
+    Attributes:
+        size: (width, height) of the picture.
+        uv: (N,) Point2f of all samples, those of a pixel one after the other.
+        shade: (N,) Float, how bright the surface is in each; 0 off the object.
+        covered: (h, w) float32, the part of every pixel that the object covers.
+    """
+
+    size: tuple[int, int]
+    uv: Any
+    shade: Any
+    covered: np.ndarray
+
+    @staticmethod
+    def of(scene: Any, sensor: Any) -> Look:
+        """Trace the rays of a sensor, a few to a pixel, in a scene as of ``alone``."""
+        width, height = film_size(sensor)
+        index = dr.arange(mi.UInt32, width * height * SAMPLES**2)
+        pixel, sub = index // SAMPLES**2, index % SAMPLES**2
+        row = pixel // dr.opaque(mi.UInt32, width)
+        x = mi.Float(pixel - row * width) + (mi.Float(sub % SAMPLES) + 0.5) / SAMPLES
+        y = mi.Float(row) + (mi.Float(sub // SAMPLES) + 0.5) / SAMPLES
+        floats = owned(mi.Float, ray_floats(sensor, describe(sensor)["principal_point_offset"]))
+        ray = film_ray(floats, mi.UInt32(0), x, y)
+        si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
+        hit = si.is_valid()
+        # Darker where the surface turns away, so that its form can be seen.
+        shade = dr.lerp(AMBIENT, 1, dr.abs(dr.dot(si.sh_frame.n, ray.d)))
+        uv, shade = dr.select(hit, si.uv, 0), dr.select(hit, shade, 0)
+        dr.eval(uv, shade)
+        covered = dr.block_sum(dr.select(shade > 0, mi.Float(1), 0), SAMPLES**2) / SAMPLES**2
+        return Look((width, height), uv, shade, covered.numpy().reshape(height, width))
+
+    def painted(self, texture: np.ndarray) -> np.ndarray:
+        """Show a texture on the object, slightly shaded.
+
+        Args:
+            texture: (H, W, 3) colours as they shall appear on the screen, row 0 at v = 0.
+
+        Returns:
+            (h, w, 4) float32, colour over white and the part of the pixel that is covered.
+        """
+        height, width = texture.shape[:2]
+        texels = owned(mi.Float, np.asarray(texture, np.float32).ravel())
+        column, row = (
+            mi.UInt32(dr.clip(at * dr.opaque(mi.Float, size), 0, dr.opaque(mi.Float, size - 1)))
+            for at, size in ((self.uv.x, width), (self.uv.y, height))
+        )
+        place = row * dr.opaque(mi.UInt32, width) + column
+        # Antialiasing and shading work on screen values: good enough here.
+        color = self.shade * dr.gather(mi.Color3f, texels, place)
+        color = dr.select(self.shade > 0, color, 1)
+        dr.eval(color)
+        mean = [dr.block_sum(channel, SAMPLES**2) / SAMPLES**2 for channel in color]
+        dr.eval(mean)
+        image = np.stack([channel.numpy() for channel in mean], axis=-1)
+        image = image.reshape(*self.covered.shape, 3)
+        return np.clip(np.dstack([image, self.covered]), 0, 1)
 
 
 def alone(capture: Any) -> Any:
@@ -140,13 +188,26 @@ def tone_mapped(
 
 def resized(photograph: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return a photograph in (width, height) pixels; unusable ones leave NaN around them."""
-    if photograph.shape[1::-1] == size:
+    height, width = photograph.shape[:2]
+    if (width, height) == size:
         return np.array(photograph)
+    if width % size[0] == 0 and height % size[1] == 0:
+        return shrunk(photograph, width // size[0], height // size[1])
     unusable = ~np.isfinite(photograph).all(axis=2, keepdims=True)
     planes = np.concatenate([np.where(unusable, 0, photograph), unusable], axis=2)
     bitmap = mi.Bitmap(np.ascontiguousarray(planes, np.float32)).resample(mi.ScalarVector2u(size))
     small = np.array(bitmap, np.float32)
     return np.where(np.abs(small[..., 3:]) > 1e-3, np.nan, np.maximum(small[..., :3], 0))
+
+
+def shrunk(photograph: np.ndarray, across: int, down: int) -> np.ndarray:
+    """Return means of so many pixels across and down; those left over at the ends are cut off."""
+    height, width = photograph.shape[0] // down, photograph.shape[1] // across
+    means = np.zeros((height, width, photograph.shape[2]), np.float32)
+    for row in range(down):
+        for column in range(across):
+            means += photograph[row : down * height : down, column : across * width : across]
+    return means / (across * down)
 
 
 def srgb(linear: np.ndarray) -> np.ndarray:

@@ -24,6 +24,7 @@ from svu_mi.options import preset as find_preset
 from svu_mi.parameters import MIXED, PARAMETERS
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import streaming
+from svu_mi.posterior.best_cells import best_cells
 from svu_mi.posterior.cells import marginals_of
 from svu_mi.posterior.checks import require_scale, total_texels
 from svu_mi.posterior.grid import PrincipledGrid
@@ -66,6 +67,11 @@ class CalibratedPosterior(Posterior):
         """3 when each colour channel has its own base colour, else 1."""
         return self.problem.factors.channels * self.problem.copies
 
+    @property
+    def continuous(self) -> bool:
+        """True: the grid is only for probabilities and entropy."""
+        return True
+
     @cached_property
     def _summary_of_lanes(self) -> kernel.Summary:
         return kernel.summarize(self.problem)
@@ -103,14 +109,19 @@ class CalibratedPosterior(Posterior):
         return everywhere
 
     def _tables(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        p = np.repeat(kernel.tables(self.problem, self._lane[chosen]), self.problem.copies, -1)
-        shape = self.grid.shape
-        rows = p[..., 0].sum(axis=-1).reshape(len(p), -1).argmax(axis=1)
-        given = p.reshape(len(p), -1, *p.shape[-2:])[np.arange(len(p)), rows]
-        best = np.unravel_index(rows, shape[:-1])
-        shared = [np.repeat(node[:, None], p.shape[-1], axis=1) for node in best]
-        nodes = np.stack([*shared, given.argmax(axis=1)], axis=1)
-        return p.astype(np.float32).reshape(len(p), *shape, -1), nodes.astype(np.int64)
+        return self._cells(chosen), self._best(chosen)
+
+    def _cells(self, chosen: np.ndarray) -> np.ndarray:
+        p = kernel.tables(self.problem, self._lane[chosen])
+        p = np.repeat(p, self.problem.copies, -1) if self.problem.copies > 1 else p
+        return p.reshape(len(p), *self.grid.shape, -1)
+
+    def _best(self, chosen: np.ndarray) -> np.ndarray:
+        rows, colors = best_cells(self.problem, self._lane[chosen])
+        colors = np.repeat(colors, self.problem.copies, axis=1)
+        shared = [np.repeat(node[:, None], colors.shape[1], axis=1)
+                  for node in np.unravel_index(rows, self.grid.shape[:-1])]  # fmt: skip
+        return np.stack([*shared, colors], axis=1)
 
     def _moments(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         found = self._summary_of_lanes

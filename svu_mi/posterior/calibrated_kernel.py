@@ -86,7 +86,7 @@ def summarize(problem: Problem) -> Summary:
     rows, columns = problem.roughness.count, problem.mixed.count
     _, of_column, of_color = problem.shape
     cells = of_column * channels * of_color
-    masses = _cleared(cells + columns)
+    masses = cleared(cells + columns)
     first = dr.opaque(mi.UInt32, cells)  # of the columns, behind the cells
     by_row, by_column = (dr.zeros(mi.Float, size(n, count)) for n in (rows, columns))
     dr.eval(by_row, by_column)
@@ -143,7 +143,7 @@ def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
         chosen: (t,) int64, which of them.
 
     Returns:
-        (t, R, M, K, C) float64, of sum 1 for every texel and channel, the others marginalised.
+        (t, R, M, K, C) float32, of sum 1 for every texel and channel, the others marginalised.
     """
     rows, of_column, of_color = problem.shape
     channels, nodes = problem.factors.channels, problem.nodes
@@ -159,16 +159,16 @@ def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
 
     (masses,) = walker.over_rows(
         dr.gather(mi.UInt32, nodes.first, cell), dr.gather(mi.UInt32, nodes.first, cell + 1),
-        visit, lambda _, masses: (masses,), (_cleared(size_of_row),),
+        visit, lambda _, masses: (masses,), (cleared(size_of_row),),
     )  # fmt: skip
     result = dr.zeros(mi.Float, len(chosen) * rows * size_of_row)
     dr.eval(result)
     result = _write(masses, mi.UInt32(0), size_of_row, None, result, launch * size_of_row)
     dr.eval(result)
     found = result.numpy().reshape(len(chosen), rows, of_column, channels, of_color)
-    found = np.moveaxis(found, 3, 4).astype(np.float64)
-    total = found.sum(axis=(1, 2, 3), keepdims=True)
-    return found / np.where(total > 0, total, 1)
+    total = found.sum(axis=(1, 2, 4), keepdims=True, dtype=np.float64)
+    found = found * (1 / np.where(total > 0, total, 1)).astype(np.float32)
+    return np.moveaxis(found, 3, 4)
 
 
 def color_masses(problem: Problem, parts: Axis, chosen: np.ndarray) -> list[Any]:
@@ -194,7 +194,7 @@ def color_masses(problem: Problem, parts: Axis, chosen: np.ndarray) -> list[Any]
 
     (masses,) = walker.over_rows(
         mi.UInt32(0), dr.opaque(mi.UInt32, problem.roughness.count), visit,
-        lambda _, masses: (masses,), (_cleared(channels * K),),
+        lambda _, masses: (masses,), (cleared(channels * K),),
     )  # fmt: skip
     found = []
     for channel in range(channels):
@@ -243,8 +243,8 @@ def draw(problem: Problem, total: Any, random: list[Any]) -> tuple[list[Any], li
     return shared, colors
 
 
-def _cleared(number: int) -> Any:
-    """Local memory of zeros, written in a loop (Dr.Jit 1.5 unrolls a literal start).
+def cleared(number: int) -> Any:
+    """Return local memory of zeros, written in a loop (Dr.Jit 1.5 unrolls a literal start).
 
     The loop's end is a literal, which makes the size part of the kernel: Dr.Jit 1.5 otherwise
     takes the kernel of another size for this one, and writes beyond its memory.

@@ -52,10 +52,10 @@ def shared(posterior: CalibratedPosterior, rounds: int = ROUNDS) -> CalibratedPo
     chosen = seen[np.linspace(0, len(seen) - 1, min(SAMPLE, len(seen))).round().astype(np.int64)]
     sample, everyone = problem.some(chosen), np.arange(len(chosen))
     alone = prior_tables(problem)
-    learned = _mixed(kernel.tables(sample, everyone).mean(axis=0), alone)
+    learned = _mixed(kernel.tables(sample, everyone).mean(axis=0, dtype=float), alone)
     for _ in range(rounds - 1):
         under = _under(sample, learned)
-        learned = _mixed(kernel.tables(under, everyone).mean(axis=0), alone)
+        learned = _mixed(kernel.tables(under, everyone).mean(axis=0, dtype=float), alone)
     return replace(posterior, problem=_under(problem, learned), learned=True)
 
 

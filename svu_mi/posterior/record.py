@@ -56,6 +56,11 @@ class Posterior(ABC):
         return 1
 
     @property
+    def continuous(self) -> bool:
+        """Whether intervals are made of finer parts than the cells of the grid."""
+        return False
+
+    @property
     def prior(self) -> np.ndarray:
         """Probability of every cell where nobody looked: float64 of the grid's shape, of sum 1."""
         return np.full(self.grid.shape, 1 / np.prod(self.grid.shape))
@@ -142,10 +147,10 @@ class Posterior(ABC):
                 f"Posterior.probabilities: {shape} values do not fit in 2 GiB; use entropy(), "
                 "marginal(), map(), or probabilities_of() fewer texels."
             )
-        result = np.empty(shape, np.float32)
-        for span in self._chunks(len(chosen)):
-            result[span] = self._tables(chosen[span])[0]
+        result, seen = np.empty(shape, np.float32), np.flatnonzero(self.observed[chosen])
         result[~self.observed[chosen]] = self.prior[..., None]
+        for span in self._chunks(len(seen)):
+            result[seen[span]] = self._cells(chosen[seen[span]])
         return _tensor(result if self.groups > 1 else result[..., 0])
 
     def marginal(self, name: str, chosen: Any | None = None) -> Any:
@@ -163,8 +168,13 @@ class Posterior(ABC):
             OptionError: an unknown parameter, or an index outside [0, T).
         """
         self._check_parameter(name)
-        summary = self._summary if chosen is None else self._summarize(self._indices(chosen))
-        return _tensor(summary[0][name].copy())
+        found = self._marginals if chosen is None else self._marginals_of(self._indices(chosen))
+        return _tensor(found[name].copy())
+
+    def marginals(self, chosen: Any) -> dict[str, Any]:
+        """Return the marginals of all parameters of some texels, as ``marginal`` has each."""
+        found = self._marginals_of(self._indices(chosen))
+        return {name: _tensor(table.copy()) for name, table in found.items()}
 
     def marginal_entropy(self, name: str) -> Any:
         """Return the normalised entropy of a marginal: (T,), or (T, 3) per channel.
@@ -172,7 +182,7 @@ class Posterior(ABC):
         That of a parameter that is known is 0, also where nobody looked.
         """
         self._check_parameter(name)
-        p = self._summary[0][name].astype(np.float64)
+        p = self._marginals[name].astype(np.float64)
         bits = -np.where(p > 0, p * np.log(np.where(p > 0, p, 1)), 0).sum(axis=1)
         nodes = p.shape[1]
         return _tensor(np.clip(bits / np.log(nodes), 0, 1) if nodes > 1 else 0 * bits)
@@ -189,37 +199,60 @@ class Posterior(ABC):
         Raises:
             OptionError: an index outside [0, T).
         """
-        summary = self._summary if chosen is None else self._summarize(self._indices(chosen))
-        return {name: _tensor(values.copy()) for name, values in summary[1].items()}
+        best = self._best_of_all if chosen is None else self._best_of(self._indices(chosen))
+        values = {name: nodes[best[:, k]] for k, (name, nodes) in enumerate(self.axes.items())}
+        return {
+            name: _tensor((table[..., 0] if name in self._shared else table).copy())
+            for name, table in values.items()
+        }
 
     @cached_property
-    def _summary(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        return self._summarize(np.arange(self.count))
+    def _best_of_all(self) -> np.ndarray:
+        return self._best_of(np.arange(self.count))
 
-    def _summarize(self, chosen: np.ndarray) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Marginals and the most probable cell, from one pass over the probabilities."""
-        axes, groups = self.axes, self.groups
+    def _best_of(self, chosen: np.ndarray) -> np.ndarray:
+        """Indices (t, axes, G) of the most probable nodes, of the prior's where nobody looked."""
+        seen = self.observed[chosen]
+        best = np.empty((len(chosen), len(self.axes), self.groups), np.int64)
+        best[~seen] = _best_of_prior(self.prior)[:, None]
+        if seen.any():
+            best[seen] = self._best(chosen[seen])
+        return best
+
+    def _cells(self, chosen: np.ndarray) -> np.ndarray:
+        """p (t, *grid, G) float32 of some texels, as if observed."""
+        return self._tables(chosen)[0]
+
+    def _best(self, chosen: np.ndarray) -> np.ndarray:
+        """Indices (t, axes, G) of the most probable nodes of some texels, as if observed."""
+        best = np.empty((len(chosen), len(self.axes), self.groups), np.int64)
+        for span in self._chunks(len(chosen)):
+            best[span] = self._tables(chosen[span])[1]
+        return best
+
+    @property
+    def _shared(self) -> list[str]:
+        """Parameters that all channels have in common: only the last may be a channel's own."""
+        return list(self.axes) if self.groups == 1 else list(self.axes)[:-1]
+
+    @cached_property
+    def _marginals(self) -> dict[str, Any]:
+        return self._marginals_of(np.arange(self.count))
+
+    def _marginals_of(self, chosen: np.ndarray) -> dict[str, Any]:
+        """All marginals of some texels, from one pass over the probabilities."""
+        axes = self.axes
         marginals: dict[str, Any] = {
-            name: np.broadcast_to(p[:, None], (len(chosen), len(p), groups)).astype(np.float32)
+            name: np.broadcast_to(p[:, None], (len(chosen), len(p), self.groups)).astype(np.float32)
             for name, p in marginals_of(self.prior, list(axes)).items()
         }
-        best = np.empty((len(chosen), len(axes), groups), np.int64)
         observed = self.observed[chosen]
         for span in self._chunks(len(chosen)):
-            p, best[span] = self._tables(chosen[span])
-            seen = observed[span]
+            p, seen = self._cells(chosen[span]), observed[span]
             for axis, marginal in enumerate(marginals.values(), 1):
                 others = tuple(k for k in range(1, len(axes) + 1) if k != axis)
                 marginal[span][seen] = p.sum(axis=others)[seen]
-        best[~observed] = _best_of_prior(self.prior)[:, None]
-        values: dict[str, Any] = {
-            name: nodes[best[:, k]] for k, (name, nodes) in enumerate(axes.items())
-        }
-        # Only the last parameter is a channel's own.
-        shared = list(axes) if groups == 1 else list(axes)[:-1]
-        for table in (marginals, values):
-            table.update({name: table[name][..., 0] for name in shared})
-        return marginals, values
+        return marginals | {name: marginals[name][..., 0] for name in self._shared}
 
     def mean(self, name: str) -> Any:
         """Return the mean of a parameter: TensorXf (T,), or (T, 3) where channels have their own.
@@ -260,10 +293,15 @@ class Posterior(ABC):
         if not 0 < level < 1:
             raise OptionError(f"Posterior.interval(): level must be in (0, 1), got {level!r}.")
         texels = np.arange(self.count) if chosen is None else self._indices(chosen)
-        low, high = self._ends(name, level, texels)
-        unseen, edges = ~self.observed[texels], cell_edges(self.axes[name])
+        seen, edges = self.observed[texels], cell_edges(self.axes[name])
         allowed = np.flatnonzero(marginals_of(self.prior, list(self.axes))[name])
-        low[unseen], high[unseen] = edges[allowed[0]], edges[allowed[-1] + 1]
+        channels = 1 if name in self._shared else self.groups
+        low, high = (
+            np.full((len(texels), channels), edges[end], np.float32)
+            for end in (allowed[0], allowed[-1] + 1)
+        )
+        if seen.any():
+            low[seen], high[seen] = self._ends(name, level, texels[seen])
         return self._shaped(name, low), self._shaped(name, high)
 
     def draw(self, count: int = 1, seed: int = 0) -> dict[str, Any]:
@@ -338,14 +376,14 @@ class Posterior(ABC):
 
     def _grouped(self, name: str) -> np.ndarray:
         """A marginal as (T, nodes, g), whether channels have their own or not."""
-        p = self._summary[0][name]
+        p = self._marginals[name]
         return p if p.ndim == 3 else p[..., None]
 
     def _draws(self, count: int, seed: int) -> dict[str, np.ndarray]:
         """Draws (count, T, g) float32 by parameter, of texels that were seen: nodes of the grid."""
         random = np.random.default_rng(seed)
         found = [
-            draw_cells(self._tables(np.arange(self.count)[span])[0], self.axes, count, random)
+            draw_cells(self._cells(np.arange(self.count)[span]), self.axes, count, random)
             for span in self._chunks(self.count)
         ]
         empty = {name: np.zeros((count, 0, 1), np.float32) for name in self.axes}

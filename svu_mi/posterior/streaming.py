@@ -200,11 +200,11 @@ def log_prior(
 
     Raises:
         ShapeError: another shape.
-        OptionError: negative or not finite weights, or nothing but zeros.
+        OptionError: no numbers, negative or not finite weights, or nothing but zeros.
     """
     if prior is None:
         return None
-    weights = np.array(prior, np.float64)
+    weights = _numbers(prior, shape, caller)
     if weights.shape == shape[:1]:
         weights = np.broadcast_to(weights.reshape(-1, *(1,) * (len(shape) - 1)), shape)
     if weights.shape != shape:
@@ -222,6 +222,20 @@ def log_prior(
             np.minimum(-np.log(row / row.sum()), IMPOSSIBLE),
             np.minimum(-np.log(given), IMPOSSIBLE).ravel(),
         )
+
+
+def _numbers(prior: Any, shape: tuple[int, ...], caller: str) -> np.ndarray:
+    """Return weights of cells as float64, of whatever shape they have."""
+    try:
+        found = np.asarray(prior)
+        if found.dtype.kind not in "fiub":  # NumPy would read text, and drop imaginary parts
+            raise TypeError
+        return found.astype(np.float64)
+    except (TypeError, ValueError):
+        raise OptionError(
+            f"{caller}: the prior must be numbers, {shape} or ({shape[0]},), got a "
+            f"{type(prior).__name__}."
+        ) from None
 
 
 def prior_of(tables: tuple[Any, Any] | None, shape: tuple[int, ...]) -> np.ndarray:

@@ -29,7 +29,7 @@ from svu_mi.regularization import GlobalSharing
 from svu_mi.surface import Texels
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Recovery:
     """Recovered textures, and how they came about.
 
@@ -56,6 +56,13 @@ class Recovery:
     settings: dict[str, Any]
     timings: dict[str, float] = field(default_factory=dict)
     estimate: Estimate | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        width, height = self.texels.resolution
+        return (
+            f"<Recovery {self.method}: textures of {width} x {height}, {self.texels.count} texels, "
+            f"{self.stopped} after {len(self.losses)} steps>"
+        )
 
     def image(self, name: str) -> np.ndarray:
         """Return a map as (H, W) or (H, W, 3) float32: a texture, or ``coverage``.

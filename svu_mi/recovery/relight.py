@@ -19,6 +19,7 @@ from svu_mi.capture.scene import find_environment, to_world
 from svu_mi.errors import OptionError
 from svu_mi.light.environment import directions, read_environment
 from svu_mi.recovery.path.scene import PathScene
+from svu_mi.recovery.pictures import Pictures
 from svu_mi.recovery.textures import Textures
 
 MAX_DEPTH = 6  # where the scene's own integrator does not say
@@ -42,6 +43,7 @@ def relight(
     *,
     seed: int = 0,
     max_depth: int | None = None,
+    pixels: Sequence[np.ndarray] | None = None,
 ) -> list[np.ndarray]:
     """Path-trace the object in recovered textures.
 
@@ -55,9 +57,11 @@ def relight(
         seed: of the first picture; the others' follow.
         max_depth: longest path; 2 is direct light only. By default that of the scene's own
             integrator.
+        pixels: (H, W) bool per sensor, the pixels to render, all in one launch; all by default.
 
     Returns:
-        One (H, W, 3) float32 picture per sensor, linear radiance, background included.
+        One (H, W, 3) float32 picture per sensor, linear radiance, background included;
+        0 in pixels that were not asked for.
 
     Raises:
         OptionError: less than one sample per pixel.
@@ -68,6 +72,8 @@ def relight(
     depth = path_length(capture.scene) if max_depth is None else max_depth
     integrator = mi.load_dict({"type": "path", "max_depth": depth})
     sensors = capture.sensors if sensors is None else sensors
+    if pixels is not None:
+        return Pictures(sensors).traced(scene, integrator, pixels, spp, seed)
     images = (
         mi.render(scene, sensor=sensor, integrator=integrator, spp=spp, seed=(seed + k) % 2**32)
         for k, sensor in enumerate(sensors)

@@ -111,8 +111,8 @@ class NarrowLobes:
         assert sun is not None
         sums = Sums(self.alpha, len(lobes[0]), normal, direction)
 
-        def add(cell: Any, *state: Any) -> tuple[Any, ...]:
-            return (cell + 1, *sums.lit(sun, cell, sums.look(sun, cell), free, state))
+        def add(cell: Any, memory: Any) -> tuple[Any, Any]:
+            return (cell + 1, *sums.lit(sun, cell, sums.look(sun, cell), free, memory))
 
         found = sums.over(sun.count, add, cosine)
         return [

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, NamedTuple
 
 import drjit as dr
@@ -60,13 +61,20 @@ class Sums:
         self.normal, self.direction = normal, direction
 
     def over(self, count: Any, add: Callable[..., Any], cosine: Any) -> list[Lobe]:
-        """Return the lobes of all cells: ``add(cell, *sums)`` returns the next cell, and sums."""
+        """Return the lobes of all cells: ``add(cell, sums)`` returns the next cell, and sums.
+
+        Sums are kept in local memory: as variables, every branch and loop on the way to a cell
+        would copy all of them, which takes as long as all else.
+        """
         size = 3 * self.channels
-        sums = fold(mi.UInt32(0), count, add, *[0 * cosine] * (size * len(self.alpha)))
+        sums = dr.alloc_local(mi.Float, size * len(self.alpha))
+        for k in range(size * len(self.alpha)):
+            sums[k] = 0 * cosine
+        (sums,) = fold(mi.UInt32(0), count, add, sums)
         result = []
         for k, alpha in enumerate(self.alpha):
             scale = smith_g1(cosine, alpha) / (4 * cosine)
-            own = [scale * value for value in sums[size * k : size * (k + 1)]]
+            own = [scale * sums[size * k + part] for part in range(size)]
             result.append([tuple(own[3 * c : 3 * c + 3]) for c in range(self.channels)])
         return result
 
@@ -80,12 +88,12 @@ class Sums:
         )  # fmt: skip
 
     def lit(
-        self, cells: Cells, cell: Any, look: _Look, free: Any, sums: tuple[Any, ...]
-    ) -> tuple[Any, ...]:
+        self, cells: Cells, cell: Any, look: _Look, free: Any, sums: Any
+    ) -> tuple[Any]:
         """Add what one cell contributes to every width, if it is seen."""
         _, square, incident, up, across = look
 
-        def reflected(*state: Any) -> tuple[Any, ...]:
+        def reflected(sums: Any) -> tuple[Any]:
             schlick, dielectric = (1 - across) ** 5, dielectric_fresnel(across)
             parts = [
                 value * factor
@@ -94,14 +102,13 @@ class Sums:
             ]
             # Across the plane of incidence the half vector turns by more, 1 / cos theta_d as far.
             spread = 0.5 * square * (1 + dr.rcp(across * across))
-            lobes = [blurred_ggx(up, incident, alpha, spread) for alpha in self.alpha]
-            added = [(lobe, part) for lobe in lobes for part in parts]
-            return tuple(
-                dr.fma(part, lobe, old) for old, (lobe, part) in zip(state, added, strict=True)
-            )
+            lobes = blurred_ggx(up, incident, self.alpha, spread)
+            for k, (lobe, part) in enumerate(product(lobes, parts)):
+                sums[k] = dr.fma(part, lobe, sums[k])
+            return (sums,)
 
         lit = mi.Bool(free & (incident > 0))
-        return dr.if_stmt(args=sums, cond=lit, true_fn=reflected, false_fn=lambda *s: s)
+        return dr.if_stmt(args=(sums,), cond=lit, true_fn=reflected, false_fn=lambda s: (s,))
 
 
 @dataclass(frozen=True)
@@ -152,17 +159,17 @@ class _Tree:
         self.flat = 1 - NARROW**2
         self.limit = dr.opaque(mi.Float, LARGE)
 
-    def coarse(self, cell: Any, *sums: Any) -> tuple[Any, ...]:
+    def coarse(self, cell: Any, sums: Any) -> tuple[Any, Any]:
         """Add a coarse cell, or the fine ones that it is made of."""
         cells = self.reach.cells
         free = self.reach.coarse.test(cell, self.lane)
         return self._add(_Depth(cells.coarse, cells.first, self.fine), cell, free, sums)
 
-    def fine(self, cell: Any, *sums: Any) -> tuple[Any, ...]:
+    def fine(self, cell: Any, sums: Any) -> tuple[Any, Any]:
         """Add a fine cell, or its leaves, which are seen if it is."""
         cells, free = self.reach.cells, self.reach.fine.test(cell, self.lane)
 
-        def leaf(below: Any, *sums: Any) -> tuple[Any, ...]:
+        def leaf(below: Any, sums: Any) -> tuple[Any, Any]:
             look = self.sums.look(cells.leaves, below)
             return (below + 1, *self.sums.lit(cells.leaves, below, look, free, sums))
 
@@ -170,27 +177,27 @@ class _Tree:
         return self._add(depth, cell, free, sums, inside=free)
 
     def _add(
-        self, depth: _Depth, cell: Any, free: Any, sums: tuple[Any, ...], inside: Any = True
-    ) -> tuple[Any, ...]:
+        self, depth: _Depth, cell: Any, free: Any, sums: Any, inside: Any = True
+    ) -> tuple[Any, Any]:
         """Add a cell, or what is below it where it is too large; only if ``inside`` is."""
         cells, first, below = depth
         look = self.sums.look(cells, cell)
 
-        def above(*sums: Any) -> tuple[Any, ...]:
+        def above(sums: Any) -> tuple[Any]:
             s = dr.fma(-self.flat * look.up, look.up, 1)
             large = look.square > self.limit * look.across * look.across * s
 
-            def smaller(*sums: Any) -> tuple[Any, ...]:
+            def smaller(sums: Any) -> tuple[Any, ...]:
                 start, end = (dr.gather(mi.UInt32, first, cell + k) for k in (0, 1))
-                return fold(start, end, below, *sums)
+                return fold(start, end, below, sums)
 
             return dr.if_stmt(
-                args=sums, cond=large, true_fn=smaller,
-                false_fn=lambda *sums: self.sums.lit(cells, cell, look, free, sums),
+                args=(sums,), cond=large, true_fn=smaller,
+                false_fn=lambda sums: self.sums.lit(cells, cell, look, free, sums),
             )  # fmt: skip
 
-        sums = dr.if_stmt(
-            args=sums, cond=(look.incident > -look.radius) & inside,
-            true_fn=above, false_fn=lambda *sums: sums,
+        (sums,) = dr.if_stmt(
+            args=(sums,), cond=(look.incident > -look.radius) & inside,
+            true_fn=above, false_fn=lambda sums: (sums,),
         )  # fmt: skip
-        return (cell + 1, *sums)
+        return cell + 1, sums

@@ -17,8 +17,9 @@ from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.textures import Textures, lay_out
 
 COMPARED = 48  # most views that are rendered
-SIDE = 96  # pixels of renders that only errors are taken of
-SAMPLES = 96  # per pixel: with fewer, their noise would be most of the error
+SIDE = 64  # pixels of renders that only errors are taken of
+SAMPLES = 36  # per pixel: with fewer, their noise would be most of the error
+SHOWN_SIDE, SHOWN_SAMPLES = 224, 16  # of renders that are shown, and no errors taken of
 WIDTH = 900  # of the chart
 
 
@@ -54,7 +55,7 @@ def errors(capture: Capture, textures: Textures, grey: bool) -> Errors | None:
         None if no photograph shows the object.
     """
     used = [view for view in range(capture.count) if capture.used[view]]
-    compared = _compare(capture, textures, spread(used, COMPARED), grey, SIDE)
+    compared = _compare(capture, textures, spread(used, COMPARED), grey, (SIDE, SAMPLES))
     found = {c.view: e for c in compared if (e := c.mean_difference) is not None}
     if not found:
         return None
@@ -65,7 +66,7 @@ def errors(capture: Capture, textures: Textures, grey: bool) -> Errors | None:
     return Errors(
         rows, _percent(values.mean()), _chart(values, rows),
         [(capture.names[c.view], _pictures(c), _percent(found[c.view]))
-         for c in _compare(capture, textures, extremes, grey, relit.SIDE)],
+         for c in _compare(capture, textures, extremes, grey, (SHOWN_SIDE, SHOWN_SAMPLES))],
         len(used),
     )  # fmt: skip
 
@@ -91,9 +92,11 @@ def _chart(values: np.ndarray, rows: list[tuple[str, str]]) -> Plot:
 
 
 def _compare(
-    capture: Capture, textures: Textures, chosen: list[int], grey: bool, side: int
+    capture: Capture, textures: Textures, chosen: list[int], grey: bool, size: tuple[int, int]
 ) -> list[Comparison]:
-    compared = relit.explain(capture, textures, chosen, SAMPLES, side)
+    """Compare views in pictures of some size: pixels of their longer side, and samples of each."""
+    side, spp = size
+    compared = relit.explain(capture, textures, chosen, spp, side)
 
     def brightness(image: np.ndarray) -> np.ndarray:
         return np.repeat(image.mean(axis=2, keepdims=True), 3, axis=2)

@@ -65,10 +65,14 @@ class Parts:
     wide: float
 
     @classmethod
-    def of(cls, estimate: Any, half_width: np.ndarray) -> Parts:
-        """Measure the parts, of which some texel must be seen, by half-widths of intervals (T,)."""
-        seen = is_seen(estimate)
-        area = areas(estimate)[seen]
+    def of(
+        cls, estimate: Any, half_width: np.ndarray, chosen: np.ndarray | None = None
+    ) -> Parts:
+        """Measure the parts, of which some texel must be seen, by half-widths of intervals (t,) of
+        some texels; of all by default."""
+        texels = slice(None) if chosen is None else chosen
+        seen = is_seen(estimate)[texels]
+        area = areas(estimate)[texels][seen]
         settled, roughly = (within(half_width[seen], x) for x in (TOLERANCE, ROUGHLY))
         return cls(part(area, settled), part(area, roughly & ~settled), part(area, ~roughly))
 

@@ -71,15 +71,18 @@ def histogram(result: Result) -> Plot | None:
 
 def marginals(estimate: Any, result: Result) -> Iterator[tuple[str, Plot]]:
     """Yield the mean marginal of each open parameter, over all texels seen, if there are any."""
-    for name in open_axes(estimate) if result.seen.any() else ():
-        of_all, of_lowest = mean_marginals(estimate, result, name)
-        yield words(name), _marginal(estimate.posterior, name, of_all, of_lowest)
+    if not result.seen.any():
+        return
+    of_all, of_lowest = mean_marginals(estimate, result)
+    for name in open_axes(estimate):
+        yield words(name), _marginal(estimate.posterior, name, of_all[name], of_lowest[name])
 
 
 def examples(
-    table: Turntable, estimate: Any, result: Result, intervals: Intervals, frames: list[Picture]
+    table: Turntable, estimate: Any, result: Result, level: float, frames: list[Picture]
 ) -> Iterator[Example]:
-    """Yield a texel of low, one of median and one of high entropy, if any is seen."""
+    """Yield a texel of low, one of median and one of high entropy, if any is seen; ``level`` is
+    the probability that an interval holds."""
     seen = np.flatnonzero(result.seen)
     order = seen[np.argsort(result.entropy[seen], kind="stable")]
     for name, part in EXAMPLES if len(order) else ():
@@ -87,6 +90,8 @@ def examples(
         alike = order[max(rank - ALIKE // 2, 0) : rank + ALIKE // 2 + 1]
         place = table.find(estimate.texels, alike)
         texel, number, x, y = place or (int(order[rank]), -1, 0.0, 0.0)
+        intervals = Intervals(estimate.posterior, level, np.array([texel]))
+        marginals = estimate.posterior.marginals([texel])
         count = int(result.coverage[texel])
         column, row = place_of(estimate, texel)
         yield Example(
@@ -94,20 +99,20 @@ def examples(
             f"Entropy {result.entropy[texel]:.2f}, in {grouped(count)} "
             f"photograph{'s' if count != 1 else ''}; column {column}, row {row} of the texture.",
             frames[number] if place else None, 100 * x, 100 * y,
-            tuple((words(n), _marginal_of(estimate.posterior, n, texel),
-                   _interval_words(intervals, n, texel)) for n in open_axes(estimate)),
+            tuple((words(n), _marginal_of(estimate.posterior, n, marginals[n]),
+                   _interval_words(intervals, n)) for n in open_axes(estimate)),
         )  # fmt: skip
 
 
-def _interval_words(intervals: Intervals, name: str, texel: int) -> str:
-    """Word a texel's interval: "0.12 to 0.31", or "R 0.12 to 0.31, G ..."."""
-    low, high = (end[texel] for end in intervals.ends(name))
+def _interval_words(intervals: Intervals, name: str) -> str:
+    """Word the interval of a single texel: "0.12 to 0.31", or "R 0.12 to 0.31, G ..."."""
+    low, high = (end[0] for end in intervals.ends(name))
     told = [f"{a:.2f} to {b:.2f}" for a, b in zip(low, high, strict=True)]
     return told[0] if len(told) == 1 else ", ".join(map(" ".join, zip("RGB", told, strict=True)))
 
 
-def _marginal_of(posterior: Any, name: str, texel: int) -> Plot:
-    p = np.array(posterior.marginal(name, [texel]), np.float64)
+def _marginal_of(posterior: Any, name: str, marginal: Any) -> Plot:
+    p = np.array(marginal, np.float64)
     return _marginal(posterior, name, p.reshape(p.shape[1], -1))
 
 

@@ -16,14 +16,16 @@ from svu_mi.capture import Capture
 from svu_mi.output import style
 from svu_mi.output.knowledge import Intervals, Knowledge
 from svu_mi.output.manifest import environment_record
-from svu_mi.output.page import NARROW_SPACE, grouped, percent, write_page
+from svu_mi.output.page import NARROW_SPACE, grouped, page_of, percent
 from svu_mi.output.relit import WORST
 from svu_mi.output.report import errors, findings, pictures, plots
 from svu_mi.output.report.turntable import Turntable
-from svu_mi.output.result import Result, known, open_axes, words
+from svu_mi.output.result import Result, is_seen, known, open_axes, words
+from svu_mi.output.thinned import Thinned
 from svu_mi.pipeline import Estimate
 from svu_mi.progress import Stage
 from svu_mi.recovery.textures import Textures
+from svu_mi.results.keeping import write_alone
 
 TEMPLATE = "report.html"
 FRAMES, SIDE = 12, 400  # of the turntable; pixels
@@ -39,7 +41,7 @@ def write_report(
     title: str | None = None,
     settings: Mapping[str, Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> None:
+) -> Knowledge:
     """Write what the photographs say as one HTML page, with all pictures inside.
 
     It opens without a network, in any browser. Of many photographs some are shown and rendered,
@@ -48,12 +50,16 @@ def write_report(
     Args:
         capture: the ``Capture``.
         estimate: its ``Estimate``; nothing need have been seen.
-        path: the HTML file.
+        path: the HTML file. What is there and is no unchanged report is kept under another name,
+            ``NAME.before.EXT``, with a warning.
         textures: recovered from the photographs, such as ``recover(...).textures``; they are shown,
             and each photograph is compared with what they predict.
         title: of the page; by default the name of the capture's folder.
         settings: what the caller was asked for (command-line options).
         progress: called with (parts done, parts in all).
+
+    Returns:
+        What the page says is known.
 
     Raises:
         OutputError: the file cannot be written.
@@ -62,22 +68,24 @@ def write_report(
     today = datetime.date.today()
     warnings = [_within(capture.source, sentence) for sentence in capture.warnings]
     result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
-    intervals = Intervals(estimate.posterior)
+    shown = Thinned.of(estimate, pictures.MAP_SIDE)
+    intervals = Intervals(estimate.posterior, chosen=shown.chosen)
     thumbnails, left_out = pictures.thumbnails(capture, estimate)
     report(1, 5)
     frames = list(pictures.turning(table, estimate))
     report(2, 5)
-    maps = pictures.maps(table, estimate, intervals)
+    maps = pictures.maps(table, shown.estimate, intervals)
     recovered = [] if textures is None else pictures.texture_maps(table, estimate, textures)
     report(3, 5)
-    shown = [frame[0] for frame in frames]
-    examples = list(plots.examples(table, estimate, result, intervals, shown))
+    turned = [frame[0] for frame in frames]
+    examples = list(plots.examples(table, estimate, result, intervals.level, turned))
     report(4, 5)
-    compared = _errors(capture, estimate, result, textures)
-    write_page(
-        path, TEMPLATE,
+    compared = _errors(capture, shown.estimate, textures)
+    knowledge = Knowledge.of(estimate, intervals)
+    page = page_of(
+        TEMPLATE,
         title=title or _name(capture), date=f"{today.day} {today:%B %Y}",
-        summary=_summary(capture, estimate, result, intervals, table),
+        summary=_summary(capture, estimate, result, intervals, knowledge, table),
         count=capture.count, used=sum(capture.used), thumbnails=thumbnails, left_out=left_out,
         frames=frames, maps=maps, recovered=recovered, textured=textures is not None,
         histogram=plots.histogram(result), marginals=list(plots.marginals(estimate, result)),
@@ -88,30 +96,32 @@ def write_report(
         given=[(name, _plain(value)) for name, value in (settings or {}).items()],
         **_settings(capture, estimate), **_environment(estimate.timings),
     )  # fmt: skip
+    write_alone(path, page)
     report(5, 5)
+    return knowledge
 
 
 def _errors(
-    capture: Capture, estimate: Estimate, result: Result, textures: Textures | None
+    capture: Capture, estimate: Estimate, textures: Textures | None
 ) -> errors.Errors | None:
     grey = textures is None and estimate.posterior.groups == 1
-    if textures is None and result.seen.any():
+    if textures is None and is_seen(estimate).any():
         textures = errors.most_probable(estimate)
     return None if textures is None else errors.errors(capture, textures, grey)
 
 
 def _summary(
-    capture: Capture, estimate: Estimate, result: Result, intervals: Intervals, table: Turntable
-) -> dict[str, Any]:
+    capture: Capture, estimate: Estimate, result: Result, intervals: Intervals,
+    knowledge: Knowledge, table: Turntable,
+) -> dict[str, Any]:  # fmt: skip
     """Numbers for the head of the page, and words for them."""
-    knowledge = Knowledge.of(estimate, intervals)
     seen = result.entropy[result.seen]
     views = float(np.median(result.coverage[result.seen])) if len(seen) else 0
     width, height = estimate.texels.resolution
     return {
         "seen": knowledge.seen_part,
         "settled": [
-            (words(name), findings.Parts.of(estimate, intervals.half_width(name)),
+            (words(name), findings.Parts.of(estimate, intervals.half_width(name), intervals.chosen),
              f"±{knowledge.median_half_width[name]:.2f}")
             for name in knowledge.known_part
         ],

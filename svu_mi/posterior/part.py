@@ -1,0 +1,90 @@
+"""A posterior of some of the texels of another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.interop import owned
+from svu_mi.posterior.record import Posterior
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartOfPosterior(Posterior):
+    """What a posterior says of some of its texels; nothing is computed for the others.
+
+    Attributes:
+        whole: of all texels.
+        chosen: (t,) int64, which of them.
+    """
+
+    whole: Posterior
+    chosen: np.ndarray
+
+    @staticmethod
+    def of(whole: Posterior, chosen: np.ndarray) -> PartOfPosterior:
+        """Take some texels, by their indices."""
+        return PartOfPosterior(
+            grid=whole.grid, observed=whole.observed[chosen], whole=whole, chosen=chosen
+        )
+
+    @property
+    def groups(self) -> int:
+        """Those of the whole."""
+        return self.whole.groups
+
+    @property
+    def prior(self) -> np.ndarray:
+        """That of the whole."""
+        return self.whole.prior
+
+    @property
+    def most(self) -> float:
+        """That of the whole."""
+        return self.whole.most
+
+    @property
+    def prior_entropy(self) -> float:
+        """That of the whole."""
+        return self.whole.prior_entropy
+
+    @property
+    def continuous(self) -> bool:
+        """Whether the whole is."""
+        return self.whole.continuous
+
+    def prior_moments(self, name: str) -> tuple[Any, Any]:
+        """Return those of the whole."""
+        return self.whole.prior_moments(name)
+
+    def _entropy_of_all(self) -> Any:
+        return dr.gather(mi.Float, self.whole._entropy, owned(mi.UInt32, self.chosen))
+
+    def _tables(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self.whole._tables(self.chosen[chosen])
+
+    def _cells(self, chosen: np.ndarray) -> np.ndarray:
+        return self.whole._cells(self.chosen[chosen])
+
+    def _best(self, chosen: np.ndarray) -> np.ndarray:
+        return self.whole._best(self.chosen[chosen])
+
+    def _moments(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        mean, sd = self.whole._moments(name)
+        return mean[self.chosen], sd[self.chosen]
+
+    def _ends(
+        self, name: str, level: float, texels: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        return self.whole._ends(name, level, self.chosen[texels])
+
+    def _draws(self, count: int, seed: int) -> dict[str, np.ndarray]:
+        drawn = self.whole._draws(count, seed)
+        return {name: values[:, self.chosen] for name, values in drawn.items()}
+
+    def _prior_draws(self, count: int, random: np.random.Generator) -> dict[str, np.ndarray]:
+        return self.whole._prior_draws(count, random)
