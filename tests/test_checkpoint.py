@@ -204,6 +204,7 @@ def test_killed_at_a_random_moment_and_resumed_it_ends_with_the_same_textures(tm
     assert np.array_equal(found["losses"], whole["losses"])
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_a_checkpoint_of_the_last_step(tmp_path, whole):
     interrupt(tmp_path, 0.1, signal.SIGINT)
     stopped = Checkpoint(tmp_path / "c.npz", {"seed": 5}).load()

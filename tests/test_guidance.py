@@ -699,6 +699,7 @@ class TestNextBestView:
         svu.next_best_view(estimate, svu.Candidates.around(capture, 5), texels=50)
         assert estimate.observed.lighting.lobes == kept
 
+    @pytest.mark.slow
     def test_expected_gain_of_a_sample_is_that_of_all_within_its_error(self, sunny, estimated):
         capture, texels = sunny
         estimate = estimated(0, 5, 9)
@@ -832,6 +833,7 @@ class TestNextBestView:
         p = np.exp(-forecast.prior.numpy()).reshape(8, 8)
         np.testing.assert_allclose(p, posterior.prior.sum(axis=2), rtol=1e-5)
 
+    @pytest.mark.slow
     def test_a_fifth_photograph_does_not_lower_the_noise_at_once(self, sunny, estimated):
         capture, _ = sunny
         four = baselines.farthest(directions_of(capture.sensors, np.zeros(3)), [0], 3)

@@ -26,7 +26,7 @@ class Given:
     def __init__(self, ends, axes):
         self.ends, self.axes, self.asked = ends, axes, []
 
-    count = 5
+    count, continuous = 5, False
 
     def interval(self, name, level, chosen):
         self.asked.append((name, level))
@@ -36,6 +36,7 @@ class Given:
 def estimate_of(posterior, coverage=COVERAGE, footprint=FOOTPRINT):
     return SimpleNamespace(
         posterior=posterior, coverage=mi.UInt32(coverage),
+        entropy=np.linspace(0, 1, len(coverage)),
         texels=SimpleNamespace(footprint=mi.Float(footprint)),
     )  # fmt: skip
 
@@ -57,6 +58,16 @@ def test_figures_are_those_computed_by_hand(posterior):
         "Roughness known to ±0.05 on 67 % of the surface seen, base colour on 33 % "
         "(90 % intervals)."
     )
+
+
+def test_all_that_was_found_is_one_line(posterior):
+    """The mean entropy is that of the four texels seen, of 0, 0.25, 0.5, 0.75 and 1."""
+    assert Knowledge.of(estimate_of(posterior)).summary() == (
+        "38 % of the surface seen, mean entropy 0.38. Roughness known to ±0.05 on 67 % of the "
+        "surface seen, base colour on 33 % (90 % intervals)."
+    )
+    nothing = Knowledge.of(estimate_of(posterior, coverage=(0,) * 5))
+    assert nothing.summary() == "Nothing is known: no photograph shows the surface."
 
 
 def test_another_tolerance_and_level(posterior):

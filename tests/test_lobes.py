@@ -148,7 +148,8 @@ def test_the_diffuse_model_is_that_of_mitsuba(roughness):
 def test_light_from_one_direction_is_not_blurred(alpha):
     up, incident = np.linspace(0.05, 1, 40)[:, None], np.linspace(0.01, 1, 40)
     exact = oracle.ggx(up, alpha) * oracle.g1(incident, alpha)
-    ours = blurred_ggx(*(float_array(x) for x in np.broadcast_arrays(up, incident)), alpha, 0.0)
+    angles = (float_array(x) for x in np.broadcast_arrays(up, incident))
+    ours = blurred_ggx(*angles, [alpha], 0.0)[0]
     # Single precision of sin^2 of the half vector, where the lobe is narrow.
     keep = np.broadcast_to(1 - up**2 + alpha**2 * up**2 > 1e-3, exact.shape)
     np.testing.assert_allclose(ours.numpy()[keep.ravel()], exact[keep], rtol=1e-3)
@@ -161,7 +162,7 @@ def test_light_from_one_direction_is_not_blurred(alpha):
 def test_light_from_a_disk_is_that_of_its_formula(alpha, rho):
     """Also where the disk is too large for it."""
     up, incident = np.linspace(0.3, 0.99, 30), np.linspace(0.05, 1, 30)
-    ours = blurred_ggx(float_array(up), float_array(incident), alpha, rho**2).numpy()
+    ours = blurred_ggx(float_array(up), float_array(incident), [alpha], rho**2)[0].numpy()
     exact = oracle.blurred(up, alpha, rho**2) * oracle.g1(incident, alpha)
     np.testing.assert_allclose(ours, exact, rtol=2e-4)
 
@@ -178,8 +179,8 @@ def test_a_blurred_lobe_is_the_average_over_a_small_disk(alpha, spot):
     rho = 0.3 * float(np.sqrt(s))
     average, center = averages(alpha, tilt, rho)
     up = float_array(np.array([np.cos(tilt)]))
-    ours = float(blurred_ggx(up, mi.Float(1), alpha, rho**2)[0])
-    plain = float(blurred_ggx(up, mi.Float(1), alpha, 0.0)[0])  # both in single precision
+    ours = float(blurred_ggx(up, mi.Float(1), [alpha], rho**2)[0][0])
+    plain = float(blurred_ggx(up, mi.Float(1), [alpha], 0.0)[0][0])  # both in single precision
     assert ours / plain - 1 == pytest.approx(average / center - 1, rel=0.06, abs=1.5e-3)
 
 

@@ -113,6 +113,7 @@ def test_what_was_observed_serves_as_well_as_an_estimate(capture, layout, calls)
     assert first.observed is observed
 
 
+@pytest.mark.slow
 def test_it_is_the_same_from_a_capture(capture, layout):
     """And a capture still works: the results are equal to the last bit."""
     estimate = svu.estimate(capture, layout)

@@ -128,7 +128,7 @@ def test_the_light_turns_with_the_camera_of_its_photograph(written):
     for light, shot in zip(chosen, capture.test, strict=True):
         np.testing.assert_allclose(light.to_world, shot.to_world[:3, :3], atol=1e-12)
         pixels, _, _ = read_environment_map(light)
-        np.testing.assert_allclose(pixels, shot.environment, rtol=1e-6)
+        np.testing.assert_allclose(pixels[1::2], shot.environment, rtol=1e-6)  # others: between
     with pytest.raises(OptionError, match="'0000'; use one of 0003, 0004"):
         read_orb(path, environment_view="0000")
 

@@ -77,6 +77,7 @@ def pixels(path: Path) -> np.ndarray:
     return np.array(mi.Bitmap(str(path)))[..., :3]
 
 
+@pytest.mark.slow
 def test_the_overview_is_a_page_of_1600_pixels(tmp_path, vase):
     """No window, no figure of pyplot's that stays in memory, no setting changed."""
     before = dict(matplotlib.rcParams), pyplot.get_fignums()

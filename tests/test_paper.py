@@ -285,6 +285,7 @@ def test_eq06_irradiance_is_the_integral_over_the_light(observed, samples):
         np.testing.assert_allclose(np.array(columns[0][c][0]), exact[:, c] / np.pi, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_eq06_the_posterior_of_the_sh_model(observed, samples):
     """Eq. 1 to 6 together, as ``svu.estimate(preset="paper")`` has them: in grey, all views.
 

@@ -379,6 +379,7 @@ def test_parameters_that_are_not_given_stay_as_they_were_fixed(capture, grid):
 # ---- the loop ----
 
 
+@pytest.mark.slow
 def test_descent_finds_the_colour_of_a_surface(capture, grid):
     """With the rest known; all of it can hardly be told from so few paths."""
     fixed = Textures(**textures_of(grid))
@@ -414,6 +415,7 @@ def test_resumed_in_the_middle_of_an_epoch_it_ends_as_if_uninterrupted(capture, 
         assert np.abs(a - b).max() < 2e-3
 
 
+@pytest.mark.slow
 def test_with_one_thread_it_is_the_same_to_the_last_bit(capture, grid):
     threads = dr.thread_count()
     dr.set_thread_count(1)
@@ -430,6 +432,7 @@ def test_with_one_thread_it_is_the_same_to_the_last_bit(capture, grid):
         assert np.array_equal(*(np.array(run.values[name]) for run in runs))
 
 
+@pytest.mark.slow
 def test_no_kernel_after_the_second_step_not_even_in_a_new_epoch(capture, grid):
     objective = path_objective(capture, grid, options(pixels_per_batch=512))
     compiled = {}

@@ -97,6 +97,7 @@ def test_images_are_close_to_path_tracing(name, light, preset, decibels):
         assert abs(image.sum() / reference.sum() - 1) < 0.02
 
 
+@pytest.mark.slow
 def test_shadows_make_the_difference():
     """The spheres stand close to each other: 14 % of the light is missing."""
     scene = own_scene(light="studio")

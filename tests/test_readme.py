@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 import shlex
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -13,6 +14,9 @@ import tyro
 
 LINES = {"README.md": 15, "notebooks/recovering.md": 30}  # of the scripts, at most
 ROOT = Path(__file__).parent.parent
+WRITERS = (
+    "import", "check", "entropy", "guide", "recover", "report", "export", "compare", "render"
+)  # fmt: skip
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "notebooks").glob("*.md"))]
 
 
@@ -47,6 +51,30 @@ def test_commands_are_understood(page, capsys):
 def test_there_are_commands():
     assert len(commands(ROOT / "README.md")) > 10
     assert sum(len(commands(page)) for page in PAGES) > 30
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_commands_of_a_page_write_to_different_folders(page):
+    """None replaces what another has made; without -o each command has a folder of its own."""
+    written = [words[words.index("-o") + 1] for words in commands(page) if "-o" in words]
+    assert sorted(written) == sorted(set(written))
+    assert len(written) == len([words for words in commands(page) if words[0] in WRITERS])
+
+
+def test_commands_write_to_folders_of_their_own_by_default():
+    from svu_mi.cli.main import Command
+
+    places = {}
+    for each in get_args(Command):
+        options = {field.name: field.default for field in fields(get_args(each)[0])}
+        places[each.__metadata__[0].name] = options.get("output")
+    assert places == {
+        "import": Path("capture"), "render": Path("capture"), "check": Path("out/check"),
+        "entropy": Path("out/entropy"), "guide": Path("out/next"), "view": Path("out"),
+        "recover": Path("out/textures"), "report": Path("report.html"),
+        "export": Path("out/asset"), "compare": Path("out/compare"), "scenes": Path("scenes"),
+        "demo": Path("out/demo"), "bench": Path("out/bench"), "doctor": None,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

@@ -104,6 +104,7 @@ def valley_capture(tmp_path, max_depth: int):
 # --- right -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_four_corners_give_all_of_a_row_exactly_where_paths_are_shared(capture, layout):
     """At metallic 0 and 1 sampling does not depend on the base colour: equal path by path."""
     a, b = (
@@ -184,7 +185,7 @@ def test_the_true_material_has_the_smallest_energy(capture, layout):
     assert np.median(reference.entropy) < 0.05
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["neighbour", "twosided", "flipped", "area light"])
 def test_the_rest_of_the_scene_stays(tmp_path, kind):
     """Other shapes shade, other lights shine, and the object keeps its orientation."""
@@ -313,6 +314,7 @@ def test_a_noise_that_is_estimated_is_that_of_sums_of_weighted_samples(capture, 
     assert np.array(reference.posterior.probabilities).shape == (20, *GRID.shape, 3)
 
 
+@pytest.mark.slow
 def test_a_noise_that_is_estimated_gives_the_estimator_s_own_posterior(capture, layout):
     """From one side of the ball, so that some texels are seen by few views; 256 paths leave a
     correlation of 0.95, and 1024 no more."""
@@ -436,6 +438,7 @@ def test_a_texel_nobody_sees_has_entropy_one(capture, layout, noise):
     assert np.array_equal(drawn.subset, np.flatnonzero(~unseen))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("noise", ["relative", "heteroscedastic"])
 def test_errors_may_be_summed_over_views(capture, layout, tmp_path, noise):
     """Eq. 3 as printed: so many views say so much more. From a cache, too."""

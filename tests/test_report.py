@@ -166,7 +166,7 @@ def test_all_of_the_surface_is_exactly_all(estimate):
         posterior = SimpleNamespace(axes={})
         some = SimpleNamespace(texels=SimpleNamespace(footprint=footprint), posterior=posterior)
         for seen in (True, False):
-            some.coverage = np.full(count, int(seen))
+            some.coverage, some.entropy = np.full(count, int(seen)), np.zeros(count)
             assert Knowledge.of(some).seen_part == seen
         some.coverage = np.ones(count)
         for width in (0.05, 0.15, 0.16):
@@ -177,7 +177,7 @@ def test_all_of_the_surface_is_exactly_all(estimate):
 
 def test_what_is_settled_is_said_from_intervals(estimate, page, monkeypatch):
     banded, seen = Banded(estimate), np.array(estimate.coverage) > 0
-    monkeypatch.setattr(report, "Intervals", lambda _: banded)
+    monkeypatch.setattr(report, "Intervals", lambda *_, **__: banded)
     text = page()
     area = np.array(estimate.texels.footprint, np.float64)[seen] ** 2
     below = [area[banded.v[seen] < v].sum() / area.sum() for v in (0.3, 0.5, 0.7)]
@@ -197,15 +197,16 @@ def test_nothing_is_settled_by_its_entropy(capture, estimate, table):
     result, intervals, told = Result.of(estimate), Intervals(estimate.posterior), []
     for entropy in (0, 1):
         other = replace(result, entropy=np.full_like(result.entropy, entropy))
-        summary = report._summary(capture, estimate, other, intervals, table)
+        known = Knowledge.of(estimate, intervals)
+        summary = report._summary(capture, estimate, other, intervals, known, table)
         told.append((summary["settled"], summary["all_settled"]))
     assert told[0] == told[1] and len(told[0][0]) == 3
 
 
 def test_points_are_shown_with_their_intervals(estimate, table):
-    result, intervals = Result.of(estimate), Intervals(estimate.posterior)
+    result = Result.of(estimate)
     (low, high) = (np.array(end) for end in estimate.posterior.interval("roughness"))
-    for example in plots.examples(table, estimate, result, intervals, [None] * 4):
+    for example in plots.examples(table, estimate, result, 0.9, [None] * 4):
         column, row = map(int, re.search(r"column (\d+), row (\d+)", example.sentence).groups())
         texel = list(estimate.texels.index.numpy()).index(row * 48 + column)
         told = {name: interval for name, _, interval in example.plots}
@@ -400,12 +401,24 @@ def scene(tmp_path, variant):
 def test_the_command_writes_a_page(scene, tmp_path, capsys):
     page = tmp_path / "new" / "page.html"
     words = ["report", str(scene), "-o", str(page), "--resolution", "16", "-t", "2"]
+    page.parent.mkdir()
+    page.write_text("mine")
     assert main(words) == 0
-    assert "no UVs" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "no UVs" in said and "page.html, not written by this version of svu" in said
     text = page.read_text(encoding="utf-8")
     assert "laid out" in section(text, "skipped")  # the warning of the mesh
+    assert page.with_name("page.before.html").read_text() == "mine"
     page.unlink()
     assert main([*words, "-o", str(tmp_path)]) == 2
     assert "is a folder; -o takes a file" in capsys.readouterr().err
+    before = scene.read_bytes()
+    for name in (scene, tmp_path / "new" / "page"):
+        assert main([*words, "-o", str(name)]) == 2
+        assert capsys.readouterr().err == (
+            "svu: -o takes the name of a page, which ends in .html, such as report.html; got "
+            f"{name}.\n"
+        )
+    assert scene.read_bytes() == before
     assert main([*words, "--recovered", str(tmp_path / "none")]) == 2
     assert "none: no such folder" in capsys.readouterr().err and not page.exists()

@@ -91,7 +91,7 @@ def found(grey):
     return estimated
 
 
-@pytest.mark.few(6)
+@pytest.mark.few(4)
 @RULES
 @pytest.mark.parametrize("name", [None, *vars(NOTHING)])
 def test_every_switch_leaves_the_result(found, method, rule, name):

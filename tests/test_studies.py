@@ -19,7 +19,6 @@ from studies.clock import measure, run, spread
 from studies.kernels import entropy, fit, gather
 from studies.kernels import run as kernels
 from studies.kernels.end_to_end import run_once
-from studies.kernels.memory import resident_formula
 from studies.kernels.run import KernelSizes
 from studies.kernels.scaling import Range, line, repeated
 from studies.kernels.tables import kernel_tables
@@ -39,6 +38,7 @@ from svu_mi.bench.study import Asked
 from svu_mi.bench.variants import VARIANTS, Variant
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError, SvuEnvironmentError
+from svu_mi.needs import COSTS, MODELS
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.progress import Progress
 from svu_mi.visibility import Surface, pack_views, survey
@@ -303,14 +303,13 @@ def test_views_are_repeated_or_spread(shot):
 
 def test_the_formula_of_memory_is_the_readme_s(root):
     readme = (root / "README.md").read_text()
-    angular, spectrum, pixel, base = (
-        round(resident_formula("angular", 0, 2**20) - 200),
-        round(resident_formula("spectrum", 0, 2**20) - 200),
-        round(resident_formula("spectrum", 2**20, 0) - 200),
-        round(resident_formula("spectrum", 0, 0)),
+    cost, of = COSTS["entropy"], MODELS
+    line = (
+        f"{cost.start / 1e6:.0f} MB + {cost.pixel} bytes per pixel of all photographs + "
+        f"{of['default']} bytes per texel"
     )
-    line = f"{base} MiB + {pixel} bytes per pixel of all photographs + {angular} bytes per texel"
-    assert line in readme and f", {spectrum} with spectra)" in readme
+    others = f"({of['fixed']} with the preset fixed, {of['paper']} with the SH model, "
+    assert line in readme and f"{others}{of['spectrum']} with spectra)" in readme
 
 
 @pytest.mark.slow

@@ -80,7 +80,7 @@ def test_overlapping_charts_are_refused_with_the_fix():
         None,
         np.concatenate([flat.uvs, flat.uvs]),
     )
-    with pytest.raises(MeshError, match="overlapping UV charts.*--unwrap"):
+    with pytest.raises(MeshError, match="overlapping UV charts.*unwrap=True"):
         texels(make("twice", doubled), 64)
 
 

@@ -267,7 +267,7 @@ def test_bad_ports_and_a_missing_viser_are_one_sentence(capture, known, monkeypa
 def test_command_line(tmp_path, monkeypatch, capsys, variant):
     scene, urls = write_scene(tmp_path), []
     monkeypatch.setattr(Viewer, "run", lambda self: (urls.append(page(self.url)), self.stop()))
-    words = ["view", str(scene), "--port", "0", "--resolution", "16", "--spp", "2"]
+    words = ["view", str(scene), "--port", "0", "--resolution", "16", "--render", "--spp", "2"]
     assert main([*words, "-o", str(tmp_path / "out")]) == 0
     assert "<html" in urls[0]
     assert "Open http://127.0.0.1:" in capsys.readouterr().out

@@ -102,4 +102,4 @@ def same(names: Sequence[str], others: Sequence[str]) -> bool:
 
 
 def _rest(names: Sequence[str]) -> set[str]:
-    return {name for name in names if FIXES[name].kind in ("camera", "texture")}
+    return {name for name in names if FIXES[name].kind in ("camera", "texture", "winding")}

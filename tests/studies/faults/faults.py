@@ -28,18 +28,18 @@ class Fault:
 
 FAULTS = (
     Fault(
-        "light mirrored left to right", "sign", "svu_mi/light/environment.py",
+        "light mirrored left to right", "sign", "svu_mi/light/sampling.py",
         "np.stack([sin * np.sin(phi), y, -sin * np.cos(phi)], axis=-1)",
         "np.stack([-sin * np.sin(phi), y, -sin * np.cos(phi)], axis=-1)",
         ("test_environment.py",),
     ),
     Fault(
-        "light looked up in the world's frame", "transpose", "svu_mi/light/environment.py",
+        "light looked up in the world's frame", "transpose", "svu_mi/light/sampling.py",
         "local.reshape(-1, 3) @ to_world.T", "local.reshape(-1, 3) @ to_world",
         ("test_environment.py",),
     ),
     Fault(
-        "columns of the light half a texel aside", "off by one", "svu_mi/light/environment.py",
+        "columns of the light half a texel aside", "off by one", "svu_mi/light/sampling.py",
         "phi = 2 * np.pi * (np.arange(columns) + 0.5) / columns",
         "phi = 2 * np.pi * np.arange(columns) / columns",
         ("test_environment.py",),

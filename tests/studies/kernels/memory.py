@@ -1,4 +1,4 @@
-"""Memory: what the allocator handed out at most, and what the README says a run takes."""
+"""Memory: what the allocator handed out at most, and what a run is announced to take."""
 
 from __future__ import annotations
 
@@ -8,20 +8,21 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from svu_mi.needs import Need
+
 MIB = 2**20
-BASE_MIB, BYTES_PER_PIXEL = 200, 20
-BYTES_PER_TEXEL = {"angular": 3000, "spectrum": 560}  # with their default presets
+MODEL_OF = {"angular": "default", "spectrum": "spectrum"}  # with their default presets
 
 
 def resident_formula(method: str, pixels: int, texels: int) -> float:
-    """Return the README's figure for resident memory, in MiB.
+    """Return what ``svu entropy`` announces of resident memory, in MiB.
 
     Args:
         method: of ``estimate``.
         pixels: of all photographs.
         texels: of the charts.
     """
-    return BASE_MIB + (BYTES_PER_PIXEL * pixels + BYTES_PER_TEXEL[method] * texels) / MIB
+    return Need("entropy", [(pixels, 1)], (texels, 1), model=MODEL_OF[method]).bytes / MIB
 
 
 def allocated(function: Callable[[], Any]) -> float:

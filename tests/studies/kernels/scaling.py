@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 
 from studies.clock import run, spread
-from studies.kernels.memory import BYTES_PER_TEXEL, MIB, allocated
+from studies.kernels.memory import MIB, MODEL_OF, allocated
 from svu_mi.bench.captures import chosen_views
 from svu_mi.bench.text import Bar
 from svu_mi.capture import Capture
+from svu_mi.needs import MODELS
 from svu_mi.pipeline import estimate
 from svu_mi.surface import Texels, texels
 
@@ -79,7 +80,7 @@ def measure_scaling(
         "bytes_per_texel": {
             curve["method"]: {
                 "allocator": MIB * _slope(curve["points"], "allocated_mib"),
-                "formula": BYTES_PER_TEXEL[curve["method"]],
+                "formula": MODELS[MODEL_OF[curve["method"]]],
             }
             for curve in curves
             if curve["what"] == "texels"

@@ -160,7 +160,8 @@ def _photograph(
     pose = to_world(sensor)
     environment = albedo = None
     if tested:
-        grid = directions(2 * sizes.environment, sizes.environment)
+        # Rows of pixels, as in the data set: half a row away from the poles.
+        grid = directions(2 * sizes.environment, 2 * sizes.environment + 1)[1::2]
         emitter = find_environment(scene, "The scene")
         light = radiance_from(emitter, grid.reshape(-1, 3) @ pose[:3, :3].T)
         environment = light.reshape(grid.shape)

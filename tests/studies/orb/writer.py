@@ -33,7 +33,8 @@ class OrbPhotograph:
         image: (H, W, 3) linear radiance.
         mask: (H, W) in [0, 1], 1 on the object.
         to_world: (4, 4), camera to the world of its capture; camera space is Mitsuba's.
-        environment: (h, w, 3) radiance in the frame of the camera, as Mitsuba's envmap; of test
+        environment: (h, w, 3) radiance in the frame of the camera, as Mitsuba's envmap but for
+            its rows, whose first and last are half a row away from the poles; of test
             photographs only.
         albedo: (H, W, 3) linear base colour; the same.
     """

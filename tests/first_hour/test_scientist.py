@@ -1,0 +1,136 @@
+"""The first hour of a scientist, in a shell and in a notebook."""
+
+from __future__ import annotations
+
+import re
+import shutil
+
+import numpy as np
+import pytest
+from hour import done, notebook, svu
+
+from svu_mi.exr import read_exr, write_exr
+
+FOUND = re.compile(
+    r"\d+ % of the surface seen, mean entropy 0\.\d\d\. Roughness known to ±0\.05 on .* of the "
+    r"surface seen, metallic on .*, base colour on .* \(90 % intervals\)\."
+)
+CELLS = """
+import mitsuba as mi
+import svu_mi as svu
+mi.set_variant("llvm_ad_rgb")
+capture = svu.load_capture("capture")
+texels = svu.texels(capture.mesh, 16)
+def says(call):
+    try:
+        call()
+    except svu.SvuError as error:
+        print(error)
+for prior in ("uniform", [[1, 2], [3]], {"roughness": 1}):
+    says(lambda: svu.estimate(capture, texels, prior=prior))
+estimate = svu.estimate(capture, texels)
+says(lambda: svu.next_best_view(estimate, 100, 5))
+says(lambda: svu.check("capture"))
+"""
+
+
+@pytest.mark.slow
+def test_mistakes_in_a_notebook_are_sentences(desk):
+    said = notebook(CELLS, desk)
+    prior = "estimate(): the prior must be numbers, (8, 8, 8) or (8,), got a "
+    assert said.out == [
+        f"{prior}str.", f"{prior}list.", f"{prior}dict.",
+        "next_best_view(): candidates must be Candidates or sensors, got 100; place some with "
+        "svu.Candidates.around(capture, count).",
+        "check(): a capture is needed, got a str; read one with svu.load_capture(path).",
+    ], said  # fmt: skip
+
+
+def test_the_shell_answers_in_words_of_the_shell(desk):
+    assert svu("entropy capture --known metal=0", desk).refusal == (
+        "--known: there is no parameter 'metal'; use base_color, roughness or metallic."
+    )
+
+
+@pytest.mark.slow
+def test_the_last_lines_say_what_was_found(desk):
+    """Where people look: not only where it was written."""
+    said = done("entropy capture --resolution 32 -o out/found", desk)
+    assert said.out[-2] == "Wrote out/found"
+    assert FOUND.fullmatch(said.out[-1]), said
+    said = done("report capture --resolution 32 -o found.html", desk)
+    assert said.out[-2] == "Wrote found.html"
+    assert FOUND.fullmatch(said.out[-1]), said
+
+
+@pytest.mark.slow
+def test_recovery_shows_the_entropy_and_the_export_takes_it(desk):
+    said = done("recover capture --resolution 32 --no-pictures -o out/known", desk)
+    assert FOUND.fullmatch(said.out[-1]), said
+    entropy = read_exr(desk / "out" / "known" / "entropy.exr")["Y"]
+    assert 0 < entropy.min() < 0.9 and entropy.max() == 1
+    assert not list((desk / "out" / "known").glob("*.png"))
+    done("export out/known -o out/carried", desk)
+    carried = read_exr(desk / "out" / "carried" / "textures" / "entropy.exr")["Y"]
+    assert carried.min() == pytest.approx(entropy.min())
+    assert (desk / "out" / "carried" / "entropy.glb").is_file()
+
+
+@pytest.mark.slow
+def test_a_hot_pixel_is_left_out(desk):
+    """One of 100 000 pixels is 1e10: it is said, and the map is as before."""
+    shutil.copytree(desk / "capture", desk / "hot")
+    pixels = read_exr(desk / "hot" / "view_0003.exr")
+    for channel in "RGB":
+        pixels[channel][32, 32] = 1e10
+    write_exr(desk / "hot" / "view_0003.exr", pixels)
+    said = done("entropy hot --resolution 32 --no-pictures -o out/hot", desk)
+    (warning,) = said.warnings
+    assert re.fullmatch(
+        r"view_0003\.exr: 1 pixel is \S+ times as bright as the median of the object; left out\.",
+        warning,
+    )
+    done("entropy capture --resolution 32 --no-pictures -o out/cold", desk)
+    hot, cold = (read_exr(desk / "out" / name / "entropy.exr")["Y"] for name in ("hot", "cold"))
+    assert np.abs(hot - cold).mean() < 0.01
+
+
+@pytest.mark.slow
+def test_what_was_not_estimated_is_said(desk):
+    """A normal map, and a grey table under the object."""
+    scene = (desk / "scenes" / "vase" / "vase.xml").read_text()
+    table = (
+        '<shape type="rectangle" id="table"><transform name="to_world"><scale x="3" y="3"/>'
+        '<rotate x="1" angle="-90"/><translate y="-0.95"/></transform>'
+        '<bsdf type="diffuse"/></shape></scene>'
+    )
+    (desk / "scenes" / "vase" / "table.xml").write_text(scene.replace("</scene>", table))
+    coat = '<float name="clearcoat" value="1"/></bsdf>'
+    (desk / "scenes" / "vase" / "coated.xml").write_text(scene.replace("</bsdf>", coat))
+    where = "-D light=window -D resolution=64 --images capture --resolution 32 --no-pictures"
+    said = done(f"entropy scenes/vase/table.xml {where} -o out/table", desk)
+    assert said.warnings == [
+        "Shape 'table' reflects light onto 'vase', which svu does not account for: base colours "
+        "near it will be too bright; put something black around the object when it is "
+        "photographed."
+    ]
+    said = done(f"entropy scenes/vase/coated.xml {where} -o out/coated", desk)
+    assert said.warnings == [
+        "Shape 'vase' has clearcoat 1, which svu does not account for: if the photographs show "
+        "that, roughness and base colour will be off."
+    ]
+
+
+@pytest.mark.slow
+def test_memory_is_known_before_it_is_taken(desk):
+    """Announced first; and a limit of the shell ends in a sentence, not in signal 11."""
+    said = done("entropy capture --resolution 32 --no-pictures -o out/needs", desk)
+    assert re.fullmatch(r"Needs up to 0\.\d+ GB of memory, \d+ are there", said.out[0])
+    limited = ("bash", "-c", 'ulimit -v "$1"; shift; exec "$@"', "bash")
+    assert svu("entropy capture -o out/needs", desk, *limited, "400000").refusal == (
+        "needs 1.2 GB of address space to start, ulimit -v allows 0.41; raise it."
+    )
+    said = svu("entropy capture -o out/needs", desk, *limited, "1300000")
+    assert re.fullmatch(
+        r"capture: needs \S+ GB of address space, ulimit -v allows 1\.3; raise it.*", said.refusal
+    )
