@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -31,6 +32,7 @@ from svu_mi.results.settling import names_in, settle
 from svu_mi.results.writing import DRAFT
 
 SMALL = ("--resolution", "24")
+WHOLE = re.compile(r"</html>\n+<!-- svu:page=[0-9a-f]{32} -->\n\Z")  # of a page
 LIMIT = 300.0  # seconds that a command may take
 TWICE = "is writing there"
 
@@ -63,7 +65,7 @@ def _plan(folder: Path) -> None:
 
 
 def _page(path: Path) -> None:
-    assert path.read_text(encoding="utf-8").rstrip().endswith("</html>")
+    assert WHOLE.search(path.read_text(encoding="utf-8"))
 
 
 def _asset(folder: Path) -> None:
