@@ -23,6 +23,7 @@ RENDER_BYTES = 100  # per pixel of a film while it is rendered; measured: 90
 MASK_LANES = 9  # rays per pixel that find the object
 GIGA = 1e9
 
+
 def require_memory(size: float, what: str, fix: str, error: type[SvuError] = OptionError) -> None:
     """Refuse what takes more memory than there is.
 

@@ -104,6 +104,16 @@ def ball(columns: int = 48, rows: int = 24) -> capture_mesh.MeshArrays:
     return capture_mesh.MeshArrays(points, faces, points.copy(), uvs)
 
 
+def overlapping_balls() -> dict[str, np.ndarray]:
+    """Arrays for ``write_ball``: two balls, whose charts lie on each other."""
+    flat = ball()
+    return {
+        "positions": np.concatenate([flat.positions, 0.2 * flat.positions + [2, 0, 0]]),
+        "faces": np.concatenate([flat.faces, flat.faces + len(flat.positions)]),
+        "normals": np.concatenate([flat.normals] * 2), "uvs": np.concatenate([flat.uvs] * 2),
+    }  # fmt: skip
+
+
 def write_ball(folder: Path, **changes: Any) -> Path:
     """Write ``ball.ply``; ``uvs=None`` and the like change its arrays."""
     arrays = ball()

@@ -10,7 +10,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from helpers import ball, fails, names, run, sensor_xml, write_older, write_scene
+from helpers import fails, names, overlapping_balls, run, sensor_xml, write_older, write_scene
 
 from svu_mi import scenes
 from svu_mi.cli import main
@@ -175,14 +175,7 @@ def test_photographs_under_their_own_names(tmp_path, capsys):
 
 @pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
 def test_overlapping_uvs_are_unwrapped_when_asked_rendered_scenes_too(tmp_path, capsys):
-    flat = ball()
-    doubled = {
-        "positions": np.concatenate([flat.positions, 0.2 * flat.positions + [2, 0, 0]]),
-        "faces": np.concatenate([flat.faces, flat.faces + len(flat.positions)]),
-        "normals": np.concatenate([flat.normals] * 2),
-        "uvs": np.concatenate([flat.uvs] * 2),
-    }
-    path = write_scene(tmp_path, sensors=sensor_xml(3, 32, 32), **doubled)
+    path = write_scene(tmp_path, sensors=sensor_xml(3, 32, 32), **overlapping_balls())
     words = ["entropy", path, "-o", tmp_path / "out", "--resolution", 32, "--render", "--spp", 1]
     assert "--unwrap" in fails(capsys, *words)
     assert run(*words, "--unwrap") == 0

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from helpers import ball, fails, lettered, write_known, write_scene
+from helpers import fails, lettered, overlapping_balls, write_known, write_scene
 
 import svu_mi as svu
 from svu_mi.errors import OptionError, SvuError
@@ -74,13 +74,7 @@ def test_options_are_named_as_they_are_given(shot, tmp_path, capsys):
 
 @pytest.mark.filterwarnings("ignore::svu_mi.errors.SvuWarning")
 def test_overlapping_charts_name_the_option_or_the_argument(tmp_path, capsys):
-    flat = ball()
-    doubled = {
-        "positions": np.concatenate([flat.positions, 0.2 * flat.positions + [2, 0, 0]]),
-        "faces": np.concatenate([flat.faces, flat.faces + len(flat.positions)]),
-        "normals": np.concatenate([flat.normals] * 2), "uvs": np.concatenate([flat.uvs] * 2),
-    }  # fmt: skip
-    scene = write_scene(tmp_path, **doubled)
+    scene = write_scene(tmp_path, **overlapping_balls())
     line = fails(
         capsys, "entropy", scene, "--render", "--spp", 1, "--resolution", 32, "-o", tmp_path / "out"
     )

@@ -75,6 +75,7 @@ class Report(Textured):
                 capture, found, self.output, textures=textures, title=self.title,
                 settings=given(self), progress=stage.update,
             )  # fmt: skip
+
     @property
     def rendered(self) -> Path:
         """Where a scene without photographs is rendered to: beside the page."""

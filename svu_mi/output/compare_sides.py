@@ -25,6 +25,7 @@ from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.progress import Progress
 from svu_mi.recovery.recover import Recovery
+from svu_mi.results.reading import text_in
 from svu_mi.results.settling import settle
 from svu_mi.surface import texels
 
@@ -180,22 +181,16 @@ def of_folder(path: Path, name: str) -> Side:
         values={key: image for key, (image, _) in found.items()},
         sd=_deviations(path / UNCERTAINTY) if found else {},
         entropy=maps.get(ENTROPY), seen=maps[COVERAGE] > 0 if COVERAGE in maps else None,
-        mesh=mesh, key=mesh_key(mesh) if mesh is not None else _key(record), notes=notes,
+        mesh=mesh, key=mesh_key(mesh) if mesh is not None else text_in(record, "inputs", "mesh"),
+        notes=notes,
     )  # fmt: skip
 
 
 def _about(record: Any, textured: bool) -> str:
     if not textured:
-        preset = record.get("settings", {}).get("preset", {}) if isinstance(record, dict) else {}
-        name = preset.get("name") if isinstance(preset, dict) else None
-        return "a result of svu entropy" + (f", preset {name}" if isinstance(name, str) else "")
+        name = text_in(record, "settings", "preset", "name")
+        return "a result of svu entropy" + (f", preset {name}" if name else "")
     return "a result of svu recover" if record else "textures"
-
-
-def _key(record: Any) -> str:
-    inputs = record.get("inputs") if isinstance(record, dict) else None
-    found = inputs.get("mesh") if isinstance(inputs, dict) else None
-    return found if isinstance(found, str) else ""
 
 
 def _map(path: Path) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from svu_mi.errors import CaptureError, excerpt
 from svu_mi.exr import read_header
@@ -100,10 +101,14 @@ def scene_of(record: Path) -> Path | None:
 
 def _said(record: Path, *names: str) -> str:
     """Return a text that a record holds under names, one in the other; empty if it has none."""
-    found = read_json(record) if entries(record) else None
+    return text_in(read_json(record) if entries(record) else None, *names)
+
+
+def text_in(record: Any, *names: str) -> str:
+    """Return a text that what was read of JSON holds under names; empty if it has none."""
     for name in names:
-        found = found.get(name) if isinstance(found, dict) else None
-    return found if isinstance(found, str) else ""
+        record = record.get(name) if isinstance(record, dict) else None
+    return record if isinstance(record, str) else ""
 
 
 def require_no_result(folder: Path) -> None:
