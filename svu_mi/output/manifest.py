@@ -26,13 +26,14 @@ from svu_mi.output.knowledge import Knowledge
 from svu_mi.output.result import is_seen
 from svu_mi.pipeline import Estimate
 from svu_mi.progress import Stage
+from svu_mi.results.reading import RUN_RECORD
 from svu_mi.results.writing import Draft
 
 if TYPE_CHECKING:
     from svu_mi.guidance.result import Guidance
     from svu_mi.recovery.recover import Recovery
 
-RECORD = "run.json"
+RECORD = RUN_RECORD
 PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR", "trimesh", "xatlas")
 
 

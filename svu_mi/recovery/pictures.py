@@ -16,10 +16,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.poses import describe, film_size
+from svu_mi.capture.rendering import MASK_GRID
 from svu_mi.interop import owned
 from svu_mi.visibility.rays import film_ray, ray_floats
 
-MASK_GRID = 3  # rays per side of a pixel that say whether it shows nothing but the object
 LAUNCH = 1 << 22  # rays at a time
 
 
