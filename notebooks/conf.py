@@ -66,6 +66,7 @@ notebooks/entropy
 notebooks/guidance
 notebooks/recovery
 notebooks/import
+notebooks/light
 notebooks/conventions
 ```
 ```{toctree}

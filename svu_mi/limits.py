@@ -6,9 +6,7 @@ from collections.abc import Sequence
 
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuError
 from svu_mi.memory import address_space, free_memory
-from svu_mi.needs import Need as Need
-from svu_mi.needs import Size as Size
-from svu_mi.needs import Sizes as Sizes
+from svu_mi.needs import Size
 
 MAX_LANES = 2**32 - 1  # of one kernel: Dr.Jit counts them in 32 bits
 MAX_VIEWS = 10_000  # photographs are called view_0000 to view_9999

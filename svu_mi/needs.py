@@ -1,7 +1,8 @@
 """How much memory a command takes, told from sizes before it begins.
 
 The figures are peaks of whole processes, measured on vases of 24 to 60 photographs of 64^2 to 512^2
-pixels, on grids of 64^2 to 1024^2 texels that charts nearly fill. What is announced is a bound:
+pixels, on grids of 64^2 to 1024^2 texels that charts nearly fill; of importing and rendering, with
+up to 3000 x 2000 pixels; of exporting, with up to 2048^2 texels. What is announced is a bound:
 in the tests no command is more than 10 % above it.
 """
 
@@ -27,12 +28,18 @@ class Cost:
         pixel: bytes per pixel of a photograph.
         texel: bytes per texel of the grid, beyond what the model takes.
         candidate: bytes per candidate of guidance.
+        film: bytes per pixel of the largest photograph, while it is rendered.
+        light: bytes per pixel of the environment map; None where it is filtered (``light_bytes``).
+        look: bytes per texel, photograph and cell of the light that is looked for.
     """
 
     start: float
     pixel: float
     texel: float = 0
     candidate: float = 0
+    film: float = 0
+    light: float | None = None
+    look: float = 0
 
 
 COSTS = {
@@ -43,6 +50,10 @@ COSTS = {
     "view": Cost(540e6, 23),
     "check": Cost(370e6, 23),
     "compare": Cost(360e6, 20),
+    "render": Cost(260e6, 45, film=100, light=66),
+    "import": Cost(260e6, 64, light=66),
+    "export": Cost(260e6, 0, texel=540),
+    "light": Cost(350e6, 20, look=17),
 }
 # Bytes per texel, by preset, and by the method that has none of its own.
 MODELS = {"default": 2900, "fixed": 1300, "fast": 1100, "paper": 2000, "spectrum": 560}
@@ -50,6 +61,12 @@ GRID = 100  # bytes per texel of the grid that no chart covers
 KEPT_NODE = 180  # bytes per pixel of an environment map
 NODE = 80  # bytes per pixel of a larger one, which is averaged
 KEPT_NODES = 2048 * 1025
+# What to do with fewer pixels, or texels, where not ``svu import --shrink``, or ``--resolution``.
+FEWER_PIXELS = {
+    "render": "rendering at most {} pixels per film",
+    "import": "reading photographs of at most {} pixels",
+}
+FEWER_TEXELS = {"export": "svu recover --resolution {}"}
 SPARE = 0.45  # address space that is reserved besides, per byte of texels
 ARENAS = 0.15e9, 0.13e9  # and by allocators: in all, and for every thread beyond two
 START = 0.25e9  # memory of a process that has loaded everything
@@ -67,11 +84,13 @@ class Sizes:
         photographs: (width, height) of each.
         light: (width, height) of the environment map; (0, 0) for other lights.
         charts: part of the texture that the mesh's UV charts cover, in [0, 1], at most.
+        lit: whether there is a light.
     """
 
     photographs: Sequence[Size]
     light: Size = (0, 0)
     charts: float = 1.0
+    lit: bool = True
 
 
 @dataclass(frozen=True)
@@ -83,8 +102,9 @@ class Need:
         sizes: (width, height) of each photograph.
         resolution: texels, (width, height); (0, 0) without any.
         candidates: views that guidance compares.
+        looks: texels times cells that the light is looked for with.
         light: (width, height) of the environment map; (0, 0) for other lights.
-        model: what is estimated with: one of ``MODELS``.
+        model: what is estimated with: one of ``MODELS``; empty where nothing is estimated.
         charts: part of the texture that has texels, at most.
     """
 
@@ -92,6 +112,7 @@ class Need:
     sizes: Sequence[Size]
     resolution: Size = (0, 0)
     candidates: int = 0
+    looks: int = 0
     light: Size = (0, 0)
     model: str = "default"
     charts: float = 1.0
@@ -99,16 +120,19 @@ class Need:
     @property
     def bytes(self) -> float:
         """What the whole process takes."""
-        cost, light = COSTS[self.command], light_bytes(self.light)
-        return cost.start + cost.candidate * self.candidates + light + sum(self._parts())
+        cost, (width, height) = COSTS[self.command], self.light
+        light = light_bytes(self.light) if cost.light is None else cost.light * width * height
+        found = cost.candidate * self.candidates + cost.look * self.looks * len(self.sizes)
+        return cost.start + found + light + sum(self._parts())
 
     def _parts(self) -> tuple[float, float]:
         """Return what photographs and what texels take."""
         cost = COSTS[self.command]
-        pixels = sum(width * height for width, height in self.sizes)
+        pixels = [width * height for width, height in self.sizes]
         grid = self.resolution[0] * self.resolution[1]
-        covered = self.charts * (cost.texel + MODELS[self.model])
-        return cost.pixel * pixels, (covered + (1 - self.charts) * GRID) * grid
+        covered = self.charts * (cost.texel + (MODELS[self.model] if self.model else 0))
+        photographs = cost.pixel * sum(pixels) + cost.film * max(pixels, default=0)
+        return photographs, (covered + (1 - self.charts) * GRID) * grid
 
     def sentence(self) -> str:
         """Return what is announced: "Needs up to 1.4 GB of memory, 23 are there"."""
@@ -171,10 +195,19 @@ class Need:
                 small = replace(small, resolution=(max(width // 2, 1), max(height // 2, 1)))
         if not fits(small):
             return ""
-        words = [f"svu import --shrink {shrink}"] if shrink > 1 else []
+        return f"{' and '.join(self._words(small, shrink))} needs {_giga(small.bytes)}"
+
+    def _words(self, small: Need, shrink: int) -> list[str]:
+        """Return what to do to need no more than ``small``, of photographs so much shrunk."""
+        words = []
+        if shrink > 1:
+            width, height = max(small.sizes, key=lambda size: size[0] * size[1])
+            default = f"svu import --shrink {shrink}"
+            words.append(FEWER_PIXELS.get(self.command, default).format(f"{width} x {height}"))
         if small.resolution != self.resolution:
-            words.append(f"--resolution {' '.join(map(str, dict.fromkeys(small.resolution)))}")
-        return f"{' and '.join(words)} needs {_giga(small.bytes)}"
+            size = " ".join(map(str, dict.fromkeys(small.resolution)))
+            words.append(FEWER_TEXELS.get(self.command, "--resolution {}").format(size))
+        return words
 
 
 def light_bytes(size: Size) -> float:

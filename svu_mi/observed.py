@@ -16,6 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.capture.scene import require_light
 from svu_mi.errors import CaptureError
 from svu_mi.frequency.mirrored import MirroredLight
 from svu_mi.interop import owned
@@ -62,8 +63,9 @@ class Observed:
         """The light; read when first asked for.
 
         Raises:
-            SceneError: it cannot be read, or is black.
+            SceneError: there is none, it cannot be read, or it is black.
         """
+        require_light(self.capture)
         return light(self.capture, sum(self.capture.used))
 
     @cached_property

@@ -14,7 +14,7 @@ view, two with statistics.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -23,7 +23,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.scene import require_variant
+from svu_mi.capture.scene import require_light, require_variant
 from svu_mi.errors import OptionError
 from svu_mi.frequency.gather import fit_spectra
 from svu_mi.observed import Observed, observe
@@ -82,6 +82,12 @@ class Estimate:
             f"<Estimate {self.method}: mean entropy {mean:.2f} of {self.texels.count} texels, "
             f"{seen.mean():.0%} seen in {len(self.seen_per_view)} photographs>"
         )
+
+    @property
+    def switches(self) -> AnyPreset:
+        """The preset, as much less certain as the light is (``with_light``)."""
+        observed = self.observed
+        return self.preset if observed is None else _widened(self.preset, observed.capture)
 
     @cached_property
     def entropy(self) -> Any:
@@ -213,6 +219,7 @@ def estimate(
             known value that is none, or texels that do not belong to the source.
         ShapeError: a prior that does not fit the grid.
         CaptureError: no texel is seen in any photograph.
+        SceneError: the capture has no light.
         SvuEnvironmentError: no suitable Mitsuba variant is active.
     """
     require_variant()
@@ -223,6 +230,7 @@ def estimate(
     capture, layout = subject_of(source, texels)
     chosen = with_known(chosen, known, capture.shape)
     tables = log_prior(prior, chosen.shape, "estimate()")  # refused before any work
+    require_light(capture)
     if isinstance(source, Capture):
         seen = observe(
             source, layout, progress,
@@ -234,7 +242,8 @@ def estimate(
         _ = seen.lighting
     plan = make_plan(skip, switches, seen, chosen, tables)
     run = _Run(seen, chosen, prior, plan, progress)
-    posterior = (_from_angles if angular else _from_spectra)(run, switches)
+    widened: Any = _widened(switches, capture)
+    posterior = (_from_angles if angular else _from_spectra)(run, widened)
     with progress.stage("Computing entropy"):
         result = Estimate(
             method=method,
@@ -250,6 +259,13 @@ def estimate(
         )
         dr.eval(result.entropy)
     return result
+
+
+def _widened(switches: AnyPreset, capture: Capture) -> AnyPreset:
+    """Return switches of a posterior that knows how uncertain the light is."""
+    if capture.doubt is None or not isinstance(switches, AngularPreset):
+        return switches
+    return replace(switches, overdispersion=switches.overdispersion * capture.doubt.widening)
 
 
 @dataclass(frozen=True)
@@ -278,7 +294,7 @@ def _from_angles(run: _Run, switches: AngularPreset) -> Posterior:
     if switches.noise == "estimated":
         return calibrated_posterior(
             factors, run.grid, seen.unit, switches, prior=run.prior, copies=plan.copies,
-            texels=seen.texels.count,
+            texels=seen.texels.count, doubt=seen.capture.doubt,
         )  # fmt: skip
     return angular_posterior(
         factors, run.grid, seen.unit, switches,

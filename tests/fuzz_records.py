@@ -14,11 +14,13 @@ from pathlib import Path
 import mutations
 import numpy as np
 from fuzz_formats import Format, capture, write_scene_capture
+from helpers import made_up_light
 from mutations import BINARY
 
 from svu_mi.capture import folder as capture_folder
 from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.files import write_json, write_text
+from svu_mi.illumination.folder import load_light, save_light
 from svu_mi.npz import DIGEST, write_arrays
 from svu_mi.posterior import PrincipledGrid
 from svu_mi.recovery.checkpoint import Checkpoint, State
@@ -102,6 +104,18 @@ def read_result(folder: Path, out: Path) -> None:
         raise SvuError(f"{folder}: there is no result.")
 
 
+def write_found_light(folder: Path) -> None:
+    save_light(made_up_light(), folder)
+
+
+def read_found_light(folder: Path, out: Path) -> None:
+    found = load_light(folder)
+    for image in (found.radiance, found.sd, found.known):
+        assert np.isfinite(image).all()
+    assert found.radiance.min() >= 0 and 0 <= found.known_part <= 1
+    save_light(found, out / "again")  # all of it can be written
+
+
 def rebuilt_npz(data: bytes, draw: random.Random) -> bytes:
     """Change the arrays of an archive by their structure, mostly with the right digest."""
     try:
@@ -164,6 +178,7 @@ mutations.BY_SUFFIX[".npz"] = (*BINARY, *[rebuilt_npz] * 8)
 
 RECORDS = (
     Format(name="checkpoint", make=write_checkpoint, read=read_checkpoint),
+    Format(name="light", make=write_found_light, read=read_found_light, share=3),
     Format(name="reference", make=write_reference, read=read_reference, share=2),
     Format(name="run.json", make=write_result, read=read_result, targets="run.json", share=4),
     Format(

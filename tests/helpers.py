@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterable
@@ -15,17 +17,22 @@ import mitsuba as mi
 import numpy as np
 from PIL import Image
 
+from svu_mi import scenes
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture import render_capture
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.record import Capture
+from svu_mi.capture.repaint import scene_of
+from svu_mi.capture.scene import to_world
 from svu_mi.cli.main import main
 from svu_mi.exr import write_exr
 from svu_mi.files import write_json
 from svu_mi.formats import fixes
 from svu_mi.formats.resampling import squared
 from svu_mi.formats.source import Frame, Source
+from svu_mi.illumination.record import LightEstimate
 from svu_mi.interop import owned
+from svu_mi.light.cells import fibonacci
 from svu_mi.output.scene_xml import write_scene as write_recovered
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.textures import Textures, lay_out
@@ -210,6 +217,32 @@ def render_ball(
     return memory_capture(scene, images, sensors)
 
 
+def write_dark(capture: Path, folder: Path) -> Path:
+    """Copy a capture folder of the vase, with a scene that has no light."""
+    shutil.copytree(capture, folder)
+    vase = folder.with_name(f"{folder.name}_scene")
+    shutil.copytree(scenes.path("vase").parent, vase)
+    scene = vase / "vase.xml"
+    text = scene.read_text().replace('<include filename="../lights/$light.xml"/>', "")
+    scene.write_text(text.replace('<default name="light" value="window"/>', ""))
+    record = json.loads((folder / "capture.json").read_text())
+    define = {key: value for key, value in record["define"].items() if key != "light"}
+    write_json(folder / "capture.json", {**record, "scene": str(scene), "define": define})
+    return folder
+
+
+def made_up_light(seed: int = 1, side: float = 1) -> LightEstimate:
+    """Light as if found: brightest from +X (or -X, side -1), and known up to a factor."""
+    rng, cells = np.random.default_rng(seed), 64
+    peak = np.exp(8 * (side * fibonacci(cells)[:, 0] - 1))
+    logarithm = np.log(0.5 + 12 * peak)[:, None] + 0.1 * rng.normal(size=(cells, 3))
+    return LightEstimate(
+        logarithm=logarithm, cell_sd=rng.uniform(0.2, 0.6, cells),
+        draws=logarithm + 0.2 * rng.normal(size=(2, cells, 3)), scale_sd=np.full(3, 0.2),
+        misfit=(0.02, np.nan), widening=1.3, texels=99, remarks=("Nothing is seen from below.",),
+    )  # fmt: skip
+
+
 def foreign_source(folder: Path) -> Source:
     """What a reader would say of three cameras around the origin of a turned world.
 
@@ -308,3 +341,26 @@ def posed(capture: Capture, *poses: np.ndarray) -> Capture:
     for record, pose in zip(records, poses, strict=False):
         record["to_world"] = np.array(pose)
     return replace(capture, sensors=tuple(make_sensor(record, "posed") for record in records))
+
+
+def turning(capture: Capture, spp: int = 32) -> Capture:
+    """Return a capture as if on a turntable: its light, an envmap, turns with every camera.
+
+    What the light has in world space without ``to_world``, it has in camera space now.
+    """
+    emitter = capture.environment
+    params, images = mi.traverse(emitter), []
+    pixels = np.ascontiguousarray(params["data"].numpy()[:, 1:-1])  # without what wraps around
+    brightness = float(np.array(params["scale"]).ravel()[0])
+    for index, sensor in enumerate(capture.sensors):
+        pose = to_world(sensor)
+        pose[:3, 3] = 0
+        turned = mi.load_dict({
+            "type": "envmap", "bitmap": mi.Bitmap(pixels), "scale": brightness,
+            "to_world": mi.ScalarTransform4f(pose @ to_world(emitter)),
+        })  # fmt: skip
+        scene = scene_of([*capture.scene.shapes(), turned])
+        direct = mi.load_dict({"type": "path", "max_depth": 2})
+        image = mi.render(scene, sensor=sensor, spp=spp, seed=index, integrator=direct)
+        images.append(np.array(image, np.float32)[..., :3])
+    return replace(capture, images=tuple(images))

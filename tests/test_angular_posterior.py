@@ -114,6 +114,7 @@ def random_prior(rng, grid):
     return prior
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("with_prior", [False, True], ids=["uniform", "prior"])
 @pytest.mark.parametrize("switches", RULES, ids=rule)
 def test_every_rule_agrees_with_brute_force(switches, with_prior):
@@ -177,7 +178,7 @@ def test_a_texel_nobody_saw_has_entropy_exactly_1(switches):
     assert (H[counts > 0] < 1).all()
 
 
-@pytest.mark.few(8)
+@pytest.mark.few(4)
 @pytest.mark.parametrize("rows", [True, False], ids=["one roughness", "cells"])
 @pytest.mark.parametrize("switches", RULES, ids=rule)
 def test_a_texel_nobody_saw_has_the_prior_for_its_posterior(switches, rows):
@@ -330,7 +331,7 @@ def test_statistics_and_posterior_together_are_brute_force(scene, channels):
         assert abs(H[t] - oracle_posterior.mean_entropy(truth)) < 5e-6
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("gain", [0.25, 4.0])
 @pytest.mark.parametrize("noise", ["estimated", "relative", "heteroscedastic", "marginal"])
 def test_exposure_does_not_matter(tmp_path, glossy, noise, gain):
@@ -375,7 +376,7 @@ def kernels_of(capture, resolution, switches, lit_for=12):
     return {k["hash"] for k in history}, [k for k in history if not k["cache_hit"]]
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("noise", ["relative", "heteroscedastic", "marginal"])
 @pytest.mark.parametrize("channels", ["grey", "joint"])
 def test_other_captures_run_the_same_kernels(tmp_path, scene, channels, noise):

@@ -123,9 +123,8 @@ def test_color_in_closed_form_is_its_quadrature() -> None:
     u, v = (x.astype(np.float32) for x in (np.sqrt(A), -mu * np.sqrt(A)))
     zero = mi.Float(np.zeros(2000, np.float32))
     edges = np.concatenate([[0], (np.arange(7) + 0.5) / 7, [1]])
-    found = Channel.of([mi.Float(u), zero], [mi.Float(v), zero, zero], zero).integrate(
-        edges.tolist()
-    )
+    likelihood = Channel.of([mi.Float(u), zero], [mi.Float(v), zero, zero], zero)
+    found = likelihood.integrate(edges.tolist())
     A, mu = u.astype(float) ** 2, -v.astype(float) / u
     best = np.clip(mu, 0, 1)
 
@@ -150,6 +149,9 @@ def test_color_in_closed_form_is_its_quadrature() -> None:
     assert np.abs(np.sqrt(np.array(found.variance, float)) - sd).max() < 1e-5
     cells = [integral(a, b, 0) / whole for a, b in zip(edges[:-1], edges[1:], strict=True)]
     assert np.abs(np.array([np.array(x) for x in found.cells]) - cells).max() < 1e-5
+    mass, parts = likelihood.masses(edges.tolist())
+    assert np.abs(np.array(mass) / whole - 1).max() < 2e-5
+    assert np.abs(np.array([np.array(x) for x in parts]) - cells).max() < 1e-5
 
 
 def test_noise_is_that_of_student() -> None:
@@ -529,7 +531,7 @@ def test_grids_of_one_process_do_not_share_memory(order: tuple[int, int]) -> Non
         assert np.abs(np.array(found.entropy()) - exact).max() < 1e-5
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("small", [0.0, 1e-30])
 def test_a_prior_may_contradict_the_photographs(small: float) -> None:
     """White is all that is possible, whatever they show: by hundreds of nats."""

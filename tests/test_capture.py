@@ -702,7 +702,7 @@ def test_no_emitter(tmp_path):
         load_capture(path)
     capture = load_capture(path, light="optional")
     assert capture.environment is None
-    with pytest.raises(SceneError, match="no emitter"):
+    with pytest.raises(SceneError, match=r"the capture has no light; use svu\.with_light\("):
         estimate(capture, texels(capture.mesh, 16))
     with pytest.raises(OptionError, match="light must be one of 'required', 'optional', got 'no'"):
         load_capture(path, light="no")
@@ -711,8 +711,13 @@ def test_no_emitter(tmp_path):
     with pytest.raises(SceneError) as refused:
         load_capture(path)
     assert str(refused.value) == (
-        f"{tmp_path / 'images'}: was imported without a light, and only svu check can do without; "
-        "import it again with --environment, the map of the light that the photographs were taken "
+        f"{tmp_path / 'images'}: was imported without a light; load it with light=\"optional\", "
+        "and find one with svu.estimate_light(capture, texels), or import it again with "
+        "--environment, the map of the light that the photographs were taken under."
+    )
+    assert refused.value.shell == (
+        f"{tmp_path / 'images'}: was imported without a light; find it in the photographs with svu "
+        "light, or import it again with --environment, the map of the light that they were taken "
         "under."
     )
 

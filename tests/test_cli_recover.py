@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from helpers import fails, last_line, names, run, sensor_xml, write_scene
 
-from svu_mi.cli.inputs import was_interrupted
+from svu_mi.cli.common import was_interrupted
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.output.textures import read_textures, write_textures
 from svu_mi.parameters import NAMES
@@ -158,6 +158,7 @@ def brighter(shot, folder):
     return folder
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_to_the_same_textures_and_is_no_other_run(
     shot, tmp_path, tmp_path_factory, capsys, monkeypatch, no_pictures
 ):

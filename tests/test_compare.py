@@ -116,6 +116,8 @@ def test_folders_without_anything_are_refused(recovered, tmp_path, capsys):
     assert "--tolerance must be 0 or more, got -1." in fails(capsys, *words, "--tolerance", -1)
     line = fails(capsys, *words, "--preset", "fast", "fast", "fast")
     assert line == "svu: --preset takes one preset, or two for A and B."
+    line = fails(capsys, *words, "--resolution", 1)
+    assert line == "svu: --resolution must be 2 to 16384 texels per side, got 1 x 1."
 
 
 NUMBER = "compare(): tolerance must be a number, 0 or more, got"

@@ -575,9 +575,9 @@ def test_a_capture_without_a_light_says_so_and_can_be_checked(source, tmp_path):
     """Poses may be looked at before anybody has taken a picture of the light."""
     notes = import_capture(replace(source, light=None), tmp_path / "capture")
     sentence = (
-        "The capture has no light: svu check says whether its poses fit, but nothing can be found "
-        "about reflectance. Import it again with --environment, the map of the light that the "
-        "photographs were taken under."
+        "The capture has no light, which is found in its photographs: look at what svu light "
+        "finds, or go on. If there is a map of the light that they were taken under, import the "
+        "capture again with --environment."
     )
     assert sentence in notes
     record = json.loads((tmp_path / "capture" / "capture.json").read_text())

@@ -62,7 +62,7 @@ def run(code: str, *words: object):
     return python("-c", CLEAN + code, *words)
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("order", ORDERS)
 def test_all_orders_of_import_render_and_estimate(order, bad, shot):
     done = run(order + WORK, shot)
@@ -72,6 +72,7 @@ def test_all_orders_of_import_render_and_estimate(order, bad, shot):
     assert 0.1 < image < 1 and 0.1 < entropy < 1
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "made",
     [

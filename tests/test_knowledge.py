@@ -32,6 +32,11 @@ class Given:
         self.asked.append((name, level))
         return tuple(mi.TensorXf(np.array(end, np.float32)[chosen]) for end in self.ends[name])
 
+    def half_width(self, name, level, chosen):
+        self.asked.append((name, level))
+        low, high = (np.array(end, np.float32)[chosen] for end in self.ends[name])
+        return mi.TensorXf((high - low).reshape(len(low), -1).max(axis=1) / 2)
+
 
 def estimate_of(posterior, coverage=COVERAGE, footprint=FOOTPRINT):
     return SimpleNamespace(
@@ -82,8 +87,10 @@ def test_intervals_are_computed_once(posterior):
     intervals = Intervals(posterior)
     Knowledge.of(estimate_of(posterior), intervals)
     np.testing.assert_allclose(intervals.half_width("roughness")[:3], [0.05, 0.1, 0.04], atol=1e-6)
-    assert [intervals.ends(name)[0].shape[1] for name in AXES] == [1, 3]
     assert sorted(posterior.asked) == [("base_color", 0.9), ("roughness", 0.9)]
+    for _ in range(2):
+        assert [intervals.ends(name)[0].shape[1] for name in AXES] == [1, 3]
+    assert len(posterior.asked) == 4
 
 
 def test_a_sample_stands_for_a_large_surface():

@@ -199,6 +199,7 @@ def test_light_is_filtered_once_for_the_same_lobe(monkeypatch):
     assert len(widths) == 6
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("alpha", [0.055, 0.068, 0.0816])
 def test_a_column_is_as_bright_wherever_it_stands(alpha):
     """New columns do not stand for equal shares of the old: each brings its own solid angle."""

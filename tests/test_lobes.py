@@ -44,6 +44,7 @@ def test_profile_is_the_lobe_up_to_a_factor(kind, alpha):
     np.testing.assert_allclose(ours / ours[0], truth / truth[0], rtol=1e-6, atol=atol)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "alpha", [pytest.param(0.015, marks=pytest.mark.slow), 0.1, 0.49, 1.0]
 )
@@ -64,6 +65,7 @@ def test_lobes_lean_from_the_mirror_to_the_normal_as_they_widen():
     assert (np.diff(part[20:]) < 0).all()
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("alpha", WIDTHS)
 def test_split_sum_is_the_directional_albedo(alpha):
     table = split_sum(np.array([alpha]))[0]

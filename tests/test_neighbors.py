@@ -141,6 +141,7 @@ def test_the_faces_of_a_cube_meet_at_its_edges():
     assert (np.abs(position[first, 1] - position[second, 1])[across] < 1e-5).all()
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", ["knot", "vase", "planes", "spheres"])
 @pytest.mark.parametrize("resolution", [128, (96, 160)])
 def test_neighbours_are_near_and_face_the_same_way(name, resolution):

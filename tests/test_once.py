@@ -73,7 +73,7 @@ def test_an_estimate_traces_everything_once(capture, layout, calls):
     assert calls == dict.fromkeys(TRACERS, 1)
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", USES)
 def test_what_goes_on_from_an_estimate_traces_nothing_again(capture, layout, calls, name):
     """No silhouette ray, no ray to a camera; unseen texels aside, none to a cell of the light."""

@@ -298,9 +298,8 @@ def number(loss):
     return float(np.array(loss).ravel()[0])
 
 
-@pytest.mark.parametrize(
-    "loss", ["relative", *(pytest.param(name, marks=pytest.mark.slow) for name in ("l1", "l2"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("loss", LOSSES)
 def test_gradients_are_those_of_finite_differences(capture, grid, loss):
     """Of the mean over many paths: gradients have paths of their own, so equality is statistical.
 

@@ -97,7 +97,7 @@ def test_every_result_is_in_range_and_nothing_is_nan(glossy, method):
         assert (result.image("entropy")[~texels.inside()] == 1).all()
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", [0.25, 4.0])
 @METHODS
 def test_exposure_does_not_change_the_entropy(tmp_path, glossy, gain, method):
@@ -130,6 +130,7 @@ def test_the_order_of_the_views_does_not_matter(glossy, method):
     np.testing.assert_allclose(a, b, atol=1e-4)
 
 
+@pytest.mark.few(1)
 @METHODS
 def test_turning_object_light_and_cameras_together_changes_nothing(tmp_path, glossy, method):
     capture, texels = glossy
@@ -170,6 +171,7 @@ def test_a_diffuse_ball_has_no_power_above_degree_zero(tmp_path):
     assert leak["paper"] > 10 * leak["default"]
 
 
+@pytest.mark.few(1)
 @METHODS
 def test_an_unseen_texel_knows_nothing(tmp_path, method):
     """Cameras on one side only: the other side has entropy 1 and coverage 0, exactly."""
@@ -189,6 +191,7 @@ def test_an_unseen_texel_knows_nothing(tmp_path, method):
     assert result.skipped["texels never seen"] == (seen == 0).sum()
 
 
+@pytest.mark.few(1)
 @METHODS
 def test_one_view_is_an_answer_too(tmp_path, method):
     capture = render_ball(tmp_path, studio(), GLOSSY, views=1)
@@ -221,6 +224,7 @@ def test_unknown_methods_and_maps_are_refused(glossy):
         estimate(capture, texels).image("roughness")
 
 
+@pytest.mark.few(1)
 @METHODS
 def test_a_second_capture_compiles_nothing(tmp_path, glossy, method):
     """Other photographs, another number of views, other texels: the same kernels."""

@@ -75,7 +75,7 @@ def psnr(image, reference):
 # --- images ---------------------------------------------------------------------------------
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "light", "preset", "decibels"),
     [
@@ -229,6 +229,7 @@ def test_the_true_textures_are_nearly_stationary():
     assert (ratios < [0.02, 0.1, 0.05, 0.15]).all(), ratios
 
 
+@pytest.mark.slow
 def test_it_replaces_prb_in_an_optimisation():
     """Two steps into the loop nothing is compiled any more, and the loss falls."""
     scene = ball(paint())

@@ -83,6 +83,7 @@ def entropy_of(p):
     return np.mean([oracle.entropy(p[..., c]) for c in range(p.shape[2])])
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("with_prior", [False, True])
 @pytest.mark.parametrize("switches", RULES, ids=lambda s: f"{s.name}-{s.channels}-{s.noise}")
 def test_every_rule_agrees_with_brute_force(switches, with_prior):
@@ -215,6 +216,7 @@ def uneven(shape):
     return weights
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("prior", [None, one_row, uneven], ids=lambda f: f and f.__name__)
 @pytest.mark.parametrize("switches", RULES, ids=lambda s: f"{s.name}-{s.channels}-{s.noise}")
 def test_a_texel_nobody_saw_has_the_prior_for_its_posterior(switches, prior):
@@ -227,6 +229,7 @@ def test_a_texel_nobody_saw_has_the_prior_for_its_posterior(switches, prior):
     assert_unseen_have_the_prior(posterior, weights)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("prior", [None, one_row, uneven], ids=lambda f: f and f.__name__)
 def test_so_has_one_on_the_grid_of_principled_parameters(prior):
     rng, grid = np.random.default_rng(8), PrincipledGrid(4, 3, 5)

@@ -67,6 +67,7 @@ def seen(tmp_path_factory):
     return svu.estimate(capture, svu.texels(capture.mesh, 8))
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(("method", "name"), WRITTEN)
 def test_an_estimate_uses_its_preset(seen, monkeypatch, method, name):
     """What reaches the model, the fit and the posterior is the preset itself."""

@@ -15,7 +15,8 @@ import tyro
 LINES = {"README.md": 15, "notebooks/recovering.md": 30}  # of the scripts, at most
 ROOT = Path(__file__).parent.parent
 WRITERS = (
-    "import", "check", "entropy", "guide", "recover", "report", "export", "compare", "render"
+    "import", "check", "light", "entropy", "guide", "recover", "report", "export", "compare",
+    "render",
 )  # fmt: skip
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "notebooks").glob("*.md"))]
 
@@ -70,7 +71,8 @@ def test_commands_write_to_folders_of_their_own_by_default():
         places[each.__metadata__[0].name] = options.get("output")
     assert places == {
         "import": Path("capture"), "render": Path("capture"), "check": Path("out/check"),
-        "entropy": Path("out/entropy"), "guide": Path("out/next"), "view": Path("out"),
+        "light": Path("out/light"), "entropy": Path("out/entropy"), "guide": Path("out/next"),
+        "view": Path("out"),
         "recover": Path("out/textures"), "report": Path("report.html"),
         "export": Path("out/asset"), "compare": Path("out/compare"), "scenes": Path("scenes"),
         "demo": Path("out/demo"), "bench": Path("out/bench"), "doctor": None,

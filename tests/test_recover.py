@@ -144,6 +144,7 @@ def test_recovery_goes_on_from_an_estimate(
         assert recovered.settings["estimate"]["method"] == method
 
 
+@pytest.mark.slow
 def test_what_an_estimate_knows_stays(capture: Capture, grid: Texels) -> None:
     for name, value, preset in (
         ("metallic", 1.0, "default"), ("roughness", 0.5, "fixed"), ("base_color", 0.4, "default")

@@ -174,7 +174,7 @@ def test_the_model_is_that_of_float64(observed, name, hidden):
     assert np.median(error) < 2e-4 * np.abs(difference).max()
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["fast", "gaussian"])
 @pytest.mark.parametrize("channels", [3, 1])
 def test_levels_of_the_angular_model_are_met(observed, name, channels):

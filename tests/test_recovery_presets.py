@@ -266,7 +266,7 @@ def test_a_start_is_that_of_the_preset(seen, told):
 # ---- sharing as printed ----
 
 
-@pytest.mark.few(5)
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("method", "name"),
     [("sh", "paper"), ("sh", "coefficients"), ("sh", "spectrum"), ("path", "paper"),

@@ -232,7 +232,7 @@ def ball_part(tmp_path, kind: str, bsdf: dict[str, Any]) -> dict[str, Any]:
     return {"type": "ply", "filename": str(write_ball(tmp_path)), "bsdf": bsdf}
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", ["relative", "heteroscedastic", "estimated"])
 def test_exposure_does_not_matter(tmp_path, capture, layout, noise):
     """Four times the light and four times the photographs: the same entropies."""
@@ -289,6 +289,7 @@ def test_energies_are_weighted_squares_of_the_mean_radiance(capture, layout, ask
         assert energies(reference)[k].ravel() == pytest.approx(product, rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_noise_that_is_estimated_is_that_of_sums_of_weighted_samples(capture, layout, asked):
     """Sums of one texel again, from the pairs and the traced halves, in NumPy; and their uses."""
     found, rendered = asked
@@ -404,6 +405,7 @@ def test_few_paths_do_not_bias_the_products_of_halves(capture, layout):
 # --- what it is made of --------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_batches_change_nothing_but_the_random_numbers(capture, layout, monkeypatch):
     whole = reference_posterior(capture, layout, 60, 32, grid=GRID, seed=SEED)
     monkeypatch.setattr(posterior, "LANES", 600)  # 25 texels of 24 views
@@ -438,7 +440,7 @@ def test_a_texel_nobody_sees_has_entropy_one(capture, layout, noise):
     assert np.array_equal(drawn.subset, np.flatnonzero(~unseen))
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", ["relative", "heteroscedastic"])
 def test_errors_may_be_summed_over_views(capture, layout, tmp_path, noise):
     """Eq. 3 as printed: so many views say so much more. From a cache, too."""

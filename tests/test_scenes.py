@@ -23,7 +23,7 @@ from svu_mi.surface import texels
 SMALL = {"resolution": "16", "spp": "4"}
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("light", scenes.LIGHTS)
 @pytest.mark.parametrize("name", scenes.NAMES)
 def test_every_scene_renders_under_every_light(name, light):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -9,11 +11,14 @@ from helpers import names, run
 
 import svu_mi as svu
 from svu_mi.capture.poses import scaled_sensor
+from svu_mi.capture.traced import Pictures
+from svu_mi.cli.reporting import Report
+from svu_mi.cli.viewing import View
 from svu_mi.guidance.forecast import Forecast
+from svu_mi.output.report import pictures
 from svu_mi.output.thinned import Thinned
 from svu_mi.output.views import shrunk
 from svu_mi.posterior.part import PartOfPosterior
-from svu_mi.recovery.pictures import Pictures
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import uniform
 
@@ -50,6 +55,32 @@ def test_some_texels_are_told_the_same_alone_as_among_all(vase):
     assert part.continuous and part.prior_entropy == whole.prior_entropy
 
 
+def test_half_a_width_is_that_of_the_least_known_channel(vase):
+    """Of three channels, the one of the largest standard deviation stands for the widest."""
+    posterior, chosen = vase.estimate.posterior, np.arange(0, vase.texels.count, 2)
+    seen = posterior.observed[chosen]
+    for name in posterior.axes:
+        low, high = (np.array(end) for end in posterior.interval(name, 0.9, chosen))
+        half = ((high - low) / 2).reshape(len(chosen), -1)
+        sd = np.array(posterior.sd(name))[chosen].reshape(len(chosen), -1)
+        found = np.array(posterior.half_width(name, 0.9, chosen))
+        expected = half[np.arange(len(half)), sd.argmax(axis=1)]
+        part = 1.01 / 84  # a sum that is rounded otherwise may end at the next part
+        assert np.abs(found - expected).max() < part
+        assert (np.abs(found - expected) < 1e-6).mean() > 0.98
+        assert (half.max(axis=1) - found)[seen].mean() < 0.002
+        part_of = PartOfPosterior.of(posterior, chosen)
+        np.testing.assert_array_equal(np.array(part_of.half_width(name)), found)
+    assert half.shape[1] == 3 and np.ptp(half[seen]) > 0.05
+
+
+def test_a_report_takes_as_many_texels_as_its_maps_have_pixels():
+    assert Report(scene=Path("a.xml")).side == pictures.MAP_SIDE
+    assert Report(scene=Path("a.xml")).sized()[0].resolution == (pictures.MAP_SIDE,)
+    assert View(scene=Path("a.xml")).sized()[0].resolution == (512,)
+    assert Report(scene=Path("a.xml"), resolution=(64,)).sized()[0].resolution == (64,)
+
+
 def test_a_picture_of_half_the_size_shows_a_quarter_of_the_texels(vase):
     thin = Thinned.of(vase.estimate, 32)
     assert thin.estimate.texels.resolution == (32, 24)
@@ -63,7 +94,7 @@ def test_pixels_that_are_asked_for_are_those_of_the_picture(vase):
     """Of 4 views in one launch and one by one: both noisy, without a bias."""
     capture, textures = vase.capture, uniform(vase.texels, 0.5)
     sensors = [scaled_sensor(sensor, 32) for sensor in capture.sensors]
-    inside = Pictures(sensors).showing(capture.scene, capture.shape)
+    inside = [part == 1 for part in Pictures(sensors).covered(capture.scene, capture.shape)]
     some = relight(capture, textures, None, sensors, 256, pixels=inside)
     every = relight(capture, textures, None, sensors, 256)
     for mask, one, other in zip(inside, some, every, strict=True):

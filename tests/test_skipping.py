@@ -91,7 +91,7 @@ def found(grey):
     return estimated
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @RULES
 @pytest.mark.parametrize("name", [None, *vars(NOTHING)])
 def test_every_switch_leaves_the_result(found, method, rule, name):
@@ -165,7 +165,7 @@ def colored(request, tmp_path_factory):
     return request.param, capture, svu.texels(capture.mesh, 24)
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @RULES
 def test_of_coloured_photographs_only_grey_light_is_skipped(colored, method, rule):
     what, *subject = colored
@@ -242,6 +242,7 @@ def test_another_known_value_needs_no_other_kernel(grey):
             assert sum(detail.launch_stats()[1:]) == compiled
 
 
+@pytest.mark.few(2)
 @RULES
 def test_another_prior_needs_no_other_kernel(grey, method, rule):
     """Of entropy, and of all that is asked of a posterior."""

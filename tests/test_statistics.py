@@ -98,7 +98,7 @@ def label(switches):
     return f"{switches.name}-{switches.channels}-{switches.fresnel}-{switches.occluded}"
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("switches", "kappa"), MODELS, ids=[f"{label(s)}-{kappa}" for s, kappa in MODELS]
 )

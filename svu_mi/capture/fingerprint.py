@@ -1,6 +1,7 @@
 """What a capture is, as digests: files that belong to another one are told by them.
 
     capture_key(capture)            # "5d1f0c..."
+    photographs_key(capture)        # the same whatever its light and materials are
     capture_parts(capture)          # {"shapes": "a81e...", "light": "07c3...", ...}
 
 Digests go by content alone: the same files give the same ones in every process, wherever they
@@ -22,7 +23,7 @@ import numpy as np
 
 from svu_mi.capture import mesh as meshes
 from svu_mi.capture.poses import describe
-from svu_mi.capture.record import Capture
+from svu_mi.capture.record import Capture, Doubt
 from svu_mi.capture.repaint import is_same
 
 LETTERS = 32  # of a digest
@@ -91,6 +92,20 @@ def capture_key(capture: Capture) -> str:
     return Key(capture_parts(capture)).digest()
 
 
+def photographs_key(capture: Capture) -> str:
+    """Return a digest of what was photographed from where: 32 hexadecimal letters.
+
+    Light, materials and the integrator count for nothing, nor do views that are not used.
+    """
+    used = [view for view in range(capture.count) if capture.used[view]]
+    key = _shapes(capture.scene, capture.shape, materials=False)
+    key.add([describe(capture.sensors[view]) for view in used])
+    key.add(_digests(capture.images[view] for view in used))
+    key.add(_digests(capture.masks[view] for view in used))
+    key.add([float(capture.exposures[view]) for view in used])
+    return key.digest()
+
+
 def mesh_key(mesh: Any) -> str:
     """Return a digest of what texels of a ``mi.Mesh`` are: its faces and their UVs."""
     source = meshes.arrays(mesh)
@@ -130,7 +145,7 @@ def capture_parts(capture: Capture) -> dict[str, str]:
         shapes.add(*(np.asarray(params[name]) for name in UNWRAPPED))
     keys = {
         "shapes": shapes,
-        "light": _light(capture.scene),
+        "light": _light(capture.scene, capture.doubt),
         "integrator": _integrator(capture.scene),
         "sensors": Key([describe(sensor) for sensor in capture.sensors]),
         "photographs": Key(list(map(bool, capture.used)), pixels),
@@ -146,32 +161,37 @@ def _digests(arrays: Iterable[np.ndarray | None]) -> list[str]:
         return list(threads.map(lambda array: Key(array).digest(), arrays))
 
 
-def _shapes(scene: Any, target: Any) -> Key:
+def _shapes(scene: Any, target: Any, materials: bool = True) -> Key:
     key = Key()
     for shape in scene.shapes():
         key.add(shape.id(), is_same(shape, target))
-        _add_shape(key, shape)
+        _add_shape(key, shape, materials)
     return key
 
 
-def _add_shape(key: Key, shape: Any) -> None:
+def _add_shape(key: Key, shape: Any, material: bool = True) -> None:
     """Add a shape; vertex normals only where they are not those of the faces around.
 
     Mitsuba computes missing ones by a sum whose order, and so its last bits, are left to chance.
     """
     bsdf = shape.bsdf()
-    key.add(shape.class_name(), shape.has_flipped_normals(), _settings(shape))
-    key.add(None if bsdf is None else bsdf.class_name())
+    key.add(shape.class_name(), shape.has_flipped_normals())
+    if material:
+        key.add(_settings(shape), None if bsdf is None else bsdf.class_name())
     for name, value in mi.traverse(shape):
+        if not material and "." in name:  # of its material, or of light that it emits
+            continue
         array = np.asarray(getattr(value, "matrix", value))
         computed = name.endswith("vertex_normals") and array.size and _are_computed(shape, array)
         key.add(ADDRESS.sub("", name), "of faces" if computed else array)
 
 
-def _light(scene: Any) -> Key:
+def _light(scene: Any, doubt: Doubt | None = None) -> Key:
     key = Key()
     for emitter in scene.emitters():
         key.add_node(emitter)
+    if doubt is not None:  # posteriors are others
+        key.add(doubt)
     return key
 
 

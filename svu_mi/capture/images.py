@@ -14,7 +14,8 @@ from svu_mi.capture.block import allocate
 from svu_mi.capture.matching import masks_of
 from svu_mi.capture.picture import SUFFIXES, Picture, decoded, open_picture, read_planes
 from svu_mi.errors import CaptureError
-from svu_mi.limits import Size, require_photographs
+from svu_mi.limits import require_photographs
+from svu_mi.needs import Size
 from svu_mi.results.record import RUN
 
 # Of the encoded range, by bits; a clipped highlight is not a measurement. JPEG blurs it, too.

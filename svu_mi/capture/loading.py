@@ -33,7 +33,7 @@ from svu_mi.capture.sensor_record import LARGEST
 from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
 from svu_mi.capture.winding import seen_from_behind
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuWarning, excerpt
-from svu_mi.limits import Size, Sizes
+from svu_mi.needs import Size, Sizes
 from svu_mi.results.reading import require_no_result
 
 Light = Literal["required", "optional"]
@@ -69,7 +69,8 @@ def load_capture(
             (they become views that are not used, of NaN that takes no memory, so that
             ``Candidates.without_photograph`` finds them).
         light: whether the scene must have one: ``required``, or ``optional`` for what can do
-            without, such as ``svu_mi.check``; ``Capture.environment`` may be None then.
+            without, such as ``svu_mi.check`` and ``svu_mi.estimate_light``;
+            ``Capture.environment`` may be None then.
         trust: let the scene load libraries as Mitsuba plugins, from ``plugins`` beside it or in
             the working directory; only for scenes of people you know. A library never replaces
             a plugin of Mitsuba's own.
@@ -191,7 +192,7 @@ def _judge_sizes(
     """Have the caller judge how large the capture is."""
     assert reading.preflight is not None
     charts = 1.0 if reading.unwrap else covered_by_charts(target)
-    reading.preflight(Sizes(photographs, map_size(light), charts))
+    reading.preflight(Sizes(photographs, map_size(light), charts, light is not None))
 
 
 def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:
@@ -214,9 +215,12 @@ def _light(scene: Any, description: Description, reading: Reading, folder: Path)
             return None
         if description.imported:
             raise SceneError(
-                f"{folder}: was imported without a light, and only svu check can do without; "
-                "import it again with --environment, the map of the light that the photographs "
-                "were taken under."
+                f"{folder}: was imported without a light; load it with light=\"optional\", and "
+                "find one with svu.estimate_light(capture, texels), or import it again with "
+                "--environment, the map of the light that the photographs were taken under.",
+                shell=f"{folder}: was imported without a light; find it in the photographs with "
+                "svu light, or import it again with --environment, the map of the light that they "
+                "were taken under.",
             )
     return find_environment(scene, str(description.scene or folder))
 

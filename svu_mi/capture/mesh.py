@@ -40,6 +40,23 @@ class MeshArrays:
     normals: np.ndarray | None
     uvs: np.ndarray | None
 
+    @property
+    def crosses(self) -> np.ndarray:
+        """(F, 3), along the normals that the triangles wind around, twice as long as their area."""
+        corners = self.positions[self.faces]
+        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def faces_at(crosses: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return which triangles (N,) even places are on: larger ones get as many more.
+
+    Args:
+        crosses: (F, 3) of ``MeshArrays``; not all of them 0.
+        places: (N,) in [0, 1].
+    """
+    area = np.cumsum(np.linalg.norm(crosses, axis=1))
+    return np.minimum(np.searchsorted(area, places * area[-1], side="right"), len(area) - 1)
+
 
 def has_uvs(mesh: Any) -> bool:
     """Return whether the mesh carries texture coordinates."""

@@ -9,6 +9,20 @@ from typing import Any
 import numpy as np
 
 
+@dataclass(frozen=True)
+class Doubt:
+    """What is not known of a light that was found in the photographs themselves.
+
+    Attributes:
+        widening: how many times less certain textures are: a factor of their overdispersion.
+        scale: standard deviation of the logarithm of one factor per channel, which base colour of
+            all texels has in common.
+    """
+
+    widening: float = 1.0
+    scale: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Capture:
     """A scene, its target object, and one photograph per sensor.
@@ -30,6 +44,8 @@ class Capture:
         source: the folder or file the capture was read from, None when made in memory.
         warnings: sentences about what was found, repaired and ignored while loading.
         files: V names of their files in ``source``; empty when it was made in memory.
+        doubt: how uncertain the light is; None if it was given.
+        found_light: the ``LightEstimate`` that is its light (``with_light``); None if it was given.
     """
 
     scene: Any
@@ -45,6 +61,8 @@ class Capture:
     source: Path | None = None
     warnings: tuple[str, ...] = field(default=())
     files: tuple[str, ...] = ()
+    doubt: Doubt | None = None
+    found_light: Any | None = None
 
     def __repr__(self) -> str:
         sizes = sorted({image.shape[1::-1] for image in self.images})

@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -30,16 +29,16 @@ from svu_mi.capture.scene import (
     load_scene,
     require_variant,
 )
+from svu_mi.capture.traced import Pictures
 from svu_mi.capture.unwrap import UNWRAPPED
 from svu_mi.errors import CaptureError, OptionError, SceneError, excerpt
 from svu_mi.exr import read_header, read_pixels, write_exr
-from svu_mi.limits import Size, Sizes, require_render, require_spp
+from svu_mi.limits import require_render, require_spp
+from svu_mi.needs import Size, Sizes
 from svu_mi.results.record import RUN
 from svu_mi.results.settling import is_folder
 from svu_mi.results.unfinished import KEY
 from svu_mi.results.writing import exchanging
-
-MASK_GRID = 3  # mask rays per pixel side; any miss puts a pixel off the object
 
 
 def render_capture(
@@ -223,14 +222,4 @@ def _radiance(scene: Any, sensor: Any, spp: int, seed: int) -> np.ndarray:
 
 def object_mask(scene: Any, target: Any, sensor: Any) -> np.ndarray:
     """Return (H, W) float32: the part of each pixel that the target covers, unoccluded."""
-    width, height = film_size(sensor)
-    n = MASK_GRID
-    index = dr.arange(mi.UInt32, width * height * n * n)
-    pixel, sub = index // (n * n), index % (n * n)
-    x = mi.Float(pixel % width) + (mi.Float(sub % n) + 0.5) / n
-    y = mi.Float(pixel // width) + (mi.Float(sub // n) + 0.5) / n
-    ray, _ = sensor.sample_ray(0, 0.5, mi.Point2f(x / width, y / height), mi.Point2f(0.5))
-    hit = scene.ray_intersect_preliminary(ray, coherent=True)
-    on_target = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, target))
-    covered = dr.block_sum(dr.select(on_target, mi.Float(1), mi.Float(0)), n * n)
-    return np.array(covered).reshape(height, width).astype(np.float32) / (n * n)
+    return Pictures([sensor]).covered(scene, target)[0]

@@ -195,6 +195,21 @@ def find_environment(scene: Any, path: str) -> Any:
     return emitters[0]
 
 
+def require_light(capture: Any) -> None:
+    """Refuse a capture without a light, which nothing can be found about reflectance from.
+
+    Raises:
+        SceneError: it has none.
+    """
+    if not capture.scene.emitters():
+        label = f"{capture.source or 'The scene'}: the capture has no light; "
+        raise SceneError(
+            f"{label}use svu.with_light(capture, svu.estimate_light(capture, texels)), which finds "
+            "it in the photographs.",
+            shell=f"{label}find it in the photographs with svu light.",
+        )
+
+
 def find_shape(scene: Any, name: str | None, path: str) -> Any:
     """Return the mesh whose texels are asked for.
 
@@ -269,8 +284,7 @@ def _check_orientation(mesh: MeshArrays, label: str) -> None:
     if len(mesh.faces) == 0 or mesh.normals is None:
         return
     corners = mesh.positions[mesh.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=1) / 2
+    area = np.linalg.norm(mesh.crosses, axis=1) / 2
     outward = corners.mean(axis=1) - np.average(corners.mean(axis=1), axis=0, weights=area + 1e-300)
     normal = mesh.normals[mesh.faces].mean(axis=1)
     flux = float((area * np.einsum("fi,fi->f", normal, outward)).sum())

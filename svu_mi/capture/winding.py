@@ -13,7 +13,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.mesh import MeshArrays, arrays
+from svu_mi.capture.mesh import MeshArrays, arrays, faces_at
 from svu_mi.capture.scene import is_closed, to_world
 from svu_mi.interop import owned
 
@@ -49,9 +49,8 @@ def has_front_outside(mesh: MeshArrays) -> bool:
     """Return whether a surface is closed, and its front is where its volume is not."""
     if not is_closed(mesh):
         return False
-    a, b, c = np.moveaxis((mesh.positions - mesh.positions.mean(axis=0))[mesh.faces], 1, 0)
-    cross = np.cross(b - a, c - a)
-    volume = np.einsum("fi,fi->", a, cross)
+    cross, first = mesh.crosses, mesh.positions[mesh.faces[:, 0]] - mesh.positions.mean(axis=0)
+    volume = np.einsum("fi,fi->", first, cross)
     if mesh.normals is not None:
         volume *= np.sign(np.einsum("fi,fki->", cross, mesh.normals[mesh.faces]))
     return bool(volume > 0)
@@ -65,14 +64,11 @@ def part_from_behind(scene: Any, mesh: MeshArrays, eyes: Sequence[np.ndarray]) -
         mesh: its buffers.
         eyes: V positions (3,) of cameras, which are taken to look at it.
     """
-    corners = mesh.positions[mesh.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.cumsum(np.linalg.norm(cross, axis=1))
-    if not len(area) or area[-1] <= 0 or not len(eyes):
+    cross = mesh.crosses
+    if not cross.any() or not len(eyes):
         return 0.0
-    places = (np.arange(POINTS) + 0.5) / POINTS * area[-1]
-    face = np.minimum(np.searchsorted(area, places), len(area) - 1)
-    point = corners[face].mean(axis=1)
+    face = faces_at(cross, (np.arange(POINTS) + 0.5) / POINTS)
+    point = mesh.positions[mesh.faces[face]].mean(axis=1)
     normal = cross[face] / np.linalg.norm(cross[face], axis=1, keepdims=True)
     if mesh.normals is not None:
         pointing = mesh.normals[mesh.faces[face]].sum(axis=1)

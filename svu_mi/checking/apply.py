@@ -87,4 +87,5 @@ def _lit(capture: Capture, fix: Fix) -> Capture:
         "scale": scale,
         "to_world": mi.ScalarTransform4f(turned),
     })  # fmt: skip
-    return replace(capture, scene=scene_of([*capture.scene.shapes(), light]))
+    scene = scene_of([*capture.scene.shapes(), light])
+    return replace(capture, scene=scene, doubt=None, found_light=None)

@@ -96,6 +96,17 @@ class Excess:
             "photographs) and the light's (--environment-scale, or scale in the scene)."
         )
 
+    @property
+    def of_found_light(self) -> str | None:
+        """The same where the light was found in these photographs, up to its brightness."""
+        if self.sentence is None:
+            return None
+        return (
+            f"{100 * self.part:.0f} % of the surface reflects more than all the light that was "
+            f"found, which is too dark by a factor of {self.factor:.1f} or more; fix its "
+            "brightness with --grey-card, --mean-albedo or --light-scale of svu light."
+        )
+
 
 def excess(sightings: Sightings, points: Points, arriving: Arriving, unit: float) -> Excess | None:
     """Hold what views show against the light; None if too few points can be judged.
@@ -146,7 +157,9 @@ def too_bright(estimate: Estimate) -> str | None:
     sightings = look(points, Frames(seen.capture, seen.views, np.zeros((0, 4, 4))))
     arriving = Arriving.of(seen.capture.scene, points, seen.lighting.environment)
     found = excess(sightings, points, arriving, 1.0)
-    return None if found is None else found.sentence
+    if found is None:
+        return None
+    return found.sentence if seen.capture.found_light is None else found.of_found_light
 
 
 def warn_if_too_bright(estimate: Estimate) -> None:

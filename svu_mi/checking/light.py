@@ -123,13 +123,10 @@ class _Shading:
 
     @staticmethod
     def of(position: np.ndarray, shown: np.ndarray, features: np.ndarray) -> _Shading:
-        count = min(NEIGHBORS + 1, len(position))
-        near = cKDTree(position).query(position, k=count)[1][:, 1:]
-        pairs = np.stack([np.repeat(np.arange(len(position)), count - 1), near.ravel()], axis=-1)
-        logs = np.log(shown + DARK)
+        pairs, logs = neighbors_of(position), np.log(shown + DARK)
         return _Shading(
-            pairs, features, _differences(logs, pairs),
-            _differences(logs - features @ (features.T @ logs), pairs),
+            pairs, features, clipped_differences(logs, pairs),
+            clipped_differences(logs - features @ (features.T @ logs), pairs),
         )  # fmt: skip
 
     def explained(self, irradiance: np.ndarray) -> tuple[float, float]:
@@ -137,12 +134,20 @@ class _Shading:
         logs = np.log(irradiance + DARK * irradiance.mean() + 1e-300)
         bare = logs - self.features @ (self.features.T @ logs)
         return (
-            _correlation(_differences(logs, self.pairs), self.differences),
-            _correlation(_differences(bare, self.pairs), self.bare),
+            _correlation(clipped_differences(logs, self.pairs), self.differences),
+            _correlation(clipped_differences(bare, self.pairs), self.bare),
         )
 
 
-def _differences(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+def neighbors_of(position: np.ndarray) -> np.ndarray:
+    """Return (P, 2) indices of points (N, 3), each with those nearest to it."""
+    count = min(NEIGHBORS + 1, len(position))
+    near = cKDTree(position).query(position, k=count)[1][:, 1:]
+    return np.stack([np.repeat(np.arange(len(position)), count - 1), near.ravel()], axis=-1)
+
+
+def clipped_differences(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """Return differences (P, ...) of values (N, ...) in pairs; edges count no more than others."""
     found = values[pairs[:, 0]] - values[pairs[:, 1]]
     limit = CLIP * float(np.median(np.abs(found)))
     return np.clip(found, -limit, limit)

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.mesh import arrays
+from svu_mi.capture.mesh import arrays, faces_at
 from svu_mi.checking.frames import Frames
 from svu_mi.interop import owned
 from svu_mi.visibility.observe import Surface, observe
@@ -52,14 +52,10 @@ class Points:
 def scatter_points(mesh: Any, count: int = COUNT) -> Points:
     """Draw points on a mesh, by area; always the same ones."""
     source = arrays(mesh)
-    corners = source.positions[source.faces]
-    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    below = np.cumsum(np.linalg.norm(crosses, axis=1) / 2)
+    crosses = source.crosses
     random = np.random.default_rng(SEED)
     # Stratified by area: as even as random points get.
-    place = (np.arange(count) + random.random(count)) / count * below[-1]
-    face = np.searchsorted(below, place, side="right")
-    face = np.minimum(face, len(source.faces) - 1)
+    face = faces_at(crosses, (np.arange(count) + random.random(count)) / count)
     a, b = np.sqrt(random.random(count)), random.random(count)
     weights = np.stack([1 - a, a * (1 - b), a * b], axis=-1)
 

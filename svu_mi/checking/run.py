@@ -17,6 +17,7 @@ from svu_mi.checking import verdicts
 from svu_mi.checking.appearance import Texture, read_texture, texture_fit
 from svu_mi.checking.apply import apply_fixes
 from svu_mi.checking.brightness import Arriving, excess, unit_of
+from svu_mi.checking.even import facing
 from svu_mi.checking.frames import Frames, reduced, some
 from svu_mi.checking.gains import VIEWS as FEWEST
 from svu_mi.checking.gains import Samples, relative_gains
@@ -125,11 +126,11 @@ def _find_mistakes(capture: Capture, progress: Progress) -> tuple[Findings, np.n
     emitter = emitter_of(capture)
     if emitter is None:
         return (poses, verdicts.light_unknown("the capture has none"), flip), axes
+    cosines = open_cosines(capture.scene, points, DIRECTIONS)
     if is_even(emitter):
-        return (poses, verdicts.light_unknown("it is the same from everywhere"), flip), axes
+        return (poses, verdicts.judge_even(facing(points, seen, cosines)), flip), axes
     with progress.stage("Trying lights") as stage:
         sky = Sky.of(emitter, turn_of(chosen.hypothesis.fixes, "mesh"))
-        cosines = open_cosines(capture.scene, points, DIRECTIONS)
         tried = score_light(sky, points, seen, cosines, texture, stage.update)
         return (poses, verdicts.judge_light(tried), flip), axes
 

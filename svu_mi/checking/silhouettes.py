@@ -6,9 +6,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture.rays import film_ray
 from svu_mi.checking.frames import Frames
 from svu_mi.interop import owned
-from svu_mi.visibility.rays import film_ray
 
 
 def silhouettes(frames: Frames) -> list[np.ndarray]:

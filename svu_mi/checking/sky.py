@@ -21,6 +21,7 @@ from svu_mi.reflection.lobes import zonal_profile
 
 DIRECTIONS = fibonacci(256)  # that visibility is traced in
 CELLS, COARSE = 2048, 64  # of the light, that irradiance is summed from, and that they split
+SAME = 1e-3  # of a map's radiance, that it may vary by and still be even
 WIDTHS = (0.06, 0.18, 0.4)  # alpha of the lobes that highlights are compared with
 
 
@@ -92,5 +93,8 @@ def emitter_of(capture: Capture) -> Any:
 
 
 def is_even(emitter: Any) -> bool:
-    """Whether the light is the same from everywhere."""
-    return emitter.class_name() == "ConstantBackgroundEmitter"
+    """Whether the light is the same from everywhere: constant, or a map of one colour."""
+    if emitter.class_name() != "EnvironmentMapEmitter":
+        return bool(emitter.class_name() == "ConstantBackgroundEmitter")
+    pixels = np.array(mi.traverse(emitter)["data"])
+    return bool((np.ptp(pixels, axis=(0, 1)) <= SAME * pixels.max(axis=(0, 1))).all())

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from svu_mi.checking.brightness import Excess
+from svu_mi.checking.even import Facing
 from svu_mi.checking.gains import VIEWS, Gains
 from svu_mi.checking.light import LightScore, indistinguishable
 from svu_mi.checking.poses import PoseScore, certain, simplest
@@ -168,6 +169,19 @@ def judge_light(scores: Sequence[LightScore]) -> Finding:
         )  # fmt: skip
     sentence = f"{_causes(names)}: {_light_figures(best)} instead of {figures}."
     return found(verdict="wrong", fixes=names, sentence=sentence)
+
+
+def judge_even(found: Facing | None) -> Finding:
+    """Decide on a light that is the same from everywhere, which axes do not matter to."""
+    if found is None or not found.contradicts:
+        return light_unknown("it is the same from everywhere")
+    return Finding(
+        question="light", verdict="unclear",
+        sentence="The light is the same from everywhere, but the photographs are brighter where "
+        f"the surface faces some sides, by a factor of {np.exp(2 * found.spread):.1f}: unless the "
+        "object is painted that way, this light stands in for another; give that of the "
+        "photographs (svu import --environment, or the emitter of the scene).",
+    )  # fmt: skip
 
 
 def light_unknown(reason: str, table: tuple[Hypothesis, ...] = ()) -> Finding:

@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from svu_mi.cli.inputs import Folder, Missing, OfScene, Output, announcing, given, say
-from svu_mi.limits import Need, Sizes
+from svu_mi.cli.common import Output, announcing
+from svu_mi.cli.inputs import Folder, Missing, OfScene
+from svu_mi.cli.terminal import say
+from svu_mi.cli.words import given
+from svu_mi.needs import Need, Sizes
 from svu_mi.progress import Progress
 from svu_mi.results.writing import claimed
 

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 
-from svu_mi.cli.inputs import (  # isort: skip
-    Common, Estimated, Interrupted, OfScene, Output, Resolution, Scene, WithPictures, given, pair,
-    say, was_interrupted,
-)  # fmt: skip
+from svu_mi.cli.common import Common, Interrupted, Output, announcing, was_interrupted
+from svu_mi.cli.inputs import Estimated, OfScene, Resolution, Scene, WithPictures
+from svu_mi.cli.terminal import say
+from svu_mi.cli.words import given, pair
 from svu_mi.limits import require_spp, require_views
+from svu_mi.needs import Need, Sizes
 from svu_mi.progress import Progress
 from svu_mi.results.unfinished import unfinished
 from svu_mi.results.writing import claimed
@@ -94,11 +95,13 @@ class Render(OfScene):
         with claimed(self.output, "svu render", tidy=True):
             self.start()
             try:
-                with Progress(console).stage("Rendering photographs") as stage:
+                progress = Progress(console)
+                with progress.stage("Rendering photographs") as stage:
                     capture = render_capture(
                         self.scene, self.spp, self.seed, folder=self.output, shape=self.shape,
                         views=self.views, resolution=pair(self.resolution, "--resolution"),
                         defines=self.defines(), progress=stage.update, trust=self.trust,
+                        preflight=announcing(progress, str(self.scene), self.need),
                         resume=self.resume,
                     )  # fmt: skip
             except BaseException as error:
@@ -107,6 +110,10 @@ class Render(OfScene):
                 raise
         say(console, f"Wrote {capture.count} photographs to {self.output}")
         return 0
+
+    def need(self, sizes: Sizes) -> Need:
+        """Return what memory the command takes."""
+        return Need("render", sizes.photographs, light=sizes.light, model="")
 
     def _advice(self) -> str:
         count = sum(one.files for one in unfinished(self.output))

@@ -1,8 +1,10 @@
-"""Options of every command; how it begins (a variant of Mitsuba, threads), and is interrupted."""
+"""Options of every command; how it begins (a variant of Mitsuba, threads), announces the memory
+that it takes, and is interrupted."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -12,6 +14,8 @@ import tyro
 from svu_mi import _llvm
 from svu_mi.errors import OptionError, SvuEnvironmentError, excerpt
 from svu_mi.limits import FEWEST_THREADS
+from svu_mi.needs import Need, Sizes
+from svu_mi.progress import Progress
 
 log = logging.getLogger(__name__)
 
@@ -94,6 +98,26 @@ class Common:
             raise SvuEnvironmentError(
                 f"Variant '{name}' is not available: {excerpt(error)}; run svu doctor."
             ) from error
+
+
+def announcing(
+    progress: Progress, label: str, need: Callable[[Sizes], Need]
+) -> Callable[[Sizes], None]:
+    """Return what refuses sizes that need too much memory, and announces the others.
+
+    Args:
+        progress: says so.
+        label: begins the refusal: the scene, or the folder of the photographs.
+        need: of how large everything is.
+    """
+
+    return lambda sizes: announce(progress, label, need(sizes))
+
+
+def announce(progress: Progress, label: str, need: Need) -> None:
+    """Refuse what needs too much memory, and announce what does not (see ``announcing``)."""
+    need.require(label)
+    progress.say(need.sentence())
 
 
 class Interrupted(KeyboardInterrupt):

@@ -11,10 +11,10 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Output
-from svu_mi.cli.inputs import Resolution, announcing, given, pair, say
-from svu_mi.errors import OptionError
-from svu_mi.limits import require_texels
+from svu_mi.cli.common import Common, Output, announcing
+from svu_mi.cli.inputs import Resolution, with_search
+from svu_mi.cli.terminal import say
+from svu_mi.cli.words import given, pair
 from svu_mi.needs import MODELS, Need, Size, Sizes
 from svu_mi.progress import Progress
 from svu_mi.results.writing import claimed
@@ -51,12 +51,7 @@ class Compare(Common):
         from svu_mi.output.compare_page import write_comparison
 
         size = pair(self.resolution, "--resolution") if self.resolution else None
-        if size:
-            require_texels(size, "--resolution")
-        if not 1 <= len(self.preset) <= 2:
-            raise OptionError("--preset takes one preset, or two for A and B.")
-        if not self.tolerance >= 0:
-            raise OptionError(f"--tolerance must be 0 or more, got {self.tolerance:g}.")
+        preset = self.preset[0] if len(self.preset) == 1 else self.preset
         with claimed(self.output, "svu compare"):
             self.start()
             progress = Progress(console)
@@ -65,8 +60,8 @@ class Compare(Common):
                 return announcing(progress, path, partial(self._need, texels))
 
             found = compare(
-                self.a, self.b, preset=(self.preset[0], self.preset[-1]), resolution=size,
-                tolerance=self.tolerance, trust=self.trust, progress=progress, preflight=preflight,
+                self.a, self.b, preset=preset, resolution=size, tolerance=self.tolerance,
+                trust=self.trust, progress=progress, preflight=preflight,
             )  # fmt: skip
             with progress.stage("Writing the page"):
                 write_comparison(found, self.output, settings=given(self))
@@ -77,7 +72,8 @@ class Compare(Common):
     def _need(self, texels: Size, sizes: Sizes) -> Need:
         """Return what memory the one takes of the two estimates that takes more."""
         model = max(self.preset, key=MODELS.__getitem__)
-        return Need(
+        need = Need(
             "compare", sizes.photographs, texels, light=sizes.light, model=model,
             charts=sizes.charts,
         )  # fmt: skip
+        return with_search(need, sizes)

@@ -9,7 +9,9 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.inputs import Common, Output, say
+from svu_mi.cli.common import Common, Output, announce
+from svu_mi.cli.terminal import say
+from svu_mi.needs import Need, Size
 from svu_mi.progress import Progress
 from svu_mi.results.writing import claimed
 
@@ -61,10 +63,14 @@ class Export(Common):
         with claimed(self.output, "svu export", tidy=True):
             self.start()
             progress = Progress(console)
+
+            def preflight(size: Size) -> None:
+                announce(progress, str(self.result), Need("export", (), size, model=""))
+
             with progress.stage("Reading the result"):
                 if (scene := scene_of(self.result / RUN_RECORD)) is not None:
                     require_apart(self.output, scene)
-                asset = load_asset(self.result, self.entropy)
+                asset = load_asset(self.result, self.entropy, preflight=preflight)
             with progress.stage("Writing the asset"):
                 export_asset(asset, self.output, options)
         say(console, f"Wrote {self.output}")

@@ -11,11 +11,15 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.inputs import Estimated, Missing, Output, WithPictures, given, say
+from svu_mi.cli.common import Output
+from svu_mi.cli.inputs import Estimated, Missing, WithPictures
+from svu_mi.cli.terminal import say
+from svu_mi.cli.words import given
 from svu_mi.errors import OptionError
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.limits import Need, Sizes, require_views
+from svu_mi.limits import require_views
+from svu_mi.needs import Need, Sizes
 from svu_mi.options import AngularPreset, Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.progress import Progress

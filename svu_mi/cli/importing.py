@@ -10,9 +10,11 @@ from typing import Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.inputs import Common, Output, say
+from svu_mi.cli.common import Common, Output, announcing
+from svu_mi.cli.terminal import say
 from svu_mi.formats.options import ENVIRONMENT_AXES, ImportOptions, Light
 from svu_mi.formats.reading import ReadOptions, read_source
+from svu_mi.needs import Need, Sizes
 from svu_mi.progress import Progress
 from svu_mi.results.writing import claimed
 
@@ -80,12 +82,16 @@ class Import(Common):
 
     def run(self, console: Console) -> int:
         """Import the capture and say what was found."""
+        from svu_mi.formats.importing import NO_LIGHT
+
         with claimed(self.output, "svu import", tidy=True):
             self.start()
             notes = self._import(Progress(console))
         for note in notes:
             say(console, note)
         say(console, f"Wrote {self.output}; look at it with: svu check {self.output}")
+        if NO_LIGHT in notes:
+            say(console, f"Then find its light with: svu light {self.output}")
         return 0
 
     def _import(self, progress: Progress) -> list[str]:
@@ -106,8 +112,13 @@ class Import(Common):
                     source = replace(source, root=self.source)
             with progress.stage("Converting photographs") as stage:
                 return import_capture(
-                    source, self.output, self.conversion, words=self.words, progress=stage.update
-                )
+                    source, self.output, self.conversion, words=self.words, progress=stage.update,
+                    preflight=announcing(progress, str(self.source), self.need),
+                )  # fmt: skip
+
+    def need(self, sizes: Sizes) -> Need:
+        """Return what memory the command takes."""
+        return Need("import", sizes.photographs, light=sizes.light, model="")
 
 
 def _changed(options: Any) -> dict[str, Any]:

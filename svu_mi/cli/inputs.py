@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
-from rich.console import Console
 
-from svu_mi.cli.common import Common as Common
-from svu_mi.cli.common import Interrupted as Interrupted
-from svu_mi.cli.common import Output as Output
-from svu_mi.cli.common import was_interrupted as was_interrupted
-from svu_mi.errors import OptionError, printable
-from svu_mi.limits import Need, Sizes, require_spp, require_texels
+from svu_mi.cli.common import Common, Output, announcing
+from svu_mi.cli.words import pair, parse_known
+from svu_mi.errors import OptionError
+from svu_mi.limits import require_spp, require_texels
+from svu_mi.needs import Need, Sizes
 from svu_mi.options import preset as find_preset
-from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
+    from svu_mi.illumination.options import LightOptions
     from svu_mi.pipeline import Estimate
     from svu_mi.surface import Texels
-
-SPECULAR = "specular"  # Ks, of the paper's power spectra
 
 Defines = Annotated[
     tuple[str, ...],
@@ -39,6 +34,7 @@ Known = Annotated[
     tyro.conf.UseAppendAction,
 ]
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
+Given = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER | MAP")]
 Missing = Literal["refuse", "leave-out"]
 Scene = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE.xml")]
 Resolution = Annotated[tuple[int, ...], tyro.conf.arg(metavar="SIZE | WIDTH HEIGHT")]
@@ -69,11 +65,11 @@ class OfScene(Common):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FromPhotographs(OfScene):
-    """Options of every command that starts from photographs."""
+class Photographed(OfScene):
+    """Options of every command that reads photographs, whatever light they were taken under."""
 
     work: ClassVar[str] = "entropy"
-    """What the command does, by which its need of memory is known (``limits.COSTS``)."""
+    """What the command does, by which its need of memory is known (``needs.COSTS``)."""
     fills: ClassVar[bool] = False
     """Whether it writes maps and textures into the output folder, where no scene may lie."""
     images: Folder = None
@@ -115,7 +111,7 @@ class FromPhotographs(OfScene):
     def load(
         self, progress: Progress, *, again: bool = False, missing: Missing | None = None
     ) -> tuple[Capture, Texels]:
-        """Load the photographs, or render them, and lay out texels.
+        """Load the photographs, or render them, and lay out texels; there may be no light.
 
         Args:
             progress: shows what is going on.
@@ -150,6 +146,10 @@ class FromPhotographs(OfScene):
             light=sizes.light, charts=sizes.charts,
         )  # fmt: skip
 
+    def announced(self, sizes: Sizes) -> Need:
+        """Return what memory is said to be taken."""
+        return self.need(sizes)
+
     def _read(self, progress: Progress, images: Path | None, missing: Missing) -> Capture:
         from svu_mi.capture import load_capture
         from svu_mi.capture.matching import NoPhotographsError, photographs_of
@@ -159,8 +159,8 @@ class FromPhotographs(OfScene):
             try:
                 return load_capture(
                     self.scene, images, shape=self.shape, defines=self.defines(),
-                    unwrap=self.unwrap, missing=missing, trust=self.trust,
-                    preflight=announcing(progress, str(images or self.scene), self.need),
+                    unwrap=self.unwrap, missing=missing, trust=self.trust, light="optional",
+                    preflight=announcing(progress, str(images or self.scene), self.announced),
                 )  # fmt: skip
             except NoPhotographsError as error:
                 if images is not None or self.scene.suffix.lower() != ".xml":
@@ -184,8 +184,50 @@ class FromPhotographs(OfScene):
             return render_capture(
                 self.scene, self.spp, folder=images, shape=self.shape, defines=self.defines(),
                 unwrap=self.unwrap, progress=stage.update, trust=self.trust,
-                preflight=announcing(progress, str(self.scene), self.need),
+                preflight=announcing(progress, str(self.scene), self._need_rendered),
             )  # fmt: skip
+
+    def _need_rendered(self, sizes: Sizes) -> Need:
+        """Return what takes more memory: to render the photographs, or what is done with them."""
+        rendering = Need("render", sizes.photographs, light=sizes.light, model="")
+        return max(rendering, self.announced(sizes), key=lambda need: need.bytes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FromPhotographs(Photographed):
+    """Options of every command that asks photographs what they say of reflectance."""
+
+    light: Given = None
+    """The light: a folder that svu light wrote, or a lat-long map (EXR or HDR; top +Y, centre +Z),
+    in the place of the scene's own. Without any, it is found in the photographs, and kept beside
+    them in the folder light."""
+
+    def load(
+        self, progress: Progress, *, again: bool = False, missing: Missing | None = None
+    ) -> tuple[Capture, Texels]:
+        """Load the photographs (see ``Photographed``) with a light, which is found if need be.
+
+        Raises:
+            CaptureError: the light that is given is none, or the photographs do not tell it.
+            SceneError: it moves with the cameras.
+        """
+        from svu_mi.illumination.finding import illuminated
+
+        capture, grid = super().load(progress, again=again, missing=missing)
+        lit = illuminated(
+            capture, self.light, elsewhere=self.own_light, progress=progress
+        )
+        return lit, grid
+
+    @property
+    def own_light(self) -> Path:
+        """Where light that was found is kept, if nothing can be written beside the photographs."""
+        return self.output / "light"
+
+    def announced(self, sizes: Sizes) -> Need:
+        """Return what memory is said to be taken."""
+        need = self.need(sizes)
+        return need if self.light is not None else with_search(need, sizes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,89 +273,26 @@ class WithPictures:
     """Draw PNG pictures of the results, too."""
 
 
-def announcing(
-    progress: Progress, label: str, need: Callable[[Sizes], Need]
-) -> Callable[[Sizes], None]:
-    """Return what refuses sizes that need too much memory, and announces the others.
-
-    Args:
-        progress: says so.
-        label: begins the refusal: the scene, or the folder of the photographs.
-        need: of how large everything is.
-    """
-
-    def preflight(sizes: Sizes) -> None:
-        found = need(sizes)
-        found.require(label)
-        progress.say(found.sentence())
-
-    return preflight
+EQUATIONS = 26  # memory of six matrices of 3 N x 3 N, in that of a look
 
 
-def say(console: Console, text: str) -> None:
-    """Print a line as it is: a log has no width, and a name may hold [brackets]."""
-    console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
+def to_find_light(sizes: Sizes, resolution: tuple[int, int], options: LightOptions) -> Need:
+    """Return what memory it takes to find the light."""
+    cells = max(cells for cells, _ in options.depths)
+    # Of few texels, the normal equations of the cells take more than the texels' part of them.
+    equations = EQUATIONS * cells**2 // max(len(sizes.photographs), 1)
+    looks = max(options.texels * cells, equations)
+    # No statistics are gathered: texels take no more than where spectra are fitted.
+    return Need(
+        "light", sizes.photographs, resolution, looks=looks, model="spectrum", charts=sizes.charts
+    )
 
 
-def pair(size: tuple[int, ...], option: str) -> tuple[int, int]:
-    """Return (width, height) from one or two numbers.
+def with_search(need: Need, sizes: Sizes) -> Need:
+    """Return what memory a command takes at most, that finds the light first if there is none."""
+    from svu_mi.illumination.finding import OPTIONS, RESOLUTION
 
-    Raises:
-        OptionError: another count of numbers, or one below 1.
-    """
-    if len(size) not in (1, 2) or min(size) < 1:
-        found = " ".join(map(str, size))
-        raise OptionError(f"{option} takes one or two positive numbers, got {found}.")
-    return size[0], size[-1]
-
-
-def with_known_repeated(words: Sequence[str]) -> list[str]:
-    """Return the words of a command with ``--known a=0 b=1`` as ``--known a=0 --known b=1``.
-
-    An option that takes any number of words would take the scene after it, too.
-    """
-    spread: list[str] = []
-    for word in words:
-        name, is_value, _ = word.partition("=")
-        if spread[-2:-1] == ["--known"] and is_value and name in (*NAMES, SPECULAR):
-            spread.append("--known")
-        spread.append(word)
-    return spread
-
-
-def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] | None:
-    """Return ``--known`` words as values by parameter, or as ``"scene"``.
-
-    Raises:
-        OptionError: a word is not NAME=NUMBER, or "scene" among others.
-    """
-    if words == ("scene",):
-        return "scene"
-    known = {}
-    for word in words:
-        name, _, value = word.partition("=")
-        try:
-            known[name] = float(value)
-        except ValueError:
-            raise OptionError(
-                f"--known takes NAME=NUMBER, such as metallic=0, or the single word scene; got "
-                f"{word!r}."
-            ) from None
-    if len(known) < len(words):
-        raise OptionError(f"--known must name each parameter once, got {', '.join(words)}.")
-    for name in known:
-        if name not in (*NAMES, SPECULAR):
-            raise OptionError(
-                f"--known: there is no parameter {name!r}; use {', '.join(NAMES[:-1])} or "
-                f"{NAMES[-1]}."
-            )
-    return known or None
-
-
-def given(options: Any) -> dict[str, Any]:
-    """Return the options of a command by name, those of its groups too, for ``run.json``."""
-    found: dict[str, Any] = {}
-    for field in dataclasses.fields(options):
-        value = getattr(options, field.name)
-        found |= given(value) if dataclasses.is_dataclass(value) else {field.name: value}
-    return found
+    if sizes.lit:
+        return need
+    search = to_find_light(sizes, (RESOLUTION, RESOLUTION), OPTIONS)
+    return max(need, search, key=lambda one: one.bytes)

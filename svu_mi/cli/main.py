@@ -17,24 +17,27 @@ from svu_mi import __version__
 from svu_mi.cli.bench import Bench
 from svu_mi.cli.checking import CheckCapture
 from svu_mi.cli.commands import Demo, Doctor, Entropy, Render
+from svu_mi.cli.common import was_interrupted
 from svu_mi.cli.comparing import Compare
 from svu_mi.cli.exporting import Export
 from svu_mi.cli.guide import Guide
 from svu_mi.cli.help import REGISTRY, flowing
 from svu_mi.cli.importing import Import
-from svu_mi.cli.inputs import was_interrupted, with_known_repeated
+from svu_mi.cli.lighting import FindLight
 from svu_mi.cli.pictures import import_matplotlib
 from svu_mi.cli.recover import Recover
 from svu_mi.cli.reporting import Report
 from svu_mi.cli.scenes import Scenes
 from svu_mi.cli.terminal import LogLines, OneLine, forgiving_streams
 from svu_mi.cli.viewing import View
+from svu_mi.cli.words import with_known_repeated
 from svu_mi.errors import OptionError, SvuError, excerpt, printable
 from svu_mi.needs import require_start
 
 Command = (
     Annotated[Import, tyro.conf.subcommand("import")]
     | Annotated[CheckCapture, tyro.conf.subcommand("check")]
+    | Annotated[FindLight, tyro.conf.subcommand("light")]
     | Annotated[Entropy, tyro.conf.subcommand("entropy")]
     | Annotated[Guide, tyro.conf.subcommand("guide")]
     | Annotated[Recover, tyro.conf.subcommand("recover")]

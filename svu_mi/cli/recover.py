@@ -9,15 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.inputs import (
-    FromPhotographs,
-    Interrupted,
-    Output,
-    WithPictures,
-    given,
-    say,
-    was_interrupted,
-)
+from svu_mi.cli.common import Interrupted, Output, was_interrupted
+from svu_mi.cli.inputs import FromPhotographs, WithPictures
+from svu_mi.cli.terminal import say
+from svu_mi.cli.words import given
 from svu_mi.errors import OptionError
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.inputs import given, say
+from svu_mi.cli.inputs import Resolution
+from svu_mi.cli.terminal import say
 from svu_mi.cli.textured import Textured
+from svu_mi.cli.words import given
 from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
 from svu_mi.results.lock import locked
@@ -33,6 +35,10 @@ class Report(Textured):
     """
 
     work = "report"
+    side: ClassVar[int] = 256  # of the maps on the page, in pixels: more texels are not shown
+    resolution: Resolution = ()
+    """Texels per side, or width and height; by default those of --recovered, else 256, as many as
+    the maps on the page have pixels. The other commands take 512."""
     output: Page = Path("report.html")
     title: str | None = None
     """Title of the page; by default the name of the photographs' folder."""
@@ -80,3 +86,8 @@ class Report(Textured):
     def rendered(self) -> Path:
         """Where a scene without photographs is rendered to: beside the page."""
         return self.output.with_name(f"{self.output.stem}_capture")
+
+    @property
+    def own_light(self) -> Path:
+        """Where light that was found is kept otherwise: beside the page, too."""
+        return self.output.with_name(f"{self.output.stem}_light")

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from svu_mi import scenes
 from svu_mi.cli.common import Output, Verbose
-from svu_mi.cli.inputs import say
+from svu_mi.cli.terminal import say
 
 Name = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")]
 # What else the next command must say.

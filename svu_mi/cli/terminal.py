@@ -126,3 +126,8 @@ class LogLines(logging.Handler):
 class _Line(logging.Formatter):
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's name
         return printable(super().formatMessage(record))  # a traceback follows in its own lines
+
+
+def say(console: Console, text: str) -> None:
+    """Print a line as it is: a log has no width, and a name may hold [brackets]."""
+    console.print(printable(text), markup=False, highlight=False, soft_wrap=True)

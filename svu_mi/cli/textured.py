@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Self
 
 import tyro
 
-from svu_mi.cli.inputs import Estimated, Missing, Resolution, pair
+from svu_mi.cli.inputs import Estimated, Missing, Resolution
+from svu_mi.cli.words import pair
 from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
 
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from svu_mi.recovery.textures import Textures
     from svu_mi.surface import Texels
 
-RESOLUTION = (512,)  # without textures
 Recovered = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 
 
@@ -25,6 +25,8 @@ Recovered = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 class Textured(Estimated):
     """Options of commands that show recovered textures beside what is known."""
 
+    side: ClassVar[int] = 512
+    """Texels per side where neither the textures nor the caller say."""
     recovered: Recovered = None
     """Folder that svu recover wrote, to show its textures."""
     resolution: Resolution = ()
@@ -35,7 +37,7 @@ class Textured(Estimated):
         if self.resolution:
             super().check()
         else:
-            replace(self, resolution=RESOLUTION).check()
+            replace(self, resolution=(self.side,)).check()
 
     def sized(self) -> tuple[Self, Textures | None]:
         """Return the command with a resolution, and the textures.
@@ -47,7 +49,7 @@ class Textured(Estimated):
         from svu_mi.output.textures import read_textures
 
         if self.recovered is None:
-            return replace(self, resolution=self.resolution or RESOLUTION), None
+            return replace(self, resolution=self.resolution or (self.side,)), None
         textures = read_textures(self.recovered)
         if self.resolution and pair(self.resolution, "--resolution") != textures.resolution:
             width, height = textures.resolution

@@ -7,7 +7,7 @@ from typing import Literal
 
 from rich.console import Console
 
-from svu_mi.cli.inputs import say
+from svu_mi.cli.terminal import say
 from svu_mi.cli.textured import Textured
 from svu_mi.progress import Progress
 

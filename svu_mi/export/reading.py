@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -15,7 +16,8 @@ from svu_mi.capture.scene import last_sentence
 from svu_mi.capture.trust import pin_own_plugins
 from svu_mi.errors import CaptureError, MeshError, SvuWarning
 from svu_mi.export.asset import Asset, bad_values
-from svu_mi.exr import read_exr
+from svu_mi.exr import read_exr, read_header
+from svu_mi.needs import Size
 from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import COVERAGE, ENTROPY
 from svu_mi.output.scene_xml import MESH, SCENE
@@ -32,7 +34,12 @@ from svu_mi.results.settling import settle
 HEADER = 4096  # bytes that hold the header of a PLY file
 
 
-def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
+def load_asset(
+    folder: str | Path,
+    entropy: str | Path | None = None,
+    *,
+    preflight: Callable[[Size], None] | None = None,
+) -> Asset:
     """Read what ``svu recover`` has written.
 
     Args:
@@ -40,6 +47,8 @@ def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
             ``assets/mesh.ply``; ``coverage.exr`` and ``entropy.exr`` are taken if there.
         entropy: folder that ``svu entropy`` wrote about the same capture, for its two maps; its
             resolution may be another.
+        preflight: called before any texel is read with the (width, height) of the largest texture
+            or map; it may refuse.
 
     Raises:
         CaptureError: something is missing, damaged, does not fit, or is of another run or capture
@@ -58,6 +67,10 @@ def load_asset(folder: str | Path, entropy: str | Path | None = None) -> Asset:
             raise CaptureError(f"{maps}: has no {ENTROPY}; give the folder that svu entropy wrote.")
     textured = folder / FILES["base_color"]
     _require_same_capture(maps, textured, asked=entropy is not None)
+    if preflight is not None:
+        files = [textured, *(path for path in (maps / ENTROPY, maps / COVERAGE) if path.is_file())]
+        sizes = [read_header(path).size for path in files]
+        preflight(max(sizes, key=lambda size: size[0] * size[1]))
     scene = _parsed(folder / SCENE)
     shape = _shape(scene, folder / SCENE)
     smooth = shape.find("boolean[@name='face_normals']") is None

@@ -16,6 +16,7 @@ from svu_mi.capture import folder as capture_folder
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture import nodes
 from svu_mi.capture.folder import Description
+from svu_mi.capture.loading import Preflight
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.capture.picture import open_picture
 from svu_mi.capture.repaint import scene_of
@@ -34,15 +35,16 @@ from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Source
 from svu_mi.formats.textures import write_pictures
 from svu_mi.limits import require_views
+from svu_mi.needs import Sizes
 from svu_mi.results.writing import exchanging
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
 MAX_DEPTH = 6  # of the paths that a scene without a say of its own is rendered with
-PIXELS_AT_A_TIME = 2**26  # of the photographs in memory, some 40 bytes each
+PIXELS_AT_A_TIME = 2**26  # of the photographs in memory, some 60 bytes each
 NO_LIGHT = (
-    "The capture has no light: svu check says whether its poses fit, but nothing can be found "
-    "about reflectance. Import it again with --environment, the map of the light that the "
-    "photographs were taken under."
+    "The capture has no light, which is found in its photographs: look at what svu light finds, "
+    "or go on. If there is a map of the light that they were taken under, import the capture "
+    "again with --environment."
 )
 
 
@@ -53,6 +55,7 @@ def import_capture(
     *,
     words: Sequence[str] = (),
     progress: Callable[[int, int], None] | None = None,
+    preflight: Preflight | None = None,
 ) -> list[str]:
     """Write a capture folder: ``scene.xml`` with all it refers to, photographs, ``capture.json``.
 
@@ -66,6 +69,8 @@ def import_capture(
         words: of the command that asked for it, without ``svu import`` and the folder; they are
             kept for ``again.command``.
         progress: called with (photographs done, photographs in all).
+        preflight: called before any pixel is read with how large the photographs are that are in
+            memory at a time, and the light; it may refuse.
 
     Returns:
         Sentences about what was found, decided and changed.
@@ -89,6 +94,8 @@ def import_capture(
         )
     if mesh is None:
         raise OptionError(f"{source.root}: does not name the object's mesh; give it with --mesh.")
+    if preflight is not None:
+        preflight(_sizes(frames, light))
     with exchanging(folder, "import", capture_folder.FILE, [UNWRAPPED]) as draft:
         made = draft.folder
         geometry = _placed(read_geometry(mesh, geometry_only=options.geometry_only), options, fixes)
@@ -118,6 +125,19 @@ def import_capture(
         )  # fmt: skip
         capture_folder.write(draft, description, sensors)
     return notes
+
+
+def _sizes(frames: Sequence[Frame], light: Light | None) -> Sizes:
+    """Return how large the photographs are that are in memory at a time, and the light."""
+    largest = sorted((frame.size for frame in frames), key=lambda size: size[0] * size[1])
+    at_a_time = largest[-_at_a_time(frames) :]
+    return Sizes(at_a_time, (0, 0) if light is None else open_picture(light.path).size)
+
+
+def _at_a_time(frames: Sequence[Frame]) -> int:
+    """Return how many photographs are converted at a time."""
+    largest = max(frame.size[0] * frame.size[1] for frame in frames)
+    return max(1, min(dr.thread_count(), PIXELS_AT_A_TIME // largest))
 
 
 def _fixes(options: ImportOptions) -> tuple[Fix, ...]:
@@ -240,9 +260,7 @@ def _write_photographs(
         return context.run(convert, frames[index], view, squares[index][1])
 
     found = []
-    largest = max(frame.size[0] * frame.size[1] for frame in frames)
-    workers = max(1, min(dr.thread_count(), PIXELS_AT_A_TIME // largest))
-    with ThreadPoolExecutor(workers) as threads:
+    with ThreadPoolExecutor(_at_a_time(frames)) as threads:
         contexts = [copy_context() for _ in frames]  # threads know nothing of the run's marks
         for converted in threads.map(write, range(len(frames)), contexts):
             found.append(converted)

@@ -11,7 +11,7 @@ with sums A of w slope^2, B of w slope rest, C of w rest^2 over the views, in un
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -106,8 +106,10 @@ class Colors:
             found = _sum(channel, self.nodes.tolist(), density or [1.0] * K)
             mass = found.mass
         elif density is None:
+            # Mean and variance in double precision, which is left out where nobody asks for them.
             found = channel.integrate(edges)
-            mass = found.mass
+            mass, cells = channel.masses(edges)
+            found = replace(found, mass=mass, cells=cells)
         else:
             log_mass, found = channel.under(edges, density)
             mass = dr.exp(log_mass)

@@ -64,12 +64,12 @@ def forecast_of(
         return Hypotheses.draw(weights, options.hypotheses, starts, int((prior > 0).sum()))
 
     if isinstance(estimate.posterior, SpectrumPosterior):
-        known = _spectrum(estimate.posterior, estimate.preset, observed, texels, look, draw)
+        known = _spectrum(estimate.posterior, estimate.switches, observed, texels, look, draw)
         if options.band_limit == "photographs":
             return known
         return _growing(known, estimate.posterior, observed, texels, look)
     assert isinstance(estimate.posterior, CalibratedPosterior | AngularPosterior)
-    return _angular(estimate.posterior, estimate.preset, observed, texels, look, draw)
+    return _angular(estimate.posterior, estimate.switches, observed, texels, look, draw)
 
 
 def _angular(

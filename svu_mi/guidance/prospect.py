@@ -19,6 +19,7 @@ from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.responses import collect
 from svu_mi.observed import Observed
 from svu_mi.pipeline import Estimate
+from svu_mi.posterior import CalibratedPosterior
 from svu_mi.posterior.cells import marginals_of
 from svu_mi.visibility import Surface, Views, pack_sensors
 
@@ -83,6 +84,8 @@ class Prospect:
     def by_error(self) -> Greedy:
         """Return candidates by the squared error to expect, relative to that of seen texels."""
         posterior, seen = self.estimate.posterior, self.observed.coverage > 0
+        if isinstance(posterior, CalibratedPosterior):
+            posterior = posterior.apart()  # no candidate tells how bright the light is
         present, prior = [], []
         for name, p in marginals_of(posterior.prior, list(posterior.axes)).items():
             nodes = posterior.axes[name]

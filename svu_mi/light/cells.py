@@ -213,7 +213,7 @@ def _gathered(environment: Environment, count: int) -> tuple[np.ndarray, np.ndar
     flux = [_binned(nearest, environment.radiance[..., k] * solid, count) for k in range(3)]
     pull = [_binned(nearest, local[..., k] * light, count) for k in range(3)]
     disk = environment.disk_radiance * environment.disk_weights[:, None]
-    on_disk = cKDTree(centers).query(environment.disk_directions)[1]
+    on_disk = nearest_cells(environment.disk_directions, count)
     flux = np.stack(flux, axis=-1) + _sum(on_disk, disk, count)
     pull = np.stack(pull, axis=-1) + _sum(
         on_disk, environment.disk_directions * disk.sum(axis=1, keepdims=True), count
@@ -227,8 +227,7 @@ def _gathered(environment: Environment, count: int) -> tuple[np.ndarray, np.ndar
 @lru_cache(maxsize=4)
 def _nearest(columns: int, rows: int, count: int) -> np.ndarray:
     """(columns * rows,) the cell of every node of a map; kept, as all maps of a size share it."""
-    nodes = env.directions(columns, rows).reshape(-1, 3)
-    return cKDTree(fibonacci(count)).query(nodes, workers=-1)[1]
+    return nearest_cells(env.directions(columns, rows).reshape(-1, 3), count)
 
 
 def _cells(flux: np.ndarray, pull: np.ndarray, environment: Environment) -> Cells:
@@ -270,6 +269,11 @@ def _ancestors(parent: np.ndarray, count: int) -> np.ndarray:
     for number in range(count, len(parent)):  # parents come before their children
         result[number] = result[parent[number]]
     return result
+
+
+def nearest_cells(directions: np.ndarray, count: int) -> np.ndarray:
+    """Return which of ``fibonacci(count)`` is nearest to unit directions (N, 3): (N,) int64."""
+    return np.asarray(cKDTree(fibonacci(count)).query(directions, workers=-1)[1])
 
 
 def fibonacci(count: int) -> np.ndarray:

@@ -3,6 +3,7 @@
 Where a page is made, and where its look is:
 
 =================  =======================  ==================================================
+``light.png``      ``light_page.py``        the light (``svu light``); its files: ``light.py``
 ``overview.png``   ``overview.py``          what photographs tell (``svu entropy``)
 ``guidance.png``   ``guidance_page.py``     which to take next; all its files: ``guidance.py``
 ``recovery.png``   ``recovery_page.py``     what was recovered; all its files: ``recovery.py``

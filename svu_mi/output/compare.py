@@ -115,7 +115,7 @@ def compare(
     a: Source,
     b: Source,
     *,
-    preset: str | tuple[str, str] = "default",
+    preset: str | tuple[str, ...] = "default",
     resolution: int | tuple[int, int] | None = None,
     tolerance: float = TOLERANCE,
     trust: bool = False,

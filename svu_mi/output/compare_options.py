@@ -23,7 +23,8 @@ def two_presets(preset: Any) -> tuple[str, str]:
     pair = isinstance(both, tuple | list) and len(both) == 2
     if not (pair and all(isinstance(name, str) for name in both)):
         raise OptionError(
-            f"compare(): preset takes the name of one preset, or two for a and b, got {preset!r}."
+            f"compare(): preset takes the name of one preset, or two for a and b, got {preset!r}.",
+            shell="--preset takes one preset, or two for A and B.",
         )
     first, second = (find_preset(name, method="angular").name for name in both)
     return first, second
@@ -38,7 +39,10 @@ def size_asked(resolution: Any) -> tuple[int, int] | None:
     if resolution is None:
         return None
     size = size_of(resolution)
-    require_texels(size, "compare(): resolution")
+    try:
+        require_texels(size, "compare(): resolution")
+    except OptionError as error:
+        raise OptionError(str(error), shell=f"--{error.shell}") from None
     return size
 
 
@@ -50,4 +54,7 @@ def require_tolerance(tolerance: Any) -> None:
     """
     number = isinstance(tolerance, Real) and not isinstance(tolerance, bool)
     if not (number and 0 <= tolerance < np.inf):
-        raise OptionError(f"compare(): tolerance must be a number, 0 or more, got {tolerance!r}.")
+        raise OptionError(
+            f"compare(): tolerance must be a number, 0 or more, got {tolerance!r}.",
+            shell=f"--tolerance must be 0 or more, got {tolerance:g}." if number else None,
+        )

@@ -17,6 +17,7 @@ from svu_mi.capture.mesh import arrays, make, read_ply
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.exr import read_exr
 from svu_mi.files import read_json
+from svu_mi.illumination.finding import illuminated
 from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY
 from svu_mi.output.scene_xml import MESH
@@ -94,7 +95,7 @@ class Work:
 
 
 def estimated(source: Source, name: str, preset: str, work: Work) -> Side:
-    """Estimate a capture, for which ``is_capture`` is true.
+    """Estimate a capture, for which ``is_capture`` is true; one on disk needs no light.
 
     Args:
         source: the ``Capture``, or where it lies.
@@ -108,7 +109,10 @@ def estimated(source: Source, name: str, preset: str, work: Work) -> Side:
     if isinstance(source, str | Path):
         preflight = None if work.preflight is None else work.preflight(str(source), work.size)
         with work.progress.stage("Loading the capture"):
-            source = load_capture(source, trust=work.trust, preflight=preflight)
+            source = load_capture(
+                source, trust=work.trust, light="optional", preflight=preflight
+            )
+        source = illuminated(source, progress=work.progress)
     assert isinstance(source, Capture)
     laid_out = texels(source.mesh, work.size)
     found = estimate(source, laid_out, preset=preset, progress=work.progress)

@@ -106,7 +106,12 @@ def draw_on_object(
 
 def draw_texture(axes: Axes, capture: Capture, view: int, colors: np.ndarray) -> None:
     """Draw screen colours (H, W, 3) on the object, as a camera of the capture sees it."""
-    shown = views.picture(capture, colors, capture.sensors[view])
+    draw_look(axes, views.Look.at(views.alone(capture), capture.sensors[view]), colors)
+
+
+def draw_look(axes: Axes, look: views.Look, colors: np.ndarray) -> None:
+    """Draw screen colours (H, W, 3) on what a sensor sees of the object, cut to it."""
+    shown = look.painted(colors)
     style.draw_image(axes, views.crop(shown[..., :3], views.object_window(shown[..., 3] > 0)))
 
 

@@ -43,15 +43,19 @@ class Gains:
     Attributes:
         maps: (proposals, T) of ``Guidance.gain_maps``.
         pictures: what the proposals see of them, of ``gain_picture``.
+        looks: what the proposals see of the object.
     """
 
     maps: np.ndarray
     pictures: list[np.ndarray]
+    looks: list[views.Look]
 
     @classmethod
     def of(cls, capture: Capture, guidance: Guidance, maps: np.ndarray) -> Gains:
         """Draw maps."""
-        return cls(maps, [gain_picture(capture, guidance, k, maps) for k in range(len(maps))])
+        scene = views.alone(capture)
+        looks = [views.Look.at(scene, _large(one.sensor)) for one in guidance.proposals]
+        return cls(maps, [_painted(look, guidance, k, maps) for k, look in enumerate(looks)], looks)
 
 
 def write_guidance_overview(
@@ -92,8 +96,9 @@ def write_guidance_overview(
         2, SHOWN + 1, left=LEFT + 0.012, right=RIGHT, top=0.42, bottom=0.01, hspace=0.2, wspace=0.1
     )
     entropy, shown = map_colors(estimate), guidance.proposals[:SHOWN]
-    for column, (proposal, gain) in enumerate(zip(shown, gains.pictures, strict=False)):
-        before = views.picture(capture, entropy, _large(proposal.sensor))
+    pictures = zip(shown, gains.looks, gains.pictures, strict=False)
+    for column, (proposal, look, gain) in enumerate(pictures):
+        before = look.painted(entropy)
         cells = [figure.add_subplot(rows[row, column]) for row in (0, 1)]
         _proposal(cells, column + 1, proposal, (before, gain))
     cells = [figure.add_subplot(rows[row, len(shown)]) for row in (0, 1)]
@@ -193,11 +198,17 @@ def gain_picture(
     Returns:
         (h, w, 4) float32 as of ``views.picture``.
     """
+    look = views.Look.at(views.alone(capture), _large(guidance.proposals[proposal].sensor))
+    return _painted(look, guidance, proposal, maps)
+
+
+def _painted(
+    look: views.Look, guidance: Guidance, proposal: int, maps: np.ndarray
+) -> np.ndarray:
     limits = (0, gain_limit(maps))
-    colors = map_colors(
+    return look.painted(map_colors(
         all_seen(guidance.texels), maps[proposal], limits=limits, colormap=gain_colors()
-    )
-    return views.picture(capture, colors, _large(guidance.proposals[proposal].sensor))
+    ))  # fmt: skip
 
 
 def gain_colors() -> Colormap:

@@ -34,6 +34,7 @@ class Intervals:
         self.chosen = np.arange(posterior.count) if chosen is None else chosen
         self._posterior = posterior
         self._ends: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        self._half: dict[str, np.ndarray] = {}
 
     def ends(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the lower and the upper ends, (t, 1) or by channel (t, 3) float32.
@@ -47,9 +48,13 @@ class Intervals:
         return self._ends[name]
 
     def half_width(self, name: str) -> np.ndarray:
-        """Return half the width of the intervals, (t,); of several channels, that of the widest."""
-        low, high = self.ends(name)
-        return (high - low).max(axis=1) / 2
+        """Return half the width of the intervals, (t,); of several channels, that of the widest
+        (see ``Posterior.half_width``)."""
+        if name not in self._half:
+            self._half[name] = np.array(
+                self._posterior.half_width(name, self.level, self.chosen)
+            )
+        return self._half[name]
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import mesh_key
 from svu_mi.errors import OutputError
 from svu_mi.files import write_text
+from svu_mi.illumination.folder import light_record
 from svu_mi.output.knowledge import Knowledge
 from svu_mi.output.result import is_seen
 from svu_mi.pipeline import Estimate
@@ -140,7 +141,16 @@ def _record(
     **more: Any,
 ) -> dict[str, Any]:  # fmt: skip
     """Return what the records of all runs have, in their order; ``seen`` says of which texels."""
-    inputs = {
+    texels = {"texels": seen.texels.count, "texels_seen": int(is_seen(seen).sum())}
+    return {
+        "inputs": {**inputs_record(capture), **_light(capture)}, "settings": settings,
+        "result": {**texels, **result}, **more, "warnings": capture.warnings,
+    }  # fmt: skip
+
+
+def inputs_record(capture: Capture) -> dict[str, Any]:
+    """Return what records say of photographs."""
+    return {
         "source": capture.source,
         "mesh": mesh_key(capture.mesh),
         "views": capture.count,
@@ -148,11 +158,11 @@ def _record(
         "exposures": capture.exposures,
         "left_out": [n for n, u in zip(capture.names, capture.used, strict=True) if not u],
     }
-    texels = {"texels": seen.texels.count, "texels_seen": int(is_seen(seen).sum())}
-    return {
-        "inputs": inputs, "settings": settings, "result": {**texels, **result}, **more,
-        "warnings": capture.warnings,
-    }  # fmt: skip
+
+
+def _light(capture: Capture) -> dict[str, Any]:
+    """Return what records say of the light, if it was found in the photographs."""
+    return {} if capture.found_light is None else light_record(capture.found_light)
 
 
 def write_run(draft: Draft, record: Mapping[str, Any], run: Run) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.output import style, views
-from svu_mi.output.figures import all_seen, draw_on_object, draw_scaled_map, draw_texture
+from svu_mi.output.figures import all_seen, draw_look, draw_scaled_map, map_colors
 from svu_mi.output.page import grouped
 from svu_mi.output.relit import Comparison
 from svu_mi.output.result import is_seen, words
@@ -61,9 +61,10 @@ def write_recovery_overview(
     )
     style.draw_panels(figure, maps, _maps(recovery, estimate), "NW")
     style.draw_panels(figure, plot, [("Loss by step", partial(_losses, recovery=recovery))])
-    objects = []
+    objects, scene = [], views.alone(capture)
     for comparison, rest in zip(comparisons, (_parameters, _rest), strict=False):
-        objects += [*_compared(comparison), *rest(capture, recovery, comparison, estimate)]
+        look = views.Look.at(scene, capture.sensors[comparison.view])
+        objects += [*_compared(comparison), *rest(look, recovery, comparison, estimate)]
     style.draw_panels(figure, rows, objects, "NW")
     style.save_figure(figure, path)
 
@@ -148,27 +149,24 @@ def _compared(comparison: Comparison) -> list[Panel]:
 
 
 def _parameters(
-    capture: Capture, recovery: Recovery, comparison: Comparison, _: Estimate | None
+    look: views.Look, recovery: Recovery, _: Comparison, __: Estimate | None
 ) -> list[Panel]:
     """The three parameters on the object."""
     color = views.srgb(np.clip(np.array(recovery.textures.base_color, np.float32), 0, 1))
-    on_object = partial(
-        draw_on_object, capture=capture, estimate=all_seen(recovery.texels),
-        view=comparison.view, colormap=GREY,
-    )  # fmt: skip
+    on_object = partial(_on_object, look=look, estimate=all_seen(recovery.texels), colormap=GREY)
     return [
-        (TITLES[0], partial(draw_texture, capture=capture, view=comparison.view, colors=color)),
+        (TITLES[0], partial(draw_look, look=look, colors=color)),
         *((title, partial(on_object, values=recovery.textures.at(recovery.texels, name)))
           for title, name in zip(TITLES[1:], NAMES[1:], strict=True)),
     ]  # fmt: skip
 
 
 def _rest(
-    capture: Capture, recovery: Recovery, comparison: Comparison, estimate: Estimate | None
+    look: views.Look, recovery: Recovery, comparison: Comparison, estimate: Estimate | None
 ) -> list[Panel]:
     """The other light, and what is known of the object from there."""
     coverage = np.array(recovery.coverage)
-    on_object = partial(draw_on_object, capture=capture, view=comparison.view)
+    on_object = partial(_on_object, look=look)
     most = max(float(coverage.max(initial=0)), 1.0)
     return [
         ("Under another light", partial(style.draw_image, image=comparison.cropped()[3])),
@@ -177,6 +175,13 @@ def _rest(
         ("Coverage", partial(on_object, estimate=recovery, values=coverage, limits=(0, most),
                              colormap=VIEWS_COLORMAP)),
     ]  # fmt: skip
+
+
+def _on_object(
+    axes: Axes, look: views.Look, estimate: Estimate, values: Any | None = None, **options: Any
+) -> None:
+    """Draw a value of every texel on the object; ``options`` are those of ``map_colors``."""
+    draw_look(axes, look, map_colors(estimate, values, **options))
 
 
 def _empty(axes: Axes, text: str) -> None:

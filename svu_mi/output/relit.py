@@ -10,9 +10,9 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.capture.poses import film_size, scaled_sensor
+from svu_mi.capture.traced import Pictures
 from svu_mi.output import style, views
 from svu_mi.output.style import DIFFERENCE_COLORMAP, FAINT, INK
-from svu_mi.recovery.pictures import Pictures
 from svu_mi.recovery.relight import novel_light, relight
 from svu_mi.recovery.textures import Textures
 
@@ -100,7 +100,8 @@ def explain(
         side: of the pictures' longer side, in pixels.
     """
     sensors = [scaled_sensor(capture.sensors[view], side) for view in chosen]
-    inside = Pictures(sensors).showing(capture.scene, capture.shape)
+    covered = Pictures(sensors).covered(capture.scene, capture.shape)
+    inside = [part == 1 for part in covered]
     renders = relight(capture, textures, None, sensors, spp, pixels=inside)
     return [
         Comparison(
@@ -130,8 +131,13 @@ def write_relit(comparisons: Sequence[Comparison], path: str | Path) -> None:
         OutputError: the file cannot be written.
     """
     rows = len(comparisons)
-    figure = style.new_figure(CELL * len(COLUMNS), CELL * rows + 0.4, layout="constrained")
-    cells = figure.subplots(rows, len(COLUMNS), squeeze=False)
+    height = CELL * rows + 0.4
+    figure = style.new_figure(CELL * len(COLUMNS), height)
+    # Places that are known: matplotlib's own layout draws everything three times.
+    room = {"left": 0.005, "right": 0.995, "top": 1 - 0.3 / height, "bottom": 0.22 / height}
+    cells = figure.subplots(
+        rows, len(COLUMNS), squeeze=False, gridspec_kw={**room, "wspace": 0.02, "hspace": 0.09}
+    )
     for row, comparison in zip(cells, comparisons, strict=True):
         error = comparison.mean_difference
         notes = (f"view {comparison.view}", "", "" if error is None else f"mean {error:.3f}", "")
@@ -140,5 +146,5 @@ def write_relit(comparisons: Sequence[Comparison], path: str | Path) -> None:
             axes.text(0.5, -0.02, note, size=9.5, color=FAINT, ha="center", va="top",
                       transform=axes.transAxes)  # fmt: skip
     for axes, title in zip(cells[0], COLUMNS, strict=True):
-        axes.set_title(title, size=12, color=INK)
+        axes.set_title(title, y=1.0, size=12, color=INK)
     style.save_figure(figure, path)

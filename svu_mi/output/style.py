@@ -89,12 +89,13 @@ def draw_panels(
 
 def title(axes: Axes, text: str, pad: float = 6) -> None:
     """Write a title over the left end of axes."""
-    axes.set_title(text, loc="left", size=11.5, color=INK, pad=pad, parse_math=False)
+    # Told its place, matplotlib does not measure all ticks of the figure to find it.
+    axes.set_title(text, loc="left", y=1.0, size=11.5, color=INK, pad=pad, parse_math=False)
 
 
 def caption(axes: Axes, text: str, size: float = 10, pad: float = 4) -> None:
     """Write a smaller title over the middle of axes."""
-    axes.set_title(text, loc="center", size=size, color=INK, pad=pad, parse_math=False)
+    axes.set_title(text, loc="center", y=1.0, size=size, color=INK, pad=pad, parse_math=False)
 
 
 def labels(axes: Axes, across: str = "", up: str = "", size: float = TEXT) -> None:

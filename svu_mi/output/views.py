@@ -14,14 +14,13 @@ from svu_mi.capture import mesh as meshes
 from svu_mi.capture import picture as pictures
 from svu_mi.capture.poses import (
     bounding_sphere,
-    describe,
     directions_of,
     film_size,
     scaled_sensor,
 )
+from svu_mi.capture.rays import evenly, pixel_rays, table_of
 from svu_mi.guidance.baselines import farthest
 from svu_mi.interop import owned
-from svu_mi.visibility.rays import film_ray, ray_floats
 
 SIDE = 512  # pixels of the longer side of a picture
 SAMPLES = 3  # along each side of a pixel
@@ -59,7 +58,7 @@ def picture(capture: Any, texture: np.ndarray, sensor: Any) -> np.ndarray:
 
     The picture is at most 512 pixels on its longer side.
     """
-    return Look.of(alone(capture), scaled_sensor(sensor, SIDE)).painted(texture)
+    return Look.at(alone(capture), sensor).painted(texture)
 
 
 @dataclass(frozen=True)
@@ -82,13 +81,10 @@ class Look:
     def of(scene: Any, sensor: Any) -> Look:
         """Trace the rays of a sensor, a few to a pixel, in a scene as of ``alone``."""
         width, height = film_size(sensor)
-        index = dr.arange(mi.UInt32, width * height * SAMPLES**2)
-        pixel, sub = index // SAMPLES**2, index % SAMPLES**2
+        pixel = dr.arange(mi.UInt32, width * height)
         row = pixel // dr.opaque(mi.UInt32, width)
-        x = mi.Float(pixel - row * width) + (mi.Float(sub % SAMPLES) + 0.5) / SAMPLES
-        y = mi.Float(row) + (mi.Float(sub // SAMPLES) + 0.5) / SAMPLES
-        floats = owned(mi.Float, ray_floats(sensor, describe(sensor)["principal_point_offset"]))
-        ray = film_ray(floats, mi.UInt32(0), x, y)
+        place = dr.zeros(mi.UInt32, width * height), row, pixel - row * width
+        ray = pixel_rays(table_of([sensor]), place, SAMPLES**2, evenly(SAMPLES))
         si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
         hit = si.is_valid()
         # Darker where the surface turns away, so that its form can be seen.
@@ -97,6 +93,11 @@ class Look:
         dr.eval(uv, shade)
         covered = dr.block_sum(dr.select(shade > 0, mi.Float(1), 0), SAMPLES**2) / SAMPLES**2
         return Look((width, height), uv, shade, covered.numpy().reshape(height, width))
+
+    @staticmethod
+    def at(scene: Any, sensor: Any) -> Look:
+        """Trace the rays of a sensor whose picture is made small, 512 pixels on its longer side."""
+        return Look.of(scene, scaled_sensor(sensor, SIDE))
 
     def painted(self, texture: np.ndarray) -> np.ndarray:
         """Show a texture on the object, slightly shaded.

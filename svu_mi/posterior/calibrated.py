@@ -11,12 +11,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from statistics import NormalDist
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture.record import Doubt
 from svu_mi.errors import ShapeError
 from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
@@ -24,7 +26,6 @@ from svu_mi.options import preset as find_preset
 from svu_mi.parameters import MIXED, PARAMETERS
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import streaming
-from svu_mi.posterior.best_cells import best_cells
 from svu_mi.posterior.cells import marginals_of
 from svu_mi.posterior.checks import require_scale, total_texels
 from svu_mi.posterior.grid import PrincipledGrid
@@ -55,12 +56,16 @@ class CalibratedPosterior(Posterior):
         noise: (S,) float64, s of every texel: standard deviation of a sample of weight 1, in
             radiance.
         learned: whether the prior was learned from the texels (``object_prior``).
+        common: standard deviation of the logarithm of a factor of base colour that all texels have
+            in common, per channel: that of light of unknown scale. It is a part of ``sd`` and
+            ``interval``, but of no entropy: what is unknown once is not unknown of every texel.
     """
 
     grid: PrincipledGrid
     problem: Problem
     noise: np.ndarray
     learned: bool = False
+    common: tuple[float, ...] = (0.0, 0.0, 0.0)
 
     @property
     def groups(self) -> int:
@@ -117,8 +122,10 @@ class CalibratedPosterior(Posterior):
         return p.reshape(len(p), *self.grid.shape, -1)
 
     def _best(self, chosen: np.ndarray) -> np.ndarray:
-        rows, colors = best_cells(self.problem, self._lane[chosen])
-        colors = np.repeat(colors, self.problem.copies, axis=1)
+        found, lanes = self._summary_of_lanes, self._lane[chosen]
+        rows = np.array(found.best)[lanes].astype(np.int64)
+        of_channels = [np.array(color)[lanes] for color in found.best_colors]
+        colors = np.repeat(np.stack(of_channels, axis=1), self.problem.copies, axis=1)
         shared = [np.repeat(node[:, None], colors.shape[1], axis=1)
                   for node in np.unravel_index(rows, self.grid.shape[:-1])]  # fmt: skip
         return np.stack([*shared, colors], axis=1)
@@ -129,6 +136,8 @@ class CalibratedPosterior(Posterior):
         if name == "base_color":
             at = list(range(at[0], at[0] + self.problem.factors.channels)) * self.problem.copies
         mean, sd = (np.stack([np.array(x[k]) for k in at], axis=-1) for x in (found.mean, found.sd))
+        if name == "base_color":
+            sd = np.hypot(sd, mean * self._common)
         return self._everywhere(mean), self._everywhere(sd)
 
     def _ends(
@@ -147,7 +156,34 @@ class CalibratedPosterior(Posterior):
         tables = kernel.color_masses(problem, parts, lanes)
         ends = [shortest(masses, parts, len(lanes), level) for masses in tables]
         low, high = (np.stack([np.array(end[k]) for end in ends], axis=-1) for k in range(2))
-        return np.repeat(low, problem.copies, axis=1), np.repeat(high, problem.copies, axis=1)
+        low, high = (np.repeat(end, problem.copies, axis=1) for end in (low, high))
+        if not any(self.common):
+            return low, high
+        middle, wide = (low + high) / 2, NormalDist().inv_cdf((1 + level) / 2) * self._common
+        half = np.hypot((high - low) / 2, wide * middle)
+        return np.maximum(middle - half, 0), np.minimum(middle + half, 1)
+
+    def apart(self) -> CalibratedPosterior:
+        """Return what is known of texels beside each other: without what they have in common."""
+        return replace(self, common=(0.0, 0.0, 0.0)) if any(self.common) else self
+
+    @property
+    def _common(self) -> np.ndarray:
+        """The same for as many channels as base colour has."""
+        return np.asarray(self.common) if self.groups > 1 else np.mean(self.common, keepdims=True)
+
+    def _half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
+        problem, lanes = self.problem, self._lane[texels]
+        alone = problem.factors.channels == 1 or problem.given is not None or any(self.common)
+        if name != "base_color" or alone:
+            return super()._half_widths(name, level, texels)
+        sd = np.stack([np.array(x)[lanes] for x in self._summary_of_lanes.sd], axis=1)
+        widest = sd[:, -problem.factors.channels :].argmax(axis=1)
+        parts = uniform_axis(self.axes[name], COLOR_PARTS)
+        low, high = shortest(
+            kernel.color_masses(problem, parts, lanes, widest)[0], parts, len(lanes), level
+        )
+        return (np.array(high) - np.array(low)) / 2
 
     def prior_moments(self, name: str) -> tuple[Any, Any]:
         low, high, p = self._prior_parts(name)
@@ -217,6 +253,7 @@ def calibrated_posterior(
     prior: Any | None = None,
     copies: int = 1,
     texels: int | None = None,
+    doubt: Doubt | None = None,
 ) -> CalibratedPosterior:
     """Integrate over what explains the photographs.
 
@@ -230,6 +267,7 @@ def calibrated_posterior(
             a range is half as wide as others, and 1 for every cell is not the default.
         copies: how many equal colour channels each channel of the statistics stands for.
         texels: T, how many there are in all, seen or not; by default up to the last of S.
+        doubt: of the light, whose scale base colours have in common.
 
     Raises:
         OptionError: another preset, an invalid scale or prior.
@@ -245,7 +283,10 @@ def calibrated_posterior(
     problem, noise = _with_noise(problem, switches, scale)
     observed = np.zeros(total, bool)
     observed[factors.texel.numpy()] = np.array(factors.views) > 0
-    return CalibratedPosterior(grid=grid, observed=observed, problem=problem, noise=noise)
+    return CalibratedPosterior(
+        grid=grid, observed=observed, problem=problem, noise=noise,
+        common=(doubt or Doubt()).scale,
+    )
 
 
 def _require_levels(levels: np.ndarray, nodes: np.ndarray) -> None:

@@ -56,6 +56,9 @@ class Summary:
         total: (S,) Float, integral of the posterior before it is normalised.
         mean, sd: Floats (S,) of roughness, the parameters that mix, and the base colour of every
             channel.
+        best: (S,) UInt32, which of the R M cells of all but base colour has most mass, the first
+            of several.
+        best_colors: UInt32s (S,), which of K is that of every channel's base colour, given that.
         rows, columns: Floats in blocks (statistics/blocks.py), not normalised: the masses of N
             nodes of roughness, and of L columns.
     """
@@ -64,6 +67,8 @@ class Summary:
     total: Any
     mean: list[Any]
     sd: list[Any]
+    best: Any
+    best_colors: list[Any]
     rows: Any
     columns: Any
 
@@ -91,6 +96,8 @@ def summarize(problem: Problem) -> Summary:
     by_row, by_column = (dr.zeros(mi.Float, size(n, count)) for n in (rows, columns))
     dr.eval(by_row, by_column)
     place = start(walker.lane, dr.opaque(mi.UInt32, rows))
+    moments = 2 * (len(nodes.columns) + channels)
+    ahead = moments + 3  # sums in double precision, before all else
 
     def visit(node: Node, masses: Any, of_row: Any, *sums: Any) -> tuple[Any, ...]:
         _add_cells(problem, masses, node)
@@ -104,35 +111,35 @@ def summarize(problem: Problem) -> Summary:
         return (masses, of_row + node.weight, *sums)
 
     def row_ends(row: Any, masses: Any, of_row: Any, *state: Any) -> tuple[Any, ...]:
-        *sums, total, r1, r2, zx = state
+        (*sums, total, r1, r2), found = state[:ahead], state[ahead:]
         dr.scatter(by_row, of_row, place + row * BLOCK, mode=dr.ReduceMode.NoConflicts)
         w = mi.Float64(of_row)
         mean, square = nodes.rows.moments(row)
-        masses, zx = _close(problem, masses, row, zx)
-        return (masses, mi.Float(0), *sums, total + w, dr.fma(w, mean, r1),
-                dr.fma(w, square, r2), zx)  # fmt: skip
+        closed = _close(problem, masses, row, *found)
+        return (closed[0], mi.Float(0), *sums, total + w, dr.fma(w, mean, r1),
+                dr.fma(w, square, r2), *closed[1:])  # fmt: skip
 
-    def visit_all(node: Node, masses: Any, of_row: Any, *sums: Any) -> tuple[Any, ...]:
-        return (*visit(node, masses, of_row, *sums[:-4]), *sums[-4:])
+    def visit_all(node: Node, masses: Any, of_row: Any, *state: Any) -> tuple[Any, ...]:
+        return (*visit(node, masses, of_row, *state[:moments]), *state[moments:])
 
-    moments = 2 * (len(nodes.columns) + channels)
-    zeros = (*(dr.zeros(mi.Float64, count) for _ in range(moments + 3)),
-             dr.zeros(mi.Float, count))  # fmt: skip
-    masses, _, *sums, total, r1, r2, zx = walker.over_rows(
+    masses, _, *state = walker.over_rows(
         mi.UInt32(0), dr.opaque(mi.UInt32, rows), visit_all, row_ends,
-        (masses, dr.zeros(mi.Float, count), *zeros),
+        (masses, dr.zeros(mi.Float, count), *(dr.zeros(mi.Float64, count) for _ in range(ahead)),
+         *(dr.zeros(mi.Float, count) for _ in range(2)),
+         *(dr.zeros(mi.UInt32, count) for _ in range(1 + channels))),
     )  # fmt: skip
+    (*summed, total, r1, r2), (zx, _, best, *best_colors) = state[:ahead], state[ahead:]
     by_column = _write(masses, first, columns, walker.lane, by_column)
     total = dr.select(total > 0, total, 1)
-    sums = [r1, r2, *sums]
+    sums = [r1, r2, *summed]
     mean = [x / total for x in sums[::2]]
     sd = [dr.sqrt(dr.maximum(x / total - dr.square(m), 0))
           for x, m in zip(sums[1::2], mean, strict=True)]  # fmt: skip
     mean, sd = [mi.Float(x) for x in mean], [mi.Float(x) for x in sd]
     total = mi.Float(total)
     entropy = dr.log(total) - zx / (total * channels)
-    dr.eval(entropy, total, mean, sd, by_row, by_column)
-    return Summary(entropy, total, mean, sd, by_row, by_column)
+    dr.eval(entropy, total, mean, sd, best, best_colors, by_row, by_column)
+    return Summary(entropy, total, mean, sd, best, best_colors, by_row, by_column)
 
 
 def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
@@ -171,25 +178,33 @@ def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
     return np.moveaxis(found, 3, 4)
 
 
-def color_masses(problem: Problem, parts: Axis, chosen: np.ndarray) -> list[Any]:
+def color_masses(
+    problem: Problem, parts: Axis, chosen: np.ndarray, channel: np.ndarray | None = None
+) -> list[Any]:
     """Return the masses of parts of every channel's base colour, not normalised.
 
     Args:
         problem: of S texels.
         parts: K of them.
         chosen: (t,) int64, which of the texels.
+        channel: (t,) int64, the only channel of each that is asked for; all by default. Not under
+            a prior of colours.
 
     Returns:
-        A Float in blocks for each of C channels, of K rows and t texels.
+        A Float in blocks for each of C channels, or for the one of each texel, of K rows and t
+        texels.
     """
-    edges = np.append(parts.low, parts.high[-1])
-    walker, count, K = Walker(problem, owned(mi.UInt32, chosen), edges), len(chosen), parts.count
-    channels = problem.factors.channels
+    edges, only = np.append(parts.low, parts.high[-1]), None
+    if channel is not None:
+        only = owned(mi.UInt32, channel.astype(np.uint32))
+    walker = Walker(problem, owned(mi.UInt32, chosen), edges, only)
+    count, K = len(chosen), parts.count
+    channels = problem.factors.channels if only is None else 1
 
     def visit(node: Node, masses: Any) -> tuple[Any, ...]:
-        for channel, color in enumerate(node.colors):
+        for number, color in enumerate(node.colors):
             for k, part in enumerate(color.cells):
-                masses[channel * K + k] = masses[channel * K + k] + node.weight * part
+                masses[number * K + k] = masses[number * K + k] + node.weight * part
         return (masses,)
 
     (masses,) = walker.over_rows(
@@ -197,11 +212,11 @@ def color_masses(problem: Problem, parts: Axis, chosen: np.ndarray) -> list[Any]
         lambda _, masses: (masses,), (cleared(channels * K),),
     )  # fmt: skip
     found = []
-    for channel in range(channels):
+    for number in range(channels):
         target = dr.zeros(mi.Float, size(K, count))
         dr.eval(target)
         lane = dr.arange(mi.UInt32, count)
-        found.append(_write(masses, mi.UInt32(channel * K), K, lane, target))
+        found.append(_write(masses, mi.UInt32(number * K), K, lane, target))
     dr.eval(found)
     return found
 
@@ -269,16 +284,46 @@ def _add_cells(problem: Problem, masses: Any, node: Node) -> None:
             masses[place] = masses[place] + node.weight * part
 
 
-def _close(problem: Problem, masses: Any, row: Any, zx: Any) -> tuple[Any, Any]:
-    """After the last node of a cell of roughness, add a log a of its masses, and clear them."""
+def _close(
+    problem: Problem, masses: Any, row: Any, zx: Any, most: Any, best: Any, *best_colors: Any
+) -> tuple[Any, ...]:  # fmt: skip
+    """After the last node of a cell of roughness, add a log a of its masses, clear them, and see
+    whether one of its cells has more mass than all before."""
+    channels, of_color = problem.factors.channels, dr.opaque(mi.UInt32, problem.shape[2])
     end = dr.gather(mi.UInt32, problem.nodes.last, row)
+    first = dr.gather(mi.UInt32, problem.nodes.row, row) * problem.shape[1]
 
-    def close(k: Any, masses: Any, zx: Any) -> tuple[Any, ...]:
-        a = masses[k]
-        masses[k] = mi.Float(0)
-        return k + 1, masses, dr.fma(a, dr.log(dr.maximum(a, 1e-37)), zx)
+    def of_column(column: Any, masses: Any, zx: Any, most: Any, best: Any, *old: Any) -> Any:
+        totals, colors = [], []
+        for channel in range(channels):
+            place = (column * channels + channel) * of_color
+            masses, zx, total, color = _close_channel(place, of_color, masses, zx)
+            totals.append(total)
+            colors.append(color)
+        more = totals[0] > most  # all channels have the same
+        chosen = (dr.select(more, new, color) for new, color in zip(colors, old, strict=True))
+        best = dr.select(more, first + column, best)
+        return column + 1, masses, zx, dr.maximum(totals[0], most), best, *chosen
 
-    return dr.while_loop((mi.UInt32(0), masses, zx), lambda k, *_: k < end, close)[1:]
+    state = (mi.UInt32(0), masses, zx, most, best, *best_colors)
+    return dr.while_loop(state, lambda column, *_: column < end, of_column)[1:]
+
+
+def _close_channel(place: Any, number: Any, masses: Any, zx: Any) -> tuple[Any, ...]:
+    """Add a log a of so many masses, and clear them; also returns their sum, and the largest."""
+
+    def take(k: Any, masses: Any, zx: Any, total: Any, top: Any, color: Any) -> tuple[Any, ...]:
+        a = masses[place + k]
+        masses[place + k] = mi.Float(0)
+        color = dr.select(a > top, k, color)
+        zx = dr.fma(a, dr.log(dr.maximum(a, 1e-37)), zx)
+        return k + 1, masses, zx, total + a, dr.maximum(top, a), color
+
+    zero, none = dr.zeros(mi.Float, dr.width(zx)), dr.zeros(mi.UInt32, dr.width(zx))
+    found = dr.while_loop(
+        (mi.UInt32(0), masses, zx, zero, zero, none), lambda k, *_: k < number, take
+    )
+    return found[1], found[2], found[3], found[5]
 
 
 def _write(

@@ -82,6 +82,9 @@ class PartOfPosterior(Posterior):
     ) -> tuple[np.ndarray, np.ndarray]:
         return self.whole._ends(name, level, self.chosen[texels])
 
+    def _half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
+        return self.whole._half_widths(name, level, self.chosen[texels])
+
     def _draws(self, count: int, seed: int) -> dict[str, np.ndarray]:
         drawn = self.whole._draws(count, seed)
         return {name: values[:, self.chosen] for name, values in drawn.items()}

@@ -130,8 +130,8 @@ class Nodes:
         row, column: (N,), (L,) UInt32, cells.
         prior: (N * L,) Float, -log of the prior.
         first: (R + 1,) UInt32, nodes of roughness where a cell begins.
-        last: (N,) UInt32, number of cells of (column, channel, base colour) if a node of
-            roughness is the last of its cell, else 0.
+        last: (N,) UInt32, number of cells of the parameters that mix if a node of roughness is the
+            last of its cell, else 0.
     """
 
     levels: Any
@@ -149,7 +149,6 @@ class Nodes:
         r, m = problem.roughness, problem.mixed
         levels, weights = spline(r.value, problem.factors.roughness)
         ends = np.diff(r.cell, append=r.cells) != 0
-        cells = problem.shape[1] * problem.factors.channels * problem.shape[2]
         inside = [axis.mass / axis.of_cells()[axis.cell] for axis in (r, m)]
         rows = problem.rows.reshape(problem.shape[:2])[r.cell][:, m.cell]
         prior = np.minimum(rows - np.log(inside[0])[:, None] - np.log(inside[1]), NEVER)
@@ -162,7 +161,7 @@ class Nodes:
             column=owned(mi.UInt32, m.cell.astype(np.uint32)),
             prior=owned(mi.Float, prior.ravel()),
             first=owned(mi.UInt32, r.first.astype(np.uint32)),
-            last=owned(mi.UInt32, (ends * cells).astype(np.uint32)),
+            last=owned(mi.UInt32, (ends * problem.shape[1]).astype(np.uint32)),
         )
 
 

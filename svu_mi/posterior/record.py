@@ -289,20 +289,50 @@ class Posterior(ABC):
             OptionError: an unknown parameter, a level outside (0, 1), or an index outside
                 [0, T).
         """
+        texels, low, high = self._allowed(name, level, chosen)
+        seen = self.observed[texels]
+        if seen.any():
+            low[seen], high[seen] = self._ends(name, level, texels[seen])
+        return self._shaped(name, low), self._shaped(name, high)
+
+    def _allowed(
+        self, name: str, level: float, chosen: Any | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Texels (t,), and both ends of what the prior allows them, (t, g); errors of
+        ``interval``."""
         self._check_parameter(name)
         if not 0 < level < 1:
             raise OptionError(f"Posterior.interval(): level must be in (0, 1), got {level!r}.")
         texels = np.arange(self.count) if chosen is None else self._indices(chosen)
-        seen, edges = self.observed[texels], cell_edges(self.axes[name])
+        edges = cell_edges(self.axes[name])
         allowed = np.flatnonzero(marginals_of(self.prior, list(self.axes))[name])
         channels = 1 if name in self._shared else self.groups
         low, high = (
             np.full((len(texels), channels), edges[end], np.float32)
             for end in (allowed[0], allowed[-1] + 1)
         )
+        return texels, low, high
+
+    def half_width(self, name: str, level: float = 0.9, chosen: Any | None = None) -> Any:
+        """Return half the width of ``interval``: TensorXf (t,).
+
+        Of channels that have their own, that of the widest, which is taken to be the one of the
+        largest standard deviation: no intervals are computed of the others.
+
+        Arguments and errors are those of ``interval``.
+        """
+        texels, low, high = self._allowed(name, level, chosen)
+        half, seen = (high - low).max(axis=1) / 2, self.observed[texels]
         if seen.any():
-            low[seen], high[seen] = self._ends(name, level, texels[seen])
-        return self._shaped(name, low), self._shaped(name, high)
+            half[seen] = self._half_widths(name, level, texels[seen])
+        return _tensor(half)
+
+    def _half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
+        """(t,) of some texels, as if observed (see ``half_width``)."""
+        low, high = self._ends(name, level, texels)
+        half = (high - low) / 2
+        widest = 0 if half.shape[1] == 1 else self._moments(name)[1][texels].argmax(axis=1)
+        return half[np.arange(len(half)), widest]
 
     def draw(self, count: int = 1, seed: int = 0) -> dict[str, Any]:
         """Draw parameters of all texels, each texel for itself.

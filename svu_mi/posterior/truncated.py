@@ -103,6 +103,21 @@ class Channel:
         mass = mi.Float(0.5 * sqrt(pi) * whole / s)
         return self._integrals(mass, parts, mean, variance)
 
+    def masses(self, edges: list[float]) -> tuple[Any, list[Any]]:
+        """Integrate over cells as ``integrate`` does, in single precision, at half the cost where
+        neither mean nor variance is asked for.
+
+        Returns:
+            The mass, of a relative error of 1e-5 where hardly anything lights a channel, and part
+            of it in every cell.
+        """
+        beyond = [self._tail(mi.Float(y)).beyond for y in edges]
+        whole = beyond[0] - beyond[-1]
+        inverse = dr.rcp(whole)
+        parts = [inverse * (a - b) for a, b in zip(beyond[:-1], beyond[1:], strict=True)]
+        cells = [dr.select(self.mirrored, b, a) for a, b in zip(parts, parts[::-1], strict=True)]
+        return 0.5 * sqrt(pi) * whole / self.s, cells
+
     def weighed(self, edges: list[float], prior: list[Any]) -> tuple[Any, Integrals]:
         """Integrate over cells under a prior that excludes nothing (see ``GENTLE``), at a fifth of
         the cost of ``under``, whose arguments and results it has: cells share their borders, and

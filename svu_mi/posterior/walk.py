@@ -30,7 +30,7 @@ class Node:
     Attributes:
         row, column: UInt32, numbers of the nodes.
         weight: Float, exp(-energy) integrated over base colour, prior included.
-        colors: of C channels, given this node.
+        colors: of C channels, or of the one that is asked for, given this node.
     """
 
     row: Any
@@ -46,12 +46,15 @@ class Walker:
         problem: of S texels.
         lane: UInt32, which of the texels; all in order by default.
         edges: of the cells that colours are summed in; by default those of the grid.
+        only: UInt32, the channel of every texel whose colours are asked for; all by default. Not
+            under a prior of colours.
     """
 
     def __init__(
-        self, problem: Problem, lane: Any | None = None, edges: np.ndarray | None = None
-    ) -> None:
-        self.problem, self.nodes = problem, problem.nodes
+        self, problem: Problem, lane: Any | None = None, edges: np.ndarray | None = None,
+        only: Any | None = None,
+    ) -> None:  # fmt: skip
+        self.problem, self.nodes, self._only = problem, problem.nodes, only
         everything = dr.arange(mi.UInt32, problem.factors.count)
         self.lane = everything if lane is None else lane
         self.edges = problem.edges if edges is None else edges
@@ -215,10 +218,18 @@ class Walker:
             c = dr.opaque(mi.Float, float(self.problem.edges[0]))
             one = Integrals(mi.Float(1), [mi.Float(1)], c, mi.Float(0))
             return Node(row, column, weight, [one] * self.problem.factors.channels)
-        found = [Channel(*one).integrate(self.edges.tolist()) for one in parts]
+        edges = self.edges.tolist()
+        whole = edges if self._only is None else [0.0, 1.0]
+        found = [Channel(*one).integrate(whole) for one in parts]
         for one in found:
             for _ in range(self.problem.copies):
                 weight *= one.mass
+        if self._only is not None:
+            chosen = parts[0]
+            for channel, one in enumerate(parts[1:], 1):
+                chosen = dr.select(self._only == channel, one, chosen)
+            mass, cells = Channel(*chosen).masses(edges)
+            found = [Integrals(mass, cells, mi.Float(0), mi.Float(0))]
         return Node(row, column, weight, found)
 
     def _color_prior(self, row: Any, column: Any) -> list[list[Any]] | None:

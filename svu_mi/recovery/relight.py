@@ -16,10 +16,10 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.scene import find_environment, to_world
+from svu_mi.capture.traced import Pictures
 from svu_mi.errors import OptionError
 from svu_mi.light.environment import directions, read_environment
 from svu_mi.recovery.path.scene import PathScene
-from svu_mi.recovery.pictures import Pictures
 from svu_mi.recovery.textures import Textures
 
 MAX_DEPTH = 6  # where the scene's own integrator does not say

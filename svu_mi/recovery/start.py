@@ -102,7 +102,7 @@ def known_values(found: Estimate) -> dict[str, float]:
 
 def _reweighted(found: Estimate, observed: Observed) -> CalibratedPosterior:
     """Gather again, samples counting less the more the present means are off."""
-    posterior, switches = found.posterior, found.preset
+    posterior, switches = found.posterior, found.switches
     assert isinstance(posterior, CalibratedPosterior) and isinstance(switches, AngularPreset)
     factors = posterior.problem.factors
     means, _ = moments(posterior)
@@ -115,7 +115,7 @@ def _reweighted(found: Estimate, observed: Observed) -> CalibratedPosterior:
     )
     return calibrated_posterior(
         statistics, posterior.grid, observed.unit, switches, prior=found.prior,
-        texels=posterior.count,
+        texels=posterior.count, doubt=observed.capture.doubt,
     )
 
 

@@ -18,7 +18,10 @@ from svu_mi.files import read_json
 
 RESULT, BESIDE = "written", "beside"
 RUN, CAPTURE = "svu:run", "svu:capture"  # marks in every EXR, PLY and scene file of a result
-RECORDS = ("run.json", "asset.json", "check.json", "compare.json", "capture.json")
+LIGHT, LIGHT_RECORD = "light", "light.json"  # command whose result may lie below a capture
+RECORDS = (
+    "run.json", "asset.json", "check.json", "compare.json", LIGHT_RECORD, "capture.json"
+)  # fmt: skip
 LONGEST = 1024  # letters of a name
 MAX_BYTES = 2**26  # of a record
 

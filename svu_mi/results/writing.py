@@ -34,6 +34,8 @@ from svu_mi.results.lock import LOCK, locked
 from svu_mi.results.record import (
     BESIDE,
     CAPTURE,
+    LIGHT,
+    LIGHT_RECORD,
     RECORDS,
     RESULT,
     RUN,
@@ -200,6 +202,8 @@ def exchanging(
 def require_own(folder: Path, command: str, record: str, caches: Sequence[str] = ()) -> None:
     """Refuse a folder that holds anything but an earlier result of a command.
 
+    Light that was found in a capture may lie below it: whether it still fits, its key tells.
+
     Args:
         folder: that is locked.
         command: that is about to write there.
@@ -216,6 +220,8 @@ def require_own(folder: Path, command: str, record: str, caches: Sequence[str] =
             continue
         if name.startswith(DRAFT) or any(entry.owns(folder, name) for entry in earlier):
             continue
+        if _is_of_light_below(folder, name):
+            continue
         what = f"was not written by svu {command}, or by an older version of it"
         if writer := _writer(folder, name):
             what = f"was written by svu {excerpt(writer, 40)}"
@@ -225,6 +231,14 @@ def require_own(folder: Path, command: str, record: str, caches: Sequence[str] =
             f"{folder}: holds other files: {excerpt(name)} {what}; choose another folder, or "
             "empty this one."
         )
+
+
+def _is_of_light_below(folder: Path, name: str) -> bool:
+    """Return whether a file is of light that was found and kept here: it is known by its key."""
+    top, _, rest = name.partition("/")
+    place = folder / top
+    own = [e for e in entries(place / LIGHT_RECORD) if e.command == LIGHT] if rest else []
+    return bool(own) and (rest == LIGHT_RECORD or any(e.owns(place, rest) for e in own))
 
 
 def _writer(folder: Path, name: str) -> str | None:

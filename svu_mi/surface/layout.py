@@ -203,8 +203,7 @@ def _mesh_error(words: str) -> MeshError:
 
 def _face_normals(source: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     """Return (F, 3) unit normals by the winding and (F,) areas."""
-    corners = source.positions[source.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = source.crosses
     length = np.linalg.norm(cross, axis=1)
     return cross / np.where(length > 0, length, 1)[:, None], length / 2
 

@@ -59,6 +59,18 @@ class Surface:
             sides=(take(texels.sides[0]), take(texels.sides[1])),
         )
 
+    def at(self, lane: Any) -> Surface:
+        """Take the texels of lanes (UInt32), any number of times."""
+
+        def take(values: Any) -> Any:
+            return dr.gather(type(values), values, lane)
+
+        return Surface(
+            take(self.position), take(self.normal), take(self.geometric_normal), self.offset,
+            texel=dr.gather(mi.UInt32, self.index, lane),
+            sides=None if self.sides is None else (take(self.sides[0]), take(self.sides[1])),
+        )
+
     @property
     def index(self) -> Any:
         """UInt32, which of all texels each lane is."""

@@ -19,8 +19,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.mesh import face_normals
+from svu_mi.capture.rays import film_ray
 from svu_mi.interop import owned
-from svu_mi.visibility.rays import film_ray
 from svu_mi.visibility.tiles import TILE
 
 SLOPE_MARGIN = 3.0  # how much steeper than its tangent plane a smooth surface may look

@@ -19,9 +19,9 @@ import numpy as np
 from svu_mi.capture import Capture, scene
 from svu_mi.capture.block import in_one_block
 from svu_mi.capture.poses import describe, film_size, scaled_sensor
+from svu_mi.capture.rays import ray_floats
 from svu_mi.errors import CaptureError, SvuWarning
 from svu_mi.interop import owned
-from svu_mi.visibility.rays import ray_floats
 from svu_mi.visibility.silhouette import Films, interior
 from svu_mi.visibility.tiles import find_tiles
 

@@ -18,13 +18,14 @@ FITS = "The capture fits its photographs, as far as can be determined."
 
 @pytest.mark.slow
 def test_a_capture_needs_no_light_to_look_at_its_poses(shots):
-    """No map of the light yet: are the poses right?"""
+    """No map of the light: are the poses right? And then it is found."""
     said = done("import blender --mesh scan.ply -o dark", shots)
-    assert said.out[-2:] == [
-        "The capture has no light: svu check says whether its poses fit, but nothing can be found "
-        "about reflectance. Import it again with --environment, the map of the light that the "
-        "photographs were taken under.",
+    assert said.out[-3:] == [
+        "The capture has no light, which is found in its photographs: look at what svu light "
+        "finds, or go on. If there is a map of the light that they were taken under, import the "
+        "capture again with --environment.",
         "Wrote dark; look at it with: svu check dark",
+        "Then find its light with: svu light dark",
     ]
     said = done("check dark -o out/dark", shots)
     assert any(line.startswith("poses (fits): Cameras and mesh fit") for line in said.out)
@@ -32,10 +33,10 @@ def test_a_capture_needs_no_light_to_look_at_its_poses(shots):
         "light (unknown): The orientation of the light cannot be determined: the capture has none."
     ) in said.out
     assert said.out[-2] == FITS
-    assert svu("entropy dark -o out/nothing", shots).refusal == (
-        "dark: was imported without a light, and only svu check can do without; import it again "
-        "with --environment, the map of the light that the photographs were taken under."
-    )
+    said = done("light dark --texels 100 --depths 64 4 -o dark/light", shots)
+    assert any(line.startswith("Base colours are known up to a common factor") for line in said.out)
+    said = done("entropy dark --resolution 32 -o out/dark_entropy", shots)
+    assert "Using the light found before in dark/light." in said.out
 
 
 @pytest.mark.slow

@@ -14,7 +14,8 @@ AXES = {axis.name: axis for axis in stability.AXES}
 ELSEWHERE = ("cameras", "distance from the origin", "degree of a fit", "exposure")  # test_limits.py
 LONG = (
     "light", "noise that is estimated", "size of the mesh", "faces", "paint",
-    "radiance of statistics", "grids of statistics", "filtered light",
+    "radiance of statistics", "grids of statistics", "filtered light", "views of a fit", "rotation",
+    "lambda", "rules of the spectrum",
 )  # fmt: skip
 
 

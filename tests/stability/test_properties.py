@@ -227,6 +227,7 @@ def test_copies_are_new_evidence_for_the_marginal_rule(seed, copies):
     assert (again <= before + 2 * bounds(data, marginal)).all()
 
 
+@pytest.mark.slow
 @few(8)
 @given(SEEDS, st.integers(2, 8))
 def test_copies_of_views_make_the_fit_less_regular(seed, copies):

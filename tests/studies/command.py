@@ -15,7 +15,7 @@ from svu_mi.bench.experiment import Bench, Record
 from svu_mi.bench.study import Asked, Study, how_it_was_run, told_how
 from svu_mi.cli import main as svu
 from svu_mi.cli.bench import Measured
-from svu_mi.cli.inputs import say
+from svu_mi.cli.terminal import say
 from svu_mi.files import prepare_folder, write_text
 from svu_mi.output import write_manifest
 

@@ -22,7 +22,7 @@ from rich.console import Console
 from svu_mi import scenes
 from svu_mi.bench.text import table
 from svu_mi.cli import main as svu
-from svu_mi.cli.inputs import say
+from svu_mi.cli.terminal import say
 from svu_mi.errors import SvuEnvironmentError
 from svu_mi.files import write_text
 
@@ -30,7 +30,7 @@ REPEATS = 3
 MOST = 8.0  # seconds
 # Name, number of photographs of 512 x 512 pixels, and the command; {0} is their folder.
 COMMANDS = {
-    "report, 60 photographs, 512 x 512 texels": (60, ("report", "{0}")),
+    "report, 60 photographs, 256 x 256 texels": (60, ("report", "{0}")),
     "guide, 40 photographs, 256 x 256 texels, 100 candidates, 5 proposals": (
         40, ("guide", "{0}", "--resolution", "256"),
     ),

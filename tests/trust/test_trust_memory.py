@@ -8,12 +8,16 @@ import sys
 
 import numpy as np
 import pytest
-from helpers import fails, python
+from helpers import ball, fails, lettered, python, recovered_folder, write_ball
 
 from svu_mi import limits, memory, needs, scenes
 from svu_mi.capture import mesh
+from svu_mi.capture.poses import sphere_sensors
 from svu_mi.errors import CaptureError, SvuEnvironmentError
-from svu_mi.limits import Need
+from svu_mi.exr import write_exr
+from svu_mi.formats.source import frame_of
+from svu_mi.formats.transforms import write_transforms
+from svu_mi.needs import Need
 
 SIXTY = [(6000, 4000)] * 60
 
@@ -175,6 +179,7 @@ def words(command, shot, folder, resolution):
     return command, *captures, *size, "-o", output
 
 
+@pytest.mark.few(3)
 @linux
 @pytest.mark.parametrize("command", [*COMMANDS, "export", "import", "render", "demo"])
 def test_half_of_the_address_space_is_refused_in_a_sentence(command, tmp_path):
@@ -187,6 +192,7 @@ def test_half_of_the_address_space_is_refused_in_a_sentence(command, tmp_path):
     ), done.stderr
 
 
+@pytest.mark.few(1)
 @linux
 @pytest.mark.parametrize("command", ["entropy", pytest.param("guide", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("space", [1.4e9, 1.9e9])
@@ -224,18 +230,79 @@ def test_half_of_the_memory_is_refused_in_a_sentence(command, shot, tmp_path, ca
     assert not (tmp_path / "out.html").exists() and not (tmp_path / "out" / "run.json").exists()
 
 
+def prepared(command, folder, side):
+    """Words of a command that has no photographs of a scene yet, or no more: of so many pixels."""
+    if command == "render":
+        place = scenes.path("vase"), "-D", "light=window", "--views", 3, "--resolution", side
+        return command, *place, "--spp", 1, "-o", folder / "out"
+    if command == "export":
+        recovered_folder(folder / "recovered", lettered(side, side), uvs=ball().uvs)
+        known = {"Y": np.full((side, side), 0.5, np.float32)}
+        write_exr(folder / "recovered" / "entropy.exr", known)
+        return command, folder / "recovered", "-o", folder / "out"
+    sensors = sphere_sensors(mesh.make("ball", ball()), 3, (side, side))
+    frames = [frame_of(each, folder / f"{k}.exr") for k, each in enumerate(sensors)]
+    for frame in frames:
+        write_exr(frame.image, {"RGB": np.full((side, side, 3), 0.5, np.float32)})
+    write_transforms(folder / "transforms.json", frames)
+    return command, folder, "--mesh", write_ball(folder), "-o", folder / "out"
+
+
+OTHERS = {"render": "vase.xml", "import": "", "export": "recovered"}  # what is named
+
+
+@pytest.mark.parametrize("command", OTHERS)
+def test_what_has_no_photographs_to_read_refuses_too(command, tmp_path, capsys, monkeypatch):
+    words = prepared(command, tmp_path, 24)
+    capsys.readouterr()
+    monkeypatch.setattr(needs, "free_memory", lambda: 0)
+    monkeypatch.setattr(needs, "resident", lambda: int(0.252e9))
+    line = fails(capsys, *words)
+    refusal = rf"svu: \S*{OTHERS[command]}: needs [\d.]+ GB of memory, 0.25 are there; [^;]+\."
+    assert re.fullmatch(refusal, line), line
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
+
+
+def test_each_command_says_what_would_need_less_of_it(monkeypatch):
+    machine(monkeypatch, 1e9)
+    films = [(2000, 1000)] * 20
+    assert refused(Need("render", films, model="")).endswith(
+        "; rendering at most 1000 x 500 pixels per film needs 0.76."
+    )
+    assert refused(Need("import", films, model="")).endswith(
+        "; reading photographs of at most 1000 x 500 pixels needs 0.9."
+    )
+    assert refused(Need("export", (), (2048, 2048), model="")).endswith(
+        "; svu recover --resolution 1024 needs 0.83."
+    )
+
+
+def announced_and_taken(*words):
+    """Run a command in a process of its own; return gigabytes."""
+    done = subprocess.run(
+        [sys.executable, "-c", RUN, "0", *map(str, words)],
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    announced = float(re.search(r"Needs up to ([\d.]+) GB of memory", done.stdout)[1])
+    return announced, int(re.search(r"PEAK (\d+)", done.stdout)[1]) / 1e9
+
+
 @linux
 @pytest.mark.slow
 @pytest.mark.parametrize("resolution", [32, 256])
 @pytest.mark.parametrize("command", COMMANDS)
 def test_no_command_takes_more_than_it_has_announced(command, resolution, shot, tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", RUN, "0", *map(str, words(command, shot, tmp_path, resolution))],
-        capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    announced = float(re.search(r"Needs up to ([\d.]+) GB of memory", done.stdout)[1])
-    peak = int(re.search(r"PEAK (\d+)", done.stdout)[1]) / 1e9
+    announced, peak = announced_and_taken(*words(command, shot, tmp_path, resolution))
+    assert announced / 2 < peak <= 1.1 * announced, (announced, peak)
+
+
+@linux
+@pytest.mark.slow
+@pytest.mark.parametrize("side", [64, 1024])
+@pytest.mark.parametrize("command", OTHERS)
+def test_rendering_importing_and_exporting_take_no_more_either(command, side, tmp_path):
+    announced, peak = announced_and_taken(*prepared(command, tmp_path, side))
     assert announced / 2 < peak <= 1.1 * announced, (announced, peak)
 
 

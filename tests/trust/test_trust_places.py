@@ -96,6 +96,7 @@ def test_help_needs_no_working_directory(tmp_path):
 LIGHT = ("-D", "light=window", "--views", "1", "--resolution", "8", "8", "--spp", "1")
 
 
+@pytest.mark.few(1)
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="needs Linux")
 @pytest.mark.parametrize(
     ("option", "said"),

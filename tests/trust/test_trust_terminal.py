@@ -18,9 +18,8 @@ from rich.console import Console
 from rich.table import Table
 
 from svu_mi.cli import main as program
-from svu_mi.cli.inputs import say
 from svu_mi.cli.main import main
-from svu_mi.cli.terminal import Forgiving, LogLines, OneLine, forgiving_streams
+from svu_mi.cli.terminal import Forgiving, LogLines, OneLine, forgiving_streams, say
 from svu_mi.errors import SvuWarning, printable
 from svu_mi.progress import Progress
 
@@ -60,6 +59,7 @@ def test_work_is_done_though_nobody_reads(scene, tmp_path, redirection):
     assert (tmp_path / "out" / "capture.json").stat().st_size > 100
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("redirection", ("| head -n 1", *UNREAD))
 def test_help_that_nobody_reads_is_no_error(redirection):
     done = svu(redirection, "entropy", "--help")

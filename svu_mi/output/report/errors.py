@@ -16,7 +16,7 @@ from svu_mi.output.report.pictures import spread
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.textures import Textures, lay_out
 
-COMPARED = 48  # most views that are rendered
+COMPARED = 30  # most views that are rendered
 SIDE = 64  # pixels of renders that only errors are taken of
 SAMPLES = 36  # per pixel: with fewer, their noise would be most of the error
 SHOWN_SIDE, SHOWN_SAMPLES = 224, 16  # of renders that are shown, and no errors taken of

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.illumination.record import LightEstimate
 from svu_mi.output import surface_maps, views
 from svu_mi.output.figures import map_colors
 from svu_mi.output.knowledge import Intervals
+from svu_mi.output.light_page import deviation_colors, known_colors, light_colors
 from svu_mi.output.page import THUMBNAIL, Picture, drawing, grouped, percent, photograph
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import is_seen, open_axes
@@ -124,6 +126,18 @@ def texture_maps(table: Turntable, estimate: Estimate, textures: Textures) -> li
     if textures.resolution != estimate.texels.resolution:
         inside = np.ones(textures.resolution[::-1], bool)
     return _pictures(table, surface_maps.recovered_maps(textures), inside)
+
+
+def light_maps(found: LightEstimate) -> list[tuple[str, str, Picture]]:
+    """Return names, sentences and pictures of light that was found."""
+    maps = (
+        ("Radiance", "Lat-long map: the top is +Y, the centre +Z.", light_colors(found.radiance)),
+        ("Standard deviation", "Of the logarithm of radiance: black is certain, and what is "
+         "yellow may be several times brighter or darker.", deviation_colors(found)),
+        ("What the photographs tell", "Yellow: nearly all; blue: what was assumed before, as no "
+         "glossy part of the object mirrors that direction.", known_colors(found)),
+    )  # fmt: skip
+    return [(name, sentence, drawing(colors)) for name, sentence, colors in maps]
 
 
 def _chequers(estimate: Estimate) -> np.ndarray:

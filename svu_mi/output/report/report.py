@@ -6,6 +6,7 @@ import dataclasses
 import datetime
 import os
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 
 import svu_mi
 from svu_mi.capture import Capture
+from svu_mi.illumination.words import sentences
 from svu_mi.output import style
 from svu_mi.output.knowledge import Intervals, Knowledge
 from svu_mi.output.manifest import environment_record
@@ -22,6 +24,7 @@ from svu_mi.output.report import errors, findings, pictures, plots
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import Result, is_seen, known, open_axes, words
 from svu_mi.output.thinned import Thinned
+from svu_mi.output.upright import upright
 from svu_mi.pipeline import Estimate
 from svu_mi.progress import Stage
 from svu_mi.recovery.textures import Textures
@@ -70,11 +73,13 @@ def write_report(
     result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
     shown = Thinned.of(estimate, pictures.MAP_SIDE)
     intervals = Intervals(estimate.posterior, chosen=shown.chosen)
-    thumbnails, left_out = pictures.thumbnails(capture, estimate)
-    report(1, 5)
-    frames = list(pictures.turning(table, estimate))
+    with ThreadPoolExecutor(1) as aside:  # NumPy and Pillow alone, beside kernels
+        made = aside.submit(pictures.thumbnails, capture, estimate)
+        frames = list(pictures.turning(table, estimate))
+        report(1, 5)
+        maps = pictures.maps(table, shown.estimate, intervals)
+        thumbnails, left_out = made.result()
     report(2, 5)
-    maps = pictures.maps(table, shown.estimate, intervals)
     recovered = [] if textures is None else pictures.texture_maps(table, estimate, textures)
     report(3, 5)
     turned = [frame[0] for frame in frames]
@@ -87,7 +92,8 @@ def write_report(
         title=title or _name(capture), date=f"{today.day} {today:%B %Y}",
         summary=_summary(capture, estimate, result, intervals, knowledge, table),
         count=capture.count, used=sum(capture.used), thumbnails=thumbnails, left_out=left_out,
-        frames=frames, maps=maps, recovered=recovered, textured=textures is not None,
+        light=_light(capture), frames=frames, maps=maps,
+        recovered=recovered, textured=textures is not None,
         histogram=plots.histogram(result), marginals=list(plots.marginals(estimate, result)),
         examples=examples, errors=compared, error_end=WORST,
         error_colormap=style.DIFFERENCE_COLORMAP, colors=style.SETTLED_COLORS, unseen=style.UNSEEN,
@@ -99,6 +105,16 @@ def write_report(
     write_alone(path, page)
     report(5, 5)
     return knowledge
+
+
+def _light(capture: Capture) -> dict[str, Any] | None:
+    """What there is to say of light that was found in the photographs."""
+    found = capture.found_light
+    if found is None:
+        return None
+    return {
+        "maps": pictures.light_maps(found), "sentences": list(sentences(found, upright(capture)))
+    }
 
 
 def _errors(
@@ -130,6 +146,7 @@ def _summary(
         "level": f"{100 * knowledge.level:g}{NARROW_SPACE}%",
         "cell": f"{max(knowledge.cell_width.values(), default=0):.2f}",
         "coarse": [words(name) for name in knowledge.cell_width],
+        "texture": f"{width} × {height}",
         "direction": findings.facing(estimate, ~result.seen, table.up),
         "numbers": [
             ("Photographs used", grouped(sum(capture.used)), f"of {grouped(capture.count)}"),

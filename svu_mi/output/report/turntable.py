@@ -13,6 +13,7 @@ from svu_mi.capture import Capture
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.poses import bounding_sphere, film_size, make_sensor
 from svu_mi.capture.scene import to_world
+from svu_mi.interop import owned
 from svu_mi.output import views
 from svu_mi.output.upright import front_and_right, upright
 from svu_mi.surface import Texels
@@ -130,9 +131,8 @@ class Turntable:
         return int(chosen[k]), number, (x - left) / (right - left), (y - top) / (bottom - top)
 
     def _free(self, points: np.ndarray, offset: np.ndarray) -> np.ndarray:
-        ray = mi.Ray3f(
-            mi.Point3f(*points.T.astype(np.float32)), mi.Vector3f(*offset.T.astype(np.float32))
-        )
+        # Owned: NumPy's memory may begin anywhere, and where it does is part of a kernel.
+        ray = mi.Ray3f(owned(mi.Point3f, points.T), owned(mi.Vector3f, offset.T))
         ray.maxt = mi.Float(1.0)
         return ~np.array(self.scene.ray_test(ray))
 
@@ -140,6 +140,6 @@ class Turntable:
 def _places(points: np.ndarray, sensor: Any) -> np.ndarray:
     """Return where a sensor shows points (N, 3): (N, 2) from the left and the top, in [0, 1]."""
     interaction = mi.Interaction3f()
-    interaction.p = mi.Point3f(*np.ascontiguousarray(points.T, np.float32))
+    interaction.p = owned(mi.Point3f, points.T)
     sample, _ = sensor.sample_direction(interaction, mi.Point2f(0.5))
     return np.array(sample.uv, np.float64).T / film_size(sensor)

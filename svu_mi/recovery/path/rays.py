@@ -14,10 +14,10 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.capture.poses import describe, film_size, make_sensor
+from svu_mi.capture.rays import film_ray, table_of
 from svu_mi.capture.trust import own_plugin
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.interop import owned
-from svu_mi.visibility.rays import film_ray, ray_floats
 from svu_mi.visibility.views import Views, pack_views
 
 TILE = 4  # pixels per side that stay together when the order is shuffled, unless asked otherwise
@@ -163,7 +163,7 @@ def _classes(variant: str) -> tuple[Any, Any]:
         """
 
         def aim(self, floats: Any) -> None:
-            """Set what the rays are made of: (V * 24,) Float, see ``ray_floats``."""
+            """Set what the rays are made of: (V * 24,) Float, see ``table_of``."""
             self.floats = floats
 
         def sample_ray_differential(
@@ -196,7 +196,7 @@ def _classes(variant: str) -> tuple[Any, Any]:
             me: Any = self  # what Mitsuba's own loader defines is not typed
             aimed = own_plugin({"type": "svu_film_rays", "film": me.flat_sensor.film()})
             aimed.initialize(sensors, size)
-            aimed.aim(_ray_floats(sensors))
+            aimed.aim(table_of(sensors))
             me.flat_sensor = aimed
             if tile == 1:  # for which the loader makes no table
                 me._initialize_tile_pixel_table()
@@ -226,8 +226,3 @@ def _classes(variant: str) -> tuple[Any, Any]:
             return self.next()
 
     return FilmRays, MaskedRays
-
-
-def _ray_floats(sensors: Sequence[Any]) -> Any:
-    rows = [ray_floats(s, tuple(describe(s)["principal_point_offset"])) for s in sensors]
-    return owned(mi.Float, np.array(rows, np.float32).ravel())

@@ -125,7 +125,9 @@ Table = dict[str, np.ndarray]
 
 
 def moments(posterior: CalibratedPosterior) -> tuple[Table, Table]:
-    """Return means and standard deviations of all T texels, float64."""
+    """Return means of all T texels, and standard deviations without what they have in common,
+    float64."""
+    posterior = posterior.apart()
     means, sds = (
         {name: np.array(of(name), np.float64).reshape(posterior.count, -1).T for name in NAMES}
         for of in (posterior.mean, posterior.sd)

@@ -6,7 +6,7 @@ their own, most of the time would go into launching them, and into their backgro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -15,12 +15,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.poses import describe, film_size
-from svu_mi.capture.rendering import MASK_GRID
+from svu_mi.capture.poses import film_size
+from svu_mi.capture.rays import evenly, pixel_rays, table_of
 from svu_mi.interop import owned
-from svu_mi.visibility.rays import film_ray, ray_floats
 
 LAUNCH = 1 << 22  # rays at a time
+MASK_GRID = 3  # mask rays per pixel side; any miss puts a pixel off the object
 
 
 @dataclass(frozen=True)
@@ -43,18 +43,17 @@ class Pictures:
         """(V + 1,) int64, number of the first pixel of each picture; and how many there are."""
         return np.concatenate([[0], np.cumsum(self.sizes.prod(axis=1))])
 
-    def showing(self, scene: Any, target: Any) -> list[np.ndarray]:
-        """Return (h, w) bool of each picture: the pixels that show nothing but the target."""
-        shown = np.ones(self.first[-1], bool)
+    def covered(self, scene: Any, target: Any) -> list[np.ndarray]:
+        """Return (h, w) float32 of each picture: the part of each pixel that the target covers,
+        unoccluded; 1 where it shows nothing else."""
+        part = np.zeros(self.first[-1], np.float32)
         for span, rays in self._launches(np.arange(self.first[-1]), MASK_GRID**2):
-            ray = rays(lambda sub: ((mi.Float(sub % MASK_GRID) + 0.5) / MASK_GRID,
-                                    (mi.Float(sub // MASK_GRID) + 0.5) / MASK_GRID))  # fmt: skip
-            hit = scene.ray_intersect_preliminary(ray, coherent=True)
+            hit = scene.ray_intersect_preliminary(rays(evenly(MASK_GRID)), coherent=True)
             # Opaque: as a literal, every scene would get a kernel of its own.
             on_target = hit.is_valid() & (hit.shape == dr.opaque(mi.ShapePtr, target))
-            all_rays = dr.block_sum(dr.select(on_target, mi.UInt32(1), 0), MASK_GRID**2)
-            shown[span] = np.array(all_rays) == MASK_GRID**2
-        return self._apart(shown)
+            hits = dr.block_sum(dr.select(on_target, mi.UInt32(1), 0), MASK_GRID**2)
+            part[span] = np.array(hits) / np.float32(MASK_GRID**2)
+        return self._apart(part)
 
     def traced(
         self, scene: Any, integrator: Any, wanted: Sequence[np.ndarray], spp: int, seed: int = 0
@@ -93,13 +92,14 @@ class Pictures:
         where in the pixel the rays of a number are."""
         view = np.searchsorted(self.first, pixels, "right") - 1
         row, column = np.divmod(pixels - self.first[view], self.sizes[view, 0])
-        floats = [ray_floats(s, describe(s)["principal_point_offset"]) for s in self.sensors]
-        table = owned(mi.Float, np.array(floats, np.float32).ravel())
+        table = table_of(self.sensors)
         size = max(LAUNCH // rays, 1)
         for start in range(0, len(pixels), size):
             span = slice(start, min(start + size, len(pixels)))
-            parts = [owned(mi.UInt32, part[span].astype(np.uint32)) for part in (view, row, column)]
-            yield span, partial(_rays, table, parts, rays)
+            parts = tuple(
+                owned(mi.UInt32, part[span].astype(np.uint32)) for part in (view, row, column)
+            )
+            yield span, partial(pixel_rays, table, parts, rays)
 
     def _apart(self, values: np.ndarray) -> list[np.ndarray]:
         """Values (N, ...) of all pixels, as pictures (h, w, ...)."""
@@ -109,19 +109,3 @@ class Pictures:
                 self.first[:-1], self.first[1:], self.sizes, strict=True
             )
         ]
-
-
-def _rays(floats: Any, pixels: list[Any], count: int, place: Callable[[Any], Any]) -> Any:
-    """Make so many rays through each pixel: ``place(k)`` returns where in it ray k is.
-
-    Args:
-        floats: of ``ray_floats``.
-        pixels: UInt32, number of the view, row and column of each.
-        count: rays of a pixel.
-        place: UInt32 -> two Floats in [0, 1].
-    """
-    index, number = dr.arange(mi.UInt32, dr.width(pixels[0]) * count), dr.opaque(mi.UInt32, count)
-    of_pixel = index // number
-    view, row, column = (dr.gather(mi.UInt32, part, of_pixel) for part in pixels)
-    x, y = place(index - of_pixel * number)
-    return film_ray(floats, view, mi.Float(column) + x, mi.Float(row) + y)

@@ -6,13 +6,16 @@ on LLVM, so that it does not matter which of the two a pixel was judged by.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.capture.poses import describe
 from svu_mi.capture.scene import to_world
+from svu_mi.interop import owned
 
 RAY_FLOATS = 24  # per view, in groups of four: a kernel reads a group at once
 
@@ -44,6 +47,12 @@ def ray_floats(sensor: Any, principal_point: tuple[float, float]) -> np.ndarray:
     )
 
 
+def table_of(sensors: Sequence[Any]) -> Any:
+    """Return (V * 24,) Float, what the rays of V perspective sensors are made of."""
+    rows = [ray_floats(each, tuple(describe(each)["principal_point_offset"])) for each in sensors]
+    return owned(mi.Float, np.array(rows, np.float32).ravel())
+
+
 def film_ray(floats: Any, view: Any, x: Any, y: Any) -> Any:
     """Make the ``mi.Ray3f`` of a view through a point of its film, in pixels.
 
@@ -73,3 +82,26 @@ def film_ray(floats: Any, view: Any, x: Any, y: Any) -> Any:
     near, far = film.x * per_depth, film.y * per_depth
     origin = mi.Point3f(*(row.w for row in rows)) + direction * near
     return mi.Ray3f(origin, direction, far - near, 0.0, [])
+
+
+def pixel_rays(
+    floats: Any, pixels: tuple[Any, Any, Any], count: int, place: Callable[[Any], Any]
+) -> Any:
+    """Make so many ``mi.Ray3f`` through each of N pixels, those of a pixel one after the other.
+
+    Args:
+        floats: (V * 24,) Float, see ``table_of``.
+        pixels: (N,) UInt32 each: number of the view, row and column.
+        count: rays of a pixel.
+        place: where in its pixel ray k is, UInt32 -> two Floats in [0, 1]; such as ``evenly``.
+    """
+    index, number = dr.arange(mi.UInt32, dr.width(pixels[0]) * count), dr.opaque(mi.UInt32, count)
+    of_pixel = index // number
+    view, row, column = (dr.gather(mi.UInt32, part, of_pixel) for part in pixels)
+    x, y = place(index - of_pixel * number)
+    return film_ray(floats, view, mi.Float(column) + x, mi.Float(row) + y)
+
+
+def evenly(side: int) -> Callable[[Any], Any]:
+    """Return a ``place`` for ``side``^2 rays, on a grid in the pixel."""
+    return lambda k: ((mi.Float(k % side) + 0.5) / side, (mi.Float(k // side) + 0.5) / side)

@@ -1,0 +1,171 @@
+"""``svu light``: the light that photographs were taken under, from the photographs."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+from rich.console import Console
+
+from svu_mi.cli.common import Interrupted, Output, was_interrupted
+from svu_mi.cli.inputs import Photographed, Resolution, WithPictures, to_find_light
+from svu_mi.cli.terminal import say
+from svu_mi.cli.words import given, pair
+from svu_mi.errors import OptionError
+from svu_mi.illumination.options import LightOptions
+from svu_mi.needs import Need, Sizes
+from svu_mi.progress import Progress
+from svu_mi.results.writing import claimed
+
+if TYPE_CHECKING:
+    from svu_mi.capture import Capture
+    from svu_mi.illumination.likeness import Likeness
+    from svu_mi.illumination.record import LightEstimate
+
+Depths = Annotated[tuple[tuple[int, int], ...], tyro.conf.arg(metavar="CELLS ROUNDS ...")]
+Card = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="U V ALBEDO")]
+Switch = tyro.conf.FlagCreatePairsOff[bool]
+LEAST = 1e-6  # factor of brightness
+FINEST_MEAN, FINEST_CARD = 64, 128  # texels per side that base colours are compared on
+
+
+@dataclass(frozen=True, kw_only=True)
+class FindLight(WithPictures, Photographed):
+    """Find the light that photographs were taken under, in the photographs.
+
+    Writes light.exr (a map in the frame of Mitsuba's envmap, with layers that say how well it is
+    known), light.npz (what --light of other commands takes), light.png and light.json. A light
+    that the capture has is not looked at, but compared with.
+    """
+
+    work = "light"
+    output: Output = Path("out/light")
+    resolution: Resolution = (256,)
+    """Texels per side, or width and height, that texels are chosen from."""
+    texels: int = LightOptions.texels
+    """Texels that are looked at, at most: more take longer and change little."""
+    depths: Depths = LightOptions.depths
+    """Numbers of cells of the sphere, ascending, and rounds at each."""
+    seed: int = LightOptions.seed
+    """Of the other lights that are drawn: the same gives the same result."""
+    light_moves: Switch = False
+    """It turns with the camera: a turntable, or a lamp on the camera."""
+    light_fixed: Switch = False
+    """It stands still."""
+    background: Literal["none", "distant"] = "none"
+    """distant: pixels beside the object show the light itself; not in a light tent."""
+    light_scale: float | None = None
+    """Factor of the light's brightness, if that is known."""
+    mean_albedo: float | None = None
+    """Mean base colour of the surface that is seen, if that is known: fixes the brightness."""
+    grey_card: Card = None
+    """Texture coordinates of a grey spot that is not metallic, and its base colour there: fixes
+    brightness and colour."""
+
+    def run(self, console: Console) -> int:
+        """Find the light, write it, and say what is known of it."""
+        from svu_mi.illumination.words import likeness_sentence, sentences
+        from svu_mi.output.upright import upright
+
+        self.check()
+        with claimed(self.output, "svu light", tidy=True):
+            self.start()
+            capture, found, against = self._run(Progress(console))
+        say(console, f"Wrote {self.output}")
+        for sentence in sentences(found, upright(capture)):
+            say(console, sentence)
+        if against is not None:
+            say(console, likeness_sentence(against))
+        return 0
+
+    def check(self) -> None:
+        """Refuse options that make no sense, before any work (see ``Photographed``)."""
+        from svu_mi.illumination.scale import require_albedo
+
+        super().check()
+        if self.light_moves and self.light_fixed:
+            raise OptionError("--light-moves and --light-fixed exclude each other; omit one.")
+        self._options()
+        facts = {"--light-scale": self.light_scale, "--mean-albedo": self.mean_albedo,
+                 "--grey-card": self.grey_card}  # fmt: skip
+        several = [name for name, value in facts.items() if value is not None]
+        if len(several) > 1:
+            raise OptionError(f"{' and '.join(several)} say the same thing twice; give one.")
+        if self.light_scale is not None and not LEAST <= self.light_scale <= 1 / LEAST:
+            raise OptionError(
+                f"--light-scale must be in [{LEAST:g}, {1 / LEAST:g}], got {self.light_scale:g}."
+            )
+        if self.mean_albedo is not None:
+            require_albedo(self.mean_albedo, "--mean-albedo")
+        if self.grey_card is not None:
+            require_albedo(self.grey_card[2], "--grey-card")
+            if not all(0 <= value <= 1 for value in self.grey_card[:2]):
+                raise OptionError(
+                    "--grey-card: texture coordinates are in [0, 1], got "
+                    f"{self.grey_card[0]:g} {self.grey_card[1]:g}."
+                )
+
+    def need(self, sizes: Sizes) -> Need:
+        """Return what memory the command takes (see ``Photographed``)."""
+        return to_find_light(sizes, pair(self.resolution, "--resolution"), self._options())
+
+    def _options(self) -> LightOptions:
+        """Return how light is found.
+
+        Raises:
+            OptionError: a number out of range.
+        """
+        moves = self.light_moves if self.light_moves or self.light_fixed else None
+        return LightOptions(
+            texels=self.texels, depths=self.depths, seed=self.seed, moves=moves,
+            background=self.background,
+        )  # fmt: skip
+
+    def _run(self, progress: Progress) -> tuple[Capture, LightEstimate, Likeness | None]:
+        from svu_mi.illumination.estimate import estimate_light
+        from svu_mi.illumination.likeness import likeness
+        from svu_mi.output import Run
+        from svu_mi.output.light import write_light
+
+        options = self._options()
+        capture, grid = self.load(progress)
+        own = capture.environment
+        if own is not None:
+            progress.say("The capture has a light; it is not looked at, but compared with.")
+        try:
+            found = estimate_light(capture, grid, options, progress)
+            found = self._scaled(progress, capture, found)
+        except BaseException as error:
+            if was_interrupted(error):
+                raise Interrupted("interrupted; run the same command again") from None
+            raise
+        against = None if own is None or found.moves else likeness(found, own)
+        with progress.stage("Writing the results"):
+            run = Run(settings=given(self), kernels=progress.kernels)
+            write_light(
+                capture, found, self.output, run, used=asdict(options), against=against,
+                timings=progress.timings, pictures=self.pictures,
+            )  # fmt: skip
+        return capture, found, against
+
+    def _scaled(
+        self, progress: Progress, capture: Capture, found: LightEstimate
+    ) -> LightEstimate:
+        """Return the light as bright as is known otherwise."""
+        from svu_mi.illumination.scale import scaled_by_card, scaled_by_mean
+        from svu_mi.observed import observe
+        from svu_mi.surface import texels
+
+        if self.light_scale is not None:
+            return found.scaled(self.light_scale)
+        if self.mean_albedo is None and self.grey_card is None:
+            return found
+        finest = FINEST_MEAN if self.grey_card is None else FINEST_CARD
+        seen = observe(capture, texels(capture.mesh, finest), progress)
+        with progress.stage("Comparing base colours"):
+            if self.grey_card is None:
+                assert self.mean_albedo is not None
+                return scaled_by_mean(found, seen, self.mean_albedo)
+            return scaled_by_card(found, seen, self.grey_card[:2], self.grey_card[2])

@@ -1,0 +1,1 @@
+"""Light from the photographs themselves, where nobody has measured it."""

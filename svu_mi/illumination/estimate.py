@@ -1,0 +1,174 @@
+"""Light from the photographs themselves: coarse to fine, materials and light together.
+
+Light and what the object is made of explain photographs together. For given light the posterior
+of a texel's parameters is closed-form on our statistics (``materials``); for given materials
+radiance is linear in the light (``transport``). So they take turns, but every step of the light
+knows how far the materials would follow it: their parameters are eliminated from its normal
+equations (``refine``). What no photograph tells stays as the prior of light has it (``prior``).
+
+Samples say little at first, by a factor that falls from round to round: under constant light, where
+it begins, nothing is known of any material.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.illumination.background import SD as BACKGROUND_SD
+from svu_mi.illumination.background import Looks
+from svu_mi.illumination.doubt import COLOR_SD, Level, level_of, possible, remarks_of, widening_of
+from svu_mi.illumination.materials import Moments, columns_of, misfit_of, tempered
+from svu_mi.illumination.options import LightOptions
+from svu_mi.illumination.prior import prior_of, refined
+from svu_mi.illumination.record import LightEstimate
+from svu_mi.illumination.refine import Fit, system_of
+from svu_mi.illumination.samples import Samples
+from svu_mi.illumination.transport import Columns, Transport
+from svu_mi.observed import Observed
+from svu_mi.options import AngularPreset
+from svu_mi.options import preset as find_preset
+from svu_mi.pipeline import Estimate, observed_of
+from svu_mi.progress import Progress
+from svu_mi.surface import Texels
+
+MOVED = 0.8  # misfit of light that moves, relative to one that stands still, if it does
+HEAT, COOLING = 12.0, 0.6  # how much less samples say at first, and from round to round
+ALBEDO = 0.5  # base colour that the first light goes by
+
+Told = Callable[[int, int], None]
+
+
+def estimate_light(
+    source: Capture | Observed | Estimate,
+    texels: Texels | None = None,
+    options: LightOptions | None = None,
+    progress: Progress | None = None,
+) -> LightEstimate:
+    """Find the light that photographs were taken under in the photographs themselves.
+
+    Args:
+        source: photographs; whatever light the capture has is not looked at.
+        texels: of the object, some of which are looked at; those of the source if it has them.
+        options: see there.
+        progress: shows what is going on.
+
+    Raises:
+        OptionError: no texels, or others than the source's.
+        CaptureError: no texel is seen in enough photographs, or all of them are black.
+    """
+    options, progress = options or LightOptions(), progress or Progress()
+    switches: AngularPreset = find_preset("default", method="angular")
+    observed = observed_of(source, texels, progress)
+    with progress.stage("Choosing texels"):
+        samples = Samples.of(observed, switches, options.texels)
+    fit, misfit = _found(_Search(observed.capture, samples, switches, options), progress)
+    with progress.stage("Asking what else the light may be"):
+        columns = columns_of(fit.transport, np.exp(fit.x), switches)
+        level = _level(fit, columns, switches)
+        found = possible(fit, options.draws, options.seed)
+        widening = widening_of(fit.transport, columns, found.draws, level, switches)
+    return LightEstimate(
+        logarithm=fit.x + level.best, draws=found.draws + level.best, cell_sd=found.cell_sd,
+        scale_sd=np.hypot(level.sd, np.full(3, COLOR_SD)), misfit=misfit, widening=widening,
+        moves=fit.transport.moves, texels=samples.texels, remarks=remarks_of(level, found),
+    )  # fmt: skip
+
+
+def _level(fit: Fit, columns: Columns, switches: AngularPreset) -> Level:
+    """Ask for the level of light, if it was not looked at."""
+    if fit.seen:
+        return Level(0.0, BACKGROUND_SD, anchored=True)
+    return level_of(fit.transport.samples, columns, switches)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What light is found from."""
+
+    capture: Capture
+    samples: Samples
+    switches: AngularPreset
+    options: LightOptions
+
+    def looks(self, moves: bool) -> Looks | None:
+        """Return what the photographs show beyond the object, if that is the light."""
+        if self.options.background == "none":
+            return None
+        return Looks.of(self.capture, moves=moves)
+
+
+def _found(search: _Search, progress: Progress) -> tuple[Fit, tuple[float, float]]:
+    """Return the light in the world that explains the photographs, and the misfit of both."""
+    options, misfit = search.options, [np.nan, np.nan]
+    tried = (False, True) if options.moves is None else (options.moves,)
+    looks = {moves: search.looks(moves) for moves in tried}
+    first, *finer = options.depths
+    coarse, steps = {}, len(tried) * first[1] + sum(rounds for _, rounds in finer)
+    with progress.stage("Finding the light", steps) as stage:
+        for number, moves in enumerate(tried):
+            coarse[moves] = light_of_samples(
+                search.samples, search.switches, (first,), looks=looks[moves], moves=moves,
+                told=partial(_add, stage.update, number * first[1], steps),
+            )
+            misfit[moves] = coarse[moves].misfit
+        moves = tried[0] if len(tried) == 1 else misfit[True] < MOVED * misfit[False]
+        fit = light_of_samples(
+            search.samples, search.switches, tuple(finer), start=coarse[moves],
+            looks=looks[moves], moves=moves,
+            told=partial(_add, stage.update, len(tried) * first[1], steps),
+        )
+    return fit, (misfit[False], misfit[True])
+
+
+def _add(told: Told, before: int, total: int, done: int, _: int) -> None:
+    told(before + done, total)
+
+
+def light_of_samples(
+    samples: Samples, switches: AngularPreset, depths: tuple[tuple[int, int], ...], *,
+    start: Fit | None = None, looks: Looks | None = None, moves: bool = False,
+    told: Told | None = None,
+) -> Fit:  # fmt: skip
+    """Find the light of samples.
+
+    Args:
+        samples: of some texels.
+        switches: of the posterior of their parameters.
+        depths: numbers of cells, and rounds at each.
+        start: light of fewer cells to go on from; constant light by default.
+        looks: at the light itself.
+        moves: whether it turns with the cameras.
+        told: called with rounds done, of how many.
+    """
+    fit, heat, done = start, HEAT if start is None else 1.0, 0
+    total = sum(rounds for _, rounds in depths)
+    for number, rounds in depths:
+        transport, prior = Transport.of(samples, number, moves), prior_of(number)
+        x = _even(samples, number) if fit is None else refined(fit.x, number)
+        seen = None if looks is None else looks.at(number)
+        for _ in range(rounds):
+            now = tempered(switches, heat)
+            columns = columns_of(transport, np.exp(x), now)
+            # Light of the wrong shape could not be too dim: its level is not asked for yet.
+            known = start is None or seen is not None
+            step = 0.0 if known else level_of(samples, columns, now).best
+            posterior = Moments.of(samples, columns).posterior(now, float(np.exp(step)))
+            x = x + step
+            system = system_of(transport, x, posterior, now.overdispersion, prior, seen)
+            x, heat, done = x + system.step(), max(heat * COOLING, 1.0), done + 1
+            if told is not None:
+                told(done, total)
+        fit = Fit(transport, x, system, misfit_of(posterior, samples.unit), seen is not None)
+    assert fit is not None
+    return fit
+
+
+def _even(samples: Samples, number: int) -> np.ndarray:
+    """Logarithms of constant light, of the photographs' colour: (number, 3)."""
+    mean = samples.radiance.mean(axis=0, dtype=np.float64)
+    return np.tile(np.log(np.maximum(mean, 1e-3 * samples.unit) / ALBEDO), (number, 1))

@@ -1,0 +1,171 @@
+"""The folder that ``svu light`` writes: ``light.exr`` to look at, ``light.npz`` to go on from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import svu_mi
+from svu_mi.errors import CaptureError
+from svu_mi.exr import write_exr
+from svu_mi.files import write_json
+from svu_mi.formats.light import POLES, ROWS
+from svu_mi.illumination.record import LightEstimate
+from svu_mi.npz import read_arrays, write_arrays
+from svu_mi.results.reading import require_one_run
+from svu_mi.results.record import LIGHT, LIGHT_RECORD, entries
+from svu_mi.results.settling import settle
+from svu_mi.results.writing import Draft, writing
+
+COMMAND, RECORD = LIGHT, LIGHT_RECORD
+MAP, ARRAYS = "light.exr", "light.npz"
+FEWEST_CELLS, MOST_CELLS, MOST_DRAWS = 64, 4096, 256  # of a file that may be anybody's
+HIGHEST = 60.0  # logarithm of radiance that a map of single precision can hold
+# Axes (N cells, K draws) and range of each array of numbers.
+NUMBERS: dict[str, tuple[str, float, float]] = {
+    "logarithm": ("N3", -HIGHEST, HIGHEST), "cell_sd": ("N", 0, HIGHEST),
+    "draws": ("KN3", -HIGHEST, HIGHEST), "scale_sd": ("3", 0, HIGHEST), "moves": ("", 0, 1),
+    "misfit": ("2", 0, 1e12), "widening": ("", 1, 1e5), "texels": ("", 0, 2**31),
+}  # fmt: skip
+
+
+def save_light(
+    estimate: LightEstimate,
+    path: str | Path,
+    *,
+    photographs: str = "",
+    about: Mapping[str, Any] | None = None,
+) -> None:
+    """Write light that was found into a folder, for ``load_light`` and ``--light``.
+
+    Writes ``light.exr`` (radiance, with the layers ``sd.Y`` and ``known.Y``), ``light.npz`` and
+    ``light.json``, in one step (``results.writing``).
+
+    Args:
+        estimate: what to write.
+        path: a folder; made if missing. An older result there is replaced.
+        photographs: ``photographs_key`` of the capture that it was found in, if that is known.
+        about: more for ``light.json``: plain values by name.
+
+    Raises:
+        OutputError: the folder or a file cannot be written.
+    """
+    with writing(path, COMMAND, RECORD, capture=photographs) as draft:
+        write_arrays_of(estimate, draft)
+        record = {**(about or {}), **light_record(estimate), **draft.entries()}
+        write_json(draft.folder / RECORD, record)
+
+
+def write_arrays_of(estimate: LightEstimate, draft: Draft) -> None:
+    """Write ``light.exr`` and ``light.npz`` into a draft."""
+    channels = {"RGB": estimate.radiance, "sd.Y": estimate.sd, "known.Y": estimate.known}
+    header = {"svu:version": svu_mi.__version__, ROWS: POLES}
+    write_exr(draft.folder / MAP, channels, header)
+    write_arrays(draft.folder / ARRAYS, {
+        "run": draft.run, "logarithm": estimate.logarithm, "cell_sd": estimate.cell_sd,
+        "draws": estimate.draws, "scale_sd": estimate.scale_sd, "moves": estimate.moves,
+        "misfit": estimate.misfit, "widening": estimate.widening, "texels": estimate.texels,
+        "remarks": np.array(estimate.remarks, dtype=np.str_),
+    })  # fmt: skip
+
+
+def light_record(estimate: LightEstimate) -> dict[str, Any]:
+    """Return what records say of light that was found, under ``light``: plain values."""
+    low, high = estimate.scale_interval
+    still, moving = (None if math.isnan(value) else float(value) for value in estimate.misfit)
+    return {
+        "light": {
+            "found": True,
+            "known": estimate.known_part,
+            "scale_interval": [low.tolist(), high.tolist()],
+            "moves": bool(estimate.moves),
+            "misfit": {"still": still, "moving": moving},
+            "widening": float(estimate.widening),
+            "cells": estimate.cells, "texels": int(estimate.texels),
+            "remarks": list(estimate.remarks),
+        }
+    }  # fmt: skip
+
+
+def photographs_of(path: str | Path) -> str:
+    """Return the ``photographs_key`` of what light in a folder was found in; empty if unknown."""
+    found = [entry for entry in entries(Path(path) / RECORD) if entry.command == COMMAND]
+    return found[0].capture if found else ""
+
+
+def load_light(path: str | Path) -> LightEstimate:
+    """Read light that ``svu light`` or ``save_light`` has written.
+
+    Args:
+        path: the folder.
+
+    Raises:
+        CaptureError: it is no such folder, a file is damaged, was changed since or is missing, or
+            two of them are of different runs.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        raise CaptureError(f"{path}: no such folder; give one that svu light wrote.")
+    settle(path)
+    missing = [name for name in (MAP, ARRAYS, RECORD) if not (path / name).is_file()]
+    if missing:
+        raise CaptureError(
+            f"{path}: has no {', '.join(missing)}, so it is not a result of svu light; give the "
+            "folder that it wrote."
+        )
+    require_one_run(path, [MAP], RECORD, COMMAND)
+    written = [entry for entry in entries(path / RECORD) if entry.command == COMMAND]
+    if not written:
+        raise CaptureError(f"{path / RECORD}: is not of svu light; run it again.")
+    if not written[0].owns(path, MAP):
+        raise CaptureError(
+            f"{path / MAP}: was changed since svu light wrote it; give this map itself, or run svu "
+            "light again."
+        )
+    try:
+        arrays = read_arrays(path / ARRAYS)
+        if str(arrays.pop("run", "")) != written[0].run:
+            raise ValueError(f"it comes from another run than {RECORD} beside it")
+        return _estimate(arrays)
+    except ValueError as error:
+        raise CaptureError(
+            f"{path / ARRAYS}: cannot be used ({error}); run svu light again."
+        ) from error
+
+
+def _estimate(arrays: Mapping[str, np.ndarray]) -> LightEstimate:
+    """Return what arrays say.
+
+    Raises:
+        ValueError: one is missing, of another shape, or out of range; with the reason.
+    """
+    absent = sorted({*NUMBERS, "remarks"} - set(arrays))
+    if absent:
+        raise ValueError(f"it lacks {', '.join(absent)}")
+    cells, draws = (len(np.atleast_1d(arrays[name])) for name in ("logarithm", "draws"))
+    if not (FEWEST_CELLS <= cells <= MOST_CELLS and 1 <= draws <= MOST_DRAWS):
+        raise ValueError(f"it has {cells} cells and {draws} draws")
+    sizes = {"N": cells, "K": draws, "3": 3, "2": 2}
+    for name, (shape, low, high) in NUMBERS.items():
+        found = arrays[name]
+        if found.dtype.kind not in "fiub" or found.shape != tuple(sizes[axis] for axis in shape):
+            raise ValueError(f"{name} is {found.dtype} of shape {found.shape}")
+        values = found.astype(np.float64)
+        untried = np.isnan(values) & (name == "misfit")
+        if not (untried | ((values >= low) & (values <= high))).all():  # NaN fails both
+            raise ValueError(f"{name} has values out of range")
+    remarks = arrays["remarks"]
+    if remarks.dtype.kind != "U" or remarks.ndim != 1:
+        raise ValueError("remarks are no sentences")
+    real = {name: arrays[name].astype(np.float64) for name in
+            ("logarithm", "cell_sd", "draws", "scale_sd")}  # fmt: skip
+    still, moving = arrays["misfit"].tolist()
+    return LightEstimate(
+        **real, moves=bool(arrays["moves"]), misfit=(still, moving),
+        widening=float(arrays["widening"]), texels=int(arrays["texels"]),
+        remarks=tuple(map(str, remarks)),
+    )  # fmt: skip

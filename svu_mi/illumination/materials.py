@@ -1,0 +1,91 @@
+"""What the texels are made of under a given light: the calibrated posterior of their samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from svu_mi.illumination.samples import Samples
+from svu_mi.illumination.transport import Columns, Materials, Transport
+from svu_mi.options import AngularPreset
+from svu_mi.parameters import MIXED
+from svu_mi.posterior import CalibratedPosterior, calibrated_posterior
+from svu_mi.reflection.principled import columns
+from svu_mi.statistics import Statistics
+from svu_mi.statistics.factors import PAIRS
+
+
+def columns_of(transport: Transport, light: np.ndarray, switches: AngularPreset) -> Columns:
+    """Return what light (N, 3) makes of the samples at the levels that statistics have."""
+    return transport.columns(light, np.linspace(0, 1, switches.levels))
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What the samples of every texel say under a light, and under the same light dimmed.
+
+    Attributes:
+        samples: of n texels.
+        table: (5, 5, n, K, 3) float64, weighted sums of products of e, p, q, d and what is
+            observed, at K roughnesses.
+    """
+
+    samples: Samples
+    table: np.ndarray
+
+    @staticmethod
+    def of(samples: Samples, found: Columns) -> Moments:
+        """Sum over samples, given ``columns_of`` a light."""
+        observed = np.broadcast_to(samples.radiance[:, None].astype(np.float64), found.e.shape)
+        parts, weight = (*found, observed), samples.weight[:, None, None]
+        table = np.empty((len(parts), len(parts), samples.texels, *found.e.shape[1:]))
+        for i, part in enumerate(parts):
+            weighted = weight * part
+            for j in range(i, len(parts)):
+                table[i, j] = table[j, i] = samples.sum(weighted * parts[j])
+        return Moments(samples, table)
+
+    def posterior(self, switches: AngularPreset, factor: float = 1.0) -> CalibratedPosterior:
+        """Return the posterior of the texels' parameters.
+
+        Args:
+            switches: of the posterior.
+            factor: how many times brighter the light is.
+        """
+        samples, (e, p, q, d, observed) = self.samples, np.eye(len(self.table))
+        mixed = columns(factor * e, factor * p, factor * q, factor * d, observed)
+        table = np.stack(
+            [np.einsum("i,j,ijnkc->nkc", mixed[i], mixed[j], self.table, optimize=True)
+             for i, j in PAIRS]
+        )  # fmt: skip
+        statistics = Statistics.of(
+            table.transpose(2, 3, 0, 1), samples.sum(samples.weight),
+            np.bincount(samples.owner, minlength=samples.texels),
+            np.linspace(0, 1, switches.levels), samples.kappa,
+        )  # fmt: skip
+        return calibrated_posterior(statistics, scale=samples.unit, preset=switches)
+
+
+def materials_of(posterior: CalibratedPosterior) -> Materials:
+    """Return the means of a posterior."""
+    def mean(name: str) -> np.ndarray:
+        return np.array(posterior.mean(name), np.float64)
+
+    mixed = np.stack([mean(name) for name in MIXED], axis=1)
+    return Materials(mean("roughness"), mixed, mean("base_color"))
+
+
+def misfit_of(posterior: CalibratedPosterior, unit: float) -> float:
+    """Return the noise of the median texel as a part of a radiance: what light cannot explain."""
+    return float(np.median(posterior.noise)) / unit
+
+
+def noise_of(posterior: CalibratedPosterior, unit: float) -> float:
+    """Return the geometric mean of the texels' noise as a part of a radiance."""
+    return float(np.exp(np.log(posterior.noise).mean())) / unit
+
+
+def tempered(switches: AngularPreset, factor: float) -> AngularPreset:
+    """Return switches under which samples say less, by a factor."""
+    return replace(switches, overdispersion=switches.overdispersion * factor)

@@ -1,0 +1,174 @@
+"""Light and materials together: Gauss-Newton with the parameters of every texel eliminated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from svu_mi.errors import CaptureError
+from svu_mi.illumination.background import CellLooks
+from svu_mi.illumination.materials import materials_of
+from svu_mi.illumination.prior import Prior
+from svu_mi.illumination.samples import Samples
+from svu_mi.illumination.transport import Materials, Transport
+from svu_mi.posterior import CalibratedPosterior
+from svu_mi.posterior.object_prior import shared
+from svu_mi.reflection.principled import slope
+
+STEP = 0.04  # of roughness, between which slopes are taken
+LARGEST = 2.0  # change of log radiance in a step
+FREEDOM = (0.3, 0.5)  # prior sd of roughness and what mixes
+ALIKE = 0.35  # sd of base colours over the surface: no paint knows where the light comes from
+
+
+@dataclass(frozen=True)
+class System:
+    """Normal equations of the light's logarithms, materials eliminated.
+
+    Attributes:
+        matrix: (3 N, 3 N) float64, channel by channel: the posterior's precision.
+        gradient: (3 N,) float64, of half the weighted sum of squared errors and of the prior.
+    """
+
+    matrix: np.ndarray
+    gradient: np.ndarray
+
+    def step(self) -> np.ndarray:
+        """Return the change of the logarithms, (N, 3), no larger than ``LARGEST``.
+
+        Raises:
+            CaptureError: the matrix is not positive definite.
+        """
+        try:
+            factor = cho_factor(self.matrix)
+        except (np.linalg.LinAlgError, ValueError):
+            raise CaptureError(
+                "No light explains the photographs: the search for it broke down; look at their "
+                "gains and masks with svu check."
+            ) from None
+        found = -cho_solve(factor, self.gradient)
+        return np.clip(found.reshape(3, -1).T, -LARGEST, LARGEST)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Light of N cells, and how well it explains the samples.
+
+    Attributes:
+        transport: samples and cells.
+        x: (N, 3) logarithms of radiance.
+        system: normal equations before the last step.
+        misfit: noise of the median texel there, as a part of the mean radiance.
+        seen: whether the photographs show the light itself, too.
+    """
+
+    transport: Transport
+    x: np.ndarray
+    system: System
+    misfit: float
+    seen: bool = False
+
+
+def system_of(
+    transport: Transport, x: np.ndarray, posterior: CalibratedPosterior, overdispersion: float,
+    prior: Prior, seen: CellLooks | None = None,
+) -> System:  # fmt: skip
+    """Linearise the samples around a light and the materials that are most likely under it.
+
+    Args:
+        transport: samples and N cells.
+        x: (N, 3) logarithms of radiance.
+        posterior: of the parameters of the n texels.
+        overdispersion: tau, how many samples say what one would alone.
+        prior: of the light.
+        seen: what the photographs show of the light itself.
+    """
+    samples, light = transport.samples, np.exp(x)
+    w = samples.weight / (posterior.noise[samples.owner] ** 2 * overdispersion)
+    # Texels that are uncertain are like others: as one by one they would pull the light along.
+    materials = materials_of(shared(posterior))
+    slopes = _slopes(transport, light, materials)
+    root = np.sqrt(w)
+    J = transport.matrix(materials)
+    J *= light.T[:, None].astype(np.float32)
+    off = samples.radiance - J.sum(axis=2).T.astype(np.float64)  # (S, 3)
+    J *= root.astype(np.float32)[:, None]
+    matrix, gradient = prior.precision(), prior.pull(x).T.copy()
+    for c, block in enumerate(_channels(transport.number)):
+        matrix[block, block] += J[c].T @ J[c]
+        gradient[c] -= J[c].T @ (root * off[:, c])
+    if seen is not None:
+        matrix[np.diag_indices_from(matrix)] += np.tile(seen.precision, 3)
+        gradient += seen.precision * (x - seen.logarithm).T
+    own, pull = _of_materials(materials, transport.samples, slopes, off * w[:, None], w)
+    inverse = np.linalg.inv(np.linalg.cholesky(own))  # (n, P, P)
+    taken = _taken(transport, J, root[:, None, None] * slopes, inverse)
+    matrix -= taken.T @ taken
+    flat = gradient.ravel() + np.einsum("tmk,tk->tm", inverse, pull).ravel() @ taken
+    return System(matrix, flat)
+
+
+def _taken(
+    transport: Transport, J: np.ndarray, slopes: np.ndarray, inverse: np.ndarray
+) -> np.ndarray:
+    """Return L^-1 H_(theta x), (n P, 3 N) float32: its square is the part of the light's precision
+    that materials can take over.
+
+    A texel at a time: J is large, and is read once.
+    """
+    samples, (count, size) = transport.samples, inverse.shape[:2]
+    taken = np.empty((count, size, 3 * transport.number), np.float32)
+    turned = np.einsum("scp,smp->csm", slopes, inverse[samples.owner]).astype(np.float32)
+    ends = np.append(samples.first, samples.count)
+    for t, (begin, end) in enumerate(pairwise(ends)):
+        for c, block in enumerate(_channels(transport.number)):
+            np.matmul(turned[c, begin:end].T, J[c, begin:end], out=taken[t, :, block])
+    return taken.reshape(count * size, -1)
+
+
+def _channels(number: int) -> list[slice]:
+    """Where the N cells of each channel are among all 3 N."""
+    return [slice(c * number, (c + 1) * number) for c in range(3)]
+
+
+def _of_materials(
+    materials: Materials, samples: Samples, slopes: np.ndarray, off: np.ndarray, w: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations of the materials: (n, P, P), and (n, P); ``off`` is weighted.
+
+    Base colours are like each other: else those of the lit side could be bright and those of the
+    other dark, instead of the light.
+    """
+    own = samples.sum(np.einsum("s,sci,scj->sij", w, slopes, slopes, optimize=True))
+    roughness, mixed = FREEDOM
+    freedom = [roughness, *[mixed] * (slopes.shape[2] - 4), *[ALIKE] * 3]
+    own += np.diag(1 / np.square(freedom))
+    pull = samples.sum(np.einsum("sci,sc->si", slopes, off, optimize=True))
+    pull[:, -3:] -= (materials.color - materials.color.mean(axis=0)) / ALIKE**2
+    return own, pull
+
+
+def _slopes(transport: Transport, light: np.ndarray, materials: Materials) -> np.ndarray:
+    """Derivatives of the samples (S, 3, P) for roughness, what mixes, and the three colours."""
+    r, owner = materials.roughness, transport.samples.owner
+    low, high = np.clip(r - STEP, 0, 1), np.clip(r + STEP, 0, 1)
+    found = transport.columns(light, np.stack([low, r, high], axis=1))
+    color, how = materials.color[owner], materials.mixture(owner)
+    ends = [_total(how.at(color), found.at(level)) for level in (0, 2)]
+    values = [x[owner, None] for x in materials.mixed.T]
+    slopes = [
+        (ends[1] - ends[0]) / (high - low)[owner, None],
+        *(_total(slope(values, k).at(color), found.at(1)) for k in range(len(values))),
+    ]
+    of_color = _total(how.scaled, found.at(1))[..., None] * np.eye(3)
+    return np.concatenate([np.stack(slopes, axis=-1), of_color], axis=-1)
+
+
+def _total(x: Sequence[Any], parts: Sequence[Any]) -> Any:
+    """Return the sum of products."""
+    return sum(a * b for a, b in zip(x, parts, strict=True))

@@ -1,0 +1,148 @@
+"""What a few texels show in all their photographs: the samples that light is found from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture.scene import to_world
+from svu_mi.errors import CaptureError
+from svu_mi.interop import owned
+from svu_mi.observed import Observed
+from svu_mi.options import AngularPreset
+from svu_mi.statistics.sums import noise_weight
+from svu_mi.visibility import Surface
+from svu_mi.visibility.observe import look
+
+FEWEST = 4  # views of a texel that says anything of the light: it has 5 parameters of its own
+GRAZING = 1e-3  # cosine: more grazing views are treated like this one
+FACING = 0.4  # cosine: a pixel of a steeper view shows much of what is beside the texel
+
+
+@dataclass(frozen=True)
+class Samples:
+    """S samples of n texels in V views, those of a texel next to each other.
+
+    Attributes:
+        scene: what occludes.
+        surface: the n texels.
+        owner: (S,) int64, which of the texels, ascending.
+        view: (S,) int64, which of the views.
+        direction: (S, 3) float32, unit, from the texel to the camera, world space.
+        cosine: (S,) float32, between it and the shading normal.
+        radiance: (S, 3) float32.
+        weight: (S,) float64 (``noise_weight``).
+        cameras: (V, 3, 3) float64, rotations of camera space to world space.
+        unit: radiance that noise is a part of.
+        kappa: of the weights.
+    """
+
+    scene: Any
+    surface: Surface
+    owner: np.ndarray
+    view: np.ndarray
+    direction: np.ndarray
+    cosine: np.ndarray
+    radiance: np.ndarray
+    weight: np.ndarray
+    cameras: np.ndarray
+    unit: float
+    kappa: float
+
+    @property
+    def count(self) -> int:
+        """S."""
+        return len(self.owner)
+
+    @property
+    def texels(self) -> int:
+        """n."""
+        return self.surface.count
+
+    @property
+    def first(self) -> np.ndarray:
+        """(n,) the first sample of every texel."""
+        return np.searchsorted(self.owner, np.arange(self.texels))
+
+    def sum(self, values: np.ndarray) -> np.ndarray:
+        """Sum values (S, ...) over the samples of every texel: (n, ...)."""
+        return np.add.reduceat(values, self.first, axis=0)
+
+    def facing(self) -> tuple[Samples, np.ndarray]:
+        """Leave steep views out, and texels that few others are left of.
+
+        Returns:
+            The samples, or all if nothing else is left; and which of all they are.
+        """
+        kept = self.cosine > FACING
+        enough = np.bincount(self.owner[kept], minlength=self.texels) >= FEWEST
+        if not enough.any():
+            return self, np.arange(self.count)
+        chosen = np.flatnonzero(kept & enough[self.owner])
+        samples = replace(
+            self,
+            surface=self.surface.at(owned(mi.UInt32, np.flatnonzero(enough).astype(np.uint32))),
+            owner=(np.cumsum(enough) - 1)[self.owner[chosen]], view=self.view[chosen],
+            direction=self.direction[chosen], cosine=self.cosine[chosen],
+            radiance=self.radiance[chosen], weight=self.weight[chosen],
+        )  # fmt: skip
+        return samples, chosen
+
+    @staticmethod
+    def of(observed: Observed, switches: AngularPreset, count: int) -> Samples:
+        """Look at some of the texels that photographs show, evenly spread over the surface.
+
+        Args:
+            observed: the photographs.
+            switches: how much samples count.
+            count: at most so many texels.
+
+        Raises:
+            CaptureError: no texel is seen in enough photographs, or all are black.
+        """
+        views, found = observed.views, observed.found
+        if not found.scale > 0:
+            raise CaptureError(
+                "The object is black in all photographs, which says nothing of the light; look at "
+                "their gains and masks with svu check."
+            )
+        enough = np.flatnonzero(observed.coverage >= FEWEST)
+        if not len(enough):
+            raise CaptureError(
+                f"No texel is seen in {FEWEST} photographs, the fewest that say anything of the "
+                "light; take more, or give the light."
+            )
+        # Texels are in a coherent order: equal steps are spread over the surface.
+        count = min(count, len(enough))
+        chosen = enough[((np.arange(count) + 0.5) * len(enough) / count).astype(np.int64)]
+        texel = owned(mi.UInt32, chosen.astype(np.uint32))
+        lanes = dr.arange(mi.UInt32, count * views.number)
+        number = dr.opaque(mi.UInt32, views.number)
+        own, view = lanes // number, lanes % number
+        launch = Surface.of(observed.texels, dr.gather(mi.UInt32, texel, own))
+        seen = look(views, launch, view, found.bits.test(view, launch.index))
+        kappa = switches.kappa(observed.unit)
+        weight = noise_weight(
+            sum(seen.radiance) / 3, dr.opaque(mi.Float, kappa), seen.contrast, switches.edges
+        )
+        dr.eval(seen.direction, seen.cosine, seen.radiance, weight)
+        kept = np.flatnonzero(seen.seen.numpy())
+        sensors = observed.capture.used_sensors
+        return Samples(
+            scene=views.scene,
+            surface=Surface.of(observed.texels, texel),
+            owner=kept // views.number,
+            view=kept % views.number,
+            direction=seen.direction.numpy().T[kept],
+            cosine=np.maximum(seen.cosine.numpy()[kept], GRAZING),
+            radiance=seen.radiance.numpy().T[kept],
+            weight=weight.numpy()[kept].astype(np.float64),
+            cameras=np.stack([to_world(sensor)[:3, :3] for sensor in sensors]),
+            unit=observed.unit,
+            kappa=kappa,
+        )
+

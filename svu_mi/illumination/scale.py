@@ -1,0 +1,143 @@
+"""The one factor that photographs leave open, of light against base colour, from one fact more.
+
+Twice the light on an object half as bright gives almost the same photographs. Where base colour
+is known of a spot (a grey card) or in the mean, light is as much brighter as the base colours that
+were found under it are too bright.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.illumination.lit import with_light
+from svu_mi.illumination.record import LightEstimate
+from svu_mi.observed import Observed
+from svu_mi.parameters import MIXED
+from svu_mi.pipeline import Estimate, estimate
+
+SMALLEST, LARGEST = 0.01, 1.0  # base colours that are taken for one
+MOST_ROUNDS, DONE = 6, 0.02  # base colour is not quite proportional: gloss is beside it
+FARTHEST = 3.0  # factor of one round, beyond which base colour is cut off at 1
+NEAR = 12  # texels around the spot
+SHARPEST = 0.02  # standard deviation that one of them is known to, at best
+
+Wanted = Callable[[Estimate], np.ndarray]  # factor (3,) by which base colours are too bright
+
+
+def require_albedo(value: float, option: str) -> None:
+    """Refuse what is no base colour.
+
+    Raises:
+        OptionError: it is not in (0, 1].
+    """
+    if not SMALLEST <= value <= LARGEST:
+        raise OptionError(
+            f"{option}: a base colour must be in [{SMALLEST}, {LARGEST:g}], got {value:g}."
+        )
+
+
+def scaled_by_mean(found: LightEstimate, observed: Observed, albedo: float) -> LightEstimate:
+    """Return light as bright as a mean base colour says: one factor for all channels.
+
+    Args:
+        found: light of the right shape.
+        observed: the photographs, at the texels to take the mean of.
+        albedo: mean of base colour over the surface that is seen, by area, and of R, G and B.
+
+    Raises:
+        OptionError: it is no base colour.
+        CaptureError: there is no such light.
+    """
+    require_albedo(albedo, "The mean base colour")
+    seen = observed.coverage > 0
+    area = np.square(np.array(observed.texels.footprint, np.float64)) * seen
+
+    def wanted(result: Estimate) -> np.ndarray:
+        mean = np.average(_of_base_color(result, "mean").mean(axis=1), weights=area)
+        return np.full(3, mean / albedo)
+
+    return _scaled(found, observed, wanted)
+
+
+def scaled_by_card(
+    found: LightEstimate, observed: Observed, uv: tuple[float, float], albedo: float
+) -> LightEstimate:
+    """Return light as bright as a grey spot of known base colour says: a factor per channel.
+
+    Such a card is not metallic, and is taken to be none.
+
+    Args:
+        found: light of the right shape.
+        observed: the photographs, at texels that resolve the spot.
+        uv: its texture coordinates.
+        albedo: base colour there, of R, G and B alike.
+
+    Raises:
+        OptionError: it is no base colour, or there are no such texture coordinates.
+        CaptureError: the spot is not seen, or there is no such light.
+    """
+    require_albedo(albedo, "The grey card")
+    chosen = _spot(observed, uv)
+
+    def wanted(result: Estimate) -> np.ndarray:
+        mean, sd = (_of_base_color(result, what)[chosen] for what in ("mean", "sd"))
+        weight = 1 / np.maximum(sd, SHARPEST) ** 2
+        return np.asarray((weight * mean).sum(axis=0) / weight.sum(axis=0) / albedo)
+
+    return _scaled(found, observed, wanted, dict.fromkeys(MIXED, 0.0))
+
+
+def _spot(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
+    """Return the texels that are next to texture coordinates, those that are seen."""
+    if not all(0 <= value <= 1 for value in uv):
+        raise OptionError(f"The grey card: texture coordinates are in [0, 1], got {uv}.")
+    layout = observed.texels
+    width, height = layout.resolution
+    row, column = np.divmod(np.array(layout.index, np.int64), width)
+    distance = np.hypot(column + 0.5 - uv[0] * width, row + 0.5 - uv[1] * height)
+    near = np.argsort(distance, kind="stable")[:NEAR]
+    near = near[(distance[near] <= np.sqrt(NEAR)) & (observed.coverage[near] > 0)]
+    if not len(near):
+        raise CaptureError(
+            f"The grey card: no photograph shows the surface at texture coordinates {uv[0]:g} "
+            f"{uv[1]:g}; give those of a spot that is seen."
+        )
+    return np.asarray(near)
+
+
+def _scaled(
+    found: LightEstimate, observed: Observed, wanted: Wanted,
+    known: Mapping[str, float] | None = None,
+) -> LightEstimate:  # fmt: skip
+    """Return light under which base colours are as they should be, to ``DONE``."""
+    if found.moves:
+        raise CaptureError(
+            "The light turns with the camera, so base colours cannot be found under it; give its "
+            "brightness with --light-scale."
+        )
+    total = np.ones(3)
+    for _ in range(MOST_ROUNDS):
+        lit = found.scaled(total)
+        capture = replace(with_light(observed.capture, lit), doubt=None)
+        # Rays to the cameras are the same ones; those to the light's cells are not.
+        seen = Observed(capture, observed.views, observed.texels, observed.found, observed.seen)
+        factor = np.clip(wanted(estimate(seen, known=known)), 1 / FARTHEST, FARTHEST)
+        total = total * factor
+        if np.abs(np.log(factor)).max() < DONE:
+            return found.scaled(total)
+    if np.abs(np.log(factor)).max() > 10 * DONE:
+        raise CaptureError(
+            "No brightness of the light makes the base colour what was given; check the value, and "
+            "that nothing else is measured there."
+        )
+    return found.scaled(total)
+
+
+def _of_base_color(result: Estimate, what: str) -> np.ndarray:
+    """Return posterior means, or standard deviations, of base colour (T, 3)."""
+    values = np.array(getattr(result.posterior, what)("base_color"), np.float64)
+    return np.broadcast_to(values.reshape(len(values), -1), (len(values), 3))

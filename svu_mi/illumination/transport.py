@@ -1,0 +1,219 @@
+"""How light in even cells of the sphere reaches the samples: the reflection model, cell by cell.
+
+Radiance is linear in the light: r = sum_j K_j L_j over N cells, with the K of the reflection
+model (``reflection/wide.py``, ``reflection/diffuse.py``) and traced visibility. A lobe that is
+narrower than the cells is widened to their size, so that it gathers all of its light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.illumination.samples import GRAZING, Samples
+from svu_mi.interop import owned
+from svu_mi.light.cells import fibonacci
+from svu_mi.reflection.diffuse import diffuse_shading
+from svu_mi.reflection.lobes import blurred_ggx, dielectric_fresnel, smith_g1
+from svu_mi.reflection.principled import Mixture, alpha_from_roughness, columns, mixture
+from svu_mi.reflection.shading import dot
+from svu_mi.switches import Diffuse
+from svu_mi.visibility.observe import fold
+from svu_mi.visibility.reach import is_open
+
+WIDENED = 0.55  # radii of a cell that are added to the width of a lobe, in quadrature
+PARTS = 3  # of specular light: p, q, d
+
+
+class Materials(NamedTuple):
+    """Parameters of n texels, float64: roughness (n,), those that mix the columns (n, M) in the
+    order of ``MIXED``, and base colour (n, 3)."""
+
+    roughness: np.ndarray
+    mixed: np.ndarray
+    color: np.ndarray
+
+    def mixture(self, owner: np.ndarray) -> Mixture:
+        """Return how the texels of samples mix the columns, of shape (S, 1)."""
+        return mixture(*(values[owner, None] for values in self.mixed.T))
+
+
+class Columns(NamedTuple):
+    """(S, K, 3) float64 radiance at K roughnesses: e, p, q, d of ``reflection/principled.py``."""
+
+    e: np.ndarray
+    p: np.ndarray
+    q: np.ndarray
+    d: np.ndarray
+
+    def at(self, level: int) -> tuple[np.ndarray, ...]:
+        """Return the columns that a mixture is of, (S, 3) each, at one of the roughnesses."""
+        return columns(*(part[:, level] for part in self))
+
+    def some(self, samples: np.ndarray) -> Columns:
+        """Return those of some samples."""
+        return Columns(*(part[samples] for part in self))
+
+
+class _Reflected(NamedTuple):
+    """One cell: diffuse light a + roughness b, Fresnel's parts of p, q and d, and lobes."""
+
+    diffuse: tuple[Any, Any]
+    fresnel: tuple[Any, Any, Any]
+    lobes: list[Any]
+
+
+@dataclass(frozen=True)
+class Transport:
+    """Samples, and N even cells of light around them.
+
+    Attributes:
+        samples: S of them.
+        number: N.
+        moves: whether the cells turn with the cameras instead of standing in the world.
+        lanes: texel and view (UInt32), direction (Vector3f) and cosine (Float) of every sample.
+        cells: (3 N,) Float, their directions in their own frame.
+        frames: (9 V,) Float, rotations of that frame to world space, of every view.
+        free: Bool, of (texel or, if the cells move, sample) x cell: whether it is seen.
+        count: N, opaque.
+        diffuse: which diffuse reflection.
+    """
+
+    samples: Samples
+    number: int
+    moves: bool
+    lanes: tuple[Any, Any, Any, Any]
+    cells: Any
+    frames: Any
+    free: Any
+    count: Any
+    diffuse: Diffuse = "disney"
+
+    @staticmethod
+    def of(samples: Samples, number: int, moves: bool = False) -> Transport:
+        """Trace what the texels see of N cells."""
+        cameras = samples.cameras
+        turned = cameras if moves else np.broadcast_to(np.eye(3), cameras.shape)
+        found = Transport(
+            samples, number, moves,
+            lanes=(
+                owned(mi.UInt32, samples.owner), owned(mi.UInt32, samples.view),
+                owned(mi.Vector3f, samples.direction.T), owned(mi.Float, samples.cosine),
+            ),
+            cells=owned(mi.Float, fibonacci(number).astype(np.float32).ravel()),
+            frames=owned(mi.Float, turned.astype(np.float32).ravel()),
+            free=mi.Bool(), count=dr.opaque(mi.UInt32, number),
+        )  # fmt: skip
+        return replace(found, free=found._traced())
+
+    def _traced(self) -> Any:
+        texel, view = self.lanes[:2]
+        if not self.moves:
+            texel = dr.arange(mi.UInt32, self.samples.texels)
+            view = dr.zeros(mi.UInt32, self.samples.texels)
+        lanes = dr.arange(mi.UInt32, dr.width(texel) * self.number)
+        owner, cell = lanes // self.count, lanes % self.count
+        texel, view = (dr.gather(mi.UInt32, x, owner) for x in (texel, view))
+        near, toward = self.samples.surface.at(texel), self._toward(cell, view)
+        up = (dr.dot(near.normal, toward) > 0) & (dr.dot(near.geometric_normal, toward) > 0)
+        free = is_open(self.samples.scene, near, toward, up, coherent=not self.moves)
+        dr.eval(free)
+        return free
+
+    def _toward(self, cell: Any, view: Any) -> Any:
+        """Return the world direction of a cell."""
+        local = dr.gather(mi.Vector3f, self.cells, cell)
+        rows = [dr.gather(mi.Vector3f, self.frames, 3 * view + k) for k in range(3)]
+        return mi.Vector3f(*(dr.dot(row, local) for row in rows))
+
+    def _reflected(self, lane: Any, cell: Any, widths: list[Any]) -> _Reflected:
+        """Reflect one cell of unit radiance, in lobes of some widths."""
+        texel, view, direction, cosine = (dr.gather(type(x), x, lane) for x in self.lanes)
+        normal = self.samples.surface.at(texel).normal
+        toward = self._toward(cell, view)
+        incident = dr.dot(normal, toward)
+        place = (lane if self.moves else texel) * self.count + cell
+        free = dr.gather(mi.Bool, self.free, place) & (incident > 0)
+        solid = dr.select(free, 4 * dr.pi / mi.Float(self.count), 0)
+        incident = dr.maximum(incident, GRAZING)
+        received = solid * incident
+        grazing = received * (1 - incident) ** 5
+        moments = [received, *(received * toward), grazing, *(grazing * toward)]
+        # Opposite directions have no half vector, and a cell that is hidden needs none.
+        lit = dr.select(free, toward, direction)
+        half = dr.normalize(lit + direction)
+        across, up = dr.maximum(dr.dot(lit, half), GRAZING), dr.dot(normal, half)
+        # A disk as large as a cell has the square of its radius 4 / N.
+        # The half vector turns by half the angle, and across the plane of incidence by more.
+        spread = 0.5 * (1 + dr.rcp(across * across))
+        cell_width = WIDENED**2 * 4 / mi.Float(self.count) * spread
+        wide = [dr.sqrt(dr.fma(alpha, alpha, cell_width)) for alpha in widths]
+        lobes = blurred_ggx(up, incident, wide, mi.Float(0))
+        scale, schlick = solid * dr.rcp(4 * cosine), (1 - across) ** 5
+        return _Reflected(
+            diffuse_shading(self.diffuse, moments, direction, cosine),
+            (1 - schlick, schlick, dielectric_fresnel(across)),
+            [scale * smith_g1(cosine, alpha) * lobe
+             for alpha, lobe in zip(widths, lobes, strict=True)],
+        )  # fmt: skip
+
+    def columns(self, light: np.ndarray, roughness: np.ndarray) -> Columns:
+        """Return what reaches the cameras at some roughnesses.
+
+        Args:
+            light: (N, 3) radiance of the cells.
+            roughness: (K,) the same for all texels, or (n, K).
+        """
+        levels = np.broadcast_to(roughness, (self.samples.texels, np.shape(roughness)[-1]))
+        of_texel = [owned(mi.Float, alpha_from_roughness(level)) for level in levels.T]
+        widths = [dr.gather(mi.Float, alpha, self.lanes[0]) for alpha in of_texel]
+        flux = owned(mi.Float, light.astype(np.float32).ravel())
+        lane = dr.arange(mi.UInt32, self.samples.count)
+        size = 6 + 3 * PARTS * len(widths)
+        sums = dr.alloc_local(mi.Float, size)
+        for k in range(size):
+            sums[k] = dr.zeros(mi.Float, self.samples.count)
+
+        def add(cell: Any, sums: Any) -> tuple[Any, Any]:
+            diffuse, fresnel, lobes = self._reflected(lane, cell, widths)
+            of_cell = list(dr.gather(mi.Vector3f, flux, cell))
+            for k, (part, value) in enumerate(product(diffuse, of_cell)):
+                sums[k] = dr.fma(part, value, sums[k])
+            parts = [f * value for f, value in product(fresnel, of_cell)]
+            for k, (lobe, part) in enumerate(product(lobes, parts)):
+                sums[6 + k] = dr.fma(lobe, part, sums[6 + k])
+            return cell + 1, sums
+
+        (sums,) = fold(mi.UInt32(0), self.count, add, sums)
+        found = [sums[k] for k in range(size)]
+        dr.eval(found)
+        table = np.stack([np.array(x, np.float64) for x in found])
+        a, b = table[:6].reshape(2, 1, 3, -1)
+        r = levels.T[:, None, self.samples.owner]  # (K, 1, S)
+        specular = table[6:].reshape(len(widths), PARTS, 3, -1)
+        e = a + r * b
+        return Columns(*(np.moveaxis(x, -1, 0) for x in (e, *np.moveaxis(specular, 1, 0))))
+
+    def matrix(self, materials: Materials) -> np.ndarray:
+        """Return K of ``r = K L`` for every channel: (3, S, N) float32."""
+        lanes = dr.arange(mi.UInt32, self.samples.count * self.number)
+        lane, cell = lanes // self.count, lanes % self.count
+        texel = dr.gather(mi.UInt32, self.lanes[0], lane)
+
+        def of_texel(values: np.ndarray) -> Any:
+            return dr.gather(mi.Float, owned(mi.Float, values.astype(np.float32)), texel)
+
+        r, how = of_texel(materials.roughness), mixture(*map(of_texel, materials.mixed.T))
+        (a, b), fresnel, (lobe,) = self._reflected(lane, cell, [alpha_from_roughness(r)])
+        parts = columns(dr.fma(r, b, a), *(lobe * part for part in fresnel))
+        found = [dot(how.at(c), parts) for c in map(of_texel, materials.color.T)]
+        dr.eval(found)
+        rows = np.empty((3, self.samples.count, self.number), np.float32)
+        for row, values in zip(rows, found, strict=True):
+            row.ravel()[:] = values.numpy()
+        return rows

@@ -1,0 +1,181 @@
+"""``light.png``: the light that was found, how well, and what of it is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.illumination.likeness import Likeness
+from svu_mi.illumination.record import LightEstimate
+from svu_mi.light.environment import directions, radiance_from
+from svu_mi.output import style, views
+from svu_mi.output.knowledge import plain_percent
+from svu_mi.output.style import LEFT, RIGHT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from svu_mi.output.style import Panel
+
+HEADING = "The light that was found in the photographs"
+WIDTH, ROW, REST = 16.0, 5.0, 1.4  # inches: a row of panels, and what is above and below all
+GREY = 0.18  # how bright the middle is drawn
+DARK = 1e-3  # part of the mean radiance below which all is black
+UNCERTAIN = 1.5  # standard deviation of the logarithm at the upper end of its scale
+AXIS = ((0.0, "-Z"), (0.25, "+X"), (0.5, "+Z"), (0.75, "-X"), (1.0, "-Z"))
+
+
+def write_light_page(
+    capture: Capture, estimate: LightEstimate, path: str | Path, against: Likeness | None = None
+) -> None:
+    """Draw radiance, its logarithm, its standard deviation and what is known, as lat-long maps.
+
+    Args:
+        capture: with its own light, which is drawn, too, if it is compared with.
+        estimate: what was found.
+        path: the PNG file.
+        against: how like that light it is.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    truth = None if against is None else _map_of(capture.environment, estimate.radiance.shape)
+    tone = Tone.of(estimate.radiance if truth is None else truth)
+    panels = _found(estimate, tone)
+    if truth is not None:
+        panels[2:2] = [
+            ("The capture's own light", partial(_draw_colors, colors=tone.colors(truth))),
+            ("Its radiance, by powers of two", partial(_draw_log, radiance=truth, tone=tone)),
+        ]
+    rows = len(panels) // 2
+    height = ROW * rows + REST
+    figure = style.new_figure(WIDTH, height)
+    places = (1 - 0.35 / height, 1 - 0.75 / height)
+    style.heading(figure, HEADING, _notes(estimate, against), places)
+    grid = figure.add_gridspec(
+        rows, 2, left=LEFT + 0.012, right=RIGHT, top=1 - 1.25 / height, bottom=0.9 / height,
+        wspace=0.06, hspace=0.34,
+    )  # fmt: skip
+    style.draw_panels(figure, [grid[k // 2, k % 2] for k in range(len(panels))], panels, "N")
+    style.save_figure(figure, path)
+
+
+@dataclass(frozen=True)
+class Tone:
+    """How radiance is drawn: dark parts and lamps at once (Reinhard's curve).
+
+    Attributes:
+        middle: radiance that is drawn in middle grey.
+        limits: ends of the scale of powers of two, relative to it.
+    """
+
+    middle: float
+    limits: tuple[float, float]
+
+    @classmethod
+    def of(cls, radiance: np.ndarray) -> Tone:
+        """Return what suits a map (H, W, 3)."""
+        grey = radiance.mean(axis=-1)
+        grey = np.maximum(grey, max(DARK * grey.mean(), 1e-30))  # black is not far darker than dark
+        middle = float(np.exp(np.log(grey).mean()))
+        low, high = np.log2(np.quantile(grey, (0, 1)) / middle)
+        return cls(middle, (min(float(low), -1.0), max(float(high), 1.0)))
+
+    def colors(self, radiance: np.ndarray) -> np.ndarray:
+        """Return a map (H, W, 3) as screen colours."""
+        level = GREY * radiance / self.middle
+        white = GREY * 2 ** self.limits[1]
+        mean = level.mean(axis=-1, keepdims=True)
+        shrunk = level * (1 + mean / white**2) / (1 + mean)
+        return np.asarray(views.srgb(np.clip(shrunk, 0, 1)))
+
+    def stops(self, radiance: np.ndarray) -> np.ndarray:
+        """Return how many times two a map (H, W, 3) is brighter than the middle: (H, W)."""
+        return np.log2(np.maximum(radiance.mean(axis=-1), 1e-30) / self.middle)
+
+
+def light_colors(radiance: np.ndarray) -> np.ndarray:
+    """Return a map of radiance (H, W, 3) as screen colours."""
+    return Tone.of(radiance).colors(radiance)
+
+
+def deviation_colors(estimate: LightEstimate) -> np.ndarray:
+    """Return the map of standard deviations as screen colours (H, W, 3)."""
+    return style.colors(estimate.sd, (0, UNCERTAIN), style.VIEWS_COLORMAP)
+
+
+def known_colors(estimate: LightEstimate) -> np.ndarray:
+    """Return the map of what is known as screen colours (H, W, 3)."""
+    return style.colors(estimate.known)
+
+
+def _found(estimate: LightEstimate, tone: Tone) -> list[Panel]:
+    radiance = estimate.radiance
+    return [
+        ("Radiance", partial(_draw_colors, colors=tone.colors(radiance))),
+        ("Radiance, by powers of two", partial(_draw_log, radiance=radiance, tone=tone)),
+        ("Standard deviation of the logarithm of radiance", partial(_draw_deviation, estimate)),
+        ("What the photographs tell", partial(_draw_known, estimate)),
+    ]  # fmt: skip
+
+
+def _notes(estimate: LightEstimate, against: Likeness | None) -> list[str]:
+    low, high = estimate.scale_interval
+    scale = f"base colours known up to a factor of {low.mean():.2f} to {high.mean():.2f}"
+    notes = [
+        f"{plain_percent(estimate.known_part)} known", f"{estimate.texels} texels",
+        scale if estimate.scale_sd.any() else "brightness given",
+        "turns with the camera" if estimate.moves else "stands still",
+    ]  # fmt: skip
+    if against is not None:
+        notes.append(f"correlation with the capture's own light {against.correlation:.2f}")
+    return notes
+
+
+def _map_of(emitter: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """Return what an emitter sends, as a map like that of an estimate."""
+    world = directions(shape[1], shape[0]).reshape(-1, 3)
+    return radiance_from(emitter, world).reshape(shape)
+
+
+def _draw_colors(axes: Axes, colors: np.ndarray) -> None:
+    axes.imshow(colors, extent=(0, 1, 0, 0.5), interpolation="nearest")
+    _around(axes)
+
+
+def _draw_log(axes: Axes, radiance: np.ndarray, tone: Tone) -> None:
+    label = "0 is what is drawn in middle grey"
+    _draw_scaled(axes, tone.stops(radiance), tone.limits, style.COLORMAP, label)
+
+
+def _draw_deviation(estimate: LightEstimate, axes: Axes) -> None:
+    label = "0.1 is 10 %; the scale of all included"
+    _draw_scaled(axes, estimate.sd, (0, UNCERTAIN), style.VIEWS_COLORMAP, label)
+
+
+def _draw_known(estimate: LightEstimate, axes: Axes) -> None:
+    label = "0 = what was assumed before, 1 = all"
+    _draw_scaled(axes, estimate.known, (0, 1), style.COLORMAP, label)
+
+
+def _draw_scaled(
+    axes: Axes, values: np.ndarray, limits: tuple[float, float], colormap: str, label: str
+) -> None:
+    drawn = axes.imshow(
+        values, colormap, vmin=limits[0], vmax=limits[1], extent=(0, 1, 0, 0.5),
+        interpolation="nearest",
+    )  # fmt: skip
+    _around(axes)
+    style.color_bar(axes, drawn, label, (0.0, -0.16, 1.0, 0.035))
+
+
+def _around(axes: Axes) -> None:
+    """Say which way the columns of a lat-long map look."""
+    style.framed(axes)
+    axes.set_xticks([place for place, _ in AXIS], [name for _, name in AXIS])
+    axes.tick_params(labelsize=style.TEXT, color=style.RULE, labelcolor=style.INK, length=3)
