@@ -14,7 +14,8 @@ from oracle.cells import gains
 import svu_mi as svu
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.illumination.background import Looks
-from svu_mi.illumination.doubt import level_of, possible, widening_of
+from svu_mi.illumination.doubt import possible, widening_of
+from svu_mi.illumination.level import _common, _tint, level_of
 from svu_mi.illumination.likeness import likeness
 from svu_mi.illumination.materials import Moments, columns_of, materials_of
 from svu_mi.illumination.prior import SD, prior_of, refined
@@ -341,10 +342,35 @@ def test_light_that_is_twice_as_bright_is_found_out():
         level_of(samples, columns_of(transport, np.exp(x + added), SWITCHES), SWITCHES)
         for added in (0, np.log(2))
     )
-    assert abs(double.best + np.log(2)) < 1.645 * double.sd
-    assert abs(right.best) < 1.645 * right.sd
-    assert double.best - right.best == pytest.approx(-np.log(2), abs=0.15)
-    assert right.anchored and 1.645 * right.sd < np.log(2)
+    assert (abs(double.best + np.log(2)) < 1.645 * double.sd).all()
+    assert (abs(right.best) < 1.645 * right.sd).all()
+    np.testing.assert_allclose(double.best - right.best, -np.log(2), atol=0.15)
+    assert right.anchored and 1.645 * right.common < np.log(2)
+
+
+def test_light_of_another_colour_is_found_out():
+    samples, x = photographed(80, 12, 64, noise=0.02)
+    transport = Transport.of(samples, 64)
+    right, red = (
+        level_of(samples, columns_of(transport, np.exp(x + added), SWITCHES), SWITCHES)
+        for added in (np.zeros(3), np.array([0.3, 0, -0.15]))
+    )
+    tint, wrong = (one.best - one.best.mean() for one in (right, red))
+    assert (abs(tint) < 1.645 * right.tint).all() and (right.tint < 0.3).all()
+    np.testing.assert_allclose(wrong - tint, [-0.25, 0.05, 0.2], atol=0.08)
+    assert (right.sd >= right.common).all()
+
+
+def test_dark_and_bright_objects_are_as_likely_in_dim_and_bright_light():
+    """What nothing but base colour tells apart: noise is the same from 0 to its limit."""
+    def worse(logarithm):
+        return 0.0 if logarithm.mean() > -0.5 else 1e3
+
+    level, sd = _common(worse)
+    # exp(-3 x) from -.25 on, the next factor that is asked about.
+    assert level == pytest.approx(-0.25 + np.log(2) / 3, abs=0.05)
+    assert sd == pytest.approx((np.log(20) - np.log(20 / 19)) / 3 / 2 / 1.645, abs=0.06)
+    assert np.abs(_tint(lambda _: 1.0, 0.0)[0]).max() < 1e-9
 
 
 def test_other_lights_are_as_bright_and_textures_less_certain():
@@ -363,7 +389,7 @@ def test_other_lights_are_as_bright_and_textures_less_certain():
     columns = columns_of(fit.transport, np.exp(x), SWITCHES)
     right = level_of(samples, columns, SWITCHES)
     several = widening_of(fit.transport, columns, found.draws, right, SWITCHES)
-    same, nowhere = np.tile(x, (6, 1, 1)), replace(right, best=0.0, sd=1e-6)
+    same, nowhere = np.tile(x, (6, 1, 1)), replace(right, best=np.zeros(3), common=1e-6)
     sure = widening_of(fit.transport, columns, same, nowhere, SWITCHES)
     assert sure == pytest.approx(1, abs=1e-3) and several > sure
 

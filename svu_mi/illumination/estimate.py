@@ -21,7 +21,8 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.illumination.background import SD as BACKGROUND_SD
 from svu_mi.illumination.background import Looks
-from svu_mi.illumination.doubt import COLOR_SD, Level, level_of, possible, remarks_of, widening_of
+from svu_mi.illumination.doubt import possible, remarks_of, widening_of
+from svu_mi.illumination.level import Level, level_of
 from svu_mi.illumination.materials import Moments, columns_of, misfit_of, tempered
 from svu_mi.illumination.options import LightOptions
 from svu_mi.illumination.prior import prior_of, refined
@@ -74,7 +75,7 @@ def estimate_light(
         widening = widening_of(fit.transport, columns, found.draws, level, switches)
     return LightEstimate(
         logarithm=fit.x + level.best, draws=found.draws + level.best, cell_sd=found.cell_sd,
-        scale_sd=np.hypot(level.sd, np.full(3, COLOR_SD)), misfit=misfit, widening=widening,
+        scale_sd=level.sd, misfit=misfit, widening=widening,
         moves=fit.transport.moves, texels=samples.texels, remarks=remarks_of(level, found),
     )  # fmt: skip
 
@@ -82,7 +83,7 @@ def estimate_light(
 def _level(fit: Fit, columns: Columns, switches: AngularPreset) -> Level:
     """Ask for the level of light, if it was not looked at."""
     if fit.seen:
-        return Level(0.0, BACKGROUND_SD, anchored=True)
+        return Level(np.zeros(3), BACKGROUND_SD, np.zeros(3), anchored=True)
     return level_of(fit.transport.samples, columns, switches)
 
 
@@ -156,8 +157,8 @@ def light_of_samples(
             columns = columns_of(transport, np.exp(x), now)
             # Light of the wrong shape could not be too dim: its level is not asked for yet.
             known = start is None or seen is not None
-            step = 0.0 if known else level_of(samples, columns, now).best
-            posterior = Moments.of(samples, columns).posterior(now, float(np.exp(step)))
+            step = np.zeros(3) if known else level_of(samples, columns, now).best
+            posterior = Moments.of(samples, columns).posterior(now, np.exp(step))
             x = x + step
             system = system_of(transport, x, posterior, now.overdispersion, prior, seen)
             x, heat, done = x + system.step(), max(heat * COOLING, 1.0), done + 1

@@ -46,17 +46,20 @@ class Moments:
                 table[i, j] = table[j, i] = samples.sum(weighted * parts[j])
         return Moments(samples, table)
 
-    def posterior(self, switches: AngularPreset, factor: float = 1.0) -> CalibratedPosterior:
+    def posterior(
+        self, switches: AngularPreset, factor: np.ndarray | float = 1.0
+    ) -> CalibratedPosterior:
         """Return the posterior of the texels' parameters.
 
         Args:
             switches: of the posterior.
-            factor: how many times brighter the light is.
+            factor: how many times brighter the light is, or each channel of it.
         """
-        samples, (e, p, q, d, observed) = self.samples, np.eye(len(self.table))
+        samples, unit = self.samples, np.eye(len(self.table))[..., None]
+        e, p, q, d, observed = (row * np.ones(3) for row in unit)
         mixed = columns(factor * e, factor * p, factor * q, factor * d, observed)
         table = np.stack(
-            [np.einsum("i,j,ijnkc->nkc", mixed[i], mixed[j], self.table, optimize=True)
+            [np.einsum("ic,jc,ijnkc->nkc", mixed[i], mixed[j], self.table, optimize=True)
              for i, j in PAIRS]
         )  # fmt: skip
         statistics = Statistics.of(
