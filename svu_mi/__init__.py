@@ -28,8 +28,10 @@ if TYPE_CHECKING:
     from svu_mi.guidance.next_view import next_best_view
     from svu_mi.guidance.options import GuidanceOptions
     from svu_mi.guidance.result import Guidance
+    from svu_mi.illumination.equalize import equalized, estimate_gains
     from svu_mi.illumination.estimate import estimate_light
     from svu_mi.illumination.folder import load_light, save_light
+    from svu_mi.illumination.found_gains import FoundGains
     from svu_mi.illumination.lit import with_light
     from svu_mi.illumination.options import LightOptions
     from svu_mi.illumination.record import LightEstimate
@@ -69,6 +71,8 @@ _HOME = {
     "GuidanceOptions": "guidance.options", "next_best_view": "guidance.next_view",
     "Estimate": "pipeline", "estimate": "pipeline",
     "LightEstimate": "illumination.record", "LightOptions": "illumination.options",
+    "FoundGains": "illumination.found_gains", "estimate_gains": "illumination.equalize",
+    "equalized": "illumination.equalize",
     "estimate_light": "illumination.estimate", "with_light": "illumination.lit",
     "load_light": "illumination.folder", "save_light": "illumination.folder",
     "Comparison": "output.compare", "compare": "output.compare",
@@ -85,14 +89,15 @@ _HOME = {
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "AngularPreset", "Asset", "Candidates", "Capture", "Check", "Comparison", "DescentOptions",
-    "Estimate", "ExportOptions", "Fit", "GlobalSharing", "Guidance", "GuidanceOptions",
-    "ImportOptions", "Light", "LightEstimate", "LightOptions", "ParameterGrid", "PathOptions",
-    "Posterior", "Preset", "PrincipledGrid", "Recovery", "Reference", "ShOptions", "Skip",
-    "SvuError", "SvuWarning", "Texels", "TotalVariation", "angular_posterior",
-    "calibrated_posterior", "check", "compare", "estimate", "estimate_light", "export_asset",
-    "fit_sh", "import_capture", "load_asset", "load_capture", "load_light", "next_best_view",
-    "power_spectrum", "preset", "read_source", "recover", "reference_posterior",
-    "render_capture", "save_light", "spectrum_posterior", "texels", "with_light", "write_report",
+    "Estimate", "ExportOptions", "Fit", "FoundGains", "GlobalSharing", "Guidance",
+    "GuidanceOptions", "ImportOptions", "Light", "LightEstimate", "LightOptions",
+    "ParameterGrid", "PathOptions", "Posterior", "Preset", "PrincipledGrid", "Recovery",
+    "Reference", "ShOptions", "Skip", "SvuError", "SvuWarning", "Texels", "TotalVariation",
+    "angular_posterior", "calibrated_posterior", "check", "compare", "equalized", "estimate",
+    "estimate_gains", "estimate_light", "export_asset", "fit_sh", "import_capture",
+    "load_asset", "load_capture", "load_light", "next_best_view", "power_spectrum", "preset",
+    "read_source", "recover", "reference_posterior", "render_capture", "save_light",
+    "spectrum_posterior", "texels", "with_light", "write_report",
 ]  # fmt: skip
 
 _llvm.bootstrap()

@@ -36,6 +36,7 @@ Known = Annotated[
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 Given = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER | MAP")]
 Missing = Literal["refuse", "leave-out"]
+Gained = Literal["given", "estimate"]
 Scene = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE.xml")]
 Resolution = Annotated[tuple[int, ...], tyro.conf.arg(metavar="SIZE | WIDTH HEIGHT")]
 
@@ -77,6 +78,9 @@ class Photographed(OfScene):
     many as there are sensors, in the order of their names."""
     missing: Missing = "refuse"
     """What to do if sensors have no photograph: leave-out goes on with the others."""
+    gains: Gained = "given"
+    """estimate: photographs were exposed and white-balanced one by one, by what nobody wrote down;
+    both are found, and photographs that do not fit the others are named and left out."""
     render: bool = False
     """Render the scene instead of reading photographs."""
     resolution: Resolution = (512,)
@@ -215,8 +219,9 @@ class FromPhotographs(Photographed):
 
         capture, grid = super().load(progress, again=again, missing=missing)
         lit = illuminated(
-            capture, self.light, elsewhere=self.own_light, progress=progress
-        )
+            capture, self.light, elsewhere=self.own_light, gains=self.gains == "estimate",
+            progress=progress,
+        )  # fmt: skip
         return lit, grid
 
     @property

@@ -66,7 +66,7 @@ class FindLight(WithPictures, Photographed):
 
     def run(self, console: Console) -> int:
         """Find the light, write it, and say what is known of it."""
-        from svu_mi.illumination.words import likeness_sentence, sentences
+        from svu_mi.illumination.words import gain_sentences, likeness_sentence, sentences
         from svu_mi.output.upright import upright
 
         self.check()
@@ -76,6 +76,9 @@ class FindLight(WithPictures, Photographed):
         say(console, f"Wrote {self.output}")
         for sentence in sentences(found, upright(capture)):
             say(console, sentence)
+        if found.gains is not None:
+            for sentence in gain_sentences(found.gains, capture):
+                say(console, sentence)
         if against is not None:
             say(console, likeness_sentence(against))
         return 0
@@ -120,7 +123,7 @@ class FindLight(WithPictures, Photographed):
         moves = self.light_moves if self.light_moves or self.light_fixed else None
         return LightOptions(
             texels=self.texels, depths=self.depths, seed=self.seed, moves=moves,
-            background=self.background,
+            background=self.background, gains=self.gains == "estimate",
         )  # fmt: skip
 
     def _run(self, progress: Progress) -> tuple[Capture, LightEstimate, Likeness | None]:
@@ -154,6 +157,7 @@ class FindLight(WithPictures, Photographed):
         self, progress: Progress, capture: Capture, found: LightEstimate
     ) -> LightEstimate:
         """Return the light as bright as is known otherwise."""
+        from svu_mi.illumination.equalize import equalized
         from svu_mi.illumination.scale import scaled_by_card, scaled_by_mean
         from svu_mi.observed import observe
         from svu_mi.surface import texels
@@ -162,6 +166,8 @@ class FindLight(WithPictures, Photographed):
             return found.scaled(self.light_scale)
         if self.mean_albedo is None and self.grey_card is None:
             return found
+        if found.gains is not None:
+            capture = equalized(capture, found.gains)
         finest = FINEST_MEAN if self.grey_card is None else FINEST_CARD
         seen = observe(capture, texels(capture.mesh, finest), progress)
         with progress.stage("Comparing base colours"):

@@ -47,10 +47,11 @@ def possible(fit: Fit, count: int, seed: int = 0) -> Possible:
         seed: of the draws.
     """
     number, root = len(fit.x), np.linalg.cholesky(fit.system.matrix)
-    inverse = solve_triangular(root, np.eye(3 * number), lower=True, check_finite=False)
-    noise = np.random.default_rng(seed).standard_normal((3 * number, count))
-    free = (inverse.T @ noise).T.reshape(count, 3, number).transpose(0, 2, 1)
-    mean = sum(inverse[:, c * number : (c + 1) * number] for c in range(3)) / 3
+    every = len(root)  # gains of photographs follow the cells of each channel
+    inverse = solve_triangular(root, np.eye(every), lower=True, check_finite=False)
+    noise = np.random.default_rng(seed).standard_normal((every, count))
+    free = (inverse.T @ noise).T.reshape(count, 3, -1)[..., :number].transpose(0, 2, 1)
+    mean = inverse.reshape(every, 3, -1)[..., :number].mean(axis=1)
     light = np.exp(fit.x).mean(axis=1)
     mean -= (mean @ light / light.sum())[:, None]  # the level is asked about by itself
     return Possible(

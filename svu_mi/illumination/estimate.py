@@ -13,7 +13,7 @@ it begins, nothing is known of any material.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -22,6 +22,7 @@ from svu_mi.capture import Capture
 from svu_mi.illumination.background import SD as BACKGROUND_SD
 from svu_mi.illumination.background import Looks
 from svu_mi.illumination.doubt import possible, remarks_of, widening_of
+from svu_mi.illumination.found_gains import FoundGains
 from svu_mi.illumination.level import Level, level_of
 from svu_mi.illumination.materials import Moments, columns_of, misfit_of, tempered
 from svu_mi.illumination.options import LightOptions
@@ -77,6 +78,7 @@ def estimate_light(
         logarithm=fit.x + level.best, draws=found.draws + level.best, cell_sd=found.cell_sd,
         scale_sd=level.sd, misfit=misfit, widening=widening,
         moves=fit.transport.moves, texels=samples.texels, remarks=remarks_of(level, found),
+        gains=fit.gains,
     )  # fmt: skip
 
 
@@ -114,13 +116,14 @@ def _found(search: _Search, progress: Progress) -> tuple[Fit, tuple[float, float
         for number, moves in enumerate(tried):
             coarse[moves] = light_of_samples(
                 search.samples, search.switches, (first,), looks=looks[moves], moves=moves,
+                gains=options.gains,
                 told=partial(_add, stage.update, number * first[1], steps),
             )
             misfit[moves] = coarse[moves].misfit
         moves = tried[0] if len(tried) == 1 else misfit[True] < MOVED * misfit[False]
         fit = light_of_samples(
             search.samples, search.switches, tuple(finer), start=coarse[moves],
-            looks=looks[moves], moves=moves,
+            looks=looks[moves], moves=moves, gains=options.gains,
             told=partial(_add, stage.update, len(tried) * first[1], steps),
         )
     return fit, (misfit[False], misfit[True])
@@ -133,7 +136,7 @@ def _add(told: Told, before: int, total: int, done: int, _: int) -> None:
 def light_of_samples(
     samples: Samples, switches: AngularPreset, depths: tuple[tuple[int, int], ...], *,
     start: Fit | None = None, looks: Looks | None = None, moves: bool = False,
-    told: Told | None = None,
+    gains: bool = False, told: Told | None = None,
 ) -> Fit:  # fmt: skip
     """Find the light of samples.
 
@@ -144,29 +147,51 @@ def light_of_samples(
         start: light of fewer cells to go on from; constant light by default.
         looks: at the light itself.
         moves: whether it turns with the cameras.
+        gains: whether photographs have gains that are not known.
         told: called with rounds done, of how many.
     """
     fit, heat, done = start, HEAT if start is None else 1.0, 0
     total = sum(rounds for _, rounds in depths)
+    unknown = None if not gains else FoundGains.start(samples) if fit is None else fit.gains
     for number, rounds in depths:
-        transport, prior = Transport.of(samples, number, moves), prior_of(number)
+        everything, prior = Transport.of(samples, number, moves), prior_of(number)
         x = _even(samples, number) if fit is None else refined(fit.x, number)
         seen = None if looks is None else looks.at(number)
         for _ in range(rounds):
-            now = tempered(switches, heat)
+            now, transport = tempered(switches, heat), without_gains(everything, unknown)
             columns = columns_of(transport, np.exp(x), now)
             # Light of the wrong shape could not be too dim: its level is not asked for yet.
             known = start is None or seen is not None
-            step = np.zeros(3) if known else level_of(samples, columns, now).best
-            posterior = Moments.of(samples, columns).posterior(now, np.exp(step))
+            step = np.zeros(3) if known else level_of(transport.samples, columns, now).best
+            posterior = Moments.of(transport.samples, columns).posterior(now, np.exp(step))
             x = x + step
-            system = system_of(transport, x, posterior, now.overdispersion, prior, seen)
-            x, heat, done = x + system.step(), max(heat * COOLING, 1.0), done + 1
+            system = system_of(
+                transport, x, posterior, now.overdispersion, prior, seen,
+                None if unknown is None else unknown.logarithm,
+            )  # fmt: skip
+            change = system.step()
+            x, heat, done = x + change[:number], max(heat * COOLING, 1.0), done + 1
+            if unknown is not None:
+                if heat == 1:
+                    unknown = unknown.judged(samples, system.found, posterior.noise)
+                unknown, common = unknown.stepped(change[number:])
+                x = x + common
             if told is not None:
                 told(done, total)
-        fit = Fit(transport, x, system, misfit_of(posterior, samples.unit), seen is not None)
+        fit = Fit(
+            without_gains(everything, unknown), x, system, misfit_of(posterior, samples.unit),
+            seen is not None, unknown,
+        )  # fmt: skip
     assert fit is not None
     return fit
+
+
+def without_gains(transport: Transport, gains: FoundGains | None) -> Transport:
+    """Return samples and cells of photographs without their gains, or of those that fit."""
+    if gains is None:
+        return transport
+    samples = transport.samples.without(gains.odd).divided(gains.factor)
+    return replace(transport, samples=samples)
 
 
 def _even(samples: Samples, number: int) -> np.ndarray:

@@ -6,18 +6,20 @@ photographs are the same, with whatever options and by whichever version it was 
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import photographs_key
 from svu_mi.errors import CaptureError, OutputError
+from svu_mi.illumination.equalize import equalized, estimate_gains
 from svu_mi.illumination.estimate import estimate_light
 from svu_mi.illumination.folder import RECORD, load_light, photographs_of, save_light
+from svu_mi.illumination.found_gains import FoundGains
 from svu_mi.illumination.lit import with_light, with_map
 from svu_mi.illumination.options import LightOptions
 from svu_mi.illumination.record import LightEstimate
-from svu_mi.illumination.words import sentences
+from svu_mi.illumination.words import gain_sentences, sentences
 from svu_mi.progress import Progress
 from svu_mi.surface import texels
 
@@ -31,6 +33,7 @@ def illuminated(
     given: Path | None = None,
     *,
     elsewhere: Path | None = None,
+    gains: bool = False,
     progress: Progress | None = None,
 ) -> Capture:
     """Return a capture with a light; as it is, if it has one and no other is given.
@@ -40,6 +43,9 @@ def illuminated(
         given: a folder that ``svu light`` wrote, or a lat-long map in the frame of Mitsuba's
             ``envmap``; it replaces the light of the scene.
         elsewhere: folder to keep what is found in, if the capture's cannot be written.
+        gains: whether the photographs have gains that are not known. They are found, too, and
+            divided by; photographs that do not fit are not used. Where ``given`` was found
+            together with gains, those are taken.
         progress: shows what is going on.
 
     Raises:
@@ -47,31 +53,48 @@ def illuminated(
         SceneError: the light moves with the cameras.
     """
     progress = progress or Progress()
+    lit, known = capture, None
     if given is not None:
-        return _under_given(capture, given, progress)
-    if capture.environment is not None:
-        return capture
+        lit, known = _under_given(capture, given, progress)
+    elif capture.environment is None:
+        found = _searched(capture, elsewhere, gains, progress)
+        lit, known = with_light(capture, found), found.gains
+    if gains and known is None:
+        known = estimate_gains(lit, texels(lit.mesh, RESOLUTION), OPTIONS, progress)
+    if known is None:
+        return lit
+    for sentence in gain_sentences(known, capture):
+        progress.say(sentence)
+    return equalized(lit, known)
+
+
+def _searched(
+    capture: Capture, elsewhere: Path | None, gains: bool, progress: Progress
+) -> LightEstimate:
+    """Return the light of photographs, found now or before."""
     places = [capture.source / FOLDER] if capture.source and capture.source.is_dir() else []
     places += [elsewhere] if elsewhere is not None else []
     key = photographs_key(capture)
-    found = _found_before(places, key, progress)
+    found = _found_before(places, key, gains, progress)
     if found is None:
         progress.say("The capture has no light: it is found in the photographs first.")
-        found = estimate_light(
-            capture, texels(capture.mesh, RESOLUTION), OPTIONS, progress
-        )
+        options = replace(OPTIONS, gains=gains)
+        found = estimate_light(capture, texels(capture.mesh, RESOLUTION), options, progress)
         for sentence in sentences(found):
             progress.say(sentence)
-        _keep(found, places, key, progress)
-    return with_light(capture, found)
+        _keep(found, places, (key, options), progress)
+    return found
 
 
-def _under_given(capture: Capture, given: Path, progress: Progress) -> Capture:
+def _under_given(
+    capture: Capture, given: Path, progress: Progress
+) -> tuple[Capture, FoundGains | None]:
+    """Return a capture under the light that is given, and gains that were found with it."""
     if given.is_dir():
-        found = load_light(given)
-        if photographs_of(given) not in ("", photographs_key(capture)):
+        found, is_same = load_light(given), photographs_of(given) == photographs_key(capture)
+        if not is_same and photographs_of(given):
             progress.say(f"{given}: the light was found in other photographs; it is used as it is.")
-        return with_light(capture, found)
+        return with_light(capture, found), found.gains if is_same else None
     if not given.is_file():
         raise CaptureError(
             f"{given}: no such file or folder; give a folder that svu light wrote, or a map of the "
@@ -80,10 +103,12 @@ def _under_given(capture: Capture, given: Path, progress: Progress) -> Capture:
     with_given, notes = with_map(capture, given)
     for note in notes:
         progress.say(note)
-    return with_given
+    return with_given, None
 
 
-def _found_before(places: list[Path], key: str, progress: Progress) -> LightEstimate | None:
+def _found_before(
+    places: list[Path], key: str, gains: bool, progress: Progress
+) -> LightEstimate | None:
     """Return light that was kept and is of these photographs; None if there is none."""
     for place in places:
         if not (place / RECORD).is_file():
@@ -96,13 +121,21 @@ def _found_before(places: list[Path], key: str, progress: Progress) -> LightEsti
         except CaptureError as error:
             progress.say(f"{error.shell} It is found again.")
             continue
+        if (found.gains is not None) != gains:
+            how = "without" if gains else "together with"
+            progress.say(f"{place}: the light there was found {how} gains; it is found again.")
+            continue
         progress.say(f"Using the light found before in {place}.")
         return found
     return None
 
 
-def _keep(found: LightEstimate, places: list[Path], key: str, progress: Progress) -> None:
-    about = {"settings": {"used": asdict(OPTIONS), "resolution": [RESOLUTION, RESOLUTION]}}
+def _keep(
+    found: LightEstimate, places: list[Path], made: tuple[str, LightOptions], progress: Progress
+) -> None:
+    """Keep light that was made of photographs with a key and with options."""
+    key, options = made
+    about = {"settings": {"used": asdict(options), "resolution": [RESOLUTION, RESOLUTION]}}
     for place in places:
         try:
             save_light(found, place, photographs=key, about=about)

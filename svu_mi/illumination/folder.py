@@ -14,6 +14,7 @@ from svu_mi.errors import CaptureError
 from svu_mi.exr import write_exr
 from svu_mi.files import write_json
 from svu_mi.formats.light import POLES, ROWS
+from svu_mi.illumination.found_gains import FoundGains
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.npz import read_arrays, write_arrays
 from svu_mi.results.reading import require_one_run
@@ -30,6 +31,10 @@ NUMBERS: dict[str, tuple[str, float, float]] = {
     "logarithm": ("N3", -HIGHEST, HIGHEST), "cell_sd": ("N", 0, HIGHEST),
     "draws": ("KN3", -HIGHEST, HIGHEST), "scale_sd": ("3", 0, HIGHEST), "moves": ("", 0, 1),
     "misfit": ("2", 0, 1e12), "widening": ("", 1, 1e5), "texels": ("", 0, 2**31),
+}  # fmt: skip
+# The same, of V photographs whose gains were found, too.
+GAINS: dict[str, tuple[str, float, float]] = {
+    "gains": ("V3", -HIGHEST, HIGHEST), "gains_noise": ("V", 0, 1e12), "gains_odd": ("V", 0, 1),
 }  # fmt: skip
 
 
@@ -65,8 +70,12 @@ def write_arrays_of(estimate: LightEstimate, draft: Draft) -> None:
     channels = {"RGB": estimate.radiance, "sd.Y": estimate.sd, "known.Y": estimate.known}
     header = {"svu:version": svu_mi.__version__, ROWS: POLES}
     write_exr(draft.folder / MAP, channels, header)
+    gains = {} if estimate.gains is None else {
+        "gains": estimate.gains.logarithm, "gains_noise": estimate.gains.noise,
+        "gains_odd": estimate.gains.odd,
+    }  # fmt: skip
     write_arrays(draft.folder / ARRAYS, {
-        "run": draft.run, "logarithm": estimate.logarithm, "cell_sd": estimate.cell_sd,
+        **gains, "run": draft.run, "logarithm": estimate.logarithm, "cell_sd": estimate.cell_sd,
         "draws": estimate.draws, "scale_sd": estimate.scale_sd, "moves": estimate.moves,
         "misfit": estimate.misfit, "widening": estimate.widening, "texels": estimate.texels,
         "remarks": np.array(estimate.remarks, dtype=np.str_),
@@ -87,6 +96,7 @@ def light_record(estimate: LightEstimate) -> dict[str, Any]:
             "widening": float(estimate.widening),
             "cells": estimate.cells, "texels": int(estimate.texels),
             "remarks": list(estimate.remarks),
+            "gains": None if estimate.gains is None else estimate.gains.record(),
         }
     }  # fmt: skip
 
@@ -150,14 +160,8 @@ def _estimate(arrays: Mapping[str, np.ndarray]) -> LightEstimate:
     if not (FEWEST_CELLS <= cells <= MOST_CELLS and 1 <= draws <= MOST_DRAWS):
         raise ValueError(f"it has {cells} cells and {draws} draws")
     sizes = {"N": cells, "K": draws, "3": 3, "2": 2}
-    for name, (shape, low, high) in NUMBERS.items():
-        found = arrays[name]
-        if found.dtype.kind not in "fiub" or found.shape != tuple(sizes[axis] for axis in shape):
-            raise ValueError(f"{name} is {found.dtype} of shape {found.shape}")
-        values = found.astype(np.float64)
-        untried = np.isnan(values) & (name == "misfit")
-        if not (untried | ((values >= low) & (values <= high))).all():  # NaN fails both
-            raise ValueError(f"{name} has values out of range")
+    for name, what in NUMBERS.items():
+        _require_numbers(name, arrays[name], what, sizes)
     remarks = arrays["remarks"]
     if remarks.dtype.kind != "U" or remarks.ndim != 1:
         raise ValueError("remarks are no sentences")
@@ -167,5 +171,32 @@ def _estimate(arrays: Mapping[str, np.ndarray]) -> LightEstimate:
     return LightEstimate(
         **real, moves=bool(arrays["moves"]), misfit=(still, moving),
         widening=float(arrays["widening"]), texels=int(arrays["texels"]),
-        remarks=tuple(map(str, remarks)),
+        remarks=tuple(map(str, remarks)), gains=_gains(arrays),
     )  # fmt: skip
+
+
+def _gains(arrays: Mapping[str, np.ndarray]) -> FoundGains | None:
+    """Return the gains that arrays hold, if they do; a ValueError as in ``_estimate``."""
+    found = sorted(set(GAINS) & set(arrays))
+    if not found:
+        return None
+    if len(found) < len(GAINS):
+        raise ValueError(f"it has {', '.join(found)} alone")
+    sizes = {"V": len(np.atleast_1d(arrays["gains"])), "3": 3}
+    for name, what in GAINS.items():
+        _require_numbers(name, arrays[name], what, sizes)
+    logarithm, noise, odd = (arrays[name] for name in GAINS)
+    return FoundGains(logarithm.astype(np.float64), noise.astype(np.float64), odd.astype(bool))
+
+
+def _require_numbers(
+    name: str, found: np.ndarray, what: tuple[str, float, float], sizes: Mapping[str, int]
+) -> None:
+    """Refuse an array of another type, shape or range than it should have, by a ValueError."""
+    shape, low, high = what
+    if found.dtype.kind not in "fiub" or found.shape != tuple(sizes[axis] for axis in shape):
+        raise ValueError(f"{name} is {found.dtype} of shape {found.shape}")
+    values = found.astype(np.float64)
+    untried = np.isnan(values) & (name == "misfit")
+    if not (untried | ((values >= low) & (values <= high))).all():  # NaN fails both
+        raise ValueError(f"{name} has values out of range")

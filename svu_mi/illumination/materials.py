@@ -64,7 +64,7 @@ class Moments:
         )  # fmt: skip
         statistics = Statistics.of(
             table.transpose(2, 3, 0, 1), samples.sum(samples.weight),
-            np.bincount(samples.owner, minlength=samples.texels),
+            np.bincount(samples.owner[samples.weight > 0], minlength=samples.texels),
             np.linspace(0, 1, switches.levels), samples.kappa,
         )  # fmt: skip
         return calibrated_posterior(statistics, scale=samples.unit, preset=switches)

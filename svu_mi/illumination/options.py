@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from numbers import Integral
 from typing import Any, Literal
 
+from svu_mi.errors import OptionError
 from svu_mi.settings import require, require_ranges, require_types
 
 Background = Literal["none", "distant"]
@@ -26,6 +27,10 @@ class LightOptions:
     """``distant``: pixels beyond the object show the light itself (not in a light tent, nor
     anything near). ``none``: only the object is looked at."""
 
+    gains: bool = False
+    """Whether photographs have gains that are not known: exposure and white balance by themselves.
+    They are found together with the light."""
+
     depths: tuple[tuple[int, int], ...] = ((256, 8), (1024, 4))
     """Numbers of cells of the sphere, ascending, and rounds at each."""
 
@@ -40,6 +45,12 @@ class LightOptions:
         require_ranges(self, texels=(16, 10_000), draws=(2, 64), seed=(0, 2**31))
         known = self.moves is None or isinstance(self.moves, bool)
         require(self, known, "moves", "True, False or None")
+        require(self, isinstance(self.gains, bool), "gains", "True or False")
+        if self.gains and self.background == "distant":
+            raise OptionError(
+                "background 'distant' takes the brightness of photographs as it is, so it cannot "
+                "be combined with gains that are not known; omit one of them."
+            )
         pairs = "(cells, rounds), ascending, of 64 to 4096 cells and 1 to 100 rounds"
         require(self, _are_depths(self.depths), "depths", pairs)
 

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
+from svu_mi.illumination.found_gains import FoundGains
 from svu_mi.illumination.prior import SD
 from svu_mi.light.cells import fibonacci
 from svu_mi.light.sampling import directions
@@ -42,6 +43,7 @@ class LightEstimate:
             their overdispersion.
         texels: number of texels that it was found from.
         remarks: sentences about what is not known.
+        gains: of the photographs, if they were found, too; None if they were taken as given.
     """
 
     logarithm: np.ndarray
@@ -53,6 +55,7 @@ class LightEstimate:
     widening: float = 1.0
     texels: int = 0
     remarks: tuple[str, ...] = ()
+    gains: FoundGains | None = None
 
     def __repr__(self) -> str:
         low, high = self.scale_interval

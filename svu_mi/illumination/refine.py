@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from svu_mi.errors import CaptureError
 from svu_mi.illumination.background import CellLooks
+from svu_mi.illumination.found_gains import FoundGains, of_gains, with_gains
 from svu_mi.illumination.materials import materials_of
 from svu_mi.illumination.prior import Prior
 from svu_mi.illumination.samples import Samples
@@ -28,18 +29,21 @@ ALIKE = 0.35  # sd of base colours over the surface: no paint knows where the li
 
 @dataclass(frozen=True)
 class System:
-    """Normal equations of the light's logarithms, materials eliminated.
+    """Normal equations of logarithms of light and gains, materials eliminated.
 
     Attributes:
-        matrix: (3 N, 3 N) float64, channel by channel: the posterior's precision.
-        gradient: (3 N,) float64, of half the weighted sum of squared errors and of the prior.
+        matrix: (3 M, 3 M) float64, channel by channel: the posterior's precision. M is the number
+            of cells, and of views if their gains are unknown.
+        gradient: (3 M,) float64, of half the weighted sum of squared errors and of the prior.
+        found: (S, 3) float64, what the samples should be.
     """
 
     matrix: np.ndarray
     gradient: np.ndarray
+    found: np.ndarray
 
     def step(self) -> np.ndarray:
-        """Return the change of the logarithms, (N, 3), no larger than ``LARGEST``.
+        """Return the change of the logarithms, (M, 3), no larger than ``LARGEST``.
 
         Raises:
             CaptureError: the matrix is not positive definite.
@@ -65,6 +69,7 @@ class Fit:
         system: normal equations before the last step.
         misfit: noise of the median texel there, as a part of the mean radiance.
         seen: whether the photographs show the light itself, too.
+        gains: of the photographs, which samples were divided by; None if they are as given.
     """
 
     transport: Transport
@@ -72,11 +77,12 @@ class Fit:
     system: System
     misfit: float
     seen: bool = False
+    gains: FoundGains | None = None
 
 
 def system_of(
     transport: Transport, x: np.ndarray, posterior: CalibratedPosterior, overdispersion: float,
-    prior: Prior, seen: CellLooks | None = None,
+    prior: Prior, seen: CellLooks | None = None, gains: np.ndarray | None = None,
 ) -> System:  # fmt: skip
     """Linearise the samples around a light and the materials that are most likely under it.
 
@@ -87,52 +93,98 @@ def system_of(
         overdispersion: tau, how many samples say what one would alone.
         prior: of the light.
         seen: what the photographs show of the light itself.
+        gains: (V, 3) logarithms of gains that samples were divided by; if given, they are
+            unknowns, too, and follow the cells of each channel.
     """
-    samples, light = transport.samples, np.exp(x)
-    w = samples.weight / (posterior.noise[samples.owner] ** 2 * overdispersion)
     # Texels that are uncertain are like others: as one by one they would pull the light along.
-    materials = materials_of(shared(posterior))
-    slopes = _slopes(transport, light, materials)
-    root = np.sqrt(w)
+    materials, light = materials_of(shared(posterior)), np.exp(x)
     J = transport.matrix(materials)
     J *= light.T[:, None].astype(np.float32)
-    off = samples.radiance - J.sum(axis=2).T.astype(np.float64)  # (S, 3)
-    J *= root.astype(np.float32)[:, None]
+    found = J.sum(axis=2).T.astype(np.float64)  # (S, 3)
     matrix, gradient = prior.precision(), prior.pull(x).T.copy()
-    for c, block in enumerate(_channels(transport.number)):
-        matrix[block, block] += J[c].T @ J[c]
-        gradient[c] -= J[c].T @ (root * off[:, c])
     if seen is not None:
         matrix[np.diag_indices_from(matrix)] += np.tile(seen.precision, 3)
         gradient += seen.precision * (x - seen.logarithm).T
-    own, pull = _of_materials(materials, transport.samples, slopes, off * w[:, None], w)
+    if gains is not None:
+        J = np.concatenate([J, of_gains(transport.samples, found, len(gains))], axis=2)
+        matrix, gradient = with_gains(matrix, gradient, gains)
+    start = System(matrix, gradient.ravel(), found)
+    slopes, _ = _slopes_and_samples(transport, light, materials)
+    return _eliminated(
+        start, transport.samples, J, _Texels(posterior, materials, slopes), overdispersion
+    )
+
+
+def gains_system(
+    transport: Transport, light: np.ndarray, posterior: CalibratedPosterior,
+    overdispersion: float, gains: np.ndarray,
+) -> System:  # fmt: skip
+    """Linearise the samples around gains alone (see ``system_of``), under a light (N, 3)."""
+    materials = materials_of(shared(posterior))
+    slopes, found = _slopes_and_samples(transport, light, materials)
+    matrix, gradient = with_gains(np.zeros((0, 0)), np.zeros((3, 0)), gains)
+    J = of_gains(transport.samples, found, len(gains))
+    start = System(matrix, gradient.ravel(), found)
+    return _eliminated(
+        start, transport.samples, J, _Texels(posterior, materials, slopes), overdispersion
+    )
+
+
+class _Texels(NamedTuple):
+    """What the texels of samples are made of, and how their samples (S, 3, P) change with it."""
+
+    posterior: CalibratedPosterior
+    materials: Materials
+    slopes: np.ndarray
+
+
+def _eliminated(
+    prior: System, samples: Samples, J: np.ndarray, texels: _Texels, overdispersion: float
+) -> System:
+    """Return normal equations of unknowns, M per channel, whatever the texels are made of.
+
+    Args:
+        prior: what is known of the unknowns before.
+        samples: S of them.
+        J: (3, S, M) float32, their derivatives; it is overwritten.
+        texels: n of them.
+        overdispersion: tau.
+    """
+    w = samples.weight / (texels.posterior.noise[samples.owner] ** 2 * overdispersion)
+    root, off = np.sqrt(w), samples.radiance - prior.found
+    J *= root.astype(np.float32)[:, None]
+    matrix, gradient = prior.matrix, prior.gradient.reshape(3, -1).copy()
+    for c, block in enumerate(_channels(J.shape[2])):
+        matrix[block, block] += J[c].T @ J[c]
+        gradient[c] -= J[c].T @ (root * off[:, c])
+    own, pull = _of_materials(texels.materials, samples, texels.slopes, off * w[:, None], w)
     inverse = np.linalg.inv(np.linalg.cholesky(own))  # (n, P, P)
-    taken = _taken(transport, J, root[:, None, None] * slopes, inverse)
+    taken = _taken(samples, J, root[:, None, None] * texels.slopes, inverse)
     matrix -= taken.T @ taken
     flat = gradient.ravel() + np.einsum("tmk,tk->tm", inverse, pull).ravel() @ taken
-    return System(matrix, flat)
+    return System(matrix, flat, prior.found)
 
 
 def _taken(
-    transport: Transport, J: np.ndarray, slopes: np.ndarray, inverse: np.ndarray
+    samples: Samples, J: np.ndarray, slopes: np.ndarray, inverse: np.ndarray
 ) -> np.ndarray:
-    """Return L^-1 H_(theta x), (n P, 3 N) float32: its square is the part of the light's precision
-    that materials can take over.
+    """Return L^-1 H_(theta x), (n P, 3 M) float32: its square is the part of the precision of
+    the unknowns that materials can take over.
 
     A texel at a time: J is large, and is read once.
     """
-    samples, (count, size) = transport.samples, inverse.shape[:2]
-    taken = np.empty((count, size, 3 * transport.number), np.float32)
+    count, size = inverse.shape[:2]
+    taken = np.empty((count, size, 3 * J.shape[2]), np.float32)
     turned = np.einsum("scp,smp->csm", slopes, inverse[samples.owner]).astype(np.float32)
     ends = np.append(samples.first, samples.count)
     for t, (begin, end) in enumerate(pairwise(ends)):
-        for c, block in enumerate(_channels(transport.number)):
+        for c, block in enumerate(_channels(J.shape[2])):
             np.matmul(turned[c, begin:end].T, J[c, begin:end], out=taken[t, :, block])
     return taken.reshape(count * size, -1)
 
 
 def _channels(number: int) -> list[slice]:
-    """Where the N cells of each channel are among all 3 N."""
+    """Where the M unknowns of each channel are among all 3 M."""
     return [slice(c * number, (c + 1) * number) for c in range(3)]
 
 
@@ -153,8 +205,10 @@ def _of_materials(
     return own, pull
 
 
-def _slopes(transport: Transport, light: np.ndarray, materials: Materials) -> np.ndarray:
-    """Derivatives of the samples (S, 3, P) for roughness, what mixes, and the three colours."""
+def _slopes_and_samples(
+    transport: Transport, light: np.ndarray, materials: Materials
+) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives (S, 3, P) for roughness, what mixes, and the three colours; samples (S, 3)."""
     r, owner = materials.roughness, transport.samples.owner
     low, high = np.clip(r - STEP, 0, 1), np.clip(r + STEP, 0, 1)
     found = transport.columns(light, np.stack([low, r, high], axis=1))
@@ -166,7 +220,8 @@ def _slopes(transport: Transport, light: np.ndarray, materials: Materials) -> np
         *(_total(slope(values, k).at(color), found.at(1)) for k in range(len(values))),
     ]
     of_color = _total(how.scaled, found.at(1))[..., None] * np.eye(3)
-    return np.concatenate([np.stack(slopes, axis=-1), of_color], axis=-1)
+    samples = _total(how.at(color), found.at(1))
+    return np.concatenate([np.stack(slopes, axis=-1), of_color], axis=-1), samples
 
 
 def _total(x: Sequence[Any], parts: Sequence[Any]) -> Any:

@@ -20,6 +20,7 @@ from svu_mi.visibility.observe import look
 
 FEWEST = 4  # views of a texel that says anything of the light: it has 5 parameters of its own
 GRAZING = 1e-3  # cosine: more grazing views are treated like this one
+OF_SAMPLES = ("view", "direction", "cosine", "radiance", "contrast", "weight")
 FACING = 0.4  # cosine: a pixel of a steeper view shows much of what is beside the texel
 
 
@@ -35,10 +36,11 @@ class Samples:
         direction: (S, 3) float32, unit, from the texel to the camera, world space.
         cosine: (S,) float32, between it and the shading normal.
         radiance: (S, 3) float32.
+        contrast: (S,) float32, variance of the pixels that it is the mean of.
         weight: (S,) float64 (``noise_weight``).
         cameras: (V, 3, 3) float64, rotations of camera space to world space.
         unit: radiance that noise is a part of.
-        kappa: of the weights.
+        kappa, edges: of the weights.
     """
 
     scene: Any
@@ -48,10 +50,12 @@ class Samples:
     direction: np.ndarray
     cosine: np.ndarray
     radiance: np.ndarray
+    contrast: np.ndarray
     weight: np.ndarray
     cameras: np.ndarray
     unit: float
     kappa: float
+    edges: float
 
     @property
     def count(self) -> int:
@@ -86,11 +90,25 @@ class Samples:
         samples = replace(
             self,
             surface=self.surface.at(owned(mi.UInt32, np.flatnonzero(enough).astype(np.uint32))),
-            owner=(np.cumsum(enough) - 1)[self.owner[chosen]], view=self.view[chosen],
-            direction=self.direction[chosen], cosine=self.cosine[chosen],
-            radiance=self.radiance[chosen], weight=self.weight[chosen],
-        )  # fmt: skip
+            owner=(np.cumsum(enough) - 1)[self.owner[chosen]],
+            **{name: getattr(self, name)[chosen] for name in OF_SAMPLES},
+        )
         return samples, chosen
+
+    def without(self, views: np.ndarray) -> Samples:
+        """Leave views (V,) bool out; texels of which none is left stay, and weigh nothing."""
+        return replace(self, weight=np.where(views[self.view], 0, self.weight))
+
+    def divided(self, gains: np.ndarray) -> Samples:
+        """Return the same samples of photographs without their gains (V, 3)."""
+        of_sample = gains[self.view]
+        radiance = (self.radiance / of_sample).astype(np.float32)
+        contrast = self.contrast / np.square(of_sample.mean(axis=1))
+        weight = noise_weight(radiance.mean(axis=1), self.kappa, contrast, self.edges)
+        left = self.weight > 0
+        return replace(
+            self, radiance=radiance, contrast=contrast, weight=left * weight.astype(np.float64)
+        )
 
     @staticmethod
     def of(observed: Observed, switches: AngularPreset, count: int) -> Samples:
@@ -129,7 +147,7 @@ class Samples:
         weight = noise_weight(
             sum(seen.radiance) / 3, dr.opaque(mi.Float, kappa), seen.contrast, switches.edges
         )
-        dr.eval(seen.direction, seen.cosine, seen.radiance, weight)
+        dr.eval(seen.direction, seen.cosine, seen.radiance, seen.contrast, weight)
         kept = np.flatnonzero(seen.seen.numpy())
         sensors = observed.capture.used_sensors
         return Samples(
@@ -140,9 +158,11 @@ class Samples:
             direction=seen.direction.numpy().T[kept],
             cosine=np.maximum(seen.cosine.numpy()[kept], GRAZING),
             radiance=seen.radiance.numpy().T[kept],
+            contrast=seen.contrast.numpy()[kept],
             weight=weight.numpy()[kept].astype(np.float64),
             cameras=np.stack([to_world(sensor)[:3, :3] for sensor in sensors]),
             unit=observed.unit,
             kappa=kappa,
+            edges=switches.edges,
         )
 

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from svu_mi.capture import Capture
+from svu_mi.illumination.found_gains import FoundGains
 from svu_mi.illumination.likeness import Likeness, brightest
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.parameters import CHANNELS
@@ -55,6 +57,22 @@ def scale_sentence(estimate: LightEstimate) -> str:
         f"Base colours are known up to a common factor between {low.mean():.2f} and "
         f"{high.mean():.2f}; --grey-card or --mean-albedo of svu light fix it."
     )
+
+
+def gain_sentences(gains: FoundGains, capture: Capture) -> Iterator[str]:
+    """Yield what gains photographs have, and which of them do not fit the others."""
+    names = [name for name, used in zip(capture.names, capture.used, strict=True) if used]
+    factor = gains.factor[~gains.odd]
+    if len(factor):
+        low, high = factor.mean(axis=1).min(), factor.mean(axis=1).max()
+        yield f"Photographs are {low:.2f} to {high:.2f} times as bright as if all were alike."
+    usual = float(np.median(gains.noise[gains.noise > 0])) if gains.noise.any() else 1.0
+    for view in np.flatnonzero(gains.odd):
+        brighter, unlike = gains.factor[view].mean(), gains.noise[view] / usual
+        yield (
+            f"{names[view]} does not fit the others ({brighter:.2g} times as bright, "
+            f"{unlike:.1f} times as far from what they explain); left out."
+        )
 
 
 def likeness_sentence(found: Likeness) -> str:

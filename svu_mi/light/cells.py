@@ -31,6 +31,7 @@ EVEN = (4096, 8192)  # leaves of the light of small and large maps; .06 and .04 
 FLOOR = 0.05  # weight of a cell without light, in that of the mean cell
 GROUP, LARGEST = 4, 32  # coarse cells that are judged together: on average, and at most
 RING = 6  # cells around the middle of a sun's disk
+SPLIT = 8  # parts of a cell of the world that are of one cell of the light's own frame
 DIM = 0.25  # part of the mean fine cell's flux below which a cell is not worth a ray of its own
 
 
@@ -222,6 +223,19 @@ def _gathered(environment: Environment, count: int) -> tuple[np.ndarray, np.ndar
     # A black cell has no centroid, and needs none for its light; its centre serves the shape.
     least = 1e-12 * (length.max() or 1.0)
     return flux, np.where(length > least, pull, least * centers)
+
+
+def even_radiance(environment: Environment, count: int) -> np.ndarray:
+    """Return the mean radiance (N, 3) of the even cells of the world, float64.
+
+    Args:
+        environment: the light.
+        count: N; the cells are ``fibonacci``'s.
+    """
+    flux, pull = _gathered(environment, SPLIT * count)
+    world = pull / np.maximum(np.linalg.norm(pull, axis=1, keepdims=True), 1e-300)
+    owner = nearest_cells(world @ environment.to_local, count)
+    return _sum(owner, flux, count) * count / (4 * np.pi)
 
 
 @lru_cache(maxsize=4)
