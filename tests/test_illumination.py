@@ -16,7 +16,7 @@ import svu_mi as svu
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.illumination.background import Looks
 from svu_mi.illumination.doubt import possible, widening_of
-from svu_mi.illumination.level import _common, _tint, level_of
+from svu_mi.illumination.level import COLORS, FURTHEST, _common, _tint, level_of
 from svu_mi.illumination.likeness import likeness
 from svu_mi.illumination.materials import Moments, columns_of, materials_of
 from svu_mi.illumination.prior import SD, prior_of, refined
@@ -306,9 +306,11 @@ def test_dark_and_bright_objects_are_as_likely_in_dim_and_bright_light():
         return 0.0 if logarithm.mean() > -0.5 else 1e3
 
     level, sd = _common(worse)
-    # exp(-3 x) from -.25 on, the next factor that is asked about.
-    assert level == pytest.approx(-0.25 + np.log(2) / 3, abs=0.05)
-    assert sd == pytest.approx((np.log(20) - np.log(20 / 19)) / 3 / 2 / 1.645, abs=0.06)
+    x = np.linspace(-0.25, FURTHEST, 10_001)
+    below = np.cumsum(np.exp(-COLORS * x)) / np.exp(-COLORS * x).sum()
+    low, middle, high = np.interp((0.05, 0.5, 0.95), below, x)
+    assert level == pytest.approx(middle, abs=0.05)
+    assert sd == pytest.approx((high - low) / 2 / 1.645, abs=0.05)
     assert np.abs(_tint(lambda _: 1.0, 0.0)[0]).max() < 1e-9
 
 
