@@ -3,7 +3,7 @@
 Brighter light and darker materials explain photographs almost as well, and what decides between
 them, the 4 % that dielectrics mirror and that base colour is at most 1, is as small as the errors
 of the model, which do not average out over samples. So a factor of the light is as probable as the
-photographs are explained under it: noise 2.8 % above the least is as improbable as the end of a
+photographs are explained under it: noise 2.5 % above the least is as improbable as the end of a
 90 % interval. Much of those errors is the same for R, G and B, and says nothing of colour. Both are
 constants of the scenes that come with svu_mi, and of others like them of dark wood and slate.
 """
@@ -26,7 +26,7 @@ from svu_mi.options import AngularPreset
 from svu_mi.reflection.principled import diffuse_from_principled
 
 COLORS = 1.5  # of the object that are each as likely from 0 to 1: R, G and B, which go together
-TOLERANCE = 1.028  # noise at the ends of the 90 % interval of the level, relative to the least
+TOLERANCE = 1.025  # noise at the ends of the 90 % interval of the level, relative to the least
 COLORS_SHARPER = 2.0  # how many times more noise says of colour than of the level
 FURTHEST = 1.5  # logarithm of the largest factor of the light that is asked about
 STEPS = 13  # factors that are asked about
