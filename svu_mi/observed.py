@@ -8,8 +8,9 @@ reference asks first.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import inf
 from typing import Any
 
 import mitsuba as mi
@@ -25,6 +26,7 @@ from svu_mi.options import AngularPreset, Fit, Preset
 from svu_mi.progress import Progress
 from svu_mi.reflection.model import Arriving, Model
 from svu_mi.statistics import Statistics, gather
+from svu_mi.statistics.censored import PASSES, best_models
 from svu_mi.statistics.gather import ALIKE, Weighting
 from svu_mi.surface import Texels
 from svu_mi.visibility import Surface, Survey, Views, pack_views, survey
@@ -189,14 +191,31 @@ class Observed:
             switches: the reflection model.
             channels: of the photographs, 3, or 1 for their mean.
             light_channels: of the light; 1 if it is grey.
-            weighting: how much samples count; all alike by default.
+            weighting: how much samples count; all alike by default. Where samples that are clipped
+                count by what they say (``statistics.censored``), it has a finite kappa and no
+                ``current``; otherwise they do not count.
             texels: (t,) numbers of texels; by default those of ``seen``.
         """
-        model = self.model(roughness, switches, light_channels or channels, texels)
-        return gather(
-            self.views, self.found, model, self.mirrors if model.reads_mirrors else None,
-            channels, weighting,
-        )  # fmt: skip
+        def gathered(weighting: Weighting, texels: np.ndarray | None) -> Statistics:
+            model = self.model(roughness, switches, light_channels or channels, texels)
+            mirrors = self.mirrors if model.reads_mirrors else None
+            return gather(self.views, self.found, model, mirrors, channels, weighting)
+
+        found = gathered(weighting, texels)
+        is_robust = weighting.current is not None or not weighting.kappa < inf
+        if self.found.clipped is None or is_robust:
+            return found
+        number = found.texel.numpy()
+        lanes = np.flatnonzero(self.found.bits.count()[number] != found.views.numpy())
+        lanes = np.union1d(lanes, np.flatnonzero(self.found.clipped.count()[number]))
+        if not len(lanes):
+            return found
+        some = found.at(lanes)
+        for _ in range(PASSES):
+            some = gathered(
+                replace(weighting, models=best_models(some)), number[lanes].astype(np.int64)
+            )
+        return found.replaced(lanes, some)
 
 
 def observe(

@@ -630,7 +630,7 @@ def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
         Image.fromarray(pixels).save(folder / f"view_{index:04d}.png")
     assert load_capture(path).warnings == (
         f"{folder}: all 30 photographs: 8-bit images, not HDR; decoded as sRGB, 1440 saturated "
-        "pixels left out. Clipped highlights hide gloss: use HDR.",
+        "pixels count as at least so bright. Clipped highlights hide gloss: use HDR.",
     )
     for index in (3, 4, 9, 20, 21):
         write_exr(folder / f"view_{index:04d}.exr", {"RGB": np.zeros((24, 24, 3))})
@@ -638,8 +638,8 @@ def test_thirty_8_bit_photographs_are_one_warning(tmp_path):
     found = load_capture(path).warnings
     assert found == (
         f"{folder}: 25 of 30 photographs (view_0000.png, view_0001.png, view_0002.png and 22 "
-        "more): 8-bit images, not HDR; decoded as sRGB, 1200 saturated pixels left out. Clipped "
-        "highlights hide gloss: use HDR.",
+        "more): 8-bit images, not HDR; decoded as sRGB, 1200 saturated pixels count as at least so "
+        "bright. Clipped highlights hide gloss: use HDR.",
         f"{folder}: 5 of 30 photographs (view_0003.exr, view_0004.exr, view_0009.exr and 2 more): "
         "entirely black; these views are left out. Check their exposure, or remove them with "
         "their sensors.",

@@ -20,9 +20,9 @@ from studies.conventions.colmap import write_colmap
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 import svu_mi as svu
-from svu_mi.capture.images import UNUSABLE
+from svu_mi.capture.images import CLIPPED, SATURATION, UNUSABLE
 from svu_mi.capture.mesh import MeshArrays, arrays
-from svu_mi.capture.picture import read_planes
+from svu_mi.capture.picture import open_picture, read_planes
 from svu_mi.capture.poses import describe, film_size, focal_length
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError, MeshError, OptionError, OutputError, SceneError
@@ -226,7 +226,7 @@ def photograph(path: Path, pixels: np.ndarray = GREY, **fields: object) -> Frame
     })  # fmt: skip
 
 
-def test_eight_bits_are_decoded_and_clipped_pixels_left_out(tmp_path):
+def test_eight_bits_are_decoded_and_clipped_channels_marked(tmp_path):
     pixels = np.full((4, 6, 3), 128, np.uint8)
     pixels[1, 2] = (255, 10, 10)
     photo = tmp_path / "photo.png"
@@ -234,9 +234,24 @@ def test_eight_bits_are_decoded_and_clipped_pixels_left_out(tmp_path):
     image = read_exr(tmp_path / "view.exr")
     assert found.bits == 8 and found.saturated == 1 and not found.masked and "A" not in image
     assert image["R"][0, 0] == pytest.approx(0.2158605, rel=1e-3)  # half floats
-    assert image["R"][1, 2] == UNUSABLE
+    assert image["R"][1, 2] == CLIPPED
+    assert image["G"][1, 2] == pytest.approx((10 / 255) / 12.92, rel=1e-3)
+    header = open_picture(tmp_path / "view.exr").header.attributes
+    assert header[SATURATION] == pytest.approx(((0.98 + 0.055) / 1.055) ** 2.4, rel=1e-5)
     convert(photograph(photo, pixels, transfer="gamma 2.2"), tmp_path / "view.exr", (1, 1))
     assert read_exr(tmp_path / "view.exr")["R"][0, 0] == pytest.approx((128 / 255) ** 2.2, rel=1e-3)
+    header = open_picture(tmp_path / "view.exr").header.attributes
+    assert header[SATURATION] == pytest.approx(0.98**2.2, rel=1e-5)
+
+
+def test_a_pixel_that_is_made_of_clipped_ones_and_others_is_not_usable(tmp_path):
+    pixels = np.full((4, 8, 3), 128, np.uint8)
+    pixels[:, 3:] = 255  # columns 1 (of 2 and 3) and 2, 3 of half as many
+    convert(photograph(tmp_path / "photo.png", pixels), tmp_path / "view.exr", (0.5, 1))
+    red = read_exr(tmp_path / "view.exr")["R"]
+    np.testing.assert_array_equal(red[:, 1], UNUSABLE)
+    np.testing.assert_array_equal(red[:, 2:], CLIPPED)
+    assert (red[:, 0] > 0).all()
 
 
 def test_masks_from_files_and_alpha_both_count(tmp_path):

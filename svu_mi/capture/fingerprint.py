@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -101,6 +101,7 @@ def photographs_key(capture: Capture) -> str:
     key = _shapes(capture.scene, capture.shape, materials=False)
     key.add([describe(capture.sensors[view]) for view in used])
     key.add(_digests(capture.images[view] for view in used))
+    _add_clipped(key, capture, used)
     key.add(_digests(capture.masks[view] for view in used))
     key.add([float(capture.exposures[view]) for view in used])
     return key.digest()
@@ -152,7 +153,16 @@ def capture_parts(capture: Capture) -> dict[str, str]:
         "masks": Key(masks),
         "exposures": Key(list(map(float, capture.exposures))),
     }
+    _add_clipped(keys["photographs"], capture, used)
     return {name: key.digest() for name, key in keys.items()}
+
+
+def _add_clipped(key: Key, capture: Capture, used: Sequence[int]) -> None:
+    """Add which channels are clipped, if any is."""
+    if capture.clipped:
+        for view in used:
+            found = capture.clipped[view]
+            key.add(*(() if found is None else (view, found.channels, found.least)))
 
 
 def _digests(arrays: Iterable[np.ndarray | None]) -> list[str]:

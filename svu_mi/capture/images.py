@@ -11,6 +11,7 @@ import drjit as dr
 import numpy as np
 
 from svu_mi.capture.block import allocate
+from svu_mi.capture.clipped import Clipped
 from svu_mi.capture.matching import masks_of
 from svu_mi.capture.picture import SUFFIXES, Picture, decoded, open_picture, read_planes
 from svu_mi.errors import CaptureError
@@ -21,6 +22,8 @@ from svu_mi.results.record import RUN
 # Of the encoded range, by bits; a clipped highlight is not a measurement. JPEG blurs it, too.
 SATURATED = {8: 0.98, 16: 0.995}
 UNUSABLE = -1.0  # radiance of a pixel that is not to be used, in all channels of an EXR
+CLIPPED = -2.0  # radiance of a channel that is clipped, in an EXR with the attribute SATURATION
+SATURATION = "svu:saturation"  # radiance from which the channels of a photograph were clipped
 ON_OBJECT = 0.999  # alpha from which a pixel shows nothing but the object
 IN_MASK = 0.5  # the same for 8-bit masks, which say inside or outside, with noise if JPEG
 
@@ -30,7 +33,9 @@ class Photograph:
     """One photograph as read.
 
     Attributes:
-        pixels: (H, W, 3) float32 linear radiance, exposure divided out; NaN = not usable.
+        pixels: (H, W, 3) float32 linear radiance, exposure divided out; NaN = not usable. Of a
+            pixel that is clipped, only those channels are NaN.
+        clipped: which those are, and what they are at least; None without any.
         mask: (H, W) bool, True on the object, or None.
         invalid: number of pixels that were NaN, infinite or negative.
         marked: number of pixels that whoever wrote the photograph has marked as unusable.
@@ -50,6 +55,7 @@ class Photograph:
     black: bool
     remarks: tuple[str, ...] = ()
     run: str = ""
+    clipped: Clipped | None = None
 
 
 def not_taken(size: tuple[int, int]) -> Photograph:
@@ -108,14 +114,17 @@ def _read_photograph(picture: Picture, room: np.ndarray, exposure: float) -> Pho
     _require_size(path, shape[::-1], room.shape[1::-1])
     for channel in range(3):
         room[..., channel] = planes[channel]
-    saturated = _linearise(room, SATURATED[bits]) if bits else 0
-    invalid, marked, black = _mark(room, exposure)
+    clipped = _linearise(room, SATURATED[bits]) if bits else _marked_as_clipped(picture, room)
+    invalid, marked, black = _mark(room, exposure, clipped)
+    saturated = 0 if clipped is None else int((clipped.channels > 0).sum())
+    if clipped is not None:
+        clipped = clipped.divided(np.float32(exposure)) if saturated else None
     mask = _mask_beside(path, shape)
     if len(planes) > 3:
         mask = planes[3] >= (IN_MASK if bits else ON_OBJECT)
-    invalid -= saturated + marked
+    invalid -= marked
     found, run = tuple(picture.remarks()), str(picture.header.attributes.get(RUN, ""))
-    return Photograph(room, mask, invalid, marked, saturated, bits, black, found, run)
+    return Photograph(room, mask, invalid, marked, saturated, bits, black, found, run, clipped)
 
 
 def _require_size(path: Path, found: Sequence[int], film: Sequence[int]) -> None:
@@ -127,20 +136,36 @@ def _require_size(path: Path, found: Sequence[int], film: Sequence[int]) -> None
         )
 
 
-def _linearise(color: np.ndarray, most: float) -> int:
-    """Decode sRGB in place, pixels above ``most`` as NaN; return how many those are."""
-    clipped = (color > most).any(axis=-1)
+def _linearise(color: np.ndarray, most: float) -> Clipped:
+    """Decode sRGB in place, channels above ``most`` as NaN; return which those are."""
+    over = color > most
     color[:] = decoded(color)
-    color[clipped] = np.nan
-    return int(clipped.sum())
+    color[over] = np.nan
+    return Clipped.of(over, float(decoded(np.array(most, np.float32))))
 
 
-def _mark(color: np.ndarray, exposure: float) -> tuple[int, int, bool]:
+def _marked_as_clipped(picture: Picture, color: np.ndarray) -> Clipped | None:
+    """Find the channels that an import has marked as clipped, and set them to NaN in place."""
+    written = picture.header.attributes.get(SATURATION)
+    if written is None:
+        return None
+    try:
+        least = float(written)
+    except (TypeError, ValueError):
+        return None
+    if not 0 < least < np.inf:
+        return None
+    over = color == np.float32(CLIPPED)
+    color[over] = np.nan
+    return Clipped.of(over, least)
+
+
+def _mark(color: np.ndarray, exposure: float, clipped: Clipped | None) -> tuple[int, int, bool]:
     """Divide by the exposure and set pixels that hold no radiance to NaN, in place.
 
     Returns:
         The number of those pixels, that of those among them that were marked, and whether all
-        others are black.
+        others are black. A clipped pixel is none of them, and not black.
     """
     with np.errstate(invalid="ignore", over="ignore"):
         if exposure != 1:
@@ -148,12 +173,19 @@ def _mark(color: np.ndarray, exposure: float) -> tuple[int, int, bool]:
         # Two fast passes say that nearly every photograph is sound; NaN fails both tests.
         low, high = color.min(initial=0), color.max(initial=0)
         sound = bool(low >= 0 and high < np.inf)
-        bad = None if sound else ~(np.isfinite(color) & (color >= 0)).all(axis=-1)
-    if bad is None:
-        return 0, 0, not high > 0
+        if sound:
+            return 0, 0, not high > 0
+        good = np.isfinite(color) & (color >= 0)
+    if clipped is not None:
+        good |= clipped.flags
+    bad = ~good.all(axis=-1)
     marked = int((color == np.float32(UNUSABLE) / np.float32(exposure)).all(axis=-1).sum())
     color[bad] = np.nan
-    return int(bad.sum()), marked, not np.fmax.reduce(color, axis=None, initial=0) > 0
+    lit = np.fmax.reduce(color, axis=None, initial=0) > 0
+    if clipped is not None:
+        clipped.channels[bad] = 0
+        lit |= bool(clipped.channels.any())
+    return int(bad.sum()), marked, not lit
 
 
 def read_mask(path: Path, shape: tuple[int, ...]) -> np.ndarray:

@@ -77,7 +77,8 @@ def _not_hdr(taken: Sequence[Taken]) -> list[str]:
             clipped = sum(one.photograph.saturated for one in found)
             notes.append(
                 f"{_subject(found, taken)}: {one_is if len(found) == 1 else several_are}{clipped} "
-                "saturated pixels left out. Clipped highlights hide gloss: use HDR."
+                "saturated pixels count as at least so bright. Clipped highlights hide gloss: use "
+                "HDR."
             )
     return notes
 

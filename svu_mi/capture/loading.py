@@ -14,9 +14,10 @@ from typing import Any, Literal, get_args
 import mitsuba as mi
 
 from svu_mi.capture import folder as capture_folder
+from svu_mi.capture.clipped import Clipped
 from svu_mi.capture.folder import Description
 from svu_mi.capture.ignored import ignored
-from svu_mi.capture.images import read_photographs
+from svu_mi.capture.images import Photograph, read_photographs
 from svu_mi.capture.judging import judged
 from svu_mi.capture.matching import Match, Missing, match_photographs, photographs_of
 from svu_mi.capture.mesh import covered_by_charts, has_uvs
@@ -183,7 +184,14 @@ def read_capture(
         used=used,
         source=folder,
         warnings=tuple(notes),
+        clipped=_clipped(photographs),
     )
+
+
+def _clipped(photographs: Sequence[Photograph]) -> tuple[Clipped | None, ...]:
+    """Return what is clipped of each photograph; nothing if none is."""
+    found = tuple(photograph.clipped for photograph in photographs)
+    return found if any(each is not None for each in found) else ()
 
 
 def _judge_sizes(

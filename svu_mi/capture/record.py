@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.capture.clipped import Clipped
+
 
 @dataclass(frozen=True)
 class Doubt:
@@ -42,6 +44,8 @@ class Capture:
         unusable: V counts of pixels that were set to NaN.
         used: V booleans; False for a view left out, such as an entirely black photograph.
         source: the folder or file the capture was read from, None when made in memory.
+        clipped: which channels of the photographs are clipped, V or none at all: they are NaN in
+            ``images``, but at least as bright as is said here.
         warnings: sentences about what was found, repaired and ignored while loading.
         files: V names of their files in ``source``; empty when it was made in memory.
         doubt: how uncertain the light is; None if it was given.
@@ -60,6 +64,7 @@ class Capture:
     used: tuple[bool, ...]
     source: Path | None = None
     warnings: tuple[str, ...] = field(default=())
+    clipped: tuple[Clipped | None, ...] = field(default=())
     files: tuple[str, ...] = ()
     doubt: Doubt | None = None
     found_light: Any | None = None

@@ -8,13 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
-from svu_mi.capture.images import IN_MASK, ON_OBJECT, SATURATED, UNUSABLE, read_mask
+from svu_mi.capture.images import (
+    CLIPPED,
+    IN_MASK,
+    ON_OBJECT,
+    SATURATED,
+    SATURATION,
+    UNUSABLE,
+    read_mask,
+)
 from svu_mi.capture.picture import decoded, open_picture
 from svu_mi.exr import write_exr
 from svu_mi.formats.resampling import resampled, unbent
 from svu_mi.formats.source import Frame
 
 BORDER = 0.9  # part of a photograph's border that no object covers
+CLIPPED_LAYER = "clipped."  # and R, G or B
 PART = 1e-6  # of a new pixel that an unusable one may cover, which is rounding
 
 
@@ -46,8 +55,8 @@ class Converted:
 def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
     """Write a photograph as EXR: R, G, B linear, and A = 1 on the object if there is a mask.
 
-    Pixels that are clipped or hold no radiance become -1, also where a new pixel takes part in
-    one.
+    Channels that are clipped become -2, and what they are at least is written into the header.
+    Pixels that hold no radiance become -1, and those that are made of clipped ones and others.
 
     Args:
         frame: the photograph with its mask; its size is that of the file.
@@ -63,24 +72,25 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
     mask = _mask(frame, planes, bits > 0)
     del planes[3:]
     clipped, invalid = np.zeros((2, *planes[0].shape), bool)
+    over = {}
     for channel, plane in enumerate(planes):  # one at a time: photographs may be huge
         if bits:
+            over[CLIPPED_LAYER + "RGB"[channel]] = plane > SATURATED[bits]
             clipped |= plane > SATURATED[bits]
             planes[channel] = decoded(plane, frame.transfer)
         invalid |= ~(np.isfinite(plane) & (plane >= 0))
-    bad = clipped | invalid
     for plane in planes:
-        plane[bad] = 0
-    layers = {**dict(zip("RGB", planes, strict=True)), "bad": bad}
+        plane[invalid] = 0
+    layers = {**dict(zip("RGB", planes, strict=True)), "bad": invalid}
+    if clipped.any():
+        layers |= over
     if mask is not None:
         layers["A"] = mask
         clipped &= mask
-    del planes
+    del planes, over
     channels = _resampled(layers, frame, scale)
-    touched = channels.pop("bad") > PART
-    for name in "RGB":
-        channels[name][touched] = UNUSABLE
-    write_exr(path, channels, half=bits == 8)  # eight bits lose nothing there
+    header = _mark(channels, bits, frame)
+    write_exr(path, channels, header, half=bits == 8)  # eight bits lose nothing there
     return Converted(
         bits=bits,
         foreign=picture.header.foreign,
@@ -91,6 +101,23 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
         empty=mask is not None and not mask.any(),
         inverted=mask is not None and _is_inverted(mask),
     )
+
+
+def _mark(channels: dict[str, np.ndarray], bits: int, frame: Frame) -> dict[str, float]:
+    """Mark pixels that are not usable, and clipped channels, in place; return what the header
+    says of these."""
+    touched = channels.pop("bad") > PART
+    over = {name: channels.pop(CLIPPED_LAYER + name, None) for name in "RGB"}
+    found = {name: part for name, part in over.items() if part is not None}
+    for part in found.values():
+        touched |= (part > PART) & (part < 1 - PART)
+    for name in "RGB":
+        if name in found:
+            channels[name][found[name] >= 1 - PART] = CLIPPED
+        channels[name][touched] = UNUSABLE
+    if not found:
+        return {}
+    return {SATURATION: float(decoded(np.array(SATURATED[bits], np.float32), frame.transfer))}
 
 
 def _is_inverted(mask: np.ndarray) -> bool:
@@ -140,7 +167,7 @@ def about(frames: Sequence[Frame], found: Sequence[Converted]) -> list[str]:
     return [
         *those([c.bits > 0 for c in found],
               f"are not HDR: of {kinds} bits, decoded as {frames[0].transfer}, {clipped} clipped "
-              "pixels left out. Clipped highlights hide gloss: use HDR."),
+              "pixels count as at least so bright. Clipped highlights hide gloss: use HDR."),
         *those([c.turned for c in found],
               "are stored rotated; their EXIF orientation is ignored, because poses must be of the "
               "pixels as stored. If svu check shows them rotated, save their pixels upright and "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -93,10 +94,15 @@ def equalized(capture: Capture, gains: FoundGains) -> Capture:
     if gains.odd.all():
         raise CaptureError("No photograph fits the others; look at them with svu check.")
     images, used = list(capture.images), list(capture.used)
+    clipped: list[Any] = list(capture.clipped) or [None] * capture.count
     for room, view, factor, odd in zip(
         allocate([capture.images[view].shape[1::-1] for view in kept]), kept, gains.factor,
         gains.odd, strict=True,
     ):  # fmt: skip
         np.divide(capture.images[view], factor.astype(np.float32), out=room)
         images[view], used[view] = room, not odd
-    return replace(capture, images=tuple(images), used=tuple(used))
+        clipped[view] = None if clipped[view] is None else clipped[view].divided(factor)
+    return replace(
+        capture, images=tuple(images), used=tuple(used),
+        clipped=tuple(clipped) if capture.clipped else (),
+    )  # fmt: skip

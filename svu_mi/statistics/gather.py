@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf, nan
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -15,6 +15,7 @@ from svu_mi.reflection.model import Model
 from svu_mi.reflection.principled import columns
 from svu_mi.reflection.shading import Parts, radiance
 from svu_mi.statistics.blocks import scattered
+from svu_mi.statistics.censored import CLIPPED_PART, HIDDEN, Models, parabola
 from svu_mi.statistics.factors import PAIRS
 from svu_mi.statistics.sums import EDGES, Statistics, noise_weight
 from svu_mi.visibility import Observation, Survey, Views
@@ -36,6 +37,8 @@ class Weighting:
     Attributes:
         kappa: radiance around which they begin to count less (see ``Statistics``).
         edges: how much less those on edges of a photograph count (``noise_weight``).
+        models: of the texels, that clipped samples are compared with (``censored``); without any,
+            clipped channels of a sample do not count.
         current: parameters of the texels. Samples then also count less the more these are off,
             by 1 / |r - b|: squares become absolute errors [Holland and Welsch 1977]. Sums that
             are weighted so never add to others: their kappa is NaN. Levels must be uniform on
@@ -45,6 +48,7 @@ class Weighting:
     kappa: float = inf
     edges: float = EDGES
     current: Values | None = None
+    models: Models | None = None
 
 
 ALIKE = Weighting()
@@ -75,22 +79,33 @@ def gather(
         raise OptionError("gather(): current needs a finite kappa and 3 channels.")
     knee, weighted = dr.opaque(mi.Float, kappa), kappa < inf
     eta = dr.opaque(mi.Float, weighting.edges)
+    clipped = found.clipped is not None and current is None
 
     def consume(seen: Observation, slot: Any, *sums: Any) -> Any:
         free = mi.Bool(True) if mirrors is None else mirrors.test(slot, surface.index)
 
-        def add(weight: Any, *state: Any) -> tuple[Any, ...]:
+        def add(weight: Any, views: Any, *state: Any) -> tuple[Any, ...]:
             lobes = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free)
             observed = as_channels(seen.radiance, channels)
             w = dr.select(seen.seen, mi.Float(1), 0)
             if weighted:
-                w *= noise_weight(sum(observed) / channels, knee, seen.contrast, eta)
+                grey, contrast = sum(observed) / channels, seen.contrast
+                if clipped:  # on the edge of a highlight, whose contrast nobody knows
+                    contrast = contrast + dr.square(HIDDEN * dr.max(seen.clipped) * grey)
+                w *= noise_weight(grey, knee, contrast, eta)
             if current is not None:
                 off = sum(_errors(lobes, observed, current)) / channels
                 w *= knee / dr.maximum(off, SMALLEST * knee)
-            w = mi.Float64(w)
-            added = [x for level in lobes for x in _products(level, observed)]
-            return weight + w, *(
+            shown: list[list[Shown]] = [[Shown(b) for b in observed]] * levels
+            part: Any = mi.Float(1)
+            if clipped:
+                lane = surface.lane
+                shown = _clipped(lobes, observed, seen.clipped, w, lane, weighting.models)
+                part = sum(one.part for of_level in shown for one in of_level) / (levels * channels)
+                views = views + dr.select(seen.seen, part, 0)
+            weight, w = weight + mi.Float64(part * w), mi.Float64(w)
+            added = [x for pair in zip(lobes, shown, strict=True) for x in _products(*pair)]
+            return weight, views, *(
                 dr.fma(w, new, old) for old, new in zip(state, added, strict=True)
             )
 
@@ -99,10 +114,13 @@ def gather(
             true_fn=add, false_fn=lambda *state: state,
         )  # fmt: skip
 
-    size = 1 + levels * channels * len(PAIRS)
-    zeros = tuple(dr.zeros(mi.Float64, surface.count) for _ in range(size))
-    weight, *sums = found.over_views(views, surface, consume, zeros)
+    count, size = surface.count, levels * channels * len(PAIRS)
+    none = dr.zeros(mi.Float, count if clipped else 1)
+    zeros = (dr.zeros(mi.Float64, count), none, *(dr.zeros(mi.Float64, count) for _ in range(size)))
+    weight, partly, *sums = found.over_views(views, surface, consume, zeros, clipped=clipped)
     coverage = dr.gather(mi.UInt32, found.coverage, surface.index)
+    if clipped:
+        coverage = mi.UInt32(partly + 0.5)
     dr.eval(coverage)
     return Statistics(
         scattered(mi.Float64, [*sums, weight], surface.count), coverage, surface.index,
@@ -120,14 +138,53 @@ def mixed_of(values: Values) -> list[Any]:
     return [values[name][0] for name in MIXED]
 
 
-def _products(level: list[Parts], radiance: list[Any]) -> list[Any]:
+class Shown(NamedTuple):
+    """Radiance of a channel, and how much it counts; None if all channels count alike."""
+
+    radiance: Any
+    part: Any = None
+
+
+def _products(level: list[Parts], shown: list[Shown]) -> list[Any]:
     """Products of the columns of every channel, in double precision."""
     products = []
-    for c, b in enumerate(radiance):
+    for c, (b, part) in enumerate(shown):
         # Grey light has one channel for all.
         u = [mi.Float64(column) for column in columns(*level[c % len(level)], b)]
-        products += [u[i] * u[j] for i, j in PAIRS]
+        counted = u if part is None else [mi.Float64(part) * column for column in u]
+        products += [counted[i] * u[j] for i, j in PAIRS]
     return products
+
+
+def _clipped(
+    lobes: list[list[Parts]], observed: list[Any], over: Any, weight: Any, lane: Any,
+    models: Models | None,
+) -> list[list[Shown]]:  # fmt: skip
+    """Return what channels show at every level.
+
+    Args:
+        lobes: of the levels.
+        observed: radiance of C channels; where they are clipped, at least.
+        over: Color3f, part of each that is clipped.
+        weight: of the sample.
+        lane: UInt32, of the launch.
+        models: what clipped channels are compared with.
+    """
+    parts = list(over) if len(observed) > 1 else [dr.max(over)]
+    flags = [part > CLIPPED_PART for part in parts]
+    if models is None:
+        dropped = [Shown(b, dr.select(flag, mi.Float(0), 1))
+                   for b, flag in zip(observed, flags, strict=True)]  # fmt: skip
+        return [dropped] * len(lobes)
+    noise, found = models.noise(lane, len(lobes)) * dr.rsqrt(dr.maximum(weight, 1e-6)), []
+    for number, level in enumerate(lobes):
+        mixed, color = models.of_level(lane, number, len(lobes))
+        of_level = []
+        for b, flag, r in zip(observed, flags, radiance(level, color, mixed), strict=True):
+            t, h = parabola(r, b, noise)
+            of_level.append(Shown(dr.select(flag, t, b), dr.select(flag, h, mi.Float(1))))
+        found.append(of_level)
+    return found
 
 
 def _errors(found: list[list[Parts]], observed: list[Any], current: Values) -> list[Any]:

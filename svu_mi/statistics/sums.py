@@ -123,6 +123,26 @@ class Statistics:
         """(S,) float64, the sum of the samples' weights."""
         return rows_of(self.sums, self.rows, self.count)[-1]
 
+    def at(self, lanes: np.ndarray) -> Statistics:
+        """Return the statistics of some lanes, by their numbers."""
+        return self._with_rows(
+            rows_of(self.sums, self.rows, self.count)[:, lanes], self.views.numpy()[lanes],
+            self.texel.numpy()[lanes],
+        )  # fmt: skip
+
+    def replaced(self, lanes: np.ndarray, others: Statistics) -> Statistics:
+        """Return statistics that are others' for some lanes."""
+        rows, views = rows_of(self.sums, self.rows, self.count).copy(), self.views.numpy().copy()
+        rows[:, lanes] = rows_of(others.sums, others.rows, others.count)
+        views[lanes] = others.views.numpy()
+        return self._with_rows(rows, views, self.texel.numpy())
+
+    def _with_rows(self, rows: np.ndarray, views: np.ndarray, texel: np.ndarray) -> Statistics:
+        return replace(
+            self, sums=in_blocks(mi.Float64, rows), views=owned(mi.UInt32, views),
+            texel=owned(mi.UInt32, texel),
+        )  # fmt: skip
+
     def table(self) -> np.ndarray:
         """Return the sums as (R, C, P, S) float64."""
         rows = rows_of(self.sums, self.rows, self.count)[:-1]

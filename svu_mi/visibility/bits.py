@@ -79,6 +79,12 @@ class Bits:
         stride = dr.opaque(mi.UInt32, words.shape[1])
         return Bits(owned(mi.UInt32, words.ravel()), stride, self.last)
 
+    def count(self) -> np.ndarray:
+        """Return how many bits of every lane are set: (S,) int64."""
+        words = self.words.numpy().reshape(-1, max(int(self.stride[0]), 1))
+        bits = np.unpackbits(np.ascontiguousarray(words.T).view(np.uint8), axis=1)
+        return bits.sum(axis=1, dtype=np.int64)
+
     def test(self, number: Any, lane: Any) -> Any:
         """Return whether bits are set, as a Bool."""
         word = dr.gather(mi.UInt32, self.words, (number // WORD) * self.stride + lane)

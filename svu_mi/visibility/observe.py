@@ -98,6 +98,9 @@ class Observation:
         seen: Bool.
         contrast: Float, variance of the pixels that radiance is the mean of, squared radiance;
             0 where not seen.
+        clipped: of a view that was looked for only, Bool: it would be seen, were it not for clipped
+            pixels. Of one that was looked at together with those, the part of the pixels that
+            is clipped, Color3f. None where nothing is clipped, or was not asked for.
     """
 
     direction: Any
@@ -105,6 +108,7 @@ class Observation:
     radiance: Any
     seen: Any
     contrast: Any
+    clipped: Any | None = None
 
 
 def observe(views: Views, surface: Surface, view: Any, *, dense: bool = False) -> Observation:
@@ -134,24 +138,37 @@ def observe(views: Views, surface: Surface, view: Any, *, dense: bool = False) -
 
     def reach(
         start: Any, way: tuple[Any, Any], pixels: list[Any], weights: list[Any], seen: Any
-    ) -> tuple[Any, Any]:
+    ) -> tuple[Any, ...]:
         """Look the pixels up and trace visibility, for lanes that face the camera."""
+        shown = seen  # clipped or not; never changed in place, which would change both
         for pixel in pixels:
-            seen &= dr.gather(mi.Bool, views.usable, pixel, seen)
+            usable = dr.gather(mi.Bool, views.usable, pixel, shown)
+            seen = seen & usable
+            if views.clipped is None:
+                shown = seen
+            else:
+                channels = views.clipped.channels
+                usable = usable | (dr.gather(type(channels), channels, pixel, shown) > 0)
+                shown = shown & usable
         # Neighbouring texels look at one camera: packets stay together, which is 10 % faster.
         ray = mi.Ray3f(start, *way, 0.0, [])
-        seen &= ~views.scene.ray_test(ray, coherent=True, active=asked(seen, dense))
-        return dr.select(seen, interpolated(views, pixels, weights, seen), 0), seen
+        free = ~views.scene.ray_test(ray, coherent=True, active=asked(shown, dense))
+        seen = seen & free
+        radiance = dr.select(seen, interpolated(views, pixels, weights, seen), 0)
+        return radiance, seen, *([] if views.clipped is None else [shown & free & ~seen])
 
     # Mitsuba's own spawn_ray offset has an absolute part, which drowns small meshes.
     start = surface.position + surface.offset * surface.geometric_normal
-    radiance, seen = dr.if_stmt(
+    radiance, seen, *clipped = dr.if_stmt(
         args=(start, (direction, distance * (1 - RAY_END)), taps.pixels, taps.weights, seen),
         cond=asked(seen, dense),
         true_fn=reach,
-        false_fn=lambda *args: (black(), args[-1]),
-    )
-    return Observation(direction, dr.select(seen, cosine, 0), radiance, seen, mi.Float(0))
+        false_fn=lambda *args: (
+            black(), args[-1], *([] if views.clipped is None else [mi.Bool(False)])
+        ),
+    )  # fmt: skip
+    cosine = dr.select(seen, cosine, 0)
+    return Observation(direction, cosine, radiance, seen, mi.Float(0), *clipped)
 
 
 def mirror_direction(normal: Any, direction: Any) -> Any:
@@ -165,8 +182,9 @@ def asked(seen: Any, dense: bool) -> Any:
 
 
 def look(
-    views: Views, surface: Surface, view: Any, seen: Any, *, dense: bool = False
-) -> Observation:
+    views: Views, surface: Surface, view: Any, seen: Any, *, dense: bool = False,
+    clipped: bool = False,
+) -> Observation:  # fmt: skip
     """Observe texels that a view is known to see: no test, no ray, and no work for others.
 
     Args:
@@ -175,21 +193,24 @@ def look(
         view: UInt32, index of the view.
         seen: Bool, which of the texels it sees.
         dense: work for every lane all the same, to see what that costs.
+        clipped: read clipped pixels, too, as dark as they may be.
     """
 
-    def read(position: Any, normal: Any, sides: Any) -> tuple[Any, Any, Any, Any]:
+    def read(position: Any, normal: Any, sides: Any) -> tuple[Any, ...]:
         camera = read_camera(views, view)
         direction = mi.Vector3f(dr.normalize(camera.position - position))
         cosine = dr.select(seen, dr.dot(normal, direction), 0)
-        return direction, cosine, *mean_over_texel(views, camera, position, sides, seen)
+        mean = mean_over_texel(views, camera, position, sides, seen, clipped=clipped)
+        return direction, cosine, *mean
 
-    direction, cosine, radiance, contrast = dr.if_stmt(
+    none = [black()] if clipped else []
+    direction, cosine, radiance, contrast, *parts = dr.if_stmt(
         args=(surface.position, mi.Vector3f(surface.normal), surface.sides),
         cond=asked(seen, dense),
         true_fn=read,
-        false_fn=lambda _, normal, *__: (normal, mi.Float(0), black(), mi.Float(0)),
+        false_fn=lambda _, normal, *__: (normal, mi.Float(0), black(), mi.Float(0), *none),
     )
-    return Observation(direction, cosine, radiance, seen, contrast)
+    return Observation(direction, cosine, radiance, seen, contrast, *parts)
 
 
 def over_views(

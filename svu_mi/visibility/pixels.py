@@ -30,6 +30,7 @@ class Camera:
         near: Float.
         width, height: UInt32, of the photograph.
         offset: UInt32, index of its first pixel.
+        least: Color3f, radiance of clipped channels at least; None where nothing is clipped.
     """
 
     x: Any
@@ -40,6 +41,7 @@ class Camera:
     width: Any
     height: Any
     offset: Any
+    least: Any | None = None
 
 
 def read_camera(views: Views, view: Any) -> Camera:
@@ -56,6 +58,7 @@ def read_camera(views: Views, view: Any) -> Camera:
         width=dr.gather(mi.UInt32, views.width, view),
         height=dr.gather(mi.UInt32, views.height, view),
         offset=dr.gather(mi.UInt32, views.offset, view),
+        least=None if views.clipped is None else dr.gather(mi.Color3f, views.clipped.least, view),
     )
 
 
@@ -123,19 +126,29 @@ def interpolated(views: Views, pixels: list[Any], weights: list[Any], active: An
 
 
 def mean_over_texel(
-    views: Views, camera: Camera, position: Any, sides: tuple[Any, Any] | None, seen: Any
-) -> tuple[Any, Any]:
+    views: Views, camera: Camera, position: Any, sides: tuple[Any, Any] | None, seen: Any, *,
+    clipped: bool = False,
+) -> tuple[Any, ...]:  # fmt: skip
     """Average the pixels that a texel covers in a view: bilinear look-ups all over the
     parallelogram that it is there, which overlap up to sides of 12 pixels.
 
     A texel smaller than a pixel is one look-up, and shares its pixels with its neighbours. What
     lies beyond the film, or is not usable, is left out; if that is all, the middle is read.
 
+    Args:
+        views: the packed capture.
+        camera: of the view.
+        position: of the texels.
+        sides: what they span, see ``Surface``.
+        seen: Bool, for which there is work to do.
+        clipped: read clipped pixels, too, as dark as they may be.
+
     Returns:
-        radiance (Color3f), and the variance of grey over the pixels that were read.
+        radiance (Color3f), and the variance of grey over the pixels that were read; if
+        ``clipped``, also the part of them that is clipped, Color3f.
     """
     if views.pixels is None:
-        return black(), mi.Float(0)
+        return black(), mi.Float(0), *([black()] if clipped else [])
     middle = _project(camera, position)
     x, y, *_ = middle
     spans = [] if sides is None else [_span(camera, side, middle) for side in sides]
@@ -146,7 +159,7 @@ def mean_over_texel(
     columns, number = mi.UInt32(steps[1]), mi.UInt32(steps[0] * steps[1])
     number = dr.select(seen, number, 0)
 
-    def add(tap: Any, weight: Any, total: Any, squares: Any) -> tuple[Any, ...]:
+    def add(tap: Any, weight: Any, total: Any, squares: Any, *parts: Any) -> tuple[Any, ...]:
         row = tap // columns
         u = (mi.Float(row) + 0.5) / steps[0] - 0.5
         v = (mi.Float(tap - row * columns) + 0.5) / steps[1] - 0.5
@@ -157,16 +170,22 @@ def mean_over_texel(
         pixels, weights = _bilinear(camera, px, py)
         for pixel, w in zip(pixels, weights, strict=True):
             color = dr.gather(mi.Color3f, views.pixels, pixel)
-            w = dr.select(inside & dr.gather(mi.Bool, views.usable, pixel), w, 0)
+            usable = dr.gather(mi.Bool, views.usable, pixel)
+            if clipped:
+                color, over = _at_least(views, camera, pixel, color)
+                usable |= dr.max(over) > 0
+            w = dr.select(inside & usable, w, 0)
             # Not usable is also what holds no radiance, and NaN times 0 is NaN.
             color = dr.select(w > 0, color, 0)
             weight += w
             total += w * color
             squares += w * dr.square(as_channels(color, 1)[0])
-        return tap + 1, weight, total, squares
+            if clipped:
+                parts = (parts[0] + w * over,)
+        return tap + 1, weight, total, squares, *parts
 
-    zeros = (mi.UInt32(0), mi.Float(0), black(), mi.Float(0))
-    _, weight, total, squares = dr.while_loop(zeros, lambda tap, *_: tap < number, add)
+    zeros = (mi.UInt32(0), mi.Float(0), black(), mi.Float(0), *([black()] if clipped else []))
+    _, weight, total, squares, *parts = dr.while_loop(zeros, lambda tap, *_: tap < number, add)
     pixels, weights = _bilinear(camera, x, y)
     alone = interpolated(views, pixels, weights, seen & (weight == 0))
     total = dr.select(weight > 0, total, alone)
@@ -174,7 +193,20 @@ def mean_over_texel(
     inverse = dr.rcp(weight)
     mean = inverse * total
     grey = as_channels(mean, 1)[0]
-    return mean, dr.maximum(inverse * squares - dr.square(grey), 0)
+    variance = dr.maximum(inverse * squares - dr.square(grey), 0)
+    return mean, variance, *(inverse * part for part in parts)
+
+
+def _at_least(views: Views, camera: Camera, pixel: Any, color: Any) -> tuple[Any, Any]:
+    """Return a pixel whose clipped channels are as dark as they may be, and 1 for those."""
+    assert views.clipped is not None and camera.least is not None
+    bits = mi.UInt32(dr.gather(type(views.clipped.channels), views.clipped.channels, pixel))
+    over = [(bits & (1 << c)) > 0 for c in range(3)]
+    parts = zip(over, camera.least, color, strict=True)
+    return (
+        mi.Color3f(*(dr.select(is_over, least, x) for is_over, least, x in parts)),
+        mi.Color3f(*(dr.select(is_over, mi.Float(1), 0) for is_over in over)),
+    )
 
 
 def _span(camera: Camera, side: Any, at: _Projected) -> tuple[Any, Any]:

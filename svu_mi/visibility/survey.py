@@ -31,6 +31,8 @@ class Survey:
         bits: of V views and T texels: that of view v and texel t says whether v sees t.
         order: (N,) UInt32, the views that a pass goes through.
         count: N, an opaque UInt32.
+        clipped: of V views and T texels: the view would see the texel, were it not for clipped
+            pixels; None where nothing is clipped.
         dense: whether passes work for every texel and view, seen or not.
     """
 
@@ -41,6 +43,7 @@ class Survey:
     order: Any
     count: Any
     dense: bool = False
+    clipped: Bits | None = None
 
     @cached_property
     def scale(self) -> float:
@@ -57,19 +60,26 @@ class Survey:
         most = GLARE * np.median(total[lit] / samples[lit])
         return float(np.minimum(total, most * samples).sum() / samples.sum())
 
-    def look(self, views: Views, surface: Surface, slot: Any) -> Observation:
-        """Observe every texel of a launch in the view ``order[slot]``."""
+    def look(
+        self, views: Views, surface: Surface, slot: Any, clipped: bool = False
+    ) -> Observation:
+        """Observe every texel of a launch in the view ``order[slot]``, with clipped pixels or
+        without."""
         view = dr.gather(mi.UInt32, self.order, slot)
         seen = self.bits.test(view, surface.index)
-        return look(views, surface, view, seen, dense=self.dense)
+        if not clipped or self.clipped is None:
+            return look(views, surface, view, seen, dense=self.dense)
+        seen |= self.clipped.test(view, surface.index)
+        return look(views, surface, view, seen, dense=self.dense, clipped=True)
 
     def asked(self, seen: Any) -> Any:
         """Return the condition under which a consumer has work to do."""
         return asked(seen, self.dense)
 
     def over_views(
-        self, views: Views, surface: Surface, consume: Callable[..., Any], state: tuple[Any, ...]
-    ) -> tuple[Any, ...]:
+        self, views: Views, surface: Surface, consume: Callable[..., Any],
+        state: tuple[Any, ...], *, clipped: bool = False,
+    ) -> tuple[Any, ...]:  # fmt: skip
         """Run a consumer over all views in one symbolic loop.
 
         Args:
@@ -78,13 +88,14 @@ class Survey:
             consume: ``consume(observation, slot, *state)`` returns the new state; traced once.
                 The view is ``order[slot]``.
             state: Dr.Jit arrays, one value per texel of the launch.
+            clipped: observe clipped pixels, too.
 
         Returns:
             The state after the last view.
         """
 
         def body(slot: Any, *state: Any) -> tuple[Any, ...]:
-            return (slot + 1, *consume(self.look(views, surface, slot), slot, *state))
+            return (slot + 1, *consume(self.look(views, surface, slot, clipped), slot, *state))
 
         return fold(mi.UInt32(0), self.count, body, *state)
 
@@ -103,6 +114,7 @@ def survey(
     """
     per_view = dr.zeros(mi.UInt32, max(views.number, 1))
     bits, texel = Bits.clear(views.number, surface.count), surface.index
+    clipped = None if views.clipped is None else Bits.clear(views.number, surface.count)
 
     def count(seen: Observation, view: Any, found: Any, total: Any) -> tuple[Any, Any]:
         one = dr.select(seen.seen, mi.UInt32(1), mi.UInt32(0))
@@ -110,11 +122,13 @@ def survey(
         # add to one view, which this mode sums up first.
         dr.scatter_add(per_view, one, view, seen.seen, dr.ReduceMode.Local)
         bits.set(view, texel, seen.seen)
+        if clipped is not None:
+            clipped.set(view, texel, seen.clipped)
         return found + one, total + as_channels(seen.radiance, 1)[0]
 
     zeros = dr.zeros(mi.UInt32, surface.count), dr.zeros(mi.Float, surface.count)
     found, total = over_views(views, surface, count, zeros, dense=not skip_pairs)
-    dr.eval(found, total, per_view, bits)
+    dr.eval(found, total, per_view, bits, clipped)
     counts = per_view.numpy()[: views.number].astype(np.int64)
     order = np.flatnonzero(counts) if skip_blind else np.arange(views.number)
     return Survey(
@@ -124,5 +138,6 @@ def survey(
         bits=bits,
         order=owned(mi.UInt32, order.astype(np.uint32)),
         count=dr.opaque(mi.UInt32, len(order)),
+        clipped=clipped,
         dense=not skip_pairs,
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -50,6 +50,7 @@ class Views:
         rays: (V * 24,) Float, what rays through the photographs are made of, see ``ray_floats``.
         grey: R = G = B in every usable pixel of the photographs (to 1e-6 of the largest), so
             that one channel says what three do. True without any usable pixel.
+        clipped: pixels of which some channels are clipped; None where there are none.
     """
 
     cameras: Any
@@ -63,6 +64,21 @@ class Views:
     scene: Any
     rays: Any
     grey: bool
+    clipped: ClippedPixels | None = None
+
+
+@dataclass(frozen=True)
+class ClippedPixels:
+    """What is known of pixels that are not usable because some of their channels are clipped.
+
+    Attributes:
+        channels: (P,) UInt8; bit c says that channel c of a pixel is clipped and the others are
+            not, and that the pixel shows nothing but the object. 0 for all other pixels.
+        least: (3 V,) Float, radiance that a clipped channel of a view has at least.
+    """
+
+    channels: Any
+    least: Any
 
 
 def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
@@ -94,7 +110,10 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
     poses = [_Pose.of(capture.sensors[index]) for index in kept]
     films = _films(poses, offset)
     # The photographs stay where they are; they are only looked up, never streamed.
-    pixels = _Pixels(mi.Float(block), _allowed(capture, kept, offset, block.size // 3))
+    pixels = _Pixels(
+        mi.Float(block), _allowed(capture, kept, offset, block.size // 3),
+        _flags(capture, kept, offset, block.size // 3),
+    )  # fmt: skip
     if silhouettes:
         pixels.judge(dr.arange(mi.UInt32, block.size // 3), mi.Bool(True))
     else:
@@ -109,9 +128,10 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
             "median of the object; left out.",
             SvuWarning, stacklevel=3,
         )  # fmt: skip
-    return _views(
+    packed = _views(
         capture.scene, poses, films, pixels.usable, pixels.radiance, grey=not pixels.coloured[0]
     )
+    return replace(packed, clipped=pixels.clipped_pixels(capture, kept))
 
 
 def pack_sensors(scene: Any, target: Any, sensors: Sequence[Any]) -> Views:
@@ -145,14 +165,16 @@ class _Pixels:
         radiance: (3 P,) Float, the photographs.
         usable: (P,) Bool.
         coloured: (1,) UInt32, 1 when a usable pixel is not grey.
+        clipped: (P,) UInt8, see ``ClippedPixels``; None where no photograph is clipped.
     """
 
-    def __init__(self, radiance: Any, allowed: Any) -> None:
+    def __init__(self, radiance: Any, allowed: Any, flags: Any | None) -> None:
         count = dr.width(radiance) // 3
         self.radiance = radiance
         self.usable = dr.zeros(mi.Bool, count)
         self.coloured = dr.zeros(mi.UInt32, 1)
-        self._allowed = allowed
+        self.clipped = None if flags is None else dr.zeros(type(flags), count)
+        self._allowed, self._flags = allowed, flags
 
     def judge(self, index: Any, inside: Any) -> None:
         """Mark those interior pixels that the mask allows and that hold a radiance."""
@@ -164,6 +186,22 @@ class _Pixels:
         coloured = good & (most - dr.min(color) > GREY * most)
         dr.scatter(self.coloured, mi.UInt32(1), 0, coloured)
         dr.eval(self.usable, self.coloured)
+        if self.clipped is not None:
+            flags = dr.gather(type(self._flags), self._flags, index, inside)
+            known = [dr.isfinite(x) | ((flags & (1 << c)) > 0) for c, x in enumerate(color)]
+            dr.scatter(self.clipped, flags, index, inside & known[0] & known[1] & known[2])
+            dr.eval(self.clipped)
+
+    def clipped_pixels(self, capture: Capture, kept: Sequence[int]) -> ClippedPixels | None:
+        """Return what is clipped of the photographs that are kept; None without anything."""
+        if self.clipped is None or not dr.any(self.clipped > 0):
+            return None
+        least = np.ones((len(kept), 3), np.float32)
+        for place, index in enumerate(kept):
+            found = capture.clipped[index]
+            if found is not None:
+                least[place] = found.least
+        return ClippedPixels(self.clipped, owned(mi.Float, least.ravel()))
 
     def drop_hot(self, offset: np.ndarray) -> list[tuple[int, int, float]]:
         """Take pixels out of use that are too bright to be true.
@@ -288,6 +326,20 @@ def _require_size(capture: Capture, index: int) -> None:
             f"{capture.names[index]}: photograph and mask must be ({height}, {width}, 3) and "
             f"({height}, {width}), the size of the sensor's film, got {shown}."
         )
+
+
+def _flags(
+    capture: Capture, kept: Sequence[int], offset: np.ndarray, count: int
+) -> Any | None:
+    """Return (P,) UInt8, the bits of channels that are clipped; None where no photograph is."""
+    if not any(capture.clipped[index] is not None for index in kept if capture.clipped):
+        return None
+    flags = np.zeros(count, np.uint8)
+    for start, index in zip(offset, kept, strict=True):
+        found = capture.clipped[index]
+        if found is not None:
+            flags[start : start + found.channels.size] = found.channels.ravel()
+    return dr.uint8_array_t(mi.Float)(flags)
 
 
 def _allowed(capture: Capture, kept: Sequence[int], offset: np.ndarray, count: int) -> Any:

@@ -48,7 +48,7 @@ def test_pictures_of_8_bits_are_one_sentence(shots):
         "24 of 24 photographs, IMG_1.png first, are not HDR: of 8 bits, decoded as srgb, "
     )
     assert about[0].endswith(
-        " clipped pixels left out. Clipped highlights hide gloss: use HDR."
+        " clipped pixels count as at least so bright. Clipped highlights hide gloss: use HDR."
     )
     said = done("check phoned -o out/phoned", shots)
     assert any(line.split()[0].startswith("IMG_") for line in said.out if line.startswith(" IMG"))
