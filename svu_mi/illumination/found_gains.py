@@ -80,7 +80,8 @@ class FoundGains:
         """
         logarithm = self.logarithm
         if self.odd.any():  # these took no part in the last step
-            ratio = np.log(np.maximum(samples.radiance, 1e-6 * samples.unit) / found)
+            least = 1e-6 * samples.unit
+            ratio = np.log(np.maximum(samples.radiance, least) / np.maximum(found, least))
             own = [_medians(of_channel, samples.view, len(self.odd)) for of_channel in ratio.T]
             logarithm = np.where(self.odd[:, None], np.stack(own, axis=1), logarithm)
         samples = samples.divided(np.exp(logarithm))
