@@ -202,8 +202,8 @@ class Observed:
             return gather(self.views, self.found, model, mirrors, channels, weighting)
 
         found = gathered(weighting, texels)
-        is_robust = weighting.current is not None or not weighting.kappa < inf
-        if self.found.clipped is None or is_robust:
+        stay_out = weighting.current is not None or not weighting.kappa < inf
+        if self.found.clipped is None or stay_out:
             return found
         number = found.texel.numpy()
         lanes = np.flatnonzero(self.found.bits.count()[number] != found.views.numpy())

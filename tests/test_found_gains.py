@@ -97,11 +97,20 @@ def test_gains_are_unknowns_beside_the_light_as_in_the_whole_normal_equations():
 def test_what_gains_have_in_common_is_the_lights():
     gains = FoundGains(np.zeros((4, 3)), np.zeros(4), np.array([False, False, True, False]))
     change = np.arange(12.0).reshape(4, 3)
-    stepped, common = gains.stepped(change)
+    stepped, common = gains.stepped(change, np.zeros(4, bool))
     np.testing.assert_allclose(common, change[[0, 1, 3]].mean(axis=0))
     np.testing.assert_allclose(stepped.logarithm[[0, 1, 3]].mean(axis=0), 0, atol=1e-12)
     np.testing.assert_allclose(stepped.logarithm[2], -common)  # it took no part
     np.testing.assert_allclose(stepped.factor, np.exp(stepped.logarithm))
+
+
+def test_a_photograph_that_is_taken_back_keeps_the_gain_that_was_found():
+    before = FoundGains(np.full((5, 3), 0.8), np.ones(5), np.arange(5) == 1)
+    change = np.full((5, 3), -0.8)  # of the second, which took no part, the prior alone
+    after, _ = FoundGains(before.logarithm, before.noise, np.zeros(5, bool)).stepped(
+        change, before.odd
+    )
+    np.testing.assert_allclose(after.logarithm[1] - after.logarithm[0], 0.8)
 
 
 def test_samples_without_gains_are_those_before():
@@ -165,6 +174,9 @@ def test_gains_are_found_under_a_known_light(observed):
     found = estimate_gains(multiplied(observed.capture, true), observed.texels, OPTIONS)
     off = found.logarithm - true
     assert np.sqrt(np.mean(off**2)) < 0.05 and not found.odd.any()
+    bright = multiplied(observed.capture, true + np.log(3))  # light in other units
+    units = estimate_gains(bright, observed.texels, OPTIONS)
+    assert np.sqrt(np.mean((units.logarithm - true) ** 2)) < 0.06 and not units.odd.any()
     without = estimate_gains(observed, options=OPTIONS)
     assert np.sqrt(np.mean(without.logarithm**2)) < 0.05 and not without.odd.any()
 
@@ -249,7 +261,7 @@ class Said(Progress):
         self.lines.append(line)
 
 
-def test_light_that_was_kept_without_gains_is_found_again(vase, tmp_path, monkeypatch):
+def test_light_found_together_with_gains_is_kept_beside_the_other(vase, tmp_path, monkeypatch):
     from svu_mi.illumination import finding
 
     monkeypatch.setattr(finding, "OPTIONS", replace(OPTIONS, depths=((64, 8),), draws=2))
@@ -259,7 +271,8 @@ def test_light_that_was_kept_without_gains_is_found_again(vase, tmp_path, monkey
     plain, first, second = Said(), Said(), Said()
     assert illuminated(capture, progress=plain).images[0] is capture.images[0]
     lit = illuminated(capture, gains=True, progress=first)
-    assert any("was found without gains; it is found again" in line for line in first.lines)
+    assert any("it is found in the photographs first" in line for line in first.lines)
+    assert svu.load_light(dark / "light").gains is None
     again = illuminated(capture, gains=True, progress=second)
     assert any("Using the light found before" in line for line in second.lines)
     true = np.exp(random_gains(24))
@@ -270,7 +283,7 @@ def test_light_that_was_kept_without_gains_is_found_again(vase, tmp_path, monkey
         for v in range(24)
     ])  # fmt: skip
     assert np.sqrt(np.mean((-ratio - np.log(true)) ** 2)) < 0.06
-    folder = illuminated(capture, dark / "light", progress=Said())
+    folder = illuminated(capture, dark / "light-gains", progress=Said())
     np.testing.assert_array_equal(folder.images[5], lit.images[5])  # they come with their light
 
 

@@ -13,8 +13,10 @@ from svu_mi.capture.scene import require_light
 from svu_mi.errors import CaptureError
 from svu_mi.illumination.estimate import COOLING, HEAT, without_gains
 from svu_mi.illumination.found_gains import FoundGains
+from svu_mi.illumination.level import level_of
 from svu_mi.illumination.materials import Moments, columns_of, tempered
 from svu_mi.illumination.options import LightOptions
+from svu_mi.illumination.record import NINETY
 from svu_mi.illumination.refine import gains_system
 from svu_mi.illumination.samples import Samples
 from svu_mi.illumination.transport import Transport
@@ -61,15 +63,20 @@ def estimate_gains(
         light = even_radiance(observed.lighting.environment, CELLS)
         everything, gains = Transport.of(samples, CELLS), FoundGains.start(samples)
         columns, heat = columns_of(everything, light, switches), HEAT
+        level = level_of(samples, columns, switches)
+        if (np.abs(level.best) > NINETY * level.sd).any():  # in other units, maybe
+            light = light * np.exp(level.best)
+            columns = columns_of(everything, light, switches)
         for done in range(ROUNDS):
             now, transport = tempered(switches, heat), without_gains(everything, gains)
             posterior = Moments.of(transport.samples, columns).posterior(now)
             system = gains_system(
                 transport, light, posterior, now.overdispersion, gains.logarithm
             )
+            left_out = gains.odd
             if heat == 1:
                 gains = gains.judged(samples, system.found, posterior.noise)
-            gains, _ = gains.stepped(system.step())
+            gains, _ = gains.stepped(system.step(), left_out)
             heat = max(heat * COOLING, 1.0)
             stage.update(done + 1, ROUNDS)
     return gains

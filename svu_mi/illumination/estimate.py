@@ -172,9 +172,10 @@ def light_of_samples(
             change = system.step()
             x, heat, done = x + change[:number], max(heat * COOLING, 1.0), done + 1
             if unknown is not None:
+                left_out = unknown.odd
                 if heat == 1:
                     unknown = unknown.judged(samples, system.found, posterior.noise)
-                unknown, common = unknown.stepped(change[number:])
+                unknown, common = unknown.stepped(change[number:], left_out)
                 x = x + common
             if told is not None:
                 told(done, total)

@@ -1,6 +1,7 @@
 """A capture with a light: its own, a given one, or one that is found in its photographs once.
 
-What is found is kept in the capture's folder, under ``light``, and used again as long as the
+What is found is kept in the capture's folder, under ``light`` (``light-gains`` together with
+gains), and used again as long as the
 photographs are the same, with whatever options and by whichever version it was found.
 """
 
@@ -24,6 +25,7 @@ from svu_mi.progress import Progress
 from svu_mi.surface import texels
 
 FOLDER = "light"  # in the capture's folder
+WITH_GAINS = "-gains"  # at the end of its name, for light that was found together with gains
 RESOLUTION = 256  # texels per side that it is found on, whatever is estimated afterwards
 OPTIONS = LightOptions()
 
@@ -74,8 +76,10 @@ def _searched(
     """Return the light of photographs, found now or before."""
     places = [capture.source / FOLDER] if capture.source and capture.source.is_dir() else []
     places += [elsewhere] if elsewhere is not None else []
+    if gains:
+        places = [place.with_name(place.name + WITH_GAINS) for place in places]
     key = photographs_key(capture)
-    found = _found_before(places, key, gains, progress)
+    found = _found_before(places, key, progress)
     if found is None:
         progress.say("The capture has no light: it is found in the photographs first.")
         options = replace(OPTIONS, gains=gains)
@@ -94,6 +98,11 @@ def _under_given(
         found, is_same = load_light(given), photographs_of(given) == photographs_key(capture)
         if not is_same and photographs_of(given):
             progress.say(f"{given}: the light was found in other photographs; it is used as it is.")
+        if found.gains is not None and not is_same:
+            progress.say(
+                f"{given}: gains were found with this light, but maybe not of these photographs; "
+                "they stay as they are, and --gains estimate finds theirs."
+            )
         return with_light(capture, found), found.gains if is_same else None
     if not given.is_file():
         raise CaptureError(
@@ -106,9 +115,7 @@ def _under_given(
     return with_given, None
 
 
-def _found_before(
-    places: list[Path], key: str, gains: bool, progress: Progress
-) -> LightEstimate | None:
+def _found_before(places: list[Path], key: str, progress: Progress) -> LightEstimate | None:
     """Return light that was kept and is of these photographs; None if there is none."""
     for place in places:
         if not (place / RECORD).is_file():
@@ -120,10 +127,6 @@ def _found_before(
             found = load_light(place)
         except CaptureError as error:
             progress.say(f"{error.shell} It is found again.")
-            continue
-        if (found.gains is not None) != gains:
-            how = "without" if gains else "together with"
-            progress.say(f"{place}: the light there was found {how} gains; it is found again.")
             continue
         progress.say(f"Using the light found before in {place}.")
         return found

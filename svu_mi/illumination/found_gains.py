@@ -60,13 +60,19 @@ class FoundGains:
         every = np.repeat(logarithm[:, None], 3, axis=1)
         return FoundGains(every, np.zeros(views), np.zeros(views, bool))
 
-    def stepped(self, change: np.ndarray) -> tuple[FoundGains, np.ndarray]:
-        """Change the logarithms by (V, 3), but of those that are left out.
+    def stepped(
+        self, change: np.ndarray, left_out: np.ndarray
+    ) -> tuple[FoundGains, np.ndarray]:
+        """Change the logarithms by (V, 3), but of those that do not fit, or took no part.
+
+        Args:
+            change: of the logarithms.
+            left_out: (V,) bool, the photographs that the change does not know of.
 
         Returns:
             New gains, and what they have in common (3,), which is the light's.
         """
-        logarithm = self.logarithm + np.where(self.odd[:, None], 0, change)
+        logarithm = self.logarithm + np.where((self.odd | left_out)[:, None], 0, change)
         common = np.asarray(logarithm[~self.odd].mean(axis=0))
         return FoundGains(logarithm - common, self.noise, self.odd), common
 

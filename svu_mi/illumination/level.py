@@ -108,14 +108,20 @@ def _common(worse: Callable[[np.ndarray], float]) -> tuple[float, float]:
 
 def _tint(worse: Callable[[np.ndarray], float], level: float) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and standard deviations (3,) of the colour at a level, by Newton's method."""
-    best, least = np.zeros(3), worse(np.full(3, level))
+
+    def energy(tint: np.ndarray) -> float:
+        # What noise does not tell is as the prior of light has it.
+        return COLORS_SHARPER * worse(level + tint) + 0.5 * float(tint @ tint) / COLOR.level**2
+
+    best, least = np.zeros(3), energy(np.zeros(3))
     for _ in range(TINT_ROUNDS):
-        slope, covariance = _parabola(lambda tint: worse(level + tint), best, least)
-        step = np.clip(-covariance @ slope, -MOST_TINTED, MOST_TINTED)
-        after = worse(level + best + step)
+        slope, covariance = _parabola(energy, best, least)
+        step = -covariance @ slope
+        step *= min(1.0, MOST_TINTED / max(float(np.abs(best + step).max()), 1e-12))
+        after = energy(best + step)
         while after > least and np.abs(step).max() > SMALLEST:
             step = step / 2
-            after = worse(level + best + step)
+            after = energy(best + step)
         if after > least:
             break
         best, least = best + step, after
@@ -123,15 +129,15 @@ def _tint(worse: Callable[[np.ndarray], float], level: float) -> tuple[np.ndarra
 
 
 def _parabola(
-    worse: Callable[[np.ndarray], float], tint: np.ndarray, least: float
+    energy: Callable[[np.ndarray], float], tint: np.ndarray, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return slope (3,) and inverse curvature (3, 3) of what speaks against colours."""
     steps = TINT * np.concatenate([TINTS, -TINTS])
-    excess = COLORS_SHARPER * (np.array([worse(tint + step) for step in steps]) - least)
+    excess = np.array([energy(tint + step) for step in steps]) - least
     a, b = (steps @ PLANE).T
     terms = np.stack([a, b, a * a / 2, a * b, b * b / 2], axis=1)
     *slope, aa, ab, bb = np.linalg.lstsq(terms, excess, rcond=None)[0]
     values, vectors = np.linalg.eigh([[aa, ab], [ab, bb]])
-    # What noise does not tell is as the prior of light has it.
     axes = PLANE @ vectors
-    return PLANE @ slope, axes @ np.diag(1 / (np.maximum(values, 0) + COLOR.level**-2)) @ axes.T
+    curvature = np.maximum(values, COLOR.level**-2)  # no less than the prior's own
+    return PLANE @ slope, axes @ np.diag(1 / curvature) @ axes.T

@@ -112,7 +112,8 @@ def _best_color(mean: np.ndarray, mixed: np.ndarray) -> tuple[np.ndarray, np.nda
         return np.asarray(np.einsum("rcps,p->rcs", mean, np.array(factors)))
 
     square, cross = form(slope, slope), form(slope, start)
-    color = np.clip(-cross / np.maximum(square, 1e-300), 0, 1)
+    # A channel that is clipped in all views is as bright as can be, before anything is known of it.
+    color = np.where(square > 0, np.clip(-cross / np.maximum(square, 1e-300), 0, 1), 1)
     error = square * color**2 + 2 * cross * color + form(start, start)
     return color, error.sum(axis=1)
 

@@ -84,7 +84,7 @@ def gather(
     def consume(seen: Observation, slot: Any, *sums: Any) -> Any:
         free = mi.Bool(True) if mirrors is None else mirrors.test(slot, surface.index)
 
-        def add(weight: Any, views: Any, *state: Any) -> tuple[Any, ...]:
+        def add(weight: Any, number: Any, *state: Any) -> tuple[Any, ...]:
             lobes = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free)
             observed = as_channels(seen.radiance, channels)
             w = dr.select(seen.seen, mi.Float(1), 0)
@@ -102,10 +102,10 @@ def gather(
                 lane = surface.lane
                 shown = _clipped(lobes, observed, seen.clipped, w, lane, weighting.models)
                 part = sum(one.part for of_level in shown for one in of_level) / (levels * channels)
-                views = views + dr.select(seen.seen, part, 0)
+                number = number + dr.select(seen.seen, part, 0)
             weight, w = weight + mi.Float64(part * w), mi.Float64(w)
             added = [x for pair in zip(lobes, shown, strict=True) for x in _products(*pair)]
-            return weight, views, *(
+            return weight, number, *(
                 dr.fma(w, new, old) for old, new in zip(state, added, strict=True)
             )
 
@@ -120,7 +120,7 @@ def gather(
     weight, partly, *sums = found.over_views(views, surface, consume, zeros, clipped=clipped)
     coverage = dr.gather(mi.UInt32, found.coverage, surface.index)
     if clipped:
-        coverage = mi.UInt32(partly + 0.5)
+        coverage = mi.UInt32(partly + 0.01)  # what counts in part is not a whole view
     dr.eval(coverage)
     return Statistics(
         scattered(mi.Float64, [*sums, weight], surface.count), coverage, surface.index,

@@ -189,7 +189,9 @@ def trace_mirrors(views: Views, surface: Surface, found: Survey, lane: Any) -> M
         free = mirror_free(views.scene, surface, seen, found.asked(seen.seen))
         return (bits.push(word, slot, place, free),)
 
-    found.over_views(views, surface, trace, (dr.zeros(mi.UInt32, surface.count),))
+    found.over_views(
+        views, surface, trace, (dr.zeros(mi.UInt32, surface.count),), clipped=True
+    )
     dr.eval(bits)
     return Mirrors(bits, lane)
 

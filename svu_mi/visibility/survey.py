@@ -113,6 +113,7 @@ def survey(
         skip_pairs: no rays and no look-ups for pairs that cheaper tests rule out.
     """
     per_view = dr.zeros(mi.UInt32, max(views.number, 1))
+    worth = dr.zeros(mi.UInt32, max(views.number, 1))  # of clipped pixels
     bits, texel = Bits.clear(views.number, surface.count), surface.index
     clipped = None if views.clipped is None else Bits.clear(views.number, surface.count)
 
@@ -124,13 +125,16 @@ def survey(
         bits.set(view, texel, seen.seen)
         if clipped is not None:
             clipped.set(view, texel, seen.clipped)
+            also = dr.select(seen.clipped, mi.UInt32(1), 0)
+            dr.scatter_add(worth, also, view, seen.clipped, dr.ReduceMode.Local)
         return found + one, total + as_channels(seen.radiance, 1)[0]
 
     zeros = dr.zeros(mi.UInt32, surface.count), dr.zeros(mi.Float, surface.count)
     found, total = over_views(views, surface, count, zeros, dense=not skip_pairs)
-    dr.eval(found, total, per_view, bits, clipped)
+    dr.eval(found, total, per_view, worth, bits, clipped)
     counts = per_view.numpy()[: views.number].astype(np.int64)
-    order = np.flatnonzero(counts) if skip_blind else np.arange(views.number)
+    shown = counts + worth.numpy()[: views.number]
+    order = np.flatnonzero(shown) if skip_blind else np.arange(views.number)
     return Survey(
         coverage=found,
         total=total,

@@ -37,13 +37,15 @@ VIEWS, FILM, SPP, TEXELS = 60, 192, 32, 160
 ENTROPY = {0.0: 0.995, 0.01: 0.97, 0.03: 0.95, 0.06: 0.88}  # by part clipped: correlation at least
 
 
+def _comparing(part: float) -> Any:
+    return lambda cell: cell.compared(part)
+
+
 @dataclass(frozen=True)
 class OfEightBits(OnCell):
     """An object whose photographs are clipped."""
 
-    rows = tuple(
-        Part(f"{100 * part:g} %", lambda self, part=part: self.compared(part)) for part in ENTROPY
-    )
+    rows = tuple(Part(f"{100 * part:g} %", _comparing(part)) for part in ENTROPY)
 
     @cached_property
     def capture(self) -> Capture:
