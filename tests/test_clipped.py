@@ -178,6 +178,18 @@ def test_more_is_known_where_something_is_clipped_and_nothing_changes_elsewhere(
     assert np.median(off[pure]) < 0.02 and np.median(off[touched]) > np.median(off[pure])
 
 
+def test_mirror_directions_of_clipped_views_are_traced_too(shiny):
+    """Nothing stands in the way of a ball's: all that is seen, clipped or not, is free."""
+    texels = svu.texels(shiny.mesh, 32)
+    stored, _ = in_eight_bits(shiny, observe(shiny, texels), 0.05)
+    seen = observe(stored, texels)
+    asked = seen.found.bits.count() + seen.found.clipped.count()
+    free = np.zeros(texels.count, int)
+    free[seen.seen] = seen.mirrors.bits.count()
+    assert seen.found.clipped.count()[seen.seen].sum() > 100
+    np.testing.assert_array_equal(free[seen.seen], asked[seen.seen])
+
+
 def test_a_photograph_that_is_nowhere_clipped_costs_no_pass(shiny, monkeypatch):
     from svu_mi import observed as module
 
