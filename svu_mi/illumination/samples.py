@@ -132,7 +132,7 @@ class Samples:
         if not len(enough):
             raise CaptureError(
                 f"No texel is seen in {FEWEST} photographs, the fewest that say anything of the "
-                "light; take more, or give the light."
+                "light, or of gains; take more, or give them."
             )
         # Texels are in a coherent order: equal steps are spread over the surface.
         count = min(count, len(enough))

@@ -97,7 +97,7 @@ def _why_left_out(image: np.ndarray) -> str:
     usable = image[np.isfinite(image).all(axis=2)]
     if usable.size == 0:
         return "no photograph, or no usable pixel"
-    return "entirely black" if usable.max() <= 0 else "left out on request"
+    return "entirely black" if usable.max() <= 0 else "left out: on request, or unlike the others"
 
 
 def turning(table: Turntable, estimate: Estimate) -> Iterator[tuple[Picture, str, str]]:
