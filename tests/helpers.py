@@ -35,6 +35,7 @@ from svu_mi.interop import owned
 from svu_mi.light.cells import fibonacci
 from svu_mi.output.scene_xml import write_scene as write_recovered
 from svu_mi.parameters import NAMES
+from svu_mi.progress import Progress
 from svu_mi.recovery.textures import Textures, lay_out
 from svu_mi.results.writing import writing
 from svu_mi.scenes import meshes
@@ -229,6 +230,17 @@ def write_dark(capture: Path, folder: Path) -> Path:
     define = {key: value for key, value in record["define"].items() if key != "light"}
     write_json(folder / "capture.json", {**record, "scene": str(scene), "define": define})
     return folder
+
+
+class Said(Progress):
+    """What would be shown."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines: list[str] = []
+
+    def say(self, line: str) -> None:
+        self.lines.append(line)
 
 
 def made_up_light(seed: int = 1, side: float = 1) -> LightEstimate:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import fails, last_line, made_up_light, names, run, write_dark
+from helpers import Said, fails, last_line, made_up_light, names, run, write_dark
 
 import svu_mi as svu
 from svu_mi import scenes
@@ -20,7 +20,6 @@ from svu_mi.exr import read_exr, write_exr
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.illumination import finding
-from svu_mi.progress import Progress
 from svu_mi.recovery import descent
 
 pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
@@ -63,17 +62,6 @@ def made_up(monkeypatch):
 
     monkeypatch.setattr(finding, "estimate_light", found)
     return asked
-
-
-class Said(Progress):
-    """What would be shown."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.lines: list[str] = []
-
-    def say(self, line: str) -> None:
-        self.lines.append(line)
 
 
 def lit(folder: Path, given: Path | None = None, elsewhere: Path | None = None) -> Any:

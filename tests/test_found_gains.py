@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import names, run, write_dark
+from helpers import Said, made_up_light, names, run, write_dark
 from made_up_samples import SWITCHES, photographed
 from scipy.ndimage import gaussian_filter
 
@@ -31,7 +31,6 @@ from svu_mi.illumination.words import gain_sentences
 from svu_mi.npz import read_arrays, write_arrays
 from svu_mi.observed import observe
 from svu_mi.posterior.object_prior import shared
-from svu_mi.progress import Progress
 
 ODD = (3, 11, 17)
 
@@ -226,8 +225,6 @@ def test_photographs_are_divided_and_the_capture_is_not_modified(observed):
 
 
 def test_they_are_kept_with_the_light_and_read_back(observed, tmp_path):
-    from helpers import made_up_light
-
     gains = FoundGains(random_gains(5), np.linspace(0, 2, 5), np.arange(5) == 2)
     svu.save_light(replace(made_up_light(), gains=gains), tmp_path / "light")
     found = svu.load_light(tmp_path / "light").gains
@@ -248,17 +245,6 @@ def test_they_are_kept_with_the_light_and_read_back(observed, tmp_path):
 def test_they_exclude_looks_at_the_background():
     with pytest.raises(OptionError, match="background 'distant' takes the brightness of photogra"):
         svu.LightOptions(gains=True, background="distant")
-
-
-class Said(Progress):
-    """What would be shown."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.lines: list[str] = []
-
-    def say(self, line: str) -> None:
-        self.lines.append(line)
 
 
 def test_light_found_together_with_gains_is_kept_beside_the_other(vase, tmp_path, monkeypatch):

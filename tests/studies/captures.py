@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from svu_mi.bench.captures import chosen_views
+from svu_mi.bench.cells import Cell
+from svu_mi.bench.experiment import OnCell
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
+from svu_mi.observed import Observed, observe
+from svu_mi.surface import texels
 
+VIEWS, FILM, SPP, TEXELS = 60, 192, 32, 160
 FRONT = (0.0, 0.3, 1.0)  # direction from the object to the middle of the crowded side
 
 
@@ -55,3 +62,30 @@ def uneven_views(capture: Capture, front: int, back: int) -> Capture:
     rest = order[front:]
     others = rest[np.linspace(0, len(rest) - 1, back + 2).round().astype(int)[1:-1]]
     return chosen_views(capture, np.sort(np.concatenate([order[:front], others])))
+
+
+@dataclass(frozen=True)
+class Photographed(OnCell):
+    """A cell in 60 photographs of 192 x 192, and 160 x 160 texels; far smaller if quick."""
+
+    @cached_property
+    def capture(self) -> Capture:
+        """The photographs."""
+        return self.captured(self.cell)
+
+    def captured(self, cell: Cell) -> Capture:
+        """Return photographs of a cell, this or another one."""
+        if self.bench.quick:
+            return self.bench.capture(cell, views=16, film=64, spp=8)
+        return self.bench.capture(cell, views=VIEWS, film=FILM, spp=SPP)
+
+    @cached_property
+    def observed(self) -> Observed:
+        """What they show."""
+        return observe(self.capture, texels(self.capture.mesh, 64 if self.bench.quick else TEXELS))
+
+
+def mean(values: Iterable[float]) -> float:
+    """The mean; NaN, which reaches no bar, of nothing."""
+    found = list(values)
+    return float(np.mean(found)) if found else float("nan")

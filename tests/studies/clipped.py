@@ -10,15 +10,15 @@ out.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from studies.captures import Photographed, mean
 from studies.command import Command, main
-from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
+from svu_mi.bench.experiment import Bench, Experiment, Part, Record
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.text import Bar, Column, columns, digits
 from svu_mi.bench.truth import Truth
@@ -28,12 +28,10 @@ from svu_mi.capture.images import SATURATED
 from svu_mi.capture.picture import decoded
 from svu_mi.metrics.images import srgb
 from svu_mi.metrics.textures import psnr
-from svu_mi.observed import Observed, observe
+from svu_mi.observed import Observed
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import estimate
-from svu_mi.surface import texels
 
-VIEWS, FILM, SPP, TEXELS = 60, 192, 32, 160
 ENTROPY = {0.0: 0.995, 0.01: 0.97, 0.03: 0.95, 0.06: 0.88}  # by part clipped: correlation at least
 
 
@@ -42,22 +40,10 @@ def _comparing(part: float) -> Any:
 
 
 @dataclass(frozen=True)
-class OfEightBits(OnCell):
+class OfEightBits(Photographed):
     """An object whose photographs are clipped."""
 
     rows = tuple(Part(f"{100 * part:g} %", _comparing(part)) for part in ENTROPY)
-
-    @cached_property
-    def capture(self) -> Capture:
-        """HDR."""
-        if self.bench.quick:
-            return self.bench.capture(self.cell, views=16, film=64, spp=8)
-        return self.bench.capture(self.cell, views=VIEWS, film=FILM, spp=SPP)
-
-    @cached_property
-    def observed(self) -> Observed:
-        """What HDR photographs show."""
-        return observe(self.capture, texels(self.capture.mesh, 64 if self.bench.quick else TEXELS))
 
     @cached_property
     def right(self) -> Record:
@@ -158,20 +144,14 @@ def bars(record: Record) -> list[Bar]:
     found = []
     for part, least in ENTROPY.items():
         rows = _rows(record, f"{100 * part:g} %")
-        mean = _mean(row["bound"]["entropy"] for row in rows)
+        entropy = mean(row["bound"]["entropy"] for row in rows)
         what = f"{100 * part:g} % clipped"
-        found.append(Bar(f"{what}: correlation of entropy, mean", mean, least, least=True))
+        found.append(Bar(f"{what}: correlation of entropy, mean", entropy, least, least=True))
         if part <= 0.03:
-            lost = _mean(row["hdr"]["roughness"] - row["bound"]["textures"]["roughness"]
+            lost = mean(row["hdr"]["roughness"] - row["bound"]["textures"]["roughness"]
                          for row in rows)  # fmt: skip
             found.append(Bar(f"{what}: roughness, dB lost", lost, 1.0))
     return found
-
-
-def _mean(values: Iterable[float]) -> float:
-    """The mean; NaN, which reaches no bar, of nothing."""
-    found = list(values)
-    return float(np.mean(found)) if found else float("nan")
 
 
 def experiment(bench: Bench, asked: Asked) -> Experiment:

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from studies.captures import Photographed, mean
 from studies.command import Command, main
-from svu_mi.bench.cells import Cell, own_cells
-from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
+from svu_mi.bench.cells import own_cells
+from svu_mi.bench.experiment import Bench, Experiment, Part, Record
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.text import Bar, Column, columns, digits
 from svu_mi.bench.truth import Truth
@@ -30,19 +31,16 @@ from svu_mi.illumination.found_gains import FoundGains
 from svu_mi.illumination.lit import with_light
 from svu_mi.illumination.options import LightOptions
 from svu_mi.metrics.textures import psnr
-from svu_mi.observed import Observed, observe
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import estimate
-from svu_mi.surface import texels
 
-VIEWS, FILM, SPP, TEXELS = 60, 192, 32, 160
 EXPOSURE, BALANCE = 0.3, 0.15  # logarithms, at most
 SPOILT = (0.12, 0.4, 0.75)  # of all photographs, in their order
 BRIGHTER, BLUR = 4.0, 1 / 48  # factor; standard deviation in widths of the film
 
 
 @dataclass(frozen=True)
-class UnknownGains(OnCell):
+class UnknownGains(Photographed):
     """An object whose photographs have gains."""
 
     rows = (
@@ -50,21 +48,6 @@ class UnknownGains(OnCell):
         Part("no light", lambda self: self.under_found()),
         Part("three do not fit", lambda self: self.spoilt()),
     )
-
-    @cached_property
-    def capture(self) -> Capture:
-        """As it should be."""
-        return self._captured(self.cell)
-
-    def _captured(self, cell: Cell) -> Capture:
-        if self.bench.quick:
-            return self.bench.capture(cell, views=16, film=64, spp=8)
-        return self.bench.capture(cell, views=VIEWS, film=FILM, spp=SPP)
-
-    @cached_property
-    def observed(self) -> Observed:
-        """What its photographs show."""
-        return observe(self.capture, texels(self.capture.mesh, 64 if self.bench.quick else TEXELS))
 
     @cached_property
     def true(self) -> np.ndarray:
@@ -107,7 +90,7 @@ class UnknownGains(OnCell):
         """Leave photographs out that do not fit; beside the same without them."""
         images, used = list(self.capture.images), list(self.capture.used)
         object_ = "knot" if self.cell.object != "knot" else "vase"
-        other = self._captured(own_cells([object_], ["studio"])[0])
+        other = self.captured(own_cells([object_], ["studio"])[0])
         bad = [int(part * len(images)) for part in SPOILT]
         width = images[0].shape[1]
         images[bad[0]] = BRIGHTER * images[bad[0]]
@@ -188,13 +171,13 @@ def bars(record: Record) -> list[Bar]:
     found = []
     for name, most, lost in (("given light", 0.03, 0.5), ("no light", 0.05, 1.0)):
         rows = _rows(record, name)
-        found.append(Bar(f"{name}: gains off by (rms), mean", _mean(r["rms"] for r in rows), most))
+        found.append(Bar(f"{name}: gains off by (rms), mean", mean(r["rms"] for r in rows), most))
         found.append(Bar(f"{name}: honest photographs left out",
                          float(sum(len(r["odd"]) for r in rows)), 0.0))  # fmt: skip
-        found += [Bar(f"{name}: {what}, dB lost", _mean(_lost(r, what) for r in rows), lost)
+        found += [Bar(f"{name}: {what}, dB lost", mean(_lost(r, what) for r in rows), lost)
                   for what in NAMES]  # fmt: skip
     rows = _rows(record, "three do not fit")
-    named = _mean(r["odd"] == r["spoilt"] for r in rows)
+    named = mean(r["odd"] == r["spoilt"] for r in rows)
     found.append(Bar("three do not fit: exactly these left out", named, 1.0, least=True))
     worst = max((_lost(r, what) for r in rows for what in NAMES), default=float("nan"))
     return [*found, Bar("three do not fit: most dB lost", worst, 0.2)]
@@ -202,12 +185,6 @@ def bars(record: Record) -> list[Bar]:
 
 def _lost(row: Record, name: str) -> float:
     return float(row["right"][name] - row["found"][name])
-
-
-def _mean(values: Iterable[float]) -> float:
-    """The mean; NaN, which reaches no bar, of nothing."""
-    found = list(values)
-    return float(np.mean(found)) if found else float("nan")
 
 
 def experiment(bench: Bench, asked: Asked) -> Experiment:

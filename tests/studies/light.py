@@ -9,15 +9,15 @@ and 60 photographs of 192 x 192, under the found light and under the given one.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from studies.captures import Photographed, mean
 from studies.command import Command, main
-from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
+from svu_mi.bench.experiment import Bench, Experiment, Part, Record
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.text import Bar, Column, columns, digits
 from svu_mi.bench.truth import Truth
@@ -30,12 +30,9 @@ from svu_mi.illumination.record import LightEstimate
 from svu_mi.light.cells import fibonacci
 from svu_mi.light.environment import read_environment
 from svu_mi.metrics.textures import psnr
-from svu_mi.observed import Observed, observe
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
-from svu_mi.surface import texels
 
-VIEWS, FILM, SPP, TEXELS = 60, 192, 32, 160
 GLOSSY, SOME = 0.4, 0.05  # roughness below which a texel is glossy; part of texels that counts
 FEW_DIELECTRICS = 0.2  # part of texels from which they fix the scale of the light
 ALONE, FAR = 0.8, 30.0  # light has a brightest direction if none so far off is so bright [deg]
@@ -43,24 +40,13 @@ POINTS = 2048
 
 
 @dataclass(frozen=True)
-class UnderFoundLight(OnCell):
+class UnderFoundLight(Photographed):
     """An object under a light that is known, and not."""
 
     rows = (Part("found", lambda self: self.compared()),)
 
     def head(self) -> Record:
         return {"cell": self.title, **self._kind()}
-
-    @cached_property
-    def capture(self) -> Capture:
-        if self.bench.quick:
-            return self.bench.capture(self.cell, views=16, film=64, spp=8)
-        return self.bench.capture(self.cell, views=VIEWS, film=FILM, spp=SPP)
-
-    @cached_property
-    def observed(self) -> Observed:
-        """What its photographs show."""
-        return observe(self.capture, texels(self.capture.mesh, 64 if self.bench.quick else TEXELS))
 
     @cached_property
     def truth(self) -> Truth:
@@ -166,18 +152,18 @@ def bars(record: Record) -> list[Bar]:
     angles = [row["angle"] <= 15 for row in rows if row["has_brightest"]]
     scales = [row for row in rows if row["dielectric"]]
     entropies = [row["entropy"] for row in rows]
-    holds = _mean(_holds(row) for row in rows)
+    holds = mean(_holds(row) for row in rows)
     at_least = {
-        "light: mean correlation": (_mean(row["correlation"] for row in rows), 0.88),
+        "light: mean correlation": (mean(row["correlation"] for row in rows), 0.88),
         "light: correlation in the worst glossy cell": (min(glossy, default=1.0), 0.7),
-        "brightest direction within 15 degrees": (_mean(angles), 0.7),
-        "entropy: mean correlation": (_mean(entropies), 0.8),
+        "brightest direction within 15 degrees": (mean(angles), 0.7),
+        "entropy: mean correlation": (mean(entropies), 0.8),
         "entropy: correlation in the worst cell": (min(entropies), 0.55),
-        "scale is in its 90 % interval": (_mean(row["inside"] for row in scales), 0.8),
+        "scale is in its 90 % interval": (mean(row["inside"] for row in scales), 0.8),
         "90 % intervals hold the truth, at least": (holds, 0.78),
     }
     at_most = {
-        **{f"{name}: dB lost on average": (_mean(_lost(name)(row) for row in rows), most)
+        **{f"{name}: dB lost on average": (mean(_lost(name)(row) for row in rows), most)
            for name, most in (("roughness", 1.5), ("metallic", 1.5), ("base_color", 3.0))},
         "median width of the scale's interval":
             (float(np.median([row["wide"] for row in scales])), 2.0),
@@ -187,12 +173,6 @@ def bars(record: Record) -> list[Bar]:
         *(Bar(what, value, limit, least=True) for what, (value, limit) in at_least.items()),
         *(Bar(what, value, limit) for what, (value, limit) in at_most.items()),
     ]
-
-
-def _mean(values: Iterable[float]) -> float:
-    """The mean; NaN, which reaches no bar, of nothing."""
-    found = list(values)
-    return float(np.mean(found)) if found else float("nan")
 
 
 def experiment(bench: Bench, asked: Asked) -> Experiment:
