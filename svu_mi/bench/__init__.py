@@ -11,5 +11,6 @@ BENCHMARKS = {
     "speed": "run times, of the first object and light",
     "recovery": "textures recovered in every way, against the true ones",
     "guidance": "textures recovered from views chosen in every way",
+    "real": "photographs of a real CAPTURE that are left out, predicted from the others",
 }
 ALL = ("accuracy", "speed")  # what ``all`` stands for: each of the others takes as long again

@@ -39,19 +39,20 @@ def run_bench(
         OutputError: the folder cannot be written.
     """
     require_known(names, BENCHMARKS, "benchmark")
-    if not asked.cells:
+    wanted = {name: import_module(f"svu_mi.bench.{name}").STUDY for name in names}
+    if not asked.cells and any(study.on_cells for study in wanted.values()):
         raise OptionError("There is no object and light to run; change --objects or --lights.")
     prepare_folder(bench.folder)
     record = {**how_it_was_run(command), "settings": bench.sizes}
     studies: dict[str, Study] = {}
-    for name in names:
-        studies[name] = import_module(f"svu_mi.bench.{name}").STUDY
+    for name, study in wanted.items():
+        studies[name] = study
 
         def told(found: Record, name: str = name) -> None:
             record[name] = found
             write(bench, record, studies)
 
-        told(studies[name].run(bench, asked, told))
+        told(study.run(bench, asked, told))
         draw(bench, record, studies)
     return record
 
@@ -59,7 +60,8 @@ def run_bench(
 def write(bench: Bench, record: Record, studies: dict[str, Study]) -> None:
     """Write bench.json and bench.md with what is known so far."""
     write_manifest(bench.folder / "bench.json", record)
-    parts = ["# Benchmark", f"{told_how(record)}\n\n{_sizes(bench)}"]
+    sizes = [_sizes(bench)] if any(study.on_cells for study in studies.values()) else []
+    parts = ["# Benchmark", told_how(record), *sizes]
     parts += [study.markdown(record[name]) for name, study in studies.items() if name in record]
     write_text(bench.folder / "bench.md", "\n\n".join(parts))
 

@@ -27,12 +27,16 @@ class Asked:
         variants: estimators; all by default.
         rows: labels of the ways of recovery; the usual ones by default.
         data: folder the cells come from, None for the scenes of svu_mi.
+        capture: folder of the photographs, for what runs on a real capture instead of cells.
+        every: of these, each so many-th is left out.
     """
 
     cells: Sequence[Cell] = ()
     variants: Sequence[Variant] = VARIANTS
     rows: Sequence[str] = ()
     data: Path | None = None
+    capture: Path | None = None
+    every: int = 5
 
 
 def no_bars(record: Record) -> list[Bar]:
@@ -54,6 +58,7 @@ class Study:
         note: how the bars were measured.
         plots: pictures by the name of their file, each drawn from the records of all benchmarks
             by name; None where there is nothing to show.
+        on_cells: whether it runs on objects under lights, rather than on a real capture.
     """
 
     title: str
@@ -63,6 +68,7 @@ class Study:
     bars: Callable[[Record], list[Bar]] = no_bars
     note: str = ""
     plots: Mapping[str, Callable[[Record], Figure | None]] = field(default_factory=dict)
+    on_cells: bool = True
 
     def run(
         self, bench: Bench, asked: Asked, told: Callable[[Record], None] | None = None

@@ -14,7 +14,7 @@ from rich.console import Console
 from svu_mi.bench import ALL, BENCHMARKS
 from svu_mi.cli.common import Common, Output
 from svu_mi.cli.terminal import say
-from svu_mi.errors import OptionError
+from svu_mi.errors import CaptureError, OptionError
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ What = Annotated[
 # Developers run these, in a clone of the sources.
 MOVED = {"kernels": "studies.kernels", "conventions": "studies.conventions", "orb": "studies.orb",
          "checks": "studies.paths", "stability": "extremes"}  # fmt: skip
+Folder = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[CAPTURE]")]
 Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
 
 
@@ -91,8 +92,12 @@ class Bench(Measured):
     """
 
     what: What = "all"
+    capture: Folder = None
+    """real: the capture's folder, or its scene."""
     rows: Names = ""
     """recovery: ways of recovery to run; without it the usual ones."""
+    every: int = 5
+    """real: of the photographs, each so many-th is left out."""
 
     def run(self, console: Console) -> int:
         """Run the benchmarks."""
@@ -107,10 +112,12 @@ class Bench(Measured):
                 f"PYTHONPATH=tests python -m {MOVED[self.what]}."
             )
         require_known([self.what], (*BENCHMARKS, "all"), "benchmark")
+        self._check_capture()
         prepare_folder(self.output)
         self.start()
         asked = Asked(
-            cells=self.cells(), data=self.data, rows=names(self.rows, "--rows"),
+            cells=() if self.capture else self.cells(), data=self.data,
+            rows=names(self.rows, "--rows"), capture=self.capture, every=self.every,
         )  # fmt: skip
         chosen = ALL if self.what == "all" else (self.what,)
         record = run_bench(self.bench(console), chosen, asked, shlex.join(["svu", *sys.argv[1:]]))
@@ -121,6 +128,23 @@ class Bench(Measured):
             say(console, line)
         say(console, f"Wrote {self.output}")
         return 0
+
+
+    def _check_capture(self) -> None:
+        """Refuse a real capture where none is looked at, and none where one is."""
+        if self.what != "real":
+            if self.capture is not None:
+                raise OptionError(
+                    f"svu bench {self.what} runs on scenes, not on {self.capture}; omit it, or use "
+                    "svu bench real."
+                )
+            return
+        if self.capture is None:
+            raise OptionError("svu bench real needs a capture: svu bench real FOLDER.")
+        if not self.capture.exists():
+            raise CaptureError(f"{self.capture}: no such file or folder; give a capture.")
+        if self.every < 2:
+            raise OptionError(f"--every must be 2 or more, got {self.every}.")
 
 
 def names(words: str, option: str) -> tuple[str, ...]:

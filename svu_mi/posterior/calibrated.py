@@ -77,6 +77,10 @@ class CalibratedPosterior(Posterior):
         """True: the grid is only for probabilities and entropy."""
         return True
 
+    def noise_of(self, texels: np.ndarray) -> np.ndarray:
+        """Return the noise of texels (t,) that are observed, by their numbers among all T."""
+        return self.noise[self._lane[texels]]
+
     @cached_property
     def _summary_of_lanes(self) -> kernel.Summary:
         return kernel.summarize(self.problem)

@@ -46,6 +46,25 @@ def radiance(parts: list[Parts], base_color: Sequence[Any], mixed: Sequence[Any]
     ]
 
 
+def interpolated(
+    levels: Sequence[list[Parts]], roughness: Any, base_color: Sequence[Any], mixed: Sequence[Any]
+) -> list[Any]:
+    """Return outgoing radiance at any roughness, linear between two levels.
+
+    Args:
+        levels: parts at even levels of roughness on [0, 1].
+        roughness: Float.
+        base_color: Floats, as ``radiance`` takes them.
+        mixed: likewise.
+    """
+    place, found = roughness * (len(levels) - 1), [dr.zeros(type(roughness))] * len(base_color)
+    for k, level in enumerate(levels):
+        share = dr.maximum(1 - dr.abs(place - k), 0)
+        here = radiance(level, base_color, mixed)
+        found = [dr.fma(share, new, old) for new, old in zip(here, found, strict=True)]
+    return found
+
+
 def dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
     """Return the sum of products."""
     total: Any = 0.0

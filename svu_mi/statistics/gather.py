@@ -13,7 +13,7 @@ from svu_mi.errors import OptionError
 from svu_mi.parameters import MIXED, NAMES
 from svu_mi.reflection.model import Model
 from svu_mi.reflection.principled import columns
-from svu_mi.reflection.shading import Parts, radiance
+from svu_mi.reflection.shading import Parts, interpolated, radiance
 from svu_mi.statistics.blocks import scattered
 from svu_mi.statistics.censored import CLIPPED_PART, HIDDEN, Models, parabola
 from svu_mi.statistics.factors import PAIRS
@@ -188,11 +188,7 @@ def _clipped(
 
 
 def _errors(found: list[list[Parts]], observed: list[Any], current: Values) -> list[Any]:
-    """|r - b| of every channel; r between two levels is interpolated."""
+    """|r - b| of every channel."""
     (roughness,) = current["roughness"]
-    place, r = roughness * (len(found) - 1), [mi.Float(0) for _ in observed]
-    for k, level in enumerate(found):
-        share = dr.maximum(1 - dr.abs(place - k), 0)
-        here = radiance(level, current["base_color"], mixed_of(current))
-        r = [dr.fma(share, new, old) for new, old in zip(here, r, strict=True)]
+    r = interpolated(found, roughness, current["base_color"], mixed_of(current))
     return [dr.abs(x - b) for x, b in zip(r, observed, strict=True)]

@@ -1,0 +1,116 @@
+"""What photographs should show, by what others of the same object say: the posterior predictive.
+
+For every draw of a texel's parameters the reflection model says what it sends to a camera, anywhere
+around the object; the draws together say how sure that is. Where there are photographs that no
+estimate has seen, they can be held against it (``svu bench real``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.errors import OptionError
+from svu_mi.interop import owned
+from svu_mi.observed import Observed
+from svu_mi.options import AngularPreset
+from svu_mi.pipeline import Estimate
+from svu_mi.reflection.model import Model
+from svu_mi.reflection.shading import Parts, interpolated
+from svu_mi.statistics.gather import GRAZING, Values, mixed_of
+from svu_mi.visibility.observe import Surface, mirror_direction
+from svu_mi.visibility.reach import is_open
+
+CHANNELS = 3
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What n texels send to cameras.
+
+    Attributes:
+        scene: what stands in the way of light.
+        model: what the texels reflect, at even levels of roughness on [0, 1].
+        draws: of the posterior, D dictionaries of their parameters: a Float per channel.
+    """
+
+    scene: Any
+    model: Model
+    draws: list[Values]
+
+    @staticmethod
+    def of(estimate: Estimate, texels: np.ndarray, draws: int = 32, seed: int = 0) -> Prediction:
+        """Draw the parameters of some texels.
+
+        Args:
+            estimate: angular, of a reflection model that is traced cell by cell: ``default``.
+            texels: (n,) their numbers.
+            draws: D; more are smoother.
+            seed: of the draws.
+
+        Raises:
+            OptionError: an estimate of another kind.
+        """
+        switches, observed = estimate.switches, estimate.observed
+        if not isinstance(switches, AngularPreset) or switches.noise != "estimated":
+            raise OptionError("Photographs are predicted from preset default or fast (angular).")
+        assert observed is not None
+        levels = np.linspace(0, 1, switches.levels)
+        model = observed.model(levels, switches, CHANNELS, texels)
+        drawn = {name: np.array(values)[:, texels]
+                 for name, values in estimate.posterior.draw(draws, seed).items()}  # fmt: skip
+        return Prediction(
+            observed.views.scene, model,
+            [{name: _floats(values[k]) for name, values in drawn.items()} for k in range(draws)],
+        )  # fmt: skip
+
+    def seen_from(self, eye: np.ndarray) -> np.ndarray:
+        """Return the radiance that a camera at a point (3,) gets: (D, n, 3) float32.
+
+        Of texels that do not face it, as at a grazing angle; what hides them is not looked at.
+        """
+        lobes = columns_seen_from(self.scene, self.model, eye)
+        found = np.empty((len(self.draws), self.model.surface.count, CHANNELS), np.float32)
+        for k, values in enumerate(self.draws):
+            (roughness,) = values["roughness"]
+            shown = interpolated(lobes, roughness, values["base_color"], mixed_of(values))
+            dr.eval(shown)
+            found[k] = np.stack([x.numpy() for x in shown], axis=1)
+        return found
+
+
+def diffuse_seen_from(
+    observed: Observed, switches: AngularPreset, texels: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a function of a point (3,): what diffuse white texels send there, (n, 3) float32."""
+    model = observed.model(np.ones(1), switches, CHANNELS, texels)
+
+    def seen_from(eye: np.ndarray) -> np.ndarray:
+        (level,) = columns_seen_from(observed.views.scene, model, eye)
+        return np.stack([level[c % len(level)][0].numpy() for c in range(CHANNELS)], axis=1)
+
+    return seen_from
+
+
+def columns_seen_from(scene: Any, model: Model, eye: np.ndarray) -> list[list[Parts]]:
+    """Return what ``Model.columns`` does, evaluated, for a camera at a point (3,)."""
+    surface: Surface = model.surface
+    point = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in eye))
+    direction = mi.Vector3f(dr.normalize(point - surface.position))
+    cosine = dr.maximum(dr.dot(surface.normal, direction), GRAZING)
+    mirrored = mirror_direction(surface.normal, direction)
+    up = dr.dot(surface.geometric_normal, mirrored) > 0
+    lobes = model.columns(direction, cosine, is_open(scene, surface, mirrored, up, coherent=True))
+    dr.eval(lobes)
+    return lobes
+
+
+def _floats(values: np.ndarray) -> list[Any]:
+    """A Float for every channel of (n,) or (n, C)."""
+    columns = np.asarray(values, np.float32).reshape(len(values), -1).T
+    return [owned(mi.Float, column) for column in columns]
