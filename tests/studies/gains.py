@@ -87,7 +87,7 @@ class UnknownGains(Photographed):
         }  # fmt: skip
 
     def spoilt(self) -> Record:
-        """Leave photographs out that do not fit; beside the same without them."""
+        """Leave photographs out that do not fit; beside gains found without them, and given."""
         images, used = list(self.capture.images), list(self.capture.used)
         object_ = "knot" if self.cell.object != "knot" else "vase"
         other = self.captured(own_cells([object_], ["studio"])[0])
@@ -100,9 +100,13 @@ class UnknownGains(Photographed):
             used[view] = False
         spoilt = _with_images(self.capture, images)
         found = estimate_gains(spoilt, self.observed.texels)
+        honest = replace(self.capture, used=tuple(used))
         return {
             "odd": np.flatnonzero(found.odd).tolist(), "spoilt": bad,
-            "right": self._textures(replace(self.capture, used=tuple(used))),
+            "given": self._textures(honest),
+            "right": self._textures(
+                equalized(honest, estimate_gains(honest, self.observed.texels))
+            ),
             "found": self._textures(equalized(spoilt, found)),
             "as it is": self._textures(spoilt),
         }  # fmt: skip
@@ -138,7 +142,7 @@ def _rows(record: Record, name: str) -> list[Record]:
 def _told(name: str) -> Any:
     """Textures of photographs as they should be, as found, and as they are."""
     return lambda row: " / ".join(
-        f"{row[which][name]:.1f}" for which in ("right", "found", "as it is") if which in row
+        f"{row[which][name]:.1f}" for which in ("given", "right", "found", "as it is") if which in row
     )
 
 
@@ -155,15 +159,16 @@ TABLES = {
         Column("spoilt", lambda row: ", ".join(map(str, row["spoilt"]))), LEFT_OUT
     ),
 }  # fmt: skip
+TOLD = {
+    "given light": "as it should be / found / as it is", "no light": "as it should be / found",
+    "three do not fit": "without them, gains given / found / with them, found / as it is",
+}  # fmt: skip
 
 
 def tables(record: Record) -> list[str]:
     """Return a table for each of the three experiments."""
-    return [
-        f"**{name}**: as it should be / found" + (" / as it is" if name != "no light" else "")
-        + f"\n\n{columns(shown, _rows(record, name))}"
-        for name, shown in TABLES.items()
-    ]  # fmt: skip
+    return [f"**{name}**: {TOLD[name]}\n\n{columns(shown, _rows(record, name))}"
+            for name, shown in TABLES.items()]  # fmt: skip
 
 
 def bars(record: Record) -> list[Bar]:

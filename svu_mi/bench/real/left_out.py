@@ -30,7 +30,7 @@ from svu_mi.pipeline import Estimate, estimate
 from svu_mi.surface import Texels, texels
 
 RESOLUTION, TEXELS = 128, 6000  # per side; of these, that predictions are made for
-QUICK = 64, 600
+QUICK, QUICK_SEARCH = (64, 600), LightOptions(gains=True, texels=300, depths=((64, 4), (256, 2)))
 FEWEST = 4  # photographs that remain of a texel whose others are predicted
 WELL_SEEN = 10  # photographs of a texel that is asked what it is made of
 
@@ -105,7 +105,8 @@ class LeftOut:
     @cached_property
     def lit(self) -> tuple[Capture, FoundGains]:
         """The rest without gains, under the capture's light or one that is found; and gains."""
-        options, progress = LightOptions(gains=True), self.bench.progress
+        options = QUICK_SEARCH if self.bench.quick else LightOptions(gains=True)
+        progress = self.bench.progress
         if self.rest.environment is not None:
             gains = estimate_gains(self.rest, self.layout, options, progress)
             return equalized(self.rest, gains), gains
