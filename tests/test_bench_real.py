@@ -42,9 +42,10 @@ def phone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )  # fmt: skip
     on_object = [mi.TensorXf(_depth(capture, sensor)).numpy() > 0 for sensor in capture.sensors]
     rng = np.random.default_rng(3)
-    gains = np.exp(rng.uniform(-GAIN, GAIN, (VIEWS, 1)) + rng.uniform(-BALANCE, BALANCE, (VIEWS, 3)))
+    exposures = rng.uniform(-GAIN, GAIN, (VIEWS, 1))
+    gains = np.exp(exposures + rng.uniform(-BALANCE, BALANCE, (VIEWS, 3)))
     gains[SPOILT] = 1
-    shown = [np.nan_to_num(image) * gain for image, gain in zip(capture.images, gains, strict=True)]
+    shown = [np.nan_to_num(x) * gain for x, gain in zip(capture.images, gains, strict=True)]
     brightest = np.concatenate([x[mask].ravel() for x, mask in zip(shown, on_object, strict=True)])
     shown[SPOILT] = 4 * shown[SPOILT]
     exposure = 1 / np.quantile(brightest, 1 - CLIPPED)

@@ -141,9 +141,8 @@ def _rows(record: Record, name: str) -> list[Record]:
 
 def _told(name: str) -> Any:
     """Textures of photographs as they should be, as found, and as they are."""
-    return lambda row: " / ".join(
-        f"{row[which][name]:.1f}" for which in ("given", "right", "found", "as it is") if which in row
-    )
+    ways = ("given", "right", "found", "as it is")
+    return lambda row: " / ".join(f"{row[way][name]:.1f}" for way in ways if way in row)
 
 
 def _shown(*others: Column) -> tuple[Column, ...]:
