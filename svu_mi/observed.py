@@ -28,6 +28,7 @@ from svu_mi.reflection.model import Arriving, Model
 from svu_mi.statistics import Statistics, gather
 from svu_mi.statistics.censored import PASSES, best_models
 from svu_mi.statistics.gather import ALIKE, Weighting
+from svu_mi.statistics.rounding import rounding_variance
 from svu_mi.surface import Texels
 from svu_mi.visibility import Surface, Survey, Views, pack_views, survey
 from svu_mi.visibility.pixels import as_channels
@@ -216,6 +217,17 @@ class Observed:
                 replace(weighting, models=best_models(some)), number[lanes].astype(np.int64)
             )
         return found.replaced(lanes, some)
+
+
+    def rounding(self, weighting: Weighting, texels: np.ndarray | None = None) -> np.ndarray | None:
+        """Return the variance of a sample of weight 1 by rounding alone, (S,); None of floats.
+
+        Args:
+            weighting: how much samples count.
+            texels: (S,) numbers of texels; by default those of ``seen``.
+        """
+        surface = self.surface if texels is None else self._lanes(texels)
+        return rounding_variance(self.views, self.found, surface, weighting)
 
 
 def observe(

@@ -285,16 +285,18 @@ def _from_angles(run: _Run, switches: AngularPreset) -> Posterior:
         with run.progress.stage("Tracing occlusion"):
             seen.reach(switches.cells, occluded=switches.occluded)
     with run.progress.stage("Gathering statistics"):
+        weighting = Weighting(
+            switches.kappa(seen.unit), switches.edges if switches.noise == "estimated" else 0.0
+        )
         factors = seen.statistics(
             _levels(run, switches), switches, plan.channels, light_channels=plan.light_channels,
-            weighting=Weighting(
-                switches.kappa(seen.unit), switches.edges if switches.noise == "estimated" else 0.0
-            ),
+            weighting=weighting,
         ).factor()  # fmt: skip
     if switches.noise == "estimated":
         return calibrated_posterior(
             factors, run.grid, seen.unit, switches, prior=run.prior, copies=plan.copies,
             texels=seen.texels.count, doubt=seen.capture.doubt,
+            rounding=seen.rounding(weighting),
         )  # fmt: skip
     return angular_posterior(
         factors, run.grid, seen.unit, switches,

@@ -69,7 +69,7 @@ def some_views(capture: Capture, count: int) -> Capture:
 def chosen_views(capture: Capture, indices: Iterable[int]) -> Capture:
     """Return the capture with the views of these indices, in this order."""
     names = ["sensors", "images", "masks", "exposures", "names", "unusable", "used"]
-    names += [name for name in ("files", "clipped") if getattr(capture, name)]
+    names += [name for name in ("files", "clipped", "rounding") if getattr(capture, name)]
     chosen = [int(index) for index in indices]
     views: dict[str, Any] = {
         name: tuple(getattr(capture, name)[i] for i in chosen) for name in names

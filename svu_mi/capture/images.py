@@ -14,6 +14,7 @@ from svu_mi.capture.block import allocate
 from svu_mi.capture.clipped import Clipped
 from svu_mi.capture.matching import masks_of
 from svu_mi.capture.picture import SUFFIXES, Picture, decoded, open_picture, read_planes
+from svu_mi.capture.rounding import Rounding
 from svu_mi.errors import CaptureError
 from svu_mi.limits import require_photographs
 from svu_mi.needs import Size
@@ -24,6 +25,7 @@ SATURATED = {8: 0.98, 16: 0.995}
 UNUSABLE = -1.0  # radiance of a pixel that is not to be used, in all channels of an EXR
 CLIPPED = -2.0  # radiance of a channel that is clipped, in an EXR with the attribute SATURATION
 SATURATION = "svu:saturation"  # radiance from which the channels of a photograph were clipped
+FIRST_STEP, LAST_STEP = "svu:first_step", "svu:last_step"  # of integers, in radiance (``Rounding``)
 ON_OBJECT = 0.999  # alpha from which a pixel shows nothing but the object
 IN_MASK = 0.5  # the same for 8-bit masks, which say inside or outside, with noise if JPEG
 
@@ -36,6 +38,7 @@ class Photograph:
         pixels: (H, W, 3) float32 linear radiance, exposure divided out; NaN = not usable. Of a
             pixel that is clipped, only those channels are NaN.
         clipped: which those are, and what they are at least; None without any.
+        rounding: steps of what was stored in integers; None of floats.
         mask: (H, W) bool, True on the object, or None.
         invalid: number of pixels that were NaN, infinite or negative.
         marked: number of pixels that whoever wrote the photograph has marked as unusable.
@@ -56,6 +59,7 @@ class Photograph:
     remarks: tuple[str, ...] = ()
     run: str = ""
     clipped: Clipped | None = None
+    rounding: Rounding | None = None
 
 
 def not_taken(size: tuple[int, int]) -> Photograph:
@@ -124,7 +128,12 @@ def _read_photograph(picture: Picture, room: np.ndarray, exposure: float) -> Pho
         mask = planes[3] >= (IN_MASK if bits else ON_OBJECT)
     invalid -= marked
     found, run = tuple(picture.remarks()), str(picture.header.attributes.get(RUN, ""))
-    return Photograph(room, mask, invalid, marked, saturated, bits, black, found, run, clipped)
+    rounding = Rounding.of(bits) if bits else _steps(picture)
+    if rounding is not None:
+        rounding = rounding.divided(exposure)
+    return Photograph(
+        room, mask, invalid, marked, saturated, bits, black, found, run, clipped, rounding
+    )
 
 
 def _require_size(path: Path, found: Sequence[int], film: Sequence[int]) -> None:
@@ -144,16 +153,25 @@ def _linearise(color: np.ndarray, most: float) -> Clipped:
     return Clipped.of(over, float(decoded(np.array(most, np.float32))))
 
 
-def _marked_as_clipped(picture: Picture, color: np.ndarray) -> Clipped | None:
-    """Find the channels that an import has marked as clipped, and set them to NaN in place."""
-    written = picture.header.attributes.get(SATURATION)
-    if written is None:
-        return None
+def _steps(picture: Picture) -> Rounding | None:
+    """Return the steps of the integers that an import has made a photograph of; None of floats."""
+    first, last = (_positive(picture, name) for name in (FIRST_STEP, LAST_STEP))
+    return None if first is None or last is None else Rounding.between(first, last)
+
+
+def _positive(picture: Picture, name: str) -> float | None:
+    """Return an attribute that is a positive number; None if it is not there, or something else."""
     try:
-        least = float(written)
+        found = float(picture.header.attributes.get(name, np.nan))
     except (TypeError, ValueError):
         return None
-    if not 0 < least < np.inf:
+    return found if 0 < found < np.inf else None
+
+
+def _marked_as_clipped(picture: Picture, color: np.ndarray) -> Clipped | None:
+    """Find the channels that an import has marked as clipped, and set them to NaN in place."""
+    least = _positive(picture, SATURATION)
+    if least is None:
         return None
     over = color == np.float32(CLIPPED)
     color[over] = np.nan

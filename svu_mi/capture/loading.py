@@ -5,19 +5,18 @@ from __future__ import annotations
 import dataclasses
 import os
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import mitsuba as mi
 
 from svu_mi.capture import folder as capture_folder
-from svu_mi.capture.clipped import Clipped
 from svu_mi.capture.folder import Description
 from svu_mi.capture.ignored import ignored
-from svu_mi.capture.images import Photograph, read_photographs
+from svu_mi.capture.images import read_photographs
 from svu_mi.capture.judging import judged
 from svu_mi.capture.matching import Match, Missing, match_photographs, photographs_of
 from svu_mi.capture.mesh import covered_by_charts, has_uvs
@@ -39,6 +38,7 @@ from svu_mi.results.reading import require_no_result
 
 Light = Literal["required", "optional"]
 Preflight = Callable[[Sizes], None]
+Value = TypeVar("Value")
 
 
 def load_capture(
@@ -184,13 +184,14 @@ def read_capture(
         used=used,
         source=folder,
         warnings=tuple(notes),
-        clipped=_clipped(photographs),
+        clipped=_any(photograph.clipped for photograph in photographs),
+        rounding=_any(photograph.rounding for photograph in photographs),
     )
 
 
-def _clipped(photographs: Sequence[Photograph]) -> tuple[Clipped | None, ...]:
-    """Return what is clipped of each photograph; nothing if none is."""
-    found = tuple(photograph.clipped for photograph in photographs)
+def _any(values: Iterable[Value | None]) -> tuple[Value | None, ...]:
+    """Return what is known of each photograph; nothing if it is of none."""
+    found = tuple(values)
     return found if any(each is not None for each in found) else ()
 
 

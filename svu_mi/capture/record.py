@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture.clipped import Clipped
+from svu_mi.capture.rounding import Rounding
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ class Capture:
         source: the folder or file the capture was read from, None when made in memory.
         clipped: which channels of the photographs are clipped, V or none at all: they are NaN in
             ``images``, but at least as bright as is said here.
+        rounding: the steps of photographs of integers, V or none at all; None for one of floats.
         warnings: sentences about what was found, repaired and ignored while loading.
         files: V names of their files in ``source``; empty when it was made in memory.
         doubt: how uncertain the light is; None if it was given.
@@ -65,6 +67,7 @@ class Capture:
     source: Path | None = None
     warnings: tuple[str, ...] = field(default=())
     clipped: tuple[Clipped | None, ...] = field(default=())
+    rounding: tuple[Rounding | None, ...] = field(default=())
     files: tuple[str, ...] = ()
     doubt: Doubt | None = None
     found_light: Any | None = None

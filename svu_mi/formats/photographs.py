@@ -10,7 +10,9 @@ import numpy as np
 
 from svu_mi.capture.images import (
     CLIPPED,
+    FIRST_STEP,
     IN_MASK,
+    LAST_STEP,
     ON_OBJECT,
     SATURATED,
     SATURATION,
@@ -18,6 +20,7 @@ from svu_mi.capture.images import (
     read_mask,
 )
 from svu_mi.capture.picture import decoded, open_picture
+from svu_mi.capture.rounding import Rounding
 from svu_mi.exr import write_exr
 from svu_mi.formats.resampling import resampled, unbent
 from svu_mi.formats.source import Frame
@@ -90,6 +93,9 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
     del planes, over
     channels = _resampled(layers, frame, scale)
     header = _mark(channels, bits, frame)
+    if bits:
+        steps = Rounding.of(bits, frame.transfer)
+        header |= {FIRST_STEP: float(steps.first[0]), LAST_STEP: float(steps.slope[0])}
     write_exr(path, channels, header, half=bits == 8)  # eight bits lose nothing there
     return Converted(
         bits=bits,

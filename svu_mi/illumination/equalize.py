@@ -102,6 +102,7 @@ def equalized(capture: Capture, gains: FoundGains) -> Capture:
         raise CaptureError("No photograph fits the others; look at them with svu check.")
     images, used = list(capture.images), list(capture.used)
     clipped: list[Any] = list(capture.clipped) or [None] * capture.count
+    rounding: list[Any] = list(capture.rounding) or [None] * capture.count
     for room, view, factor, odd in zip(
         allocate([capture.images[view].shape[1::-1] for view in kept]), kept, gains.factor,
         gains.odd, strict=True,
@@ -109,7 +110,9 @@ def equalized(capture: Capture, gains: FoundGains) -> Capture:
         np.divide(capture.images[view], factor.astype(np.float32), out=room)
         images[view], used[view] = room, not odd
         clipped[view] = None if clipped[view] is None else clipped[view].divided(factor)
+        rounding[view] = None if rounding[view] is None else rounding[view].divided(factor)
     return replace(
         capture, images=tuple(images), used=tuple(used),
         clipped=tuple(clipped) if capture.clipped else (),
+        rounding=tuple(rounding) if capture.rounding else (),
     )  # fmt: skip

@@ -258,6 +258,7 @@ def calibrated_posterior(
     copies: int = 1,
     texels: int | None = None,
     doubt: Doubt | None = None,
+    rounding: np.ndarray | None = None,
 ) -> CalibratedPosterior:
     """Integrate over what explains the photographs.
 
@@ -272,6 +273,8 @@ def calibrated_posterior(
         copies: how many equal colour channels each channel of the statistics stands for.
         texels: T, how many there are in all, seen or not; by default up to the last of S.
         doubt: of the light, whose scale base colours have in common.
+        rounding: (S,) variance of a sample of weight 1 by rounding alone, squared radiance, below
+            which its noise is never; None for photographs of floats.
 
     Raises:
         OptionError: another preset, an invalid scale or prior.
@@ -284,7 +287,7 @@ def calibrated_posterior(
     require_scale("calibrated_posterior()", scale)
     total = total_texels("calibrated_posterior()", factors, copies, texels)
     problem = _problem(factors, grid, switches, prior, copies)
-    problem, noise = _with_noise(problem, switches, scale)
+    problem, noise = _with_noise(problem, switches, scale, rounding)
     observed = np.zeros(total, bool)
     observed[factors.texel.numpy()] = np.array(factors.views) > 0
     return CalibratedPosterior(
@@ -334,7 +337,7 @@ def _problem(
 
 
 def _with_noise(
-    problem: Problem, switches: AngularPreset, scale: float
+    problem: Problem, switches: AngularPreset, scale: float, rounding: np.ndarray | None
 ) -> tuple[Problem, np.ndarray]:
     """Estimate the noise of every texel, and measure energies in it; returns s, too."""
     factors = problem.factors
@@ -346,6 +349,7 @@ def _with_noise(
     variance = noise_variance(
         weight * both, np.array(factors.views, np.float64), factors.channels * problem.copies,
         switches.degrees, switches.assumed,
+        None if rounding is None else rounding / scale**2,
     )  # fmt: skip
     energy_scale = weight / (variance * switches.overdispersion)
     problem = replace(

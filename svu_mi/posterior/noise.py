@@ -33,8 +33,9 @@ FULL = 8  # views from which on a texel tells all that it can
 
 
 def noise_variance(
-    least: np.ndarray, views: np.ndarray, channels: int, degrees: float, assumed: float
-) -> np.ndarray:
+    least: np.ndarray, views: np.ndarray, channels: int, degrees: float, assumed: float,
+    rounding: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
     """Return s^2 of every texel, in the square of a unit of radiance.
 
     Args:
@@ -43,9 +44,11 @@ def noise_variance(
         channels: samples that each view gives.
         degrees: nu.
         assumed: s_0, where too few views tell.
+        rounding: (S,) variance by rounding alone (``statistics.rounding``), which photographs that
+            round alike do not show; None of floats.
 
     Returns:
-        (S,) float64, not below the square of ``SMALLEST``.
+        (S,) float64, not below ``rounding`` and the square of ``SMALLEST``.
     """
     samples, seen = views * channels, views > 0
     own = np.maximum(samples - FITTED, 1)
@@ -55,4 +58,5 @@ def noise_variance(
         median = max(float(np.median((least / own)[enough])), SMALLEST**2)
         usual *= (median / usual) ** (1 if median > usual else min(2 * tells[seen].mean(), 1))
     tells = np.where(least / own > usual, 1, tells)
-    return np.maximum((degrees * usual + tells * least) / (degrees + tells * own), SMALLEST**2)
+    found = (degrees * usual + tells * least) / (degrees + tells * own)
+    return np.maximum(found, SMALLEST**2 if rounding is None else np.maximum(rounding, SMALLEST**2))

@@ -51,6 +51,8 @@ class Views:
         grey: R = G = B in every usable pixel of the photographs (to 1e-6 of the largest), so
             that one channel says what three do. True without any usable pixel.
         clipped: pixels of which some channels are clipped; None where there are none.
+        rounding: (3 V,) Float twice, the first step and the slope of each channel (``Rounding``);
+            0 for photographs of floats. None where all are.
     """
 
     cameras: Any
@@ -65,6 +67,7 @@ class Views:
     rays: Any
     grey: bool
     clipped: ClippedPixels | None = None
+    rounding: tuple[Any, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -131,7 +134,9 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
     packed = _views(
         capture.scene, poses, films, pixels.usable, pixels.radiance, grey=not pixels.coloured[0]
     )
-    return replace(packed, clipped=pixels.clipped_pixels(capture, kept))
+    return replace(
+        packed, clipped=pixels.clipped_pixels(capture, kept), rounding=_rounding(capture, kept)
+    )
 
 
 def pack_sensors(scene: Any, target: Any, sensors: Sequence[Any]) -> Views:
@@ -340,6 +345,17 @@ def _flags(
         if found is not None:
             flags[start : start + found.channels.size] = found.channels.ravel()
     return dr.uint8_array_t(mi.Float)(flags)
+
+
+def _rounding(capture: Capture, kept: Sequence[int]) -> tuple[Any, Any] | None:
+    """Return first steps and slopes of the channels of photographs; None if all are of floats."""
+    found = [capture.rounding[index] for index in kept if capture.rounding]
+    if not any(each is not None for each in found):
+        return None
+    none = np.zeros(3, np.float32)
+    first = np.stack([none if each is None else each.first for each in found])
+    slope = np.stack([none if each is None else each.slope for each in found])
+    return owned(mi.Float, first.ravel()), owned(mi.Float, slope.ravel())
 
 
 def _allowed(capture: Capture, kept: Sequence[int], offset: np.ndarray, count: int) -> Any:

@@ -26,6 +26,7 @@ from svu_mi.capture import Capture
 from svu_mi.capture.clipped import Clipped
 from svu_mi.capture.images import SATURATED
 from svu_mi.capture.picture import decoded
+from svu_mi.capture.rounding import Rounding
 from svu_mi.metrics.images import srgb
 from svu_mi.metrics.textures import psnr
 from svu_mi.observed import Observed
@@ -103,7 +104,8 @@ def in_eight_bits(capture: Capture, observed: Observed, part: float) -> tuple[Ca
         linear[found.flags] = np.nan
         images.append(np.ascontiguousarray(linear))
         clipped.append(found)
-    stored = replace(capture, images=tuple(images), clipped=tuple(clipped))
+    steps = (Rounding.of(8).divided(exposure),) * len(images)
+    stored = replace(capture, images=tuple(images), clipped=tuple(clipped), rounding=steps)
     return stored, float((most * exposure > limit).mean())
 
 
