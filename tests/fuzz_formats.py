@@ -39,7 +39,7 @@ from svu_mi.formats.exposures import with_exif_exposures, with_exposures
 from svu_mi.formats.geometry import read_geometry
 from svu_mi.formats.lenses import Lens
 from svu_mi.formats.light import write_environment
-from svu_mi.formats.photographs import convert
+from svu_mi.formats.photographs import convert, with_response
 from svu_mi.formats.reading import read_source
 from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Light, Source
@@ -115,6 +115,15 @@ def exposures(folder: Path, out: Path) -> None:
     frame = Frame(label="view", image=image, to_world=np.eye(4), focal=(20.0, 20.0),
                   center=(8.0, 4.0), size=(WIDTH, HEIGHT))  # fmt: skip
     with_exif_exposures(with_exposures([frame], folder / "gains.txt"))
+
+
+def response(folder: Path, out: Path) -> None:
+    """Decode a photograph by what was measured."""
+    image = folder / "view_0000.png"
+    frame = Frame(label="view", image=image, to_world=np.eye(4), focal=(20.0, 20.0),
+                  center=(8.0, 4.0), size=(WIDTH, HEIGHT))  # fmt: skip
+    (frame,) = with_response([frame], folder / "curve.txt")
+    convert(frame, out / "view.exr", (1.0, 1.0))
 
 
 def capture(folder: Path, out: Path) -> None:
@@ -258,6 +267,11 @@ def _exposures(folder: Path) -> None:
     (folder / "gains.txt").write_text("# name gain\nview_0000.jpg 0.5\n\nother.jpg 2  # bright\n")
 
 
+def _response(folder: Path) -> None:
+    write_integers(folder, "view_0000.png", "RGB")
+    (folder / "curve.txt").write_text("# code R G B\n0 0 0 0\n128, .2, .3, .25\n\n255 2 1 1.5\n")
+
+
 def _imported(folder: Path) -> None:
     _transforms(folder)
     write_mesh(folder, "mesh.glb", painted=True)
@@ -331,6 +345,7 @@ def _all_formats() -> Iterator[Format]:
         yield Format(name=name, make=make, targets=targets, read=read)
     yield Format(name="svu import", make=_imported, read=program, share=10)
     yield Format(name="exposures", make=_exposures, read=exposures)
+    yield Format(name="response", make=_response, read=response)
     yield Format(name="capture", make=write_scene_capture, read=capture, share=4)
     yield Format(name="scene", make=_scene, read=scene, targets="*.xml", share=2)
     make = partial(_made_again, said=[])

@@ -20,6 +20,7 @@ from svu_mi.results.writing import claimed
 
 From = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
 Gains = Annotated[str | Path | None, tyro.conf.arg(metavar="FILE | exif")]
+Curve = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 Fixes = Annotated[
     tuple[str, ...], tyro.conf.arg(name="fix", metavar="NAME"), tyro.conf.UseAppendAction,
 ]  # fmt: skip
@@ -49,6 +50,7 @@ class Conversion(ImportOptions):
 
     environment: Annotated[Light | None, tyro.conf.arg(constructor=_light)] = None
     exposures: Gains = None
+    response: Curve = None
     fixes: Fixes = ()
 
 

@@ -10,11 +10,22 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
-from svu_mi.errors import CaptureError, excerpt
+from svu_mi.errors import CaptureError
+from svu_mi.formats.lines import lines_of
 from svu_mi.formats.source import Frame
 
 EXIF, TIME, APERTURE, ISO = 0x8769, 0x829A, 0x829D, 0x8827  # tags of EXIF 2.32
-MAX_BYTES = 2**24  # of a list
+
+
+def exposed(frames: Sequence[Frame], gains: str | Path | None) -> Sequence[Frame]:
+    """Return frames with the gains of a list, of ``exif``, or (None) those that they have.
+
+    Raises:
+        CaptureError: as ``with_exposures`` and ``with_exif_exposures``.
+    """
+    if gains is None or not frames:
+        return frames
+    return with_exif_exposures(frames) if gains == "exif" else with_exposures(frames, Path(gains))
 
 
 def with_exposures(frames: Sequence[Frame], path: Path) -> list[Frame]:
@@ -31,18 +42,9 @@ def with_exposures(frames: Sequence[Frame], path: Path) -> list[Frame]:
             that several have.
     """
     gains = {}
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise CaptureError(f"{path}: too large for a list of exposures.")
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, ValueError) as error:
-        raise CaptureError(
-            f"{path}: not a readable list of exposures ({excerpt(error)})."
-        ) from error
-    for number, line in enumerate(lines, 1):
-        words = line.partition("#")[0].rsplit(maxsplit=1)
-        if words:
-            gains[words[0].strip()] = _gain(words, f"{path}: line {number}")
+    for number, text in lines_of(path, "a list of exposures", "write lines NAME GAIN"):
+        words = text.rsplit(maxsplit=1)
+        gains[words[0].strip()] = _gain(words, f"{path}: line {number}")
     counts = Counter(frame.image.name for frame in frames)
     exposed = []
     for frame in frames:

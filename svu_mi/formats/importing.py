@@ -24,13 +24,13 @@ from svu_mi.capture.scene import require_variant
 from svu_mi.capture.unwrap import UNWRAPPED, unwrap
 from svu_mi.capture.winding import MOST, has_front_outside, part_from_behind
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.formats.exposures import with_exif_exposures, with_exposures
+from svu_mi.formats.exposures import exposed
 from svu_mi.formats.fixes import FIXES, Fix, corrected_mesh, corrected_poses, fixes_named, turn_of
 from svu_mi.formats.geometry import Geometry, read_geometry
 from svu_mi.formats.light import write_environment
 from svu_mi.formats.options import ImportOptions, Light
 from svu_mi.formats.paths import name_in
-from svu_mi.formats.photographs import Converted, about, convert
+from svu_mi.formats.photographs import Converted, about, convert, with_response
 from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Source
 from svu_mi.formats.textures import write_pictures
@@ -170,7 +170,7 @@ def _frames(
 ) -> list[Frame]:
     """Return frames as large as their photographs, with fixed cameras."""
     frames = []
-    for frame in _exposed(there, options):
+    for frame in with_response(exposed(there, options.exposures), options.response):
         poses = frame.to_world[None]
         for fix in fixes:
             if fix.kind == "camera":
@@ -185,14 +185,6 @@ def _frames(
     if not frames:
         raise CaptureError(f"{source.root}: has no photographs.")
     return frames
-
-
-def _exposed(frames: Sequence[Frame], options: ImportOptions) -> Sequence[Frame]:
-    if options.exposures is None or not frames:
-        return frames
-    if options.exposures == "exif":
-        return with_exif_exposures(frames)
-    return with_exposures(frames, Path(options.exposures))
 
 
 def _placed(geometry: Geometry, options: ImportOptions, fixes: Sequence[Fix]) -> Geometry:

@@ -65,6 +65,9 @@ class ImportOptions:
     exposures: str | Path | None = None
     """Gains of the photographs: a file with lines NAME GAIN, or exif; by default those of the
     source."""
+    response: str | Path | None = None
+    """What codes of PNG and JPEG mean, measured: a file with lines ENCODED LINEAR, or ENCODED R G
+    B; by default sRGB, or what the source says. EXR, HDR and PFM are linear."""
     shrink: float = 1.0
     """Shrink photographs by this factor."""
     every: int = 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,14 +19,19 @@ from svu_mi.capture.images import (
     UNUSABLE,
     read_mask,
 )
-from svu_mi.capture.picture import decoded, open_picture
-from svu_mi.capture.rounding import Rounding
+from svu_mi.capture.picture import open_picture
+from svu_mi.errors import OptionError
 from svu_mi.exr import write_exr
 from svu_mi.formats.resampling import resampled, unbent
+from svu_mi.formats.response import Response, linear, read_response, saturation, steps
 from svu_mi.formats.source import Frame
 
 BORDER = 0.9  # part of a photograph's border that no object covers
 CLIPPED_LAYER = "clipped."  # and R, G or B
+# Part of the object's pixels from which blacks count as crushed. A mask that is a pixel too large
+# takes in 1 % of background; grooves and contact shadows are black in any photograph.
+CRUSHED = 0.02
+BLACK = np.zeros(1, np.float32)  # the code 0
 PART = 1e-6  # of a new pixel that an unusable one may cover, which is rounding
 
 
@@ -39,6 +44,8 @@ class Converted:
         foreign: whether its chromaticities are not those of Rec. 709.
         turned: whether EXIF data say that it is to be shown turned.
         saturated: number of its pixels that are clipped, on the object if there is a mask.
+        crushed: part of the object's pixels that have a channel as dark as code 0, which is said of
+            anything darker; 0 without a mask, as black background is no loss, and for floats.
         invalid: number of its pixels that are NaN, infinite or negative.
         masked: whether it has a mask; an alpha channel that is opaque everywhere does not count.
         empty: whether nothing of the object is in its mask.
@@ -49,10 +56,33 @@ class Converted:
     foreign: bool
     turned: bool
     saturated: int
+    crushed: float
     invalid: int
     masked: bool
     empty: bool
     inverted: bool
+
+
+def with_response(frames: Sequence[Frame], response: str | Path | None) -> Sequence[Frame]:
+    """Return frames whose integers mean what was measured; without a response, as they are.
+
+    Args:
+        frames: V photographs, which are there.
+        response: a file as ``read_response`` takes it, or None.
+
+    Raises:
+        CaptureError: the file, or the header of a photograph, cannot be read.
+        OptionError: no photograph holds integers, and others are linear.
+    """
+    if response is None or not frames:
+        return frames
+    if not any(open_picture(frame.image).bits for frame in frames):
+        raise OptionError(
+            f"--response: {frames[0].image.name} and all other photographs are linear (EXR, HDR, "
+            "PFM), and need none; leave it out."
+        )
+    transfer = read_response(Path(response))
+    return [replace(frame, transfer=transfer) for frame in frames]
 
 
 def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
@@ -74,14 +104,15 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
     planes, bits = picture.planes(), picture.bits
     mask = _mask(frame, planes, bits > 0)
     del planes[3:]
-    clipped, invalid = np.zeros((2, *planes[0].shape), bool)
+    clipped, black, invalid = np.zeros((3, *planes[0].shape), bool)
     over = {}
     for channel, plane in enumerate(planes):  # one at a time: photographs may be huge
+        invalid |= ~(np.isfinite(plane) & (plane >= 0))
         if bits:
             over[CLIPPED_LAYER + "RGB"[channel]] = plane > SATURATED[bits]
             clipped |= plane > SATURATED[bits]
-            planes[channel] = decoded(plane, frame.transfer)
-        invalid |= ~(np.isfinite(plane) & (plane >= 0))
+            planes[channel] = linear(plane, frame.transfer, channel)
+            black |= planes[channel] <= linear(BLACK, frame.transfer, channel)
     for plane in planes:
         plane[invalid] = 0
     layers = {**dict(zip("RGB", planes, strict=True)), "bad": invalid}
@@ -94,14 +125,17 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
     channels = _resampled(layers, frame, scale)
     header = _mark(channels, bits, frame)
     if bits:
-        steps = Rounding.of(bits, frame.transfer)
-        header |= {FIRST_STEP: float(steps.first[0]), LAST_STEP: float(steps.slope[0])}
-    write_exr(path, channels, header, half=bits == 8)  # eight bits lose nothing there
+        first, last = steps(frame.transfer, bits)
+        header |= {FIRST_STEP: first, LAST_STEP: last}
+    # Eight bits lose nothing in half floats, unless a curve puts some close together.
+    half = bits == 8 and not isinstance(frame.transfer, Response)
+    write_exr(path, channels, header, half=half)
     return Converted(
         bits=bits,
         foreign=picture.header.foreign,
         turned=picture.is_turned(),
         saturated=int(clipped.sum()),
+        crushed=0.0 if mask is None else float(black[mask].sum() / max(1, mask.sum())),
         invalid=int(invalid.sum()),
         masked=mask is not None,
         empty=mask is not None and not mask.any(),
@@ -123,7 +157,7 @@ def _mark(channels: dict[str, np.ndarray], bits: int, frame: Frame) -> dict[str,
         channels[name][touched] = UNUSABLE
     if not found:
         return {}
-    return {SATURATION: float(decoded(np.array(SATURATED[bits], np.float32), frame.transfer))}
+    return {SATURATION: saturation(frame.transfer, bits)}
 
 
 def _is_inverted(mask: np.ndarray) -> bool:
@@ -169,11 +203,15 @@ def about(frames: Sequence[Frame], found: Sequence[Converted]) -> list[str]:
         return [f"{first} {words}"] if len(names) > least else []
 
     clipped, invalid = (sum(getattr(c, name) for c in found) for name in ("saturated", "invalid"))
+    dark = [c.crushed for c in found if c.crushed > CRUSHED]
     kinds = " and ".join(map(str, sorted(low)))
     return [
         *those([c.bits > 0 for c in found],
               f"are not HDR: of {kinds} bits, decoded as {frames[0].transfer}, {clipped} clipped "
               "pixels count as at least so bright. Clipped highlights hide gloss: use HDR."),
+        *those([c.crushed > CRUSHED for c in found],
+              f"have crushed blacks ({sum(dark) / max(1, len(dark)):.0%} of the object's pixels "
+              "have a channel of 0): all that is darker looks the same; expose longer or use HDR."),
         *those([c.turned for c in found],
               "are stored rotated; their EXIF orientation is ignored, because poses must be of the "
               "pixels as stored. If svu check shows them rotated, save their pixels upright and "

@@ -20,6 +20,7 @@ from svu_mi.errors import CaptureError, excerpt
 from svu_mi.formats.lenses import Lens
 from svu_mi.formats.options import ENVIRONMENT_AXES as ENVIRONMENT_AXES
 from svu_mi.formats.options import Light as Light
+from svu_mi.formats.response import Response
 
 # Columns of a camera-to-world rotation that change their sign on the way to Mitsuba's camera:
 # +X left, +Y up, +Z forward. Each matrix is its own inverse.
@@ -65,7 +66,7 @@ class Frame:
     center: tuple[float, float]
     size: tuple[int, int]
     exposure: float = 1.0
-    transfer: Transfer = "srgb"
+    transfer: Transfer | Response = "srgb"
     lens: Lens | None = None
 
     def __post_init__(self) -> None:

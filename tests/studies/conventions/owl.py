@@ -11,7 +11,7 @@ from PIL import Image
 
 from studies.conventions.copying import copy_file
 from svu_mi.capture.images import IN_MASK, SATURATED
-from svu_mi.capture.picture import decoded, quantized, read_planes
+from svu_mi.capture.picture import quantized, read_planes
 from svu_mi.capture.poses import affine
 from svu_mi.errors import OptionError
 from svu_mi.files import prepare_folder, replacing
@@ -25,6 +25,7 @@ from svu_mi.formats.objects_with_lighting import (
     WORLD_TO_ENV,
 )
 from svu_mi.formats.resampling import fitted
+from svu_mi.formats.response import linear
 from svu_mi.formats.source import ENVIRONMENT_AXES, OPENCV, Frame, Source
 
 BOX = "object_bounding_box.txt"
@@ -75,8 +76,11 @@ def write_owl(root: Path, source: Source, *, exposure: float | None = None) -> N
 def _radiance(frame: Frame) -> tuple[np.ndarray, np.ndarray | None]:
     """Return (H, W, 3) radiance, infinite where a pixel holds none, and the mask, (H, W)."""
     planes, is_integer = read_planes(frame.image)
-    pixels = np.stack(planes[:3], axis=-1)
-    radiance = (decoded(pixels, frame.transfer) if is_integer else pixels) / frame.exposure
+    colors = [
+        linear(plane, frame.transfer, channel) if is_integer else plane
+        for channel, plane in enumerate(planes[:3])
+    ]
+    radiance = np.stack(colors, axis=-1) / frame.exposure
     radiance[~(np.isfinite(radiance) & (radiance >= 0)).all(axis=-1)] = np.inf
     mask = read_planes(frame.mask)[0][0] if frame.mask else planes[3] if planes[3:] else None
     return radiance, mask

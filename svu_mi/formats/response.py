@@ -1,0 +1,156 @@
+"""How integers of photographs encode radiance: by a named curve, or one that was measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from svu_mi.capture.images import SATURATED
+from svu_mi.capture.picture import Transfer, decoded
+from svu_mi.errors import CaptureError, excerpt
+from svu_mi.formats.lines import lines_of
+
+SMALLEST = 1e-9  # step, of a curve that is flat there
+LARGEST = (1, 255, 65535)  # codes that may stand for white
+COLUMNS = "ENCODED LINEAR or ENCODED R G B"
+FIX = f"write one line {COLUMNS} for each sample of the curve"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Response:
+    """What a camera's codes mean, from measurements: straight lines between samples.
+
+    Attributes:
+        name: of the file that they come from, for messages.
+        codes: (N,) float32, ascending from 0 to 1: encoded values, relative to the largest.
+        values: (N, 3) float64, linear values of R, G and B there; they never fall, and the last
+            are 1.
+    """
+
+    name: str
+    codes: np.ndarray
+    values: np.ndarray
+
+    def __str__(self) -> str:
+        return f"{self.name} says"
+
+    def decode(self, encoded: np.ndarray, channel: int) -> np.ndarray:
+        """Return linear values (float32), 1 = white.
+
+        Args:
+            encoded: values of one channel in [0, 1], of any shape.
+            channel: 0, 1 or 2 for red, green or blue.
+        """
+        return np.interp(encoded, self.codes, self.values[:, channel]).astype(np.float32)
+
+
+def linear(encoded: np.ndarray, transfer: Transfer | Response, channel: int) -> np.ndarray:
+    """Return linear values (float32) of one channel's encoded ones in [0, 1], of any shape."""
+    if isinstance(transfer, Response):
+        return transfer.decode(encoded, channel)
+    return decoded(encoded, transfer)
+
+
+def saturation(transfer: Transfer | Response, bits: int) -> float:
+    """Return the linear value that a clipped channel of 8 or 16 bits has at least.
+
+    Curves of channels differ little so near to white, where all are 1. The smallest is right for
+    each of them, because it says no more than "at least so bright".
+    """
+    most = np.array(SATURATED[bits], np.float32)
+    return min(float(linear(most, transfer, channel)) for channel in range(3))
+
+
+def steps(transfer: Transfer | Response, bits: int) -> tuple[float, float]:
+    """Return the steps above black and below white of 8 or 16 bits (``Rounding``), of the channel
+    whose are the largest."""
+    last = 2**bits - 1
+    codes = np.array([0, 1 / last, 1 - 1 / last, 1])
+    found = np.stack([np.diff(linear(codes, transfer, channel)) for channel in range(3)])
+    return max(float(found[:, 0].max()), SMALLEST), max(float(found[:, -1].max()), SMALLEST)
+
+
+def read_response(path: Path) -> Response:
+    """Read a measured response.
+
+    Args:
+        path: a text file with one line ``ENCODED LINEAR``, or ``ENCODED R G B``, for each sample,
+            with blanks or commas between; empty lines and what follows a ``#`` are left out.
+            Encoded values ascend from 0 to 1, to 255 or to 65535. Linear ones are in any unit,
+            of each channel in its own: they are divided by that of the largest code.
+
+    Raises:
+        CaptureError: it cannot be read, a line is wrong, or codes or values are not such.
+    """
+    rows: list[list[float]] = []
+    for number, text in lines_of(path, "a camera's response", FIX):
+        row = _numbers(text, f"{path}: line {number}")
+        _require_order(row, rows, f"{path}: line {number}")
+        rows.append(row)
+    if len(rows) < 2:
+        raise CaptureError(
+            f"{path}: a response needs 2 samples or more, and this has {len(rows)}; {FIX}."
+        )
+    table = np.array(rows)
+    if table[0, 0] != 0 or table[-1, 0] not in LARGEST:
+        raise CaptureError(
+            f"{path}: its codes go from {table[0, 0]:g} to {table[-1, 0]:g}, and must go from 0 to "
+            "1, 255 or 65535; add lines for the first and the last code."
+        )
+    # As photographs have them: in single precision, a code that was measured is that sample.
+    codes = (table[:, 0] / table[-1, 0]).astype(np.float32)
+    same = np.flatnonzero(np.diff(codes) == 0)
+    if same.size:
+        raise CaptureError(
+            f"{path}: the encoded values {table[same[0], 0]:.9g} and {table[same[0] + 1, 0]:.9g} "
+            "are too close together to differ in a photograph; leave one out."
+        )
+    values = table[:, 1:] if table.shape[1] == 4 else np.repeat(table[:, 1:], 3, axis=1)
+    # No camera is dark just below white; such a curve would say nothing of what is clipped.
+    if not all(np.interp(min(SATURATED.values()), codes, curve) > 0 for curve in values.T):
+        raise CaptureError(
+            f"{path}: a channel has no light up to {min(SATURATED.values()):.0%} of the largest "
+            "code; give samples between black and white."
+        )
+    return Response(name=path.name, codes=codes, values=values / values[-1])
+
+
+def _numbers(text: str, label: str) -> list[float]:
+    try:
+        row = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        row = []
+    if len(row) not in (2, 4):
+        raise CaptureError(
+            f"{label}: expected {COLUMNS}, got {excerpt(text, 60)!r}; begin comments with #."
+        )
+    if not all(0 <= number < np.inf for number in row):  # NaN fails, too
+        raise CaptureError(
+            f"{label}: numbers must be finite and not negative, got {excerpt(text, 60)!r}; "
+            "correct or remove the line."
+        )
+    return row
+
+
+def _require_order(row: list[float], before: list[list[float]], label: str) -> None:
+    """Refuse a sample that does not go on from those before."""
+    if not before:
+        return
+    last = before[-1]
+    if len(row) != len(last):
+        raise CaptureError(
+            f"{label}: has {len(row)} numbers, the lines before have {len(last)}; give one curve "
+            "for all channels, or three, in all lines."
+        )
+    if row[0] <= last[0]:
+        raise CaptureError(
+            f"{label}: the encoded value {row[0]:g} comes after {last[0]:g}, but must ascend; "
+            "order the lines, each code once."
+        )
+    if any(value < earlier for value, earlier in zip(row[1:], last[1:], strict=True)):
+        raise CaptureError(
+            f"{label}: the linear value falls, but a brighter code cannot mean less light; "
+            "correct the line, or smooth the measurement."
+        )
