@@ -30,6 +30,8 @@ from svu_mi.checking.views import check_views
 from svu_mi.errors import OptionError
 from svu_mi.formats.fixes import fixes_named, turn_of
 from svu_mi.formats.geometry import LEFT_OUT
+from svu_mi.illumination.found_gains import FoundGains
+from svu_mi.illumination.words import gain_sentences
 from svu_mi.light.environment import read_environment
 from svu_mi.progress import Progress
 
@@ -38,7 +40,9 @@ VIEWS = 40  # that colours are compared in
 Findings = tuple[Finding, Finding, Finding]  # about poses, light and texture
 
 
-def check(capture: Capture, *, progress: Progress | None = None) -> Check:
+def check(
+    capture: Capture, *, gains: FoundGains | None = None, progress: Progress | None = None
+) -> Check:
     """Compare a capture with its photographs, and look for a known mistake about axes.
 
     Nothing of the capture is modified.
@@ -46,6 +50,8 @@ def check(capture: Capture, *, progress: Progress | None = None) -> Check:
     Args:
         capture: photographs, poses, mesh and light; masks help, but need not be there. Without a
             light (``load_capture(light="optional")``), silhouettes and texture are looked at.
+        gains: of the photographs that are used, if they were estimated; otherwise photographs are
+            compared, and those told that differ by much.
         progress: shows what is going on.
 
     Raises:
@@ -64,7 +70,10 @@ def check(capture: Capture, *, progress: Progress | None = None) -> Check:
         small = reduced(capture, SIDE)
     axial, axes = find_mistakes(small, progress=progress)
     with progress.stage("Comparing gains"):
-        gain = find_gains(capture, small, axial)
+        if gains is None:
+            gain = find_gains(capture, small, axial)
+        else:
+            gain = verdicts.gains_found(gains, " ".join(gain_sentences(gains, capture)))
     findings = (*axial, gain, *_ignored(capture))
     names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
     with progress.stage("Checking views"):

@@ -15,6 +15,7 @@ from svu_mi.checking.light import LightScore, indistinguishable
 from svu_mi.checking.poses import PoseScore, certain, simplest
 from svu_mi.checking.record import Finding, Hypothesis
 from svu_mi.formats.fixes import FIXES
+from svu_mi.illumination.found_gains import FoundGains
 
 INSIDE_OUT = "mesh-inside-out"
 POOR_OVERLAP = 0.7  # silhouettes that fit worse explain no masks
@@ -28,6 +29,7 @@ LIGHT_RANGE = 0.2  # of the score over all ways, below which nothing can be told
 SPEAKING = 0.1  # least cue that speaks for a way to turn the light
 FLIP_GAIN = 0.03  # of the correlation with a texture
 NAMED = 5  # photographs that a sentence names
+ALIKE = 0.05  # logarithm of gains that were estimated, up to which they are one
 
 
 def judge_poses(scores: Sequence[PoseScore]) -> tuple[Finding, PoseScore]:
@@ -212,6 +214,15 @@ def judge_gains(excess: Excess | None, gains: Gains | None, names: Sequence[str]
     some = "" if gains.known.all() else f", of {gains.known.sum()} that can be compared"
     sentence = f"All photographs have the same gain, to about 20 %{some}."
     return Finding(question="gain", verdict="fits", sentence=sentence)
+
+
+def gains_found(gains: FoundGains, sentence: str) -> Finding:
+    """Return the finding about gains that were estimated, with what there is to say of them."""
+    even = not gains.odd.any() and float(np.abs(gains.logarithm).max()) <= ALIKE
+    said = "All photographs have the same gain, to about 5 %." if even else (
+        f"{sentence} --gains estimate of other commands divides by these gains."
+    )  # fmt: skip
+    return Finding(question="gain", verdict="fits" if even else "note", sentence=said)
 
 
 def _odd_gains(gains: Gains, names: Sequence[str]) -> str:

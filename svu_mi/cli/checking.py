@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from svu_mi.cli.common import Output, announcing
-from svu_mi.cli.inputs import Folder, Missing, OfScene
+from svu_mi.cli.inputs import Folder, Gained, Missing, OfScene, with_search
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import given
 from svu_mi.needs import Need, Sizes
@@ -19,6 +19,7 @@ from svu_mi.results.writing import claimed
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
     from svu_mi.checking.record import Check
+    from svu_mi.illumination.found_gains import FoundGains
 
 SHOWN = 5  # views that fit worst, in the table
 WRONG = 3  # exit status with --strict
@@ -42,12 +43,16 @@ class CheckCapture(OfScene):
     many as there are sensors, in the order of their names."""
     missing: Missing = "refuse"
     """What to do if sensors have no photograph: leave-out goes on with the others."""
+    gains: Gained = "given"
+    """estimate: find exposure and white balance of each photograph (and the light, if there is
+    none), and say how they drift and which photographs do not fit the others."""
     strict: bool = False
     """Exit with status 3 if something does not fit."""
 
     def need(self, sizes: Sizes) -> Need:
         """Return what memory the command takes."""
-        return Need("check", sizes.photographs, light=sizes.light)
+        need = Need("check", sizes.photographs, light=sizes.light)
+        return with_search(need, sizes) if self.gains == "estimate" else need
 
     def run(self, console: Console) -> int:
         """Check, print what was found, and write the page."""
@@ -65,12 +70,22 @@ class CheckCapture(OfScene):
                     missing=self.missing, light="optional",
                     preflight=announcing(progress, str(self.images or self.scene), self.need),
                 )  # fmt: skip
-            found = check(capture, progress=progress)
+            gains = self._gains(capture, progress)
+            found = check(capture, gains=gains, progress=progress)
             with progress.stage("Writing the page"):
                 write_check(capture, found, self.output, settings=given(self))
         _print(console, found, capture)
         say(console, f"Wrote {self.output / 'check.html'}")
         return WRONG if self.strict and not found.fits else 0
+
+
+    def _gains(self, capture: Capture, progress: Progress) -> FoundGains | None:
+        """Find gains, if that is asked for."""
+        from svu_mi.illumination.finding import found_gains
+
+        if self.gains != "estimate":
+            return None
+        return found_gains(capture, self.output / "light", progress)
 
 
 def _print(console: Console, found: Check, capture: Capture) -> None:

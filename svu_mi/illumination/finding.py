@@ -55,6 +55,37 @@ def illuminated(
         SceneError: the light moves with the cameras.
     """
     progress = progress or Progress()
+    lit, known = _lit(capture, given, elsewhere, gains, progress)
+    if known is None:
+        return lit
+    for sentence in gain_sentences(known, capture):
+        progress.say(sentence)
+    return equalized(lit, known)
+
+
+def found_gains(
+    capture: Capture, elsewhere: Path | None = None, progress: Progress | None = None
+) -> FoundGains:
+    """Return the gains of photographs, under the light that they have or together with it.
+
+    Args:
+        capture: loaded with ``light="optional"``.
+        elsewhere: folder to keep light in that is found, if the capture's cannot be written.
+        progress: shows what is going on.
+
+    Raises:
+        CaptureError: the photographs do not tell them.
+        SceneError: the light moves with the cameras.
+    """
+    _, gains = _lit(capture, None, elsewhere, True, progress or Progress())
+    assert gains is not None
+    return gains
+
+
+def _lit(
+    capture: Capture, given: Path | None, elsewhere: Path | None, gains: bool, progress: Progress
+) -> tuple[Capture, FoundGains | None]:
+    """Return the capture under a light, with the gains that it was found or is asked for with."""
     lit, known = capture, None
     if given is not None:
         lit, known = _under_given(capture, given, progress)
@@ -63,11 +94,7 @@ def illuminated(
         lit, known = with_light(capture, found), found.gains
     if gains and known is None:
         known = estimate_gains(lit, texels(lit.mesh, RESOLUTION), OPTIONS, progress)
-    if known is None:
-        return lit
-    for sentence in gain_sentences(known, capture):
-        progress.say(sentence)
-    return equalized(lit, known)
+    return lit, known
 
 
 def _searched(

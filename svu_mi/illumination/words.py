@@ -13,6 +13,8 @@ from svu_mi.illumination.record import LightEstimate
 from svu_mi.parameters import CHANNELS
 
 UP = (0.0, 1.0, 0.0)
+NOTED = 0.08  # of the logarithms of gains: twice what they are off by, if there are few photographs
+FEWEST = 3  # photographs in each quarter that drift is told by
 LETTERS = "RGB"[: CHANNELS["base_color"]]
 
 
@@ -66,12 +68,36 @@ def gain_sentences(gains: FoundGains, capture: Capture) -> Iterator[str]:
     if len(factor):
         low, high = factor.mean(axis=1).min(), factor.mean(axis=1).max()
         yield f"Photographs are {low:.2f} to {high:.2f} times as bright as if all were alike."
+        yield from _balance(gains)
     usual = float(np.median(gains.noise[gains.noise > 0])) if gains.noise.any() else 1.0
     for view in np.flatnonzero(gains.odd):
         brighter, unlike = gains.factor[view].mean(), gains.noise[view] / usual
         yield (
             f"{names[view]} does not fit the others ({brighter:.2g} times as bright, "
             f"{unlike:.1f} times as far from what they explain); left out."
+        )
+
+
+def _balance(gains: FoundGains) -> Iterator[str]:
+    """Say how white balance differs, and how gains drift from the first photographs to the last,
+    if that is more than gains are known to."""
+    logarithm = gains.logarithm[~gains.odd]
+    grey = logarithm.mean(axis=1, keepdims=True)
+    if np.ptp(logarithm - grey, axis=0).max() > NOTED:
+        factors = np.exp(logarithm - grey)
+        each = (f"{letter} {factors[:, c].min():.2f} to {factors[:, c].max():.2f}"
+                for c, letter in enumerate(LETTERS))  # fmt: skip
+        yield f"White balance differs, relative to grey: {', '.join(each)}."
+    part = len(logarithm) // 4
+    if part < FEWEST:
+        return
+    first, last = (np.median(some, axis=0) for some in (logarithm[:part], logarithm[-part:]))
+    if np.abs(last - first).max() > NOTED:
+        changes = np.exp(last - first)
+        each = (f"{letter} {x:.2f}" for letter, x in zip(LETTERS, changes, strict=True))
+        yield (
+            "They drift: from the first quarter of the photographs to the last, gains change by "
+            f"{', '.join(each)}."
         )
 
 
