@@ -4,7 +4,8 @@
     read_arrays("state.npz")["step"]
 
 It is an ``.npz`` archive that NumPy reads, too. Nothing in it is packed, so it never takes more
-memory than disk, and it holds a digest of all that was written.
+memory than disk, and it holds a digest of all that was written. ``.npy`` and ``.npz`` files of
+other programs are read here as well: tables of numbers up to a size, never pickled objects.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from __future__ import annotations
 import hashlib
 import io
 import math
+import re
+import warnings
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -25,6 +28,7 @@ from svu_mi.files import replacing
 
 DIGEST = "digest"
 HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # of NumPy; others unpack more than is asked
 
 
 def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
@@ -52,13 +56,80 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         with path.open("rb") as file, zipfile.ZipFile(file) as archive:
             members = archive.infolist()
             _require_plain(members, path.stat().st_size)
-            found = {m.filename.removesuffix(".npy"): _array(archive, m) for m in members}
+            found = {m.filename.removesuffix(".npy"): _array(archive.read(m)) for m in members}
     except Exception as error:  # a broken archive fails in any way that a zip file can
         raise ValueError(excerpt(error) or type(error).__name__) from error
     digest = found.pop(DIGEST, None)
     if digest is None or digest.shape or str(digest) != _digest(found):
         raise ValueError("its checksum does not match")
     return found
+
+
+def read_foreign_array(path: Path, largest: int) -> np.ndarray:
+    """Read an ``.npy`` file of another program.
+
+    Args:
+        path: the file.
+        largest: bytes that it may have.
+
+    Returns:
+        float64 of any shape; NaN and infinity are kept.
+
+    Raises:
+        ValueError: it cannot be read, is larger, or holds anything but real numbers; with the
+            reason, a few words.
+    """
+    if not path.is_file():
+        raise ValueError("it is not a file")
+    try:
+        if path.stat().st_size > largest:
+            raise ValueError(f"it has more than {largest} bytes")
+        return _numbers(path.read_bytes())
+    except Exception as error:  # a broken header fails in any way that Python's parser can
+        raise ValueError(excerpt(error) or type(error).__name__) from error
+
+
+def read_foreign_arrays(path: Path, wanted: re.Pattern[str], largest: int) -> dict[str, np.ndarray]:
+    """Read some arrays of an ``.npz`` file of another program, packed or not.
+
+    Args:
+        path: the file.
+        wanted: what their names match as a whole; others are not read.
+        largest: bytes that they may have unpacked, all together, and that the file may have.
+
+    Returns:
+        float64 of any shape, by name; NaN and infinity are kept.
+
+    Raises:
+        ValueError: as ``read_foreign_array``.
+    """
+    if not path.is_file():
+        raise ValueError("it is not a file")
+    try:
+        if path.stat().st_size > largest:
+            raise ValueError(f"it has more than {largest} bytes")
+        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+            named = [(m.filename.removesuffix(".npy"), m) for m in archive.infolist()]
+            members = [(name, member) for name, member in named if wanted.fullmatch(name)]
+            if any(member.compress_type not in PACKINGS for _, member in members):
+                raise ValueError("one of its arrays is packed in an unknown way")
+            if sum(member.file_size for _, member in members) > largest:
+                raise ValueError(f"its arrays have more than {largest} bytes")
+            if len({name for name, _ in members}) < len(members):
+                raise ValueError("two of its arrays have the same name")
+            return {name: _numbers(archive.read(member)) for name, member in members}
+    except Exception as error:  # a broken archive fails in any way that a zip file can
+        raise ValueError(excerpt(error) or type(error).__name__) from error
+
+
+def _numbers(data: bytes) -> np.ndarray:
+    """Return real numbers as float64; what NumPy has to say about old headers is not shown."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        array = _array(data)
+        if array.dtype.kind not in "fiu":
+            raise ValueError(f"it holds {array.dtype}, not real numbers")
+        return array.astype(np.float64)
 
 
 def _require_plain(members: list[zipfile.ZipInfo], size: int) -> None:
@@ -71,15 +142,17 @@ def _require_plain(members: list[zipfile.ZipInfo], size: int) -> None:
         raise ValueError("two of its arrays have the same name")
 
 
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
+def _array(data: bytes) -> np.ndarray:
     """Read one array; its header may promise no more than there is."""
-    stream = io.BytesIO(archive.read(member))
+    stream = io.BytesIO(data)
     version = npy.read_magic(stream)
     if version not in HEADERS:
         raise ValueError("an array has an unknown format version")
     shape, _, dtype = HEADERS[version](stream)
-    here = member.file_size - stream.tell()
-    if dtype.hasobject or math.prod(shape) * dtype.itemsize != here:
+    here = len(data) - stream.tell()
+    if dtype.hasobject:
+        raise ValueError("an array declares pickled objects")
+    if math.prod(shape) * dtype.itemsize != here:
         raise ValueError(f"an array declares {dtype} of shape {shape}, but has {here} bytes")
     stream.seek(0)
     return np.asarray(npy.read_array(stream, allow_pickle=False))

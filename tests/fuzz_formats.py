@@ -256,6 +256,23 @@ def _colmap(folder: Path, *, text: bool = False) -> None:
         )
 
 
+def _llff(folder: Path) -> None:
+    for name in ("images/view_0000.png", "images/view_0001.png", "masks/view_0000.png"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        write_integers(folder, name, "RGB")
+    matrix = np.array([[0, 1, 0, 1, HEIGHT], [-1, 0, 0, 2, WIDTH], [0, 0, 1, 3, 20]], np.float64)
+    np.save(folder / "poses_bounds.npy", [[*matrix.ravel(), 1, 9]] * 2)
+
+
+def _idr(folder: Path) -> None:
+    for name in ("image/0.png", "image/1.png", "mask/0.png", "mask/1.png"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        write_integers(folder, name, "RGB")
+    world = np.array([[20.0, 0, 8, 1], [0, 21, 4, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
+    arrays = {"world_mat": world, "scale_mat": np.diag([2.0, 2, 2, 1])}
+    np.savez(folder / "cameras.npz", **{f"{n}_{k}": arrays[n] for n in arrays for k in (0, 1)})
+
+
 def _owl(folder: Path) -> None:
     write_owl(folder, _source(folder.parent / "other"))
 
@@ -339,6 +356,7 @@ def _all_formats() -> Iterator[Format]:
         ("transforms-distorted", _distorted, "*.json", "."),
         ("colmap-binary", _colmap, "*.bin", "."),
         ("colmap-text", partial(_colmap, text=True), "*.txt", "."), ("owl", _owl, "*.txt", "test"),
+        ("llff", _llff, "*.npy", "."), ("idr", _idr, "*.npz", "."),
         ("orb", _orb, "*_t*.json", "blender_HDR/ball_scene001"),
     ):  # fmt: skip
         read = partial(source, place=place)

@@ -135,7 +135,7 @@ def test_every_option_is_known():
     )  # fmt: skip
     reading = ReadOptions(
         format="colmap", images=Path("i"), masks=Path("m"), split="test", environment_view="v",
-        original_world=True,
+        original_world=True, normalized=True,
     )  # fmt: skip
     asked = Import(source=Path("s"), undistort=True, reading=reading, conversion=options)
     given, known = _parsed(asked.words)

@@ -58,9 +58,10 @@ class Conversion(ImportOptions):
 class Import(Common):
     """Turn the capture of another tool into a capture folder.
 
-    Reads transforms.json (NeRF, Blender, nerfstudio), COLMAP, Stanford-ORB and Objects with
-    Lighting; writes scene.xml with the mesh and the light, linear EXR photographs with their
-    masks, and capture.json. Look at the result with svu check.
+    Reads transforms.json (NeRF, Blender, nerfstudio), COLMAP, poses_bounds.npy (LLFF),
+    cameras_sphere.npz (IDR, NeuS), Stanford-ORB and Objects with Lighting; writes scene.xml with
+    the mesh and the light, linear EXR photographs with their masks, and capture.json. Look at the
+    result with svu check.
     """
 
     draws = False

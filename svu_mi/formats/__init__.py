@@ -1,1 +1,1 @@
-"""Captures as other tools write them: NeRF and nerfstudio, COLMAP, Stanford-ORB, and the like."""
+"""Captures as other tools write them: NeRF and nerfstudio, COLMAP, LLFF, IDR, and the like."""

@@ -18,7 +18,7 @@ from svu_mi.formats.reading import ReadOptions
 FIX = "--fix"
 # Those of ``svu import`` that its words may have, but for the folder of the result.
 NAMES = {field.name for options in (ReadOptions, ImportOptions) for field in fields(options)}
-SWITCHES = {"--undistort", "--original-world", "--geometry-only"}
+SWITCHES = {"--undistort", "--original-world", "--normalized", "--geometry-only"}
 VALUED = {f"--{name.replace('_', '-')}" for name in NAMES} - SWITCHES - {"--fixes"}
 VALUED |= {"--environment-axes", "--environment-scale"}
 

@@ -8,7 +8,7 @@ imported when they are asked, since the command line reads this table at its sta
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
@@ -20,14 +20,19 @@ if TYPE_CHECKING:
 
     Format = str
 
-# The module of each, in the order they are asked: Stanford-ORB has transforms_train.json, too.
+# The module of each, in the order they are asked: Stanford-ORB has transforms_train.json, too, and
+# LLFF's and IDR's tables are often made of a COLMAP model beside them, which knows the lens.
 FORMATS = {
     "stanford-orb": "stanford_orb",
     "transforms": "transforms",
     "colmap": "colmap.source",
+    "llff": "llff",
+    "idr": "idr",
     "owl": "objects_with_lighting",
 }
 AUTO = "auto"
+FOLDERS = ("colmap", "llff", "idr")  # those that name no folder of photographs and masks
+TABLES = ("llff", "idr")  # those that are a file among others, which may have been meant
 
 if not TYPE_CHECKING:
     Format: Any = Literal[(AUTO, *FORMATS)]
@@ -50,9 +55,9 @@ class ReadOptions:
     format: Format = AUTO
     """Format of the source; auto detects it."""
     images: Path | None = None
-    """COLMAP: folder of the photographs."""
+    """COLMAP, LLFF, IDR: folder of the photographs, such as images_4."""
     masks: Path | None = None
-    """COLMAP: folder of the masks."""
+    """COLMAP, LLFF, IDR: folder of the masks."""
     split: str = "train"
     """Part of the data set: train, test, val, or X of transforms_X.json; Stanford-ORB: train,
     test, or another capture of the same object."""
@@ -60,14 +65,17 @@ class ReadOptions:
     """Stanford-ORB: test photograph whose environment is the light; by default the first."""
     original_world: bool = False
     """Undo the applied_transform of nerfstudio."""
+    normalized: bool = False
+    """IDR, NeuS: poses in the unit sphere of scale_mat, as meshes of NeuS are."""
 
 
 def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
     """Read a capture.
 
     Args:
-        path: ``transforms.json`` or its folder, a COLMAP project or model, a scene of Stanford-ORB
-            or an object of Objects with Lighting.
+        path: ``transforms.json``, ``poses_bounds.npy`` (LLFF), ``cameras_sphere.npz`` or
+            ``cameras.npz`` (IDR, NeuS), the folder of one of these, a COLMAP project or model, a
+            scene of Stanford-ORB or an object of Objects with Lighting.
         options: see there.
 
     Raises:
@@ -81,12 +89,25 @@ def read_source(path: str | Path, options: ReadOptions | None = None) -> Source:
     if not path.exists():
         raise CaptureError(f"{path}: no such file or folder; give a capture to import.")
     kind = _recognised(path, options.split) if kind == AUTO else kind
-    if kind != "colmap" and (options.images or options.masks):
+    if kind not in FOLDERS and (options.images or options.masks):
         raise OptionError(
-            f"--images and --masks are for COLMAP, but {path} is read as {kind}, which names its "
-            "photographs and masks itself."
+            f"--images and --masks are for COLMAP, LLFF and IDR, but {path} is read as {kind}, "
+            "which names its photographs and masks itself."
         )
-    return _reader(kind).read(path, options)
+    source = _reader(kind).read(path, options)
+    others = _others(path, kind, options.split) if options.format in (None, AUTO) else []
+    return replace(source, notes=[*source.notes, *others]) if others else source
+
+
+def _others(path: Path, kind: str, split: str) -> list[str]:
+    """Say as which table a folder could have been read that is read as something else."""
+    if kind in TABLES:
+        return []
+    found = [name for name in TABLES if _reader(name).recognises(path, split)]
+    return [
+        f"{path}: is read as {kind}, but has poses of {name}, too; --format {name} reads these."
+        for name in found
+    ]
 
 
 def _recognised(path: Path, split: str) -> str:
@@ -95,7 +116,8 @@ def _recognised(path: Path, split: str) -> str:
             return name
     raise CaptureError(
         f"{path}: not a known kind of capture; expected transforms.json, a COLMAP model, "
-        "Stanford-ORB or Objects with Lighting: choose one with --format."
+        "poses_bounds.npy, cameras_sphere.npz, Stanford-ORB or Objects with Lighting: choose one "
+        "with --format."
     )
 
 

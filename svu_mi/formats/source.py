@@ -22,10 +22,12 @@ from svu_mi.formats.options import ENVIRONMENT_AXES as ENVIRONMENT_AXES
 from svu_mi.formats.options import Light as Light
 from svu_mi.formats.response import Response
 
-# Columns of a camera-to-world rotation that change their sign on the way to Mitsuba's camera:
-# +X left, +Y up, +Z forward. Each matrix is its own inverse.
+# What turns the columns of a camera-to-world rotation into those of Mitsuba's camera: +X left, +Y
+# up, +Z forward. Each matrix is its own inverse.
 OPENGL = np.diag([-1.0, 1.0, -1.0, 1.0])  # +X right, +Y up, looks along -Z: Blender, NeRF
-OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])  # +X right, +Y down, +Z forward: COLMAP
+OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])  # +X right, +Y down, +Z forward: COLMAP, IDR
+# +X down, +Y right, +Z backwards: LLFF
+DOWN_RIGHT_BACK = np.array([[0.0, -1, 0, 0], [-1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
 
 MAX_DISTANCE = 1e9  # units; single precision is long lost there
 MAX_SIDE = 2**16  # pixels; no camera has more, a damaged file easily

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from svu_mi.capture.picture import SUFFIXES
 from svu_mi.capture.poses import affine
 from svu_mi.errors import CaptureError, excerpt
+from svu_mi.formats.beside import mask_of
 from svu_mi.formats.colmap.model import Camera, View, is_model, read_model
 from svu_mi.formats.lenses import Lens
 from svu_mi.formats.paths import inside
@@ -143,7 +143,7 @@ def read_project(
         views=views,
         images=images,
         photographs=files,
-        masks=[None if masks is None else _mask(masks, f.relative_to(images)) for f in files],
+        masks=[None if masks is None else mask_of(masks, f.relative_to(images)) for f in files],
     )
 
 
@@ -157,13 +157,6 @@ def _beside(model: Path, name: str) -> Path | None:
     ways = (".", "..", "../..", *(["../../.."] if nested else []))
     folders = [Path(os.path.normpath(model / up / name)) for up in ways]
     return next((folder for folder in folders if folder.is_dir()), None)
-
-
-def _mask(folder: Path, name: Path) -> Path | None:
-    """Return the mask of an image: ``name.jpg.png``, ``name.jpg``, or ``name`` with any suffix."""
-    stems = [folder / name.with_suffix(suffix) for suffix in SUFFIXES]
-    names = (folder / f"{name}.png", folder / name, *stems)
-    return next((file for file in names if file.is_file()), None)
 
 
 def _lens(camera: Camera, label: str) -> Lens:
