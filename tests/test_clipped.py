@@ -10,7 +10,7 @@ import pytest
 from helpers import render_ball, run, sensor_xml, write_scene
 from PIL import Image
 from scipy.stats import norm
-from studies.clipped import in_eight_bits
+from studies.clipped import in_integers
 
 import svu_mi as svu
 from svu_mi import scenes
@@ -118,7 +118,7 @@ def test_channels_that_are_clipped_are_known_to_be_bright(tmp_path):
 
 def test_gains_are_divided_out_of_what_is_clipped(shiny):
     observed = observe(shiny, svu.texels(shiny.mesh, 32))
-    stored, _ = in_eight_bits(shiny, observed, 0.03)
+    stored, _ = in_integers(shiny, observed, 0.03)
     gains = FoundGains(np.log(np.full((16, 3), [2.0, 1.0, 0.5])), np.ones(16), np.zeros(16, bool))
     even = equalized(stored, gains)
     for one, other in zip(stored.clipped, even.clipped, strict=True):
@@ -144,7 +144,7 @@ def test_a_clipped_highlight_still_says_that_it_is_one(shiny):
     """Roughness without the highlight's pixels is open; that they are bright settles it."""
     texels = svu.texels(shiny.mesh, 48)
     observed = observe(shiny, texels)
-    stored, part = in_eight_bits(shiny, observed, 0.05)
+    stored, part = in_integers(shiny, observed, 0.05)
     assert 0.03 < part < 0.06
     left_out = replace(stored, clipped=())
     seen = observed.coverage >= 4
@@ -162,7 +162,7 @@ def test_a_clipped_highlight_still_says_that_it_is_one(shiny):
 def test_more_is_known_where_something_is_clipped_and_nothing_changes_elsewhere(shiny):
     texels = svu.texels(shiny.mesh, 32)
     hdr = observe(shiny, texels)
-    stored, _ = in_eight_bits(shiny, hdr, 0.05)
+    stored, _ = in_integers(shiny, hdr, 0.05)
     seen, found = statistics_of(stored, texels)
     _, without = statistics_of(replace(stored, clipped=()), texels)
     both = np.intersect1d(found.texel.numpy(), without.texel.numpy())
@@ -181,7 +181,7 @@ def test_more_is_known_where_something_is_clipped_and_nothing_changes_elsewhere(
 def test_mirror_directions_of_clipped_views_are_traced_too(shiny):
     """Nothing stands in the way of a ball's: all that is seen, clipped or not, is free."""
     texels = svu.texels(shiny.mesh, 32)
-    stored, _ = in_eight_bits(shiny, observe(shiny, texels), 0.05)
+    stored, _ = in_integers(shiny, observe(shiny, texels), 0.05)
     seen = observe(stored, texels)
     asked = seen.found.bits.count() + seen.found.clipped.count()
     free = np.zeros(texels.count, int)

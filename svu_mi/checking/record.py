@@ -42,7 +42,8 @@ class Finding:
             is not accounted for).
         verdict: ``fits``; ``wrong`` (``fixes`` would put it right); ``unclear`` (something is
             wrong, or may be, but several explanations fit, or none); ``unknown`` (photographs and
-            light of this kind cannot tell); ``note`` (to be known, no mistake: of ``ignored``, or gains that were estimated).
+            light of this kind cannot tell); ``note`` (to be known, no mistake: of ``ignored``, or
+            of gains that were estimated).
         sentence: the same for people.
         fixes: the best explanation, if it is better than what the capture says.
         alternatives: others that explain the photographs as well.

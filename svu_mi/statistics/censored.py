@@ -30,7 +30,6 @@ from svu_mi.statistics.factors import PAIRS
 from svu_mi.statistics.sums import Statistics
 
 CLIPPED_PART = 0.05  # of a texel's pixels in a view, from which it counts as clipped
-HIDDEN = 2.0  # contrast of clipped pixels, relative to what they are at least
 PASSES = 2  # parabolas, each around what the one before leads to
 NODES = 5  # of what mixes the columns, that the best of is taken
 PARAMETERS = 3.0  # of a texel at one roughness, in samples of three channels

@@ -15,7 +15,7 @@ from svu_mi.reflection.model import Model
 from svu_mi.reflection.principled import columns
 from svu_mi.reflection.shading import Parts, interpolated, radiance
 from svu_mi.statistics.blocks import scattered
-from svu_mi.statistics.censored import CLIPPED_PART, HIDDEN, Models, parabola
+from svu_mi.statistics.censored import CLIPPED_PART, Models, parabola
 from svu_mi.statistics.factors import PAIRS
 from svu_mi.statistics.sums import EDGES, Statistics, noise_weight
 from svu_mi.visibility import Observation, Survey, Views
@@ -89,10 +89,7 @@ def gather(
             observed = as_channels(seen.radiance, channels)
             w = dr.select(seen.seen, mi.Float(1), 0)
             if weighted:
-                grey, contrast = sum(observed) / channels, seen.contrast
-                if clipped:  # on the edge of a highlight, whose contrast nobody knows
-                    contrast = contrast + dr.square(HIDDEN * dr.max(seen.clipped) * grey)
-                w *= noise_weight(grey, knee, contrast, eta)
+                w *= noise_weight(sum(observed) / channels, knee, seen.contrast, eta)
             if current is not None:
                 off = sum(_errors(lobes, observed, current)) / channels
                 w *= knee / dr.maximum(off, SMALLEST * knee)

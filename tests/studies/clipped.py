@@ -36,24 +36,30 @@ from svu_mi.pipeline import estimate
 ENTROPY = {0.0: 0.995, 0.01: 0.97, 0.03: 0.95, 0.06: 0.88}  # by part clipped: correlation at least
 
 
-def _comparing(part: float) -> Any:
-    return lambda cell: cell.compared(part)
+FINE = "0 %, 16 bits"  # what is lost where nothing is clipped, but for the steps of 8 bits
+
+
+def _comparing(part: float, bits: int = 8) -> Any:
+    return lambda cell: cell.compared(part, bits)
 
 
 @dataclass(frozen=True)
 class OfEightBits(Photographed):
     """An object whose photographs are clipped."""
 
-    rows = tuple(Part(f"{100 * part:g} %", _comparing(part)) for part in ENTROPY)
+    rows = (
+        *(Part(f"{100 * part:g} %", _comparing(part)) for part in ENTROPY),
+        Part(FINE, _comparing(0.0, 16)),
+    )
 
     @cached_property
     def right(self) -> Record:
         """Of HDR."""
         return self._found(self.capture)
 
-    def compared(self, part: float) -> Record:
+    def compared(self, part: float, bits: int) -> Record:
         """Compare photographs of which a part is clipped with HDR."""
-        stored, clipped = in_eight_bits(self.capture, self.observed, part)
+        stored, clipped = in_integers(self.capture, self.observed, part, bits)
         rows = {}
         for name, capture in (("bound", stored), ("left out", replace(stored, clipped=()))):
             found = self._found(capture)
@@ -79,32 +85,35 @@ class OfEightBits(Photographed):
         return {"entropy": entropy, "textures": textures, "holds": holds}
 
 
-def in_eight_bits(capture: Capture, observed: Observed, part: float) -> tuple[Capture, float]:
-    """Store photographs as 8-bit sRGB, with one exposure for all.
+def in_integers(
+    capture: Capture, observed: Observed, part: float, bits: int = 8
+) -> tuple[Capture, float]:
+    """Store photographs as sRGB integers, with one exposure for all.
 
     Args:
         capture: HDR photographs.
         observed: what they show.
         part: of the pixels that show the object, which is clipped in some channel.
+        bits: 8 or 16.
 
     Returns:
         The capture, and the part that is clipped.
     """
     colors = np.asarray(observed.views.pixels.numpy()).reshape(-1, 3)
     most = colors[observed.views.usable.numpy()].max(axis=1)
-    limit = float(decoded(np.array(SATURATED[8], np.float32)))
+    limit, last = float(decoded(np.array(SATURATED[bits], np.float32))), 2**bits - 1
     exposure = limit / max(float(np.quantile(most, 1 - part)), 1e-12)
     if part == 0:
         exposure *= 0.99
     images, clipped = [], []
     for image in capture.images:
-        encoded = np.round(255 * srgb(np.nan_to_num(image) * exposure)) / 255
-        found = Clipped.of(encoded > SATURATED[8], limit / exposure)
+        encoded = np.round(last * srgb(np.nan_to_num(image) * exposure)) / last
+        found = Clipped.of(encoded > SATURATED[bits], limit / exposure)
         linear = (decoded(encoded.astype(np.float32)) / exposure).astype(np.float32)
         linear[found.flags] = np.nan
         images.append(np.ascontiguousarray(linear))
         clipped.append(found)
-    steps = (Rounding.of(8).divided(exposure),) * len(images)
+    steps = (Rounding.of(bits).divided(exposure),) * len(images)
     stored = replace(capture, images=tuple(images), clipped=tuple(clipped), rounding=steps)
     return stored, float((most * exposure > limit).mean())
 
@@ -137,8 +146,8 @@ SHOWN = (
 
 def tables(record: Record) -> list[str]:
     """Return a table for each part that is clipped: HDR / clipped at least so bright / left out."""
-    names = [f"{100 * part:g} %" for part in ENTROPY]
-    return [f"**{name} clipped**\n\n{columns(SHOWN, _rows(record, name))}" for name in names]
+    names = [part.label for part in OfEightBits.rows]
+    return [f"**{name}**\n\n{columns(SHOWN, _rows(record, name))}" for name in names]
 
 
 def bars(record: Record) -> list[Bar]:
@@ -153,7 +162,8 @@ def bars(record: Record) -> list[Bar]:
             lost = mean(row["hdr"]["roughness"] - row["bound"]["textures"]["roughness"]
                          for row in rows)  # fmt: skip
             found.append(Bar(f"{what}: roughness, dB lost", lost, 1.0))
-    return found
+    entropy = mean(row["bound"]["entropy"] for row in _rows(record, FINE))
+    return [*found, Bar(f"{FINE}: correlation of entropy, mean", entropy, ENTROPY[0.0], least=True)]
 
 
 def experiment(bench: Bench, asked: Asked) -> Experiment:
