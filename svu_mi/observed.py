@@ -91,8 +91,13 @@ class Observed:
 
     @property
     def coverage(self) -> np.ndarray:
-        """(T,) uint32, number of photographs that show each texel."""
+        """(T,) uint32, number of photographs that show each texel with nothing clipped."""
         return np.array(self.found.coverage)
+
+    @property
+    def shown(self) -> np.ndarray:
+        """(T,) uint32, number of photographs that show each texel, clipped or not."""
+        return np.asarray(self.coverage + self.found.clipped_coverage, np.uint32)
 
     @cached_property
     def mirrors(self) -> Mirrors:
@@ -254,9 +259,8 @@ def observe(
         found = survey(views, Surface.of(texels), skip_blind=skip_blind, skip_pairs=skip_pairs)
     _require_seen(found.per_view, capture)
     _require_range(found.scale)
-    coverage = found.coverage.numpy()
-    seen = np.flatnonzero(coverage) if skip_unseen else np.arange(texels.count)
-    return Observed(capture, views, texels, found, seen)
+    observed = Observed(capture, views, texels, found, np.arange(texels.count))
+    return replace(observed, seen=np.flatnonzero(observed.shown)) if skip_unseen else observed
 
 
 def _require_seen(counts: np.ndarray, capture: Capture) -> None:

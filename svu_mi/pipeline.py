@@ -250,7 +250,7 @@ def estimate(
             preset=switches,
             texels=seen.texels,
             posterior=posterior,
-            coverage=seen.found.coverage,
+            coverage=mi.UInt32(seen.shown) if _takes_clipped(switches) else seen.found.coverage,
             seen_per_view=seen.found.per_view,
             skipped=plan.skipped,
             timings=progress.timings,
@@ -259,6 +259,11 @@ def estimate(
         )
         dr.eval(result.entropy)
     return result
+
+
+def _takes_clipped(switches: AnyPreset) -> bool:
+    """Return whether texels are seen, too, where they are brighter than photographs can say."""
+    return isinstance(switches, AngularPreset) and switches.noise == "estimated"
 
 
 def _widened(switches: AnyPreset, capture: Capture) -> AnyPreset:

@@ -70,7 +70,7 @@ def make_plan(
     skipped = {
         "texels outside the charts": width * height - texels.count - texels.overlapping,
         "texels on overlapping charts": texels.overlapping,
-        "texels never seen": int((observed.coverage == 0).sum()),
+        "texels never seen": int((observed.shown == 0).sum()),
         "views left out": capture.count - sum(capture.used),
         "views that show no texel": int((observed.found.per_view == 0).sum()),
         "channels of the light equal to another": 2 if grey_light else 0,

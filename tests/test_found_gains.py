@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -192,7 +194,7 @@ def test_photographs_that_do_not_fit_are_named_and_left_out(observed):
     assert found.factor[ODD[0]].mean() == pytest.approx(4, rel=0.2)
     said = list(gain_sentences(found, changed))
     assert "times as bright as if all were alike" in said[0]
-    for view, sentence in zip(ODD, said[1:], strict=True):
+    for view, sentence in zip(ODD, said[-len(ODD) :], strict=True):
         assert sentence.startswith(f"{capture.names[view]} does not fit the others (")
     even = equalized(changed, found)
     assert np.flatnonzero(~np.array(even.used)).tolist() == list(ODD)
@@ -278,3 +280,18 @@ def test_svu_finds_them_under_the_light_of_the_scene(vase, tmp_path, capsys):
     assert run("entropy", vase, "--gains", "estimate", "--resolution", 48, "-o", out) == 0
     assert "times as bright as if all were alike" in " ".join(capsys.readouterr().out.split())
     assert "entropy.exr" in names(out)
+
+
+def test_white_balance_and_drift_are_told_if_they_are_more_than_chance():
+    rng = np.random.default_rng(0)
+    even = rng.normal(0, 0.02, (24, 3))
+    capture = SimpleNamespace(names=[f"{k}.jpg" for k in range(24)], used=[True] * 24)
+    none = np.zeros(24, bool)
+
+    def said(logarithm: np.ndarray) -> str:
+        return " ".join(gain_sentences(FoundGains(logarithm, np.ones(24), none), capture))
+
+    assert "White balance" not in said(even) and "drift" not in said(even)
+    bluer = even + np.linspace(-0.2, 0.2, 24)[:, None] * [0, 0, 1]
+    assert re.search(r"White balance .* B 0\.8\d to 1\.1\d\.", said(bluer))
+    assert re.search(r"drift: .* by R [01]\.\d\d, G [01]\.\d\d, B 1\.3\d\.", said(bluer))

@@ -82,8 +82,10 @@ def _balance(gains: FoundGains) -> Iterator[str]:
     """Say how white balance differs, and how gains drift from the first photographs to the last,
     if that is more than gains are known to."""
     logarithm = gains.logarithm[~gains.odd]
+    if not len(logarithm):
+        return
     grey = logarithm.mean(axis=1, keepdims=True)
-    if np.ptp(logarithm - grey, axis=0).max() > NOTED:
+    if (logarithm - grey).std(axis=0).max(initial=0) > NOTED / 2:
         factors = np.exp(logarithm - grey)
         each = (f"{letter} {factors[:, c].min():.2f} to {factors[:, c].max():.2f}"
                 for c, letter in enumerate(LETTERS))  # fmt: skip

@@ -34,6 +34,7 @@ PASSES = 2  # parabolas, each around what the one before leads to
 NODES = 5  # of what mixes the columns, that the best of is taken
 PARAMETERS = 3.0  # of a texel at one roughness, in samples of three channels
 FEWEST_FREE = 1.0  # samples more than those, by which noise is divided at least
+ENOUGH = 3.0  # samples more than those, from which a texel knows its own noise
 LEAST_NOISE = 0.01  # part of kappa
 BELOW, ABOVE = 3.0, 5.0  # standard deviations below b where lambda is its bound [Sampford 1953],
 # and above b where nothing is left to say
@@ -122,4 +123,8 @@ def _noise(statistics: Statistics, least: np.ndarray) -> np.ndarray:
     views = np.asarray(statistics.views.numpy(), np.float64)
     error = np.maximum(least.min(axis=0), 0) / statistics.channels
     variance = error * statistics.weight / np.maximum(views - PARAMETERS, FEWEST_FREE)
+    enough = views >= PARAMETERS + ENOUGH
+    # Of texels that are clipped in nearly all views, nothing is known; they are like others.
+    usual = float(np.median(variance[enough])) if enough.any() else 0.0
+    variance = np.where(enough, variance, np.maximum(variance, usual))
     return np.maximum(np.sqrt(variance), LEAST_NOISE * statistics.kappa)

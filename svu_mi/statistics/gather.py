@@ -117,7 +117,10 @@ def gather(
     weight, partly, *sums = found.over_views(views, surface, consume, zeros, clipped=clipped)
     coverage = dr.gather(mi.UInt32, found.coverage, surface.index)
     if clipped:
-        coverage = mi.UInt32(partly + 0.01)  # what counts in part is not a whole view
+        # What counts in part is not a whole view; but a texel that any view says something of is
+        # seen, even if it is brighter than all of them can say.
+        shown = dr.select(weight > 0, mi.UInt32(1), 0)
+        coverage = dr.maximum(mi.UInt32(partly + 0.01), shown)
     dr.eval(coverage)
     return Statistics(
         scattered(mi.Float64, [*sums, weight], surface.count), coverage, surface.index,

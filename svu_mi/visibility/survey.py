@@ -60,6 +60,12 @@ class Survey:
         most = GLARE * np.median(total[lit] / samples[lit])
         return float(np.minimum(total, most * samples).sum() / samples.sum())
 
+    @property
+    def clipped_coverage(self) -> np.ndarray | int:
+        """(T,) uint32, number of views that would see each texel, were it not for clipped pixels;
+        0 where nothing is clipped."""
+        return 0 if self.clipped is None else np.asarray(self.clipped.count(), np.uint32)
+
     def look(
         self, views: Views, surface: Surface, slot: Any, clipped: bool = False
     ) -> Observation:
