@@ -124,6 +124,18 @@ def test_three_commands_from_the_folder_to_a_report(imported, tmp_path, capsys):
     assert page.stat().st_size > 100_000
 
 
+@pytest.mark.slow
+def test_a_check_tells_gains_if_it_is_asked_to_find_them(imported, tmp_path, capsys):
+    words = ("check", imported, "--gains", "estimate", "-o", tmp_path)
+    assert run(*words) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "gain (note): Photographs are 0." in said and "White balance differs" in said
+    assert f"IMG_{SPOILT:04d}.jpg does not fit the others" in said
+    assert "as far as can be determined." in said  # nothing is ignored
+    assert run(*words) == 0
+    assert "Using the light found before" in " ".join(capsys.readouterr().out.split())
+
+
 def test_what_is_no_real_capture_is_refused(imported, tmp_path, capsys):
     out = ("-o", tmp_path / "out")
     assert "needs a capture" in fails(capsys, "bench", "real", *out)

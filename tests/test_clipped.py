@@ -132,6 +132,23 @@ def test_what_is_not_clipped_is_as_before(shiny):
     assert same.views.clipped is None and same.found.clipped is None
 
 
+def test_what_is_clipped_in_all_views_is_seen_to_be_bright(vase):
+    """It has not been unseen: it is at least as bright as photographs can say."""
+    before = vase.estimate
+    stored, _ = in_integers(vase.capture, before.observed, 0.3)
+    found = svu.estimate(stored, vase.texels)
+    always = (found.observed.coverage == 0) & (found.observed.shown > 0)
+    assert always.sum() > 50
+    assert found.posterior.observed[always].all() and np.array(found.coverage)[always].min() > 0
+    assert np.median(np.array(found.entropy)[always]) < 0.9
+    dropped = svu.estimate(replace(stored, clipped=()), vase.texels)
+    assert not dropped.posterior.observed[always].any()
+    right = np.array(before.posterior.mean("base_color"))[always]
+    errors = [np.square(np.array(x.posterior.mean("base_color"))[always] - right).mean()
+              for x in (found, dropped)]  # fmt: skip
+    assert errors[0] < 0.7 * errors[1]
+
+
 def statistics_of(capture, texels, **options):
     observed = observe(capture, texels)
     weighting = Weighting(SWITCHES.kappa(observed.unit), SWITCHES.edges)

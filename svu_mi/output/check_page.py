@@ -95,7 +95,7 @@ def verdict(found: Check) -> str:
     if unclear:
         return f"Axes fit, but results may be wrong for another reason: {', '.join(unclear)}."
     fits = "The capture fits its photographs, as far as can be determined"
-    if any(one.verdict == "note" for one in found.findings):
+    if any(one.question == "ignored" for one in found.findings):
         return f"{fits}; results may be off by what is ignored."
     return f"{fits}."
 
