@@ -231,8 +231,9 @@ def test_a_gain_is_of_no_matter():
     gain = np.array([0.5, 2.0, 1.5])
     np.testing.assert_allclose(gain_of(right, right * gain), gain)
     score = Score.start(400)
-    score.add(np.arange(400), right * gain, Shown(right[None]))
+    score.add(np.arange(400), right * gain, np.ones(400), Shown(right[None]))
     record = score.record()
+    assert record["facing"] == pytest.approx(1) and np.isnan(record["steep"])
     assert record["r2"] == pytest.approx(1) and record["views"] == pytest.approx([1])
     assert record["holds"] == {} and score.predicted[0].shape == ((~score.first).sum(), 3)
 
@@ -250,11 +251,13 @@ def test_intervals_hold_as_often_as_noise_is_what_it_is_said_to_be(claimed, low,
     right = rng.uniform(0.5, 1, (8000, 3))
     score = Score.start(8000)
     shown = right + rng.normal(0, 0.1, right.shape)
-    score.add(np.arange(8000), shown, Shown(right[None], np.full((1, 8000), claimed)))
+    score.add(
+        np.arange(8000), shown, np.ones(8000), Shown(right[None], np.full((1, 8000), claimed))
+    )
     assert low < score.record()["holds"]["0.9"] < high
 
 
 def test_too_few_texels_are_no_photograph():
     score = Score.start(10)
-    score.add(np.arange(10), np.ones((10, 3)), Shown(np.ones((1, 10, 3))))
+    score.add(np.arange(10), np.ones((10, 3)), np.ones(10), Shown(np.ones((1, 10, 3))))
     assert np.isnan(score.record()["r2"]) and not score.record()["views"]

@@ -199,7 +199,8 @@ class LeftOut:
                 mine = np.flatnonzero((samples.view == view) & self.enough[samples.owner])
                 own = samples.owner[mine]
                 if len(mine):
-                    score.add(own, samples.radiance[mine], predict(int(view)).some(own))
+                    shown = predict(int(view)).some(own)
+                    score.add(own, samples.radiance[mine], samples.cosine[mine], shown)
                 stage.update(done, int(self.held.sum()))
         return {**score.record(), "seconds": perf_counter() - start}
 

@@ -22,6 +22,8 @@ def _quantile(row: Record, q: float) -> float | None:
 PREDICTED = (
     Column("prediction", lambda row: row[0]),
     Column("R^2", lambda row: row[1]["r2"], digits(3)),
+    Column("facing the camera", lambda row: row[1]["facing"], digits(3)),
+    Column("steeper than 45 degrees", lambda row: row[1]["steep"], digits(3)),
     Column("of photographs: median", lambda row: _quantile(row[1], 0.5), digits(3)),
     Column("worst tenth below", lambda row: _quantile(row[1], 0.1), digits(3)),
     Column("PSNR (dB)", lambda row: row[1]["psnr"], digits(1)),
