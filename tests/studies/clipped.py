@@ -33,7 +33,8 @@ from svu_mi.observed import Observed
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import estimate
 
-ENTROPY = {0.0: 0.995, 0.001: 0.995, 0.01: 0.97, 0.03: 0.95, 0.06: 0.88}  # by part clipped: correlation at least
+# Correlation of entropy at least, by part clipped.
+ENTROPY = {0.0: 0.995, 0.001: 0.995, 0.01: 0.97, 0.03: 0.95, 0.06: 0.88}
 
 
 FINE = "0 %, 16 bits"  # what is lost where nothing is clipped, but for the steps of 8 bits
