@@ -257,13 +257,19 @@ def observe(
         views = pack_views(capture)
     with progress.stage("Tracing visibility"):
         found = survey(views, Surface.of(texels), skip_blind=skip_blind, skip_pairs=skip_pairs)
-    _require_seen(found.per_view, capture)
+    _require_seen(found, capture)
     _require_range(found.scale)
     observed = Observed(capture, views, texels, found, np.arange(texels.count))
     return replace(observed, seen=np.flatnonzero(observed.shown)) if skip_unseen else observed
 
 
-def _require_seen(counts: np.ndarray, capture: Capture) -> None:
+def _require_seen(found: Survey, capture: Capture) -> None:
+    counts = found.per_view
+    if not counts.any() and np.any(found.clipped_coverage):
+        raise CaptureError(
+            f"All that {len(counts)} photographs show of '{capture.shape.id()}' is clipped; expose "
+            "for the object."
+        )
     if not counts.any():
         raise CaptureError(
             f"No texel of '{capture.shape.id()}' is seen in any of {len(counts)} photographs; "

@@ -263,7 +263,7 @@ def estimate(
 
 def _takes_clipped(switches: AnyPreset) -> bool:
     """Return whether texels are seen, too, where they are brighter than photographs can say."""
-    return isinstance(switches, AngularPreset) and switches.noise == "estimated"
+    return isinstance(switches, AngularPreset) and switches.kappa(1.0) < np.inf
 
 
 def _widened(switches: AnyPreset, capture: Capture) -> AnyPreset:
@@ -293,9 +293,10 @@ def _from_angles(run: _Run, switches: AngularPreset) -> Posterior:
         weighting = Weighting(
             switches.kappa(seen.unit), switches.edges if switches.noise == "estimated" else 0.0
         )
+        clipped = seen.found.clipped is not None and not _takes_clipped(switches)
         factors = seen.statistics(
             _levels(run, switches), switches, plan.channels, light_channels=plan.light_channels,
-            weighting=weighting,
+            weighting=weighting, texels=np.flatnonzero(seen.coverage) if clipped else None,
         ).factor()  # fmt: skip
     if switches.noise == "estimated":
         return calibrated_posterior(

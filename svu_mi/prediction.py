@@ -20,6 +20,7 @@ from svu_mi.interop import owned
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset
 from svu_mi.pipeline import Estimate
+from svu_mi.posterior.problem import spline
 from svu_mi.reflection.model import Model
 from svu_mi.reflection.shading import Parts, interpolated
 from svu_mi.statistics.gather import GRAZING, Values, mixed_of
@@ -37,18 +38,21 @@ class Prediction:
         scene: what stands in the way of light.
         model: what the texels reflect, at even levels of roughness on [0, 1].
         draws: of the posterior, D dictionaries of their parameters: a Float per channel.
+        shares: of each draw, how much every level counts at its roughness: R Floats.
     """
 
     scene: Any
     model: Model
     draws: list[Values]
+    shares: list[list[Any]]
 
     @staticmethod
     def of(estimate: Estimate, texels: np.ndarray, draws: int = 32, seed: int = 0) -> Prediction:
         """Draw the parameters of some texels.
 
         Args:
-            estimate: angular, of a reflection model that is traced cell by cell: ``default``.
+            estimate: angular, with noise that was estimated and a base colour for each channel:
+                ``default``.
             texels: (n,) their numbers.
             draws: D; more are smoother.
             seed: of the draws.
@@ -57,9 +61,10 @@ class Prediction:
             OptionError: an estimate of another kind.
         """
         switches, observed = estimate.switches, estimate.observed
-        if not isinstance(switches, AngularPreset) or switches.noise != "estimated":
-            raise OptionError("Photographs are predicted from preset default or fast (angular).")
-        assert observed is not None
+        told = isinstance(switches, AngularPreset) and switches.noise == "estimated"
+        if not told or estimate.posterior.groups != CHANNELS:
+            raise OptionError("Photographs are predicted from preset default (angular), in colour.")
+        assert observed is not None and isinstance(switches, AngularPreset)
         levels = np.linspace(0, 1, switches.levels)
         model = observed.model(levels, switches, CHANNELS, texels)
         drawn = {name: np.array(values)[:, texels]
@@ -67,6 +72,7 @@ class Prediction:
         return Prediction(
             observed.views.scene, model,
             [{name: _floats(values[k]) for name, values in drawn.items()} for k in range(draws)],
+            [shares_of(values, levels) for values in drawn["roughness"]],
         )  # fmt: skip
 
     def seen_from(self, eye: np.ndarray) -> np.ndarray:
@@ -76,12 +82,20 @@ class Prediction:
         """
         lobes = columns_seen_from(self.scene, self.model, eye)
         found = np.empty((len(self.draws), self.model.surface.count, CHANNELS), np.float32)
-        for k, values in enumerate(self.draws):
-            (roughness,) = values["roughness"]
-            shown = interpolated(lobes, roughness, values["base_color"], mixed_of(values))
+        for k, (values, shares) in enumerate(zip(self.draws, self.shares, strict=True)):
+            shown = interpolated(lobes, shares, values["base_color"], mixed_of(values))
+            shown = [dr.maximum(x, 0) for x in shown]  # splines overshoot
             dr.eval(shown)
             found[k] = np.stack([x.numpy() for x in shown], axis=1)
         return found
+
+
+def shares_of(roughness: np.ndarray, levels: np.ndarray) -> list[Any]:
+    """Return how much every level counts at roughnesses (n,), as the posterior has it: R Floats."""
+    near, weights = spline(roughness.astype(np.float64), levels)
+    shares = np.zeros((len(roughness), len(levels)))
+    np.add.at(shares, (np.arange(len(roughness))[:, None], near), weights)
+    return _floats(shares)
 
 
 def diffuse_seen_from(

@@ -16,14 +16,17 @@ from PIL import Image
 
 import svu_mi as svu
 from svu_mi import scenes
+from svu_mi.bench.real import find_bars
 from svu_mi.bench.real.score import Score, Shown, gain_of, r_squared
+from svu_mi.bench.real.ways import WAYS
 from svu_mi.capture.picture import quantized, srgb
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.options import preset
-from svu_mi.prediction import Prediction, diffuse_seen_from
+from svu_mi.posterior.problem import spline
+from svu_mi.prediction import Prediction, diffuse_seen_from, shares_of
 
 VIEWS, FILM = 24, 72
 CLIPPED = 0.01  # part of the object's channels
@@ -129,10 +132,10 @@ def test_a_check_tells_gains_if_it_is_asked_to_find_them(imported, tmp_path, cap
     words = ("check", imported, "--gains", "estimate", "-o", tmp_path)
     assert run(*words) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "gain (note): Photographs are 0." in said and "White balance differs" in said
+    assert "gain (UNCLEAR): Photographs are 0." in said and "White balance differs" in said
     assert f"IMG_{SPOILT:04d}.jpg does not fit the others" in said
-    assert "as far as can be determined." in said  # nothing is ignored
-    assert run(*words) == 0
+    assert "Axes fit, but results may be wrong for another reason: gain." in said
+    assert run(*words, "--strict") == 3
     assert "Using the light found before" in " ".join(capsys.readouterr().out.split())
 
 
@@ -162,7 +165,8 @@ def test_a_prediction_is_what_statistics_compare_photographs_with(vase):
         "metallic": [dr.full(mi.Float, metallic, len(number))],
         "base_color": [dr.full(mi.Float, color, len(number))] * 3,
     }  # fmt: skip
-    prediction = Prediction(observed.views.scene, model, [values])
+    shares = shares_of(np.full(len(number), levels[level]), levels)
+    prediction = Prediction(observed.views.scene, model, [values], [shares])
     sums = observed.statistics(levels, switches, 3, texels=number)
     expected = sums.errors(np.array([metallic]), np.array([color]))[:, level, :, 0, 0]
     samples = svu_samples(observed, number)
@@ -189,6 +193,18 @@ def svu_samples(observed, number) -> list[tuple[np.ndarray, np.ndarray]]:
         shown = look(observed.views, surface, which, seen)
         found.append((seen.numpy().astype(float), shown.radiance.numpy().T))
     return found
+
+
+def test_between_levels_it_is_what_the_posterior_goes_by():
+    levels = np.linspace(0, 1, 8)
+    shares = np.stack([x.numpy() for x in shares_of(np.array([0.07, 0.5, 1.0]), levels)], axis=1)
+    near, weights = spline(np.array([0.07, 0.5, 1.0]), levels)
+    for row, which, counts in zip(shares, near, weights, strict=True):
+        expected = np.zeros(8)
+        np.add.at(expected, which, counts)
+        np.testing.assert_allclose(row, expected, atol=1e-6)
+    np.testing.assert_allclose(shares.sum(axis=1), 1, rtol=1e-6)
+    assert shares[0].min() < 0  # not linear
 
 
 def test_the_same_point_of_view_gives_the_same_and_compiles_nothing_new(vase):
@@ -218,8 +234,10 @@ def test_diffuse_texels_look_the_same_from_everywhere_but_for_grazing_angles(vas
 
 def test_what_is_no_calibrated_posterior_predicts_nothing(vase):
     fixed = svu.estimate(vase.estimate, preset="fixed")
-    with pytest.raises(OptionError, match="preset default or fast"):
-        Prediction.of(fixed, np.arange(4))
+    fast = svu.estimate(vase.estimate, preset="fast")
+    for found in (fixed, fast):  # without noise, and in grey
+        with pytest.raises(OptionError, match="preset default"):
+            Prediction.of(found, np.arange(4))
 
 
 # --- scores -----------------------------------------------------------------------------------
@@ -241,8 +259,26 @@ def test_a_gain_is_of_no_matter():
 def test_r_squared_of_the_mean_is_none():
     shown = np.random.default_rng(1).uniform(0, 1, (100, 3))
     mean = np.broadcast_to(shown.mean(axis=0), shown.shape)
-    assert r_squared(mean, shown) == pytest.approx(0)
-    assert r_squared(mean + 1, shown) < 0
+    assert r_squared([mean], [shown]) == pytest.approx(0)
+    assert r_squared([mean + 1], [shown]) < 0
+
+
+def test_that_photographs_differ_in_brightness_is_no_prediction():
+    """What knows nothing of the texels has no R^2, however photographs are exposed."""
+    rng, score = np.random.default_rng(3), Score.start(400)
+    for gain in np.exp(rng.normal(0, 0.7, 12)):
+        shown = gain * rng.uniform(0.1, 1, (400, 3))
+        score.add(np.arange(400), shown, np.ones(400), Shown(np.ones((1, 400, 3))))
+    assert -0.2 < score.record()["r2"] < 0.05
+
+
+def test_a_black_photograph_is_not_scored():
+    score = Score.start(400)
+    score.add(np.arange(400), np.zeros((400, 3)), np.ones(400), Shown(np.ones((1, 400, 3))))
+    record = score.record()
+    assert np.isnan(record["r2"]) and record["holds"] == {}
+    rows = {way.label: record for way in WAYS}
+    assert find_bars({"cells": [{"rows": rows}]}) == []
 
 
 @pytest.mark.parametrize(("claimed", "low", "high"), [(0.1, 0.88, 0.92), (0.03, 0.2, 0.5)])

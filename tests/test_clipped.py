@@ -18,6 +18,7 @@ from svu_mi.capture.clipped import Clipped
 from svu_mi.capture.fingerprint import capture_key, photographs_key
 from svu_mi.capture.images import SATURATED
 from svu_mi.capture.picture import decoded
+from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr
 from svu_mi.illumination.equalize import equalized
 from svu_mi.illumination.found_gains import FoundGains
@@ -147,6 +148,22 @@ def test_what_is_clipped_in_all_views_is_seen_to_be_bright(vase):
     errors = [np.square(np.array(x.posterior.mean("base_color"))[always] - right).mean()
               for x in (found, dropped)]  # fmt: skip
     assert errors[0] < 0.7 * errors[1]
+
+
+def test_presets_that_leave_clipped_samples_out_do_not_see_such_texels(vase):
+    stored, _ = in_integers(vase.capture, vase.estimate.observed, 0.3)
+    observed = observe(stored, vase.texels)
+    always = (observed.coverage == 0) & (observed.shown > 0)
+    for name in ("fixed", "paper"):
+        found = svu.estimate(observed, preset=name)
+        assert not found.posterior.observed[always].any(), name
+        assert not np.array(found.coverage)[always].any(), name
+
+
+def test_an_object_that_is_clipped_altogether_is_said_to_be(vase):
+    stored, _ = in_integers(vase.capture, vase.estimate.observed, 1.0)
+    with pytest.raises(CaptureError, match="is clipped; expose for the object"):
+        observe(stored, vase.texels)
 
 
 def statistics_of(capture, texels, **options):

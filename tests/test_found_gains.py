@@ -292,6 +292,8 @@ def test_white_balance_and_drift_are_told_if_they_are_more_than_chance():
         return " ".join(gain_sentences(FoundGains(logarithm, np.ones(24), none), capture))
 
     assert "White balance" not in said(even) and "drift" not in said(even)
+    told = sum("drift" in said(rng.normal(0, 0.2, (24, 3))) for _ in range(200))
+    assert told <= 10  # photographs that differ at random do not drift
     bluer = even + np.linspace(-0.2, 0.2, 24)[:, None] * [0, 0, 1]
     assert re.search(r"White balance .* B 0\.8\d to 1\.1\d\.", said(bluer))
     assert re.search(r"drift: .* by R [01]\.\d\d, G [01]\.\d\d, B 1\.[34]\d\.", said(bluer))

@@ -13,9 +13,10 @@ from PIL import Image
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture.fingerprint import photographs_key
+from svu_mi.capture.fingerprint import capture_key, photographs_key
 from svu_mi.capture.picture import decoded, quantized, srgb
 from svu_mi.capture.rounding import Rounding, variance
+from svu_mi.formats.response import Response, steps
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.illumination.equalize import equalized
@@ -97,15 +98,29 @@ def stored(tmp_path_factory):
 def test_an_import_keeps_the_steps_and_hdr_has_none(stored):
     rendered, imported = stored
     assert rendered.rounding == () and len(imported.rounding) == 3
-    for view, steps in enumerate(imported.rounding):
+    for view, found in enumerate(imported.rounding):
         expected = Rounding.of(8).divided(2.0 if view else 1.0)
-        np.testing.assert_allclose(steps.first, expected.first, rtol=1e-5)
-        np.testing.assert_allclose(steps.slope, expected.slope, rtol=1e-5)
+        np.testing.assert_allclose(found.first, expected.first, rtol=1e-5)
+        np.testing.assert_allclose(found.slope, expected.slope, rtol=1e-5)
 
 
 def test_what_was_found_of_photographs_depends_on_their_steps(stored):
     _, imported = stored
-    assert photographs_key(imported) != photographs_key(replace(imported, rounding=()))
+    other = replace(imported, rounding=())
+    assert capture_key(imported) != capture_key(other)
+    assert photographs_key(imported) == photographs_key(other)  # light is found without them
+
+
+def test_steps_of_a_measured_curve_are_those_of_its_codes():
+    codes = np.arange(256, dtype=np.float32) / 255
+    curve = np.minimum(decoded(codes) / decoded(codes)[250], 1).astype(np.float64)
+    curve[:3] = 0  # black up to the code 2, white from the code 250 on
+    response = Response(name="curve", codes=codes, values=np.repeat(curve[:, None], 3, axis=1))
+    first, slope = steps(response, 8)
+    assert first == pytest.approx(curve[3], rel=1e-3)
+    usual = Rounding.of(8)
+    assert slope == pytest.approx(float(usual.slope[0]), rel=0.3)
+    assert steps("srgb", 8) == pytest.approx((float(usual.first[0]), float(usual.slope[0])))
 
 
 def test_gains_divide_steps(stored):

@@ -101,7 +101,7 @@ def photographs_key(capture: Capture) -> str:
     key = _shapes(capture.scene, capture.shape, materials=False)
     key.add([describe(capture.sensors[view]) for view in used])
     key.add(_digests(capture.images[view] for view in used))
-    _add_integers(key, capture, used)
+    _add_clipped(key, capture, used)
     key.add(_digests(capture.masks[view] for view in used))
     key.add([float(capture.exposures[view]) for view in used])
     return key.digest()
@@ -153,20 +153,19 @@ def capture_parts(capture: Capture) -> dict[str, str]:
         "masks": Key(masks),
         "exposures": Key(list(map(float, capture.exposures))),
     }
-    _add_integers(keys["photographs"], capture, used)
+    _add_clipped(keys["photographs"], capture, used)
+    for view in used if capture.rounding else ():
+        steps = capture.rounding[view]
+        keys["photographs"].add(*(() if steps is None else (view, steps.first, steps.slope)))
     return {name: key.digest() for name, key in keys.items()}
 
 
-def _add_integers(key: Key, capture: Capture, used: Sequence[int]) -> None:
-    """Add which channels are clipped, if any is, and how photographs were rounded."""
+def _add_clipped(key: Key, capture: Capture, used: Sequence[int]) -> None:
+    """Add which channels are clipped, if any is."""
     if capture.clipped:
         for view in used:
             found = capture.clipped[view]
             key.add(*(() if found is None else (view, found.channels, found.least)))
-    if capture.rounding:
-        for view in used:
-            steps = capture.rounding[view]
-            key.add(*(() if steps is None else (view, steps.first, steps.slope)))
 
 
 def _digests(arrays: Iterable[np.ndarray | None]) -> list[str]:

@@ -115,7 +115,7 @@ def reduced(capture: Capture, side: int) -> Capture:
         exposures[index] = exposures[index] * float(unit)
     return replace(
         capture, sensors=tuple(sensors), images=tuple(images), masks=tuple(masks),
-        exposures=tuple(exposures), clipped=(),
+        exposures=tuple(exposures), clipped=(), rounding=(),
     )  # fmt: skip
 
 

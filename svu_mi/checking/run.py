@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import compress
 
 import numpy as np
@@ -27,7 +27,7 @@ from svu_mi.checking.poses import score_poses
 from svu_mi.checking.record import Check, Finding
 from svu_mi.checking.sky import DIRECTIONS, Sky, emitter_of, is_even
 from svu_mi.checking.views import check_views
-from svu_mi.errors import OptionError
+from svu_mi.errors import OptionError, SvuError
 from svu_mi.formats.fixes import fixes_named, turn_of
 from svu_mi.formats.geometry import LEFT_OUT
 from svu_mi.illumination.found_gains import FoundGains
@@ -41,8 +41,9 @@ Findings = tuple[Finding, Finding, Finding]  # about poses, light and texture
 
 
 def check(
-    capture: Capture, *, gains: FoundGains | None = None, progress: Progress | None = None
-) -> Check:
+    capture: Capture, *, gains: Callable[[], FoundGains] | None = None,
+    progress: Progress | None = None,
+) -> Check:  # fmt: skip
     """Compare a capture with its photographs, and look for a known mistake about axes.
 
     Nothing of the capture is modified.
@@ -50,8 +51,9 @@ def check(
     Args:
         capture: photographs, poses, mesh and light; masks help, but need not be there. Without a
             light (``load_capture(light="optional")``), silhouettes and texture are looked at.
-        gains: of the photographs that are used, if they were estimated; otherwise photographs are
-            compared, and those told that differ by much.
+        gains: estimates those of the photographs that are used, which is asked of it once cameras,
+            mesh and light fit. Without, photographs are compared, and those told that differ by
+            much.
         progress: shows what is going on.
 
     Raises:
@@ -69,11 +71,11 @@ def check(
     with progress.stage("Reducing photographs"):
         small = reduced(capture, SIDE)
     axial, axes = find_mistakes(small, progress=progress)
-    with progress.stage("Comparing gains"):
-        if gains is None:
+    if gains is None or _contradict(axial):
+        with progress.stage("Comparing gains"):
             gain = find_gains(capture, small, axial)
-        else:
-            gain = verdicts.gains_found(gains, " ".join(gain_sentences(gains, capture)))
+    else:
+        gain = _estimated(capture, small, gains)
     findings = (*axial, gain, *_ignored(capture))
     names = [name for one in findings if one.verdict == "wrong" for name in one.fixes]
     with progress.stage("Checking views"):
@@ -144,6 +146,26 @@ def _find_mistakes(capture: Capture, progress: Progress) -> tuple[Findings, np.n
         return (poses, verdicts.judge_light(tried), flip), axes
 
 
+def _contradict(axial: Sequence[Finding]) -> bool:
+    """Whether something about axes is wrong, or may be: then nothing else can be compared."""
+    return any(one.verdict in ("wrong", "unclear") for one in axial)
+
+
+def _estimated(capture: Capture, small: Capture, find: Callable[[], FoundGains]) -> Finding:
+    """Estimate the gains of photographs whose axes fit."""
+    try:
+        gains = find()
+    except SvuError as error:
+        return verdicts.gain_unknown(str(error).rstrip("."))
+    excessive = None
+    if (emitter := emitter_of(capture)) is not None:
+        points = scatter_points(small.shape)
+        arriving = Arriving.of(small.scene, points, read_environment(emitter))
+        seen = look(points, Frames.of(small))
+        excessive = excess(seen, points, arriving, unit_of(capture, small))
+    return verdicts.gains_found(excessive, gains, list(gain_sentences(gains, capture)))
+
+
 def find_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) -> Finding:
     """Compare the gains of photographs with the light, and with each other.
 
@@ -155,7 +177,7 @@ def find_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) -> Fi
     emitter = emitter_of(capture)
     if emitter is None:
         return verdicts.gain_unknown("the capture has no light")
-    if any(one.verdict in ("wrong", "unclear") for one in axial):
+    if _contradict(axial):
         return verdicts.gain_unknown("cameras, mesh and light have to fit first")
     points, frames = scatter_points(small.shape), Frames.of(small)
     sightings = look(points, frames)

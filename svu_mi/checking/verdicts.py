@@ -13,7 +13,7 @@ from svu_mi.checking.even import Facing
 from svu_mi.checking.gains import VIEWS, Gains
 from svu_mi.checking.light import LightScore, indistinguishable
 from svu_mi.checking.poses import PoseScore, certain, simplest
-from svu_mi.checking.record import Finding, Hypothesis
+from svu_mi.checking.record import Finding, Hypothesis, Verdict
 from svu_mi.formats.fixes import FIXES
 from svu_mi.illumination.found_gains import FoundGains
 
@@ -216,13 +216,29 @@ def judge_gains(excess: Excess | None, gains: Gains | None, names: Sequence[str]
     return Finding(question="gain", verdict="fits", sentence=sentence)
 
 
-def gains_found(gains: FoundGains, sentence: str) -> Finding:
-    """Return the finding about gains that were estimated, with what there is to say of them."""
-    even = not gains.odd.any() and float(np.abs(gains.logarithm).max()) <= ALIKE
-    said = "All photographs have the same gain, to about 5 %." if even else (
-        f"{sentence} --gains estimate of other commands divides by these gains."
-    )  # fmt: skip
-    return Finding(question="gain", verdict="fits" if even else "note", sentence=said)
+def gains_found(excess: Excess | None, gains: FoundGains, said: Sequence[str]) -> Finding:
+    """Return the finding about gains that were estimated.
+
+    Args:
+        excess: of all photographs over the light, see ``judge_gains``.
+        gains: of the photographs that are used.
+        said: sentences about them.
+    """
+    too_bright = [] if excess is None or excess.sentence is None else [excess.sentence]
+    verdict: Verdict = "fits"
+    even = float(np.abs(gains.logarithm[~gains.odd]).max(initial=0)) <= ALIKE
+    if even and not gains.odd.any():
+        same = "All photographs have the same gain, to about 5 %."
+        sentence = " ".join([same, *too_bright])
+    else:
+        sentence = " ".join([
+            *said, *too_bright, "With --gains estimate, other commands divide by these gains, and "
+            "leave out what does not fit.",
+        ])  # fmt: skip
+        verdict = "note"
+    if too_bright or gains.odd.any():
+        verdict = "unclear"
+    return Finding(question="gain", verdict=verdict, sentence=sentence)
 
 
 def _odd_gains(gains: Gains, names: Sequence[str]) -> str:

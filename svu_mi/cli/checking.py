@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,8 +71,8 @@ class CheckCapture(OfScene):
                     missing=self.missing, light="optional",
                     preflight=announcing(progress, str(self.images or self.scene), self.need),
                 )  # fmt: skip
-            gains = self._gains(capture, progress)
-            found = check(capture, gains=gains, progress=progress)
+            find = partial(self._gains, capture, progress) if self.gains == "estimate" else None
+            found = check(capture, gains=find, progress=progress)
             with progress.stage("Writing the page"):
                 write_check(capture, found, self.output, settings=given(self))
         _print(console, found, capture)
@@ -79,12 +80,10 @@ class CheckCapture(OfScene):
         return WRONG if self.strict and not found.fits else 0
 
 
-    def _gains(self, capture: Capture, progress: Progress) -> FoundGains | None:
-        """Find gains, if that is asked for."""
+    def _gains(self, capture: Capture, progress: Progress) -> FoundGains:
+        """Find gains, and light if there is none."""
         from svu_mi.illumination.finding import found_gains
 
-        if self.gains != "estimate":
-            return None
         return found_gains(capture, self.output / "light", progress)
 
 

@@ -9,10 +9,12 @@ import numpy as np
 
 from svu_mi.capture.images import SATURATED
 from svu_mi.capture.picture import Transfer, decoded
+from svu_mi.capture.rounding import CURVE, Rounding
 from svu_mi.errors import CaptureError, excerpt
 from svu_mi.formats.lines import lines_of
 
-SMALLEST = 1e-9  # step, of a curve that is flat there
+SMALLEST = 1e-9  # step, of a curve that is flat
+TYPICAL = 0.9  # part of the codes whose steps are no larger than is said of all
 LARGEST = (1, 255, 65535)  # codes that may stand for white
 COLUMNS = "ENCODED LINEAR or ENCODED R G B"
 FIX = f"write one line {COLUMNS} for each sample of the curve"
@@ -64,12 +66,24 @@ def saturation(transfer: Transfer | Response, bits: int) -> float:
 
 
 def steps(transfer: Transfer | Response, bits: int) -> tuple[float, float]:
-    """Return the steps above black and below white of 8 or 16 bits (``Rounding``), of the channel
-    whose are the largest."""
+    """Return the first step and the slope of 8 or 16 bits (``Rounding``), of the channel whose are
+    the largest.
+
+    Codes that a curve does not tell apart are one step; those that are clipped are none.
+    """
     last = 2**bits - 1
-    codes = np.array([0, 1 / last, 1 - 1 / last, 1])
-    found = np.stack([np.diff(linear(codes, transfer, channel)) for channel in range(3)])
-    return max(float(found[:, 0].max()), SMALLEST), max(float(found[:, -1].max()), SMALLEST)
+    if not isinstance(transfer, Response):
+        steps = Rounding.of(bits, transfer)
+        return float(steps.first[0]), float(steps.slope[0])
+    codes = np.arange(int(SATURATED[bits] * last) + 1) / last
+    first, slope = SMALLEST, SMALLEST
+    for channel in range(3):
+        values = np.unique(linear(codes, transfer, channel).astype(np.float64))
+        if len(values) > 1:
+            found, middle = np.diff(values), (values[1:] + values[:-1]) / 2
+            first = max(first, float(found[0]))
+            slope = max(slope, float(np.quantile(found / middle**CURVE, TYPICAL)))
+    return first, slope
 
 
 def read_response(path: Path) -> Response:

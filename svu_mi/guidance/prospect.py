@@ -83,7 +83,7 @@ class Prospect:
 
     def by_error(self) -> Greedy:
         """Return candidates by the squared error to expect, relative to that of seen texels."""
-        posterior, seen = self.estimate.posterior, self.observed.shown > 0
+        posterior, seen = self.estimate.posterior, self.observed.coverage > 0
         if isinstance(posterior, CalibratedPosterior):
             posterior = posterior.apart()  # no candidate tells how bright the light is
         present, prior = [], []

@@ -53,7 +53,7 @@ def scaled_by_mean(found: LightEstimate, observed: Observed, albedo: float) -> L
         CaptureError: there is no such light.
     """
     require_albedo(albedo, "The mean base colour")
-    seen = observed.shown > 0
+    seen = observed.coverage > 0
     area = np.square(np.array(observed.texels.footprint, np.float64)) * seen
 
     def wanted(result: Estimate) -> np.ndarray:
@@ -100,7 +100,7 @@ def _spot(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
     row, column = np.divmod(np.array(layout.index, np.int64), width)
     distance = np.hypot(column + 0.5 - uv[0] * width, row + 0.5 - uv[1] * height)
     near = np.argsort(distance, kind="stable")[:NEAR]
-    near = near[(distance[near] <= np.sqrt(NEAR)) & (observed.shown[near] > 0)]
+    near = near[(distance[near] <= np.sqrt(NEAR)) & (observed.coverage[near] > 0)]
     if not len(near):
         raise CaptureError(
             f"The grey card: no photograph shows the surface at texture coordinates {uv[0]:g} "

@@ -15,6 +15,8 @@ from svu_mi.parameters import CHANNELS
 UP = (0.0, 1.0, 0.0)
 NOTED = 0.08  # of the logarithms of gains: twice what they are off by, if there are few photographs
 FEWEST = 3  # photographs in each quarter that drift is told by
+OF_MEDIAN = 1.25 * 1.48  # standard error of a median, by the median deviation of one value
+CERTAIN = 4.0  # standard errors from which photographs drift
 LETTERS = "RGB"[: CHANNELS["base_color"]]
 
 
@@ -93,8 +95,12 @@ def _balance(gains: FoundGains) -> Iterator[str]:
     part = len(logarithm) // 4
     if part < FEWEST:
         return
-    first, last = (np.median(some, axis=0) for some in (logarithm[:part], logarithm[-part:]))
-    if np.abs(last - first).max() > NOTED:
+    ends = logarithm[:part], logarithm[-part:]
+    first, last = (np.median(some, axis=0) for some in ends)
+    away = [np.abs(some - middle) for some, middle in zip(ends, (first, last), strict=True)]
+    # Of the difference of two medians, by the median of what photographs are away from theirs.
+    error = OF_MEDIAN * np.median(np.concatenate(away), axis=0) * np.sqrt(2 / part)
+    if (np.abs(last - first) > np.maximum(NOTED, CERTAIN * error)).any():
         changes = np.exp(last - first)
         each = (f"{letter} {x:.2f}" for letter, x in zip(LETTERS, changes, strict=True))
         yield (

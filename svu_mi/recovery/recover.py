@@ -161,7 +161,7 @@ def _result(run: Run, textures: Textures, descent: Descent) -> Recovery:
         method=run.method,
         texels=run.texels,
         textures=textures,
-        coverage=run.observed.shown,
+        coverage=run.observed.coverage,
         losses=descent.losses,
         stopped=descent.stopped,
         settings=run.settings,

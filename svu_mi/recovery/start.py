@@ -107,6 +107,7 @@ def _reweighted(found: Estimate, observed: Observed) -> CalibratedPosterior:
     factors = posterior.problem.factors
     means, _ = moments(posterior)
     texels = factors.texel.numpy()
+    texels = texels[observed.coverage[texels] > 0]  # clipped samples are not weighted again
     weighting = Weighting(
         switches.kappa(observed.unit), switches.edges, values_of(means, texels)
     )

@@ -46,20 +46,26 @@ def radiance(parts: list[Parts], base_color: Sequence[Any], mixed: Sequence[Any]
     ]
 
 
+def hats(roughness: Any, levels: int) -> list[Any]:
+    """Return how much each of so many even levels counts at a roughness, linearly between two."""
+    place = roughness * (levels - 1)
+    return [dr.maximum(1 - dr.abs(place - k), 0) for k in range(levels)]
+
+
 def interpolated(
-    levels: Sequence[list[Parts]], roughness: Any, base_color: Sequence[Any], mixed: Sequence[Any]
-) -> list[Any]:
-    """Return outgoing radiance at any roughness, linear between two levels.
+    levels: Sequence[list[Parts]], shares: Sequence[Any], base_color: Sequence[Any],
+    mixed: Sequence[Any],
+) -> list[Any]:  # fmt: skip
+    """Return outgoing radiance between levels of roughness.
 
     Args:
-        levels: parts at even levels of roughness on [0, 1].
-        roughness: Float.
+        levels: parts at each.
+        shares: a Float for each, how much it counts.
         base_color: Floats, as ``radiance`` takes them.
         mixed: likewise.
     """
-    place, found = roughness * (len(levels) - 1), [dr.zeros(type(roughness))] * len(base_color)
-    for k, level in enumerate(levels):
-        share = dr.maximum(1 - dr.abs(place - k), 0)
+    found = [dr.zeros(type(shares[0]))] * len(base_color)
+    for level, share in zip(levels, shares, strict=True):
         here = radiance(level, base_color, mixed)
         found = [dr.fma(share, new, old) for new, old in zip(here, found, strict=True)]
     return found

@@ -13,7 +13,7 @@ from svu_mi.errors import OptionError
 from svu_mi.parameters import MIXED, NAMES
 from svu_mi.reflection.model import Model
 from svu_mi.reflection.principled import columns
-from svu_mi.reflection.shading import Parts, interpolated, radiance
+from svu_mi.reflection.shading import Parts, hats, interpolated, radiance
 from svu_mi.statistics.blocks import scattered
 from svu_mi.statistics.censored import CLIPPED_PART, Models, parabola
 from svu_mi.statistics.factors import PAIRS
@@ -190,5 +190,6 @@ def _clipped(
 def _errors(found: list[list[Parts]], observed: list[Any], current: Values) -> list[Any]:
     """|r - b| of every channel."""
     (roughness,) = current["roughness"]
-    r = interpolated(found, roughness, current["base_color"], mixed_of(current))
+    shares = hats(roughness, len(found))
+    r = interpolated(found, shares, current["base_color"], mixed_of(current))
     return [dr.abs(x - b) for x, b in zip(r, observed, strict=True)]

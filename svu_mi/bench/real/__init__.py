@@ -17,7 +17,6 @@ from svu_mi.bench.text import Bar
 
 MARGIN = 0.05  # of R^2 over texel means
 HOLDS = (0.80, 0.97)  # part of the 90 % intervals that may hold
-DIELECTRIC = 0.05  # part of a metal object that may come out as none
 
 
 def _experiment(bench: Bench, asked: Asked) -> Experiment:
@@ -31,6 +30,8 @@ def find_bars(record: Record) -> list[Bar]:
         return []
     (cell,) = record["cells"]
     ours, means = (cell["rows"][way.label] for way in (POSTERIOR, MEANS))
+    if not ours["holds"]:
+        return []
     holds = ours["holds"]["0.9"]
     return [
         Bar("R^2 of left-out photographs, over texel means", ours["r2"] - means["r2"], MARGIN,

@@ -14,7 +14,7 @@ from svu_mi.bench.experiment import Bench, Record
 from svu_mi.bench.real.score import Score
 from svu_mi.bench.real.ways import WAYS, Way
 from svu_mi.capture import Capture, load_capture
-from svu_mi.capture.fingerprint import photographs_key
+from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.illumination.equalize import equalized, estimate_gains
@@ -62,7 +62,11 @@ class LeftOut:
 
     def settings(self, row: Way | None) -> Any:
         """Return what figures depend on beside the code."""
-        return photographs_key(self.capture), self.every, self._size, row and row.label
+        return self._key, self.every, self._size, row and row.label
+
+    @cached_property
+    def _key(self) -> str:
+        return capture_key(self.capture)
 
     @property
     def _size(self) -> tuple[int, int]:
@@ -202,7 +206,8 @@ class LeftOut:
                     shown = predict(int(view)).some(own)
                     score.add(own, samples.radiance[mine], samples.cosine[mine], shown)
                 stage.update(done, int(self.held.sum()))
-        return {**score.record(), "seconds": perf_counter() - start}
+        scored = {"scored": len(score.shown), "seconds": perf_counter() - start}
+        return {**score.record(), **scored}
 
 
 def _part(chosen: np.ndarray) -> float:

@@ -1,11 +1,13 @@
 """How far predictions of photographs hold.
 
 Exposure and white balance of a photograph that was left out are known to nobody. Each channel's
-gain is taken from half of its texels, and the prediction judged on the other half.
+gain is taken from half of its texels, and the prediction judged on the other half, without that
+gain and around the photograph's own mean: that one is brighter than another is no prediction.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -43,7 +45,7 @@ class Score:
 
     Attributes:
         first: (n,) bool, the texels that gains are taken from.
-        predicted, shown: (m, 3), of the others, with gains.
+        predicted, shown: (m, 3), of the others, without gains.
         place: (m, 3), where the photograph lies in the predicted distribution, in [0, 1].
         facing: (m,) bool, texels that look at the camera.
     """
@@ -74,11 +76,14 @@ class Score:
         if min(first.sum(), (~first).sum()) < FEWEST:
             return
         gain = gain_of(mean[first], radiance[first])
-        self.predicted.append(gain * mean[~first])
-        self.shown.append(radiance[~first].astype(np.float64))
+        if not gain.min() > 0:  # black, or nothing is expected there
+            return
+        even = radiance[~first] / gain
+        self.predicted.append(mean[~first])
+        self.shown.append(even)
         self.facing.append(cosine[~first] > FACING)
         if found.sd is not None:
-            off = radiance[~first] / gain - found.radiance[:, ~first]
+            off = even - found.radiance[:, ~first]
             self.place.append(ndtr(off / found.sd[:, ~first, None]).mean(axis=0))
 
     def record(self) -> Record:
@@ -88,13 +93,15 @@ class Score:
             nan = float("nan")
             return {"r2": nan, "facing": nan, "steep": nan, "views": [], "psnr": nan, "holds": {}}
         predicted, shown = np.concatenate(self.predicted), np.concatenate(self.shown)
-        facing = np.concatenate(self.facing)
-        white = float(np.quantile(shown, WHITE))
+        white = max(float(np.quantile(shown, WHITE)), 1e-12)
+        steep = [~facing for facing in self.facing]
+        pairs = zip(self.predicted, self.shown, strict=True)
         return {
-            "r2": r_squared(predicted, shown),
-            "facing": r_squared(predicted[facing], shown[facing]),
-            "steep": r_squared(predicted[~facing], shown[~facing]),
-            "views": [r_squared(*pair) for pair in zip(self.predicted, self.shown, strict=True)],
+            "r2": r_squared(self.predicted, self.shown),
+            "facing": r_squared(_those(self.predicted, self.facing),
+                                _those(self.shown, self.facing)),
+            "steep": r_squared(_those(self.predicted, steep), _those(self.shown, steep)),
+            "views": [r_squared([one], [other]) for one, other in pairs],
             "psnr": float(psnr(srgb(predicted / white), srgb(shown / white))),
             **self._intervals(),
         }  # fmt: skip
@@ -117,10 +124,15 @@ def gain_of(predicted: np.ndarray, shown: np.ndarray) -> np.ndarray:
     )
 
 
-def r_squared(predicted: np.ndarray, shown: np.ndarray) -> float:
-    """Return the part of the variance of (m, 3) around each channel's mean that is predicted; NaN
-    of nothing."""
-    if not len(shown):
-        return float("nan")
-    spread = np.square(shown - shown.mean(axis=0)).sum()
-    return float(1 - np.square(predicted - shown).sum() / max(spread, 1e-300))
+def r_squared(predicted: Sequence[np.ndarray], shown: Sequence[np.ndarray]) -> float:
+    """Return the part of the variance of photographs, (m, 3) each, that is predicted.
+
+    Variance is around the mean of every channel of every photograph; NaN if there is none.
+    """
+    spread = sum(np.square(b - b.mean(axis=0)).sum() for b in shown if len(b))
+    rest = sum(np.square(a - b).sum() for a, b in zip(predicted, shown, strict=True))
+    return float(1 - rest / spread) if spread > 0 else float("nan")
+
+
+def _those(values: Sequence[np.ndarray], chosen: Sequence[np.ndarray]) -> list[np.ndarray]:
+    return [some[which] for some, which in zip(values, chosen, strict=True)]

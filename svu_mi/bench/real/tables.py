@@ -21,6 +21,7 @@ def _quantile(row: Record, q: float) -> float | None:
 
 PREDICTED = (
     Column("prediction", lambda row: row[0]),
+    Column("photographs", lambda row: row[1]["scored"]),
     Column("R^2", lambda row: row[1]["r2"], digits(3)),
     Column("facing the camera", lambda row: row[1]["facing"], digits(3)),
     Column("steeper than 45 degrees", lambda row: row[1]["steep"], digits(3)),
@@ -52,7 +53,7 @@ def _about(cell: Record) -> str:
         f"predicted from the others ({fit}; gains {low:.2f} to {high:.2f}), at {cell['texels']} "
         f"texels that are seen well enough. Estimated in {seconds(cell['seconds'])}. Gains of a "
         "photograph that was left out are from half of its texels, scores from the other half; "
-        "pixels that are clipped are not scored."
+        "pixels that are clipped are not scored, nor photographs that show few texels."
     )
 
 
