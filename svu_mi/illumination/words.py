@@ -16,7 +16,7 @@ UP = (0.0, 1.0, 0.0)
 NOTED = 0.08  # of the logarithms of gains: twice what they are off by, if there are few photographs
 FEWEST = 3  # photographs in each quarter that drift is told by
 OF_MEDIAN = 1.25 * 1.48  # standard error of a median, by the median deviation of one value
-CERTAIN = 4.0  # standard errors from which photographs drift
+CERTAIN = 4.5  # standard errors from which photographs drift
 LETTERS = "RGB"[: CHANNELS["base_color"]]
 
 
