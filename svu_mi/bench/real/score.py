@@ -19,7 +19,7 @@ from svu_mi.metrics.textures import psnr
 
 LEVELS = (0.5, 0.8, 0.9, 0.95)  # of intervals
 FEWEST = 20  # texels in each half of a photograph
-FACING = 0.7  # cosine of texels that mirror who takes the photograph, or nearly
+FACING = 0.7  # cosine from which a texel faces the camera
 
 
 @dataclass(frozen=True)
