@@ -14,9 +14,13 @@ from svu_mi import scenes
 from svu_mi.capture.record import Doubt
 from svu_mi.errors import SceneError
 from svu_mi.illumination.likeness import likeness
-from svu_mi.illumination.prior import SD
+from svu_mi.illumination.prior import SD, prior_of
 from svu_mi.illumination.record import NINETY
+from svu_mi.light.cells import fibonacci
+from svu_mi.light.environment import basis_at
 from svu_mi.parameters import NAMES
+
+TOLD = 6  # degree of harmonics beyond which matte shading tells nothing
 
 pytestmark = pytest.mark.slow
 
@@ -112,8 +116,22 @@ def test_details_that_a_matte_object_cannot_show_are_within_what_is_not_known(ma
     assert np.median(matte.sd[dim]) > 0.5 * SD  # .56
 
 
+def test_details_of_a_matte_object_s_light_are_as_unknown_as_before(matte):
+    """Matte shading tells harmonics up to degree 4 or so; beyond, the prior is left."""
+    cells = fibonacci(matte.cells)
+    basis = basis_at(cells, TOLD)
+    fine = np.eye(matte.cells) - basis @ np.linalg.pinv(basis)
+    before = np.sqrt(np.diag(fine @ np.linalg.inv(prior_of(matte.cells).brightness) @ fine))
+    drawn = matte.draws.mean(axis=2)
+    off = (drawn - drawn.mean(axis=0)) @ fine
+    grey = matte.logarithm.mean(axis=1)
+    dim = grey <= np.median(grey)
+    left = np.sqrt(np.square(off[:, dim]).sum() / (len(drawn) - 1) / dim.sum())
+    assert left > 0.9 * np.sqrt(np.square(before[dim]).mean())  # .95
+
+
 @pytest.mark.xfail(
-    strict=True, reason="sd is .56 of the prior's: what the shading tells of broad light counts"
+    strict=True, reason="sd is .56 of the prior's, which is what it is of degrees beyond 4"
 )
 def test_a_matte_object_says_nothing_of_the_dimmer_half_of_the_light(matte):
     dim, _ = dimmer_half(matte)
