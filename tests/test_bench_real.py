@@ -16,9 +16,13 @@ from PIL import Image
 
 import svu_mi as svu
 from svu_mi import scenes
+from svu_mi.bench.cells import own_cells
+from svu_mi.bench.experiment import Bench
 from svu_mi.bench.real import find_bars
 from svu_mi.bench.real.score import Score, Shown, gain_of, r_squared
 from svu_mi.bench.real.ways import WAYS
+from svu_mi.bench.run import run_bench
+from svu_mi.bench.study import Asked
 from svu_mi.capture.picture import quantized, srgb
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
@@ -137,6 +141,12 @@ def test_a_check_tells_gains_if_it_is_asked_to_find_them(imported, tmp_path, cap
     assert "Axes fit, but results may be wrong for another reason: gain." in said
     assert run(*words, "--strict") == 3
     assert "Using the light found before" in " ".join(capsys.readouterr().out.split())
+
+
+def test_without_a_capture_there_is_nothing_to_run(tmp_path):
+    with pytest.raises(OptionError, match="no capture to run on"):
+        run_bench(Bench(tmp_path / "out"), ["real"], Asked(cells=own_cells(["vase"], ["window"])))
+    assert not (tmp_path / "out").exists()
 
 
 def test_what_is_no_real_capture_is_refused(imported, tmp_path, capsys):

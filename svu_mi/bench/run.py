@@ -42,6 +42,8 @@ def run_bench(
     wanted = {name: import_module(f"svu_mi.bench.{name}").STUDY for name in names}
     if not asked.cells and any(study.on_cells for study in wanted.values()):
         raise OptionError("There is no object and light to run; change --objects or --lights.")
+    if asked.capture is None and not all(study.on_cells for study in wanted.values()):
+        raise OptionError("There is no capture to run on; give its folder.")
     prepare_folder(bench.folder)
     record = {**how_it_was_run(command), "settings": bench.sizes}
     studies: dict[str, Study] = {}
