@@ -26,6 +26,7 @@ from svu_mi.capture import Capture
 from svu_mi.capture.scene import require_light, require_variant
 from svu_mi.errors import OptionError
 from svu_mi.frequency.gather import fit_spectra
+from svu_mi.interop import owned
 from svu_mi.observed import Observed, observe
 from svu_mi.options import AngularPreset, AnyPreset, Method, Preset, Skip
 from svu_mi.options import preset as find_preset
@@ -250,7 +251,7 @@ def estimate(
             preset=switches,
             texels=seen.texels,
             posterior=posterior,
-            coverage=mi.UInt32(seen.shown) if _takes_clipped(switches) else seen.found.coverage,
+            coverage=_coverage(seen, switches),
             seen_per_view=seen.found.per_view,
             skipped=plan.skipped,
             timings=progress.timings,
@@ -259,6 +260,13 @@ def estimate(
         )
         dr.eval(result.entropy)
     return result
+
+
+def _coverage(seen: Observed, switches: AnyPreset) -> Any:
+    """Return the number of views that see each texel, (T,) UInt32."""
+    if seen.found.clipped is None or not _takes_clipped(switches):
+        return seen.found.coverage
+    return owned(mi.UInt32, seen.shown)
 
 
 def _takes_clipped(switches: AnyPreset) -> bool:
