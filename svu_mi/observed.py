@@ -224,15 +224,10 @@ class Observed:
         return found.replaced(lanes, some)
 
 
-    def rounding(self, weighting: Weighting, texels: np.ndarray | None = None) -> np.ndarray | None:
-        """Return the variance of a sample of weight 1 by rounding alone, (S,); None of floats.
-
-        Args:
-            weighting: how much samples count.
-            texels: (S,) numbers of texels; by default those of ``seen``.
-        """
-        surface = self.surface if texels is None else self._lanes(texels)
-        return rounding_variance(self.views, self.found, surface, weighting)
+    def rounding(self, weighting: Weighting) -> np.ndarray | None:
+        """Return the variance of a sample of weight 1 by rounding alone, of the texels of ``seen``:
+        (S,); None of floats."""
+        return rounding_variance(self.views, self.found, self.surface, weighting)
 
 
 def observe(

@@ -179,7 +179,7 @@ def test_a_prediction_is_what_statistics_compare_photographs_with(vase):
     prediction = Prediction(observed.views.scene, model, [values], [shares])
     sums = observed.statistics(levels, switches, 3, texels=number)
     expected = sums.errors(np.array([metallic]), np.array([color]))[:, level, :, 0, 0]
-    samples = svu_samples(observed, number)
+    samples = seen_in_views(observed, number)
     found = np.zeros_like(expected)
     for view, sensor in enumerate(vase.capture.used_sensors):
         (shown,) = prediction.seen_from(to_world(sensor)[:3, 3])
@@ -189,7 +189,7 @@ def test_a_prediction_is_what_statistics_compare_photographs_with(vase):
     np.testing.assert_allclose(found, expected, rtol=2e-3, atol=1e-5 * observed.unit**2)
 
 
-def svu_samples(observed, number) -> list[tuple[np.ndarray, np.ndarray]]:
+def seen_in_views(observed, number) -> list[tuple[np.ndarray, np.ndarray]]:
     """What every view shows of some texels: whether it does, and radiance."""
     from svu_mi.interop import owned
     from svu_mi.visibility import Surface

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import compress
+from typing import Any
 
 import numpy as np
 
@@ -157,13 +158,17 @@ def _estimated(capture: Capture, small: Capture, find: Callable[[], FoundGains])
         gains = find()
     except SvuError as error:
         return verdicts.gain_unknown(str(error).rstrip("."))
-    excessive = None
-    if (emitter := emitter_of(capture)) is not None:
-        points = scatter_points(small.shape)
-        arriving = Arriving.of(small.scene, points, read_environment(emitter))
-        seen = look(points, Frames.of(small))
-        excessive = excess(seen, points, arriving, unit_of(capture, small))
+    emitter, excessive = emitter_of(capture), None
+    if emitter is not None:
+        excessive = excess(*_under(small, emitter), unit_of(capture, small))
     return verdicts.gains_found(excessive, gains, list(gain_sentences(gains, capture)))
+
+
+def _under(small: Capture, emitter: Any) -> tuple[Sightings, Points, Arriving]:
+    """Return what photographs show of points, the points, and the light that arrives there."""
+    points = scatter_points(small.shape)
+    arriving = Arriving.of(small.scene, points, read_environment(emitter))
+    return look(points, Frames.of(small)), points, arriving
 
 
 def find_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) -> Finding:
@@ -179,9 +184,7 @@ def find_gains(capture: Capture, small: Capture, axial: Sequence[Finding]) -> Fi
         return verdicts.gain_unknown("the capture has no light")
     if _contradict(axial):
         return verdicts.gain_unknown("cameras, mesh and light have to fit first")
-    points, frames = scatter_points(small.shape), Frames.of(small)
-    sightings = look(points, frames)
-    arriving = Arriving.of(small.scene, points, read_environment(emitter))
+    sightings, points, arriving = _under(small, emitter)
     names = list(compress(small.names, small.used))
     excessive = excess(sightings, points, arriving, unit_of(capture, small))
     if len(names) < FEWEST:

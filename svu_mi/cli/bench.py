@@ -33,7 +33,7 @@ What = Annotated[
 # Developers run these, in a clone of the sources.
 MOVED = {"kernels": "studies.kernels", "conventions": "studies.conventions", "orb": "studies.orb",
          "checks": "studies.paths", "stability": "extremes"}  # fmt: skip
-Folder = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[CAPTURE]")]
+Photographs = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[CAPTURE]")]
 Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
 
 
@@ -92,7 +92,7 @@ class Bench(Measured):
     """
 
     what: What = "all"
-    capture: Folder = None
+    capture: Photographs = None
     """real: the capture's folder, or its scene."""
     rows: Names = ""
     """recovery: ways of recovery to run; without it the usual ones."""

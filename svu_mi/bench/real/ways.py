@@ -56,9 +56,9 @@ def _means(subject: LeftOut) -> Predict:
     """The mean of each texel's own samples, by gains of the photographs that fit them best."""
     samples, kept = subject.samples, subject.kept
     gain = np.ones((len(samples.cameras), 3))
-    view = samples.view
+    view, count = samples.view, np.maximum(_sums(subject, np.ones(samples.count)), 1)
     for _ in range(ROUNDS):
-        mean = _mean(subject, samples.radiance / gain[view])
+        mean = _sums(subject, samples.radiance / gain[view]) / count[:, None]
         of_sample = mean[samples.owner] * kept[:, None]
         for c in range(3):
             both, square = (
@@ -92,11 +92,6 @@ def _sums(subject: LeftOut, values: np.ndarray) -> np.ndarray:
     """Sum values (S, ...) over the samples of every texel that are known."""
     kept = subject.kept.reshape(-1, *[1] * (values.ndim - 1))
     return subject.samples.sum(np.where(kept, values, 0).astype(np.float64))
-
-
-def _mean(subject: LeftOut, values: np.ndarray) -> np.ndarray:
-    count = _sums(subject, np.ones(len(values)))
-    return np.asarray(_sums(subject, values) / np.maximum(count, 1)[:, None])
 
 
 POSTERIOR = Way("posterior", _posterior)
