@@ -21,7 +21,7 @@ from svu_mi.capture.scene import require_light
 from svu_mi.errors import CaptureError
 from svu_mi.frequency.mirrored import MirroredLight
 from svu_mi.interop import owned
-from svu_mi.light import Lighting, light, light_cells
+from svu_mi.light import LightCells, Lighting, light, light_cells
 from svu_mi.options import AngularPreset, Fit, Preset
 from svu_mi.progress import Progress
 from svu_mi.reflection.model import Arriving, Model
@@ -60,16 +60,28 @@ class Observed:
     found: Survey
     seen: np.ndarray
     _reached: dict[Any, Reach] = field(default_factory=dict, repr=False)
+    _of_light: dict[Any, Any] = field(default_factory=dict, repr=False)
 
-    @cached_property
+    @property
     def lighting(self) -> Lighting:
         """The light; read when first asked for.
 
         Raises:
             SceneError: there is none, it cannot be read, or it is black.
         """
-        require_light(self.capture)
-        return light(self.capture, sum(self.capture.used))
+        if "lighting" not in self._of_light:
+            require_light(self.capture)
+            self._of_light["lighting"] = light(self.capture, sum(self.capture.used))
+        found: Lighting = self._of_light["lighting"]
+        return found
+
+    def part(self, texels: np.ndarray) -> Observed:
+        """Return the same, of which only some texels are worth any work; the light is read once.
+
+        Args:
+            texels: (t,) their numbers among all T.
+        """
+        return replace(self, seen=texels, _reached={})
 
     @cached_property
     def unit(self) -> float:
@@ -114,12 +126,18 @@ class Observed:
         """
         key = (cells, occluded)
         if key not in self._reached:
-            coarse = min(max(cells // COARSE, 64), cells)
-            tree = light_cells(self.lighting.environment, coarse, cells)
             self._reached[key] = trace_reach(
-                self.views.scene, self.surface, tree, occluded=occluded
+                self.views.scene, self.surface, self._tree(cells), occluded=occluded
             )
         return self._reached[key]
+
+    def _tree(self, cells: int) -> LightCells:
+        """Return the cells of the light, gathered when first asked for."""
+        if cells not in self._of_light:
+            coarse = min(max(cells // COARSE, 64), cells)
+            self._of_light[cells] = light_cells(self.lighting.environment, coarse, cells)
+        found: LightCells = self._of_light[cells]
+        return found
 
     def irradiance(self, switches: Preset, channels: int) -> list[Any]:
         """Return the irradiance of the texels of ``seen``: a Float per channel.

@@ -14,7 +14,7 @@ view, two with statistics.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
@@ -25,25 +25,22 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import require_light, require_variant
 from svu_mi.errors import OptionError
-from svu_mi.frequency.gather import fit_spectra
+from svu_mi.estimators import Run, counted, from_angles, from_spectra, widened
 from svu_mi.interop import owned
 from svu_mi.observed import Observed, observe
-from svu_mi.options import AngularPreset, AnyPreset, Method, Preset, Skip
+from svu_mi.options import AngularPreset, AnyPreset, Method, Skip
 from svu_mi.options import preset as find_preset
 from svu_mi.posterior import (
     ParameterGrid,
     Posterior,
     PrincipledGrid,
     angular_grid,
-    angular_posterior,
-    calibrated_posterior,
     spectrum_grid,
-    spectrum_posterior,
 )
 from svu_mi.posterior.streaming import log_prior
+from svu_mi.posterior.tiled import TiledPosterior
 from svu_mi.progress import Progress
-from svu_mi.skipping import Plan, make_plan, with_known
-from svu_mi.statistics.gather import Weighting
+from svu_mi.skipping import make_plan, with_known
 from svu_mi.surface import Texels
 
 
@@ -88,7 +85,7 @@ class Estimate:
     def switches(self) -> AnyPreset:
         """The preset, as much less certain as the light is (``with_light``)."""
         observed = self.observed
-        return self.preset if observed is None else _widened(self.preset, observed.capture)
+        return self.preset if observed is None else widened(self.preset, observed.capture)
 
     @cached_property
     def entropy(self) -> Any:
@@ -98,6 +95,18 @@ class Estimate:
         the entropy is a part of the prior's (angular ``default`` and ``fast``).
         """
         return self.posterior.entropy()
+
+    def in_one_piece(self, progress: Progress | None = None) -> Estimate:
+        """Return the estimate with the statistics of all its texels, made again if they were not
+        kept (see ``estimate``)."""
+        if not isinstance(self.posterior, TiledPosterior):
+            return self
+        grid: Any = self.posterior.grid
+        method: Any = self.method
+        return estimate(
+            self, None, method, self.preset, grid=grid, prior=self.prior, whole=True,
+            progress=progress,
+        )  # fmt: skip
 
     def image(self, name: str) -> np.ndarray:
         """Lay a per-texel result out as a float32 texture.
@@ -188,6 +197,7 @@ def estimate(
     prior: Any | None = None,
     known: Mapping[str, float] | Literal["scene"] | None = None,
     skip: Skip | None = None,
+    whole: bool = False,
     progress: Progress | None = None,
 ) -> Estimate:
     """Estimate how much a capture says about the reflectance of every texel.
@@ -213,6 +223,9 @@ def estimate(
             photographs, a constant is more often a placeholder than a fact.
         skip: work to leave out where it changes nothing; all of it by default. What is gone on
             from has left out what it has.
+        whole: keep the statistics of all texels in memory (3 kB per texel), as recovery and
+            guidance need them. Otherwise more than 2^18 texels are worked on tile by tile, and
+            what maps do not show is computed again when it is asked for (``TiledPosterior``).
         progress: shows what is going on and collects timings.
 
     Raises:
@@ -242,16 +255,16 @@ def estimate(
     with progress.stage("Reading the light"):
         _ = seen.lighting
     plan = make_plan(skip, switches, seen, chosen, tables)
-    run = _Run(seen, chosen, prior, plan, progress)
-    widened: Any = _widened(switches, capture)
-    posterior = (_from_angles if angular else _from_spectra)(run, widened)
+    run = Run(seen, chosen, prior, plan, progress, whole)
+    certain: Any = widened(switches, capture)
+    posterior = (from_angles if angular else from_spectra)(run, certain)
     with progress.stage("Computing entropy"):
         result = Estimate(
             method=method,
             preset=switches,
             texels=seen.texels,
             posterior=posterior,
-            coverage=_coverage(seen, switches),
+            coverage=owned(mi.UInt32, counted(seen, switches)),
             seen_per_view=seen.found.per_view,
             skipped=plan.skipped,
             timings=progress.timings,
@@ -260,102 +273,3 @@ def estimate(
         )
         dr.eval(result.entropy)
     return result
-
-
-def _coverage(seen: Observed, switches: AnyPreset) -> Any:
-    """Return the number of views that see each texel, (T,) UInt32."""
-    if seen.found.clipped is None or not _takes_clipped(switches):
-        return seen.found.coverage
-    return owned(mi.UInt32, seen.shown)
-
-
-def _takes_clipped(switches: AnyPreset) -> bool:
-    """Return whether texels are seen, too, where they are brighter than photographs can say."""
-    return isinstance(switches, AngularPreset) and switches.kappa(1.0) < np.inf
-
-
-def _widened(switches: AnyPreset, capture: Capture) -> AnyPreset:
-    """Return switches of a posterior that knows how uncertain the light is."""
-    if capture.doubt is None or not isinstance(switches, AngularPreset):
-        return switches
-    return replace(switches, overdispersion=switches.overdispersion * capture.doubt.widening)
-
-
-@dataclass(frozen=True)
-class _Run:
-    """What both methods start from."""
-
-    observed: Observed
-    grid: Any
-    prior: Any | None
-    plan: Plan
-    progress: Progress
-
-
-def _from_angles(run: _Run, switches: AngularPreset) -> Posterior:
-    plan, seen = run.plan, run.observed
-    if switches.traced:
-        with run.progress.stage("Tracing occlusion"):
-            seen.reach(switches.cells, occluded=switches.occluded)
-    with run.progress.stage("Gathering statistics"):
-        weighting = Weighting(
-            switches.kappa(seen.unit), switches.edges if switches.noise == "estimated" else 0.0
-        )
-        clipped = seen.found.clipped is not None and not _takes_clipped(switches)
-        factors = seen.statistics(
-            _levels(run, switches), switches, plan.channels, light_channels=plan.light_channels,
-            weighting=weighting, texels=np.flatnonzero(seen.coverage) if clipped else None,
-        ).factor()  # fmt: skip
-    if switches.noise == "estimated":
-        return calibrated_posterior(
-            factors, run.grid, seen.unit, switches, prior=run.prior, copies=plan.copies,
-            texels=seen.texels.count, doubt=seen.capture.doubt,
-            rounding=seen.rounding(weighting),
-        )  # fmt: skip
-    return angular_posterior(
-        factors, run.grid, seen.unit, switches,
-        prior=run.prior, copies=plan.copies, levels=plan.levels, texels=seen.texels.count,
-    )  # fmt: skip
-
-
-def _levels(run: _Run, switches: AngularPreset) -> np.ndarray:
-    """Levels of roughness to gather at: those of the grid that are possible, or even ones."""
-    nodes = run.grid.roughness_nodes
-    if switches.noise == "estimated" and len(nodes) > 1:
-        return np.linspace(0, 1, switches.levels)
-    return np.asarray(nodes[run.plan.levels])
-
-
-def _from_spectra(run: _Run, switches: Preset) -> Posterior:
-    plan, seen = run.plan, run.observed
-    irradiance = None
-    if isinstance(run.grid, PrincipledGrid):
-        with run.progress.stage("Tracing occlusion"):
-            irradiance = _irradiance(run, switches)
-    with run.progress.stage("Fitting spectra"):
-        spectra = fit_spectra(
-            seen, switches, channels=plan.channels, light_channels=plan.light_channels,
-            skip_unseen=len(seen.seen) < seen.texels.count,
-        )  # fmt: skip
-    with run.progress.stage("Computing entropy"):
-        return spectrum_posterior(
-            spectra.incoming,
-            spectra.outgoing,
-            run.grid,
-            preset=switches,
-            prefilter=seen.lighting.prefilter,
-            prior=run.prior,
-            observed=seen.found.coverage > 0,
-            samples=mi.Float(seen.found.coverage),
-            irradiance=irradiance,
-            copies=plan.copies,
-        )
-
-
-def _irradiance(run: _Run, switches: Preset) -> np.ndarray:
-    """(T, C) irradiance of texels that may be seen; 0 for others."""
-    seen, channels = run.observed, run.plan.light_channels
-    result = np.zeros((seen.texels.count, run.plan.channels), np.float32)
-    light = seen.irradiance(switches, channels)
-    result[seen.seen] = np.stack([value.numpy() for value in light], axis=-1)
-    return result  # one channel of grey light is all of them

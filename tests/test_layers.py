@@ -10,8 +10,8 @@ LAYERS = (
     "errors", "names", "memory", "needs", "limits", "quiet", "_reload", "_llvm", "_workers",
     "interop", "files", "npz", "exr", "results", "progress", "settings", "parameters", "switches",
     "options", "capture", "formats", "surface", "light", "visibility", "frequency", "reflection",
-    "statistics", "observed", "posterior", "skipping", "pipeline", "prediction", "illumination",
-    "guidance", "regularization", "recovery", "reference", "metrics", "checking", "output",
+    "statistics", "observed", "posterior", "skipping", "estimators", "pipeline", "prediction",
+    "illumination", "guidance", "regularization", "recovery", "reference", "metrics", "checking", "output",
     "export", "bench", "cli",
 )  # fmt: skip
 # Built on the stages; only what stands at the very top may use them.

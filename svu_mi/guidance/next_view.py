@@ -73,6 +73,7 @@ def next_best_view(
     options = _options(options, switches).resolved(estimate.preset)
     progress = progress or Progress()
     strategy, observed = _strategy(options, estimate), observed_of(estimate, None)
+    estimate = estimate.in_one_piece(progress)
     if candidates is None:
         candidates = _default(observed.capture)
     elif isinstance(candidates, Sequence) and not isinstance(candidates, str):

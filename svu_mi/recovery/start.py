@@ -49,7 +49,7 @@ def estimate_for_textures(
             f"No texel of '{observed.capture.shape.id()}' is seen with any radiance; check poses "
             "(camera space is +X left, +Y up, +Z forward), masks and exposures."
         )
-    found = given or estimate(observed, progress=progress)
+    found = (given or estimate(observed, whole=True, progress=progress)).in_one_piece(progress)
     sharing = sharing or getattr(found.posterior, "learned", False)
     if not _serves(found):
         found = _in_colour(found, observed, progress)
@@ -80,7 +80,9 @@ def _in_colour(found: Estimate, observed: Observed, progress: Progress) -> Estim
         prior = of_roughness(found)
         grid = PrincipledGrid(roughness=grid.roughness, known=known_values(found))
     assert isinstance(grid, PrincipledGrid)
-    return estimate(observed, preset=switches, grid=grid, prior=prior, progress=progress)
+    return estimate(
+        observed, preset=switches, grid=grid, prior=prior, whole=True, progress=progress
+    )
 
 
 def of_roughness(found: Estimate) -> np.ndarray | None:

@@ -1,0 +1,184 @@
+"""The estimators: from what was observed to a posterior, by angles or by spectra."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.frequency.gather import fit_spectra
+from svu_mi.interop import owned
+from svu_mi.observed import Observed
+from svu_mi.options import AngularPreset, AnyPreset, Preset
+from svu_mi.posterior import (
+    Posterior,
+    PrincipledGrid,
+    angular_posterior,
+    calibrated_posterior,
+    spectrum_posterior,
+)
+from svu_mi.posterior.tiled import TILE, TiledPosterior
+from svu_mi.progress import Progress
+from svu_mi.skipping import Plan
+from svu_mi.statistics import Factors
+from svu_mi.statistics.gather import Weighting
+
+
+@dataclass(frozen=True)
+class Run:
+    """What both estimators start from.
+
+    Attributes:
+        observed: photographs, light and texels.
+        grid: of parameters.
+        prior: weights of its cells; None for the usual ones.
+        plan: what is left to do.
+        progress: shows what is going on.
+        whole: keep the statistics of all texels, however many there are.
+    """
+
+    observed: Observed
+    grid: Any
+    prior: Any | None
+    plan: Plan
+    progress: Progress
+    whole: bool
+
+
+def from_angles(run: Run, switches: AngularPreset) -> Posterior:
+    """Compare photographs with what the reflection model predicts for them, by statistics."""
+    seen, count = run.observed, len(run.observed.seen)
+    # What is global is made once, for all tiles.
+    if run.whole or count <= TILE:
+        return _of_all(run, switches)
+    with run.progress.stage("Gathering statistics", count) as stage:
+        tiled = TiledPosterior(
+            grid=run.grid, observed=counted(seen, switches) > 0,
+            make=lambda texels: _of_tile(run, switches, texels), report=stage.update,
+        )  # fmt: skip
+        tiled.entropy()
+    return tiled
+
+
+def _of_all(run: Run, switches: AngularPreset) -> Posterior:
+    seen = run.observed
+    if switches.traced:
+        with run.progress.stage("Tracing occlusion"):
+            seen.reach(switches.cells, occluded=switches.occluded)
+    with run.progress.stage("Gathering statistics"):
+        chosen = np.flatnonzero(seen.coverage) if _leaves_clipped_out(seen, switches) else None
+        factors = _factors(run, seen, switches, chosen)
+    return _posterior(run, seen, switches, factors, seen.texels.count)
+
+
+def _of_tile(run: Run, switches: AngularPreset, texels: np.ndarray) -> Posterior:
+    """Return the posterior of some texels, which it numbers from 0."""
+    part = run.observed.part(texels)
+    own = np.arange(len(texels))
+    if _leaves_clipped_out(part, switches):
+        own = np.flatnonzero(part.coverage[texels])
+        part = part.part(texels[own])
+    factors = _factors(run, part, switches, None)
+    factors = replace(factors, texel=owned(mi.UInt32, own.astype(np.uint32)))
+    return _posterior(run, part, switches, factors, len(texels))
+
+
+def _factors(
+    run: Run, seen: Observed, switches: AngularPreset, texels: np.ndarray | None
+) -> Factors:
+    """Gather the statistics of texels, by default of those of ``seen``, and factor them."""
+    return seen.statistics(
+        _levels(run, switches), switches, run.plan.channels,
+        light_channels=run.plan.light_channels, weighting=_weighting(seen, switches), texels=texels,
+    ).factor()  # fmt: skip
+
+
+def _weighting(seen: Observed, switches: AngularPreset) -> Weighting:
+    edges = switches.edges if switches.noise == "estimated" else 0.0
+    return Weighting(switches.kappa(seen.unit), edges)
+
+
+def _posterior(
+    run: Run, seen: Observed, switches: AngularPreset, factors: Factors, texels: int
+) -> Posterior:
+    plan = run.plan
+    if switches.noise == "estimated":
+        return calibrated_posterior(
+            factors, run.grid, seen.unit, switches, prior=run.prior, copies=plan.copies,
+            texels=texels, doubt=seen.capture.doubt,
+            rounding=seen.rounding(_weighting(seen, switches)),
+        )  # fmt: skip
+    return angular_posterior(
+        factors, run.grid, seen.unit, switches,
+        prior=run.prior, copies=plan.copies, levels=plan.levels, texels=texels,
+    )  # fmt: skip
+
+
+def _leaves_clipped_out(seen: Observed, switches: AngularPreset) -> bool:
+    return seen.found.clipped is not None and not takes_clipped(switches)
+
+
+def counted(seen: Observed, switches: AnyPreset) -> np.ndarray:
+    """Return the number of views that show each texel to an estimator, (T,) uint32."""
+    if seen.found.clipped is None or not takes_clipped(switches):
+        return seen.coverage
+    return seen.shown
+
+
+def _levels(run: Run, switches: AngularPreset) -> np.ndarray:
+    """Levels of roughness to gather at: those of the grid that are possible, or even ones."""
+    nodes = run.grid.roughness_nodes
+    if switches.noise == "estimated" and len(nodes) > 1:
+        return np.linspace(0, 1, switches.levels)
+    return np.asarray(nodes[run.plan.levels])
+
+
+def from_spectra(run: Run, switches: Preset) -> Posterior:
+    """Compare the power spectra of photographs and light (Sec. 3.3 of the paper)."""
+    plan, seen = run.plan, run.observed
+    irradiance = None
+    if isinstance(run.grid, PrincipledGrid):
+        with run.progress.stage("Tracing occlusion"):
+            irradiance = _irradiance(run, switches)
+    with run.progress.stage("Fitting spectra"):
+        spectra = fit_spectra(
+            seen, switches, channels=plan.channels, light_channels=plan.light_channels,
+            skip_unseen=len(seen.seen) < seen.texels.count,
+        )  # fmt: skip
+    with run.progress.stage("Computing entropy"):
+        return spectrum_posterior(
+            spectra.incoming,
+            spectra.outgoing,
+            run.grid,
+            preset=switches,
+            prefilter=seen.lighting.prefilter,
+            prior=run.prior,
+            observed=seen.found.coverage > 0,
+            samples=mi.Float(seen.found.coverage),
+            irradiance=irradiance,
+            copies=plan.copies,
+        )
+
+
+def _irradiance(run: Run, switches: Preset) -> np.ndarray:
+    """(T, C) irradiance of texels that may be seen; 0 for others."""
+    seen, channels = run.observed, run.plan.light_channels
+    result = np.zeros((seen.texels.count, run.plan.channels), np.float32)
+    light = seen.irradiance(switches, channels)
+    result[seen.seen] = np.stack([value.numpy() for value in light], axis=-1)
+    return result  # one channel of grey light is all of them
+
+
+def takes_clipped(switches: AnyPreset) -> bool:
+    """Return whether texels are seen, too, where they are brighter than photographs can say."""
+    return isinstance(switches, AngularPreset) and switches.kappa(1.0) < np.inf
+
+
+def widened(switches: AnyPreset, capture: Capture) -> AnyPreset:
+    """Return switches of a posterior that knows how uncertain the light is."""
+    if capture.doubt is None or not isinstance(switches, AngularPreset):
+        return switches
+    return replace(switches, overdispersion=switches.overdispersion * capture.doubt.widening)

@@ -1,0 +1,88 @@
+"""Texels tile by tile: what is said of them is what is said of them together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from studies.clipped import in_integers
+
+import svu_mi as svu
+from svu_mi import estimators
+from svu_mi.posterior.tiled import TiledPosterior
+
+MAPS = [f"roughness_{what}" for what in ("mean", "sd", "low", "high")]
+
+
+@pytest.fixture
+def tiled(monkeypatch):
+    """Estimate in tiles of 500 texels, the last of which is smaller."""
+
+    def estimated(*args, **options):
+        monkeypatch.setattr(estimators, "TILE", 500)
+        monkeypatch.setattr(TiledPosterior, "size", 500)
+        found = svu.estimate(*args, **options)
+        monkeypatch.undo()
+        return found
+
+    return estimated
+
+
+@pytest.fixture(scope="module", params=["floats", "clipped"])
+def shown(request, vase):
+    """The vase in floats, and in 8 bits with its highlights clipped."""
+    if request.param == "floats":
+        return vase.capture
+    return in_integers(vase.capture, vase.estimate.observed, 0.3)[0]
+
+
+@pytest.mark.parametrize("preset", ["default", "fixed", "fast", "paper"])
+def test_tiles_say_what_all_texels_say_together(vase, shown, tiled, preset):
+    together = svu.estimate(shown, vase.texels, preset=preset)
+    apart = tiled(shown, vase.texels, preset=preset)
+    assert isinstance(apart.posterior, TiledPosterior)
+    assert apart.posterior.count > 3 * 500
+    names = ["entropy", "coverage", *(MAPS if "metallic" in apart.posterior.axes else [])]
+    for name in names:
+        np.testing.assert_allclose(
+            apart.image(name), together.image(name), rtol=1e-6, atol=2e-6, err_msg=name
+        )
+
+
+def test_what_is_asked_of_some_texels_is_made_again_for_them(vase, tiled):
+    together, apart = vase.estimate.posterior, tiled(vase.capture, vase.texels).posterior
+    chosen = np.random.default_rng(0).permutation(together.count)[:700]
+    for ask in (
+        lambda p: p.probabilities_of(chosen[:40]),
+        lambda p: p.interval("base_color", 0.8, chosen)[1],
+        lambda p: p.half_width("base_color", 0.9, chosen),
+        lambda p: p.marginal("metallic", chosen),
+        lambda p: p.map(chosen)["roughness"],
+        lambda p: p.sd("base_color"),
+        lambda p: p.noise_of(np.flatnonzero(p.observed)[::7]),
+    ):
+        np.testing.assert_allclose(np.array(ask(apart)), np.array(ask(together)), atol=2e-6)
+    np.testing.assert_array_equal(apart.prior, together.prior)
+    assert apart.groups == 3 and apart.continuous and apart.most == together.most
+
+
+def test_draws_of_tiles_have_the_moments_of_their_texels(vase, tiled):
+    posterior = tiled(vase.capture, vase.texels).posterior
+    drawn = np.array(posterior.draw(64, seed=3)["roughness"])
+    seen = posterior.observed
+    mean, sd = (np.array(x)[seen] for x in (posterior.mean("roughness"), posterior.sd("roughness")))
+    off = (drawn[:, seen].mean(axis=0) - mean) / np.maximum(sd, 1e-3) * 8
+    assert abs(off.mean()) < 0.1 and 0.8 < off.std() < 1.2
+
+
+def test_guidance_and_recovery_go_on_from_tiles(vase, tiled):
+    apart = tiled(vase.capture, vase.texels)
+    whole = apart.in_one_piece()
+    np.testing.assert_array_equal(np.array(whole.entropy), np.array(vase.estimate.entropy))
+    assert vase.estimate.in_one_piece() is vase.estimate
+    found = svu.recover(apart, preset="default")
+    known = svu.recover(replace(vase.estimate), preset="default")
+    np.testing.assert_allclose(
+        found.textures.roughness, known.textures.roughness, rtol=1e-4, atol=1e-4
+    )
