@@ -11,8 +11,8 @@ LAYERS = (
     "interop", "files", "npz", "exr", "results", "progress", "settings", "parameters", "switches",
     "options", "capture", "formats", "surface", "light", "visibility", "frequency", "reflection",
     "statistics", "observed", "posterior", "skipping", "estimators", "pipeline", "prediction",
-    "illumination", "guidance", "regularization", "recovery", "reference", "metrics", "checking", "output",
-    "export", "bench", "cli",
+    "illumination", "guidance", "regularization", "recovery", "reference", "metrics", "checking",
+    "output", "export", "bench", "cli",
 )  # fmt: skip
 # Built on the stages; only what stands at the very top may use them.
 ABOVE = {"plugins": ("output", "cli"), "scenes": ("output", "bench", "cli")}

@@ -11,7 +11,7 @@ from helpers import ball
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.unwrap import unwrap, unwrapped
 from svu_mi.errors import MeshError, OptionError, ShapeError
-from svu_mi.surface import texels
+from svu_mi.surface import layout, texels
 from svu_mi.surface.raster import rasterize
 
 
@@ -177,3 +177,14 @@ def test_an_empty_mesh_cannot_be_unwrapped():
     nothing = MeshArrays(np.zeros((3, 3)), np.zeros((0, 3), int), None, None)
     with pytest.raises(MeshError, match="no faces"):
         unwrap(make("nothing", nothing))
+
+
+def test_texels_interpolated_some_at_a_time_are_the_same(monkeypatch, vase):
+    whole = texels(vase.capture.mesh, 64)
+    monkeypatch.setattr(layout, "CHUNK", 333)
+    parts = texels(vase.capture.mesh, 64)
+    for name in ("position", "normal", "geometric_normal", "uv", "footprint"):
+        one, other = (np.array(getattr(found, name)) for found in (parts, whole))
+        np.testing.assert_array_equal(one, other)
+    for one, other in zip(parts.sides, whole.sides, strict=True):
+        np.testing.assert_array_equal(np.array(one), np.array(other))

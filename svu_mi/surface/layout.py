@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import drjit as dr
@@ -20,6 +20,7 @@ from svu_mi.surface.raster import rasterize
 OVERLAP_LIMIT = 0.05  # part of the covered texels; below it they are left out, above refused
 OUTSIDE_LIMIT = 1e-3  # part of the faces that may lie outside the unit square
 MAX_RESOLUTION = 16384
+CHUNK = 2**20  # texels that are interpolated at a time; double precision takes 500 bytes of each
 COARSEST = 1e-4  # part of a mesh's extent that coordinates must resolve
 
 
@@ -224,15 +225,72 @@ def _surface_points(
     overlapping: int,
     degenerate: int,
 ) -> Texels:
-    """Interpolate the mesh at texel centres, in double precision."""
+    """Interpolate the mesh at texel centres, in double precision, some at a time."""
+    faces, found = _face_normals(source), _Points.of(len(index))
+    for first in range(0, len(index), CHUNK):
+        span = slice(first, first + CHUNK)
+        _interpolate(source, faces, (index[span], face[span]), resolution, found.part(span))
+    return Texels(
+        resolution=resolution,
+        index=owned(mi.UInt32, index.astype(np.uint32)),
+        face=owned(mi.UInt32, face.astype(np.uint32)),
+        position=owned(mi.Point3f, found.position),
+        normal=owned(mi.Normal3f, found.normal),
+        geometric_normal=owned(mi.Normal3f, found.geometric_normal),
+        uv=owned(mi.Point2f, found.uv),
+        footprint=owned(mi.Float, found.footprint[0]),
+        sides=(owned(mi.Vector3f, found.along_u), owned(mi.Vector3f, found.along_v)),
+        overlapping=overlapping,
+        degenerate=degenerate,
+        extent=_extent(source),
+        step=_step(source),
+    )
+
+
+@dataclass(frozen=True)
+class _Points:
+    """What is interpolated, (components, T) float32; see ``Texels``."""
+
+    position: np.ndarray
+    normal: np.ndarray
+    geometric_normal: np.ndarray
+    uv: np.ndarray
+    footprint: np.ndarray
+    along_u: np.ndarray
+    along_v: np.ndarray
+
+    @staticmethod
+    def of(count: int) -> _Points:
+        """Make room for texels."""
+        return _Points(*(np.empty((size, count), np.float32) for size in (3, 3, 3, 2, 1, 3, 3)))
+
+    def part(self, span: slice) -> _Points:
+        """Return the room of some of them."""
+        return _Points(*(getattr(self, f.name)[:, span] for f in fields(self)))
+
+
+def _interpolate(
+    source: MeshArrays,
+    faces: tuple[np.ndarray, np.ndarray],
+    texels: tuple[np.ndarray, np.ndarray],
+    resolution: tuple[int, int],
+    room: _Points,
+) -> None:
+    """Write the surface points of texels.
+
+    Args:
+        source: the mesh.
+        faces: normals and areas of its faces.
+        texels: index and face of each.
+        resolution: (W, H).
+        room: where to.
+    """
     assert source.uvs is not None
-    width, height = resolution
+    (index, face), (width, height), (normals, areas) = texels, resolution, faces
     uv = np.stack([(index % width + 0.5) / width, (index // width + 0.5) / height], axis=-1)
-    corner_uv = source.uvs[source.faces[face]]
+    corner_uv, corner = source.uvs[source.faces[face]], source.positions[source.faces[face]]
     weights = barycentric(corner_uv, uv)
-    position = np.einsum("tk,tki->ti", weights, source.positions[source.faces[face]])
-    geometric, area = _face_normals(source)
-    geometric = geometric[face]
+    geometric = normals[face]
     normal = geometric
     if source.normals is not None:
         smooth = np.einsum("tk,tki->ti", weights, source.normals[source.faces[face]])
@@ -240,30 +298,16 @@ def _surface_points(
         # Opposite vertex normals cancel; the face's own normal is what is left.
         normal = np.where(length > 1e-6, smooth / np.maximum(length, 1e-6), geometric)
     side = np.sign(np.einsum("ti,ti->t", geometric, normal))
-    geometric = geometric * np.where(side == 0, 1, side)[:, None]
     edges = corner_uv[:, 1:] - corner_uv[:, :1]
     uv_area = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]) / 2
-    footprint = np.sqrt(area[face] / (uv_area * width * height))
     # Position is linear in uv within a face: edges = sides of the unit square times uv edges.
-    corner = source.positions[source.faces[face]]
     along = np.linalg.solve(edges, corner[:, 1:] - corner[:, :1])  # (T, u or v, xyz)
-    return Texels(
-        resolution=resolution,
-        index=owned(mi.UInt32, index.astype(np.uint32)),
-        face=owned(mi.UInt32, face.astype(np.uint32)),
-        position=_vector(mi.Point3f, position),
-        normal=_vector(mi.Normal3f, normal),
-        geometric_normal=_vector(mi.Normal3f, geometric),
-        uv=_vector(mi.Point2f, uv),
-        footprint=owned(mi.Float, footprint.astype(np.float32)),
-        sides=(
-            _vector(mi.Vector3f, along[:, 0] / width), _vector(mi.Vector3f, along[:, 1] / height)
-        ),
-        overlapping=overlapping,
-        degenerate=degenerate,
-        extent=_extent(source),
-        step=_step(source),
-    )
+    room.position[:] = np.einsum("tk,tki->ti", weights, corner).T
+    room.normal[:] = normal.T
+    room.geometric_normal[:] = (geometric * np.where(side == 0, 1, side)[:, None]).T
+    room.uv[:] = uv.T
+    room.footprint[:] = np.sqrt(areas[face] / (uv_area * width * height))
+    room.along_u[:], room.along_v[:] = along[:, 0].T / width, along[:, 1].T / height
 
 
 def barycentric(corners: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -276,7 +320,3 @@ def barycentric(corners: np.ndarray, point: np.ndarray) -> np.ndarray:
     # Rounding can leave a centre on an edge outside by 1e-17; rays must start inside.
     weights = np.clip(np.stack([1 - second - third, second, third], axis=-1), 1e-6, None)
     return weights / weights.sum(axis=1, keepdims=True)
-
-
-def _vector(kind: Any, values: np.ndarray) -> Any:
-    return owned(kind, values.T.astype(np.float32))
