@@ -11,6 +11,7 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.frequency.gather import fit_spectra
 from svu_mi.interop import owned
+from svu_mi.needs import TILE
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, AnyPreset, Preset
 from svu_mi.posterior import (
@@ -20,7 +21,7 @@ from svu_mi.posterior import (
     calibrated_posterior,
     spectrum_posterior,
 )
-from svu_mi.posterior.tiled import TILE, TiledPosterior
+from svu_mi.posterior.tiled import TiledPosterior
 from svu_mi.progress import Progress
 from svu_mi.skipping import Plan
 from svu_mi.statistics import Factors

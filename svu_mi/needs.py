@@ -12,6 +12,7 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import inf
 
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 from svu_mi.memory import address_space, free_memory, resident
@@ -58,6 +59,12 @@ COSTS = {
 # Bytes per texel, by preset, and by the method that has none of its own.
 MODELS = {"default": 2900, "fixed": 1300, "fast": 1100, "paper": 2000, "spectrum": 560}
 GRID = 100  # bytes per texel of the grid that no chart covers
+# More texels than TILE are worked on tile by tile by these commands, but for power spectra; every
+# texel then takes LAID_OUT bytes besides.
+TILED = ("entropy", "report", "view")
+TILE, LAID_OUT = 2**18, 230
+STORED = 14  # bytes of a photograph's pixel that can lie in a file
+READING = 40  # bytes per pixel of the largest photograph, while one of each thread is decoded
 KEPT_NODE = 180  # bytes per pixel of an environment map
 NODE = 80  # bytes per pixel of a larger one, which is averaged
 KEPT_NODES = 2048 * 1025
@@ -81,16 +88,20 @@ class Sizes:
     """How large a capture is, known before its photographs are read.
 
     Attributes:
-        photographs: (width, height) of each.
+        photographs: (width, height) of each, as it is kept.
         light: (width, height) of the environment map; (0, 0) for other lights.
         charts: part of the texture that the mesh's UV charts cover, in [0, 1], at most.
         lit: whether there is a light.
+        stored: (width, height) of each, as it is stored.
+        memory: bytes that photographs may take, before they go to a file.
     """
 
     photographs: Sequence[Size]
     light: Size = (0, 0)
     charts: float = 1.0
     lit: bool = True
+    stored: Sequence[Size] = ()
+    memory: float = inf
 
 
 @dataclass(frozen=True)
@@ -106,6 +117,8 @@ class Need:
         light: (width, height) of the environment map; (0, 0) for other lights.
         model: what is estimated with: one of ``MODELS``; empty where nothing is estimated.
         charts: part of the texture that has texels, at most.
+        stored: (width, height) of the files that larger photographs are read from.
+        memory: bytes that photographs may take, before they go to a file.
     """
 
     command: str
@@ -116,6 +129,8 @@ class Need:
     light: Size = (0, 0)
     model: str = "default"
     charts: float = 1.0
+    stored: Sequence[Size] = ()
+    memory: float = inf
 
     @property
     def bytes(self) -> float:
@@ -129,10 +144,18 @@ class Need:
         """Return what photographs and what texels take."""
         cost = COSTS[self.command]
         pixels = [width * height for width, height in self.sizes]
-        grid = self.resolution[0] * self.resolution[1]
-        covered = self.charts * (cost.texel + (MODELS[self.model] if self.model else 0))
         photographs = cost.pixel * sum(pixels) + cost.film * max(pixels, default=0)
-        return photographs, (covered + (1 - self.charts) * GRID) * grid
+        if STORED * sum(pixels) > self.memory:
+            photographs -= STORED * sum(pixels)
+        largest = max((width * height for width, height in self.stored), default=0)
+        if largest > max(pixels, default=0):
+            photographs += READING * largest * max(_threads(), 1)
+        grid = self.resolution[0] * self.resolution[1]
+        covered, model = self.charts * grid, MODELS[self.model] if self.model else 0
+        texels = cost.texel * covered + (1 - self.charts) * grid * GRID
+        if self.command in TILED and self.model != "spectrum" and covered > TILE:
+            return photographs, texels + model * TILE + LAID_OUT * covered
+        return photographs, texels + model * covered
 
     def sentence(self) -> str:
         """Return what is announced: "Needs up to 1.4 GB of memory, 23 are there"."""

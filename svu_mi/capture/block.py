@@ -1,27 +1,79 @@
-"""Photographs in one block of memory, where kernels look them up without a copy."""
+"""Photographs in one block, where kernels look them up without a copy: of memory, or of a file.
+
+What does not fit into memory lies in a file that is mapped: kernels read it as they read memory,
+and the operating system keeps those parts of it that are looked at, as long as nobody else needs
+the room. The file has no name, so nothing is left of it, however the process ends.
+"""
 
 from __future__ import annotations
 
 import math
+import mmap
+import os
+import tempfile
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from svu_mi.errors import CaptureError
+from svu_mi.memory import free_memory
 
-def allocate(sizes: Sequence[tuple[int, int]]) -> list[np.ndarray]:
+SHARE = 0.5  # of the free memory that photographs take, before they go to a file
+ON_DISK = Path("/var/tmp")  # what is in /tmp is memory on some systems
+GIGA = 1e9
+
+
+def room_for_photographs() -> float:
+    """Return bytes of memory that photographs may take, unless somebody says otherwise."""
+    free = free_memory()
+    return math.inf if free is None else SHARE * free
+
+
+def allocate(
+    sizes: Sequence[tuple[int, int]], kind: Any = np.float32, channels: int = 3,
+    memory: float = math.inf,
+) -> list[np.ndarray]:  # fmt: skip
     """Make room for photographs, one after the other in one block.
 
     Args:
         sizes: V (width, height).
+        kind: type of their values.
+        channels: number of values per pixel.
+        memory: bytes from which on they lie in a file.
 
     Returns:
-        V empty (H, W, 3) float32 arrays.
+        V arrays (H, W, channels) of zeros.
+
+    Raises:
+        CaptureError: there is no room for the file.
     """
-    shapes = [(height, width, 3) for width, height in sizes]
+    shapes = [(height, width, channels) for width, height in sizes]
     ends = np.cumsum([math.prod(shape) for shape in shapes], dtype=np.int64)
-    block = np.empty(ends[-1] if shapes else 0, np.float32)
+    count = int(ends[-1]) if shapes else 0
+    fits = count * np.dtype(kind).itemsize <= memory
+    block = np.zeros(count, kind) if fits else _in_file(count, kind)
     parts = np.split(block, ends[:-1])
     return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=False)]
+
+
+def _in_file(count: int, kind: Any) -> np.ndarray:
+    """Make an array in a file without a name."""
+    size = count * np.dtype(kind).itemsize
+    folder = os.environ.get("TMPDIR") or (str(ON_DISK) if ON_DISK.is_dir() else None)
+    try:
+        with tempfile.TemporaryFile(dir=folder, prefix="svu_") as file:
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, size)  # a full disk is not noticed later on
+            else:
+                file.truncate(size)
+            return np.frombuffer(mmap.mmap(file.fileno(), size), kind)
+    except OSError as error:
+        raise CaptureError(
+            f"{folder or tempfile.gettempdir()}: no room for {size / GIGA:.1f} GB of photographs "
+            f"({error.strerror}); set TMPDIR to a folder with more, or give --memory more."
+        ) from error
 
 
 def in_one_block(images: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -40,6 +92,60 @@ def in_one_block(images: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     for room, image in zip(made, images, strict=True):
         room[:] = image
     return _shared(made) or (np.empty(0, np.float32), np.empty(0, np.int64))
+
+
+def laid_out(
+    parts: Sequence[np.ndarray | None], starts: np.ndarray, count: int, fill: bool | int
+) -> np.ndarray:
+    """Return one value per pixel of all photographs: where they are, if they lie as these do.
+
+    Args:
+        parts: V (H, W) arrays, bool or uint8 as ``fill`` is; None for a photograph without.
+        starts: (V,) index of each photograph's first pixel.
+        count: P, number of all pixels.
+        fill: what stands for None.
+
+    Returns:
+        (P,) array.
+    """
+    kind = np.dtype(bool if isinstance(fill, bool) else np.uint8)
+    found = _in_place(parts, starts, count, kind)
+    if found is not None and not _differs(found, parts, starts, fill):
+        return found
+    result = np.full(count, fill, kind)
+    for start, part in zip(starts, parts, strict=True):
+        if part is not None:
+            result[start : start + part.size] = part.ravel()
+    return result
+
+
+def _in_place(
+    parts: Sequence[np.ndarray | None], starts: np.ndarray, count: int, kind: np.dtype[Any]
+) -> np.ndarray | None:
+    """Return the (P,) values of the block that all parts are views of, each in its place."""
+    there = [(part, int(start)) for part, start in zip(parts, starts, strict=True)
+             if part is not None]  # fmt: skip
+    block = there[0][0].base if there else None
+    if not (isinstance(block, np.ndarray) and block.dtype == kind and block.ndim == 1):
+        return None
+    address = block.__array_interface__["data"][0]
+    firsts = {part.__array_interface__["data"][0] - address - start for part, start in there}
+    first = firsts.pop()
+    alike = all(part.base is block and part.flags.c_contiguous for part, _ in there)
+    if firsts or not alike or not 0 <= first <= block.size - count:
+        return None
+    return block[first : first + count]
+
+
+def _differs(
+    found: np.ndarray, parts: Sequence[np.ndarray | None], starts: np.ndarray, fill: bool | int
+) -> bool:
+    """Return whether something else than ``fill`` stands where a photograph has none."""
+    ends = [*starts[1:], len(found)]
+    return any(
+        part is None and (found[start:end] != fill).any()
+        for part, start, end in zip(parts, starts, ends, strict=True)
+    )
 
 
 def _shared(images: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray] | None:

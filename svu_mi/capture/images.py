@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 
 import drjit as dr
@@ -15,6 +16,7 @@ from svu_mi.capture.clipped import Clipped
 from svu_mi.capture.matching import masks_of
 from svu_mi.capture.picture import SUFFIXES, Picture, decoded, open_picture, read_planes
 from svu_mi.capture.rounding import Rounding
+from svu_mi.capture.window import Window
 from svu_mi.errors import CaptureError
 from svu_mi.limits import require_photographs
 from svu_mi.needs import Size
@@ -22,6 +24,7 @@ from svu_mi.results.record import RUN
 
 # Of the encoded range, by bits; a clipped highlight is not a measurement. JPEG blurs it, too.
 SATURATED = {8: 0.98, 16: 0.995}
+STORED = 14  # bytes per pixel of a photograph: three floats, the mask, what is clipped
 UNUSABLE = -1.0  # radiance of a pixel that is not to be used, in all channels of an EXR
 CLIPPED = -2.0  # radiance of a channel that is clipped, in an EXR with the attribute SATURATION
 SATURATION = "svu:saturation"  # radiance from which the channels of a photograph were clipped
@@ -73,67 +76,158 @@ def not_taken(size: tuple[int, int]) -> Photograph:
 
 
 def read_photographs(
-    paths: Sequence[Path | None], sizes: Sequence[Size], exposures: Sequence[float],
-    opened: Callable[[Sequence[Size]], None] | None = None,
+    paths: Sequence[Path | None], windows: Sequence[Window], exposures: Sequence[float],
+    *, films: Sequence[Size] | None = None, memory: float = inf,
+    opened: Callable[[Sequence[int]], None] | None = None,
 ) -> list[Photograph]:  # fmt: skip
     """Read photographs and their masks, on as many threads as Dr.Jit has.
 
     A mask is the image's alpha channel, or a file beside it (``masks_of``). All pixels lie in one
-    block of memory, one photograph after the other, where kernels can look them up.
+    block, one photograph after the other, where kernels can look them up.
 
     Args:
         paths: V EXR, HDR, PFM (linear), PNG or JPEG (sRGB of 8 or 16 bits) files; None for a
             photograph that nobody has taken (``not_taken``).
-        sizes: V (width, height) of the sensors' films (their crop windows).
+        windows: what to keep of each.
         exposures: V gains of the photographs; pixels are divided by them.
-        opened: called with the sizes of those that there are, when all headers have been read and
-            no pixel has.
+        films: V (width, height) of the sensors' films (their crop windows), which photographs must
+            have; by default the windows'.
+        memory: bytes that they may take, beyond which they lie in a file (``block.allocate``).
+        opened: called with the numbers of those that there are, when all headers have been read
+            and no pixel has.
 
     Raises:
         CaptureError: one is unreadable or of another size than its film, the first in order; or
             there is not enough memory for all.
     """
     pictures: dict[int, Picture] = {}
-    for view, (path, size) in enumerate(zip(paths, sizes, strict=True)):
+    films = films or [window.size for window in windows]
+    for view, (path, film) in enumerate(zip(paths, films, strict=True)):
         if path is not None:
             pictures[view] = open_picture(path)
-            _require_size(path, pictures[view].size, size)  # films may promise any size
+            _require_size(path, pictures[view].size, film)  # films may promise any size
     if not pictures:
-        return [not_taken(size) for size in sizes]
-    films = [sizes[view] for view in pictures]
+        return [not_taken(film) for film in films]
     if opened is not None:
-        opened(films)
-    require_photographs(films, str(next(iter(pictures.values())).path.parent))
+        opened(list(pictures))
+    rooms = _rooms([windows[view] for view in pictures], memory, pictures)
     gains = [exposures[view] for view in pictures]
     with ThreadPoolExecutor(max(1, dr.thread_count())) as threads:
-        read = threads.map(_read_photograph, pictures.values(), allocate(films), gains)
+        read = threads.map(_read_photograph, pictures.values(), rooms, gains)
         found = dict(zip(pictures, read, strict=True))
-    return [found.get(view) or not_taken(size) for view, size in enumerate(sizes)]
+    return [found.get(view) or not_taken(film) for view, film in enumerate(films)]
 
 
-def _read_photograph(picture: Picture, room: np.ndarray, exposure: float) -> Photograph:
-    """Read one photograph into ``room`` (H, W, 3)."""
-    path, bits, planes = picture.path, picture.bits, picture.planes()
+@dataclass(frozen=True)
+class _Room:
+    """Where a photograph goes.
+
+    Attributes:
+        window: what is kept of it.
+        pixels: (H, W, 3) float32.
+        mask: (H, W) bool.
+        channels: (H, W) uint8, see ``Clipped``.
+    """
+
+    window: Window
+    pixels: np.ndarray
+    mask: np.ndarray
+    channels: np.ndarray
+
+
+def _rooms(
+    windows: Sequence[Window], memory: float, pictures: Mapping[int, Picture]
+) -> list[_Room]:
+    """Make room for photographs; refuse what does not fit into the memory that there is."""
+    sizes = [window.size for window in windows]
+    stored = STORED * sum(width * height for width, height in sizes)
+    if stored <= memory:
+        require_photographs(sizes, str(next(iter(pictures.values())).path.parent))
+    most = inf if stored <= memory else 0.0  # all in memory, or none
+    pixels = allocate(sizes, memory=most)
+    masks, channels = (allocate(sizes, kind, 1, most) for kind in (bool, np.uint8))
+    return [
+        _Room(window, color, mask[..., 0], channel[..., 0])
+        for window, color, mask, channel in zip(windows, pixels, masks, channels, strict=True)
+    ]
+
+
+def _read_photograph(picture: Picture, room: _Room, exposure: float) -> Photograph:
+    """Read one photograph into its room."""
+    bits, window, stored = picture.bits, room.window, picture.stored()
+    _require_size(picture.path, stored[0].shape[::-1], picture.size)
+    planes = [window.cut(plane) for plane in stored]
+    del stored
+    whole = window.shrink == 1
     shape = planes[0].shape
-    _require_size(path, shape[::-1], room.shape[1::-1])
-    for channel in range(3):
-        room[..., channel] = planes[channel]
-    clipped = _linearise(room, SATURATED[bits]) if bits else _marked_as_clipped(picture, room)
-    invalid, marked, black = _mark(room, exposure, clipped)
+    color = room.pixels if whole else np.empty((*shape, 3), np.float32)
+    channels = room.channels if whole else np.zeros(shape, np.uint8)
+    clipped = (_decode if bits else _copy)(picture, planes, color, channels)
+    invalid, marked, black = _mark(color, exposure, clipped)
     saturated = 0 if clipped is None else int((clipped.channels > 0).sum())
+    mask = _mask_of(picture, planes, window)
+    if not whole:
+        _shrink(window, color, channels, room)
+        mask = None if mask is None else np.asarray(window.blocks(mask).all(axis=(1, 3)))
+    if mask is not None:
+        room.mask[:] = mask
     if clipped is not None:
-        clipped = clipped.divided(np.float32(exposure)) if saturated else None
-    mask = _mask_beside(path, shape)
-    if len(planes) > 3:
-        mask = planes[3] >= (IN_MASK if bits else ON_OBJECT)
-    invalid -= marked
-    found, run = tuple(picture.remarks()), str(picture.header.attributes.get(RUN, ""))
+        kept = Clipped(room.channels, clipped.least).divided(np.float32(exposure))
+        clipped = kept if room.channels.any() else None
     rounding = Rounding.of(bits) if bits else _steps(picture)
-    if rounding is not None:
-        rounding = rounding.divided(exposure)
     return Photograph(
-        room, mask, invalid, marked, saturated, bits, black, found, run, clipped, rounding
-    )
+        pixels=room.pixels, mask=None if mask is None else room.mask, invalid=invalid - marked,
+        marked=marked, saturated=saturated, bits=bits, black=black,
+        remarks=tuple(picture.remarks()), run=str(picture.header.attributes.get(RUN, "")),
+        clipped=clipped, rounding=None if rounding is None else rounding.divided(exposure),
+    )  # fmt: skip
+
+
+def _decode(
+    picture: Picture, planes: Sequence[np.ndarray], color: np.ndarray, channels: np.ndarray
+) -> Clipped:
+    """Decode sRGB integers by a table, clipped channels as NaN; return which those are."""
+    codes = np.arange(2**picture.bits, dtype=planes[0].dtype)
+    encoded = picture.scaled(codes)
+    over = encoded > SATURATED[picture.bits]
+    table = np.where(over, np.float32(np.nan), decoded(encoded))
+    for channel in range(3):
+        color[..., channel] = table[planes[channel]]
+        channels |= over.astype(np.uint8)[planes[channel]] << channel
+    least = decoded(np.array(SATURATED[picture.bits], np.float32))
+    return Clipped(channels, np.full(3, least, np.float32))
+
+
+def _copy(
+    picture: Picture, planes: Sequence[np.ndarray], color: np.ndarray, channels: np.ndarray
+) -> Clipped | None:
+    """Copy linear values; those that an import has marked as clipped become NaN."""
+    for channel in range(3):
+        color[..., channel] = planes[channel]
+    least = _positive(picture, SATURATION)
+    if least is None:
+        return None
+    over = color == np.float32(CLIPPED)
+    color[over] = np.nan
+    found = Clipped.of(over, least)
+    channels[:] = found.channels
+    return Clipped(channels, found.least)
+
+
+def _mask_of(picture: Picture, planes: Sequence[np.ndarray], window: Window) -> np.ndarray | None:
+    """Return the mask of what is kept of a photograph, before it is made smaller."""
+    if len(planes) > 3:
+        alpha = picture.scaled(planes[3]) if picture.bits else planes[3]
+        return np.asarray(alpha >= (IN_MASK if picture.bits else ON_OBJECT))
+    found = _mask_beside(picture.path, picture.size[::-1])
+    return None if found is None else window.cut(found)
+
+
+def _shrink(window: Window, color: np.ndarray, channels: np.ndarray, room: _Room) -> None:
+    """Average blocks of pixels; one of them that is not usable, or clipped, leaves none usable.
+    All clipped, they are one clipped pixel."""
+    np.mean(window.blocks(color), axis=(1, 3), out=room.pixels)
+    room.channels[:] = np.bitwise_and.reduce(window.blocks(channels), axis=(1, 3))
 
 
 def _require_size(path: Path, found: Sequence[int], film: Sequence[int]) -> None:
@@ -143,14 +237,6 @@ def _require_size(path: Path, found: Sequence[int], film: Sequence[int]) -> None
             f"{path}: the photograph has {found[0]} x {found[1]} pixels but its sensor's film has "
             f"{film[0]} x {film[1]}; resample it, or set the film's size (or crop window)."
         )
-
-
-def _linearise(color: np.ndarray, most: float) -> Clipped:
-    """Decode sRGB in place, channels above ``most`` as NaN; return which those are."""
-    over = color > most
-    color[:] = decoded(color)
-    color[over] = np.nan
-    return Clipped.of(over, float(decoded(np.array(most, np.float32))))
 
 
 def _steps(picture: Picture) -> Rounding | None:
@@ -166,16 +252,6 @@ def _positive(picture: Picture, name: str) -> float | None:
     except (TypeError, ValueError):
         return None
     return found if 0 < found < np.inf else None
-
-
-def _marked_as_clipped(picture: Picture, color: np.ndarray) -> Clipped | None:
-    """Find the channels that an import has marked as clipped, and set them to NaN in place."""
-    least = _positive(picture, SATURATION)
-    if least is None:
-        return None
-    over = color == np.float32(CLIPPED)
-    color[over] = np.nan
-    return Clipped.of(over, least)
 
 
 def _mark(color: np.ndarray, exposure: float, clipped: Clipped | None) -> tuple[int, int, bool]:

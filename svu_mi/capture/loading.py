@@ -7,13 +7,13 @@ import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
 
 import mitsuba as mi
 
 from svu_mi.capture import folder as capture_folder
+from svu_mi.capture.block import room_for_photographs
 from svu_mi.capture.folder import Description
 from svu_mi.capture.ignored import ignored
 from svu_mi.capture.images import read_photographs
@@ -32,6 +32,7 @@ from svu_mi.capture.scene import (
 from svu_mi.capture.sensor_record import LARGEST
 from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
 from svu_mi.capture.winding import seen_from_behind
+from svu_mi.capture.window import WHOLE, Detail
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuWarning, excerpt
 from svu_mi.needs import Size, Sizes
 from svu_mi.results.reading import require_no_result
@@ -52,6 +53,8 @@ def load_capture(
     light: Light = "required",
     trust: bool = False,
     preflight: Preflight | None = None,
+    detail: Detail = WHOLE,
+    memory: float | None = None,
 ) -> Capture:
     """Read a scene and its photographs.
 
@@ -76,6 +79,11 @@ def load_capture(
             the working directory; only for scenes of people you know. A library never replaces
             a plugin of Mitsuba's own.
         preflight: called before any pixel is read with how large everything is; it may refuse.
+        detail: what is needed of photographs of 4 megapixels and more: those of
+            ``Detail(texels=(2048, 2048))`` are cropped to the object, and made smaller as far as
+            texels keep two pixels across. By default they are kept as they are.
+        memory: bytes that photographs may take, by default half of what is free. Beyond that they
+            lie in a file, in TMPDIR or /var/tmp, which ends with the process.
 
     Raises:
         OptionError: another word for ``missing`` or ``light``, or a path that is none.
@@ -89,7 +97,10 @@ def load_capture(
             f"load_capture(): the path of a scene or a capture is needed, got a "
             f"{type(path).__name__}."
         )
-    reading = Reading(unwrap=unwrap, missing=missing, light=light, preflight=preflight)
+    reading = Reading(
+        unwrap=unwrap, missing=missing, light=light, preflight=preflight, detail=detail,
+        memory=memory,
+    )  # fmt: skip
     path = Path(path)
     folder = Path(images) if images is not None else photographs_of(path)
     description = capture_folder.read(folder) or Description()
@@ -129,6 +140,8 @@ class Reading:
     missing: Missing = "refuse"
     light: Light = "required"
     preflight: Preflight | None = None
+    detail: Detail = WHOLE
+    memory: float | None = None
 
     def __post_init__(self) -> None:
         words = {"missing": get_args(Missing), "light": get_args(Light)}
@@ -154,11 +167,26 @@ def read_capture(
     target = find_shape(scene, description.shape, label)
     found = _match(sensors, folder, description, reading)
     exposures = _exposures(description.exposures, len(sensors), folder)
+    windows = reading.detail.windows(target, sensors)
+    memory = room_for_photographs() if reading.memory is None else reading.memory
     films = [film_size(sensor) for sensor in sensors]
-    opened = None
-    if reading.preflight is not None:
-        opened = partial(_judge_sizes, reading, light, target)
-    photographs = read_photographs(found.paths, films, exposures, opened)
+
+    def opened(taken: Sequence[int]) -> None:
+        if reading.preflight is None:
+            return
+        charts = 1.0 if reading.unwrap else covered_by_charts(target)
+        reading.preflight(Sizes(
+            [windows[view].size for view in taken], map_size(light), charts, light is not None,
+            stored=[films[view] for view in taken], memory=memory,
+        ))  # fmt: skip
+
+    photographs = read_photographs(
+        found.paths, windows, exposures, films=films, memory=memory, opened=opened
+    )
+    sensors = [
+        sensor if path is None else window.seen_by(sensor)
+        for sensor, window, path in zip(sensors, windows, found.paths, strict=True)
+    ]
     runs = {p: each.run for p, each in zip(found.paths, photographs, strict=True) if p is not None}
     capture_folder.require_one_run(folder, runs, description.run)
     names = found.names
@@ -193,15 +221,6 @@ def _any(values: Iterable[Value | None]) -> tuple[Value | None, ...]:
     """Return what is known of each photograph; nothing if it is of none."""
     found = tuple(values)
     return found if any(each is not None for each in found) else ()
-
-
-def _judge_sizes(
-    reading: Reading, light: Any, target: Any, photographs: Sequence[Size]
-) -> None:
-    """Have the caller judge how large the capture is."""
-    assert reading.preflight is not None
-    charts = 1.0 if reading.unwrap else covered_by_charts(target)
-    reading.preflight(Sizes(photographs, map_size(light), charts, light is not None))
 
 
 def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:

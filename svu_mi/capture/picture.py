@@ -62,6 +62,11 @@ class Picture:
         Raises:
             CaptureError: the file is damaged or lacks a channel.
         """
+        planes = self.stored()
+        return [self.scaled(plane) for plane in planes] if self.bits else planes
+
+    def stored(self) -> list[np.ndarray]:
+        """Read the pixels as ``planes`` does, integers as integers."""
         with _readable(self.path):
             match self.path.suffix.lower():
                 case ".exr":
@@ -72,9 +77,14 @@ class Picture:
                     values = read_pfm(self.path)
                 case _:
                     values = _integers(self.path)
-        scale = np.float32(np.iinfo(values.dtype).max if self.bits else 1)
-        planes = [values[..., k].astype(np.float32) / scale for k in range(values.shape[2])]
+        planes = [values[..., k] for k in range(values.shape[2])]
+        if not self.bits:
+            planes = [plane.astype(np.float32) for plane in planes]
         return planes if len(planes) >= 3 else planes[:1] * 3 + planes[1:]
+
+    def scaled(self, codes: np.ndarray) -> np.ndarray:
+        """Return integers as float32 in [0, 1]."""
+        return codes.astype(np.float32) / np.float32(np.iinfo(codes.dtype).max)
 
     def is_turned(self) -> bool:
         """Return whether EXIF data say that it is to be shown turned or mirrored.

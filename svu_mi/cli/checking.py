@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from svu_mi.checking.record import Check
     from svu_mi.illumination.found_gains import FoundGains
 
+SIDE = 1024  # pixels of large photographs, which are compared in far fewer
 SHOWN = 5  # views that fit worst, in the table
 WRONG = 3  # exit status with --strict
 MARKS = {
@@ -52,12 +53,16 @@ class CheckCapture(OfScene):
 
     def need(self, sizes: Sizes) -> Need:
         """Return what memory the command takes."""
-        need = Need("check", sizes.photographs, light=sizes.light)
+        need = Need(
+            "check", sizes.photographs, light=sizes.light, stored=sizes.stored,
+            memory=sizes.memory,
+        )  # fmt: skip
         return with_search(need, sizes) if self.gains == "estimate" else need
 
     def run(self, console: Console) -> int:
         """Check, print what was found, and write the page."""
         from svu_mi.capture import load_capture
+        from svu_mi.capture.window import Detail
         from svu_mi.checking import check
         from svu_mi.output.check_page import write_check
 
@@ -69,6 +74,7 @@ class CheckCapture(OfScene):
                 capture = load_capture(
                     self.scene, self.images, shape=self.shape, defines=defines, trust=self.trust,
                     missing=self.missing, light="optional",
+                    detail=Detail(side=SIDE),  # nothing is cropped: poses may be wrong
                     preflight=announcing(progress, str(self.images or self.scene), self.need),
                 )  # fmt: skip
             find = partial(self._gains, capture, progress) if self.gains == "estimate" else None

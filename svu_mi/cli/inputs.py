@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from svu_mi.cli.common import Common, Output, announcing
-from svu_mi.cli.words import pair, parse_known
+from svu_mi.cli.words import bytes_of, pair, parse_known
 from svu_mi.errors import OptionError
 from svu_mi.limits import require_spp, require_texels
 from svu_mi.needs import Need, Sizes
@@ -19,6 +19,7 @@ from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
+    from svu_mi.capture.window import Detail
     from svu_mi.illumination.options import LightOptions
     from svu_mi.pipeline import Estimate
     from svu_mi.surface import Texels
@@ -35,6 +36,7 @@ Known = Annotated[
 ]
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 Given = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER | MAP")]
+Memory = Annotated[str, tyro.conf.arg(metavar="SIZE")]
 Missing = Literal["refuse", "leave-out"]
 Gained = Literal["given", "estimate"]
 Scene = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE.xml")]
@@ -89,6 +91,9 @@ class Photographed(OfScene):
     """Lay out new UVs even if the mesh has some."""
     spp: int = 64
     """Samples per pixel, with --render."""
+    memory: Memory = ""
+    """Memory that photographs may take, such as 4G; beyond it they lie in a file in TMPDIR (or
+    /var/tmp) while the command runs. By default half of what is free."""
 
     @property
     def rendered(self) -> Path:
@@ -103,6 +108,7 @@ class Photographed(OfScene):
         """
         require_texels(pair(self.resolution, "--resolution"), "--resolution")
         require_spp(self.spp, "--spp")
+        bytes_of(self.memory, "--memory")
         self.defines()
         if self.render and self.images is not None:
             raise OptionError("--render has no effect with --images; omit one of them.")
@@ -143,11 +149,17 @@ class Photographed(OfScene):
         with progress.stage("Laying out texels"):
             return capture, texels(capture.mesh, size)
 
+    def detail(self) -> Detail:
+        """Return what is needed of large photographs."""
+        from svu_mi.capture.window import Detail
+
+        return Detail(texels=pair(self.resolution, "--resolution"))
+
     def need(self, sizes: Sizes) -> Need:
         """Return what memory the command takes."""
         return Need(
             self.work, sizes.photographs, pair(self.resolution, "--resolution"),
-            light=sizes.light, charts=sizes.charts,
+            light=sizes.light, charts=sizes.charts, stored=sizes.stored, memory=sizes.memory,
         )  # fmt: skip
 
     def announced(self, sizes: Sizes) -> Need:
@@ -165,6 +177,7 @@ class Photographed(OfScene):
                     self.scene, images, shape=self.shape, defines=self.defines(),
                     unwrap=self.unwrap, missing=missing, trust=self.trust, light="optional",
                     preflight=announcing(progress, str(images or self.scene), self.announced),
+                    detail=self.detail(), memory=bytes_of(self.memory, "--memory"),
                 )  # fmt: skip
             except NoPhotographsError as error:
                 if images is not None or self.scene.suffix.lower() != ".xml":
@@ -289,8 +302,9 @@ def to_find_light(sizes: Sizes, resolution: tuple[int, int], options: LightOptio
     looks = max(options.texels * cells, equations)
     # No statistics are gathered: texels take no more than where spectra are fitted.
     return Need(
-        "light", sizes.photographs, resolution, looks=looks, model="spectrum", charts=sizes.charts
-    )
+        "light", sizes.photographs, resolution, looks=looks, model="spectrum", charts=sizes.charts,
+        stored=sizes.stored, memory=sizes.memory,
+    )  # fmt: skip
 
 
 def with_search(need: Need, sizes: Sizes) -> Need:

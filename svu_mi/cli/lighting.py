@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -21,6 +21,7 @@ from svu_mi.results.writing import claimed
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
+    from svu_mi.capture.window import Detail
     from svu_mi.illumination.likeness import Likeness
     from svu_mi.illumination.record import LightEstimate
 
@@ -109,6 +110,10 @@ class FindLight(WithPictures, Photographed):
                     "--grey-card: texture coordinates are in [0, 1], got "
                     f"{self.grey_card[0]:g} {self.grey_card[1]:g}."
                 )
+
+    def detail(self) -> Detail:
+        """Return what is needed of large photographs (see ``Photographed``)."""
+        return replace(super().detail(), surroundings=self.background != "none")
 
     def need(self, sizes: Sizes) -> Need:
         """Return what memory the command takes (see ``Photographed``)."""

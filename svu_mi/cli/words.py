@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any, Literal
 
 from svu_mi.errors import OptionError
 from svu_mi.parameters import NAMES
 
+UNITS = {"K": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # bytes
 SPECULAR = "specular"  # Ks, of the paper's power spectra
 
 
@@ -22,6 +24,24 @@ def pair(size: tuple[int, ...], option: str) -> tuple[int, int]:
         found = " ".join(map(str, size))
         raise OptionError(f"{option} takes one or two positive numbers, got {found}.")
     return size[0], size[-1]
+
+
+def bytes_of(text: str, option: str) -> float | None:
+    """Return how many bytes "4G" or "800M" are; None for an empty text.
+
+    Raises:
+        OptionError: it is no such size.
+    """
+    if not text:
+        return None
+    number, unit = (text[:-1], text[-1].upper()) if text[-1].upper() in UNITS else (text, "")
+    try:
+        size = float(number) * UNITS.get(unit, 1)
+    except ValueError:
+        size = -1
+    if not 0 <= size < math.inf:
+        raise OptionError(f"{option} takes a size such as 4G or 800M, got {text!r}.")
+    return size
 
 
 def with_known_repeated(words: Sequence[str]) -> list[str]:

@@ -15,10 +15,9 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
+from svu_mi.needs import TILE
 from svu_mi.posterior.calibrated import CalibratedPosterior
 from svu_mi.posterior.record import Posterior
-
-TILE = 2**18  # texels whose statistics are in memory together, some 0.8 GB
 
 Moments = dict[str, tuple[np.ndarray, ...]]
 

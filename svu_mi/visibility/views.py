@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture, scene
-from svu_mi.capture.block import in_one_block
+from svu_mi.capture.block import in_one_block, laid_out
 from svu_mi.capture.poses import describe, film_size, scaled_sensor
 from svu_mi.capture.rays import ray_floats
 from svu_mi.errors import CaptureError, SvuWarning
@@ -333,20 +333,6 @@ def _require_size(capture: Capture, index: int) -> None:
         )
 
 
-def _flags(
-    capture: Capture, kept: Sequence[int], offset: np.ndarray, count: int
-) -> Any | None:
-    """Return (P,) UInt8, the bits of channels that are clipped; None where no photograph is."""
-    if not any(capture.clipped[index] is not None for index in kept if capture.clipped):
-        return None
-    flags = np.zeros(count, np.uint8)
-    for start, index in zip(offset, kept, strict=True):
-        found = capture.clipped[index]
-        if found is not None:
-            flags[start : start + found.channels.size] = found.channels.ravel()
-    return dr.uint8_array_t(mi.Float)(flags)
-
-
 def _rounding(capture: Capture, kept: Sequence[int]) -> tuple[Any, Any] | None:
     """Return first steps and slopes of the channels of photographs; None if all are of floats."""
     found = [capture.rounding[index] for index in kept if capture.rounding]
@@ -360,9 +346,16 @@ def _rounding(capture: Capture, kept: Sequence[int]) -> tuple[Any, Any] | None:
 
 def _allowed(capture: Capture, kept: Sequence[int], offset: np.ndarray, count: int) -> Any:
     """Return (P,) Bool, False off the masks."""
-    allowed = np.ones(count, bool)
-    for start, index in zip(offset, kept, strict=True):
-        mask = capture.masks[index]
-        if mask is not None:
-            allowed[start : start + mask.size] = mask.ravel()
-    return mi.Bool(allowed)
+    masks = [capture.masks[index] for index in kept]
+    return mi.Bool(laid_out(masks, offset, count, True))
+
+
+def _flags(
+    capture: Capture, kept: Sequence[int], offset: np.ndarray, count: int
+) -> Any | None:
+    """Return (P,) UInt8, the bits of channels that are clipped; None where no photograph is."""
+    found = [capture.clipped[index] for index in kept if capture.clipped]
+    if not any(each is not None for each in found):
+        return None
+    channels = [None if each is None else each.channels for each in found]
+    return dr.uint8_array_t(mi.Float)(laid_out(channels, offset, count, 0))

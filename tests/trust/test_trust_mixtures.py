@@ -140,8 +140,8 @@ def test_a_capture_that_is_exchanged_while_it_is_read_is_refused(made, monkeypat
 
     read = loading.read_photographs
 
-    def exchange(*arguments):
-        found = read(*arguments)
+    def exchange(*arguments, **options):
+        found = read(*arguments, **options)
         shutil.copy(made / "b" / "shot" / "capture.json", shot / "capture.json")
         return found
 
