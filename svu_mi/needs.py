@@ -64,7 +64,8 @@ GRID = 100  # bytes per texel of the grid that no chart covers
 TILED = ("entropy", "report", "view")
 TILE, LAID_OUT = 2**18, 230
 STORED = 14  # bytes of a photograph's pixel that can lie in a file
-READING = 40  # bytes per pixel of the largest photograph, while one of each thread is decoded
+READING = 25  # bytes per pixel of a photograph, while it is decoded and made smaller
+AT_A_TIME = 0.25  # part of the free memory that those take which are decoded together
 KEPT_NODE = 180  # bytes per pixel of an environment map
 NODE = 80  # bytes per pixel of a larger one, which is averaged
 KEPT_NODES = 2048 * 1025
@@ -149,7 +150,7 @@ class Need:
             photographs -= STORED * sum(pixels)
         largest = max((width * height for width, height in self.stored), default=0)
         if largest > max(pixels, default=0):
-            photographs += READING * largest * max(_threads(), 1)
+            photographs += READING * largest * decoders(largest)
         grid = self.resolution[0] * self.resolution[1]
         covered, model = self.charts * grid, MODELS[self.model] if self.model else 0
         texels = cost.texel * covered + (1 - self.charts) * grid * GRID
@@ -231,6 +232,13 @@ class Need:
             size = " ".join(map(str, dict.fromkeys(small.resolution)))
             words.append(FEWER_TEXELS.get(self.command, "--resolution {}").format(size))
         return words
+
+
+def decoders(pixels: int) -> int:
+    """Return how many photographs of so many pixels are decoded at a time."""
+    free = free_memory()
+    fit = _threads() if free is None else int(AT_A_TIME * free / (READING * max(pixels, 1)))
+    return max(min(_threads(), fit), 1)
 
 
 def light_bytes(size: Size) -> float:

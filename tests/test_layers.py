@@ -12,7 +12,7 @@ LAYERS = (
     "options", "capture", "formats", "surface", "light", "visibility", "frequency", "reflection",
     "statistics", "observed", "posterior", "skipping", "estimators", "pipeline", "prediction",
     "illumination", "guidance", "regularization", "recovery", "reference", "metrics", "checking",
-    "output", "export", "bench", "cli",
+    "output", "export", "batch", "bench", "cli",
 )  # fmt: skip
 # Built on the stages; only what stands at the very top may use them.
 ABOVE = {"plugins": ("output", "cli"), "scenes": ("output", "bench", "cli")}

@@ -19,20 +19,28 @@ import numpy as np
 
 from svu_mi.errors import CaptureError
 from svu_mi.memory import free_memory
+from svu_mi.needs import READING, Size, decoders
 
 SHARE = 0.5  # of the free memory that photographs take, before they go to a file
 ON_DISK = Path("/var/tmp")  # what is in /tmp is memory on some systems
 GIGA = 1e9
 
 
-def room_for_photographs() -> float:
-    """Return bytes of memory that photographs may take, unless somebody says otherwise."""
-    free = free_memory()
-    return math.inf if free is None else SHARE * free
+def room_for_photographs(films: Sequence[Size]) -> float:
+    """Return bytes of memory that photographs may take, unless somebody says otherwise: half of
+    what is free, less what decoding takes.
+
+    Args:
+        films: (width, height) of their files.
+    """
+    free, largest = free_memory(), max((width * height for width, height in films), default=0)
+    if free is None:
+        return math.inf
+    return max(SHARE * free - READING * largest * decoders(largest), 0)
 
 
 def allocate(
-    sizes: Sequence[tuple[int, int]], kind: Any = np.float32, channels: int = 3,
+    sizes: Sequence[Size], kind: Any = np.float32, channels: int = 3,
     memory: float = math.inf,
 ) -> list[np.ndarray]:  # fmt: skip
     """Make room for photographs, one after the other in one block.

@@ -7,8 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
+from typing import NamedTuple
 
-import drjit as dr
 import numpy as np
 
 from svu_mi.capture.block import allocate
@@ -19,7 +19,7 @@ from svu_mi.capture.rounding import Rounding
 from svu_mi.capture.window import Window
 from svu_mi.errors import CaptureError
 from svu_mi.limits import require_photographs
-from svu_mi.needs import Size
+from svu_mi.needs import Size, decoders
 from svu_mi.results.record import RUN
 
 # Of the encoded range, by bits; a clipped highlight is not a measurement. JPEG blurs it, too.
@@ -80,7 +80,7 @@ def read_photographs(
     *, films: Sequence[Size] | None = None, memory: float = inf,
     opened: Callable[[Sequence[int]], None] | None = None,
 ) -> list[Photograph]:  # fmt: skip
-    """Read photographs and their masks, on as many threads as Dr.Jit has.
+    """Read photographs and their masks, on as many threads as Dr.Jit has and memory allows.
 
     A mask is the image's alpha channel, or a file beside it (``masks_of``). All pixels lie in one
     block, one photograph after the other, where kernels can look them up.
@@ -112,7 +112,8 @@ def read_photographs(
         opened(list(pictures))
     rooms = _rooms([windows[view] for view in pictures], memory, pictures)
     gains = [exposures[view] for view in pictures]
-    with ThreadPoolExecutor(max(1, dr.thread_count())) as threads:
+    largest = max(width * height for width, height in (p.size for p in pictures.values()))
+    with ThreadPoolExecutor(decoders(largest)) as threads:
         read = threads.map(_read_photograph, pictures.values(), rooms, gains)
         found = dict(zip(pictures, read, strict=True))
     return [found.get(view) or not_taken(film) for view, film in enumerate(films)]
@@ -158,60 +159,81 @@ def _read_photograph(picture: Picture, room: _Room, exposure: float) -> Photogra
     _require_size(picture.path, stored[0].shape[::-1], picture.size)
     planes = [window.cut(plane) for plane in stored]
     del stored
-    whole = window.shrink == 1
-    shape = planes[0].shape
-    color = room.pixels if whole else np.empty((*shape, 3), np.float32)
-    channels = room.channels if whole else np.zeros(shape, np.uint8)
-    clipped = (_decode if bits else _copy)(picture, planes, color, channels)
-    invalid, marked, black = _mark(color, exposure, clipped)
-    saturated = 0 if clipped is None else int((clipped.channels > 0).sum())
+    found = (_read_integers if bits else _read_floats)(picture, planes, room, exposure)
     mask = _mask_of(picture, planes, window)
-    if not whole:
-        _shrink(window, color, channels, room)
-        mask = None if mask is None else np.asarray(window.blocks(mask).all(axis=(1, 3)))
     if mask is not None:
-        room.mask[:] = mask
-    if clipped is not None:
-        kept = Clipped(room.channels, clipped.least).divided(np.float32(exposure))
-        clipped = kept if room.channels.any() else None
+        room.mask[:] = mask if window.shrink == 1 else window.joined(mask, np.logical_and)
+    clipped = None
+    if room.channels.any():
+        clipped = Clipped(room.channels, np.full(3, found.least, np.float32))
+        clipped = clipped.divided(np.float32(exposure))
     rounding = Rounding.of(bits) if bits else _steps(picture)
     return Photograph(
-        pixels=room.pixels, mask=None if mask is None else room.mask, invalid=invalid - marked,
-        marked=marked, saturated=saturated, bits=bits, black=black,
+        pixels=room.pixels, mask=None if mask is None else room.mask, invalid=found.invalid,
+        marked=found.marked, saturated=found.saturated, bits=bits, black=found.black,
         remarks=tuple(picture.remarks()), run=str(picture.header.attributes.get(RUN, "")),
         clipped=clipped, rounding=None if rounding is None else rounding.divided(exposure),
     )  # fmt: skip
 
 
-def _decode(
-    picture: Picture, planes: Sequence[np.ndarray], color: np.ndarray, channels: np.ndarray
-) -> Clipped:
-    """Decode sRGB integers by a table, clipped channels as NaN; return which those are."""
+class _Found(NamedTuple):
+    """What was found in pixels (see ``Photograph``), and what clipped channels are at least."""
+
+    invalid: int
+    marked: int
+    saturated: int
+    black: bool
+    least: float
+
+
+def _read_integers(
+    picture: Picture, planes: Sequence[np.ndarray], room: _Room, exposure: float
+) -> _Found:
+    """Decode sRGB integers by a table. Channels that are clipped become NaN; of a block that is
+    made one pixel, all must be to call it clipped, and any leaves it unusable."""
     codes = np.arange(2**picture.bits, dtype=planes[0].dtype)
-    encoded = picture.scaled(codes)
+    encoded, window = picture.scaled(codes), room.window
     over = encoded > SATURATED[picture.bits]
-    table = np.where(over, np.float32(np.nan), decoded(encoded))
-    for channel in range(3):
-        color[..., channel] = table[planes[channel]]
-        channels |= over.astype(np.uint8)[planes[channel]] << channel
-    least = decoded(np.array(SATURATED[picture.bits], np.float32))
-    return Clipped(channels, np.full(3, least, np.float32))
+    table = np.where(over, np.float32(np.nan), decoded(encoded) / np.float32(exposure))
+    first, some = codes[over][0], np.zeros(planes[0].shape, bool)
+    for channel, plane in enumerate(planes[:3]):
+        clipped = plane >= first
+        some |= clipped
+        values = table[plane]
+        if window.shrink > 1:
+            values = window.joined(values, np.add) / np.float32(window.shrink**2)
+            clipped = window.joined(clipped, np.logical_and)
+        room.pixels[..., channel] = values
+        room.channels[:] |= clipped.astype(np.uint8) << channel
+    least = float(decoded(np.array(SATURATED[picture.bits], np.float32)))
+    black = not any(plane.any() for plane in planes[:3])
+    return _Found(0, 0, int(some.sum()), black, least)
 
 
-def _copy(
-    picture: Picture, planes: Sequence[np.ndarray], color: np.ndarray, channels: np.ndarray
-) -> Clipped | None:
-    """Copy linear values; those that an import has marked as clipped become NaN."""
+def _read_floats(
+    picture: Picture, planes: Sequence[np.ndarray], room: _Room, exposure: float
+) -> _Found:
+    """Take linear values. What holds no radiance becomes NaN, and so does what an import has marked
+    as clipped."""
+    window = room.window
+    color = room.pixels if window.shrink == 1 else np.empty((*planes[0].shape, 3), np.float32)
     for channel in range(3):
         color[..., channel] = planes[channel]
-    least = _positive(picture, SATURATION)
-    if least is None:
-        return None
-    over = color == np.float32(CLIPPED)
-    color[over] = np.nan
-    found = Clipped.of(over, least)
-    channels[:] = found.channels
-    return Clipped(channels, found.least)
+    clipped, least = None, _positive(picture, SATURATION)
+    if least is not None:
+        over = color == np.float32(CLIPPED)
+        color[over] = np.nan
+        clipped = Clipped.of(over, least)
+    invalid, marked, black = _mark(color, exposure, clipped)
+    channels = np.zeros(0, np.uint8) if clipped is None else clipped.channels
+    if window.shrink > 1:
+        for channel in range(3):
+            values = window.joined(color[..., channel], np.add)
+            room.pixels[..., channel] = values / np.float32(window.shrink**2)
+    if clipped is not None:
+        whole = channels if window.shrink == 1 else window.joined(channels, np.bitwise_and)
+        room.channels[:] = whole
+    return _Found(invalid - marked, marked, int((channels > 0).sum()), black, least or 0.0)
 
 
 def _mask_of(picture: Picture, planes: Sequence[np.ndarray], window: Window) -> np.ndarray | None:
@@ -221,13 +243,6 @@ def _mask_of(picture: Picture, planes: Sequence[np.ndarray], window: Window) -> 
         return np.asarray(alpha >= (IN_MASK if picture.bits else ON_OBJECT))
     found = _mask_beside(picture.path, picture.size[::-1])
     return None if found is None else window.cut(found)
-
-
-def _shrink(window: Window, color: np.ndarray, channels: np.ndarray, room: _Room) -> None:
-    """Average blocks of pixels; one of them that is not usable, or clipped, leaves none usable.
-    All clipped, they are one clipped pixel."""
-    np.mean(window.blocks(color), axis=(1, 3), out=room.pixels)
-    room.channels[:] = np.bitwise_and.reduce(window.blocks(channels), axis=(1, 3))
 
 
 def _require_size(path: Path, found: Sequence[int], film: Sequence[int]) -> None:

@@ -168,8 +168,8 @@ def read_capture(
     found = _match(sensors, folder, description, reading)
     exposures = _exposures(description.exposures, len(sensors), folder)
     windows = reading.detail.windows(target, sensors)
-    memory = room_for_photographs() if reading.memory is None else reading.memory
     films = [film_size(sensor) for sensor in sensors]
+    memory = room_for_photographs(films) if reading.memory is None else reading.memory
 
     def opened(taken: Sequence[int]) -> None:
         if reading.preflight is None:

@@ -57,10 +57,15 @@ class Window:
         bottom = self.top + self.height * self.shrink
         return plane[self.top : bottom, self.left : self.left + self.width * self.shrink]
 
-    def blocks(self, plane: np.ndarray) -> np.ndarray:
-        """Return what is cut out, (h shrink, w shrink, C), as (h, shrink, w, shrink, C)."""
+    def joined(self, plane: np.ndarray, join: np.ufunc) -> np.ndarray:
+        """Join all pixels of each block of what is cut out, (h shrink, w shrink), by a function
+        such as ``np.add``: (h, w)."""
         k = self.shrink
-        return plane.reshape(self.height, k, self.width, k, *plane.shape[2:])
+        rows = join.reduce(plane.reshape(self.height, k, -1), axis=1)
+        result = rows[:, ::k].copy()
+        for column in range(1, k):
+            join(result, rows[:, column::k], out=result)
+        return np.asarray(result)
 
     def seen_by(self, sensor: Any) -> Any:
         """Return the sensor whose whole film is the result; the same one if that is the film."""

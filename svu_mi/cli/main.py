@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import tyro
 
 from svu_mi import __version__
+from svu_mi.cli.batch import Batch
 from svu_mi.cli.bench import Bench
 from svu_mi.cli.checking import CheckCapture
 from svu_mi.cli.commands import Demo, Doctor, Entropy, Render
@@ -45,6 +46,7 @@ Command = (
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[View, tyro.conf.subcommand("view")]
     | Annotated[Compare, tyro.conf.subcommand("compare")]
+    | Annotated[Batch, tyro.conf.subcommand("batch")]
     | Annotated[Scenes, tyro.conf.subcommand("scenes")]
     | Annotated[Render, tyro.conf.subcommand("render")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]

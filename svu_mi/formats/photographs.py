@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from svu_mi.capture.images import (
     CLIPPED,
@@ -19,13 +21,16 @@ from svu_mi.capture.images import (
     UNUSABLE,
     read_mask,
 )
-from svu_mi.capture.picture import open_picture
+from svu_mi.capture.matching import masks_of
+from svu_mi.capture.picture import Picture, open_picture
+from svu_mi.capture.window import LARGE
 from svu_mi.errors import OptionError
 from svu_mi.exr import write_exr
 from svu_mi.formats.resampling import resampled, unbent
 from svu_mi.formats.response import Response, linear, read_response, saturation, steps
 from svu_mi.formats.source import Frame
 
+JPEG = (".jpg", ".jpeg")
 BORDER = 0.9  # part of a photograph's border that no object covers
 CLIPPED_LAYER = "clipped."  # and R, G or B
 # Part of the object's pixels from which blacks count as crushed. A mask that is a pixel too large
@@ -88,8 +93,10 @@ def with_response(frames: Sequence[Frame], response: str | Path | None) -> Seque
 def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
     """Write a photograph as EXR: R, G, B linear, and A = 1 on the object if there is a mask.
 
-    Channels that are clipped become -2, and what they are at least is written into the header.
-    Pixels that hold no radiance become -1, and those that are made of clipped ones and others.
+    A large JPEG that needs no change is copied, with its mask as a PNG beside it: as an EXR it
+    would take ten times the room, and be no better. Channels that are clipped become -2, and what
+    they are at least is written into the header. Pixels that hold no radiance become -1, and those
+    that are made of clipped ones and others.
 
     Args:
         frame: the photograph with its mask; its size is that of the file.
@@ -101,6 +108,8 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
         OutputError: the file cannot be written.
     """
     picture = open_picture(frame.image)
+    if _serves(picture, frame, scale):
+        return _copied(picture, frame, path)
     planes, bits = picture.planes(), picture.bits
     mask = _mask(frame, planes, bits > 0)
     del planes[3:]
@@ -141,6 +150,35 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
         empty=mask is not None and not mask.any(),
         inverted=mask is not None and _is_inverted(mask),
     )
+
+
+def _serves(picture: Picture, frame: Frame, scale: tuple[float, float]) -> bool:
+    """Return whether a photograph is read from a capture as it is."""
+    width, height = picture.size
+    jpeg = picture.path.suffix.lower() in JPEG and picture.bits == 8
+    plain = frame.lens is None and tuple(scale) == (1.0, 1.0) and frame.transfer == "srgb"
+    return jpeg and plain and width * height >= LARGE
+
+
+def _copied(picture: Picture, frame: Frame, path: Path) -> Converted:
+    """Copy a JPEG to ``path`` with its own suffix, and write its mask."""
+    codes, mask = picture.stored()[:3], None
+    most = SATURATED[8] * 255
+    clipped, black = (np.any([test(c) for c in codes], axis=0) for test in (
+        lambda c: c > most, lambda c: c == 0))  # fmt: skip
+    shutil.copyfile(frame.image, path.with_suffix(".jpg"))
+    if frame.mask is not None:
+        mask = read_mask(frame.mask, codes[0].shape)
+        clipped &= mask
+        beside = path.with_name(f"{masks_of(path.stem)[0]}.png")
+        Image.fromarray(mask.astype(np.uint8) * 255).save(beside)
+    return Converted(
+        bits=8, foreign=picture.header.foreign, turned=picture.is_turned(),
+        saturated=int(clipped.sum()),
+        crushed=0.0 if mask is None else float(black[mask].sum() / max(1, mask.sum())),
+        invalid=0, masked=mask is not None, empty=mask is not None and not mask.any(),
+        inverted=mask is not None and _is_inverted(mask),
+    )  # fmt: skip
 
 
 def _mark(channels: dict[str, np.ndarray], bits: int, frame: Frame) -> dict[str, float]:

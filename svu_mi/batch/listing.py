@@ -1,0 +1,123 @@
+"""Which captures a batch is about: a folder of folders, or a table with options."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from svu_mi.capture.folder import FILE
+from svu_mi.errors import CaptureError, OptionError, excerpt
+
+# Columns of a table beside "capture" and "name": options of the commands; paths are told apart.
+OPTIONS = ("resolution", "preset", "light", "images", "shape")
+PATHS = ("light", "images")
+NAME = re.compile(r"[\w][\w .+-]*")  # what folders of results may be called
+LONGEST = 80
+
+
+@dataclass(frozen=True)
+class Item:
+    """A capture of a batch.
+
+    Attributes:
+        name: of its results' folder.
+        capture: a capture folder, or a Mitsuba scene.
+        options: of its commands, by name without dashes.
+    """
+
+    name: str
+    capture: Path
+    options: dict[str, str] = field(default_factory=dict)
+
+
+def read_list(path: Path) -> list[Item]:
+    """Read a folder of captures, or a table (CSV).
+
+    A folder is taken for a capture if it has a ``capture.json``, or one Mitsuba scene. A table has
+    the column ``capture``, a path relative to the table, and may have ``name``, ``resolution``,
+    ``preset``, ``light``, ``images`` and ``shape``.
+
+    Raises:
+        CaptureError: there is no such list, or nothing in it.
+        OptionError: a row or a column that cannot be followed.
+    """
+    if path.is_dir():
+        items = _in_folder(path)
+    elif path.is_file():
+        items = _in_table(path)
+    else:
+        raise CaptureError(f"{path}: no such folder or table of captures.")
+    if not items:
+        what = f"no folder in it has a {FILE} or one scene.xml" if path.is_dir() else "has no rows"
+        raise CaptureError(f"{path}: names no captures: {what}.")
+    _require_different(path, items)
+    return items
+
+
+def _in_folder(folder: Path) -> list[Item]:
+    """Take all folders of a folder that are captures, in the order of their names."""
+    items = []
+    for path in sorted(folder.iterdir()):
+        if path.is_dir() and not path.name.startswith("."):
+            scenes = list(path.glob("*.xml"))
+            if (path / FILE).is_file():
+                items.append(Item(path.name, path))
+            elif len(scenes) == 1:
+                items.append(Item(path.name, scenes[0]))
+    return items
+
+
+def _in_table(path: Path) -> list[Item]:
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            rows = list(csv.reader(stream))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise CaptureError(f"{path}: not a readable table; save it as CSV in UTF-8.") from error
+    head = [word.strip() for word in rows[0]] if rows else []
+    unknown = [word for word in head if word not in ("capture", "name", *OPTIONS)]
+    if "capture" not in head or unknown or len(set(head)) < len(head):
+        found = f"the column {excerpt(unknown[0], LONGEST)!r}" if unknown else "other columns"
+        raise OptionError(
+            f"{path}: has {found}; its first line names columns, once each: capture, and of name, "
+            f"{', '.join(OPTIONS)} those that are needed."
+        )
+    return [
+        _item(path, number, dict(zip(head, (word.strip() for word in row), strict=False)))
+        for number, row in enumerate(rows[1:], 2) if any(word.strip() for word in row)
+    ]  # fmt: skip
+
+
+def _item(table: Path, line: int, row: dict[str, str]) -> Item:
+    """Return the capture of a line of a table."""
+    where = f"{table}, line {line}"
+    capture = table.parent / row.get("capture", "")
+    if not row.get("capture") or not capture.exists():
+        raise OptionError(
+            f"{where}: {excerpt(row.get('capture', ''), LONGEST)!r} is no capture; give the path "
+            "of a folder or scene, relative to the table."
+        )
+    default = capture.parent.name if capture.suffix == ".xml" else capture.resolve().name
+    name = row.get("name") or default
+    if not NAME.fullmatch(name):
+        raise OptionError(
+            f"{where}: {excerpt(name, LONGEST)!r} cannot be the name of a folder; use letters, "
+            "digits, spaces and . + - _ in the column name."
+        )
+    options = {key: row[key] for key in OPTIONS if row.get(key)}
+    for key in PATHS:
+        if key in options:
+            options[key] = str(table.parent / options[key])
+    return Item(name, capture, options)
+
+
+def _require_different(path: Path, items: Sequence[Item]) -> None:
+    names = [item.name.casefold() for item in items]  # of folders, on some systems
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            raise OptionError(
+                f"{path}: two captures are called {items[number].name!r}; tell them apart in the "
+                "column name."
+            )

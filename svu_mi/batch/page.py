@@ -1,0 +1,80 @@
+"""The page and the table of a batch: a line per capture."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+
+from svu_mi.batch.record import Outcome
+from svu_mi.batch.steps import STEPS
+from svu_mi.files import write_text
+from svu_mi.output.page import Picture, drawing, percent, write_page
+
+INDEX, TABLE = "index.html", "index.csv"
+SIDE = 160  # pixels of a thumbnail
+COLUMNS = ("capture", "seen", "entropy", "known", "seconds", "peak_gb", "problem")
+
+
+def write_index(output: Path, outcomes: Sequence[Outcome], waiting: int = 0) -> None:
+    """Write ``index.html`` and ``index.csv``, each in one step.
+
+    Args:
+        output: folder of the batch.
+        outcomes: of captures that have ended.
+        waiting: number of those that have not.
+    """
+    rows = sorted(outcomes, key=lambda outcome: outcome.name)
+    failed = [outcome for outcome in rows if outcome.sentence]
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(COLUMNS)
+    table.writerows(_cells(outcome) for outcome in rows)
+    write_text(output / TABLE, text.getvalue())
+    write_page(
+        output / INDEX, "batch.html", rows=[_row(outcome) for outcome in rows],
+        count=len(rows), failed=len(failed), waiting=waiting,
+    )  # fmt: skip
+
+
+def _cells(outcome: Outcome) -> list[Any]:
+    found = [f"{outcome.figures[name]:.4f}" if name in outcome.figures else ""
+             for name in ("seen", "entropy", "known")]  # fmt: skip
+    return [
+        outcome.name, *found, f"{outcome.seconds:.1f}", f"{outcome.peak / 1e9:.2f}",
+        outcome.sentence,
+    ]
+
+
+def _row(outcome: Outcome) -> dict[str, Any]:
+    """Return what the page shows of a capture."""
+    there = {
+        name: f"{quote(outcome.name)}/{step.output}{'' if '.' in step.output else '/'}"
+        for name, step in STEPS.items() if (outcome.folder / step.proof).is_file()
+    }  # fmt: skip
+    figures = outcome.figures
+    return {
+        "name": outcome.name, "picture": _thumbnail(outcome.folder), "links": there,
+        "sentence": outcome.sentence, "seconds": outcome.seconds, "peak": outcome.peak / 1e9,
+        "seen": figures.get("seen"), "entropy": figures.get("entropy"),
+        "known": figures.get("known"),
+        "seen_text": percent(figures["seen"]) if "seen" in figures else "",
+        "known_text": percent(figures["known"]) if "known" in figures else "",
+    }  # fmt: skip
+
+
+def _thumbnail(folder: Path) -> Picture | None:
+    from PIL import Image
+
+    path = folder / "entropy" / "overview.png"
+    try:
+        with Image.open(path) as image:
+            image.draft("RGB", (4 * SIDE, 4 * SIDE))
+            return drawing(np.asarray(image.convert("RGB"), np.float32) / 255, 2 * SIDE)
+    except OSError:
+        return None

@@ -1,0 +1,154 @@
+"""Runs the steps of all captures, some captures at a time, each command in a process of its own.
+
+The batch itself loads neither Mitsuba nor Dr.Jit: its memory stays what it is, however many
+captures there are, and a command that dies takes nothing with it.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple
+
+from svu_mi.batch.listing import Item
+from svu_mi.batch.record import Done, Outcome, figures_of
+from svu_mi.batch.steps import STEPS, key_of, words_of
+
+TRIES = 3  # of a command that is killed from outside
+KILOBYTE = 1024
+
+
+class Ended(NamedTuple):
+    """How a process ended: its exit status, what it said last, and bytes at its peak."""
+
+    status: int
+    said: str
+    peak: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shelf:
+    """How captures are worked on.
+
+    Attributes:
+        output: folder that gets a folder per capture.
+        steps: names of ``STEPS``, in their order.
+        workers: captures at a time.
+        words: that every command gets, such as ``-t 2``; they do not change results.
+        options: of all captures (``Item.options``), where they have none of their own.
+    """
+
+    output: Path
+    steps: Sequence[str] = tuple(STEPS)
+    workers: int = 1
+    words: tuple[str, ...] = ()
+    options: dict[str, str] = field(default_factory=dict)
+
+    def run(self, items: Sequence[Item]) -> Iterator[Outcome]:
+        """Work on captures; yield what became of each, as they end.
+
+        Closing the iterator, or an exception such as Ctrl-C, ends the commands that are running.
+        """
+        processes = _Processes()
+        with ThreadPoolExecutor(self.workers) as threads:
+            work = [threads.submit(self._work, item, processes) for item in items]
+            try:
+                for future in as_completed(work):
+                    yield future.result()
+            finally:
+                for future in work:
+                    future.cancel()
+                processes.end()
+
+    def _work(self, item: Item, processes: _Processes) -> Outcome:
+        """Take the steps of one capture that are not done."""
+        item = replace(item, options=self.options | item.options)
+        folder = self.output / item.name
+        folder.mkdir(parents=True, exist_ok=True)
+        done, outcome, key = Done.read(folder), Outcome(item.name, folder), ""
+        for name, step in STEPS.items():
+            if name not in self.steps:
+                continue
+            words = words_of(step, item, folder, self.steps)
+            key = key_of(words, item, key)
+            if not done.has(name, key, folder / step.proof):
+                done.forget(name)
+                start = time.perf_counter()
+                ended = _tried(lambda: processes.run([*words, *self.words]))  # noqa: B023
+                if ended.status:
+                    said = ended.said or f"ended with status {ended.status}"
+                    outcome = replace(outcome, sentence=f"{step.command}: {said}")
+                    break
+                done.add(name, key, time.perf_counter() - start, ended.peak)
+                outcome = replace(outcome, made=outcome.made + 1)
+        taken = [done.steps[name] for name in self.steps if name in done.steps]
+        return replace(
+            outcome, seconds=sum(step["seconds"] for step in taken),
+            peak=max((step["peak_bytes"] for step in taken), default=0),
+            figures=figures_of(folder) if "entropy" in done.steps else {},
+        )  # fmt: skip
+
+
+def _tried(run: Callable[[], Ended]) -> Ended:
+    """Run a command again, if somebody else has killed it."""
+    for _ in range(TRIES - 1):
+        ended = run()
+        if ended.status >= 0:
+            return ended
+    ended = run()
+    if ended.status < 0:
+        return ended._replace(said=f"was killed {TRIES} times (signal {-ended.status})")
+    return ended
+
+
+class _Processes:
+    """The commands that are running; none starts any more once they were ended."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._running: set[subprocess.Popen[bytes]] = set()
+        self._over = False
+
+    def run(self, words: Sequence[str]) -> Ended:
+        """Run ``svu`` with words, to its end."""
+        line = [sys.executable, "-m", "svu_mi.batch.worker", str(os.getpid()), *words]
+        with self._lock:
+            if self._over:
+                return Ended(1, "not begun", 0)
+            process = subprocess.Popen(
+                line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+            )
+            self._running.add(process)
+        try:
+            assert process.stderr is not None
+            said = process.stderr.read().decode("utf-8", "replace").strip()
+            status, peak = _waited(process)
+        finally:
+            with self._lock:
+                self._running.discard(process)
+        last = said.splitlines()[-1].removeprefix("svu: ") if said else ""
+        return Ended(status, last, peak)
+
+    def end(self) -> None:
+        """Kill what is running; results are written in one step, so none is left half-written."""
+        with self._lock:
+            self._over = True
+            for process in self._running:
+                process.kill()
+
+
+def _waited(process: subprocess.Popen[bytes]) -> tuple[int, int]:
+    """Return the exit status of a process, and bytes at its peak; 0 where nobody says."""
+    if not hasattr(os, "wait4"):  # Windows
+        return process.wait(), 0
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    unit = 1 if sys.platform == "darwin" else KILOBYTE
+    return process.returncode, usage.ru_maxrss * unit

@@ -1,0 +1,87 @@
+"""What is done with each capture: commands, their words, and what they depend on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from svu_mi import __version__
+from svu_mi.batch.listing import OPTIONS, PATHS, Item
+
+LIGHT = "light"  # folder that a light which was found is kept in, beside the photographs
+# What commands keep beside the photographs.
+KEPT = ("unwrapped.ply", ".svu-lock")
+
+
+@dataclass(frozen=True)
+class Step:
+    """A command of a batch.
+
+    Attributes:
+        command: its first word.
+        output: file or folder that it writes, in the folder of the capture's results.
+        proof: file that is there when it is done.
+        options: those of ``OPTIONS`` that it takes.
+    """
+
+    command: str
+    output: str
+    proof: str
+    options: tuple[str, ...] = ()
+
+
+STEPS = {
+    "entropy": Step("entropy", "entropy", "entropy/run.json", OPTIONS),
+    "recover": Step(
+        "recover", "recovered", "recovered/run.json",
+        tuple(name for name in OPTIONS if name != "preset"),
+    ),
+    "report": Step(
+        "report", "report.html", "report.html",
+        tuple(name for name in OPTIONS if name != "resolution"),
+    ),
+    "export": Step("export", "asset", "asset/asset.json"),
+}  # fmt: skip
+
+
+def words_of(step: Step, item: Item, folder: Path, steps: Sequence[str]) -> list[str]:
+    """Return the words of a command.
+
+    Args:
+        step: which.
+        item: the capture, with all its options.
+        folder: of its results.
+        steps: names of all steps that are taken.
+    """
+    if step.command == "export":
+        return ["export", str(folder / STEPS["recover"].output), "-o", str(folder / step.output)]
+    words = [step.command, str(item.capture), "-o", str(folder / step.output)]
+    for name in step.options:
+        if name in item.options:
+            words += [f"--{name}", *item.options[name].split()]
+    if step.command == "report" and "recover" in steps:
+        words += ["--recovered", str(folder / STEPS["recover"].output)]
+    return words
+
+
+def key_of(words: Sequence[str], item: Item, before: str) -> str:
+    """Return a digest of all that a step depends on: its command, the files of the capture, by
+    their sizes and times, and the steps before it."""
+    text = json.dumps([__version__, list(words), before, _files(item)])
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:32]
+
+
+def _files(item: Item) -> list[tuple[str, int, int]]:
+    places = [item.capture if item.capture.is_dir() else item.capture.parent]
+    places += [Path(item.options[name]) for name in PATHS if name in item.options]
+    found = []
+    for place in places:
+        for path in [place] if place.is_file() else sorted(place.rglob("*")):
+            own = path.relative_to(place).parts
+            if path.is_file() and path.name not in KEPT and own[:1] != (LIGHT,):
+                status = path.stat()
+                found.append((str(path), status.st_size, status.st_mtime_ns))
+    return found

@@ -1,0 +1,103 @@
+"""``svu batch``: many captures, one page."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+import tyro
+from rich.console import Console
+
+from svu_mi.batch import STEPS, Outcome, Shelf, read_list, write_index
+from svu_mi.cli.common import Common, Interrupted, Output
+from svu_mi.cli.terminal import say
+from svu_mi.cli.words import pair
+from svu_mi.errors import OptionError
+from svu_mi.limits import FEWEST_THREADS
+from svu_mi.progress import Progress
+from svu_mi.results.lock import locked
+
+FAILED = 1  # exit status if a capture failed
+Step = Literal["entropy", "recover", "report", "export"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch(Common):
+    """Estimate, recover, report and export many captures; one page shows all of them.
+
+    Every capture gets a folder with entropy, recovered, report.html and asset. One that fails is a
+    row of the page with its sentence; the others go on. The same command goes on after an
+    interruption, and makes again what has changed. Exit status 1 if a capture failed.
+    """
+
+    draws: ClassVar[bool] = False
+    captures: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER | LIST.csv")]
+    """Folder of capture folders; or a table with the column capture, and those of name, resolution,
+    preset, light, images and shape that are needed."""
+    output: Output = Path("out/batch")
+    steps: tuple[Step, ...] = ("entropy", "recover", "report", "export")
+    """What to do; export needs recover."""
+    workers: int = 1
+    """Captures at a time, which share threads and memory."""
+    resolution: tuple[int, ...] = ()
+    """Texels per side, or width and height, of captures that the list does not say it of."""
+    preset: Literal["default", "fixed", "fast", "paper"] | None = None
+    """Preset of entropy and report, of captures that the list does not say it of."""
+
+    def run(self, console: Console) -> int:
+        """Work on all captures, and write the page after each."""
+        shelf, items = self._shelf(), read_list(self.captures)
+        self.output.mkdir(parents=True, exist_ok=True)
+        outcomes: list[Outcome] = []
+        with locked(self.output, "svu batch"):
+            try:
+                with Progress(console).stage("Working on captures", len(items)) as stage:
+                    for outcome in shelf.run(items):
+                        outcomes.append(outcome)
+                        write_index(self.output, outcomes, len(items) - len(outcomes))
+                        stage.update(len(outcomes), len(items))
+                        if outcome.sentence:
+                            say(console, f"{outcome.name}: {outcome.sentence}")
+            except KeyboardInterrupt as stop:
+                raise Interrupted(
+                    f"Interrupted after {len(outcomes)} of {len(items)} captures; the same command "
+                    "goes on."
+                ) from stop
+        failed = sum(bool(outcome.sentence) for outcome in outcomes)
+        say(console, f"Wrote {self.output / 'index.html'}")
+        say(console, _summary(outcomes, failed))
+        return FAILED if failed else 0
+
+    def _shelf(self) -> Shelf:
+        """Return how captures are worked on.
+
+        Raises:
+            OptionError: an option makes no sense.
+        """
+        if self.workers < 1:
+            raise OptionError(f"--workers must be at least 1, got {self.workers}.")
+        if "export" in self.steps and "recover" not in self.steps:
+            raise OptionError("--steps export needs recover, too, whose textures it exports.")
+        options: dict[str, str] = {} if self.preset is None else {"preset": self.preset}
+        if self.resolution:
+            width, height = pair(self.resolution, "--resolution")
+            options["resolution"] = f"{width} {height}"
+        threads = self.threads or max((os.cpu_count() or 1) // self.workers, FEWEST_THREADS)
+        words = ["-t", str(threads), "-m", self.variant, *(["--trust"] if self.trust else [])]
+        return Shelf(
+            output=self.output, steps=[name for name in STEPS if name in self.steps],
+            workers=self.workers, words=tuple(words), options=options,
+        )  # fmt: skip
+
+
+def _summary(outcomes: list[Outcome], failed: int) -> str:
+    """Say what became of all: "11 of 12 captures done (2 steps were made), 1 failed: ..."."""
+    made = sum(outcome.made for outcome in outcomes)
+    done = f"{len(outcomes) - failed} of {len(outcomes)} captures done, {made} steps made"
+    entropies = [o.figures["entropy"] for o in outcomes if "entropy" in o.figures]
+    if entropies:
+        done += f"; mean entropy {min(entropies):.2f} to {max(entropies):.2f}"
+    names = ", ".join(outcome.name for outcome in outcomes if outcome.sentence)
+    return f"{done}; failed: {names}." if failed else f"{done}."
