@@ -15,7 +15,7 @@ MAX_TEXELS = 2**14  # per side
 # that is with one thread, which is the default on a machine, or a share of one, with one core.
 FEWEST_THREADS = 2
 MIN_TEXELS = 2  # per side; Mitsuba has no texture below
-TEXEL_BYTES = 2**10  # of the grid; measured: 2100, of which charts may fill half
+TEXEL_BYTES = 2**8  # of the grid, laid out; what is computed of them is told by needs.py
 PIXEL_BYTES = 16  # of a photograph in memory: three floats, a mask, and what can be used
 RENDER_BYTES = 100  # per pixel of a film while it is rendered; measured: 90
 MASK_LANES = 9  # rays per pixel that find the object

@@ -1,7 +1,7 @@
 """Runs the steps of all captures, some captures at a time, each command in a process of its own.
 
-The batch itself loads neither Mitsuba nor Dr.Jit: its memory stays what it is, however many
-captures there are, and a command that dies takes nothing with it.
+The batch itself computes nothing: its memory stays what it is, however many captures there are, and
+a command that dies takes nothing with it.
 """
 
 from __future__ import annotations

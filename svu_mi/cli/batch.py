@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 from rich.console import Console
 
-from svu_mi.batch import STEPS, Outcome, Shelf, read_list, write_index
 from svu_mi.cli.common import Common, Interrupted, Output
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import pair
@@ -18,6 +17,9 @@ from svu_mi.errors import OptionError
 from svu_mi.limits import FEWEST_THREADS
 from svu_mi.progress import Progress
 from svu_mi.results.lock import locked
+
+if TYPE_CHECKING:
+    from svu_mi.batch import Outcome, Shelf
 
 FAILED = 1  # exit status if a capture failed
 Step = Literal["entropy", "recover", "report", "export"]
@@ -48,6 +50,8 @@ class Batch(Common):
 
     def run(self, console: Console) -> int:
         """Work on all captures, and write the page after each."""
+        from svu_mi.batch import read_list, write_index
+
         shelf, items = self._shelf(), read_list(self.captures)
         self.output.mkdir(parents=True, exist_ok=True)
         outcomes: list[Outcome] = []
@@ -76,6 +80,8 @@ class Batch(Common):
         Raises:
             OptionError: an option makes no sense.
         """
+        from svu_mi.batch import STEPS, Shelf
+
         if self.workers < 1:
             raise OptionError(f"--workers must be at least 1, got {self.workers}.")
         if "export" in self.steps and "recover" not in self.steps:

@@ -1,0 +1,218 @@
+"""svu batch: lists, steps that are done once, failures, interruptions, and the page."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from helpers import fails, run
+
+from svu_mi import scenes
+from svu_mi.batch import STEPS, Item, Shelf, read_list, write_index
+from svu_mi.batch.record import Done
+from svu_mi.batch.shelf import Ended, _Processes
+from svu_mi.batch.steps import key_of, words_of
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.exr import read_exr
+
+SMALL = ("--resolution", 16, "-t", 2)
+
+
+@pytest.fixture
+def shelf_of(shot, tmp_path):
+    """Make a folder of captures, copies of one."""
+
+    def made(*names):
+        for name in names:
+            folder = shutil.copytree(shot, tmp_path / "shelf" / name)
+            record = json.loads((folder / "capture.json").read_text())
+            record["scene"] = str(scenes.path("vase"))  # not relative to where it was
+            (folder / "capture.json").write_text(json.dumps(record))
+        return tmp_path / "shelf"
+
+    return made
+
+
+def table(folder: Path, *lines: str) -> Path:
+    path = folder / "list.csv"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+# --- lists ------------------------------------------------------------------------------------
+
+
+def test_a_folder_of_captures_and_a_table_name_the_same(shelf_of, tmp_path):
+    folder = shelf_of("b", "a")
+    (folder / "notes").mkdir()
+    assert [item.name for item in read_list(folder)] == ["a", "b"]
+    head = "capture, name, resolution, light"
+    path = table(tmp_path, head, "shelf/b,,32 16,", "shelf/a, first,, l.exr", "")
+    items = read_list(path)
+    assert [item.name for item in items] == ["b", "first"]
+    assert items[0].options == {"resolution": "32 16"}
+    assert items[1].options == {"light": str(tmp_path / "l.exr")}
+
+
+@pytest.mark.parametrize(("lines", "sentence"), [
+    (["capture,colour", "shelf/a,red"], "has the column 'colour'; its first line names columns"),
+    (["name", "a"], "has other columns"),
+    (["capture", "shelf/c"], "line 2: 'shelf/c' is no capture"),
+    (["capture,name", "shelf/a,../b"], "line 2: '../b' cannot be the name of a folder"),
+    (["capture,name", "shelf/a,x", "shelf/a,X"], "two captures are called 'X'"),
+    (["capture"], "names no captures: has no rows"),
+])  # fmt: skip
+def test_what_a_table_cannot_say_is_a_sentence(shelf_of, tmp_path, lines, sentence):
+    shelf_of("a")
+    with pytest.raises((CaptureError, OptionError), match=".*") as caught:
+        read_list(table(tmp_path, *lines))
+    assert sentence in str(caught.value)
+
+
+def test_a_list_that_is_not_there_and_steps_that_need_others(tmp_path, capsys):
+    assert "no such folder or table" in fails(capsys, "batch", tmp_path / "x", "-o", tmp_path / "o")
+    words = ("batch", tmp_path, "--steps", "export", "-o", tmp_path / "o")
+    assert "needs recover, too" in fails(capsys, *words)
+
+
+# --- steps ------------------------------------------------------------------------------------
+
+
+class Made(_Processes):
+    """Commands that only put their proof where it belongs, and are counted."""
+
+    def __init__(self, statuses=()):
+        super().__init__()
+        self.lines, self.statuses = [], list(statuses)
+
+    def run(self, words):
+        self.lines.append([str(word) for word in words])
+        status = self.statuses.pop(0) if self.statuses else 0
+        if status == 0:
+            folder = Path(words[words.index("-o") + 1]).parent
+            step = STEPS[words[0]]
+            (folder / step.proof).parent.mkdir(parents=True, exist_ok=True)
+            (folder / step.proof).write_text("{}")
+        return Ended(status, "went wrong" if status > 0 else "", 5)
+
+
+def test_steps_are_made_once_and_again_if_anything_changed(shelf_of, tmp_path):
+    item = Item("a", shelf_of("a") / "a")
+    shelf = Shelf(output=tmp_path / "out", options={"resolution": "16"})
+
+    def made(shelf, item=item):
+        commands = Made()
+        outcome = shelf._work(item, commands)
+        assert not outcome.sentence and outcome.made == len(commands.lines)
+        return [line[0] for line in commands.lines]
+
+    assert made(shelf) == list(STEPS)
+    assert made(shelf) == []
+    assert made(Shelf(output=shelf.output, options=shelf.options, words=("-t", "3"))) == []
+    (tmp_path / "out" / "a" / "recovered" / "run.json").unlink()
+    assert made(shelf) == ["recover"]
+    os.utime(item.capture / "view_0002.exr")
+    assert made(shelf) == list(STEPS)
+    assert made(shelf, Item("a", item.capture, {"preset": "fast"})) == list(STEPS)
+    (tmp_path / "out" / "a" / "batch.json").write_text('{"steps": {"entropy": 3')
+    assert made(shelf) == list(STEPS)
+
+
+def test_commands_get_the_options_they_know(tmp_path):
+    options = {"resolution": "16 8", "preset": "fast", "light": "l.exr"}
+    item = Item("a", tmp_path, options)
+    words = {name: words_of(step, item, tmp_path, STEPS) for name, step in STEPS.items()}
+    expected = ["--resolution", "16", "8", "--preset", "fast", "--light", "l.exr"]
+    assert words["entropy"][4:] == expected
+    assert "--preset" not in words["recover"]
+    assert words["report"][-2:] == ["--recovered", str(tmp_path / "recovered")]
+    assert words["export"][1] == str(tmp_path / "recovered")
+    assert key_of(words["entropy"], item, "") != key_of(words["entropy"], item, "x")
+
+
+def test_a_command_that_is_killed_is_tried_again_one_that_fails_is_not(shelf_of, tmp_path):
+    item = Item("a", shelf_of("a") / "a")
+    shelf = Shelf(output=tmp_path / "out", steps=["entropy"])
+    commands = Made([-9, -9])
+    assert shelf._work(item, commands).made == 1 and len(commands.lines) == 3
+    shelf = Shelf(output=tmp_path / "other", steps=["entropy"])
+    assert shelf._work(item, Made([-9] * 3)).sentence == "entropy: was killed 3 times (signal 9)"
+    outcome = shelf._work(item, Made([2]))
+    assert outcome.sentence == "entropy: went wrong" and not Done.read(outcome.folder).steps
+
+
+# --- whole runs -------------------------------------------------------------------------------
+
+
+def test_a_corrupt_capture_is_a_row(shelf_of, tmp_path, capsys):
+    folder = shelf_of("bad", "good")
+    (folder / "bad" / "view_0003.exr").write_bytes(b"no picture")
+    out = tmp_path / "out"
+    assert run("batch", folder, *SMALL, "--steps", "entropy", "--workers", 2, "-o", out) == 1
+    assert "1 of 2 captures done, 1 steps made" in capsys.readouterr().out
+    page, lines = (out / "index.html").read_text(), (out / "index.csv").read_text().splitlines()
+    assert "view_0003.exr: not an EXR" in page or "view_0003.exr" in page
+    assert lines[0].startswith("capture,seen,entropy") and "view_0003.exr" in lines[1]
+    assert lines[2].startswith("good,0.") and lines[2].endswith(",")
+    assert 'href="good/entropy/"' in page and "data:image/png" in page
+    shutil.copy(folder / "good" / "view_0003.exr", folder / "bad")
+    assert run("batch", folder, *SMALL, "--steps", "entropy", "-o", out) == 0
+    assert "2 of 2 captures done, 1 steps made" in capsys.readouterr().out
+
+
+def test_an_index_without_any_result_is_written(tmp_path):
+    write_index(tmp_path, [], waiting=3)
+    assert "0 of 3 captures are done, 3 are to come" in (tmp_path / "index.html").read_text()
+
+
+def maps(out: Path) -> dict[str, bytes]:
+    found = {}
+    for path in sorted(out.glob("*/entropy/*.exr")) + sorted(out.glob("*/recovered/*.exr")):
+        planes = read_exr(path)
+        found[str(path.relative_to(out))] = b"".join(planes[name].tobytes() for name in planes)
+    return found
+
+
+@pytest.mark.slow
+def test_workers_killed_and_interrupted_runs_end_with_the_same_maps(shelf_of, tmp_path):
+    folder = shelf_of("a", "b", "c", "d")
+    words = ["batch", folder, *SMALL, "--steps", "entropy", "recover"]
+    assert run(*words, "-o", tmp_path / "one") == 0
+    assert run(*words, "--workers", 2, "-o", tmp_path / "two") == 0
+    expected = maps(tmp_path / "one")
+    assert len(expected) >= 12 and maps(tmp_path / "two") == expected
+
+    out = tmp_path / "killed"
+    line = [sys.executable, "-m", "svu_mi", *map(str, words), "--workers", "2", "-o", str(out)]
+    for number, pause in enumerate((0.5, 1.7, 3.1, 4.3)):
+        process = subprocess.Popen(line, stderr=subprocess.PIPE)
+        time.sleep(pause)
+        process.send_signal(signal.SIGKILL if number % 2 else signal.SIGINT)
+        process.communicate()
+    process = subprocess.Popen(line, stdout=subprocess.PIPE, text=True)
+    over = threading.Event()
+
+    def kill_workers():
+        for pause in (0.7, 1.9):
+            if not over.wait(pause):
+                found = subprocess.run(
+                    ["pgrep", "-P", str(process.pid)], capture_output=True, text=True
+                ).stdout.split()
+                for one in found[:1]:
+                    os.kill(int(one), signal.SIGKILL)
+
+    killing = threading.Thread(target=kill_workers)
+    killing.start()
+    said = process.communicate()[0]
+    over.set()
+    killing.join()
+    assert process.returncode == 0, said
+    assert maps(out) == expected
