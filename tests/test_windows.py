@@ -67,7 +67,7 @@ def test_the_object_is_kept_whole_with_the_pixels_that_texels_can_use(shot, larg
     whole = svu.load_capture(shot)
     seen = [int(np.array(pack_views(whole).usable).sum())]
     fine, coarse = (
-        Detail(texels=(side, side)).windows(whole.shape, whole.sensors) for side in (512, 4)
+        Detail(texels=(side, side)).windows(whole.shape, whole.sensors) for side in (512, 6)
     )
     assert {w.shrink for w in fine} == {1}
     assert all(w.width < 40 or w.height < 32 for w in fine)
@@ -75,7 +75,7 @@ def test_the_object_is_kept_whole_with_the_pixels_that_texels_can_use(shot, larg
     kept = svu.load_capture(shot, detail=Detail(texels=(512, 512)))
     seen.append(int(np.array(pack_views(kept).usable).sum()))
     assert seen[0] == seen[1]
-    small = svu.load_capture(shot, detail=Detail(texels=(4, 4)))
+    small = svu.load_capture(shot, detail=Detail(texels=(6, 6)))
     assert [image.shape[1::-1] for image in small.images] == [w.size for w in coarse]
     radiance = [pack_views(each) for each in (whole, small)]
     means = [

@@ -81,7 +81,7 @@ def load_capture(
         preflight: called before any pixel is read with how large everything is; it may refuse.
         detail: what is needed of photographs of 4 megapixels and more: those of
             ``Detail(texels=(2048, 2048))`` are cropped to the object, and made smaller as far as
-            texels keep two pixels across. By default they are kept as they are.
+            texels keep about one pixel across. By default they are kept as they are.
         memory: bytes that photographs may take, by default half of what is free. Beyond that they
             lie in a file, in TMPDIR or /var/tmp, which ends with the process.
 

@@ -1,7 +1,7 @@
 """Large photographs are cropped to the object, and made no larger than texels can use.
 
-A photograph of 24 megapixels holds no more of a texel than one of six, if both have several pixels
-of it; and most of its pixels show no object at all.
+A photograph of 24 megapixels says no more of a texel than one of six, if that has a pixel of it,
+too; and most of its pixels show no object at all.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from svu_mi.capture.scene import to_world
 from svu_mi.needs import Size
 
 LARGE = 2**22  # pixels of a photograph from which on it is worth it
-ENOUGH = 2.0  # pixels across a texel; of half as many, a map of roughness shows it (BENCHMARKS.md)
+ENOUGH = 0.9  # pixels across a texel: about one (BENCHMARKS.md, "Captures of any size")
 MARGIN = 0.02  # of the object's size in a photograph, around it
 BORDER = 8  # pixels around it besides
 FACES = 20_000  # that say how large texels are

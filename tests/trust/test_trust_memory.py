@@ -155,7 +155,7 @@ def test_free_memory_is_that_of_an_old_group(proc):
 
 def test_limits_hold_texels_against_the_same_memory(proc):
     group(proc / "groups", memory_max=10**6)
-    with pytest.raises(limits.OptionError, match="1024 x 1024 texels take at least 1.07 GB"):
+    with pytest.raises(limits.OptionError, match="1024 x 1024 texels take at least 0.268 GB"):
         limits.require_texels((1024, 1024), "--resolution")
 
 
