@@ -64,6 +64,7 @@ GRID = 100  # bytes per texel of the grid that no chart covers
 TILED = ("entropy", "report", "view")
 TILE, LAID_OUT = 2**18, 230
 STORED = 14  # bytes of a photograph's pixel that can lie in a file
+FLAGS = 4  # bytes of those that have to be in memory all the same
 READING = 25  # bytes per pixel of a photograph, while it is decoded and made smaller
 AT_A_TIME = 0.25  # part of the free memory that those take which are decoded together
 KEPT_NODE = 180  # bytes per pixel of an environment map
@@ -139,7 +140,14 @@ class Need:
         cost, (width, height) = COSTS[self.command], self.light
         light = light_bytes(self.light) if cost.light is None else cost.light * width * height
         found = cost.candidate * self.candidates + cost.look * self.looks * len(self.sizes)
-        return cost.start + found + light + sum(self._parts())
+        photographs, texels = self._parts()
+        return cost.start + light + photographs + max(found + texels, self._reading())
+
+    def _reading(self) -> float:
+        """Return what is needed besides while photographs are read, which are made smaller."""
+        kept = max((width * height for width, height in self.sizes), default=0)
+        largest = max((width * height for width, height in self.stored), default=0)
+        return READING * largest * decoders(largest) if largest > kept else 0.0
 
     def _parts(self) -> tuple[float, float]:
         """Return what photographs and what texels take."""
@@ -147,10 +155,7 @@ class Need:
         pixels = [width * height for width, height in self.sizes]
         photographs = cost.pixel * sum(pixels) + cost.film * max(pixels, default=0)
         if STORED * sum(pixels) > self.memory:
-            photographs -= STORED * sum(pixels)
-        largest = max((width * height for width, height in self.stored), default=0)
-        if largest > max(pixels, default=0):
-            photographs += READING * largest * decoders(largest)
+            photographs = FLAGS * sum(pixels)
         grid = self.resolution[0] * self.resolution[1]
         covered, model = self.charts * grid, MODELS[self.model] if self.model else 0
         texels = cost.texel * covered + (1 - self.charts) * grid * GRID

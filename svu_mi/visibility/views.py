@@ -229,6 +229,10 @@ class _Pixels:
         index = dr.arange(mi.UInt32, len(colors))
         bright = dr.max(dr.gather(mi.Color3f, self.radiance, index, self.usable))
         hot = self.usable & (bright > dr.opaque(mi.Float, most))
+        some = dr.zeros(mi.UInt32, 1)
+        dr.scatter(some, mi.UInt32(1), 0, hot)  # unlike dr.any, this keeps no flag per pixel
+        if not some[0]:
+            return []
         pixels = np.flatnonzero(hot.numpy())
         self.usable &= ~hot
         dr.eval(self.usable)
