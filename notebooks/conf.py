@@ -53,6 +53,7 @@ notebooks/methods
 notebooks/guiding
 notebooks/recovering
 notebooks/results
+notebooks/many
 notebooks/limits
 notebooks/promises
 notebooks/troubleshooting

@@ -3,12 +3,9 @@
     capture -> texels -> observed: visibility   -> plan -> statistics of all views   -> posterior
                                                          -> SH fit -> power spectra   -> posterior
 
-Memory at its peak, measured (BENCHMARKS.md): 20 bytes per pixel of all photographs (float32
-RGB as read, two flags, what reading takes), 560 bytes per texel (most of it double-precision
-temporaries of the texel layout; 1200 with statistics in grey, and what of the light reaches each
-texel; 3000 with those of three channels, their factors and marginals; 2500 where light is fitted
-at every texel), and one bit per texel and
-view, two with statistics.
+Memory at its peak is told, and measured, by ``needs.py``: bytes per pixel of all photographs, as far
+as they do not lie in a file (``capture/block.py``), and per texel, of which statistics and factors
+take most; many texels are therefore worked on tile by tile (``posterior/tiled.py``).
 """
 
 from __future__ import annotations
