@@ -59,8 +59,8 @@ COSTS = {
 # Bytes per texel, by preset, and by the method that has none of its own.
 MODELS = {"default": 2900, "fixed": 1300, "fast": 1100, "paper": 2000, "spectrum": 560}
 GRID = 100  # bytes per texel of the grid that no chart covers
-# More texels than TILE are worked on tile by tile by these commands, but for power spectra; every
-# texel then takes LAID_OUT bytes besides.
+# More texels than TILE are worked on tile by tile by these commands, but for power spectra: that
+# takes no more than TILE of them, and LAID_OUT bytes of every texel.
 TILED = ("entropy", "report", "view")
 TILE, LAID_OUT = 2**18, 230
 STORED = 14  # bytes of a photograph's pixel that can lie in a file

@@ -3,9 +3,9 @@
     capture -> texels -> observed: visibility   -> plan -> statistics of all views   -> posterior
                                                          -> SH fit -> power spectra   -> posterior
 
-Memory at its peak is told, and measured, by ``needs.py``: bytes per pixel of all photographs, as far
-as they do not lie in a file (``capture/block.py``), and per texel, of which statistics and factors
-take most; many texels are therefore worked on tile by tile (``posterior/tiled.py``).
+Memory at its peak is told by ``needs.py``: bytes per pixel of all photographs, as far as they do
+not lie in a file (``capture/block.py``), and per texel, of which statistics and factors take most;
+many texels are therefore worked on tile by tile (``posterior/tiled.py``).
 """
 
 from __future__ import annotations

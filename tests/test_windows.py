@@ -12,12 +12,17 @@ from helpers import fails, run
 from PIL import Image
 
 import svu_mi as svu
+from svu_mi import scenes
 from svu_mi.capture import block, window
+from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.picture import decoded, quantized, srgb
 from svu_mi.capture.poses import make_sensor
 from svu_mi.capture.window import Detail, Window
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr
+from svu_mi.formats import photographs
+from svu_mi.formats.source import frame_of
+from svu_mi.formats.transforms import write_transforms
 from svu_mi.visibility import pack_views
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*8-bit:svu_mi.errors.SvuWarning")
@@ -164,3 +169,41 @@ def test_integers_are_decoded_as_they_were(integers):
     expected = np.where(codes / 255 > 0.98, np.nan, values)
     np.testing.assert_array_equal(capture.images[3], expected.astype(np.float32))
     assert replace(capture).clipped == capture.clipped
+
+
+def test_a_large_jpeg_is_imported_as_it_is(shot, monkeypatch, tmp_path, capsys):
+    """With its mask beside it; what it says is what an EXR made of it would."""
+    description = capture_folder.read(shot)
+    source = tmp_path / "source"
+    source.mkdir()
+    frames = []
+    for view, sensor in enumerate(description.make_sensors(shot)):
+        planes = read_exr(shot / f"view_{view:04d}.exr")
+        color = np.nan_to_num(np.stack([planes[c] for c in "RGB"], axis=-1))
+        path, mask = source / f"IMG_{view}.jpg", source / f"IMG_{view}_mask.png"
+        Image.fromarray(quantized(srgb(np.clip(2 * color, 0, 1)))).save(path, quality=95)
+        Image.fromarray(quantized(planes["A"])).save(mask)
+        frames.append(replace(frame_of(sensor, path, exposure=2.0), mask=mask))
+    write_transforms(source / "transforms.json", frames)
+    mesh = scenes.path("vase").parent / "mesh.ply"
+    light = scenes.path("vase").parent.parent / "lights" / "window.exr"
+    words = ("import", source, "--mesh", mesh, "--environment", light)
+    assert run(*words, "-o", tmp_path / "exr") == 0
+    monkeypatch.setattr(photographs, "LARGE", 1)
+    assert run(*words, "-o", tmp_path / "jpeg") == 0
+    assert (tmp_path / "jpeg" / "view_0003.jpg").read_bytes() == frames[3].image.read_bytes()
+    assert not list((tmp_path / "jpeg").glob("view_*.exr"))
+    one, other = (svu.load_capture(tmp_path / name) for name in ("exr", "jpeg"))
+    for a, b, c, d in zip(one.images, other.images, one.masks, other.masks, strict=True):
+        np.testing.assert_array_equal(c, d)
+        np.testing.assert_allclose(a, b, rtol=2e-3, atol=1e-4)  # the EXR is in half floats
+    for a, b in zip(one.clipped, other.clipped, strict=True):
+        assert (a is None) == (b is None)
+        if a is not None:
+            np.testing.assert_array_equal(a.channels, b.channels)
+            np.testing.assert_allclose(a.least, b.least, rtol=1e-5)
+    for a, b in zip(one.rounding, other.rounding, strict=True):
+        np.testing.assert_allclose([*a.first, *a.slope], [*b.first, *b.slope], rtol=1e-5)
+    found = [svu.estimate(each, svu.texels(each.mesh, 24)) for each in (one, other)]
+    entropy = [np.array(each.entropy) for each in found]
+    assert np.abs(entropy[1] - entropy[0]).mean() < 2e-3

@@ -15,9 +15,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
-from svu_mi.needs import TILE
 from svu_mi.posterior.calibrated import CalibratedPosterior
 from svu_mi.posterior.record import Posterior
+
+SIZE = 2**16  # texels of a tile, whose statistics take 130 MB, several times at their peak
 
 Moments = dict[str, tuple[np.ndarray, ...]]
 
@@ -34,7 +35,7 @@ class TiledPosterior(Posterior):
     """
 
     make: Callable[[np.ndarray], Posterior] = field(repr=False)
-    size: int = TILE
+    size: int = SIZE
     report: Callable[[int, int], None] = field(default=lambda *_: None, repr=False)
 
     @cached_property
