@@ -84,6 +84,17 @@ def _in_file(count: int, kind: Any) -> np.ndarray:
         ) from error
 
 
+def look_up_here_and_there(block: np.ndarray) -> None:
+    """Tell the operating system that photographs in a file are no longer read in their order:
+    what it reads ahead, some of it megabytes, would push out what is needed."""
+    base = block
+    while isinstance(base, np.ndarray) and base.base is not None:
+        base = base.base
+    mapped = base.obj if isinstance(base, memoryview) else base
+    if isinstance(mapped, mmap.mmap) and hasattr(mmap, "MADV_RANDOM"):
+        mapped.madvise(mmap.MADV_RANDOM)
+
+
 def in_one_block(images: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Find the block that photographs lie in, or copy them into one.
 

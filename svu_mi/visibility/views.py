@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture, scene
-from svu_mi.capture.block import in_one_block, laid_out
+from svu_mi.capture.block import in_one_block, laid_out, look_up_here_and_there
 from svu_mi.capture.poses import describe, film_size, scaled_sensor
 from svu_mi.capture.rays import ray_floats
 from svu_mi.errors import CaptureError, SvuWarning
@@ -131,6 +131,7 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
             "median of the object; left out.",
             SvuWarning, stacklevel=3,
         )  # fmt: skip
+    look_up_here_and_there(block)
     packed = _views(
         capture.scene, poses, films, pixels.usable, pixels.radiance, grey=not pixels.coloured[0]
     )
