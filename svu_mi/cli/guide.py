@@ -102,7 +102,7 @@ class Guide(WithPictures, Estimated):
         missing: Missing = "leave-out" if self.candidates == SCENE else self.missing
         capture, texels = self.load(progress, missing=missing)
         candidates = fixed or self._restricted(self._place(capture))
-        known = self.estimate(progress, capture, texels)
+        known = self.estimate(progress, capture, texels, whole=True)
         guidance = next_best_view(
             known, candidates, self.add, options=self.judging, progress=progress
         )
