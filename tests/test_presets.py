@@ -11,7 +11,7 @@ import pytest
 from helpers import render_ball
 
 import svu_mi as svu
-from svu_mi import pipeline, scenes
+from svu_mi import estimators, scenes
 from svu_mi.errors import OptionError
 from svu_mi.options import ANGULAR_PRESETS, PRESETS, AngularPreset, preset
 
@@ -73,13 +73,13 @@ def test_an_estimate_uses_its_preset(seen, monkeypatch, method, name):
     """What reaches the model, the fit and the posterior is the preset itself."""
     used = []
     for kind in ("angular_posterior", "calibrated_posterior", "spectrum_posterior", "fit_spectra"):
-        real = getattr(pipeline, kind)
+        real = getattr(estimators, kind)
 
         def watch(*given, real=real, **options):
             used.extend(x for x in (*given, *options.values()) if hasattr(x, "colors"))
             return real(*given, **options)
 
-        monkeypatch.setattr(pipeline, kind, watch)
+        monkeypatch.setattr(estimators, kind, watch)
     found = svu.estimate(seen, method=method, preset=name)
     assert found.preset == preset(name, method=method)
     assert used and all(one == found.preset for one in used)
