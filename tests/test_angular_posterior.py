@@ -363,7 +363,7 @@ def test_every_result_is_in_range_and_unseen_texels_are_1(scene):
 def kernels_of(capture, resolution, switches, lit_for=12):
     """Hashes of the kernels from occlusion to entropy, and those that had to be compiled."""
     observed = seen_in(capture, resolution)
-    vars(observed)["lighting"] = light(capture, lit_for)  # which is else read when asked for
+    observed._of_light["lighting"] = light(capture, lit_for)  # which is else read when asked for
     kappa = 1.0 / capture.count if switches.noise == "heteroscedastic" else np.inf
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()

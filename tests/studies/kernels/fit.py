@@ -202,7 +202,7 @@ class Blocks:
 
 
 def fit(blocks: Blocks, switches: Preset) -> tuple[Any, Any]:
-    """Fit and take power spectra as ``frequency.gather.fit_spectra`` does; outgoing and incoming."""
+    """Fit and take power spectra as ``frequency.gather.fit_spectra`` does: outgoing, incoming."""
     colors = switches.colors
     shape = (blocks.texels, switches.degree + 1, colors)
     outgoing, incoming = dr.zeros(mi.TensorXf, shape), dr.zeros(mi.TensorXf, shape)
