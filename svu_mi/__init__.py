@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from svu_mi.recovery.recover import Recovery, recover
     from svu_mi.reference import Reference, reference_posterior
     from svu_mi.regularization import GlobalSharing, TotalVariation
+    from svu_mi.shards import Sharded, gather_shards
     from svu_mi.surface import Texels, texels
 
 __version__ = "0.1.0"
@@ -81,6 +82,7 @@ _HOME = {
     "Recovery": "recovery.recover", "recover": "recovery.recover",
     "DescentOptions": "recovery.options", "PathOptions": "recovery.options",
     "ShOptions": "recovery.options",
+    "Sharded": "shards", "gather_shards": "shards",
     "GlobalSharing": "regularization", "TotalVariation": "regularization",
     "Asset": "export.asset", "ExportOptions": "export.options",
     "export_asset": "export.export", "load_asset": "export.reading",
@@ -92,12 +94,12 @@ __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "Estimate", "ExportOptions", "Fit", "FoundGains", "GlobalSharing", "Guidance",
     "GuidanceOptions", "ImportOptions", "Light", "LightEstimate", "LightOptions",
     "ParameterGrid", "PathOptions", "Posterior", "Preset", "PrincipledGrid", "Recovery",
-    "Reference", "ShOptions", "Skip", "SvuError", "SvuWarning", "Texels", "TotalVariation",
-    "angular_posterior", "calibrated_posterior", "check", "compare", "equalized", "estimate",
-    "estimate_gains", "estimate_light", "export_asset", "fit_sh", "import_capture",
-    "load_asset", "load_capture", "load_light", "next_best_view", "power_spectrum", "preset",
-    "read_source", "recover", "reference_posterior", "render_capture", "save_light",
-    "spectrum_posterior", "texels", "with_light", "write_report",
+    "Reference", "Sharded", "ShOptions", "Skip", "SvuError", "SvuWarning", "Texels",
+    "TotalVariation", "angular_posterior", "calibrated_posterior", "check", "compare", "equalized",
+    "estimate", "estimate_gains", "estimate_light", "export_asset", "fit_sh", "gather_shards",
+    "import_capture", "load_asset", "load_capture", "load_light", "next_best_view",
+    "power_spectrum", "preset", "read_source", "recover", "reference_posterior", "render_capture",
+    "save_light", "spectrum_posterior", "texels", "with_light", "write_report",
 ]  # fmt: skip
 
 _llvm.bootstrap()

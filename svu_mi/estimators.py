@@ -9,6 +9,8 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.errors import OptionError
+from svu_mi.evidence import Evidence
 from svu_mi.frequency.gather import fit_spectra
 from svu_mi.interop import owned
 from svu_mi.needs import TILE
@@ -41,7 +43,7 @@ class Run:
         whole: keep the statistics of all texels, however many there are.
     """
 
-    observed: Observed
+    observed: Evidence
     grid: Any
     prior: Any | None
     plan: Plan
@@ -68,7 +70,7 @@ def _of_all(run: Run, switches: AngularPreset) -> Posterior:
     seen = run.observed
     if switches.traced:
         with run.progress.stage("Tracing occlusion"):
-            seen.reach(switches.cells, occluded=switches.occluded)
+            seen.prepare(switches)
     with run.progress.stage("Gathering statistics"):
         chosen = np.flatnonzero(seen.coverage) if _leaves_clipped_out(seen, switches) else None
         factors = _factors(run, seen, switches, chosen)
@@ -88,7 +90,7 @@ def _of_tile(run: Run, switches: AngularPreset, texels: np.ndarray) -> Posterior
 
 
 def _factors(
-    run: Run, seen: Observed, switches: AngularPreset, texels: np.ndarray | None
+    run: Run, seen: Evidence, switches: AngularPreset, texels: np.ndarray | None
 ) -> Factors:
     """Gather the statistics of texels, by default of those of ``seen``, and factor them."""
     return seen.statistics(
@@ -97,13 +99,13 @@ def _factors(
     ).factor()  # fmt: skip
 
 
-def _weighting(seen: Observed, switches: AngularPreset) -> Weighting:
+def _weighting(seen: Evidence, switches: AngularPreset) -> Weighting:
     edges = switches.edges if switches.noise == "estimated" else 0.0
     return Weighting(switches.kappa(seen.unit), edges)
 
 
 def _posterior(
-    run: Run, seen: Observed, switches: AngularPreset, factors: Factors, texels: int
+    run: Run, seen: Evidence, switches: AngularPreset, factors: Factors, texels: int
 ) -> Posterior:
     plan = run.plan
     if switches.noise == "estimated":
@@ -118,13 +120,13 @@ def _posterior(
     )  # fmt: skip
 
 
-def _leaves_clipped_out(seen: Observed, switches: AngularPreset) -> bool:
-    return seen.found.clipped is not None and not takes_clipped(switches)
+def _leaves_clipped_out(seen: Evidence, switches: AngularPreset) -> bool:
+    return seen.clipped_coverage is not None and not takes_clipped(switches)
 
 
-def counted(seen: Observed, switches: AnyPreset) -> np.ndarray:
+def counted(seen: Evidence, switches: AnyPreset) -> np.ndarray:
     """Return the number of views that show each texel to an estimator, (T,) uint32."""
-    if seen.found.clipped is None or not takes_clipped(switches):
+    if seen.clipped_coverage is None or not takes_clipped(switches):
         return seen.coverage
     return seen.shown
 
@@ -138,12 +140,18 @@ def _levels(run: Run, switches: AngularPreset) -> np.ndarray:
 
 
 def from_spectra(run: Run, switches: Preset) -> Posterior:
-    """Compare the power spectra of photographs and light (Sec. 3.3 of the paper)."""
+    """Compare the power spectra of photographs and light (Sec. 3.3 of the paper).
+
+    Raises:
+        OptionError: the photographs are not in this process; only sums add.
+    """
     plan, seen = run.plan, run.observed
+    if not isinstance(seen, Observed):
+        raise OptionError("Power spectra need all photographs in one place; omit the shards.")
     irradiance = None
     if isinstance(run.grid, PrincipledGrid):
         with run.progress.stage("Tracing occlusion"):
-            irradiance = _irradiance(run, switches)
+            irradiance = _irradiance(seen, plan, switches)
     with run.progress.stage("Fitting spectra"):
         spectra = fit_spectra(
             seen, switches, channels=plan.channels, light_channels=plan.light_channels,
@@ -164,11 +172,10 @@ def from_spectra(run: Run, switches: Preset) -> Posterior:
         )
 
 
-def _irradiance(run: Run, switches: Preset) -> np.ndarray:
+def _irradiance(seen: Observed, plan: Plan, switches: Preset) -> np.ndarray:
     """(T, C) irradiance of texels that may be seen; 0 for others."""
-    seen, channels = run.observed, run.plan.light_channels
-    result = np.zeros((seen.texels.count, run.plan.channels), np.float32)
-    light = seen.irradiance(switches, channels)
+    result = np.zeros((seen.texels.count, plan.channels), np.float32)
+    light = seen.irradiance(switches, plan.light_channels)
     result[seen.seen] = np.stack([value.numpy() for value in light], axis=-1)
     return result  # one channel of grey light is all of them
 

@@ -10,25 +10,23 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import inf
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.scene import require_light
 from svu_mi.errors import CaptureError
+from svu_mi.evidence import Evidence, Wanted
 from svu_mi.frequency.mirrored import MirroredLight
 from svu_mi.interop import owned
-from svu_mi.light import LightCells, Lighting, light, light_cells
+from svu_mi.light import LightCells, light_cells
 from svu_mi.options import AngularPreset, Fit, Preset
 from svu_mi.progress import Progress
 from svu_mi.reflection.model import Arriving, Model
 from svu_mi.statistics import Statistics, gather
-from svu_mi.statistics.censored import PASSES, best_models
-from svu_mi.statistics.gather import ALIKE, Weighting
-from svu_mi.statistics.rounding import rounding_variance
+from svu_mi.statistics.gather import Weighting
+from svu_mi.statistics.rounding import rounding_sums
 from svu_mi.surface import Texels
 from svu_mi.visibility import Surface, Survey, Views, pack_views, survey
 from svu_mi.visibility.pixels import as_channels
@@ -37,57 +35,25 @@ from svu_mi.visibility.reach import Mirrors, Reach, trace_mirrors, trace_reach
 log = logging.getLogger(__name__)
 
 BRIGHTEST = 1e12  # mean radiance; what is in range loses nothing to exposure
-DARK = 1e-2  # part of the light that counts as the unit of radiance when all is black
 COARSE = 8  # fine cells of the light per coarse one, on average
 
 
-@dataclass(eq=False)
-class Observed:
+@dataclass(eq=False, kw_only=True)
+class Observed(Evidence):
     """A capture's photographs, light, texels and their visibility; traced when first needed.
 
     Attributes:
-        capture: scene, photographs and light.
         views: the photographs that are used, packed.
-        texels: the T texels.
         found: which view sees which texel.
-        seen: (S,) int64, the texels that are worth any work: those that a photograph shows, or
-            all if nothing may be skipped.
     """
 
-    capture: Capture
     views: Views
-    texels: Texels
     found: Survey
-    seen: np.ndarray
     _reached: dict[Any, Reach] = field(default_factory=dict, repr=False)
-    _of_light: dict[Any, Any] = field(default_factory=dict, repr=False)
-
-    @property
-    def lighting(self) -> Lighting:
-        """The light; read when first asked for.
-
-        Raises:
-            SceneError: there is none, it cannot be read, or it is black.
-        """
-        if "lighting" not in self._of_light:
-            require_light(self.capture)
-            self._of_light["lighting"] = light(self.capture, sum(self.capture.used))
-        found: Lighting = self._of_light["lighting"]
-        return found
 
     def part(self, texels: np.ndarray) -> Observed:
-        """Return the same, of which only some texels are worth any work; the light is read once.
-
-        Args:
-            texels: (t,) their numbers among all T.
-        """
+        """Return the same, of which only some texels are worth any work (see ``Evidence``)."""
         return replace(self, seen=texels, _reached={})
-
-    @cached_property
-    def unit(self) -> float:
-        """Radiance that noise is a part of: the photographs' mean, or if that is 0, some of the
-        light's, since black under a known light is an observation too."""
-        return self.found.scale or DARK * float(self.lighting.environment.coefficients(0).mean())
 
     @cached_property
     def surface(self) -> Surface:
@@ -106,10 +72,31 @@ class Observed:
         """(T,) uint32, number of photographs that show each texel with nothing clipped."""
         return np.array(self.found.coverage)
 
+    @cached_property
+    def clipped_coverage(self) -> np.ndarray | None:
+        """(T,) uint32, number of those that show it with channels that are clipped (see
+        ``Evidence``)."""
+        return None if self.found.clipped is None else np.asarray(self.found.clipped_coverage)
+
     @property
-    def shown(self) -> np.ndarray:
-        """(T,) uint32, number of photographs that show each texel, clipped or not."""
-        return np.asarray(self.coverage + self.found.clipped_coverage, np.uint32)
+    def per_view(self) -> np.ndarray:
+        """(V,) int64, number of texels that each photograph that is used shows."""
+        return self.found.per_view
+
+    @property
+    def grey(self) -> bool:
+        """Whether all photographs are grey where they show the object."""
+        return self.views.grey
+
+    @property
+    def scale(self) -> float:
+        """Mean radiance of all samples; 0 if they are black."""
+        return self.found.scale
+
+    def prepare(self, switches: AngularPreset) -> None:
+        """Trace what light reaches the texels of ``seen``, if the model asks for that."""
+        if switches.traced:
+            self.reach(switches.cells, occluded=switches.occluded)
 
     @cached_property
     def mirrors(self) -> Mirrors:
@@ -203,49 +190,17 @@ class Observed:
             lanes[new] = len(self.seen) + np.arange(int(new.sum()))
         return known.at(lanes)
 
-    def statistics(
-        self, roughness: np.ndarray, switches: AngularPreset, channels: int, *,
-        light_channels: int | None = None, weighting: Weighting = ALIKE,
-        texels: np.ndarray | None = None,
-    ) -> Statistics:  # fmt: skip
-        """Gather what the photographs say of texels.
+    def _gather(self, wanted: Wanted) -> Statistics:
+        model = self.model(
+            wanted.roughness, wanted.switches, wanted.light_channels, wanted.texels
+        )
+        mirrors = self.mirrors if model.reads_mirrors else None
+        return gather(
+            self.views, self.found, model, mirrors, wanted.channels, wanted.weighting
+        )
 
-        Args:
-            roughness: (R,) levels.
-            switches: the reflection model.
-            channels: of the photographs, 3, or 1 for their mean.
-            light_channels: of the light; 1 if it is grey.
-            weighting: how much samples count; all alike by default. Where samples that are clipped
-                count by what they say (``statistics.censored``), it has a finite kappa and no
-                ``current``; otherwise they do not count.
-            texels: (t,) numbers of texels; by default those of ``seen``.
-        """
-        def gathered(weighting: Weighting, texels: np.ndarray | None) -> Statistics:
-            model = self.model(roughness, switches, light_channels or channels, texels)
-            mirrors = self.mirrors if model.reads_mirrors else None
-            return gather(self.views, self.found, model, mirrors, channels, weighting)
-
-        found = gathered(weighting, texels)
-        stay_out = weighting.current is not None or not weighting.kappa < inf
-        if self.found.clipped is None or stay_out:
-            return found
-        number = found.texel.numpy()
-        lanes = np.flatnonzero(self.found.bits.count()[number] != found.views.numpy())
-        lanes = np.union1d(lanes, np.flatnonzero(self.found.clipped.count()[number]))
-        if not len(lanes):
-            return found
-        some = found.at(lanes)
-        for _ in range(PASSES):
-            some = gathered(
-                replace(weighting, models=best_models(some)), number[lanes].astype(np.int64)
-            )
-        return found.replaced(lanes, some)
-
-
-    def rounding(self, weighting: Weighting) -> np.ndarray | None:
-        """Return the variance of a sample of weight 1 by rounding alone, of the texels of ``seen``:
-        (S,); None of floats."""
-        return rounding_variance(self.views, self.found, self.surface, weighting)
+    def _rounded(self, weighting: Weighting) -> np.ndarray | None:
+        return rounding_sums(self.views, self.found, self.surface, weighting)
 
 
 def observe(
@@ -270,15 +225,26 @@ def observe(
         views = pack_views(capture)
     with progress.stage("Tracing visibility"):
         found = survey(views, Surface.of(texels), skip_blind=skip_blind, skip_pairs=skip_pairs)
-    _require_seen(found, capture)
-    _require_range(found.scale)
-    observed = Observed(capture, views, texels, found, np.arange(texels.count))
+    require_seen(found.per_view, capture, clipped=bool(np.any(found.clipped_coverage)))
+    require_range(found.scale)
+    observed = Observed(
+        capture=capture, views=views, texels=texels, found=found, seen=np.arange(texels.count)
+    )
     return replace(observed, seen=np.flatnonzero(observed.shown)) if skip_unseen else observed
 
 
-def _require_seen(found: Survey, capture: Capture) -> None:
-    counts = found.per_view
-    if not counts.any() and np.any(found.clipped_coverage):
+def require_seen(counts: np.ndarray, capture: Capture, *, clipped: bool = False) -> None:
+    """Refuse photographs that show no texel; warn of each.
+
+    Args:
+        counts: (V,) number of texels that each photograph that is used shows.
+        capture: what they are of.
+        clipped: whether some show texels that are clipped.
+
+    Raises:
+        CaptureError: none shows any.
+    """
+    if not counts.any() and clipped:
         raise CaptureError(
             f"All that {len(counts)} photographs show of '{capture.shape.id()}' is clipped; expose "
             "for the object."
@@ -294,8 +260,12 @@ def _require_seen(found: Survey, capture: Capture) -> None:
         log.warning("%d photographs show no texel: %s", len(blind), ", ".join(blind[:5]))
 
 
-def _require_range(radiance: float) -> None:
-    """Squares of radiance must fit in single precision: black is an observation, 1e-30 is not."""
+def require_range(radiance: float) -> None:
+    """Squares of radiance must fit in single precision: black is an observation, 1e-30 is not.
+
+    Raises:
+        CaptureError: they do not.
+    """
     if radiance and not 1 / BRIGHTEST <= radiance <= BRIGHTEST:
         raise CaptureError(
             f"The photographs' mean radiance is {radiance:g}; scale them and the light so that it "

@@ -23,6 +23,7 @@ from svu_mi.capture import Capture
 from svu_mi.capture.scene import require_light, require_variant
 from svu_mi.errors import OptionError
 from svu_mi.estimators import Run, counted, from_angles, from_spectra, widened
+from svu_mi.evidence import Evidence
 from svu_mi.interop import owned
 from svu_mi.observed import Observed, observe
 from svu_mi.options import AngularPreset, AnyPreset, Method, Skip
@@ -55,7 +56,7 @@ class Estimate:
         skipped: what was not computed, by reason, as counts.
         timings: seconds per stage, synchronised.
         observed: what it was made from, for those who go on from here; it keeps the photographs
-            in memory.
+            in memory. None if they are in other processes.
         prior: the weights of cells that it was asked with, None for the usual ones.
     """
 
@@ -138,11 +139,11 @@ class Estimate:
 
 
 def subject_of(
-    source: Capture | Observed | Estimate, texels: Texels | None
+    source: Capture | Evidence | Estimate, texels: Texels | None
 ) -> tuple[Capture, Texels]:
     """Return what a source is about, without any work; arguments and errors of ``observed_of``."""
     if not isinstance(source, Capture):
-        seen = observed_of(source, texels)
+        seen = _evidence_of(source, texels)
         return seen.capture, seen.texels
     if texels is None:
         raise OptionError("A capture needs texels: svu.texels(capture.mesh, resolution).")
@@ -160,32 +161,43 @@ def observed_of(
         progress: shows what is going on.
 
     Raises:
-        OptionError: a capture without texels, other texels than those observed, or an estimate
-            that was not made from a capture.
+        OptionError: a capture without texels, other texels than those observed, an estimate that
+            was not made from a capture, or photographs that are in other processes.
         CaptureError: no texel is seen in any photograph, or radiance is out of range.
     """
+    if isinstance(source, Capture):
+        return observe(*subject_of(source, texels), progress)
+    found = _evidence_of(source, texels)
+    if not isinstance(found, Observed):
+        raise OptionError(
+            "The photographs are in shards, of which only estimates can be made; load the capture "
+            "with svu.load_capture(path)."
+        )
+    return found
+
+
+def _evidence_of(source: Evidence | Estimate, texels: Texels | None) -> Evidence:
+    """Return what to go on from; errors of ``observed_of``."""
     if isinstance(source, Estimate):
         if source.observed is None:
             raise OptionError(
-                "The estimate does not know its capture; use what svu.estimate() returns."
+                "The estimate does not know its capture; use what svu.estimate() returns of one."
             )
         source = source.observed
-    if not isinstance(source, Capture | Observed):
+    if not isinstance(source, Evidence):
         raise OptionError(
             f"A capture or an estimate is needed, got {type(source).__name__}; read a capture with "
             "svu.load_capture(path)."
         )
-    if isinstance(source, Observed):
-        if texels is not None and texels is not source.texels:
-            raise OptionError(
-                "The texels differ from those that were observed; omit them, or pass the capture."
-            )
-        return source
-    return observe(*subject_of(source, texels), progress)
+    if texels is not None and texels is not source.texels:
+        raise OptionError(
+            "The texels differ from those that were observed; omit them, or pass the capture."
+        )
+    return source
 
 
 def estimate(
-    source: Capture | Observed | Estimate,
+    source: Capture | Evidence | Estimate,
     texels: Texels | None = None,
     method: Method = "angular",
     preset: str | AnyPreset = "default",
@@ -200,8 +212,8 @@ def estimate(
     """Estimate how much a capture says about the reflectance of every texel.
 
     Args:
-        source: a capture (scene, photographs and light); or an estimate of one, whose rays need
-            not be traced again.
+        source: a capture (scene, photographs and light); an estimate of one, whose rays need not
+            be traced again; or what ``gather_shards`` has gathered.
         texels: texels of ``capture.mesh``; those of the estimate if there is one.
         method: the estimator. ``angular`` compares photographs with what the reflection model
             predicts for them, by statistics of all views; ``spectrum`` compares their power
@@ -242,13 +254,14 @@ def estimate(
     chosen = with_known(chosen, known, capture.shape)
     tables = log_prior(prior, chosen.shape, "estimate()")  # refused before any work
     require_light(capture)
+    seen: Evidence
     if isinstance(source, Capture):
         seen = observe(
             source, layout, progress,
             skip_unseen=skip.unseen, skip_blind=skip.blind, skip_pairs=skip.pairs,
         )  # fmt: skip
     else:
-        seen = observed_of(source, texels)
+        seen = _evidence_of(source, texels)
     with progress.stage("Reading the light"):
         _ = seen.lighting
     plan = make_plan(skip, switches, seen, chosen, tables)
@@ -262,10 +275,10 @@ def estimate(
             texels=seen.texels,
             posterior=posterior,
             coverage=owned(mi.UInt32, counted(seen, switches)),
-            seen_per_view=seen.found.per_view,
+            seen_per_view=seen.per_view,
             skipped=plan.skipped,
             timings=progress.timings,
-            observed=seen,
+            observed=seen if isinstance(seen, Observed) else None,
             prior=prior,
         )
         dr.eval(result.entropy)

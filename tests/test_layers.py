@@ -10,9 +10,9 @@ LAYERS = (
     "errors", "names", "memory", "needs", "limits", "quiet", "_reload", "_llvm", "_workers",
     "interop", "files", "npz", "exr", "results", "progress", "settings", "parameters", "switches",
     "options", "capture", "formats", "surface", "light", "visibility", "frequency", "reflection",
-    "statistics", "observed", "posterior", "skipping", "estimators", "pipeline", "prediction",
-    "illumination", "guidance", "regularization", "recovery", "reference", "metrics", "checking",
-    "output", "export", "batch", "bench", "cli",
+    "statistics", "evidence", "observed", "posterior", "skipping", "estimators", "pipeline",
+    "prediction", "illumination", "guidance", "regularization", "recovery", "reference", "metrics",
+    "checking", "output", "export", "shards", "batch", "bench", "cli",
 )  # fmt: skip
 # Built on the stages; only what stands at the very top may use them.
 ABOVE = {"plugins": ("output", "cli"), "scenes": ("output", "bench", "cli")}

@@ -12,6 +12,7 @@ from helpers import as_values, render_ball
 from test_reference import paint, sky
 
 import svu_mi as svu
+from svu_mi import evidence
 from svu_mi import observed as module
 from svu_mi.bench.captures import chosen_views
 from svu_mi.posterior import PrincipledGrid
@@ -40,8 +41,8 @@ def calls(monkeypatch) -> Counter[str]:
     """How often anything was traced, or read, where ``Observed`` is made."""
     counted: Counter[str] = Counter()
 
-    def watch(name: str) -> Callable[..., Any]:
-        original = getattr(module, name)
+    def watch(place: Any, name: str) -> Callable[..., Any]:
+        original = getattr(place, name)
 
         def called(*args: Any, **kwargs: Any) -> Any:
             counted[name] += 1
@@ -50,7 +51,8 @@ def calls(monkeypatch) -> Counter[str]:
         return called
 
     for name in TRACERS:
-        monkeypatch.setattr(module, name, watch(name))
+        place = evidence if name == "light" else module
+        monkeypatch.setattr(place, name, watch(place, name))
     return counted
 
 

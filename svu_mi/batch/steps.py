@@ -10,10 +10,7 @@ from pathlib import Path
 
 from svu_mi import __version__
 from svu_mi.batch.listing import OPTIONS, PATHS, Item
-
-LIGHT = "light"  # folder that a light which was found is kept in, beside the photographs
-# What commands keep beside the photographs.
-KEPT = ("unwrapped.ply", ".svu-lock")
+from svu_mi.capture.folder import stamps
 
 
 @dataclass(frozen=True)
@@ -70,18 +67,10 @@ def words_of(step: Step, item: Item, folder: Path, steps: Sequence[str]) -> list
 def key_of(words: Sequence[str], item: Item, before: str) -> str:
     """Return a digest of all that a step depends on: its command, the files of the capture, by
     their sizes and times, and the steps before it."""
-    text = json.dumps([__version__, list(words), before, _files(item)])
+    text = json.dumps([__version__, list(words), before, stamps(_places(item))])
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:32]
 
 
-def _files(item: Item) -> list[tuple[str, int, int]]:
-    places = [item.capture if item.capture.is_dir() else item.capture.parent]
-    places += [Path(item.options[name]) for name in PATHS if name in item.options]
-    found = []
-    for place in places:
-        for path in [place] if place.is_file() else sorted(place.rglob("*")):
-            own = path.relative_to(place).parts
-            if path.is_file() and path.name not in KEPT and own[:1] != (LIGHT,):
-                status = path.stat()
-                found.append((str(path), status.st_size, status.st_mtime_ns))
-    return found
+def _places(item: Item) -> list[Path]:
+    capture = item.capture if item.capture.is_dir() else item.capture.parent
+    return [capture, *(Path(item.options[name]) for name in PATHS if name in item.options)]

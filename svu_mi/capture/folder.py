@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,8 @@ from svu_mi.results.settling import settle
 from svu_mi.results.writing import Draft
 
 FILE = "capture.json"
+KEPT = ("unwrapped.ply", ".svu-lock")  # what commands keep beside photographs, and
+KEPT_FOLDERS = ("light", "light-gains")
 FORMAT = "svu-capture"
 VERSION = 1
 MAX_BYTES = 2**26  # of capture.json; ten times what as many sensors as possible take
@@ -215,3 +217,20 @@ def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> Non
         **draft.entries(),
     }
     write_json(draft.folder / FILE, record)
+
+
+def stamps(places: Iterable[Path]) -> list[tuple[str, int, int]]:
+    """Return paths, sizes and times of files, by which it is known whether inputs are the same.
+
+    Args:
+        places: files, and folders with all that is in them, but for what commands keep there.
+    """
+    found = []
+    for place in places:
+        for path in [place] if place.is_file() else sorted(place.rglob("*")):
+            own = path.relative_to(place).parts
+            kept = path.name in KEPT or (own and own[0] in KEPT_FOLDERS)
+            if path.is_file() and not kept:
+                status = path.stat()
+                found.append((str(path), status.st_size, status.st_mtime_ns))
+    return found

@@ -32,14 +32,16 @@ class Taken:
 
 
 def judged(
-    photographs: Sequence[Photograph], paths: Sequence[Path | None], names: Sequence[str]
-) -> tuple[list[str], tuple[bool, ...]]:
+    photographs: Sequence[Photograph], paths: Sequence[Path | None], names: Sequence[str], *,
+    some: bool = False,
+) -> tuple[list[str], tuple[bool, ...]]:  # fmt: skip
     """Say what was found in the photographs; leave out those without any light.
 
     Args:
         photographs: of V views.
         paths: V files; None where there is none, of which nothing is said.
         names: V names that the user knows them by.
+        some: these are not all photographs; all of them may be black.
 
     Returns:
         The sentences, and V booleans: whether a view is used.
@@ -53,7 +55,7 @@ def judged(
         if path is not None
     ]
     used = tuple(not photograph.black for photograph in photographs)
-    if taken and not any(used):
+    if taken and not any(used) and not some:
         raise CaptureError(
             f"{taken[0].path.parent}: all {len(taken)} photographs are entirely black; "
             "check the exposure and the channel names of the files."

@@ -21,7 +21,7 @@ from svu_mi.capture.judging import judged
 from svu_mi.capture.matching import Match, Missing, match_photographs, photographs_of
 from svu_mi.capture.mesh import covered_by_charts, has_uvs
 from svu_mi.capture.poses import film_size
-from svu_mi.capture.record import Capture
+from svu_mi.capture.record import Capture, Recipe
 from svu_mi.capture.scene import (
     find_environment,
     find_sensors,
@@ -55,6 +55,7 @@ def load_capture(
     preflight: Preflight | None = None,
     detail: Detail = WHOLE,
     memory: float | None = None,
+    views: Iterable[int] | None = None,
 ) -> Capture:
     """Read a scene and its photographs.
 
@@ -84,9 +85,12 @@ def load_capture(
             texels keep about one pixel across. By default they are kept as they are.
         memory: bytes that photographs may take, by default half of what is free. Beyond that they
             lie in a file, in TMPDIR or /var/tmp, which ends with the process.
+        views: numbers of the photographs to read, by default all. Others are views that are not
+            used, of NaN that takes no memory; none at all reads the scene and the poses.
 
     Raises:
-        OptionError: another word for ``missing`` or ``light``, or a path that is none.
+        OptionError: another word for ``missing`` or ``light``, a path that is none, or a view that
+            there is not.
         SvuEnvironmentError: no suitable Mitsuba variant is active.
         SceneError: the scene cannot be loaded or lacks something.
         CaptureError: photographs are missing, unreadable or do not fit.
@@ -99,7 +103,11 @@ def load_capture(
         )
     reading = Reading(
         unwrap=unwrap, missing=missing, light=light, preflight=preflight, detail=detail,
-        memory=memory,
+        memory=memory, views=None if views is None else frozenset(views),
+    )  # fmt: skip
+    recipe = Recipe(
+        path=path, images=images, shape=shape, defines=tuple((defines or {}).items()),
+        unwrap=unwrap, missing=missing, trust=trust, detail=detail,
     )  # fmt: skip
     path = Path(path)
     folder = Path(images) if images is not None else photographs_of(path)
@@ -129,7 +137,8 @@ def load_capture(
     sensors = description.make_sensors(folder) or find_sensors(scene, str(xml))
     if images is None:
         folder = photographs_of(path, [sensor.id() for sensor in sensors])
-    return read_capture(scene, sensors, folder, description, reading)
+    found = read_capture(scene, sensors, folder, description, reading)
+    return dataclasses.replace(found, recipe=recipe)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,6 +151,7 @@ class Reading:
     preflight: Preflight | None = None
     detail: Detail = WHOLE
     memory: float | None = None
+    views: frozenset[int] | None = None
 
     def __post_init__(self) -> None:
         words = {"missing": get_args(Missing), "light": get_args(Light)}
@@ -166,6 +176,7 @@ def read_capture(
     light = _light(scene, description, reading, folder)
     target = find_shape(scene, description.shape, label)
     found = _match(sensors, folder, description, reading)
+    paths = _chosen(found.paths, reading.views)
     exposures = _exposures(description.exposures, len(sensors), folder)
     windows = reading.detail.windows(target, sensors)
     films = [film_size(sensor) for sensor in sensors]
@@ -181,18 +192,18 @@ def read_capture(
         ))  # fmt: skip
 
     photographs = read_photographs(
-        found.paths, windows, exposures, films=films, memory=memory, opened=opened
+        paths, windows, exposures, films=films, memory=memory, opened=opened
     )
     sensors = [
         sensor if path is None else window.seen_by(sensor)
-        for sensor, window, path in zip(sensors, windows, found.paths, strict=True)
+        for sensor, window, path in zip(sensors, windows, paths, strict=True)
     ]
-    runs = {p: each.run for p, each in zip(found.paths, photographs, strict=True) if p is not None}
+    runs = {p: each.run for p, each in zip(paths, photographs, strict=True) if p is not None}
     capture_folder.require_one_run(folder, runs, description.run)
     names = found.names
     if len(description.photographs) == len(names):  # else somebody has changed capture.json
         names = [excerpt(name) for name in description.photographs]
-    notes, used = judged(photographs, found.paths, names)
+    notes, used = judged(photographs, paths, names, some=reading.views is not None)
     mesh, note = _texel_mesh(target, reading.unwrap, folder)
     notes = [*found.notes, *notes, *note, *ignored(scene, target)]
     notes += seen_from_behind(scene, target, sensors)
@@ -269,6 +280,18 @@ def _match(
     own = scene is None or scene.resolve().parent != folder.resolve()
     ids = [sensor.id() for sensor in sensors]
     return match_photographs(folder, ids, reading.missing, any_name=own)
+
+
+def _chosen(paths: Sequence[Path | None], views: frozenset[int] | None) -> list[Path | None]:
+    """Return the files of the views that are to be read; None for all others."""
+    if views is None:
+        return list(paths)
+    for view in sorted(views):
+        if not 0 <= view < len(paths):
+            raise OptionError(
+                f"load_capture(): there is no view {view}; there are {len(paths)}, from 0 on."
+            )
+    return [path if view in views else None for view, path in enumerate(paths)]
 
 
 def _texel_mesh(shape: Any, unwrap: bool, folder: Path | None) -> tuple[Any, list[str]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -24,6 +24,20 @@ class Doubt:
 
     widening: float = 1.0
     scale: tuple[float, ...] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """How a capture was loaded: arguments of ``load_capture``, to load it again elsewhere."""
+
+    path: str | Path
+    images: str | Path | None
+    shape: str | None
+    defines: tuple[tuple[str, str], ...]
+    unwrap: bool
+    missing: Literal["refuse", "leave-out"]
+    trust: bool
+    detail: Any
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -52,6 +66,7 @@ class Capture:
         files: V names of their files in ``source``; empty when it was made in memory.
         doubt: how uncertain the light is; None if it was given.
         found_light: the ``LightEstimate`` that is its light (``with_light``); None if it was given.
+        recipe: how it was loaded; None when it was made in memory.
     """
 
     scene: Any
@@ -71,6 +86,7 @@ class Capture:
     files: tuple[str, ...] = ()
     doubt: Doubt | None = None
     found_light: Any | None = None
+    recipe: Recipe | None = None
 
     def __repr__(self) -> str:
         sizes = sorted({image.shape[1::-1] for image in self.images})

@@ -124,7 +124,10 @@ def _scaled(
         lit = found.scaled(total)
         capture = replace(with_light(observed.capture, lit), doubt=None)
         # Rays to the cameras are the same ones; those to the light's cells are not.
-        seen = Observed(capture, observed.views, observed.texels, observed.found, observed.seen)
+        seen = Observed(
+            capture=capture, views=observed.views, texels=observed.texels, found=observed.found,
+            seen=observed.seen,
+        )  # fmt: skip
         factor = np.clip(wanted(estimate(seen, known=known)), 1 / FARTHEST, FARTHEST)
         total = total * factor
         if np.abs(np.log(factor)).max() < DONE:

@@ -115,15 +115,10 @@ def gather(
     none = dr.zeros(mi.Float, count if clipped else 1)
     zeros = (dr.zeros(mi.Float64, count), none, *(dr.zeros(mi.Float64, count) for _ in range(size)))
     weight, partly, *sums = found.over_views(views, surface, consume, zeros, clipped=clipped)
-    coverage = dr.gather(mi.UInt32, found.coverage, surface.index)
-    if clipped:
-        # What counts in part is not a whole view; but a texel that any view says something of is
-        # seen, even if it is brighter than all of them can say.
-        shown = dr.select(weight > 0, mi.UInt32(1), 0)
-        coverage = dr.maximum(mi.UInt32(partly + 0.01), shown)
-    dr.eval(coverage)
+    counts = partly if clipped else mi.Float(dr.gather(mi.UInt32, found.coverage, surface.index))
+    dr.eval(counts)
     return Statistics(
-        scattered(mi.Float64, [*sums, weight], surface.count), coverage, surface.index,
+        scattered(mi.Float64, [*sums, weight], surface.count), counts, surface.index,
         model.roughness, channels, kappa if current is None else nan, weighting.edges,
     )  # fmt: skip
 

@@ -20,10 +20,10 @@ from svu_mi.visibility import Observation, Survey, Views
 from svu_mi.visibility.observe import Surface
 
 
-def rounding_variance(
+def rounding_sums(
     views: Views, found: Survey, surface: Surface, weighting: Weighting
 ) -> np.ndarray | None:
-    """Return the variance of a sample of weight 1 by rounding alone.
+    """Return the variance of a sample of weight 1 by rounding alone, summed over samples.
 
     Args:
         views: the packed capture.
@@ -32,24 +32,21 @@ def rounding_variance(
         weighting: how much samples count.
 
     Returns:
-        (S,) float64, squared radiance, the mean over samples and channels; None where no
-        photograph is of integers.
+        (S,) float64, squared radiance, of a mean channel; None where no photograph is of integers.
     """
     if views.rounding is None:
         return None
     first, slope = views.rounding
     knee, eta = dr.opaque(mi.Float, weighting.kappa), dr.opaque(mi.Float, weighting.edges)
 
-    def consume(seen: Observation, slot: Any, total: Any, count: Any) -> tuple[Any, Any]:
+    def consume(seen: Observation, slot: Any, total: Any) -> tuple[Any]:
         view = dr.gather(mi.UInt32, found.order, slot)
         steps = (dr.gather(mi.Color3f, of_views, view) for of_views in (first, slope))
         of_channels = [variance(*of) for of in zip(seen.radiance, *steps, strict=True)]
         weight = noise_weight(sum(seen.radiance) / 3, knee, seen.contrast, eta)
         added = weight * sum(of_channels) / len(of_channels)
-        one = dr.select(seen.seen, mi.Float(1), 0)
-        return dr.fma(one, added, total), count + one
+        return (dr.fma(dr.select(seen.seen, mi.Float(1), 0), added, total),)
 
-    zeros = (dr.zeros(mi.Float, surface.count), dr.zeros(mi.Float, surface.count))
-    total, count = found.over_views(views, surface, consume, zeros)
-    dr.eval(total, count)
-    return np.asarray(total.numpy() / np.maximum(count.numpy(), 1), np.float64)
+    (total,) = found.over_views(views, surface, consume, (dr.zeros(mi.Float, surface.count),))
+    dr.eval(total)
+    return np.array(total, np.float64)

@@ -32,6 +32,7 @@ from svu_mi.statistics.blocks import in_blocks, rows_of
 from svu_mi.statistics.factors import PAIRS, Factors, factorize
 
 EDGES = AngularPreset.edges  # eta
+PARTLY = 0.01  # part of a view that sums of parts may lack to be a whole one
 
 
 def noise_weight(radiance: Any, kappa: Any, contrast: Any = 0.0, edges: Any = EDGES) -> Any:
@@ -49,7 +50,8 @@ class Statistics:
     Attributes:
         sums: (ceil(S / 16) * (R * C * P + 1) * 16,) Float64, squared radiance, in blocks (see
             ``blocks``): for level, channel and pair of columns, sum w x y. Then sum w.
-        views: (S,) UInt32, how many views see each texel.
+        counts: (S,) Float, how many views see each texel; one in which channels are clipped counts
+            in part.
         texel: (S,) UInt32, which of all texels each is.
         roughness: (R,) float64 of the levels.
         channels: C.
@@ -59,7 +61,7 @@ class Statistics:
     """
 
     sums: Any
-    views: Any
+    counts: Any
     texel: Any
     roughness: np.ndarray
     channels: int
@@ -103,12 +105,21 @@ class Statistics:
                 f"and {other.edges:g}) cannot be added, because their samples were weighted "
                 "differently; gather both with the same values."
             )
-        sums, views = self.sums + other.sums, self.views + other.views
-        dr.eval(sums, views)
-        return replace(self, sums=sums, views=views)
+        sums, counts = self.sums + other.sums, self.counts + other.counts
+        dr.eval(sums, counts)
+        return replace(self, sums=sums, counts=counts)
 
     def _shape(self) -> str:
         return f"{self.count} texels x {self.levels} levels x {self.channels} channels"
+
+    @cached_property
+    def views(self) -> Any:
+        """(S,) UInt32, how many views see each texel; those that count in part add up to whole
+        ones, and if any says something of a texel, that is seen."""
+        some = dr.select(self.counts > 0, mi.UInt32(1), 0)
+        views = dr.maximum(mi.UInt32(self.counts + PARTLY), some)
+        dr.eval(views)
+        return views
 
     def factor(self) -> Factors:
         """Return the square-root form, per unit of weight: what errors are taken from."""
@@ -126,20 +137,21 @@ class Statistics:
     def at(self, lanes: np.ndarray) -> Statistics:
         """Return the statistics of some lanes, by their numbers."""
         return self._with_rows(
-            rows_of(self.sums, self.rows, self.count)[:, lanes], self.views.numpy()[lanes],
+            rows_of(self.sums, self.rows, self.count)[:, lanes], self.counts.numpy()[lanes],
             self.texel.numpy()[lanes],
         )  # fmt: skip
 
     def replaced(self, lanes: np.ndarray, others: Statistics) -> Statistics:
         """Return statistics that are others' for some lanes."""
-        rows, views = rows_of(self.sums, self.rows, self.count).copy(), self.views.numpy().copy()
+        rows = rows_of(self.sums, self.rows, self.count).copy()
+        counts = self.counts.numpy().copy()
         rows[:, lanes] = rows_of(others.sums, others.rows, others.count)
-        views[lanes] = others.views.numpy()
-        return self._with_rows(rows, views, self.texel.numpy())
+        counts[lanes] = others.counts.numpy()
+        return self._with_rows(rows, counts, self.texel.numpy())
 
-    def _with_rows(self, rows: np.ndarray, views: np.ndarray, texel: np.ndarray) -> Statistics:
+    def _with_rows(self, rows: np.ndarray, counts: np.ndarray, texel: np.ndarray) -> Statistics:
         return replace(
-            self, sums=in_blocks(mi.Float64, rows), views=owned(mi.UInt32, views),
+            self, sums=in_blocks(mi.Float64, rows), counts=owned(mi.Float, counts),
             texel=owned(mi.UInt32, texel),
         )  # fmt: skip
 
@@ -182,7 +194,7 @@ class Statistics:
         rows = np.concatenate([table.reshape(-1, count), np.reshape(weight, (1, count))])
         return Statistics(
             sums=in_blocks(mi.Float64, rows),
-            views=owned(mi.UInt32, np.asarray(views, np.uint32)),
+            counts=owned(mi.Float, np.asarray(views, np.float32)),
             texel=dr.arange(mi.UInt32, count),
             roughness=np.asarray(roughness, np.float64), channels=channels, kappa=kappa,
         )  # fmt: skip

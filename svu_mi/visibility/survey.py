@@ -26,7 +26,8 @@ class Survey:
 
     Attributes:
         coverage: (T,) UInt32, number of views that see each texel.
-        total: (T,) Float, grey (channel mean) radiance summed over those views.
+        total: (T,) Float64, grey (channel mean) radiance summed over those views; in double
+            precision, so that sums of parts of the views are those of all.
         per_view: (V,) int64, number of texels that each view sees.
         bits: of V views and T texels: that of view v and texel t says whether v sees t.
         order: (N,) UInt32, the views that a pass goes through.
@@ -47,18 +48,8 @@ class Survey:
 
     @cached_property
     def scale(self) -> float:
-        """Mean grey radiance over all visible (texel, view) samples; 0 without any.
-
-        Texels far above the median count as 1000 times that: a few pixels that the camera has
-        got wrong, or that show the sun, say nothing about noise elsewhere.
-        """
-        samples = self.coverage.numpy().astype(np.float64)
-        total = self.total.numpy().astype(np.float64)
-        lit = total > 0
-        if not lit.any():
-            return 0.0
-        most = GLARE * np.median(total[lit] / samples[lit])
-        return float(np.minimum(total, most * samples).sum() / samples.sum())
+        """Mean grey radiance over all visible (texel, view) samples; 0 without any."""
+        return mean_radiance(self.coverage.numpy(), self.total.numpy())
 
     @property
     def clipped_coverage(self) -> np.ndarray | int:
@@ -106,6 +97,24 @@ class Survey:
         return fold(mi.UInt32(0), self.count, body, *state)
 
 
+def mean_radiance(coverage: np.ndarray, total: np.ndarray) -> float:
+    """Return the mean grey radiance of all samples; 0 without any.
+
+    Texels far above the median count as 1000 times that: a few pixels that the camera has got
+    wrong, or that show the sun, say nothing about noise elsewhere.
+
+    Args:
+        coverage: (T,) number of samples of each texel.
+        total: (T,) their radiance, summed.
+    """
+    samples, total = np.asarray(coverage, np.float64), np.asarray(total, np.float64)
+    lit = total > 0
+    if not lit.any():
+        return 0.0
+    most = GLARE * np.median(total[lit] / samples[lit])
+    return float(np.minimum(total, most * samples).sum() / samples.sum())
+
+
 def survey(
     views: Views, surface: Surface, *, skip_blind: bool = True, skip_pairs: bool = True
 ) -> Survey:
@@ -133,9 +142,9 @@ def survey(
             clipped.set(view, texel, seen.clipped)
             also = dr.select(seen.clipped, mi.UInt32(1), 0)
             dr.scatter_add(worth, also, view, seen.clipped, dr.ReduceMode.Local)
-        return found + one, total + as_channels(seen.radiance, 1)[0]
+        return found + one, total + mi.Float64(as_channels(seen.radiance, 1)[0])
 
-    zeros = dr.zeros(mi.UInt32, surface.count), dr.zeros(mi.Float, surface.count)
+    zeros = dr.zeros(mi.UInt32, surface.count), dr.zeros(mi.Float64, surface.count)
     found, total = over_views(views, surface, count, zeros, dense=not skip_pairs)
     dr.eval(found, total, per_view, worth, bits, clipped)
     counts = per_view.numpy()[: views.number].astype(np.int64)
