@@ -68,9 +68,7 @@ def from_angles(run: Run, switches: AngularPreset) -> Posterior:
 
 def _of_all(run: Run, switches: AngularPreset) -> Posterior:
     seen = run.observed
-    if switches.traced:
-        with run.progress.stage("Tracing occlusion"):
-            seen.prepare(switches)
+    seen.prepare(switches, run.progress)
     with run.progress.stage("Gathering statistics"):
         chosen = np.flatnonzero(seen.coverage) if _leaves_clipped_out(seen, switches) else None
         factors = _factors(run, seen, switches, chosen)

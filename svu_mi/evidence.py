@@ -19,6 +19,7 @@ from svu_mi.capture import Capture
 from svu_mi.capture.scene import require_light
 from svu_mi.light import Lighting, light
 from svu_mi.options import AngularPreset
+from svu_mi.progress import Progress
 from svu_mi.statistics import Statistics
 from svu_mi.statistics.censored import PASSES, best_models
 from svu_mi.statistics.gather import ALIKE, Weighting
@@ -103,7 +104,7 @@ class Evidence(ABC):
         ``seen``; None of floats."""
 
     @abstractmethod
-    def prepare(self, switches: AngularPreset) -> None:
+    def prepare(self, switches: AngularPreset, progress: Progress) -> None:
         """Trace what statistics of all of ``seen`` need, if that can be done ahead of time."""
 
     def part(self, texels: np.ndarray) -> Self:

@@ -93,10 +93,11 @@ class Observed(Evidence):
         """Mean radiance of all samples; 0 if they are black."""
         return self.found.scale
 
-    def prepare(self, switches: AngularPreset) -> None:
+    def prepare(self, switches: AngularPreset, progress: Progress) -> None:
         """Trace what light reaches the texels of ``seen``, if the model asks for that."""
         if switches.traced:
-            self.reach(switches.cells, occluded=switches.occluded)
+            with progress.stage("Tracing occlusion"):
+                self.reach(switches.cells, occluded=switches.occluded)
 
     @cached_property
     def mirrors(self) -> Mirrors:

@@ -18,7 +18,7 @@ from helpers import fails, run
 from svu_mi import scenes
 from svu_mi.batch import STEPS, Item, Shelf, read_list, write_index
 from svu_mi.batch.record import Done
-from svu_mi.batch.shelf import Ended, _Processes
+from svu_mi.batch.shelf import Ended, Processes
 from svu_mi.batch.steps import key_of, words_of
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.exr import read_exr
@@ -86,7 +86,7 @@ def test_a_list_that_is_not_there_and_steps_that_need_others(tmp_path, capsys):
 # --- steps ------------------------------------------------------------------------------------
 
 
-class Made(_Processes):
+class Made(Processes):
     """Commands that only put their proof where it belongs, and are counted."""
 
     def __init__(self, statuses=()):
@@ -110,7 +110,7 @@ def test_steps_are_made_once_and_again_if_anything_changed(shelf_of, tmp_path):
 
     def made(shelf, item=item):
         commands = Made()
-        outcome = shelf._work(item, commands)
+        outcome = shelf.work(item, commands)
         assert not outcome.sentence and outcome.made == len(commands.lines)
         return [line[0] for line in commands.lines]
 
@@ -142,10 +142,10 @@ def test_a_command_that_is_killed_is_tried_again_one_that_fails_is_not(shelf_of,
     item = Item("a", shelf_of("a") / "a")
     shelf = Shelf(output=tmp_path / "out", steps=["entropy"])
     commands = Made([-9, -9])
-    assert shelf._work(item, commands).made == 1 and len(commands.lines) == 3
+    assert shelf.work(item, commands).made == 1 and len(commands.lines) == 3
     shelf = Shelf(output=tmp_path / "other", steps=["entropy"])
-    assert shelf._work(item, Made([-9] * 3)).sentence == "entropy: was killed 3 times (signal 9)"
-    outcome = shelf._work(item, Made([2]))
+    assert shelf.work(item, Made([-9] * 3)).sentence == "entropy: was killed 3 times (signal 9)"
+    outcome = shelf.work(item, Made([2]))
     assert outcome.sentence == "entropy: went wrong" and not Done.read(outcome.folder).steps
 
 

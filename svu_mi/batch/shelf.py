@@ -56,9 +56,9 @@ class Shelf:
 
         Closing the iterator, or an exception such as Ctrl-C, ends the commands that are running.
         """
-        processes = _Processes()
+        processes = Processes()
         with ThreadPoolExecutor(self.workers) as threads:
-            work = [threads.submit(self._work, item, processes) for item in items]
+            work = [threads.submit(self.work, item, processes) for item in items]
             try:
                 for future in as_completed(work):
                     yield future.result()
@@ -67,7 +67,7 @@ class Shelf:
                     future.cancel()
                 processes.end()
 
-    def _work(self, item: Item, processes: _Processes) -> Outcome:
+    def work(self, item: Item, processes: Processes) -> Outcome:
         """Take the steps of one capture that are not done."""
         item = replace(item, options=self.options | item.options)
         folder = self.output / item.name
@@ -108,7 +108,7 @@ def _tried(run: Callable[[], Ended]) -> Ended:
     return ended
 
 
-class _Processes:
+class Processes:
     """The commands that are running; none starts any more once they were ended."""
 
     def __init__(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -11,6 +12,7 @@ import tyro
 from rich.console import Console
 
 from svu_mi.cli.common import Common, Interrupted, Output
+from svu_mi.cli.sharding import Address
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import pair
 from svu_mi.errors import OptionError
@@ -19,7 +21,7 @@ from svu_mi.progress import Progress
 from svu_mi.results.lock import locked
 
 if TYPE_CHECKING:
-    from svu_mi.batch import Outcome, Shelf
+    from svu_mi.batch import Item, Outcome, Shelf
 
 FAILED = 1  # exit status if a capture failed
 Step = Literal["entropy", "recover", "report", "export"]
@@ -43,6 +45,9 @@ class Batch(Common):
     """What to do; export needs recover."""
     workers: int = 1
     """Captures at a time, which share threads and memory."""
+    scheduler: Address = ""
+    """Address of a Dask scheduler, such as tcp://10.0.0.5:8786, whose workers take a capture at a
+    time each; they see the same files. By default everything runs here."""
     resolution: tuple[int, ...] = ()
     """Texels per side, or width and height, of captures that the list does not say it of."""
     preset: Literal["default", "fixed", "fast", "paper"] | None = None
@@ -58,7 +63,7 @@ class Batch(Common):
         with locked(self.output, "svu batch"):
             try:
                 with Progress(console).stage("Working on captures", len(items)) as stage:
-                    for outcome in shelf.run(items):
+                    for outcome in self._outcomes(shelf, items):
                         outcomes.append(outcome)
                         write_index(self.output, outcomes, len(items) - len(outcomes))
                         stage.update(len(outcomes), len(items))
@@ -74,6 +79,17 @@ class Batch(Common):
         say(console, _summary(outcomes, failed))
         return FAILED if failed else 0
 
+    def _outcomes(self, shelf: Shelf, items: Sequence[Item]) -> Iterator[Outcome]:
+        """Yield what became of captures, worked on here or by a cluster."""
+        if not self.scheduler:
+            yield from shelf.run(items)
+            return
+        from svu_mi.batch.cluster import run_there
+        from svu_mi.shards.cluster import connected
+
+        with connected(self.scheduler) as client:
+            yield from run_there(client, shelf, items)
+
     def _shelf(self) -> Shelf:
         """Return how captures are worked on.
 
@@ -84,6 +100,8 @@ class Batch(Common):
 
         if self.workers < 1:
             raise OptionError(f"--workers must be at least 1, got {self.workers}.")
+        if self.scheduler and self.workers > 1:
+            raise OptionError("--workers are of this machine; the scheduler has its own: omit it.")
         if "export" in self.steps and "recover" not in self.steps:
             raise OptionError("--steps export needs recover, too, whose textures it exports.")
         options: dict[str, str] = {} if self.preset is None else {"preset": self.preset}
@@ -91,7 +109,9 @@ class Batch(Common):
             width, height = pair(self.resolution, "--resolution")
             options["resolution"] = f"{width} {height}"
         threads = self.threads or max((os.cpu_count() or 1) // self.workers, FEWEST_THREADS)
-        words = ["-t", str(threads), "-m", self.variant, *(["--trust"] if self.trust else [])]
+        words = ["-m", self.variant, *(["--trust"] if self.trust else [])]
+        if self.threads or not self.scheduler:  # workers of a cluster know how many they have
+            words += ["-t", str(threads)]
         return Shelf(
             output=self.output, steps=[name for name in STEPS if name in self.steps],
             workers=self.workers, words=tuple(words), options=options,

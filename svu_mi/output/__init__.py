@@ -65,7 +65,9 @@ def write_outputs(
         OutputError: the folder or a file cannot be written.
     """
     knowledge = knowledge or Knowledge.of(estimate)
-    with writing(folder, "entropy", RECORD, capture=capture_key(capture)) as draft:
+    # Photographs that are in other processes have no digest here.
+    key = "" if estimate.observed is None else capture_key(capture)
+    with writing(folder, "entropy", RECORD, capture=key) as draft:
         write_maps(estimate, draft.folder)
         if pictures:
             write_overview(capture, estimate, draft.folder / "overview.png", knowledge)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from svu_mi.errors import OptionError, SvuEnvironmentError, SvuError, excerpt
@@ -13,13 +14,29 @@ Report = Callable[[int, int], None]
 SECONDS = 30  # to reach a scheduler
 
 
-def connect(address: str) -> Any:
-    """Return a Dask client of the scheduler at an address, such as ``tcp://10.0.0.5:8786``.
+@contextmanager
+def connected(address: str) -> Iterator[Any]:
+    """Be connected to the Dask scheduler at an address, such as ``tcp://10.0.0.5:8786``.
+
+    Yields:
+        A ``distributed.Client``; None without an address.
 
     Raises:
         SvuEnvironmentError: Dask is not installed.
         OptionError: nobody answers there.
     """
+    if not address:
+        yield None
+        return
+    client = _client(address)
+    try:
+        yield client
+    finally:
+        with suppress(Exception):  # it may have gone
+            client.close()
+
+
+def _client(address: str) -> Any:
     try:
         from distributed import Client
     except ImportError as error:
@@ -62,8 +79,7 @@ def _handed_out(
 ) -> list[Done]:
     from distributed import as_completed
 
-    if not client.scheduler_info().get("workers"):
-        raise OptionError("The cluster has no workers; start some with: dask worker ADDRESS.")
+    require_workers(client)
     futures = [
         client.submit(
             work_there, task, pure=False, allow_other_workers=task.shard in homes,
@@ -79,6 +95,16 @@ def _handed_out(
     finally:
         client.cancel(futures)
     return sorted(found, key=lambda done: done.shard)
+
+
+def require_workers(client: Any) -> None:
+    """Refuse a cluster that would wait for ever.
+
+    Raises:
+        OptionError: it has no workers.
+    """
+    if not client.scheduler_info().get("workers"):
+        raise OptionError("The cluster has no workers; start some with: dask worker ADDRESS.")
 
 
 def _result(future: Any) -> Done:

@@ -21,7 +21,7 @@ from svu_mi.illumination.finding import illuminated
 from svu_mi.illumination.folder import load_light
 from svu_mi.observed import require_range, require_seen
 from svu_mi.progress import Progress
-from svu_mi.shards.job import Ask, Job
+from svu_mi.shards.job import Ask, Job, texels_key
 from svu_mi.shards.sharded import Sharded, Tally, merged, parts
 from svu_mi.surface import Texels
 from svu_mi.surface import texels as lay_out
@@ -79,11 +79,11 @@ def gather_shards(
     job = _job(lit, layout, shards, given, Path(folder))
     tally = Tally()
     found = list(parts(client, job, Ask(kind="survey"), tally, progress))
-    if any(int(part["texels"]) != layout.count for part in found):
-        raise OptionError("gather_shards(): the texels are not of this capture's mesh.")
-    for sentence in dict.fromkeys(str(note) for part in found for note in part["notes"]):
+    notes = list(dict.fromkeys(str(note) for part in found for note in part["notes"]))
+    for sentence in notes:
         warnings.warn(sentence, SvuWarning, stacklevel=2)
-    lit = replace(lit, used=tuple(np.any([part["used"] for part in found], axis=0).tolist()))
+    used = tuple(np.any([part["used"] for part in found], axis=0).tolist())
+    lit = replace(lit, used=used, warnings=(*lit.warnings, *notes))
     if not any(lit.used):
         raise CaptureError(f"{lit.source}: none of {lit.count} photographs can be used.")
     seen = merged(found)
@@ -143,11 +143,11 @@ def _job(lit: Capture, layout: Texels, shards: int, light: Path | None, folder: 
              if not Path(stamp[0]).is_relative_to(kept)]  # fmt: skip
     key = Key([
         __version__, {name: repr(value) for name, value in load.items()}, repr(light),
-        list(layout.resolution), [list(part) for part in chosen], mi.variant(), scene,
+        texels_key(layout), [list(part) for part in chosen], mi.variant(), scene,
         list(lit.exposures), files,
     ]).digest()  # fmt: skip
     return Job(
-        folder=prepare_folder(kept / key[:16]), load=load, light=light,
-        resolution=layout.resolution, shards=tuple(chosen), variant=mi.variant(), key=key,
-        scene=scene, exposures=tuple(lit.exposures),
+        folder=prepare_folder(kept / key[:16]), load=load, light=light, key=key, scene=scene,
+        resolution=layout.resolution, texels=texels_key(layout), shards=tuple(chosen),
+        variant=mi.variant(), exposures=tuple(lit.exposures),
     )  # fmt: skip

@@ -13,6 +13,7 @@ from typing import Any, Literal
 from svu_mi import __version__
 from svu_mi.capture.fingerprint import Key
 from svu_mi.options import AngularPreset
+from svu_mi.surface import Texels
 
 Kind = Literal["survey", "statistics", "rounding"]
 
@@ -26,6 +27,7 @@ class Job:
         load: arguments of ``load_capture``; paths are absolute.
         light: of the capture, a folder that ``svu light`` wrote or a map; None for the scene's own.
         resolution: of the texels, (W, H).
+        texels: digest of them (``texels_key``), which workers must find, too.
         shards: numbers of each one's views.
         variant: of Mitsuba.
         key: digest of all of this, and of the files.
@@ -37,11 +39,17 @@ class Job:
     load: dict[str, Any] = field(repr=False)
     light: Path | None
     resolution: tuple[int, int]
+    texels: str
     shards: tuple[tuple[int, ...], ...]
     variant: str
     key: str
     scene: str
     exposures: tuple[float, ...] = field(repr=False)
+
+
+def texels_key(texels: Texels) -> str:
+    """Return a digest of which texels lie where on a mesh."""
+    return Key(texels.index.numpy(), texels.face.numpy()).digest()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -95,7 +95,7 @@ class Sharded(Evidence):
         """Mean radiance of all samples (see ``Evidence``)."""
         return self.merged.scale
 
-    def prepare(self, switches: AngularPreset) -> None:
+    def prepare(self, switches: AngularPreset, progress: Progress) -> None:
         """Do nothing: workers trace what they need."""
 
     def clear(self) -> None:

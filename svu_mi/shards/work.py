@@ -32,7 +32,7 @@ from svu_mi.memory import free_memory
 from svu_mi.needs import Need, Sizes
 from svu_mi.npz import read_arrays, write_arrays
 from svu_mi.observed import Observed
-from svu_mi.shards.job import Ask, Done, Job, Task
+from svu_mi.shards.job import Ask, Done, Job, Task, texels_key
 from svu_mi.statistics.censored import Models
 from svu_mi.statistics.gather import Weighting
 from svu_mi.surface import Texels, texels
@@ -133,7 +133,7 @@ def _loaded(task: Task, worker: Worker) -> Loaded:
     kept = _kept.setdefault(job.key, Kept())
     if task.shard not in kept.shards:
         capture, notes = _read(job, task.shard, worker)
-        kept.texels = kept.texels or texels(capture.mesh, job.resolution)
+        kept.texels = kept.texels or _laid_out(capture, job)
         views, found = None, None
         if any(capture.used):
             with warnings.catch_warnings(record=True) as said:
@@ -143,6 +143,16 @@ def _loaded(task: Task, worker: Worker) -> Loaded:
             notes += _sentences(said)
         kept.shards[task.shard] = Loaded(capture, views, found, notes)
     return kept.shards[task.shard]
+
+
+def _laid_out(capture: Capture, job: Job) -> Texels:
+    found = texels(capture.mesh, job.resolution)
+    if texels_key(found) != job.texels:
+        raise CaptureError(
+            f"{job.load['path']}: the texels are not of the capture's mesh, or not of this size; "
+            "make them with svu.texels(capture.mesh, resolution)."
+        )
+    return found
 
 
 def _read(job: Job, shard: int, worker: Worker) -> tuple[Capture, tuple[str, ...]]:
@@ -194,7 +204,6 @@ def _surveyed(loaded: Loaded, job: Job) -> dict[str, Any]:
     count, found = kept.texels.count, loaded.found
     arrays: dict[str, Any] = {
         "used": np.array(loaded.capture.used), "notes": np.array(loaded.notes, dtype=np.str_),
-        "texels": count,
     }  # fmt: skip
     if found is None or loaded.views is None:
         return arrays | {
