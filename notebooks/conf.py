@@ -54,6 +54,7 @@ notebooks/guiding
 notebooks/recovering
 notebooks/results
 notebooks/many
+notebooks/cluster
 notebooks/limits
 notebooks/promises
 notebooks/troubleshooting

@@ -125,7 +125,8 @@ def _job(lit: Capture, layout: Texels, shards: int, light: Path | None, folder: 
     if lit.found_light is not None and light is None:
         raise OptionError(
             "gather_shards(): the light was found in the photographs; save it with "
-            "svu.save_light(), and give the folder as light=."
+            "svu.save_light(), and give the folder as light=.",
+            shell="The light was found in the photographs; give the folder it is in with --light.",
         )
     views = [view for view in range(lit.count) if lit.used[view] or not any(lit.used)]
     chosen = [tuple(map(int, part)) for part in np.array_split(views, min(shards, len(views)))]

@@ -149,8 +149,8 @@ def _laid_out(capture: Capture, job: Job) -> Texels:
     found = texels(capture.mesh, job.resolution)
     if texels_key(found) != job.texels:
         raise CaptureError(
-            f"{job.load['path']}: the texels are not of the capture's mesh, or not of this size; "
-            "make them with svu.texels(capture.mesh, resolution)."
+            f"{job.load['path']}: the texels are not of the capture's mesh; lay them out on that, "
+            "in the same size."
         )
     return found
 
@@ -183,7 +183,7 @@ def _read(job: Job, shard: int, worker: Worker) -> tuple[Capture, tuple[str, ...
     if scene_key(capture.scene, capture.shape) != job.scene:
         raise CaptureError(
             f"{job.load['path']}: a worker reads another scene or light than was given; give the "
-            "light as a file (light=), and files that all workers see alike."
+            "light as a file, and files that all workers see alike."
         )
     if tuple(capture.exposures) != job.exposures:
         raise CaptureError(
