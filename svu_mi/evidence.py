@@ -167,14 +167,17 @@ class Evidence(ABC):
         if clipped is None or stay_out:
             return found
         number = found.texel.numpy()
-        partly = (self.coverage[number] != found.views.numpy()) | (clipped[number] > 0)
+        # A sample whose middle is not clipped may be so in part.
+        partly = (clipped[number] > 0) | (self.coverage[number] != found.views.numpy())
         lanes = np.flatnonzero(partly)
         if not len(lanes):
             return found
-        some, texels = found.at(lanes), number[lanes].astype(np.int64)
+        # What is not clipped stays; samples that are clipped come beside it.
+        plain, texels = found.at(lanes), number[lanes].astype(np.int64)
+        some = plain
         for _ in range(PASSES):
             around = replace(weighting, models=best_models(some))
-            some = self._gather(replace(wanted, weighting=around, texels=texels))
+            some = plain + self._gather(replace(wanted, weighting=around, texels=texels))
         return found.replaced(lanes, some)
 
     def rounding(self, weighting: Weighting) -> np.ndarray | None:

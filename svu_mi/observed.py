@@ -25,10 +25,11 @@ from svu_mi.options import AngularPreset, Fit, Preset
 from svu_mi.progress import Progress
 from svu_mi.reflection.model import Arriving, Model
 from svu_mi.statistics import Statistics, gather
-from svu_mi.statistics.gather import Weighting
+from svu_mi.statistics.gather import Weighting, clipped_samples
 from svu_mi.statistics.rounding import rounding_sums
 from svu_mi.surface import Texels
 from svu_mi.visibility import Surface, Survey, Views, pack_views, survey
+from svu_mi.visibility.bits import Bits
 from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import Mirrors, Reach, trace_mirrors, trace_reach
 
@@ -50,10 +51,11 @@ class Observed(Evidence):
     views: Views
     found: Survey
     _reached: dict[Any, Reach] = field(default_factory=dict, repr=False)
+    _last: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def part(self, texels: np.ndarray) -> Observed:
         """Return the same, of which only some texels are worth any work (see ``Evidence``)."""
-        return replace(self, seen=texels, _reached={})
+        return replace(self, seen=texels, _reached={}, _last={})
 
     @cached_property
     def surface(self) -> Surface:
@@ -195,10 +197,20 @@ class Observed(Evidence):
         model = self.model(
             wanted.roughness, wanted.switches, wanted.light_channels, wanted.texels
         )
-        mirrors = self.mirrors if model.reads_mirrors else None
-        return gather(
-            self.views, self.found, model, mirrors, wanted.channels, wanted.weighting
-        )
+        mirrors, weighting = self.mirrors if model.reads_mirrors else None, wanted.weighting
+        if weighting.models is not None:
+            samples = self._clipped_samples(wanted.texels, model.surface)
+            weighting = replace(weighting, models=replace(weighting.models, samples=samples))
+        return gather(self.views, self.found, model, mirrors, wanted.channels, weighting)
+
+    def _clipped_samples(self, texels: np.ndarray | None, surface: Surface) -> Bits:
+        """Return which samples have clipped channels; several passes ask for those of the same
+        texels."""
+        chosen = self.seen if texels is None else texels
+        if "clipped" not in self._last or self._last["clipped"][0] is not chosen:
+            self._last["clipped"] = chosen, clipped_samples(self.views, self.found, surface)
+        found: Bits = self._last["clipped"][1]
+        return found
 
     def _rounded(self, weighting: Weighting) -> np.ndarray | None:
         return rounding_sums(self.views, self.found, self.surface, weighting)

@@ -68,12 +68,11 @@ def test_the_best_models_are_those_of_a_search():
     found = best_models(Statistics.of(
         table, np.full(5, 12.0), np.full(5, 12), np.linspace(0, 1, 3), 1.0))  # fmt: skip
     assert isinstance(found, Models)
-    values = found.values.numpy().reshape(5, -1)
-    assert values.shape[1] == 3 * 3 + 1
+    values, sigma = found.values.numpy().reshape(5, 3, 3), found.sigma.numpy()
     for level in range(3):
-        np.testing.assert_allclose(values[:, 3 * level], 0.5, atol=1e-6)
-        np.testing.assert_allclose(values[:, 3 * level + 1 : 3 * level + 3], truth, atol=0.02)
-    assert (values[:, -1] < 0.03).all() and (values[:, -1] >= 0.01).all()
+        np.testing.assert_allclose(values[:, level, 0], 0.5, atol=1e-6)
+        np.testing.assert_allclose(values[:, level, 1:], truth, atol=0.02)
+    assert (sigma < 0.03).all() and (sigma >= 0.01).all()
 
 
 # --- photographs ------------------------------------------------------------------------------

@@ -496,3 +496,27 @@ def test_statistics_of_a_table_are_that_table():
     np.testing.assert_array_equal(statistics.weight, weight)
     np.testing.assert_array_equal(statistics.views.numpy(), np.arange(21))
     assert (statistics.levels, statistics.channels, statistics.count) == (3, 2, 21)
+
+
+@pytest.mark.parametrize("count", [1, 16, 37])
+def test_statistics_of_some_lanes_and_back(count):
+    rng = np.random.default_rng(count)
+    table, weight = rng.random((2, 3, 10, count)), rng.random(count)
+    statistics = Statistics.of(table, weight, np.arange(1, count + 1), np.array([0.0, 1.0]), 2.0)
+    lanes = rng.permutation(count)[: max(count // 2, 1)]
+    some = statistics.at(lanes)
+    np.testing.assert_array_equal(some.table(), table[..., lanes])
+    np.testing.assert_array_equal(some.weight, weight[lanes])
+    np.testing.assert_array_equal(some.views.numpy(), lanes + 1)
+    np.testing.assert_array_equal(some.texel.numpy(), lanes)
+    twice = statistics.replaced(lanes, some + some)
+    wanted = table.copy()
+    wanted[..., lanes] *= 2
+    np.testing.assert_array_equal(twice.table(), wanted)
+    assert twice.views.numpy()[lanes].tolist() == (2 * (lanes + 1)).tolist()
+    np.testing.assert_array_equal(statistics.table(), table)  # as it was
+    nothing = np.zeros(0, np.int64)
+    assert statistics.at(nothing).count == 0
+    np.testing.assert_array_equal(
+        statistics.replaced(nothing, statistics.at(nothing)).table(), table
+    )

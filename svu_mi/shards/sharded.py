@@ -148,6 +148,7 @@ class Sharded(Evidence):
         arrays = {"texels": np.asarray(texels, np.int64)}
         if weighting.models is not None:
             arrays["models"] = weighting.models.values.numpy()
+            arrays["sigma"] = weighting.models.sigma.numpy()
         path = self.job.folder / f"inputs-{Key(arrays).digest()[:16]}.npz"
         if not path.exists():
             write_arrays(path, arrays)

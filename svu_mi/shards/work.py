@@ -218,14 +218,16 @@ def _surveyed(loaded: Loaded, job: Job) -> dict[str, Any]:
 
 
 def _summed(task: Task, loaded: Loaded) -> dict[str, Any]:
-    """Return sums over the views of a shard; nothing, if none of them can be used."""
+    """Return sums over the views of a shard; nothing, if none of them has anything to add."""
     ask, kept = task.ask, _kept[task.job.key]
     assert ask.inputs is not None and kept.texels is not None
     if loaded.views is None or loaded.found is None:
         return {}
+    inputs = read_arrays(ask.inputs)
+    if "models" in inputs and loaded.found.clipped is None:
+        return {}
     if kept.reached[0] != ask.inputs:
         kept.reached = (ask.inputs, {})
-    inputs = read_arrays(ask.inputs)
     observed = Observed(
         capture=loaded.capture, texels=kept.texels, seen=inputs["texels"], lit_for=ask.lit_for,
         views=loaded.views, found=loaded.found, _of_light=kept.of_light, _reached=kept.reached[1],
@@ -245,7 +247,8 @@ def _summed(task: Task, loaded: Loaded) -> dict[str, Any]:
 def _weighting(ask: Ask, inputs: dict[str, np.ndarray]) -> Weighting:
     models = None
     if "models" in inputs:
-        models = Models(owned(mi.Float, inputs["models"]), ask.channels)
+        values, sigma = (owned(mi.Float, inputs[name]) for name in ("models", "sigma"))
+        models = Models(values, sigma, ask.channels)
     return Weighting(ask.kappa, ask.edges, models=models)
 
 

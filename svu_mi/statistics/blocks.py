@@ -50,6 +50,41 @@ def rows_of(values: Any, rows: int, count: int) -> np.ndarray:
     return np.moveaxis(blocks, 1, 0).reshape(rows, -1)[:, :count]
 
 
+def taken(values: Any, rows: int, lanes: Any) -> Any:
+    """Return the values of some texels, in blocks, in the order of ``lanes`` (UInt32)."""
+    count = dr.width(lanes)
+    if not count:
+        return type(values)()
+    place = dr.arange(mi.UInt32, size(rows, count))
+    lane, row = _lane_and_row(place, rows)
+    held = lane < dr.opaque(mi.UInt32, count)
+    source = start(dr.gather(mi.UInt32, lanes, lane, held), dr.opaque(mi.UInt32, rows))
+    found = dr.gather(type(values), values, source + row * BLOCK, held)
+    dr.eval(found)
+    return found
+
+
+def put(values: Any, rows: int, lanes: Any, others: Any) -> Any:
+    """Return values of which those of some texels are others', which ``taken`` is the order of."""
+    count = dr.width(lanes)
+    if not count:
+        return values
+    place = dr.arange(mi.UInt32, size(rows, count))
+    lane, row = _lane_and_row(place, rows)
+    held = lane < dr.opaque(mi.UInt32, count)
+    target = start(dr.gather(mi.UInt32, lanes, lane, held), dr.opaque(mi.UInt32, rows))
+    result = type(values)(values)
+    dr.scatter(result, others, target + row * BLOCK, held, dr.ReduceMode.NoConflicts)
+    dr.eval(result)
+    return result
+
+
+def _lane_and_row(place: Any, rows: int) -> tuple[Any, Any]:
+    """Return which texel, and which of its values, stands at a place."""
+    block = dr.opaque(mi.UInt32, rows * BLOCK)
+    return place // block * BLOCK + place % BLOCK, place % block // BLOCK
+
+
 class Reader:
     """Reads values of the texels of a launch.
 

@@ -10,12 +10,14 @@ curvature there (a censored normal [Tobin 1958] by re-weighted least squares [Gr
     h = lambda (lambda + z'),                  lambda = phi(z') / Phi(z'):
 
 a sample of radiance t that counts h; b and 1 where the model is far below, none where it is far
-above. Roughness levels have sums of their own, so each has a parabola around its own best model:
-that one of them explains a highlight does not excuse the others.
+above. Such samples are summed up by themselves, and added to what is not clipped. Roughness levels
+have sums of their own, so each has a parabola around its own best model: that one of them explains
+a highlight does not excuse the others.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,8 +28,11 @@ import numpy as np
 from svu_mi.interop import owned
 from svu_mi.parameters import MIXED
 from svu_mi.reflection.principled import mixture
+from svu_mi.statistics.blocks import Reader
 from svu_mi.statistics.factors import PAIRS
 from svu_mi.statistics.sums import Statistics
+from svu_mi.visibility.bits import Bits
+from svu_mi.visibility.observe import fold
 
 CLIPPED_PART = 0.05  # of a texel's pixels in a view, from which it counts as clipped
 PASSES = 2  # parabolas, each around what the one before leads to
@@ -36,6 +41,7 @@ PARAMETERS = 3.0  # of a texel at one roughness, in samples of three channels
 FEWEST_FREE = 1.0  # samples more than those, by which noise is divided at least
 ENOUGH = 3.0  # samples more than those, from which a texel knows its own noise
 LEAST_NOISE = 0.01  # part of kappa
+TIE = 1e-9  # part of an error by which another is not less: models may be equally good
 BELOW, ABOVE = 3.0, 5.0  # standard deviations below b where lambda is its bound [Sampford 1953],
 # and above b where nothing is left to say
 
@@ -45,25 +51,28 @@ class Models:
     """The best model of every texel at every level of roughness.
 
     Attributes:
-        values: (S * (R * (M + C) + 1),) Float: of each level what mixes the columns, and base
-            colours; then the standard deviation of a sample that counts 1.
+        values: (S * R * (M + C),) Float: of each level what mixes the columns, and base colours.
+        sigma: (S,) Float, standard deviation of a sample that counts 1.
         channels: C.
+        samples: which samples have clipped channels (``gather.clipped_samples``).
     """
 
     values: Any
+    sigma: Any
     channels: int
+    samples: Bits | None = None
 
     def of_level(self, lane: Any, level: int, levels: int) -> tuple[list[Any], list[Any]]:
         """Return what mixes the columns, and base colours, of lanes at a level: Floats."""
-        size = len(MIXED) + self.channels
-        start = lane * (levels * size + 1) + level * size
-        found = [dr.gather(mi.Float, self.values, start + k) for k in range(size)]
+        start = (lane * levels + level) * (len(MIXED) + self.channels)
+        found = [
+            dr.gather(mi.Float, self.values, start + k) for k in range(len(MIXED) + self.channels)
+        ]
         return found[: len(MIXED)], found[len(MIXED) :]
 
-    def noise(self, lane: Any, levels: int) -> Any:
+    def noise(self, lane: Any) -> Any:
         """Return the standard deviation of lanes."""
-        stride = levels * (len(MIXED) + self.channels) + 1
-        return dr.gather(mi.Float, self.values, lane * stride + (stride - 1))
+        return dr.gather(mi.Float, self.sigma, lane)
 
 
 def parabola(model: Any, least: Any, noise: Any) -> tuple[Any, Any]:
@@ -87,42 +96,70 @@ def parabola(model: Any, least: Any, noise: Any) -> tuple[Any, Any]:
 def best_models(statistics: Statistics) -> Models:
     """Return the models with the least squared error at every level, of all texels."""
     levels, channels, count = statistics.levels, statistics.channels, statistics.count
-    mean = statistics.table() / np.maximum(statistics.weight, 1e-300)  # (R, C, P, S)
-    least = np.full((levels, count), np.inf)
-    chosen = np.zeros((levels, len(MIXED) + channels, count))
+    size = len(MIXED) + channels
+    reader, lane = Reader(statistics.sums, statistics.rows, count), dr.arange(mi.UInt32, count)
+    weight = reader.read(dr.opaque(mi.UInt32, statistics.rows - 1))
+    scale = dr.select(weight > 0, dr.rcp(dr.select(weight > 0, weight, 1)), 0)
+    values = dr.zeros(mi.Float, count * levels * size)
     axes = np.meshgrid(*[np.linspace(0, 1, NODES)] * len(MIXED), indexing="ij")
-    for mixed in np.stack([axis.ravel() for axis in axes], axis=1):
-        color, error = _best_color(mean, mixed)
-        better = error < least
-        least = np.where(better, error, least)
-        own = np.broadcast_to(mixed[:, None], (levels, len(mixed), count))
-        chosen = np.where(better[:, None], np.concatenate([own, color], axis=1), chosen)
-    flat = np.concatenate([chosen.reshape(-1, count), _noise(statistics, least)[None]])
-    return Models(owned(mi.Float, flat.T.astype(np.float32).ravel()), channels)
+    nodes = np.stack([axis.ravel() for axis in axes], axis=1)
+    dr.eval(values, scale)
+
+    def search(level: Any, least: Any) -> tuple[Any, Any]:
+        first = level * (channels * len(PAIRS))
+        mean = [[scale * reader.read(first + c * len(PAIRS) + p) for p in range(len(PAIRS))]
+                for c in range(channels)]  # fmt: skip
+        error, best = mi.Float64(dr.inf), [mi.Float64(0)] * size
+        for mixed in nodes:
+            colors, here = _best_color(mean, mixed)
+            better = here < error * (1 - TIE)
+            error = dr.select(better, here, error)
+            best = [dr.select(better, new, old)
+                    for new, old in zip([*mixed, *colors], best, strict=True)]  # fmt: skip
+        place = (lane * levels + level) * size
+        for k, value in enumerate(best):
+            dr.scatter(values, mi.Float(value), place + k, mode=dr.ReduceMode.NoConflicts)
+        return level + 1, dr.minimum(least, error)
+
+    end = dr.opaque(mi.UInt32, levels)
+    (least,) = fold(mi.UInt32(0), end, search, dr.full(mi.Float64, dr.inf, count))
+    dr.eval(least, values)
+    sigma = _noise(statistics, least.numpy(), weight.numpy())
+    return Models(values, owned(mi.Float, sigma.astype(np.float32)), channels)
 
 
-def _best_color(mean: np.ndarray, mixed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the base colours (R, C, S) of least error, and that (R, S), given what mixes the
-    columns and the weighted means (R, C, P, S) of their products."""
-    start = np.array(mixture(*mixed).at(0.0), np.float64)
-    slope = np.array(mixture(*mixed).at(1.0), np.float64) - start
+def _best_color(mean: list[list[Any]], mixed: np.ndarray) -> tuple[list[Any], Any]:
+    """Return the base colour of each channel that has the least error, and the sum of that over
+    channels, given what mixes the columns and the weighted means of their products."""
+    start = mixture(*mixed).at(0.0)
+    slope = [float(b - a) for a, b in zip(start, mixture(*mixed).at(1.0), strict=True)]
+    colors, error = [], mi.Float64(0)
+    for of_channel in mean:
+        square = _form(of_channel, slope, slope)
+        cross = _form(of_channel, slope, start)
+        # A channel that is clipped in all views is as bright as can be, before anything is known.
+        inside = dr.clip(-cross / dr.select(square > 0, square, 1), 0, 1)
+        color = dr.select(square > 0, inside, 1)
+        colors.append(color)
+        error += square * color * color + 2 * cross * color + _form(of_channel, start, start)
+    return colors, error
 
-    def form(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        factors = [a[i] * b[j] + (a[j] * b[i] if i != j else 0) for i, j in PAIRS]
-        return np.asarray(np.einsum("rcps,p->rcs", mean, np.array(factors)))
 
-    square, cross = form(slope, slope), form(slope, start)
-    # A channel that is clipped in all views is as bright as can be, before anything is known of it.
-    color = np.where(square > 0, np.clip(-cross / np.maximum(square, 1e-300), 0, 1), 1)
-    error = square * color**2 + 2 * cross * color + form(start, start)
-    return color, error.sum(axis=1)
+def _form(mean: list[Any], a: Sequence[float], b: Sequence[float]) -> Any:
+    """Return the mean of (a . columns) (b . columns)."""
+    total = mi.Float64(0)
+    for (i, j), value in zip(PAIRS, mean, strict=True):
+        factor = float(a[i] * b[j] + (a[j] * b[i] if i != j else 0))
+        if factor:
+            total = dr.fma(value, factor, total)
+    return total
 
 
-def _noise(statistics: Statistics, least: np.ndarray) -> np.ndarray:
-    """Return the standard deviation (S,) of samples that count 1, given errors (R, S)."""
+def _noise(statistics: Statistics, least: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return the standard deviation (S,) of samples that count 1, given the least errors (S,)."""
     views = np.asarray(statistics.views.numpy(), np.float64)
-    error = np.maximum(least.min(axis=0), 0) / statistics.channels
-    variance = error * statistics.weight / np.maximum(views - PARAMETERS, FEWEST_FREE)
+    error = np.maximum(least, 0) / statistics.channels
+    variance = error * weight / np.maximum(views - PARAMETERS, FEWEST_FREE)
     enough = views >= PARAMETERS + ENOUGH
     # Of texels that are clipped in nearly all views, nothing is known; they are like others.
     usual = float(np.median(variance[enough])) if enough.any() else 0.0

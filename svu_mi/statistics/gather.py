@@ -18,7 +18,8 @@ from svu_mi.statistics.blocks import scattered
 from svu_mi.statistics.censored import CLIPPED_PART, Models, parabola
 from svu_mi.statistics.factors import PAIRS
 from svu_mi.statistics.sums import EDGES, Statistics, noise_weight
-from svu_mi.visibility import Observation, Survey, Views
+from svu_mi.visibility import Observation, Surface, Survey, Views
+from svu_mi.visibility.bits import Bits
 from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import Mirrors
 
@@ -37,8 +38,8 @@ class Weighting:
     Attributes:
         kappa: radiance around which they begin to count less (see ``Statistics``).
         edges: how much less those on edges of a photograph count (``noise_weight``).
-        models: of the texels, that clipped samples are compared with (``censored``); without any,
-            clipped channels of a sample do not count.
+        models: of the texels, that clipped channels are compared with (``censored``); nothing but
+            those channels counts then. Without any, all others do.
         current: parameters of the texels. Samples then also count less the more these are off,
             by 1 / |r - b|: squares become absolute errors [Holland and Welsch 1977]. Sums that
             are weighted so never add to others: their kappa is NaN. Levels must be uniform on
@@ -96,8 +97,7 @@ def gather(
             shown: list[list[Shown]] = [[Shown(b) for b in observed]] * levels
             part: Any = mi.Float(1)
             if clipped:
-                lane = surface.lane
-                shown = _clipped(lobes, observed, seen.clipped, w, lane, weighting.models)
+                shown = _clipped(lobes, observed, seen.clipped, w, surface.lane, weighting.models)
                 part = sum(one.part for of_level in shown for one in of_level) / (levels * channels)
                 number = number + dr.select(seen.seen, part, 0)
             weight, w = weight + mi.Float64(part * w), mi.Float64(w)
@@ -111,16 +111,36 @@ def gather(
             true_fn=add, false_fn=lambda *state: state,
         )  # fmt: skip
 
+    among = weighting.models.samples if weighting.models is not None else None
     count, size = surface.count, levels * channels * len(PAIRS)
     none = dr.zeros(mi.Float, count if clipped else 1)
     zeros = (dr.zeros(mi.Float64, count), none, *(dr.zeros(mi.Float64, count) for _ in range(size)))
-    weight, partly, *sums = found.over_views(views, surface, consume, zeros, clipped=clipped)
+    weight, partly, *sums = found.over_views(
+        views, surface, consume, zeros, clipped=clipped, among=among
+    )
     counts = partly if clipped else mi.Float(dr.gather(mi.UInt32, found.coverage, surface.index))
     dr.eval(counts)
     return Statistics(
         scattered(mi.Float64, [*sums, weight], surface.count), counts, surface.index,
         model.roughness, channels, kappa if current is None else nan, weighting.edges,
     )  # fmt: skip
+
+
+def clipped_samples(views: Views, found: Survey, surface: Surface) -> Bits:
+    """Return which samples of S texels have channels that are clipped: a bit per number of a view
+    in ``found.order`` and lane."""
+    bits = Bits.clear(views.number, surface.count)
+
+    def consume(seen: Observation, slot: Any, found: Any) -> tuple[Any]:
+        flagged = seen.seen & (dr.max(seen.clipped) > CLIPPED_PART)
+        bits.set(slot, surface.lane, flagged)
+        return (found | flagged,)
+
+    (some,) = found.over_views(
+        views, surface, consume, (dr.zeros(mi.Bool, surface.count),), clipped=True
+    )
+    dr.eval(bits, some)
+    return bits
 
 
 def flat(values: Values) -> list[Any]:
@@ -171,13 +191,13 @@ def _clipped(
         dropped = [Shown(b, dr.select(flag, mi.Float(0), 1))
                    for b, flag in zip(observed, flags, strict=True)]  # fmt: skip
         return [dropped] * len(lobes)
-    noise, found = models.noise(lane, len(lobes)) * dr.rsqrt(dr.maximum(weight, 1e-6)), []
+    noise, found = models.noise(lane) * dr.rsqrt(dr.maximum(weight, 1e-6)), []
     for number, level in enumerate(lobes):
         mixed, color = models.of_level(lane, number, len(lobes))
         of_level = []
         for b, flag, r in zip(observed, flags, radiance(level, color, mixed), strict=True):
             t, h = parabola(r, b, noise)
-            of_level.append(Shown(dr.select(flag, t, b), dr.select(flag, h, mi.Float(1))))
+            of_level.append(Shown(t, dr.select(flag, h, 0)))
         found.append(of_level)
     return found
 

@@ -28,7 +28,7 @@ from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
 from svu_mi.reflection.principled import mixture
-from svu_mi.statistics.blocks import in_blocks, rows_of
+from svu_mi.statistics.blocks import in_blocks, put, rows_of, taken
 from svu_mi.statistics.factors import PAIRS, Factors, factorize
 
 EDGES = AngularPreset.edges  # eta
@@ -136,24 +136,22 @@ class Statistics:
 
     def at(self, lanes: np.ndarray) -> Statistics:
         """Return the statistics of some lanes, by their numbers."""
-        return self._with_rows(
-            rows_of(self.sums, self.rows, self.count)[:, lanes], self.counts.numpy()[lanes],
-            self.texel.numpy()[lanes],
+        chosen = owned(mi.UInt32, lanes.astype(np.uint32))
+        return replace(
+            self, sums=taken(self.sums, self.rows, chosen),
+            counts=dr.gather(mi.Float, self.counts, chosen),
+            texel=dr.gather(mi.UInt32, self.texel, chosen),
         )  # fmt: skip
 
     def replaced(self, lanes: np.ndarray, others: Statistics) -> Statistics:
-        """Return statistics that are others' for some lanes."""
-        rows = rows_of(self.sums, self.rows, self.count).copy()
-        counts = self.counts.numpy().copy()
-        rows[:, lanes] = rows_of(others.sums, others.rows, others.count)
-        counts[lanes] = others.counts.numpy()
-        return self._with_rows(rows, counts, self.texel.numpy())
-
-    def _with_rows(self, rows: np.ndarray, counts: np.ndarray, texel: np.ndarray) -> Statistics:
+        """Return statistics that are others' for some lanes, each of which comes once."""
+        chosen = owned(mi.UInt32, lanes.astype(np.uint32))
+        counts = mi.Float(self.counts)
+        dr.scatter(counts, others.counts, chosen)
+        dr.eval(counts)
         return replace(
-            self, sums=in_blocks(mi.Float64, rows), counts=owned(mi.Float, counts),
-            texel=owned(mi.UInt32, texel),
-        )  # fmt: skip
+            self, sums=put(self.sums, self.rows, chosen, others.sums), counts=counts
+        )
 
     def table(self) -> np.ndarray:
         """Return the sums as (R, C, P, S) float64."""

@@ -58,15 +58,20 @@ class Survey:
         return 0 if self.clipped is None else np.asarray(self.clipped.count(), np.uint32)
 
     def look(
-        self, views: Views, surface: Surface, slot: Any, clipped: bool = False
-    ) -> Observation:
+        self, views: Views, surface: Surface, slot: Any, *, clipped: bool = False,
+        among: Bits | None = None,
+    ) -> Observation:  # fmt: skip
         """Observe every texel of a launch in the view ``order[slot]``, with clipped pixels or
-        without."""
+        without; ``among`` some samples only, a bit per slot and lane."""
         view = dr.gather(mi.UInt32, self.order, slot)
-        seen = self.bits.test(view, surface.index)
+        if among is not None:
+            seen = among.test(slot, surface.lane)
+        else:
+            seen = self.bits.test(view, surface.index)
         if not clipped or self.clipped is None:
             return look(views, surface, view, seen, dense=self.dense)
-        seen |= self.clipped.test(view, surface.index)
+        if among is None:
+            seen |= self.clipped.test(view, surface.index)
         return look(views, surface, view, seen, dense=self.dense, clipped=True)
 
     def asked(self, seen: Any) -> Any:
@@ -75,7 +80,7 @@ class Survey:
 
     def over_views(
         self, views: Views, surface: Surface, consume: Callable[..., Any],
-        state: tuple[Any, ...], *, clipped: bool = False,
+        state: tuple[Any, ...], *, clipped: bool = False, among: Bits | None = None,
     ) -> tuple[Any, ...]:  # fmt: skip
         """Run a consumer over all views in one symbolic loop.
 
@@ -86,13 +91,15 @@ class Survey:
                 The view is ``order[slot]``.
             state: Dr.Jit arrays, one value per texel of the launch.
             clipped: observe clipped pixels, too.
+            among: samples to observe (``look``); by default all.
 
         Returns:
             The state after the last view.
         """
 
         def body(slot: Any, *state: Any) -> tuple[Any, ...]:
-            return (slot + 1, *consume(self.look(views, surface, slot, clipped), slot, *state))
+            seen = self.look(views, surface, slot, clipped=clipped, among=among)
+            return (slot + 1, *consume(seen, slot, *state))
 
         return fold(mi.UInt32(0), self.count, body, *state)
 
