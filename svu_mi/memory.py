@@ -16,17 +16,30 @@ GROUP_FILES = (
     ("memory", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_"),
 )
 DROPPED = ("inactive_file", "active_file")
+_allowed: list[int] = []  # bytes that this process may take, if anybody has said so
 
 
 def free_memory() -> int | None:
     """Return bytes that can still be had, all that there are at worst; None where nobody says."""
-    known = [size for size in (_available(), *_group_rooms()) if size is not None]
+    own = [max(size - _own(), 0) for size in _allowed]
+    known = [size for size in (_available(), *_group_rooms(), *own) if size is not None]
     return min(known, default=None)
+
+
+def allow(size: int) -> None:
+    """Let this process take so many bytes at most, as one of several that share a machine."""
+    _allowed[:] = [size]
 
 
 def resident() -> int:
     """Return bytes of memory that this process holds; 0 where nobody says."""
     return _status("VmRSS") or 0
+
+
+def _own() -> int:
+    """Return bytes of memory that this process holds, other than of files."""
+    anonymous = _status("RssAnon")
+    return resident() if anonymous is None else anonymous
 
 
 def address_space() -> tuple[int, int] | None:

@@ -47,13 +47,14 @@ def run_there(client: Any, shelf: Shelf, items: Sequence[Item]) -> Iterator[Outc
 
 
 def work_there(shelf: Shelf, item: Item) -> Outcome:
-    """Take the steps of one capture, in a worker of a cluster, with as many threads as it has."""
+    """Take the steps of one capture, in a worker of a cluster, with its threads and its memory."""
     from distributed import get_worker
 
-    words = shelf.words
+    worker, words = get_worker(), shelf.words
     if "-t" not in words:
-        words += ("-t", str(max(get_worker().state.nthreads, FEWEST_THREADS)))
-    return replace(shelf, words=words).work(item, Processes())
+        words += ("-t", str(max(worker.state.nthreads, FEWEST_THREADS)))
+    memory = worker.memory_manager.memory_limit or 0
+    return replace(shelf, words=words).work(item, Processes(memory))
 
 
 def _absolute(item: Item) -> Item:

@@ -20,6 +20,7 @@ from typing import NamedTuple
 from svu_mi.batch.listing import Item
 from svu_mi.batch.record import Done, Outcome, figures_of
 from svu_mi.batch.steps import STEPS, key_of, words_of
+from svu_mi.memory import free_memory
 
 TRIES = 3  # of a command that is killed from outside
 KILOBYTE = 1024
@@ -56,7 +57,9 @@ class Shelf:
 
         Closing the iterator, or an exception such as Ctrl-C, ends the commands that are running.
         """
-        processes = Processes()
+        free = free_memory()
+        share = 0 if free is None or self.workers == 1 else free // self.workers
+        processes = Processes(share)
         with ThreadPoolExecutor(self.workers) as threads:
             work = [threads.submit(self.work, item, processes) for item in items]
             try:
@@ -111,14 +114,16 @@ def _tried(run: Callable[[], Ended]) -> Ended:
 class Processes:
     """The commands that are running; none starts any more once they were ended."""
 
-    def __init__(self) -> None:
+    def __init__(self, memory: int = 0) -> None:
+        self._memory = memory
         self._lock = threading.Lock()
         self._running: set[subprocess.Popen[bytes]] = set()
         self._over = False
 
     def run(self, words: Sequence[str]) -> Ended:
         """Run ``svu`` with words, to its end."""
-        line = [sys.executable, "-m", "svu_mi.batch.worker", str(os.getpid()), *words]
+        own = [str(os.getpid()), str(self._memory)]
+        line = [sys.executable, "-m", "svu_mi.batch.worker", *own, *words]
         with self._lock:
             if self._over:
                 return Ended(1, "not begun", 0)

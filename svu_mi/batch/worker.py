@@ -1,6 +1,8 @@
 """A command in a process of its own, which ends with the batch that started it.
 
-    python -m svu_mi.batch.worker PARENT entropy capture -o out/entropy ...
+    python -m svu_mi.batch.worker PARENT MEMORY entropy capture -o out/entropy ...
+
+MEMORY is how many bytes it may take; 0 for all that there are.
 """
 
 from __future__ import annotations
@@ -10,6 +12,8 @@ import os
 import runpy
 import signal
 import sys
+
+from svu_mi.memory import allow
 
 PR_SET_PDEATHSIG = 1  # of prctl, on Linux
 
@@ -28,4 +32,6 @@ def end_with(parent: int) -> None:
 
 if __name__ == "__main__":
     end_with(int(sys.argv.pop(1)))
+    if size := int(sys.argv.pop(1)):
+        allow(size)
     runpy.run_module("svu_mi", run_name="__main__", alter_sys=True)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from svu_mi.cli.common import Output, announcing
-from svu_mi.cli.inputs import Folder, Gained, Missing, OfScene, with_search
+from svu_mi.cli.inputs import Folder, Gained, Memory, Missing, OfScene, with_search
 from svu_mi.cli.terminal import say
-from svu_mi.cli.words import given
+from svu_mi.cli.words import bytes_of, given
 from svu_mi.needs import Need, Sizes
 from svu_mi.progress import Progress
 from svu_mi.results.writing import claimed
@@ -50,6 +50,9 @@ class CheckCapture(OfScene):
     none), and say how they drift and which photographs do not fit the others."""
     strict: bool = False
     """Exit with status 3 if something does not fit."""
+    memory: Memory = ""
+    """Memory that photographs may take, such as 4G; beyond it they lie in a file. By default half
+    of what is free."""
 
     def need(self, sizes: Sizes) -> Need:
         """Return what memory the command takes."""
@@ -66,14 +69,14 @@ class CheckCapture(OfScene):
         from svu_mi.checking import check
         from svu_mi.output.check_page import write_check
 
-        defines = self.defines()
+        defines, memory = self.defines(), bytes_of(self.memory, "--memory")
         with claimed(self.output, "svu check"):
             self.start()
             progress = Progress(console)
             with progress.stage("Loading the capture"):
                 capture = load_capture(
                     self.scene, self.images, shape=self.shape, defines=defines, trust=self.trust,
-                    missing=self.missing, light="optional",
+                    missing=self.missing, light="optional", memory=memory,
                     detail=Detail(side=SIDE),  # nothing is cropped: poses may be wrong
                     preflight=announcing(progress, str(self.images or self.scene), self.need),
                 )  # fmt: skip
@@ -84,7 +87,6 @@ class CheckCapture(OfScene):
         _print(console, found, capture)
         say(console, f"Wrote {self.output / 'check.html'}")
         return WRONG if self.strict and not found.fits else 0
-
 
     def _gains(self, capture: Capture, progress: Progress) -> FoundGains:
         """Find gains, and light if there is none."""

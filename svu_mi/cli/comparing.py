@@ -12,9 +12,9 @@ import tyro
 from rich.console import Console
 
 from svu_mi.cli.common import Common, Output, announcing
-from svu_mi.cli.inputs import Resolution, with_search
+from svu_mi.cli.inputs import Memory, Resolution, with_search
 from svu_mi.cli.terminal import say
-from svu_mi.cli.words import given, pair
+from svu_mi.cli.words import bytes_of, given, pair
 from svu_mi.needs import MODELS, Need, Size, Sizes
 from svu_mi.progress import Progress
 from svu_mi.results.writing import claimed
@@ -44,6 +44,9 @@ class Compare(Common):
     """Texels per side, or width and height; by default those of the coarser textures, or 512."""
     tolerance: float = 0.05
     """Difference that counts where it is not known how certain both are."""
+    memory: Memory = ""
+    """Memory that the photographs of a capture may take, such as 4G; beyond it they lie in a file.
+    By default half of what is free."""
 
     def run(self, console: Console) -> int:
         """Compare, write the page, and say what was found."""
@@ -62,6 +65,7 @@ class Compare(Common):
             found = compare(
                 self.a, self.b, preset=preset, resolution=size, tolerance=self.tolerance,
                 trust=self.trust, progress=progress, preflight=preflight,
+                memory=bytes_of(self.memory, "--memory"),
             )  # fmt: skip
             with progress.stage("Writing the page"):
                 write_comparison(found, self.output, settings=given(self))
@@ -74,6 +78,6 @@ class Compare(Common):
         model = max(self.preset, key=MODELS.__getitem__)
         need = Need(
             "compare", sizes.photographs, texels, light=sizes.light, model=model,
-            charts=sizes.charts,
+            charts=sizes.charts, stored=sizes.stored, memory=sizes.memory,
         )  # fmt: skip
         return with_search(need, sizes)

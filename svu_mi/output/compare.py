@@ -121,6 +121,7 @@ def compare(
     trust: bool = False,
     progress: Progress | None = None,
     preflight: Callable[[str, tuple[int, int]], Preflight] | None = None,
+    memory: float | None = None,
 ) -> Comparison:
     """Compare two results about one object.
 
@@ -142,6 +143,7 @@ def compare(
         progress: shows what is going on.
         preflight: by the path of a capture and the (width, height) of its maps, the
             ``preflight`` of ``load_capture``.
+        memory: as of ``load_capture``.
 
     Raises:
         CaptureError: they are not of one object, or have nothing in common; or as
@@ -157,7 +159,9 @@ def compare(
         for source, name in zip((a, b), names, strict=True)
     ]
     size = asked or _size([side for side in sides if side is not None])
-    work = Work(size=size, trust=trust, progress=progress or Progress(), preflight=preflight)
+    work = Work(
+        size=size, trust=trust, progress=progress or Progress(), preflight=preflight, memory=memory
+    )
     first, second = (
         side or estimated(source, name, chosen, work)
         for side, source, name, chosen in zip(sides, (a, b), names, presets, strict=True)

@@ -14,6 +14,7 @@ from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.fingerprint import mesh_key
 from svu_mi.capture.loading import Preflight
 from svu_mi.capture.mesh import arrays, make, read_ply
+from svu_mi.capture.window import Detail
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.exr import read_exr
 from svu_mi.files import read_json
@@ -86,12 +87,14 @@ class Work:
         trust: as of ``load_capture``.
         progress: shows what is going on.
         preflight: by the path of a capture and ``size``, what ``load_capture`` takes.
+        memory: bytes that photographs may take, likewise.
     """
 
     size: tuple[int, int]
     trust: bool = False
     progress: Progress = field(default_factory=Progress)
     preflight: Callable[[str, tuple[int, int]], Preflight] | None = None
+    memory: float | None = None
 
 
 def estimated(source: Source, name: str, preset: str, work: Work) -> Side:
@@ -110,8 +113,9 @@ def estimated(source: Source, name: str, preset: str, work: Work) -> Side:
         preflight = None if work.preflight is None else work.preflight(str(source), work.size)
         with work.progress.stage("Loading the capture"):
             source = load_capture(
-                source, trust=work.trust, light="optional", preflight=preflight
-            )
+                source, trust=work.trust, light="optional", preflight=preflight,
+                detail=Detail(texels=work.size), memory=work.memory,
+            )  # fmt: skip
         source = illuminated(source, progress=work.progress)
     assert isinstance(source, Capture)
     laid_out = texels(source.mesh, work.size)

@@ -28,7 +28,7 @@ from svu_mi.evidence import Wanted
 from svu_mi.illumination.finding import illuminated
 from svu_mi.interop import owned
 from svu_mi.limits import FEWEST_THREADS
-from svu_mi.memory import free_memory
+from svu_mi.memory import allow, free_memory
 from svu_mi.needs import Need, Sizes
 from svu_mi.npz import read_arrays, write_arrays
 from svu_mi.observed import Observed
@@ -100,7 +100,9 @@ def work(task: Task, worker: Worker | None = None) -> Done:
         if worker.address:  # a process of its own: nobody else has chosen
             mi.set_variant(task.job.variant)  # noqa: TID251
             dr.set_thread_count(max(worker.threads, FEWEST_THREADS))
-        loaded = _loaded(task, worker)
+            if worker.memory:
+                allow(worker.memory)
+        loaded = _loaded(task)
         arrays = _surveyed(loaded, task.job) if task.ask.kind == "survey" else _summed(task, loaded)
         write_arrays(task.path, arrays)
         _log(task, "done")
@@ -125,14 +127,14 @@ def _is_whole(path: Path) -> bool:
     return True
 
 
-def _loaded(task: Task, worker: Worker) -> Loaded:
+def _loaded(task: Task) -> Loaded:
     """Load the photographs of a shard and find out what they see, once per process."""
     job = task.job
     if job.key not in _kept:
         _kept.clear()
     kept = _kept.setdefault(job.key, Kept())
     if task.shard not in kept.shards:
-        capture, notes = _read(job, task.shard, worker)
+        capture, notes = _read(job, task.shard)
         kept.texels = kept.texels or _laid_out(capture, job)
         views, found = None, None
         if any(capture.used):
@@ -155,11 +157,10 @@ def _laid_out(capture: Capture, job: Job) -> Texels:
     return found
 
 
-def _read(job: Job, shard: int, worker: Worker) -> tuple[Capture, tuple[str, ...]]:
+def _read(job: Job, shard: int) -> tuple[Capture, tuple[str, ...]]:
     """Read the photographs of a shard, and make sure that they are those of the job."""
     free = free_memory()
-    most = worker.memory if worker.memory is not None else free
-    room = None if most is None else SHARE * most / len(job.shards)
+    room = None if free is None else SHARE * free / len(job.shards)
 
     def preflight(sizes: Sizes) -> None:
         need = Need(
@@ -167,12 +168,6 @@ def _read(job: Job, shard: int, worker: Worker) -> tuple[Capture, tuple[str, ...
             stored=sizes.stored, memory=sizes.memory,
         )  # fmt: skip
         need.require(f"{job.load['path']}, shard {shard}")
-        if worker.memory is not None and need.bytes > worker.memory:
-            raise CaptureError(
-                f"{job.load['path']}, shard {shard}: needs {need.bytes / 1e9:.2g} GB, its worker "
-                f"may use {worker.memory / 1e9:.2g}; start workers with more memory, or use more "
-                "shards."
-            )
 
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")

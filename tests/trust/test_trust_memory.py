@@ -127,6 +127,16 @@ def test_free_memory_is_that_of_the_machine(proc):
     assert memory.free_memory() == 4_096_000_000
 
 
+def test_free_memory_is_what_this_process_is_allowed(proc, monkeypatch):
+    """As one of several: less what it has taken itself."""
+    monkeypatch.setattr(memory, "_allowed", [])
+    (proc / "status").write_text("VmRSS: 900 kB\nRssAnon: 300 kB\n")
+    memory.allow(1_000_000)
+    assert memory.free_memory() == 1_000_000 - 300 * 1024
+    memory.allow(1_000)
+    assert memory.free_memory() == 0
+
+
 def test_free_memory_is_that_of_the_container(proc):
     group(proc / "groups", memory_max="max")
     assert memory.free_memory() == 4_096_000_000
