@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -98,6 +99,7 @@ class TiledPosterior(Posterior):
                 self._keep(moments, texels, tile)
             done += len(texels)
             self.report(done, len(self._seen))
+        dr.flush_malloc_cache()  # a tile's statistics, which nobody needs any more
         return entropy, moments
 
     @cached_property
