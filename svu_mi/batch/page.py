@@ -35,7 +35,7 @@ def write_index(output: Path, outcomes: Sequence[Outcome], waiting: int = 0) -> 
     table = csv.writer(text, lineterminator="\n")
     table.writerow(COLUMNS)
     table.writerows(_cells(outcome) for outcome in rows)
-    write_text(output / TABLE, text.getvalue())
+    write_text(output / TABLE, text.getvalue().removesuffix("\n"))
     write_page(
         output / INDEX, "batch.html", rows=[_row(outcome) for outcome in rows],
         count=len(rows), failed=len(failed), waiting=waiting,
