@@ -47,6 +47,7 @@ COSTS = {
     "entropy": Cost(430e6, 23),
     "recover": Cost(410e6, 28),
     "guide": Cost(600e6, 24, 600, 1.25e6),
+    "relight": Cost(480e6, 23, texel=120),
     "report": Cost(480e6, 23),
     "view": Cost(540e6, 23),
     "check": Cost(370e6, 23),

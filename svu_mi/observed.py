@@ -29,6 +29,7 @@ from svu_mi.statistics.gather import Weighting, clipped_samples
 from svu_mi.statistics.rounding import rounding_sums
 from svu_mi.surface import Texels
 from svu_mi.visibility import Surface, Survey, Views, pack_views, survey
+from svu_mi.visibility.ahead import read_ahead
 from svu_mi.visibility.bits import Bits
 from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import Mirrors, Reach, trace_mirrors, trace_reach
@@ -197,6 +198,7 @@ class Observed(Evidence):
         model = self.model(
             wanted.roughness, wanted.switches, wanted.light_channels, wanted.texels
         )
+        read_ahead(self.views, model.surface)
         mirrors, weighting = self.mirrors if model.reads_mirrors else None, wanted.weighting
         if weighting.models is not None:
             samples = self._clipped_samples(wanted.texels, model.surface)

@@ -12,6 +12,7 @@ import mmap
 import os
 import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -87,12 +88,34 @@ def _in_file(count: int, kind: Any) -> np.ndarray:
 def look_up_here_and_there(block: np.ndarray) -> None:
     """Tell the operating system that photographs in a file are no longer read in their order:
     what it reads ahead, some of it megabytes, would push out what is needed."""
-    base = block
+    found = in_file(block)
+    if found is not None and hasattr(mmap, "MADV_RANDOM"):
+        found.memory.madvise(mmap.MADV_RANDOM)
+
+
+@dataclass(frozen=True)
+class InFile:
+    """Where an array is in a file.
+
+    Attributes:
+        memory: the file, mapped.
+        first: byte of it that the array begins with.
+    """
+
+    memory: mmap.mmap
+    first: int
+
+
+def in_file(block: np.ndarray) -> InFile | None:
+    """Return where an array is in the file that it lies in; None for one in memory."""
+    base: Any = block
     while isinstance(base, np.ndarray) and base.base is not None:
         base = base.base
     mapped = base.obj if isinstance(base, memoryview) else base
-    if isinstance(mapped, mmap.mmap) and hasattr(mmap, "MADV_RANDOM"):
-        mapped.madvise(mmap.MADV_RANDOM)
+    if not isinstance(mapped, mmap.mmap):
+        return None
+    start = np.frombuffer(mapped, np.uint8).__array_interface__["data"][0]
+    return InFile(mapped, block.__array_interface__["data"][0] - start)
 
 
 def in_one_block(images: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -27,6 +27,7 @@ from svu_mi.cli.importing import Import
 from svu_mi.cli.lighting import FindLight
 from svu_mi.cli.pictures import import_matplotlib
 from svu_mi.cli.recover import Recover
+from svu_mi.cli.relight import Relight
 from svu_mi.cli.reporting import Report
 from svu_mi.cli.scenes import Scenes
 from svu_mi.cli.terminal import LogLines, OneLine, forgiving_streams
@@ -42,6 +43,7 @@ Command = (
     | Annotated[Entropy, tyro.conf.subcommand("entropy")]
     | Annotated[Guide, tyro.conf.subcommand("guide")]
     | Annotated[Recover, tyro.conf.subcommand("recover")]
+    | Annotated[Relight, tyro.conf.subcommand("relight")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[View, tyro.conf.subcommand("view")]

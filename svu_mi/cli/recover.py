@@ -16,6 +16,7 @@ from svu_mi.cli.words import given
 from svu_mi.errors import OptionError
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
+from svu_mi.recovery.options import PRINTED_PRESETS
 from svu_mi.results.writing import claimed
 
 if TYPE_CHECKING:
@@ -24,8 +25,10 @@ if TYPE_CHECKING:
     from svu_mi.surface import Texels
 
 CHECKPOINT = "checkpoint.npz"
+MOST_DRAWS = 1000
 Name = Literal[NAMES]  # type: ignore[valid-type]
 Parameters = Annotated[tuple[Name, ...], tyro.conf.arg(metavar=f"{{{','.join(NAMES)}}} ...")]
+Drawn = Annotated[int, tyro.conf.arg(name="draws")]
 From = Annotated[Path | None, tyro.conf.arg(name="start", metavar="FOLDER")]
 
 
@@ -34,8 +37,9 @@ class Recover(WithPictures, FromPhotographs):
     """Recover base colour, roughness and metallic textures from photographs.
 
     Writes the textures as EXR, recovered.xml (a Mitsuba scene that uses them), coverage.exr,
-    entropy.exr, uncertainty.exr (standard deviations), recovery.png, relit.png, losses.csv and
-    run.json. --resume continues an interrupted run.
+    entropy.exr, uncertainty.exr (standard deviations and 90 % intervals), recovery.png, relit.png,
+    losses.csv and run.json; with --draws, textures that are as likely. --resume continues an
+    interrupted run.
     """
 
     work = "recover"
@@ -66,8 +70,11 @@ class Recover(WithPictures, FromPhotographs):
     """Continue from the checkpoint in the output folder."""
     checkpoint_seconds: float = 30.0
     """Seconds between two checkpoints."""
+    drawn: Drawn = 0
+    """Draw so many textures that explain the photographs about as well, into draws/ and draws.png:
+    svu relight takes them."""
     seed: int = 0
-    """Seed of the batches and paths of path."""
+    """Seed of the batches and paths of path, and of the draws."""
 
     def run(self, console: Console) -> int:
         """Recover, and write the results."""
@@ -94,6 +101,13 @@ class Recover(WithPictures, FromPhotographs):
             raise OptionError("--parameters must name at least one texture.")
         if self.seed < 0:
             raise OptionError(f"--seed must not be negative, got {self.seed}.")
+        if not 0 <= self.drawn <= MOST_DRAWS:
+            raise OptionError(f"--draws must be in [0, {MOST_DRAWS}], got {self.drawn}.")
+        if self.drawn and self.preset in PRINTED_PRESETS:
+            raise OptionError(
+                f"--draws needs the noise of the photographs, which --preset {self.preset} does "
+                "not estimate; omit one of them."
+            )
         if not self.checkpoint_seconds >= 0:
             raise OptionError(
                 f"--checkpoint-seconds must be at least 0, got {self.checkpoint_seconds}."
@@ -112,9 +126,9 @@ class Recover(WithPictures, FromPhotographs):
         from svu_mi.checking.brightness import warn_if_too_bright
         from svu_mi.observed import observe
         from svu_mi.output import Knowledge, Run
-        from svu_mi.output.recovery import write_recovery
+        from svu_mi.output.recovery import Draws, write_recovery
         from svu_mi.pipeline import estimate
-        from svu_mi.recovery.options import PRINTED_PRESETS
+        from svu_mi.recovery.field.make import has_field, texture_field
         from svu_mi.recovery.recover import recover
 
         options = self._options()  # refused before any work
@@ -130,14 +144,18 @@ class Recover(WithPictures, FromPhotographs):
         model = "paper" if self.preset in PRINTED_PRESETS else "default"
         known = recovery.estimate or estimate(seen, preset=model, progress=progress)
         warn_if_too_bright(known)
+        field = None
+        if has_field(known):
+            field = texture_field(recovery, known, capture.mesh, progress=progress)
         with progress.stage("Writing the results") as stage:
             run = Run(
                 settings=given(self), kernels=progress.kernels, consumed=[CHECKPOINT],
                 progress=stage.update,
             )  # fmt: skip
             write_recovery(
-                capture, recovery, self.output, run, estimate=known, pictures=self.pictures
-            )
+                capture, recovery, self.output, run, estimate=known, field=field,
+                draws=Draws(self.drawn, self.seed) if self.drawn else None, pictures=self.pictures,
+            )  # fmt: skip
             return Knowledge.of(known)
 
     def _initial(self, texels: Texels) -> Textures | None:

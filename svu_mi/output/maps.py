@@ -10,6 +10,8 @@ import numpy as np
 import svu_mi
 from svu_mi.exr import write_exr
 from svu_mi.pipeline import Estimate
+from svu_mi.recovery.field.field import LEVEL, TextureField
+from svu_mi.recovery.recover import Recovery
 from svu_mi.surface.gutter import dilate
 
 ENTROPY, COVERAGE, UNCERTAINTY = "entropy.exr", "coverage.exr", "uncertainty.exr"
@@ -48,15 +50,38 @@ def write_uncertainty(estimate: Estimate, folder: Path) -> None:
     Raises:
         OutputError: the file cannot be written, or a value is NaN.
     """
-    channels = {}
+    channels: dict[str, np.ndarray] = {}
     for name in estimate.posterior.axes:
-        sd = np.asarray(estimate.posterior.sd(name), np.float32)
-        columns = sd.reshape(len(sd), -1).T
-        letters = [""] if len(columns) == 1 else [".R", ".G", ".B"]
-        for letter, column in zip(letters, columns, strict=True):
-            channels[f"{name}.sd{letter}"] = padded(estimate, column, fill=0)
+        channels |= _channels(estimate, f"{name}.sd", estimate.posterior.sd(name))
     attributes = header(estimate, preset=estimate.preset.name, gutter=GUTTER)
     write_exr(folder / UNCERTAINTY, channels, attributes)
+
+
+def write_field(recovery: Recovery, field: TextureField, folder: Path) -> None:
+    """Write ``uncertainty.exr`` of recovered textures: what ``write_uncertainty`` writes, and the
+    ends of the intervals that hold 90 %, ``roughness.low`` and ``roughness.high`` and so on.
+
+    Raises:
+        OutputError: the file cannot be written, or a value is NaN.
+    """
+    channels: dict[str, np.ndarray] = {}
+    for name in field.names:
+        low, high = field.interval(name, LEVEL)
+        for kind, values in (("sd", field.sd(name)), ("low", low), ("high", high)):
+            channels |= _channels(recovery, f"{name}.{kind}", values)
+    attributes = header(recovery, level=LEVEL, gutter=GUTTER)
+    write_exr(folder / UNCERTAINTY, channels, attributes)
+
+
+def _channels(made: Any, name: str, values: Any) -> dict[str, np.ndarray]:
+    """Return values (T,) or (T, C) as the channels of a file."""
+    table = np.asarray(values, np.float32)
+    columns = table.reshape(len(table), -1).T
+    letters = [""] if len(columns) == 1 else [".R", ".G", ".B"]
+    return {
+        f"{name}{letter}": padded(made, column, fill=0)
+        for letter, column in zip(letters, columns, strict=True)
+    }
 
 
 def header(made: Any, **more: Any) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +14,35 @@ from svu_mi.capture.fingerprint import capture_key
 from svu_mi.exr import write_exr
 from svu_mi.files import write_text
 from svu_mi.output import views
+from svu_mi.output.draws import SHEET, write_draws, write_sheet
 from svu_mi.output.manifest import RECORD, Run, recovery_record, write_run
-from svu_mi.output.maps import COVERAGE, header, padded, write_maps, write_uncertainty
+from svu_mi.output.maps import (
+    COVERAGE,
+    header,
+    padded,
+    write_field,
+    write_maps,
+    write_uncertainty,
+)
 from svu_mi.output.recovery_page import write_recovery_overview
 from svu_mi.output.relit import compare, write_relit
 from svu_mi.output.scene_xml import write_scene
 from svu_mi.pipeline import Estimate
+from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.recover import Recovery
 from svu_mi.results.writing import writing
 
 LOSSES = "losses.csv"
 PAGE, RELIT = "recovery.png", "relit.png"
 VIEWS = 3  # that pictures are made of
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Textures to draw: how many, and with which seed."""
+
+    count: int
+    seed: int = 0
 
 
 def write_recovery(
@@ -34,6 +52,8 @@ def write_recovery(
     run: Run | None = None,
     *,
     estimate: Estimate | None = None,
+    field: TextureField | None = None,
+    draws: Draws | None = None,
     pictures: bool = True,
 ) -> None:
     """Write textures, ``recovered.xml`` with its assets, maps, pictures, losses and ``run.json``.
@@ -47,7 +67,11 @@ def write_recovery(
         run: how it came about.
         estimate: the ``Estimate`` whose entropy and standard deviations are written and drawn; by
             default the one that the textures were recovered from, if there is one.
-        pictures: whether ``recovery.png`` and ``relit.png`` are among the files.
+        field: how sure the textures are; without one, ``uncertainty.exr`` is what the estimate says
+            of every texel by itself.
+        draws: how many other textures to draw from the field, if any, into ``draws``.
+        pictures: whether ``recovery.png`` and ``relit.png`` are among the files, and ``draws.png``
+            if there are draws.
 
     Raises:
         OutputError: the folder or a file cannot be written.
@@ -59,33 +83,44 @@ def write_recovery(
     with writing(folder, "recover", RECORD, capture=key, consumed=run.consumed) as draft:
         target = draft.folder
         write_scene(capture, recovery.textures, target, attributes=about)
-        _write_known(recovery, estimate, target)
+        _write_known(recovery, estimate, field, target)
         write_losses(recovery.losses, target / LOSSES)
+        if field is not None and draws is not None:
+            first = write_draws(field.draw(draws.count, draws.seed), target, about)
+            if pictures:
+                view = views.far_apart(capture, getattr(estimate, "seen_per_view", None), 1)[0]
+                write_sheet(capture, recovery, first, target / SHEET, view)
         run.progress(1, 4)
         if pictures:
-            _draw(capture, recovery, estimate, target, run)
+            _draw(capture, recovery, estimate, field, target, run)
         run.progress(4, 4)
         write_run(draft, recovery_record(capture, recovery, estimate), run)
 
 
 def _draw(
-    capture: Capture, recovery: Recovery, estimate: Estimate | None, folder: Path, run: Run
-) -> None:
+    capture: Capture, recovery: Recovery, estimate: Estimate | None, field: TextureField | None,
+    folder: Path, run: Run,
+) -> None:  # fmt: skip
     chosen = views.far_apart(capture, getattr(estimate, "seen_per_view", None), VIEWS)
     comparisons = compare(capture, recovery.textures, chosen)
     run.progress(2, 4)
     write_relit(comparisons, folder / RELIT)
     run.progress(3, 4)
-    write_recovery_overview(capture, recovery, comparisons, folder / PAGE, estimate)
+    write_recovery_overview(capture, recovery, comparisons, folder / PAGE, estimate, field)
 
 
-def _write_known(recovery: Recovery, estimate: Estimate | None, folder: Path) -> None:
+def _write_known(
+    recovery: Recovery, estimate: Estimate | None, field: TextureField | None, folder: Path
+) -> None:
     if estimate is None:
         coverage = padded(recovery, np.asarray(recovery.coverage).astype(np.float32), fill=0)
         write_exr(folder / COVERAGE, {"Y": coverage}, header(recovery))
     else:
         write_maps(estimate, folder)
-        write_uncertainty(estimate, folder)
+        if field is None:
+            write_uncertainty(estimate, folder)
+        else:
+            write_field(recovery, field, folder)
 
 
 def write_losses(losses: Any, path: Path) -> None:

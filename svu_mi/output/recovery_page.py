@@ -18,6 +18,7 @@ from svu_mi.output.result import is_seen, words
 from svu_mi.output.style import GREY, INK, LEFT, OUTSIDE, RIGHT, RULE, VIEWS_COLORMAP
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate
+from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.recover import Recovery
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ def write_recovery_overview(
     comparisons: Sequence[Comparison],
     path: str | Path,
     estimate: Estimate | None = None,
+    field: TextureField | None = None,
 ) -> None:
     """Draw textures, what is known of them, losses and comparisons: a page of 1800 x 1020 pixels.
 
@@ -47,7 +49,9 @@ def write_recovery_overview(
         recovery: its ``Recovery``.
         comparisons: of two views, or one.
         path: the PNG file.
-        estimate: an ``Estimate``, if any; its standard deviations and entropy are drawn.
+        estimate: an ``Estimate``, if any; its entropy is drawn, and its standard deviations if
+            there is no ``field``.
+        field: how sure the textures are.
 
     Raises:
         OutputError: the file cannot be written.
@@ -59,7 +63,7 @@ def write_recovery_overview(
     rows = figure.add_gridspec(
         2, 6, left=LEFT, right=RIGHT, top=0.545, bottom=0.015, hspace=0.13, wspace=0.1
     )
-    style.draw_panels(figure, maps, _maps(recovery, estimate), "NW")
+    style.draw_panels(figure, maps, _maps(recovery, estimate, field), "NW")
     style.draw_panels(figure, plot, [("Loss by step", partial(_losses, recovery=recovery))])
     objects, scene = [], views.alone(capture)
     for comparison, rest in zip(comparisons, (_parameters, _rest), strict=False):
@@ -83,17 +87,20 @@ def _notes(capture: Capture, recovery: Recovery, estimate: Estimate | None) -> l
     ]
 
 
-def _maps(recovery: Recovery, estimate: Estimate | None) -> list[Panel]:
+def _maps(
+    recovery: Recovery, estimate: Estimate | None, field: TextureField | None
+) -> list[Panel]:
     """The recovered textures, and what is known of each, in the layout of the texture."""
     inside = recovery.texels.inside()
     color = views.srgb(np.clip(recovery.image("base_color"), 0, 1))
     values = partial(recovery.textures.at, recovery.texels)
+    sd = partial(_deviations, estimate=estimate, field=field)
     return [
         (TITLES[0], partial(_texture, image=np.where(inside[..., None], color, OUTSIDE))),
         *((title, partial(_scaled, estimate=all_seen(recovery.texels), values=values(name),
                           colormap=GREY))
           for title, name in zip(TITLES[1:], NAMES[1:], strict=True)),
-        *((f"{title}, sd", partial(_uncertainty, estimate=estimate, name=name))
+        *((f"{title}, sd", partial(_uncertainty, estimate=estimate, sd=sd(name)))
           for title, name in zip(TITLES, NAMES, strict=True)),
         ("Entropy", partial(_scaled, estimate=estimate, label=GREYS)),
     ]  # fmt: skip
@@ -112,12 +119,22 @@ def _scaled(axes: Axes, estimate: Estimate | None, **options: Any) -> None:
         draw_scaled_map(axes, estimate, **{"ticks": (0, 0.5, 1), **options})
 
 
-def _uncertainty(axes: Axes, estimate: Estimate | None, name: str) -> None:
-    """Draw the standard deviation of a parameter, of base colour that of the worst channel."""
+def _deviations(
+    name: str, estimate: Estimate | None, field: TextureField | None
+) -> np.ndarray | None:
+    """Return the standard deviations of a parameter, (T,) or (T, C), if anybody knows them."""
+    if field is not None:
+        return field.sd(name)
     if estimate is None or name not in estimate.posterior.axes:
+        return None
+    return np.asarray(estimate.posterior.sd(name), np.float32)
+
+
+def _uncertainty(axes: Axes, estimate: Estimate | None, sd: np.ndarray | None) -> None:
+    """Draw the standard deviation of a parameter, of base colour that of the worst channel."""
+    if estimate is None or sd is None:
         _empty(axes, "not estimated")
         return
-    sd = np.asarray(estimate.posterior.sd(name), np.float32)
     worst = sd.reshape(len(sd), -1).max(axis=1, initial=0)
     _scaled(axes, estimate, values=worst, limits=(0, WIDEST_SD), ticks=(0, 0.1, 0.2), label=GREYS)
 

@@ -20,6 +20,7 @@ from svu_mi.posterior.calibrated import CalibratedPosterior
 from svu_mi.posterior.record import Posterior
 
 SIZE = 2**16  # texels of a tile, whose statistics take 130 MB, several times at their peak
+KEPT = 2**13  # texels whose posterior is kept for the next question about the same
 
 Moments = dict[str, tuple[np.ndarray, ...]]
 
@@ -38,6 +39,7 @@ class TiledPosterior(Posterior):
     make: Callable[[np.ndarray], Posterior] = field(repr=False)
     size: int = SIZE
     report: Callable[[int, int], None] = field(default=lambda *_: None, repr=False)
+    _last: dict[bytes, Posterior] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _one(self) -> Posterior:
@@ -164,6 +166,14 @@ class TiledPosterior(Posterior):
 
     def _tiles(self, chosen: np.ndarray) -> Iterator[tuple[slice, Posterior]]:
         """Posteriors of texels (t,), as many at a time as a tile has."""
+        if 0 < len(chosen) <= min(KEPT, self.size):
+            # Those all over the surface are in most pages of all photographs.
+            key = np.asarray(chosen, np.int64).tobytes()
+            if key not in self._last:
+                self._last.clear()
+                self._last[key] = self.make(chosen)
+            yield slice(0, len(chosen)), self._last[key]
+            return
         for first in range(0, len(chosen), self.size):
             span = slice(first, min(first + self.size, len(chosen)))
             yield span, self.make(chosen[span])

@@ -27,6 +27,7 @@ from svu_mi.recovery.run import Run, require_resolution
 from svu_mi.recovery.textures import Textures
 from svu_mi.regularization import GlobalSharing
 from svu_mi.surface import Texels
+from svu_mi.surface.neighbors import Neighbors
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -45,6 +46,7 @@ class Recovery:
         timings: seconds per stage, synchronised.
         estimate: what was known of every texel by itself, or with a prior in common, where
             the recovery asked; None where it did not (``path``, losses of the paper).
+        around: neighbours of the texels, if they were looked for.
     """
 
     method: Method
@@ -56,6 +58,7 @@ class Recovery:
     settings: dict[str, Any]
     timings: dict[str, float] = field(default_factory=dict)
     estimate: Estimate | None = field(default=None, repr=False)
+    around: Neighbors | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         width, height = self.texels.resolution
@@ -167,6 +170,7 @@ def _result(run: Run, textures: Textures, descent: Descent) -> Recovery:
         settings=run.settings,
         timings=run.progress.timings,
         estimate=run.estimate if run.asked else None,
+        around=vars(run).get("around"),  # cached, if anything has needed it
     )
 
 

@@ -17,7 +17,13 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture, scene
-from svu_mi.capture.block import in_one_block, laid_out, look_up_here_and_there
+from svu_mi.capture.block import (
+    InFile,
+    in_file,
+    in_one_block,
+    laid_out,
+    look_up_here_and_there,
+)
 from svu_mi.capture.poses import describe, film_size, scaled_sensor
 from svu_mi.capture.rays import ray_floats
 from svu_mi.errors import CaptureError, SvuWarning
@@ -53,6 +59,7 @@ class Views:
         clipped: pixels of which some channels are clipped; None where there are none.
         rounding: (3 V,) Float twice, the first step and the slope of each channel (``Rounding``);
             0 for photographs of floats. None where all are.
+        file: that the photographs lie in; None for those in memory.
     """
 
     cameras: Any
@@ -68,6 +75,7 @@ class Views:
     grey: bool
     clipped: ClippedPixels | None = None
     rounding: tuple[Any, Any] | None = None
+    file: InFile | None = None
 
 
 @dataclass(frozen=True)
@@ -136,7 +144,8 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
         capture.scene, poses, films, pixels.usable, pixels.radiance, grey=not pixels.coloured[0]
     )
     return replace(
-        packed, clipped=pixels.clipped_pixels(capture, kept), rounding=_rounding(capture, kept)
+        packed, clipped=pixels.clipped_pixels(capture, kept), rounding=_rounding(capture, kept),
+        file=in_file(block),
     )
 
 

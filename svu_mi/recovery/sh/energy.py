@@ -48,6 +48,38 @@ def energy(factors: Factors, values: Values) -> tuple[Any, Values]:
     return scale * error, {name: [scale * x for x in found] for name, found in by.items()}
 
 
+def information(factors: Factors, values: Values) -> list[list[Any]]:
+    """Return J^T J of S texels, J the derivatives of the residuals whose squares ``energy`` adds
+    up: half of its second derivatives, but for what the residuals themselves bend.
+
+    Args:
+        factors: of S texels.
+        values: their parameters in [0, 1].
+
+    Returns:
+        A symmetric matrix of Floats (S,), squared radiance; rows and columns are all values of
+        all parameters, in the order of ``values``.
+    """
+    levels, weights, slopes = _spline(factors, values["roughness"][0])
+    mixed, colors = mixed_of(values), values["base_color"]
+    how, turns = mixture(*mixed), [slope(mixed, k) for k in range(len(mixed))]
+    places = {key: place for place, key in enumerate(
+        (name, k) for name, of_name in values.items() for k in range(len(of_name)))}  # fmt: skip
+    found = [[dr.zeros(mi.Float, factors.count) for _ in places] for _ in places]
+    for channel, c in enumerate(colors):
+        U, change = _interpolate(factors, channel % factors.channels, levels, weights, slopes)
+        by = {
+            ("base_color", channel): combined(U, how.scaled),
+            ("roughness", 0): combined(change, how.at(c)),
+            **{(name, 0): combined(U, turn.at(c)) for name, turn in zip(MIXED, turns, strict=True)},
+        }
+        for one, first in by.items():
+            for other, second in by.items():
+                i, j = places[one], places[other]
+                found[i][j] += dot(first, second) / len(colors)
+    return found
+
+
 def _spline(factors: Factors, roughness: Any) -> tuple[list[Any], list[Any], list[Any]]:
     """Return four levels around a roughness, their weights, and the derivatives of these."""
     last = dr.opaque(mi.Float, factors.levels - 1)

@@ -43,11 +43,10 @@ class Likelihood:
     @staticmethod
     def of(posterior: CalibratedPosterior, texels: Texels) -> Likelihood:
         """Take the statistics and the noise of a posterior in colour."""
-        problem = posterior.problem
-        weight = 0.5 * problem.factors.channels * problem.copies * dr.square(problem.scale)
-        place = dr.gather(mi.UInt32, texels.index, problem.factors.texel)
-        dr.eval(weight, place)
-        return Likelihood(problem.factors, place, weight)
+        factors = posterior.problem.factors
+        place, weight = dr.gather(mi.UInt32, texels.index, factors.texel), nats(posterior)
+        dr.eval(place)
+        return Likelihood(factors, place, weight)
 
     def __call__(self, textures: Mapping[str, Any], step: int = 0) -> Any:
         """Return the loss, a Float of one value.
@@ -118,6 +117,14 @@ class Pull:
             slopes = _each(lambda w, x: 2 * w * x, self.weight, offsets)
             dr.eval(loss, slopes)
         return carry(loss, slopes, values, dr.opaque(mi.Float, 1 / dr.width(self.place)))
+
+
+def nats(posterior: CalibratedPosterior) -> Any:
+    """Return nats per mean squared error of a channel of S texels: Float (S,)."""
+    problem = posterior.problem
+    weight = 0.5 * problem.factors.channels * problem.copies * dr.square(problem.scale)
+    dr.eval(weight)
+    return weight
 
 
 Table = dict[str, np.ndarray]

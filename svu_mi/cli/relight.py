@@ -1,0 +1,131 @@
+"""``svu relight``: the object under another light, and how sure every pixel of it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+from rich.console import Console
+
+from svu_mi.cli.common import Output
+from svu_mi.cli.inputs import Photographed, Resolution, WithPictures
+from svu_mi.cli.terminal import say
+from svu_mi.cli.words import given
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.progress import Progress
+from svu_mi.results.writing import claimed
+
+if TYPE_CHECKING:
+    from svu_mi.capture import Capture
+    from svu_mi.recovery.relit_draws import RelitView
+
+MOST_PIXELS = 8192  # per side of a picture
+From = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+Map = Annotated[Path | None, tyro.conf.arg(metavar="MAP")]
+Poses = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relight(WithPictures, Photographed):
+    """Show the object in its recovered textures under another light, and how sure every pixel is.
+
+    Renders the textures and the draws beside them (svu recover --draws 16) with the same random
+    numbers. Writes a PNG and an EXR per view (the picture; mean and standard deviation of every
+    pixel over the draws), relight.png and run.json.
+    """
+
+    work = "relight"
+    fills = True
+    output: Output = Path("out/relit")
+    recovered: From
+    """Folder that svu recover --draws wrote."""
+    resolution: tyro.conf.Suppress[Resolution] = (512,)  # that of the textures, in fact
+    environment: Map = None
+    """The light: a lat-long map (EXR or HDR; top +Y, centre +Z); by default that of the capture."""
+    sensors: Poses = None
+    """Where from: poses of a transforms.json, capture.json or Mitsuba XML file; by default some of
+    the photographs' own, far apart."""
+    views: int = 3
+    """How many of the photographs' poses, without --sensors."""
+    side: int = 512
+    """Pixels of the longer side of a picture; larger films are made smaller."""
+    spp: int = 16
+    """Samples per pixel, rounded to a square."""
+    seed: int = 0
+    """Seed of the samples."""
+
+    def run(self, console: Console) -> int:
+        """Render, and write the results."""
+        from svu_mi.output.relit_page import doubt_sentence
+
+        self.check()
+        with claimed(self.output, "svu relight", tidy=True):
+            self.start()
+            found = self._run(Progress(console))
+        say(console, f"Wrote {self.output}")
+        say(console, doubt_sentence(found))
+        return 0
+
+    def check(self) -> None:
+        """Refuse options that make no sense, before any work (see ``Photographed``)."""
+        super().check()
+        if not 1 <= self.side <= MOST_PIXELS:
+            raise OptionError(f"--side must be in [1, {MOST_PIXELS}], got {self.side}.")
+        if self.views < 1:
+            raise OptionError(f"--views must be at least 1, got {self.views}.")
+        if self.seed < 0:
+            raise OptionError(f"--seed must not be negative, got {self.seed}.")
+        if self.environment is not None and not self.environment.is_file():
+            raise CaptureError(
+                f"{self.environment}: no such file; --environment takes a lat-long map (EXR or "
+                "HDR)."
+            )
+
+    def _run(self, progress: Progress) -> list[RelitView]:
+        from svu_mi.illumination.lit import with_map
+        from svu_mi.output.draws import find_draws, read_draws
+        from svu_mi.output.manifest import Run
+        from svu_mi.output.relit_page import write_relighting
+        from svu_mi.output.textures import read_textures, require_textures_of
+        from svu_mi.recovery.relit_draws import relight_draws
+
+        textures, files = read_textures(self.recovered), find_draws(self.recovered)
+        capture, _ = replace(self, resolution=textures.resolution).load(progress)
+        require_textures_of(capture, self.recovered)
+        if self.environment is not None:
+            capture, notes = with_map(capture, self.environment)
+            for note in notes:
+                progress.say(note)
+        elif capture.environment is None:
+            raise OptionError(
+                f"{self.scene}: the capture has no light; give one with --environment."
+            )
+        sensors, names = self._sensors(capture)
+        with progress.stage("Rendering draws", len(files)) as stage:
+            found = relight_draws(
+                capture, textures, read_draws(files), None, sensors, self.spp, seed=self.seed,
+                progress=lambda done: stage.update(done, len(files)),
+            )  # fmt: skip
+        with progress.stage("Writing the results"):
+            run = Run(settings=given(self), kernels=progress.kernels)
+            write_relighting(
+                capture, found, names, self.output, run, draws=len(files), pictures=self.pictures
+            )
+        return found
+
+    def _sensors(self, capture: Capture) -> tuple[list[Any], list[str]]:
+        """Return the sensors that pictures are made from, and their names."""
+        from svu_mi.capture.poses import scaled_sensor
+        from svu_mi.guidance.candidates import Candidates
+        from svu_mi.output.views import far_apart
+
+        if self.sensors is not None:
+            read = Candidates.read(self.sensors)
+            sensors, names = list(read.sensors), list(read.names)
+        else:
+            chosen = far_apart(capture, count=self.views)
+            sensors = [capture.sensors[view] for view in chosen]
+            names = [f"view_{view:04d}" for view in chosen]
+        return [scaled_sensor(one, self.side) for one in sensors], names

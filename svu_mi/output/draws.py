@@ -1,0 +1,139 @@
+"""Textures drawn from the field around recovered ones: files, and a sheet to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.errors import CaptureError
+from svu_mi.exr import read_exr, write_exr
+from svu_mi.files import prepare_folder
+from svu_mi.output import style, views
+from svu_mi.output.figures import all_seen, draw_look, map_colors
+from svu_mi.output.result import words
+from svu_mi.output.style import GREY
+from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.recovery.recover import Recovery
+from svu_mi.recovery.textures import Textures
+
+if TYPE_CHECKING:
+    from svu_mi.output.style import Panel
+
+FOLDER, SHEET = "draws", "draws.png"
+SHOWN = 6  # draws on the sheet
+CELL = 2.4  # inches
+HEADING = "Textures that explain the photographs about as well"
+
+
+def write_draws(
+    draws: Iterator[Textures], folder: Path, attributes: Mapping[str, Any] | None = None
+) -> list[Textures]:
+    """Write ``draws/draw_000.exr`` and so on, half floats, each a draw of all parameters.
+
+    Channels are ``base_color.R`` (.G, .B), ``roughness`` and ``metallic``, all in [0, 1].
+
+    Args:
+        draws: of ``TextureField.draw``.
+        folder: an existing folder.
+        attributes: header entries.
+
+    Returns:
+        The first of them, as many as the sheet shows.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    place, first = folder / FOLDER, []
+    prepare_folder(place)
+    for number, draw in enumerate(draws):
+        channels = {
+            key: np.array(draw[name], np.float32)[..., k]
+            for name in NAMES for k, key in enumerate(_channels(name))
+        }  # fmt: skip
+        write_exr(place / f"draw_{number:03d}.exr", channels, attributes, half=True)
+        if number < SHOWN:
+            first.append(draw)
+    return first
+
+
+def find_draws(folder: Path) -> list[Path]:
+    """Return the files that ``write_draws`` has written, in order.
+
+    Raises:
+        CaptureError: there are none.
+    """
+    found = sorted((folder / FOLDER).glob("draw_*.exr"))
+    if not found:
+        raise CaptureError(
+            f"{folder}: has no draws of the textures; svu recover --draws 16 writes some."
+        )
+    return found
+
+
+def read_draws(files: Sequence[Path]) -> Iterator[Textures]:
+    """Read what ``write_draws`` has written.
+
+    Raises:
+        CaptureError: a file is damaged, or has other channels.
+    """
+    for path in files:
+        channels = read_exr(path)
+        missing = [key for name in NAMES for key in _channels(name) if key not in channels]
+        if missing:
+            raise CaptureError(f"{path}: no channel {missing[0]}; svu recover --draws writes it.")
+        yield Textures.of({
+            name: np.clip(np.stack([channels[key] for key in _channels(name)], axis=-1), 0, 1)
+            for name in NAMES
+        })  # fmt: skip
+
+
+def write_sheet(
+    capture: Capture, recovery: Recovery, draws: Sequence[Textures], path: Path, view: int
+) -> None:
+    """Draw the recovered textures and some draws on the object, a row for every parameter.
+
+    Args:
+        capture: the ``Capture``.
+        recovery: its ``Recovery``.
+        draws: the others.
+        path: the PNG file.
+        view: sensor that it is seen from.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    columns = [recovery.textures, *draws]
+    height = CELL * len(NAMES) + 1.2
+    figure = style.new_figure(CELL * len(columns), height)
+    style.heading(figure, HEADING, [f"view {view}"], (1 - 0.3 / height, 1 - 0.62 / height))
+    grid = figure.add_gridspec(
+        len(NAMES), len(columns), left=0.01, right=0.99, top=1 - 1.05 / height, bottom=0.01,
+        hspace=0.14, wspace=0.04,
+    )  # fmt: skip
+    look = views.Look.at(views.alone(capture), capture.sensors[view])
+    panels: list[Panel] = []
+    for name in NAMES:
+        for number, textures in enumerate(columns):
+            title = words(name).capitalize() if number == 0 else f"draw {number - 1}"
+            shown = _colors(recovery, textures, name)
+            panels.append((title, partial(draw_look, look=look, colors=shown)))
+    style.draw_panels(figure, list(grid), panels, "NW")
+    style.save_figure(figure, path)
+
+
+def _colors(recovery: Recovery, textures: Textures, name: str) -> np.ndarray:
+    """Return a parameter as screen colours (H, W, 3)."""
+    if CHANNELS[name] > 1:
+        return views.srgb(np.clip(np.array(textures[name], np.float32), 0, 1))
+    values = textures.at(recovery.texels, name)
+    return map_colors(all_seen(recovery.texels), values, colormap=GREY)
+
+
+def _channels(name: str) -> list[str]:
+    """Return the names of the channels of a parameter."""
+    return [f"{name}.{letter}" for letter in "RGB"] if CHANNELS[name] > 1 else [name]

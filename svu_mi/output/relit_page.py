@@ -1,0 +1,153 @@
+"""``svu relight``: pictures under another light, how sure each pixel is, and a page of all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from PIL import Image
+
+import svu_mi
+from svu_mi.capture import Capture
+from svu_mi.capture.fingerprint import capture_key
+from svu_mi.capture.picture import quantized
+from svu_mi.exr import write_exr
+from svu_mi.files import replacing
+from svu_mi.output import style, views
+from svu_mi.output.manifest import RECORD, Run, inputs_record, write_run
+from svu_mi.output.style import VIEWS_COLORMAP
+from svu_mi.recovery.relit_draws import RelitView
+from svu_mi.results.writing import writing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from svu_mi.output.style import Panel
+
+PAGE = "relight.png"
+HEADING = "The object under this light, and how sure every pixel is"
+CELL = 4.2  # inches
+ROWS = 6  # views on the page
+COLUMNS = 3
+WIDEST = 0.5  # relative standard deviation at the upper end of its colours
+
+
+def write_relighting(
+    capture: Capture, found: Sequence[RelitView], names: Sequence[str], folder: Path,
+    run: Run | None = None, *, draws: int, pictures: bool = True,
+) -> None:  # fmt: skip
+    """Write pictures, how sure they are, ``relight.png`` and ``run.json``.
+
+    All of it takes the place of an older result in one step (``results.writing``).
+
+    Args:
+        capture: that was relit.
+        found: of ``relight_draws``.
+        names: of its views.
+        folder: made if missing.
+        run: how it came about.
+        draws: how many there were.
+        pictures: whether ``relight.png`` is among the files.
+
+    Raises:
+        OutputError: the folder or a file cannot be written.
+    """
+    run = run or Run()
+    about = {"svu:version": svu_mi.__version__, "svu:draws": draws}
+    with writing(folder, "relight", RECORD, capture=capture_key(capture)) as draft:
+        write_relit_views(found, names, draft.folder, about)
+        if pictures:
+            notes = [f"{len(found)} views", f"{draws} draws"]
+            write_relit_page(found, names, draft.folder / PAGE, notes)
+        record = {
+            "inputs": inputs_record(capture), "settings": {"draws": draws},
+            "result": {"relative_sd": [relative_sd(view) for view in found]},
+        }  # fmt: skip
+        write_run(draft, record, run)
+
+
+def relative_sd(view: RelitView) -> float | None:
+    """Return the median over the object's pixels of standard deviation over radiance, if any."""
+    level, sd = view.picture[view.inside].mean(axis=-1), view.sd[view.inside].mean(axis=-1)
+    lit = level > 0
+    return float(np.median(sd[lit] / level[lit])) if lit.any() else None
+
+
+def doubt_sentence(found: Sequence[RelitView]) -> str:
+    """Return how sure pictures are, in a sentence."""
+    parts = [part for part in map(relative_sd, found) if part is not None]
+    if not parts:
+        return "The object is in none of the pictures, or is black."
+    return f"Half of the object's pixels are known to {100 * float(np.median(parts)):.1f} % (sd)."
+
+
+def write_relit_views(
+    found: Sequence[RelitView], names: Sequence[str], folder: Path,
+    attributes: Mapping[str, Any] | None = None,
+) -> None:  # fmt: skip
+    """Write ``NAME.exr`` (R, G, B, mean.R, ... and sd.R, ..., linear) and ``NAME.png`` per view.
+
+    Args:
+        found: what was rendered.
+        names: of the views.
+        folder: an existing folder.
+        attributes: header entries.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    for view, name in zip(found, names, strict=True):
+        channels = {"RGB": view.picture}
+        for kind, image in (("mean", view.mean), ("sd", view.sd)):
+            channels |= {f"{kind}.{letter}": image[..., k] for k, letter in enumerate("RGB")}
+        write_exr(folder / f"{name}.exr", channels, attributes)
+        shown = views.tone_mapped(view.picture, view.inside)
+        with replacing(folder / f"{name}.png") as temporary:
+            Image.fromarray(quantized(shown)).save(temporary)
+
+
+def write_relit_page(
+    found: Sequence[RelitView], names: Sequence[str], path: Path, notes: Sequence[str]
+) -> None:
+    """Draw every view: the picture, the standard deviation of its pixels, and that relative to the
+    picture.
+
+    Args:
+        found: what was rendered; the first six are drawn.
+        names: of the views.
+        path: the PNG file.
+        notes: what the heading says besides.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    shown = list(zip(found, names, strict=True))[:ROWS]
+    height = CELL * len(shown) + 1.3
+    figure = style.new_figure(CELL * COLUMNS, height)
+    style.heading(figure, HEADING, notes, (1 - 0.3 / height, 1 - 0.65 / height))
+    grid = figure.add_gridspec(
+        len(shown), COLUMNS, left=0.01, right=0.99, top=1 - 1.15 / height, bottom=0.45 / height,
+        hspace=0.2, wspace=0.05,
+    )  # fmt: skip
+    panels: list[Panel] = []
+    for view, name in shown:
+        sd = np.where(view.inside, view.sd.mean(axis=-1), np.nan)
+        level = np.where(view.inside, view.picture.mean(axis=-1), np.nan)
+        top = float(np.nanpercentile(sd, 99)) if view.inside.any() else 1.0
+        panels += [
+            (name, partial(style.draw_image, image=views.tone_mapped(view.picture, view.inside))),
+            ("Standard deviation", partial(_scaled, values=sd, limits=(0, max(top, 1e-6)))),
+            ("Relative to the picture", partial(
+                _scaled, values=sd / np.maximum(level, 1e-6), limits=(0, WIDEST))),
+        ]  # fmt: skip
+    style.draw_panels(figure, list(grid), panels, "NW")
+    style.save_figure(figure, path)
+
+
+def _scaled(axes: Axes, values: np.ndarray, limits: tuple[float, float]) -> None:
+    drawn = axes.imshow(values, cmap=VIEWS_COLORMAP, vmin=limits[0], vmax=limits[1])
+    style.framed(axes)
+    style.color_bar(axes, drawn, "", ticks=np.linspace(*limits, 3).tolist())

@@ -1,0 +1,164 @@
+"""The field that recovered textures are the middle of.
+
+Textures are the most probable ones under the photographs and total variation. Around them, with
+total variation made quadratic (``smoother``), a parameter is a Gaussian Markov random field
+[Rue and Held 2005] of precision D + K: D of every texel by its own posterior, K between
+neighbours. That would be all if texels erred by themselves. They do not: light, poses and the
+model are off in the same way for a whole neighbourhood, and smoothing takes nothing off that. So
+the deviation of a texel has two parts,
+
+    x = x0 + sqrt(rho) A b g + sqrt(1 - rho) e,    A = (D + K)^-1 D,    e ~ N(0, (D + K)^-1),
+
+with b the standard deviation of a texel's own posterior and g a field of variance 1 that
+varies slowly over the object. Values beyond [0, 1] are clipped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from scipy.special import ellipk
+
+from svu_mi.errors import OptionError
+from svu_mi.interop import owned
+from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.recovery.field import clipped
+from svu_mi.recovery.field.coherent import Waves
+from svu_mi.recovery.field.smoother import Smoother
+from svu_mi.recovery.textures import Textures, lay_out
+from svu_mi.settings import require_known
+from svu_mi.surface import Texels
+
+# Chosen on our own scenes:
+COMMON = 0.6  # rho, part of a texel's variance that its neighbourhood has in common
+LENGTH = 0.1  # over which that varies, as a part of the object's extent
+LEVEL = 0.9
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextureField:
+    """Textures that explain the photographs about as well as the recovered ones.
+
+    Attributes:
+        texels: T texels.
+        textures: the recovered ones.
+        names: parameters that were recovered; all others are what they are.
+        deviation: (N, T), b of the N values of all parameters, base colour first.
+        mixing: (T, N, N), triangular, L of every texel: L L^T are the correlations of its values.
+        scale: standard deviation of the logarithm of a factor of base colour that all texels have
+            in common, per channel.
+        smoother: D + K.
+    """
+
+    texels: Texels
+    textures: Textures
+    names: tuple[str, ...]
+    deviation: np.ndarray
+    mixing: np.ndarray
+    scale: np.ndarray
+    smoother: Smoother
+
+    def mean(self, name: str) -> np.ndarray:
+        """Return the mean of the field, (T, C) or (T,): the texture, but where that is near 0 or 1
+        and the field goes on only to one side."""
+        return self._of(name, clipped.moments(self._middle, self._width)[0])
+
+    def sd(self, name: str) -> np.ndarray:
+        """Return standard deviations, (T, C) or (T,)."""
+        return self._of(name, clipped.moments(self._middle, self._width)[1])
+
+    def interval(self, name: str, level: float = LEVEL) -> tuple[np.ndarray, np.ndarray]:
+        """Return the ends of the interval that holds so much in its middle, (T, C) or (T,) each.
+
+        Raises:
+            OptionError: an unknown parameter, or a level outside (0, 1).
+        """
+        if not 0 < level < 1:
+            raise OptionError(f"TextureField.interval(): level must be in (0, 1), got {level}.")
+        low, high = clipped.interval(self._middle, self._width, level)
+        return self._of(name, low), self._of(name, high)
+
+    def draw(self, count: int, seed: int = 0) -> Iterator[Textures]:
+        """Yield textures drawn from the field, clipped to [0, 1].
+
+        Args:
+            count: how many.
+            seed: the same seed, the same textures; the first of many are those of few.
+
+        Raises:
+            OptionError: a negative number.
+        """
+        if count < 0:
+            raise OptionError(f"TextureField.draw(): count must be at least 0, got {count}.")
+        for number in range(count):
+            yield self._drawn(np.random.default_rng((seed, number)))
+
+    def _drawn(self, random: np.random.Generator) -> Textures:
+        count = self.texels.count
+        length = dr.opaque(mi.Float, 1 / (LENGTH * self.texels.extent))
+        waves = Waves.draw(len(self.deviation), random).at(self.texels.position * length)
+        together = np.sqrt(COMMON) * self._coherent * self._mixed(np.array(waves))
+        alone = self._mixed(random.standard_normal(self.deviation.shape, np.float32))
+        right = owned(mi.Float, (alone / self.deviation).astype(np.float32).ravel())
+        apart = self.smoother.solve(right + self.smoother.pulls(random))
+        values = self._middle + together
+        values += np.sqrt(1 - COMMON) * np.array(apart, np.float64).reshape(-1, count)
+        values[:3] += values[:3] * self.scale[:, None] * random.standard_normal((3, 1))
+        values = np.clip(values, 0, 1)
+        drawn = lay_out(self.texels, {name: values[_rows(name)].T for name in NAMES})
+        return self.textures.but(**{name: drawn[name] for name in self.names})
+
+    def _mixed(self, values: np.ndarray) -> np.ndarray:
+        """Give independent values (N, T) the correlations of each texel."""
+        return np.einsum("tij,jt->it", self.mixing, values)
+
+    @cached_property
+    def _middle(self) -> np.ndarray:
+        rows = [self.textures.at(self.texels, name).reshape(self.texels.count, -1).T
+                for name in NAMES]  # fmt: skip
+        return np.concatenate(rows).astype(np.float64)
+
+    @cached_property
+    def _coherent(self) -> np.ndarray:
+        """A b, (N, T)."""
+        right = owned(mi.Float, (1 / self.deviation).astype(np.float32).ravel())
+        return np.array(self.smoother.solve(right), np.float64).reshape(self.deviation.shape)
+
+    @cached_property
+    def _width(self) -> np.ndarray:
+        """Standard deviation of every value before it is clipped, (N, T)."""
+        variance = COMMON * self._coherent**2 + (1 - COMMON) * self._variance
+        variance[:3] += (self.scale[:, None] * self._middle[:3]) ** 2
+        fixed = [row for name in NAMES if name not in self.names for row in _range(name)]
+        variance[fixed] = 0
+        return np.sqrt(variance)
+
+    @property
+    def _variance(self) -> np.ndarray:
+        """The diagonal of (D + K)^-1, (N, T), as it is where all neighbours are alike: that of
+        a random walk on the square lattice that is killed at the rate of D [Economou 2006]."""
+        whole = np.array(self.smoother.diagonal, np.float64)
+        stays = 1 - np.array(self.smoother.precision, np.float64) / whole
+        found: np.ndarray = 2 / np.pi * ellipk(np.clip(stays, 0, 1) ** 2) / whole
+        return found.reshape(self.deviation.shape)
+
+    def _of(self, name: str, values: np.ndarray) -> np.ndarray:
+        require_known([name], NAMES, "parameter")
+        found = values[_rows(name)].T
+        return found if CHANNELS[name] > 1 else found[:, 0]
+
+
+def _range(name: str) -> range:
+    first = sum(CHANNELS[other] for other in NAMES[: NAMES.index(name)])
+    return range(first, first + CHANNELS[name])
+
+
+def _rows(name: str) -> slice:
+    """Return the rows of a parameter among the N values."""
+    rows = _range(name)
+    return slice(rows.start, rows.stop)

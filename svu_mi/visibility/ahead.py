@@ -1,0 +1,88 @@
+"""Photographs that lie in a file, read ahead of the kernels.
+
+A kernel that looks a pixel up waits until the disk has brought its page, one page per thread at a
+time. Which pages a few texels need can be told before, without reading any; asked for all at once,
+a disk brings several times as many in the same time.
+"""
+
+from __future__ import annotations
+
+import mmap
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.memory import free_memory
+from svu_mi.visibility.observe import MIN_COSINE, Surface
+from svu_mi.visibility.pixels import read_camera, taps_at
+from svu_mi.visibility.views import Views
+
+PIXEL = 12  # bytes
+SHARE = 0.6  # of the free memory that is read at a time
+
+
+@dataclass(frozen=True)
+class Pages:
+    """Pages of a file.
+
+    Attributes:
+        first, count: (N,) int64, runs of neighbouring pages.
+    """
+
+    first: np.ndarray
+    count: np.ndarray
+
+    @staticmethod
+    def of(wanted: np.ndarray) -> Pages:
+        """Return the runs of (P,) bool, which pages are wanted."""
+        edges = np.flatnonzero(np.diff(wanted, prepend=False, append=False))
+        return Pages(edges[::2], edges[1::2] - edges[::2])
+
+    @property
+    def bytes(self) -> int:
+        """How much that is."""
+        return int(self.count.sum()) * mmap.PAGESIZE
+
+
+def read_ahead(views: Views, surface: Surface) -> None:
+    """Ask for the pixels that texels may be seen in, unless that is more than memory can hold.
+
+    Args:
+        views: photographs, in a file or not.
+        surface: the texels.
+    """
+    if views.file is None or not hasattr(mmap, "MADV_WILLNEED"):
+        return
+    pages, free = pages_of(views, surface), free_memory()
+    if free is not None and pages.bytes > SHARE * free:
+        return
+    page = mmap.PAGESIZE
+    for first, count in zip(pages.first.tolist(), pages.count.tolist(), strict=True):
+        views.file.memory.madvise(mmap.MADV_WILLNEED, first * page, count * page)
+
+
+def pages_of(views: Views, surface: Surface) -> Pages:
+    """Return the pages that hold the pixels around texels in all photographs they face."""
+    assert views.file is not None
+    size = -(-len(views.file.memory) // mmap.PAGESIZE)
+    wanted = dr.zeros(mi.Bool, size)
+    dr.eval(wanted)
+    begin = dr.opaque(mi.UInt64, views.file.first)
+
+    def mark(view: Any) -> Any:
+        camera = read_camera(views, view)
+        direction = dr.normalize(camera.position - surface.position)
+        taps = taps_at(camera, surface.position)
+        needed = taps.on_film & (dr.dot(surface.normal, direction) > MIN_COSINE)
+        for pixel in taps.pixels:
+            for byte in (0, PIXEL - 1):
+                place = (mi.UInt64(pixel) * PIXEL + begin + byte) // mmap.PAGESIZE
+                dr.scatter(wanted, mi.Bool(True), mi.UInt32(place), needed)
+        return view + 1
+
+    dr.eval(dr.while_loop((mi.UInt32(0),), lambda view: view < views.count, lambda v: (mark(v),)))
+    dr.eval(wanted)
+    return Pages.of(wanted.numpy())
