@@ -17,6 +17,7 @@ from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field import clipped
 from svu_mi.recovery.field.coherent import Waves
+from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.field.make import texture_field
 from svu_mi.recovery.field.smoother import Smoother
 from svu_mi.recovery.recover import recover
@@ -51,7 +52,8 @@ def made(fields: int = 2, seed: int = 5) -> tuple[Smoother, np.ndarray]:
                     matrix[field, i, i] += weight
                     matrix[field, i, j] -= weight
         matrix[field] += np.diag(precision[field])
-    return Smoother.of(precision, values, table, 3.0, EPSILON), matrix
+    around = [owned(mi.UInt32, column.astype(np.uint32)) for column in table]
+    return Smoother.of(precision, values, around, 3.0, EPSILON), matrix
 
 
 def test_smoothing_solves_the_equations_of_the_field() -> None:
@@ -132,17 +134,25 @@ def recovered(vase: SimpleNamespace) -> SimpleNamespace:
     return SimpleNamespace(recovery=recovery, field=field)
 
 
+def dense(field: TextureField, row: int) -> np.ndarray:
+    """(T, T) float64, D + K of one value, from the equations."""
+    T, epsilon = field.texels.count, float(field.smoother.epsilon[0])
+    D = np.array(field.smoother.precision, np.float64).reshape(-1, T)[row]
+    strength, x0 = float(field.smoother.strength[0]), field.values[row]
+    Q = np.diag(D)
+    for column in field.smoother.around:
+        i, j = np.arange(T), np.array(column, np.int64)
+        weight = np.where(i == j, 0, strength / np.hypot(x0 - x0[j], epsilon))
+        np.add.at(Q, (i, i), weight)
+        np.add.at(Q, (i, j), -weight)
+    return Q
+
+
 def test_the_variance_of_the_field_is_that_of_its_inverse(recovered: SimpleNamespace) -> None:
     """The approximation by the lattice, against dense inverses: right on average."""
-    smoother, field = recovered.field.smoother, recovered.field
-    T = field.texels.count
+    field = recovered.field
     for row in range(5):
-        part = slice(row * T, (row + 1) * T)
-        Q = np.diag(np.array(smoother.diagonal, np.float64)[part])
-        for other, weight in zip(smoother.around, smoother.weights, strict=True):
-            i, j = np.arange(T), np.array(other, np.int64)[part] - row * T
-            np.add.at(Q, (i, j), -np.array(weight, np.float64)[part])
-        exact_sd = np.sqrt(np.diag(np.linalg.inv(Q)))
+        exact_sd = np.sqrt(np.diag(np.linalg.inv(dense(field, row))))
         ratio = np.sqrt(field._variance[row]) / exact_sd
         assert 0.9 < np.median(ratio) < 1.1
         assert np.quantile(ratio, 0.02) > 0.6 and np.quantile(ratio, 0.98) < 1.6
@@ -183,14 +193,8 @@ def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNam
     from svu_mi.recovery.field import field as module
 
     field = recovered.field
-    T = field.texels.count
-    smoother, row = field.smoother, 3  # roughness
-    part = slice(row * T, (row + 1) * T)
-    Q = np.diag(np.array(smoother.diagonal, np.float64)[part])
-    for other, weight in zip(smoother.around, smoother.weights, strict=True):
-        i, j = np.arange(T), np.array(other, np.int64)[part] - row * T
-        np.add.at(Q, (i, j), -np.array(weight, np.float64)[part])
-    inverse = np.linalg.inv(Q)
+    row = 3  # roughness
+    inverse = np.linalg.inv(dense(field, row))
     coherent = inverse @ (1 / field.deviation[row])
     place = np.array(field.texels.position, np.float64).T
     random = np.random.default_rng(0)

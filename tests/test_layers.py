@@ -11,8 +11,8 @@ LAYERS = (
     "interop", "files", "npz", "exr", "results", "progress", "settings", "parameters", "switches",
     "options", "capture", "formats", "surface", "light", "visibility", "frequency", "reflection",
     "statistics", "evidence", "observed", "posterior", "skipping", "estimators", "pipeline",
-    "prediction", "illumination", "guidance", "regularization", "recovery", "reference", "metrics",
-    "checking", "output", "export", "shards", "batch", "bench", "cli",
+    "prediction", "illumination", "guidance", "regularization", "recovery", "inpaint", "reference",
+    "metrics", "checking", "output", "export", "shards", "batch", "bench", "cli",
 )  # fmt: skip
 # Built on the stages; only what stands at the very top may use them.
 ABOVE = {"plugins": ("output", "cli"), "scenes": ("output", "bench", "cli")}

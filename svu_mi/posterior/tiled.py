@@ -19,7 +19,7 @@ from svu_mi.interop import owned
 from svu_mi.posterior.calibrated import CalibratedPosterior
 from svu_mi.posterior.record import Posterior
 
-SIZE = 2**16  # texels of a tile, whose statistics take 130 MB, several times at their peak
+SIZE = 2**15  # texels of a tile, whose statistics take 65 MB, several times at their peak
 KEPT = 2**13  # texels whose posterior is kept for the next question about the same
 
 Moments = dict[str, tuple[np.ndarray, ...]]

@@ -38,6 +38,7 @@ from svu_mi.surface import Texels
 COMMON = 0.6  # rho, part of a texel's variance that its neighbourhood has in common
 LENGTH = 0.1  # over which that varies, as a part of the object's extent
 LEVEL = 0.9
+TINY = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +54,8 @@ class TextureField:
         scale: standard deviation of the logarithm of a factor of base colour that all texels have
             in common, per channel.
         smoother: D + K.
+        least: (N, T), standard deviations before values are clipped are at least that, such as
+            those of texels that were filled; None for none.
     """
 
     texels: Texels
@@ -62,15 +65,16 @@ class TextureField:
     mixing: np.ndarray
     scale: np.ndarray
     smoother: Smoother
+    least: np.ndarray | None = None
 
     def mean(self, name: str) -> np.ndarray:
         """Return the mean of the field, (T, C) or (T,): the texture, but where that is near 0 or 1
         and the field goes on only to one side."""
-        return self._of(name, clipped.moments(self._middle, self._width)[0])
+        return self._of(name, clipped.moments(self.values, self._width)[0])
 
     def sd(self, name: str) -> np.ndarray:
         """Return standard deviations, (T, C) or (T,)."""
-        return self._of(name, clipped.moments(self._middle, self._width)[1])
+        return self._of(name, clipped.moments(self.values, self._width)[1])
 
     def interval(self, name: str, level: float = LEVEL) -> tuple[np.ndarray, np.ndarray]:
         """Return the ends of the interval that holds so much in its middle, (T, C) or (T,) each.
@@ -80,7 +84,7 @@ class TextureField:
         """
         if not 0 < level < 1:
             raise OptionError(f"TextureField.interval(): level must be in (0, 1), got {level}.")
-        low, high = clipped.interval(self._middle, self._width, level)
+        low, high = clipped.interval(self.values, self._width, level)
         return self._of(name, low), self._of(name, high)
 
     def draw(self, count: int, seed: int = 0) -> Iterator[Textures]:
@@ -106,11 +110,13 @@ class TextureField:
         alone = self._mixed(random.standard_normal(self.deviation.shape, np.float32))
         right = owned(mi.Float, (alone / self.deviation).astype(np.float32).ravel())
         apart = self.smoother.solve(right + self.smoother.pulls(random))
-        values = self._middle + together
-        values += np.sqrt(1 - COMMON) * np.array(apart, np.float64).reshape(-1, count)
+        away = together + np.sqrt(1 - COMMON) * np.array(apart, np.float64).reshape(-1, count)
+        if self.least is not None:
+            away *= np.maximum(self.least / np.maximum(self._own_width, TINY), 1)
+        values = self.values + away
         values[:3] += values[:3] * self.scale[:, None] * random.standard_normal((3, 1))
         values = np.clip(values, 0, 1)
-        drawn = lay_out(self.texels, {name: values[_rows(name)].T for name in NAMES})
+        drawn = lay_out(self.texels, {name: values[self.rows(name)].T for name in NAMES})
         return self.textures.but(**{name: drawn[name] for name in self.names})
 
     def _mixed(self, values: np.ndarray) -> np.ndarray:
@@ -118,7 +124,8 @@ class TextureField:
         return np.einsum("tij,jt->it", self.mixing, values)
 
     @cached_property
-    def _middle(self) -> np.ndarray:
+    def values(self) -> np.ndarray:
+        """(N, T) float64, the textures' values of all parameters, base colour first."""
         rows = [self.textures.at(self.texels, name).reshape(self.texels.count, -1).T
                 for name in NAMES]  # fmt: skip
         return np.concatenate(rows).astype(np.float64)
@@ -132,11 +139,23 @@ class TextureField:
     @cached_property
     def _width(self) -> np.ndarray:
         """Standard deviation of every value before it is clipped, (N, T)."""
-        variance = COMMON * self._coherent**2 + (1 - COMMON) * self._variance
-        variance[:3] += (self.scale[:, None] * self._middle[:3]) ** 2
-        fixed = [row for name in NAMES if name not in self.names for row in _range(name)]
-        variance[fixed] = 0
+        own = self._own_width if self.least is None else np.maximum(self._own_width, self.least)
+        variance = own**2
+        variance[:3] += (self.scale[:, None] * self.values[:3]) ** 2
+        for name in NAMES:
+            if name not in self.names:
+                variance[self.rows(name)] = 0
         return np.sqrt(variance)
+
+    @cached_property
+    def _own_width(self) -> np.ndarray:
+        """The same without what all texels have in common."""
+        return np.sqrt(COMMON * self._coherent**2 + (1 - COMMON) * self._variance)
+
+    @property
+    def width(self) -> np.ndarray:
+        """(N, T) standard deviations of values before they are clipped."""
+        return self._width
 
     @property
     def _variance(self) -> np.ndarray:
@@ -147,18 +166,17 @@ class TextureField:
         found: np.ndarray = 2 / np.pi * ellipk(np.clip(stays, 0, 1) ** 2) / whole
         return found.reshape(self.deviation.shape)
 
-    def _of(self, name: str, values: np.ndarray) -> np.ndarray:
+    @staticmethod
+    def rows(name: str) -> slice:
+        """Return the rows of a parameter among the N values.
+
+        Raises:
+            OptionError: an unknown parameter.
+        """
         require_known([name], NAMES, "parameter")
-        found = values[_rows(name)].T
+        first = sum(CHANNELS[other] for other in NAMES[: NAMES.index(name)])
+        return slice(first, first + CHANNELS[name])
+
+    def _of(self, name: str, values: np.ndarray) -> np.ndarray:
+        found = values[self.rows(name)].T
         return found if CHANNELS[name] > 1 else found[:, 0]
-
-
-def _range(name: str) -> range:
-    first = sum(CHANNELS[other] for other in NAMES[: NAMES.index(name)])
-    return range(first, first + CHANNELS[name])
-
-
-def _rows(name: str) -> slice:
-    """Return the rows of a parameter among the N values."""
-    rows = _range(name)
-    return slice(rows.start, rows.stop)

@@ -1,7 +1,8 @@
-"""From a recovery to the field around it."""
+"""From recovered textures and what is known of every texel to the field around them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
@@ -19,9 +20,11 @@ from svu_mi.recovery.recover import Recovery
 from svu_mi.recovery.run import HOLD
 from svu_mi.recovery.sh.energy import information
 from svu_mi.recovery.sh.objective import moments, nats, values_of
-from svu_mi.surface.neighbors import neighbors
+from svu_mi.recovery.textures import Textures
+from svu_mi.surface.neighbors import Neighbors, neighbors
 
 SUREST = 1e-3  # standard deviation that no texel is surer than
+CHUNK = 2**16  # texels whose matrices are inverted at a time
 
 
 def texture_field(
@@ -50,29 +53,15 @@ def texture_field(
             "texture_field(): needs an estimate in colour that knows its noise; give "
             "estimate=svu.estimate(capture, texels)."
         )
-    posterior = found.posterior
-    assert isinstance(posterior, CalibratedPosterior)
+    used = recovery.settings.get("sh", {})
+    options = ShOptions()  # weights in nats: those of ours also for other losses
+    if used.get("loss") == "statistics":
+        options = ShOptions(tv=used["tv"], tv_epsilon=used["tv_epsilon"])
     with (progress or Progress()).stage("How sure the textures are"):
-        texels = recovery.texels
-        around = recovery.around or neighbors(texels, mesh)
-        options = _options(recovery)
-        values = {name: np.atleast_2d(recovery.textures.at(texels, name).T).astype(np.float64)
-                  for name in NAMES}  # fmt: skip
-        deviation = _deviations(posterior)
-        seen = int(posterior.observed.sum())
-        # Total variation is a mean over pairs, in nats of the mean texel that is seen.
-        pairs = max(int(dr.width(around.pairs[0])), 1)
-        strength = options.tv * np.sqrt(texels.count) * seen / pairs / (1 + HOLD)
-        smoother = Smoother.of(
-            1 / deviation**2, np.concatenate(list(values.values())), around.table(), strength,
-            max(options.tv_epsilon, SUREST),
-        )  # fmt: skip
-        return TextureField(
-            texels=texels, textures=recovery.textures,
-            names=tuple(recovery.settings["parameters"]), deviation=deviation,
-            mixing=_mixing(posterior, values), scale=np.asarray(posterior.common),
-            smoother=smoother,
-        )  # fmt: skip
+        around = recovery.around or neighbors(recovery.texels, mesh)
+        return field_around(
+            recovery.textures, found, around, recovery.settings["parameters"], options
+        )
 
 
 def has_field(estimate: Estimate) -> bool:
@@ -82,12 +71,36 @@ def has_field(estimate: Estimate) -> bool:
     return isinstance(posterior, CalibratedPosterior) and posterior.groups == colors
 
 
-def _options(recovery: Recovery) -> ShOptions:
-    """Return the weights of total variation: in nats, those of ours also for other losses."""
-    used = recovery.settings.get("sh", {})
-    if used.get("loss") != "statistics":
-        return ShOptions()
-    return ShOptions(tv=used["tv"], tv_epsilon=used["tv_epsilon"])
+def field_around(
+    textures: Textures, estimate: Estimate, around: Neighbors, names: Sequence[str] = NAMES,
+    options: ShOptions | None = None,
+) -> TextureField:  # fmt: skip
+    """Return the field around textures, whoever recovered them.
+
+    Args:
+        textures: over the texels of the estimate.
+        estimate: one that ``has_field``.
+        around: the texels' neighbours.
+        names: of the parameters that are in question.
+        options: weights of total variation; ours by default.
+    """
+    posterior, texels = estimate.posterior, estimate.texels
+    assert isinstance(posterior, CalibratedPosterior)
+    options = options or ShOptions()
+    values = {name: np.atleast_2d(textures.at(texels, name).T).astype(np.float64)
+              for name in NAMES}  # fmt: skip
+    deviation = _deviations(posterior)
+    # Total variation is a mean over pairs, in nats of the mean texel that is seen.
+    seen, pairs = int(posterior.observed.sum()), max(int(dr.width(around.pairs[0])), 1)
+    strength = options.tv * np.sqrt(texels.count) * seen / pairs / (1 + HOLD)
+    smoother = Smoother.of(
+        1 / deviation**2, np.concatenate(list(values.values())), around.around, strength,
+        max(options.tv_epsilon, SUREST),
+    )  # fmt: skip
+    return TextureField(
+        texels=texels, textures=textures, names=tuple(names), deviation=deviation,
+        mixing=_mixing(posterior, values), scale=np.asarray(posterior.common), smoother=smoother,
+    )  # fmt: skip
 
 
 def _deviations(posterior: CalibratedPosterior) -> np.ndarray:
@@ -112,13 +125,15 @@ def _mixing(posterior: CalibratedPosterior, values: dict[str, np.ndarray]) -> np
     weight = 2 * np.array(nats(posterior), np.float64)
     matrix = information(factors, values_of(values, chosen))
     dr.eval(matrix)
-    size = len(matrix)
-    precision = np.stack([np.stack([np.array(x, np.float64) for x in row]) for row in matrix])
-    precision = np.moveaxis(precision * weight, 2, 0)
+    rows = [[np.array(x) for x in row] for row in matrix]
     prior = np.concatenate([_of_prior(posterior, name) for name in NAMES])
-    precision[:, range(size), range(size)] += 1 / np.maximum(prior, SUREST) ** 2
-    covariance = np.linalg.inv(precision)
-    width = np.sqrt(np.einsum("tii->ti", covariance))
-    mixing = np.tile(np.eye(size, dtype=np.float32), (posterior.count, 1, 1))
-    mixing[chosen] = np.linalg.cholesky(covariance / (width[:, :, None] * width[:, None, :]))
+    least = np.diag(1 / np.maximum(prior, SUREST) ** 2)
+    mixing = np.tile(np.eye(len(rows), dtype=np.float32), (posterior.count, 1, 1))
+    for first in range(0, len(chosen), CHUNK):
+        span = slice(first, first + CHUNK)
+        some = np.array([[x[span] for x in row] for row in rows], np.float64) * weight[span]
+        covariance = np.linalg.inv(np.moveaxis(some, 2, 0) + least)
+        width = np.sqrt(np.einsum("tii->ti", covariance))
+        correlation = covariance / (width[:, :, None] * width[:, None, :])
+        mixing[chosen[span]] = np.linalg.cholesky(correlation)
     return mixing

@@ -9,8 +9,8 @@ of every pair of neighbours, strong where they are alike, weak across an edge.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -32,20 +32,23 @@ class Smoother:
 
     Attributes:
         precision: (N T,) Float, the diagonal of D, positive.
-        around: K columns (N T,) UInt32: the lanes of every lane's neighbours, itself where it has
-            fewer than K.
-        weights: (N T,) Floats of these links.
+        values: (N T,) Float, x0.
+        around: K columns (T,) UInt32: numbers of the neighbours of every texel, its own where it
+            has fewer than K.
+        strength, epsilon: opaque Floats, of the links.
         diagonal: (N T,) Float, of D + K.
     """
 
     precision: Any
+    values: Any
     around: Sequence[Any]
-    weights: Sequence[Any]
+    strength: Any
+    epsilon: Any
     diagonal: Any
 
     @staticmethod
     def of(
-        precision: np.ndarray, values: np.ndarray, table: np.ndarray, strength: float,
+        precision: np.ndarray, values: np.ndarray, around: Sequence[Any], strength: float,
         epsilon: float,
     ) -> Smoother:  # fmt: skip
         """Link neighbours that are alike.
@@ -53,27 +56,40 @@ class Smoother:
         Args:
             precision: (N, T), positive.
             values: (N, T), that links depend on.
-            table: (K, T) numbers of neighbours (``Neighbors.table``).
+            around: K columns (T,) UInt32 (``Neighbors.around``).
             strength: lambda.
             epsilon: differences far below it do not make a link any stronger.
         """
-        fields, count = precision.shape
-        own, first = np.arange(count), np.arange(fields)[:, None] * count
-        around, weights = [], []
-        for column in table:
-            apart = values - values[:, column]
-            weight = strength / np.sqrt(apart**2 + epsilon**2) * (column != own)
-            around.append(owned(mi.UInt32, (first + column).ravel().astype(np.uint32)))
-            weights.append(owned(mi.Float, weight.ravel().astype(np.float32)))
-        given = owned(mi.Float, precision.ravel().astype(np.float32))
-        diagonal = given + sum(weights)
+        given, middle = (owned(mi.Float, x.ravel().astype(np.float32)) for x in (precision, values))
+        links = dr.opaque(mi.Float, strength), dr.opaque(mi.Float, epsilon)
+        found = Smoother(given, middle, tuple(around), *links, given)
+        diagonal = given + sum(weight for _, weight in found._links())
         dr.eval(diagonal)
-        return Smoother(given, around, weights, diagonal)
+        return replace(found, diagonal=diagonal)
+
+    def with_precision(self, precision: np.ndarray) -> Smoother:
+        """Return the same links with another D, (N, T)."""
+        given = owned(mi.Float, precision.ravel().astype(np.float32))
+        diagonal = given + (self.diagonal - self.precision)
+        dr.eval(diagonal)
+        return replace(self, precision=given, diagonal=diagonal)
+
+    def _links(self) -> Iterator[tuple[Any, Any]]:
+        """Yield the lane of a neighbour of every lane, and the weight of the link, 0 for none."""
+        lane = dr.arange(mi.UInt32, dr.width(self.values))
+        count = dr.opaque(mi.UInt32, dr.width(self.around[0])) if self.around else 1
+        texel = lane % count
+        first = lane - texel
+        for column in self.around:
+            other = first + dr.gather(mi.UInt32, column, texel)
+            apart = self.values - dr.gather(mi.Float, self.values, other)
+            weight = self.strength * dr.rsqrt(dr.fma(apart, apart, dr.square(self.epsilon)))
+            yield other, dr.select(other == lane, 0, weight)
 
     def __matmul__(self, x: Any) -> Any:
         """Return (D + K) x."""
         total = self.diagonal * x
-        for other, weight in zip(self.around, self.weights, strict=True):
+        for other, weight in self._links():
             total = dr.fma(-weight, dr.gather(mi.Float, x, other), total)
         return total
 
@@ -114,7 +130,7 @@ class Smoother:
         total = dr.zeros(mi.Float, dr.width(self.diagonal))
         lane = dr.arange(mi.UInt32, dr.width(self.diagonal))
         seed = dr.opaque(mi.UInt64, int(random.integers(2**63)))
-        for other, weight in zip(self.around, self.weights, strict=True):
+        for other, weight in self._links():
             first, second = dr.minimum(lane, other), dr.maximum(lane, other)
             force = _normal(seed, (mi.UInt64(first) << 32) | mi.UInt64(second))
             sign = dr.select(lane < other, mi.Float(1), mi.Float(-1))

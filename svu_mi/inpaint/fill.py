@@ -1,0 +1,161 @@
+"""Fill what nobody saw by what it is like, and say how sure that is.
+
+    today's: values spread from the border by total variation, from the mean of all that was seen
+    here:    the same, towards a guess where that has proved itself
+
+Whether it has is found out on the object itself: parts of the surface that was seen, as large as
+those that were not, are hidden in turn, guessed, and compared with what is known of them. A guess
+that does not beat spreading from the border is not used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.errors import CaptureError
+from svu_mi.inpaint.likeness import LIKENESSES, Likeness, centred
+from svu_mi.interop import owned
+from svu_mi.parameters import NAMES
+from svu_mi.recovery.field.field import TextureField
+from svu_mi.recovery.textures import Textures, lay_out
+
+FOLDS = 6  # parts of the surface that are hidden in turn
+MARGIN = 0.95  # of the squared error of spreading, below which a guess is used
+GUESSED = 16  # times as much as the mean of all, a guess counts where it is smoothed
+SUREST = 0.02  # standard deviation that no guess is surer than
+
+
+@dataclass(frozen=True)
+class Filled:
+    """Textures without holes.
+
+    Attributes:
+        field: the textures, and how sure they are; where they were filled, never surer than before.
+        filled: (T,) bool, texels that were filled.
+        likeness: title of the guess that each parameter was filled with; ``border`` where none was
+            better than spreading from the border.
+        errors: root mean square error of that on hidden parts, by parameter.
+    """
+
+    field: TextureField
+    filled: np.ndarray
+    likeness: dict[str, str]
+    errors: dict[str, float]
+
+    @property
+    def textures(self) -> Textures:
+        """The textures."""
+        return self.field.textures
+
+
+def fill(field: TextureField, seen: np.ndarray) -> Filled:
+    """Fill texels that nobody saw.
+
+    Args:
+        field: recovered textures, and how sure they are.
+        seen: (T,) bool, texels that stay as they are.
+
+    Raises:
+        CaptureError: nothing is seen.
+    """
+    seen = np.asarray(seen, bool)
+    if not seen.any():
+        raise CaptureError("fill(): no texel is seen, so there is nothing to fill others by.")
+    if seen.all():
+        return Filled(field, ~seen, {name: "" for name in NAMES}, {name: 0.0 for name in NAMES})
+    points = centred(np.array(field.texels.position, np.float64).T)
+    folds = _folds(points, seen)
+    trial = _Trial(field, points, seen)
+    guesses: list[Likeness | None] = [None, *LIKENESSES]
+    errors = np.array([[trial.error(guess, hidden) for hidden in folds] for guess in guesses])
+    errors = errors.mean(axis=1)  # (guesses, N)
+    middle, least = field.values.copy(), np.zeros_like(field.values)
+    names, found = {}, {}
+    for name in NAMES:
+        rows = field.rows(name)
+        of_name = errors[:, rows].mean(axis=1)
+        best = int(of_name.argmin())
+        chosen = best if of_name[best] < MARGIN * of_name[0] else 0
+        guess = guesses[chosen]
+        names[name] = "border" if guess is None else guess.title
+        found[name] = float(np.sqrt(of_name[chosen]))
+        values = trial.guessed(guess)[rows]
+        middle[rows][:, ~seen] = values
+        wide = np.maximum(np.sqrt(errors[chosen, rows])[:, None], SUREST)
+        least[rows][:, ~seen] = np.maximum(wide, field.width[rows][:, ~seen])  # never surer
+    laid = lay_out(field.texels, {name: middle[field.rows(name)].T for name in NAMES})
+    textures = field.textures.but(**{name: laid[name] for name in field.names})
+    new = replace(field, textures=textures, least=least)
+    return Filled(new, ~seen, names, found)
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """What guesses are tried on.
+
+    Attributes:
+        field: recovered textures.
+        points: (T, 3) (``centred``).
+        seen: (T,) bool.
+    """
+
+    field: TextureField
+    points: np.ndarray
+    seen: np.ndarray
+
+    def error(self, guess: Likeness | None, hidden: np.ndarray) -> np.ndarray:
+        """Return the mean squared error (N,) of texels that were seen, as if they were hidden."""
+        known = self.seen & ~hidden
+        found = self._spread(guess, known, hidden)
+        return np.asarray(((found - self.field.values[:, hidden]) ** 2).mean(axis=1))
+
+    def guessed(self, guess: Likeness | None) -> np.ndarray:
+        """Return values (N, w) of texels that nobody saw."""
+        return self._spread(guess, self.seen, ~self.seen)
+
+    def _spread(
+        self, guess: Likeness | None, known: np.ndarray, wanted: np.ndarray
+    ) -> np.ndarray:
+        """Let values spread from the border into what is wanted, and from a guess about it."""
+        weights = 1 / self.field.deviation**2
+        mean = (weights * self.field.values)[:, known].sum(axis=1) / weights[:, known].sum(axis=1)
+        target = np.where(known, self.field.values, mean[:, None])
+        spread = self.field.values[:, known].std(axis=1)
+        trust = np.where(known, weights, 1 / np.maximum(spread, SUREST)[:, None] ** 2)
+        if guess is not None:
+            texels = np.flatnonzero(wanted)
+            found, alike = guess.guess(
+                self.points, np.flatnonzero(known), self.field.values, weights, texels
+            )
+            target[:, texels[alike]] = found[:, alike]
+            trust[:, texels[alike]] *= GUESSED
+        smoother = self.field.smoother.with_precision(trust)
+        solved = np.array(smoother.solve(owned(mi.Float, (trust * target).astype("f4").ravel())))
+        return np.clip(solved.reshape(trust.shape)[:, wanted], 0, 1)
+
+
+def _folds(points: np.ndarray, seen: np.ndarray) -> Sequence[np.ndarray]:
+    """Return parts of what was seen, (T,) bool each: contiguous, by direction from the middle."""
+    random = np.random.default_rng(0)
+    some = points[seen]
+    unit = some / np.maximum(np.linalg.norm(some, axis=1, keepdims=True), 1e-9)
+    centres = unit[random.choice(len(unit), min(FOLDS, len(unit)), replace=False)]
+    for _ in range(8):
+        owner = (unit @ centres.T).argmax(axis=1)
+        centres = np.stack([
+            unit[owner == k].mean(axis=0) if (owner == k).any() else centres[k]
+            for k in range(len(centres))
+        ])  # fmt: skip
+        centres /= np.maximum(np.linalg.norm(centres, axis=1, keepdims=True), 1e-9)
+    numbers = np.flatnonzero(seen)
+    found = []
+    for k in range(len(centres)):
+        hidden = np.zeros(len(points), bool)
+        hidden[numbers[owner == k]] = True
+        if hidden.any() and (seen & ~hidden).any():
+            found.append(hidden)
+    return found
