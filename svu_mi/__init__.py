@@ -81,6 +81,7 @@ _HOME = {
     "Reference": "reference", "reference_posterior": "reference",
     "Recovery": "recovery.recover", "recover": "recovery.recover",
     "TextureField": "recovery.field.field", "texture_field": "recovery.field.make",
+    "Filled": "inpaint", "fill": "inpaint",
     "RelitView": "recovery.relit_draws", "relight_draws": "recovery.relit_draws",
     "DescentOptions": "recovery.options", "PathOptions": "recovery.options",
     "ShOptions": "recovery.options",
@@ -93,16 +94,16 @@ _HOME = {
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "AngularPreset", "Asset", "Candidates", "Capture", "Check", "Comparison", "DescentOptions",
-    "Estimate", "ExportOptions", "Fit", "FoundGains", "GlobalSharing", "Guidance",
+    "Estimate", "ExportOptions", "Filled", "Fit", "FoundGains", "GlobalSharing", "Guidance",
     "GuidanceOptions", "ImportOptions", "Light", "LightEstimate", "LightOptions", "ParameterGrid",
     "PathOptions", "Posterior", "Preset", "PrincipledGrid", "Recovery", "Reference", "RelitView",
-    "Sharded", "ShOptions", "Skip", "SvuError", "SvuWarning", "Texels", "TextureField",
+    "ShOptions", "Sharded", "Skip", "SvuError", "SvuWarning", "Texels", "TextureField",
     "TotalVariation", "angular_posterior", "calibrated_posterior", "check", "compare", "equalized",
-    "estimate", "estimate_gains", "estimate_light", "export_asset", "fit_sh", "gather_shards",
-    "import_capture", "load_asset", "load_capture", "load_light", "next_best_view",
-    "power_spectrum", "preset", "read_source", "recover", "reference_posterior", "relight_draws",
-    "render_capture", "save_light", "spectrum_posterior", "texels", "texture_field", "with_light",
-    "write_report",
+    "estimate", "estimate_gains", "estimate_light", "export_asset", "fill", "fit_sh",
+    "gather_shards", "import_capture", "load_asset", "load_capture", "load_light",
+    "next_best_view", "power_spectrum", "preset", "read_source", "recover", "reference_posterior",
+    "relight_draws", "render_capture", "save_light", "spectrum_posterior", "texels",
+    "texture_field", "with_light", "write_report",
 ]  # fmt: skip
 
 _llvm.bootstrap()

@@ -198,9 +198,10 @@ class Observed(Evidence):
         model = self.model(
             wanted.roughness, wanted.switches, wanted.light_channels, wanted.texels
         )
-        read_ahead(self.views, model.surface)
         mirrors, weighting = self.mirrors if model.reads_mirrors else None, wanted.weighting
-        if weighting.models is not None:
+        if weighting.models is None:  # else they have just been read
+            read_ahead(self.views, model.surface)
+        else:
             samples = self._clipped_samples(wanted.texels, model.surface)
             weighting = replace(weighting, models=replace(weighting.models, samples=samples))
         return gather(self.views, self.found, model, mirrors, wanted.channels, weighting)

@@ -189,13 +189,13 @@ def test_draws_have_the_mean_and_the_deviation_that_are_said(recovered: SimpleNa
 
 
 def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNamespace) -> None:
-    """Dense: rho A b b A k(p_i, p_j) + (1 - rho) (D + K)^-1, where nothing is clipped."""
+    """Dense: rho c c k(p_i, p_j) + (1 - rho) (D + K)^-1, where nothing is clipped."""
     from svu_mi.recovery.field import field as module
 
     field = recovered.field
     row = 3  # roughness
     inverse = np.linalg.inv(dense(field, row))
-    coherent = inverse @ (1 / field.deviation[row])
+    coherent = np.hypot(inverse @ (1 / field.deviation[row]), field.values[row] - field.own[row])
     place = np.array(field.texels.position, np.float64).T
     random = np.random.default_rng(0)
     middle, sd = field.textures.at(field.texels, "roughness"), field.sd("roughness")

@@ -253,6 +253,12 @@ def test_what_texels_look_up_is_read_ahead(shot, monkeypatch):
     pages = {int(k) for first, count in runs for k in range(first, first + count)}
     assert needed <= pages and len(needed) > 5 and len(pages - needed) <= 2
     assert found.bytes == mmap.PAGESIZE * len(pages)
+    joined = found.joined(2)
+    end = joined.first + joined.count
+    assert len(joined.first) < len(found.first) and (joined.first[1:] - end[:-1] > 2).all()
+    runs = zip(joined.first, end, strict=True)
+    assert pages <= {int(k) for first, last in runs for k in range(first, last)}
+    monkeypatch.setattr(ahead, "GAP", 0)
     asked = []
     recorder = SimpleNamespace(
         memory=SimpleNamespace(madvise=lambda *words: asked.append(words)), first=0

@@ -24,6 +24,7 @@ from svu_mi.cli.exporting import Export
 from svu_mi.cli.guide import Guide
 from svu_mi.cli.help import REGISTRY, flowing
 from svu_mi.cli.importing import Import
+from svu_mi.cli.inpainting import Inpaint
 from svu_mi.cli.lighting import FindLight
 from svu_mi.cli.pictures import import_matplotlib
 from svu_mi.cli.recover import Recover
@@ -43,6 +44,7 @@ Command = (
     | Annotated[Entropy, tyro.conf.subcommand("entropy")]
     | Annotated[Guide, tyro.conf.subcommand("guide")]
     | Annotated[Recover, tyro.conf.subcommand("recover")]
+    | Annotated[Inpaint, tyro.conf.subcommand("inpaint")]
     | Annotated[Relight, tyro.conf.subcommand("relight")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Export, tyro.conf.subcommand("export")]

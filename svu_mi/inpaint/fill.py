@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import inf
 
 import mitsuba as mi
 import numpy as np
@@ -52,19 +53,25 @@ class Filled:
         return self.field.textures
 
 
-def fill(field: TextureField, seen: np.ndarray) -> Filled:
-    """Fill texels that nobody saw.
+def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
+    """Fill texels that nobody saw, or that are less sure than asked.
 
     Args:
         field: recovered textures, and how sure they are.
-        seen: (T,) bool, texels that stay as they are.
+        seen: (T,) bool, texels that a photograph shows.
+        above: standard deviation of any parameter from which on one that was seen is filled, too;
+            what is known of it counts as much as it is sure.
 
     Raises:
-        CaptureError: nothing is seen.
+        CaptureError: nothing is seen, or nothing surely enough.
     """
-    seen = np.asarray(seen, bool)
+    shown, width = np.asarray(seen, bool), field.width
+    seen = shown & (width <= above).all(axis=0)
     if not seen.any():
-        raise CaptureError("fill(): no texel is seen, so there is nothing to fill others by.")
+        raise CaptureError(
+            "fill(): no texel is seen surely enough to fill others by; allow more (above=).",
+            shell="No texel is seen surely enough to fill others by; give a larger --above.",
+        )
     if seen.all():
         return Filled(field, ~seen, {name: "" for name in NAMES}, {name: 0.0 for name in NAMES})
     points = centred(np.array(field.texels.position, np.float64).T)
@@ -83,13 +90,17 @@ def fill(field: TextureField, seen: np.ndarray) -> Filled:
         guess = guesses[chosen]
         names[name] = "border" if guess is None else guess.title
         found[name] = float(np.sqrt(of_name[chosen]))
-        values = trial.guessed(guess)[rows]
-        middle[rows][:, ~seen] = values
         wide = np.maximum(np.sqrt(errors[chosen, rows])[:, None], SUREST)
-        least[rows][:, ~seen] = np.maximum(wide, field.width[rows][:, ~seen])  # never surer
+        own = np.where(shown, 1 / np.maximum(width[rows], SUREST) ** 2, 0)[:, ~seen]
+        both = own * middle[rows][:, ~seen] + trial.guessed(guess)[rows] / wide**2
+        middle[rows][:, ~seen] = both / (own + 1 / wide**2)
+        # Never surer than before.
+        least[rows][:, ~seen] = np.where(own > 0, 0, wide)
+        least[rows][:, ~seen] = np.maximum(least[rows], width[rows])[:, ~seen]
     laid = lay_out(field.texels, {name: middle[field.rows(name)].T for name in NAMES})
     textures = field.textures.but(**{name: laid[name] for name in field.names})
-    new = replace(field, textures=textures, least=least)
+    own = np.where(seen, field.own, np.concatenate([middle[field.rows(n)] for n in NAMES]))
+    new = replace(field, textures=textures, own=own, least=least)
     return Filled(new, ~seen, names, found)
 
 

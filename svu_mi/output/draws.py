@@ -20,6 +20,7 @@ from svu_mi.output.style import GREY
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.recover import Recovery
 from svu_mi.recovery.textures import Textures
+from svu_mi.surface import Texels
 
 if TYPE_CHECKING:
     from svu_mi.output.style import Panel
@@ -120,18 +121,17 @@ def write_sheet(
     for name in NAMES:
         for number, textures in enumerate(columns):
             title = words(name).capitalize() if number == 0 else f"draw {number - 1}"
-            shown = _colors(recovery, textures, name)
+            shown = texture_colors(recovery.texels, textures, name)
             panels.append((title, partial(draw_look, look=look, colors=shown)))
     style.draw_panels(figure, list(grid), panels, "NW")
     style.save_figure(figure, path)
 
 
-def _colors(recovery: Recovery, textures: Textures, name: str) -> np.ndarray:
+def texture_colors(texels: Texels, textures: Textures, name: str) -> np.ndarray:
     """Return a parameter as screen colours (H, W, 3)."""
     if CHANNELS[name] > 1:
         return views.srgb(np.clip(np.array(textures[name], np.float32), 0, 1))
-    values = textures.at(recovery.texels, name)
-    return map_colors(all_seen(recovery.texels), values, colormap=GREY)
+    return map_colors(all_seen(texels), textures.at(texels, name), colormap=GREY)
 
 
 def _channels(name: str) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,6 @@ import svu_mi
 from svu_mi.exr import write_exr
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.field.field import LEVEL, TextureField
-from svu_mi.recovery.recover import Recovery
 from svu_mi.surface.gutter import dilate
 
 ENTROPY, COVERAGE, UNCERTAINTY = "entropy.exr", "coverage.exr", "uncertainty.exr"
@@ -57,9 +57,14 @@ def write_uncertainty(estimate: Estimate, folder: Path) -> None:
     write_exr(folder / UNCERTAINTY, channels, attributes)
 
 
-def write_field(recovery: Recovery, field: TextureField, folder: Path) -> None:
+def write_field(field: TextureField, folder: Path, attributes: Mapping[str, Any]) -> None:
     """Write ``uncertainty.exr`` of recovered textures: what ``write_uncertainty`` writes, and the
     ends of the intervals that hold 90 %, ``roughness.low`` and ``roughness.high`` and so on.
+
+    Args:
+        field: how sure textures are.
+        folder: an existing folder.
+        attributes: header entries.
 
     Raises:
         OutputError: the file cannot be written, or a value is NaN.
@@ -68,9 +73,9 @@ def write_field(recovery: Recovery, field: TextureField, folder: Path) -> None:
     for name in field.names:
         low, high = field.interval(name, LEVEL)
         for kind, values in (("sd", field.sd(name)), ("low", low), ("high", high)):
-            channels |= _channels(recovery, f"{name}.{kind}", values)
-    attributes = header(recovery, level=LEVEL, gutter=GUTTER)
-    write_exr(folder / UNCERTAINTY, channels, attributes)
+            channels |= _channels(field, f"{name}.{kind}", values)
+    about = {**attributes, "svu:level": LEVEL, "svu:gutter": GUTTER}
+    write_exr(folder / UNCERTAINTY, channels, about)
 
 
 def _channels(made: Any, name: str, values: Any) -> dict[str, np.ndarray]:

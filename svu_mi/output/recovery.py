@@ -120,7 +120,7 @@ def _write_known(
         if field is None:
             write_uncertainty(estimate, folder)
         else:
-            write_field(recovery, field, folder)
+            write_field(field, folder, header(recovery))
 
 
 def write_losses(losses: Any, path: Path) -> None:

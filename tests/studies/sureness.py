@@ -3,7 +3,8 @@
     PYTHONPATH=tests python -m studies.sureness [--quick] [--data FOLDER] [--objects A]
 
 Intervals of textures of every cell, recovered by SH; with a prior in common from photographs mostly
-from one side; and pictures under two lights that nothing was recovered from, of the first cells.
+from one side; of what was filled where a third of the surface is in no photograph; and pictures
+under two lights that nothing was recovered from, of some cells.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ from svu_mi.bench.text import Bar, Column, columns, digits, seconds
 from svu_mi.bench.truth import Truth
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import find_shape, load_scene
+from svu_mi.inpaint import fill
+from svu_mi.observed import observe
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.field.field import LEVEL, TextureField
 from svu_mi.recovery.field.make import texture_field
@@ -39,6 +42,7 @@ RELIT_CELLS, LIGHTS, VIEWS, SPP, DRAWS = 6, 2, 3, 36, 16
 FRONT_VIEWS, BACK_VIEWS = 18, 4
 LOWEST, HIGHEST = 0.82, 0.96  # of the means over cells; of pictures .80 and .97
 WORST = 0.65
+HIDDEN = 1 / 3  # part of the surface
 WIDTH = 1.645  # standard deviations of a normal distribution that 90 % lie within
 
 
@@ -55,7 +59,7 @@ class Sure(OnCell):
 
     @property
     def rows(self) -> tuple[Part, ...]:
-        return PARTS if self.others else PARTS[:2]
+        return PARTS if self.others else PARTS[:-1]
 
     def settings(self, row: Part | None) -> Any:
         lights = [(str(one.scene), one.defines) for one in self.others]
@@ -78,6 +82,24 @@ class Sure(OnCell):
         found = _recovered(uneven, self.layout, sharing=True)
         return held(*found, Truth.of(self.capture, self.layout))
 
+    def filled(self) -> Record:
+        """Return what filling gains where a third of the surface is never seen: ``psnr_before``,
+        ``psnr`` (dB, average texture PSNR of these texels), ``held`` by parameter, ``likeness``."""
+        layout, truth = self.layout, Truth.of(self.capture, self.layout)
+        recovery, field = _recovered(_hiding(self.capture, layout), layout)
+        seen = recovery.coverage > 0
+        found = fill(field, seen)
+        held = {}
+        for name in NAMES:
+            low, high = (end[~seen] for end in found.field.interval(name, LEVEL))
+            true = np.asarray(truth.values[name], np.float64)[~seen]
+            held[name] = float(((low - 1e-6 <= true) & (true <= high + 1e-6)).mean())
+        return {
+            "hidden": float((~seen).mean()), "held": held, "likeness": found.likeness,
+            "psnr_before": truth.psnr(recovery.textures, ~seen)["average"],
+            "psnr": truth.psnr(found.textures, ~seen)["average"],
+        }  # fmt: skip
+
     def pictures(self) -> Record:
         """Return ``held``, the part of pixel channels whose truth is within 1.64 sd; ``spearman``
         of sd and error; ``psnr_gain`` of the mean of draws over the picture; and ``seconds``."""
@@ -98,7 +120,17 @@ class Sure(OnCell):
 
 
 PARTS = (Part("textures", Sure.textures), Part("shared", Sure.shared),
-         Part("pictures", Sure.pictures))  # fmt: skip
+         Part("filled", Sure.filled), Part("pictures", Sure.pictures))  # fmt: skip
+
+
+def _hiding(capture: Capture, layout: Texels) -> Capture:
+    """Return the photographs from one side that leave about a third of the surface unseen."""
+    low, high = 1, capture.count
+    while high - low > 1:
+        middle = (low + high) // 2
+        shown = observe(uneven_views(capture, middle, 0), layout).coverage
+        low, high = (low, middle) if (shown == 0).mean() < HIDDEN else (middle, high)
+    return uneven_views(capture, low, 0)
 
 
 def _recovered(
@@ -172,6 +204,17 @@ def find_bars(record: Record) -> list[Bar]:
         if part == "textures" and found:
             mean = float(np.mean([one["spearman"] for one in found]))
             bars.append(Bar("textures: Spearman of sd and error", mean, 0.68, least=True))
+    gains = [row["filled"]["psnr"] - row["filled"]["psnr_before"] for row in rows
+             if "filled" in row]  # fmt: skip
+    if gains:
+        held = [np.mean(list(row["filled"]["held"].values())) for row in rows if "filled" in row]
+        bars += [
+            Bar("filled: average texture PSNR over spreading, mean", float(np.mean(gains)), 2.0,
+                "dB", True),
+            Bar("filled: the same, worst cell", min(gains), -0.1, "dB", True),
+            Bar("filled: intervals hold", float(np.mean(held)), 0.80, least=True),
+            Bar("filled: intervals hold", float(np.mean(held)), 0.97),
+        ]  # fmt: skip
     pictures = [row["pictures"] for row in rows if "pictures" in row]
     if pictures:
         value = {name: float(np.mean([one[name] for one in pictures]))
@@ -202,6 +245,11 @@ def tables(record: Record) -> list[str]:
         shown.append(Column(f"Spearman{title}", partial(_value, part=part, name="spearman"),
                             digits(2)))  # fmt: skip
     shown += [
+        Column("filled, hidden", partial(_value, part="filled", name="hidden"), digits(2)),
+        Column("before", partial(_value, part="filled", name="psnr_before"), digits(2)),
+        Column("PSNR", partial(_value, part="filled", name="psnr"), digits(2)),
+        Column("held", lambda line: _whole(line[1]["filled"]["held"]), digits(2)),
+        Column("by", lambda line: ", ".join(dict.fromkeys(line[1]["filled"]["likeness"].values()))),
         Column("pixels", partial(_value, part="pictures", name="held"), digits(2)),
         Column("Spearman, pixels", partial(_value, part="pictures", name="spearman"), digits(2)),
         Column("draws' mean", partial(_value, part="pictures", name="psnr_gain"),
@@ -217,6 +265,10 @@ def tables(record: Record) -> list[str]:
         f"the object's pixels under other lights. Means over {count} cells: {words}.",
         columns(shown, lines),
     ]
+
+
+def _whole(held: dict[str, float]) -> float:
+    return float(np.mean(list(held.values())))
 
 
 def _mean(values: Sequence[float]) -> float | None:

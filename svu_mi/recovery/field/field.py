@@ -7,10 +7,12 @@ neighbours. That would be all if texels erred by themselves. They do not: light,
 model are off in the same way for a whole neighbourhood, and smoothing takes nothing off that. So
 the deviation of a texel has two parts,
 
-    x = x0 + sqrt(rho) A b g + sqrt(1 - rho) e,    A = (D + K)^-1 D,    e ~ N(0, (D + K)^-1),
+    x = x0 + sqrt(rho) c g + sqrt(1 - rho) e,    e ~ N(0, (D + K)^-1),
+    c^2 = (A b)^2 + (x0 - m)^2,    A = (D + K)^-1 D,
 
-with b the standard deviation of a texel's own posterior and g a field of variance 1 that
-varies slowly over the object. Values beyond [0, 1] are clipped.
+with m and b the mean and the standard deviation of a texel's own posterior, and g a field of
+variance 1 that varies slowly over the object: c is what is left of b where all texels err alike,
+and what a texel and its neighbours do not agree about. Values beyond [0, 1] are clipped.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ from svu_mi.settings import require_known
 from svu_mi.surface import Texels
 
 # Chosen on our own scenes:
-COMMON = 0.6  # rho, part of a texel's variance that its neighbourhood has in common
+COMMON = 0.8  # rho, part of a texel's variance that its neighbourhood has in common
 LENGTH = 0.1  # over which that varies, as a part of the object's extent
 LEVEL = 0.9
 TINY = 1e-9
@@ -49,7 +51,8 @@ class TextureField:
         texels: T texels.
         textures: the recovered ones.
         names: parameters that were recovered; all others are what they are.
-        deviation: (N, T), b of the N values of all parameters, base colour first.
+        own: (N, T), m of the N values of all parameters, base colour first.
+        deviation: (N, T), b.
         mixing: (T, N, N), triangular, L of every texel: L L^T are the correlations of its values.
         scale: standard deviation of the logarithm of a factor of base colour that all texels have
             in common, per channel.
@@ -61,6 +64,7 @@ class TextureField:
     texels: Texels
     textures: Textures
     names: tuple[str, ...]
+    own: np.ndarray
     deviation: np.ndarray
     mixing: np.ndarray
     scale: np.ndarray
@@ -132,9 +136,10 @@ class TextureField:
 
     @cached_property
     def _coherent(self) -> np.ndarray:
-        """A b, (N, T)."""
+        """c, (N, T)."""
         right = owned(mi.Float, (1 / self.deviation).astype(np.float32).ravel())
-        return np.array(self.smoother.solve(right), np.float64).reshape(self.deviation.shape)
+        left = np.array(self.smoother.solve(right), np.float64).reshape(self.deviation.shape)
+        return np.hypot(left, self.values - self.own)
 
     @cached_property
     def _width(self) -> np.ndarray:

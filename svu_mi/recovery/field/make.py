@@ -89,28 +89,29 @@ def field_around(
     options = options or ShOptions()
     values = {name: np.atleast_2d(textures.at(texels, name).T).astype(np.float64)
               for name in NAMES}  # fmt: skip
-    deviation = _deviations(posterior)
+    x0 = np.concatenate(list(values.values()))
+    own, deviation = _own(posterior, x0)
     # Total variation is a mean over pairs, in nats of the mean texel that is seen.
     seen, pairs = int(posterior.observed.sum()), max(int(dr.width(around.pairs[0])), 1)
     strength = options.tv * np.sqrt(texels.count) * seen / pairs / (1 + HOLD)
     smoother = Smoother.of(
-        1 / deviation**2, np.concatenate(list(values.values())), around.around, strength,
-        max(options.tv_epsilon, SUREST),
-    )  # fmt: skip
+        1 / deviation**2, x0, around.around, strength, max(options.tv_epsilon, SUREST)
+    )
     return TextureField(
-        texels=texels, textures=textures, names=tuple(names), deviation=deviation,
-        mixing=_mixing(posterior, values), scale=np.asarray(posterior.common), smoother=smoother,
+        texels=texels, textures=textures, names=tuple(names), own=own,
+        deviation=deviation, mixing=_mixing(posterior, values),
+        scale=np.asarray(posterior.common), smoother=smoother,
     )  # fmt: skip
 
 
-def _deviations(posterior: CalibratedPosterior) -> np.ndarray:
-    """Return standard deviations of texels by themselves, (N, T); the prior's of those unseen."""
-    rows = []
-    _, sds = moments(posterior)
-    for name in NAMES:
-        usual = _of_prior(posterior, name)[:, None]
-        rows.append(np.where(posterior.observed, sds[name], usual))
-    return np.maximum(np.concatenate(rows), SUREST)
+def _own(posterior: CalibratedPosterior, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return means and standard deviations of texels by themselves, (N, T) each; of those unseen,
+    x0 and the prior's."""
+    means, sds = (np.concatenate(list(table.values())) for table in moments(posterior))
+    prior = np.concatenate([_of_prior(posterior, name) for name in NAMES])
+    seen = posterior.observed
+    deviation = np.maximum(np.where(seen, sds, prior[:, None]), SUREST)
+    return np.where(seen, means, x0), deviation
 
 
 def _of_prior(posterior: CalibratedPosterior, name: str) -> np.ndarray:

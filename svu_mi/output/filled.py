@@ -1,0 +1,128 @@
+"""Textures that were filled: files, a picture of what was, and sentences about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import svu_mi
+from svu_mi.capture import Capture
+from svu_mi.capture.fingerprint import capture_key
+from svu_mi.exr import write_exr
+from svu_mi.inpaint import Filled
+from svu_mi.output import style, views
+from svu_mi.output.draws import texture_colors
+from svu_mi.output.figures import all_seen, draw_look, map_colors
+from svu_mi.output.manifest import RECORD, Run, inputs_record, write_run
+from svu_mi.output.maps import padded, write_field
+from svu_mi.output.page import percent
+from svu_mi.output.result import words
+from svu_mi.output.scene_xml import write_scene
+from svu_mi.parameters import NAMES
+from svu_mi.recovery.field.field import TextureField
+from svu_mi.results.writing import writing
+
+if TYPE_CHECKING:
+    from svu_mi.output.style import Panel
+
+MASK, PAGE = "filled.exr", "filled.png"
+HEADING = "What nobody saw, filled by what it is like"
+CELL = 3.2  # inches
+
+
+def write_filled(
+    capture: Capture, before: TextureField, found: Filled, folder: Path, run: Run | None = None,
+    *, pictures: bool = True,
+) -> None:  # fmt: skip
+    """Write textures, ``recovered.xml``, ``uncertainty.exr``, ``filled.exr``, ``filled.png`` and
+    ``run.json``.
+
+    All of it takes the place of an older result in one step (``results.writing``).
+
+    Args:
+        capture: the ``Capture``.
+        before: the textures as they were.
+        found: what ``fill`` has made of them.
+        folder: made if missing.
+        run: how it came about.
+        pictures: whether ``filled.png`` is among the files.
+
+    Raises:
+        OutputError: the folder or a file cannot be written.
+    """
+    run = run or Run()
+    about = {"svu:version": svu_mi.__version__, "svu:method": "inpaint"}
+    with writing(folder, "inpaint", RECORD, capture=capture_key(capture)) as draft:
+        write_scene(capture, found.textures, draft.folder, attributes=about)
+        write_field(found.field, draft.folder, about)
+        mask = padded(found.field, found.filled.astype(np.float32), fill=0)
+        write_exr(draft.folder / MASK, {"Y": mask}, about)
+        if pictures:
+            _draw(capture, before, found, draft.folder / PAGE)
+        record = {
+            "inputs": inputs_record(capture), "settings": {},
+            "result": {"filled": int(found.filled.sum()), "likeness": found.likeness,
+                       "errors": found.errors},
+        }  # fmt: skip
+        write_run(draft, record, run)
+
+
+def fill_sentences(found: Filled) -> Iterator[str]:
+    """Yield what was filled, and by what."""
+    part = found.filled.mean() if len(found.filled) else 0.0
+    if not found.filled.any():
+        yield "Every texel is seen, and surely enough; nothing was filled."
+        return
+    yield f"{percent(part)} of the texels filled."
+    for name in NAMES:
+        yield (
+            f"{words(name).capitalize()}: {found.likeness[name]}, off by "
+            f"{found.errors[name]:.2f} (rms) where that was tried on what was seen."
+        )
+
+
+def _draw(capture: Capture, before: TextureField, found: Filled, path: Path) -> None:
+    """Draw every parameter before and after, and what was filled, from where most of that is
+    seen."""
+    rows = ("before", "after", "standard deviation")
+    height = CELL * len(rows) + 1.1
+    figure = style.new_figure(CELL * (len(NAMES) + 1), height)
+    style.heading(figure, HEADING, [], (1 - 0.35 / height, 0.0))
+    grid = figure.add_gridspec(
+        len(rows), len(NAMES) + 1, left=0.01, right=0.99, top=1 - 0.85 / height, bottom=0.01,
+        hspace=0.16, wspace=0.04,
+    )  # fmt: skip
+    texels = before.texels
+    look = views.Look.at(views.alone(capture), capture.sensors[_facing(capture, found)])
+    mask = map_colors(all_seen(texels), found.filled.astype(np.float32), colormap=style.GREY)
+    panels: list[Panel] = []
+    for row in rows:
+        for name in NAMES:
+            if row == "standard deviation":
+                sd = found.field.sd(name).reshape(texels.count, -1).max(axis=1)
+                shown = map_colors(all_seen(texels), sd, limits=(0, 0.3))
+            else:
+                field = before if row == "before" else found.field
+                shown = texture_colors(texels, field.textures, name)
+            title = f"{words(name).capitalize()}, {row}"
+            panels.append((title, partial(draw_look, look=look, colors=shown)))
+        panels.append(("Filled" if row == "before" else "", partial(
+            draw_look, look=look, colors=mask) if row == "before" else
+            lambda axes: axes.set_axis_off()))  # fmt: skip
+    style.draw_panels(figure, list(grid), panels, "NW")
+    style.save_figure(figure, path)
+
+
+def _facing(capture: Capture, found: Filled) -> int:
+    """Return the sensor that most of what was filled faces."""
+    from svu_mi.capture.scene import to_world
+
+    texels = found.field.texels
+    position, normal = (np.array(x)[:, found.filled] for x in (texels.position, texels.normal))
+    eyes = [to_world(sensor)[:3, 3] for sensor in capture.sensors]
+    facing = [int((((eye[:, None] - position) * normal).sum(axis=0) > 0).sum()) for eye in eyes]
+    return int(np.argmax(facing))
