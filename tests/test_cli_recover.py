@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from helpers import fails, last_line, names, run, sensor_xml, write_scene
 
+from svu_mi import scenes
 from svu_mi.cli.common import was_interrupted
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.output.textures import read_textures, write_textures
@@ -69,8 +70,9 @@ def test_recover_writes_textures_a_scene_and_pictures(shot, tmp_path):
     entropy, coverage = (read_exr(tmp_path / f"{n}.exr")["Y"] for n in ("entropy", "coverage"))
     assert (entropy[coverage == 0] == 1).all()
     sd = read_exr(tmp_path / "uncertainty.exr")
-    assert sorted(sd) == ["base_color.sd.B", "base_color.sd.G", "base_color.sd.R",
-                          "metallic.sd", "roughness.sd"]  # fmt: skip
+    kinds = [name for name in sd if ".sd" in name]
+    assert sorted(kinds) == ["base_color.sd.B", "base_color.sd.G", "base_color.sd.R",
+                             "metallic.sd", "roughness.sd"]  # fmt: skip
     sure, unsure = (
         np.median(sd["roughness.sd"][coverage == views]) for views in (coverage.max(), 0)
     )
@@ -277,3 +279,51 @@ def test_textures_of_another_size_name_the_option(shot, tmp_path, capsys):
         write_exr(tmp_path / f"{name}.exr", channels)
     words = ("recover", shot, "-o", tmp_path / "out", "--start", tmp_path, "--resolution", 16)
     assert "--resolution 9 8" in fails(capsys, *words)
+
+
+def test_draws_are_written_and_a_picture_says_how_sure_it_is(shot, tmp_path, capsys):
+    textures, out = tmp_path / "textures", tmp_path / "relit"
+    assert recover(shot, textures, "--draws", 3) == 0
+    assert names(textures / "draws") == [f"draw_{k:03d}.exr" for k in range(3)]
+    assert (textures / "draws.png").is_file()
+    channels = read_exr(textures / "uncertainty.exr")
+    assert set(channels) == {
+        f"{name}.{kind}{letter}" for kind in ("sd", "low", "high")
+        for name, letters in (("base_color", (".R", ".G", ".B")), ("roughness", ("",)),
+                              ("metallic", ("",)))
+        for letter in letters
+    }  # fmt: skip
+    assert (channels["roughness.low"] <= channels["roughness.high"]).all()
+    capsys.readouterr()
+    words = ("relight", shot, "--recovered", textures, "--views", 2, "--spp", 4)
+    assert run(*words, "-o", out) == 0
+    assert "Half of the object's pixels are known to" in capsys.readouterr().out
+    found = [name for name in names(out) if name.startswith("view_")]
+    assert len(found) == 4 and "relight.png" in names(out)
+    picture = read_exr(out / next(name for name in found if name.endswith(".exr")))
+    assert set(picture) == {
+        *"RGB", *(f"{kind}.{c}" for kind in ("mean", "sd") for c in "RGB")
+    }  # fmt: skip
+    assert picture["sd.R"].max() > 0 and picture["R"].max() > 0
+    record = json.loads((out / "run.json").read_text())
+    assert record["settings"]["draws"] == 3
+    light = scenes.FOLDER / "lights" / "studio.exr"
+    assert run(*words, "--environment", light, "--no-pictures", "-o", tmp_path / "other") == 0
+    assert "relight.png" not in names(tmp_path / "other")
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_what_relight_cannot_do_is_said(shot, tmp_path, capsys):
+    assert recover(shot, tmp_path / "plain") == 0
+    words = ("relight", shot, "--recovered", tmp_path / "plain", "-o", tmp_path / "out")
+    assert "has no draws of the textures; svu recover --draws 16" in fails(capsys, *words)
+    assert "--views must be at least 1" in fails(capsys, *words, "--views", 0)
+    assert "no such file; --environment takes a lat-long map" in fails(
+        capsys, *words, "--environment", tmp_path / "none.exr"
+    )
+    assert "--draws must be in [0, 1000]" in fails(
+        capsys, "recover", shot, "--draws", -1, "-o", tmp_path / "a"
+    )
+    assert "--draws needs the noise of the photographs" in fails(
+        capsys, "recover", shot, "--draws", 2, "--preset", "paper", "-o", tmp_path / "a"
+    )

@@ -496,3 +496,27 @@ def test_the_program_exports(result, tmp_path, variant, capsys):
     assert set(FORMATS) == {"exr", "png", "glb", "xml", "materialx"}
     assert run("export", tmp_path, "-o", tmp_path / "none") == 2
     assert capsys.readouterr().err.count("\n") == 1 and not (tmp_path / "none").exists()
+
+
+def test_standard_deviations_are_maps_and_attributes(result, tmp_path):
+    folder = shutil.copytree(result.folder, tmp_path / "result")
+    height, width = read_exr(folder / "roughness.exr")["Y"].shape
+    rough = np.linspace(0, 0.4, height * width, dtype=np.float32).reshape(height, width)
+    colors = {f"base_color.sd.{c}": rough * k for c, k in zip("RGB", (0.2, 0.5, 0.1), strict=True)}
+    channels = {"roughness.sd": rough, "roughness.low": rough, **colors}
+    write_exr(folder / "uncertainty.exr", channels)
+    asset = svu.load_asset(folder)
+    assert set(asset.deviations) == {"base_color", "roughness"}
+    np.testing.assert_allclose(asset.deviations["base_color"], 0.5 * rough)
+    svu.export_asset(asset, tmp_path / "out")
+    there = files(tmp_path / "out")
+    assert {"textures/roughness_sd.exr", "textures/base_color_sd.png"} <= set(there)
+    tree = gltf(tmp_path / "out" / "asset.glb")
+    attributes = set(tree["meshes"][0]["primitives"][0]["attributes"])
+    assert {"_ROUGHNESS_SD", "_BASE_COLOR_SD"} <= attributes
+    record = json.loads((tmp_path / "out" / "asset.json").read_text())
+    said = {one["holds"]: one["values"] for one in record["files"]}
+    assert said["roughness_sd"].endswith("standard deviation")
+    write_exr(folder / "uncertainty.exr", {"roughness.sd": rough + 1})
+    with pytest.raises(CaptureError, match="values of roughness are NaN or outside"):
+        svu.load_asset(folder)

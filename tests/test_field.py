@@ -189,7 +189,7 @@ def test_draws_have_the_mean_and_the_deviation_that_are_said(recovered: SimpleNa
 
 
 def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNamespace) -> None:
-    """Dense: rho c c k(p_i, p_j) + (1 - rho) (D + K)^-1, where nothing is clipped."""
+    """Dense: rho c c L L k(p_i, p_j) + (1 - rho) (D + K)^-1, where nothing is clipped."""
     from svu_mi.recovery.field import field as module
 
     field = recovered.field
@@ -207,7 +207,8 @@ def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNam
     assert len(i) > 50
     distance = np.linalg.norm(place[i] - place[j], axis=1) / (module.LENGTH * field.texels.extent)
     rho = module.COMMON
-    covariance = rho * coherent[i] * coherent[j] * np.exp(-(distance**2) / 2)
+    alike = (field.mixing[i, row] * field.mixing[j, row]).sum(axis=1)  # of their correlations
+    covariance = rho * coherent[i] * coherent[j] * np.exp(-(distance**2) / 2) * alike
     covariance += (1 - rho) * inverse[i, j]
     variance = [rho * coherent[k] ** 2 + (1 - rho) * inverse[k, k] for k in (i, j)]
     wanted = covariance / np.sqrt(variance[0] * variance[1])

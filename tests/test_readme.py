@@ -16,7 +16,7 @@ LINES = {"README.md": 15, "notebooks/recovering.md": 30}  # of the scripts, at m
 ROOT = Path(__file__).parent.parent
 WRITERS = (
     "import", "check", "light", "entropy", "guide", "recover", "report", "export", "compare",
-    "render", "batch", "relight",
+    "render", "batch", "relight", "inpaint",
 )  # fmt: skip
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "notebooks").glob("*.md"))]
 
@@ -76,6 +76,7 @@ def test_commands_write_to_folders_of_their_own_by_default():
         "recover": Path("out/textures"), "report": Path("report.html"),
         "export": Path("out/asset"), "compare": Path("out/compare"), "scenes": Path("scenes"),
         "batch": Path("out/batch"), "relight": Path("out/relit"),
+        "inpaint": Path("out/filled"),
         "demo": Path("out/demo"), "bench": Path("out/bench"), "doctor": None,
     }  # fmt: skip
 

@@ -26,9 +26,9 @@ Gutter = Annotated[int | None, tyro.conf.arg(metavar="TEXELS")]
 class Export(Common):
     """Write recovered textures for Blender, Mitsuba, MaterialX and the web.
 
-    Writes textures/*.exr and *.png (base_color, roughness, metallic, packed orm, entropy,
-    coverage), asset.glb, entropy.glb, object.xml, preview.xml, mesh.ply, material.mtlx, mesh.obj,
-    and asset.json, which says what each file is.
+    Writes textures/*.exr and *.png (base_color, roughness, metallic, their standard deviations,
+    packed orm, entropy, coverage), asset.glb, entropy.glb, object.xml, preview.xml, mesh.ply,
+    material.mtlx, mesh.obj, and asset.json, which says what each file is.
     """
 
     result: Result

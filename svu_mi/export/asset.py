@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from svu_mi.output.upright import Axis, nearest_axis, upright
 from svu_mi.recovery.textures import Textures
 
 TEXTURES, RECORD = "textures", "asset.json"  # in an exported folder
+SD = "_sd"  # end of the names of maps of standard deviations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +32,8 @@ class Asset:
         entropy: (H, W) float32 in [0, 1] over these UVs, 1 = nothing known; of any resolution,
             or None.
         coverage: (H, W) float32 number of views, of the same resolution as ``entropy``, or None.
+        deviations: (H, W) float32 standard deviations in [0, 1] by parameter, of a colour that of
+            its worst channel; over these UVs, of the textures' resolution.
         two_sided: whether the surface reflects on its back, too.
         up: axis of the world that points upwards.
         source: where all this comes from, for the record.
@@ -41,6 +45,7 @@ class Asset:
     textures: Textures
     entropy: np.ndarray | None = None
     coverage: np.ndarray | None = None
+    deviations: Mapping[str, np.ndarray] = field(default_factory=dict)
     two_sided: bool = False
     up: Axis = "y"
     source: str | None = None
@@ -54,8 +59,9 @@ class Asset:
         for name, image in self.maps.items():
             if image.ndim != 2 or not image.size:
                 raise ShapeError(f"Asset: {name} must have shape (H, W), got {image.shape}.")
-            _check_values(name, image, 1 if name == "entropy" else np.inf)
-        shapes = [str(image.shape) for image in self.maps.values()]
+            _check_values(name, image, np.inf if name == "coverage" else 1)
+        both = (self.entropy, self.coverage)
+        shapes = [str(image.shape) for image in both if image is not None]
         if len(set(shapes)) > 1:
             raise ShapeError(
                 f"Asset: entropy and coverage differ in size, {' and '.join(shapes)}; give maps of "
@@ -64,18 +70,22 @@ class Asset:
 
     @property
     def maps(self) -> dict[str, np.ndarray]:
-        """Those of entropy and coverage that there are, by name."""
+        """Maps that there are, by name: entropy, coverage, ``roughness_sd`` and so on."""
         found = {"entropy": self.entropy, "coverage": self.coverage}
-        return {name: image for name, image in found.items() if image is not None}
+        there = {name: image for name, image in found.items() if image is not None}
+        return there | {name + SD: image for name, image in self.deviations.items()}
 
     @classmethod
-    def of(cls, capture: Any, recovery: Any, estimate: Any | None = None) -> Asset:
+    def of(
+        cls, capture: Any, recovery: Any, estimate: Any | None = None, field: Any | None = None
+    ) -> Asset:
         """Put an asset together from results in memory.
 
         Args:
             capture: the ``Capture``.
             recovery: its ``Recovery``.
             estimate: its ``Estimate``, if entropy is to be exported; of any resolution.
+            field: the ``TextureField``, if how sure the textures are is to be exported.
         """
         seen = recovery if estimate is None else estimate
         entropy = None if estimate is None else padded(seen, np.array(estimate.entropy, np.float32))
@@ -85,6 +95,9 @@ class Asset:
             textures=recovery.textures,
             entropy=entropy,
             coverage=padded(seen, np.asarray(seen.coverage).astype(np.float32), fill=0),
+            deviations={} if field is None else {
+                name: padded(field, worst(field.sd(name)), fill=0) for name in field.names
+            },
             two_sided=is_two_sided(capture.shape.bsdf()),
             up=nearest_axis(upright(capture)),
             source=capture.source,
@@ -107,6 +120,12 @@ class Written:
     format: str
     holds: str
     values: str
+
+
+def worst(deviations: np.ndarray) -> np.ndarray:
+    """Return the largest of the channels (T, C) or (T,), (T,) float32."""
+    table = np.asarray(deviations, np.float32)
+    return np.asarray(table.reshape(len(table), -1).max(axis=1, initial=0))
 
 
 def _check_mesh(name: str, mesh: MeshArrays) -> None:

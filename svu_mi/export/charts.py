@@ -8,15 +8,16 @@ import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.errors import CaptureError, MeshError
-from svu_mi.export.asset import Asset
+from svu_mi.export.asset import SD, Asset
 from svu_mi.output.maps import GUTTER
+from svu_mi.parameters import NAMES
 from svu_mi.recovery.textures import Textures
 from svu_mi.surface import texels
 from svu_mi.surface.gutter import dilate
 from svu_mi.surface.layout import barycentric
 from svu_mi.surface.raster import rasterize
 
-UNKNOWN = {"entropy": 1.0, "coverage": 0.0}  # where there is no surface
+UNKNOWN = {"entropy": 1.0, "coverage": 0.0} | {name + SD: 0.0 for name in NAMES}  # off the surface
 COINCIDENT = 1e-6  # of the mesh's extent: vertices that close are at one point
 STRAY_LIMIT = 0.02  # part of the seen texels that may lie where the mesh has no chart
 
@@ -27,7 +28,7 @@ def with_gutters(asset: Asset, width: int | None) -> Asset:
     Args:
         asset: the asset.
         width: of the gutter in texels; None is as far as it goes. Beyond it textures stay as they
-            are, entropy is 1 and coverage 0.
+            are, entropy is 1, all other maps 0.
 
     Raises:
         MeshError: no texel lies on a chart.
@@ -47,7 +48,10 @@ def with_gutters(asset: Asset, width: int | None) -> Asset:
         )
     textures = Textures.of({name: filled.pop(name) for name in images})
     entropy, coverage = filled.get("entropy"), filled.get("coverage")
-    return replace(asset, textures=textures, entropy=entropy, coverage=coverage)
+    deviations = {name: filled[name + SD] for name in asset.deviations}
+    return replace(
+        asset, textures=textures, entropy=entropy, coverage=coverage, deviations=deviations
+    )
 
 
 def inside_charts(asset: Asset, shape: tuple[int, int]) -> np.ndarray:

@@ -17,6 +17,8 @@ from svu_mi.output.textures import FILES, write_textures
 from svu_mi.parameters import CHANNELS
 
 LINEAR = "linear"
+VALUES = {"entropy": "in [0, 1], 1 = nothing known", "coverage": "number of views"}
+SD_OF = "standard deviation"
 SRGB = "sRGB (IEC 61966-2-1)"
 PACKED = "linear: R occlusion (1, as it is unknown), G roughness, B metallic, as in glTF"
 
@@ -35,8 +37,7 @@ def write_exr_images(asset: Asset, folder: Path, *, half: bool) -> list[Written]
     for name, image in asset.maps.items():
         file = f"{TEXTURES}/{name}.exr"
         write_exr(folder / file, {"Y": image}, {"svu:version": svu_mi.__version__}, half=half)
-        values = "in [0, 1], 1 = nothing known" if name == "entropy" else "number of views"
-        written.append(Written(file=file, format="exr", holds=name, values=values))
+        written.append(Written(file=file, format="exr", holds=name, values=VALUES.get(name, SD_OF)))
     return written
 
 
@@ -56,6 +57,9 @@ def write_png_images(asset: Asset, folder: Path, *, bits: int) -> list[Written]:
     if asset.coverage is not None:
         most = max(float(asset.coverage.max()), 1.0)
         images["coverage"] = (asset.coverage / most, f"linear: white is {most:g} views")
+    for name, image in asset.maps.items():
+        if name not in VALUES:
+            images[name] = (image, f"linear in [0, 1]: {SD_OF}")
     written = []
     for name, (image, values) in images.items():
         file = f"{TEXTURES}/{name}.png"

@@ -19,10 +19,11 @@ from svu_mi.export.asset import Asset, bad_values
 from svu_mi.exr import read_exr, read_header
 from svu_mi.needs import Size
 from svu_mi.output.manifest import RECORD
-from svu_mi.output.maps import COVERAGE, ENTROPY
+from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY
 from svu_mi.output.scene_xml import MESH, SCENE
 from svu_mi.output.textures import FILES, read_textures
 from svu_mi.output.upright import nearest_axis, up_of
+from svu_mi.parameters import NAMES
 from svu_mi.results.reading import (
     are_of_one_capture,
     marks_of,
@@ -44,7 +45,8 @@ def load_asset(
 
     Args:
         folder: with ``base_color.exr``, ``roughness.exr``, ``metallic.exr``, ``recovered.xml`` and
-            ``assets/mesh.ply``; ``coverage.exr`` and ``entropy.exr`` are taken if there.
+            ``assets/mesh.ply``; ``coverage.exr``, ``entropy.exr`` and the standard deviations of
+            ``uncertainty.exr`` are taken if there.
         entropy: folder that ``svu entropy`` wrote about the same capture, for its two maps; its
             resolution may be another.
         preflight: called before any texel is read with the (width, height) of the largest texture
@@ -80,6 +82,7 @@ def load_asset(
         textures=read_textures(folder),
         entropy=_map(maps / ENTROPY, 1),
         coverage=_map(maps / COVERAGE, np.inf),
+        deviations=_deviations(folder / UNCERTAINTY, textured),
         two_sided=shape.find("bsdf[@type='twosided']") is not None,
         up=nearest_axis(up_of(_poses(scene))),
         source=str(folder),
@@ -145,6 +148,24 @@ def _mesh(path: Path, smooth: bool) -> MeshArrays:
     except RuntimeError as error:
         raise MeshError(f"{path}: cannot be read: {last_sentence(str(error))}") from error
     return arrays(found)
+
+
+def _deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
+    """Return standard deviations (H, W) by parameter, of colours the worst channel's; none without
+    the file, or where it is of another run than the textures."""
+    if not path.is_file() or marks_of(path)[0] != marks_of(textured)[0]:
+        return {}
+    channels, found = read_exr(path), {}
+    for name in NAMES:
+        own = [image for key, image in channels.items() if key.startswith(f"{name}.sd")]
+        if own:
+            image = found[name] = np.max(own, axis=0)
+            if bad := bad_values(image, 1):
+                raise CaptureError(
+                    f"{path}: {bad} values of {name} are NaN or outside [0, 1]; run svu recover "
+                    "again."
+                )
+    return found
 
 
 def _map(path: Path, most: float) -> np.ndarray | None:

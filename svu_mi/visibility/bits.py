@@ -81,9 +81,17 @@ class Bits:
 
     def count(self) -> np.ndarray:
         """Return how many bits of every lane are set: (S,) int64."""
-        words = self.words.numpy().reshape(-1, max(int(self.stride[0]), 1))
-        bits = np.unpackbits(np.ascontiguousarray(words.T).view(np.uint8), axis=1)
-        return bits.sum(axis=1, dtype=np.int64)
+        lanes = int(self.stride[0])
+        rows = dr.opaque(mi.UInt32, dr.width(self.words) // max(lanes, 1))
+        lane = dr.arange(mi.UInt32, lanes)
+
+        def add(row: Any, total: Any) -> tuple[Any, Any]:
+            word = dr.gather(mi.UInt32, self.words, row * self.stride + lane)
+            return row + 1, total + dr.popcnt(word)
+
+        start = (mi.UInt32(0), dr.zeros(mi.UInt32, lanes))
+        total = dr.while_loop(start, lambda row, _: row < rows, add)[1]
+        return np.asarray(total.numpy(), np.int64)
 
     def test(self, number: Any, lane: Any) -> Any:
         """Return whether bits are set, as a Bool."""

@@ -51,7 +51,7 @@ class Survey:
         """Mean grey radiance over all visible (texel, view) samples; 0 without any."""
         return mean_radiance(self.coverage.numpy(), self.total.numpy())
 
-    @property
+    @cached_property
     def clipped_coverage(self) -> np.ndarray | int:
         """(T,) uint32, number of views that would see each texel, were it not for clipped pixels;
         0 where nothing is clipped."""

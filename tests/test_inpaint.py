@@ -1,0 +1,157 @@
+"""What nobody saw, filled by likeness: on surfaces that are known everywhere, and by ``svu``."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from helpers import fails, names, run
+
+from svu_mi.errors import CaptureError
+from svu_mi.exr import read_exr
+from svu_mi.inpaint import fill
+from svu_mi.inpaint.likeness import FARTHEST, Likeness, centred
+from svu_mi.output.textures import read_textures
+from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.recovery.field.field import TextureField
+from svu_mi.recovery.field.make import field_around
+from svu_mi.recovery.recover import recover
+from svu_mi.recovery.textures import lay_out
+from svu_mi.surface.neighbors import neighbors
+
+Y = (0.0, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("likeness", [
+    Likeness("near"), Likeness("turned", Y), Likeness("mirrored", (1.0, 0.0, 0.0)),
+])  # fmt: skip
+def test_a_guess_knows_what_is_alike(likeness: Likeness) -> None:
+    """Bands around a cylinder: near ones tell little of its far side, a turn or a mirror all."""
+    around, up = np.meshgrid(np.linspace(0, 2 * np.pi, 240, endpoint=False), np.linspace(-1, 1, 60))
+    points = np.stack([np.cos(around), up, np.sin(around)], axis=-1).reshape(-1, 3)
+    points = centred(points)
+    values = np.sin(9 * points[:, 1])[None] * 0.5 + 0.5
+    known = np.flatnonzero(points[:, 0] > 0)
+    wanted = np.flatnonzero(points[:, 0] < -0.1)
+    found, alike = likeness.guess(points, known, values, np.ones_like(values), wanted)
+    assert found.shape == (1, len(wanted)) and alike.all()
+    error = np.abs(found - values[:, wanted])
+    assert error.mean() < (0.02 if likeness.kind != "near" else 0.2)
+
+
+def test_nothing_is_alike_where_nothing_is_near() -> None:
+    points = np.array([[0, 0, 0], [0.01, 0, 0], [0.5, 3 * FARTHEST, 0]], float)
+    turned = Likeness("turned", Y)
+    _, alike = turned.guess(points, np.array([0, 1]), np.ones((1, 3)), np.ones((1, 3)),
+                            np.array([2]))  # fmt: skip
+    assert not alike.any()
+    found, alike = turned.guess(points, np.zeros(0, int), np.ones((1, 3)), np.ones((1, 3)),
+                                np.array([2]))  # fmt: skip
+    assert not alike.any() and np.isfinite(found).all()
+
+
+@pytest.fixture(scope="module")
+def banded(vase: SimpleNamespace) -> SimpleNamespace:
+    """The vase painted in bands around its axis, known everywhere but on one side."""
+    texels = vase.texels
+    position = np.array(texels.position, np.float64).T
+    height = centred(position)[:, 1]
+    bands = 0.5 + 0.4 * np.sign(np.sin(40 * height))
+    values = {
+        name: np.tile((bands if name != "metallic" else 0 * bands + 0.1)[:, None], CHANNELS[name])
+        for name in NAMES
+    }
+    textures = lay_out(texels, values)
+    around = neighbors(texels, vase.capture.mesh)
+    field = field_around(textures, vase.estimate, around)
+    hidden = centred(position)[:, 0] < -0.08
+    return SimpleNamespace(field=field, hidden=hidden, values=values)
+
+
+def error(field: TextureField, banded: SimpleNamespace, name: str) -> float:
+    true = np.squeeze(banded.values[name])[banded.hidden]
+    found = field.textures.at(field.texels, name)[banded.hidden]
+    return float(np.sqrt(((found - true) ** 2).mean()))
+
+
+def test_bands_are_filled_from_the_other_side(banded: SimpleNamespace) -> None:
+    """What is hidden has its true values in the field that is given: they must not be looked at."""
+    field, hidden = banded.field, banded.hidden
+    other = lay_out(field.texels, {
+        name: np.where(hidden[:, None], 0.77, x) for name, x in banded.values.items()
+    })  # fmt: skip
+    spoiled = replace(field, textures=other)
+    found = fill(spoiled, ~hidden)
+    again = fill(field, ~hidden)
+    for name in NAMES:
+        np.testing.assert_allclose(
+            found.textures.at(field.texels, name), again.textures.at(field.texels, name), atol=2e-3
+        )
+    assert found.likeness["roughness"] == "turned about y"
+    assert error(found.field, banded, "roughness") < 0.15  # they differ by .8
+    for name in NAMES:  # what was seen stays
+        new, old = (each.textures.at(field.texels, name)[~hidden] for each in (found, field))
+        np.testing.assert_allclose(new, old, atol=1e-6)
+    assert (found.field.width[:, hidden] >= spoiled.width[:, hidden] - 1e-6).all()
+    np.testing.assert_array_equal(found.filled, hidden)
+    (draw,) = found.field.draw(1)
+    assert np.isfinite(np.array(draw.roughness)).all()
+
+
+def test_intervals_of_what_was_filled_are_honest(banded: SimpleNamespace) -> None:
+    found = fill(banded.field, ~banded.hidden)
+    low, high = found.field.interval("roughness")
+    true = np.squeeze(banded.values["roughness"])
+    assert ((low <= true) & (true <= high))[banded.hidden].mean() > 0.8
+
+
+def test_all_seen_and_none_seen(banded: SimpleNamespace) -> None:
+    field = banded.field
+    whole = fill(field, np.ones(field.texels.count, bool))
+    assert whole.field is field and not whole.filled.any()
+    with pytest.raises(CaptureError, match="no texel is seen surely enough"):
+        fill(field, np.zeros(field.texels.count, bool))
+
+
+def test_what_is_hardly_known_counts_as_much_as_it_is_sure(vase: SimpleNamespace) -> None:
+    recovery = recover(vase.estimate)
+    field = field_around(
+        recovery.textures, recovery.estimate, neighbors(vase.texels, vase.capture.mesh)
+    )
+    seen = recovery.coverage > 0
+    limit = float(np.quantile(field.width[:, seen].max(axis=0), 0.8))
+    found = fill(field, seen, above=limit)
+    filled = found.filled & seen
+    assert 0.1 < filled.sum() / seen.sum() < 0.3
+    np.testing.assert_array_equal(found.filled, ~seen | (field.width > limit).any(axis=0))
+    sure = fill(field, seen)
+    np.testing.assert_array_equal(sure.filled, ~seen)
+    assert (found.field.width >= field.width - 1e-6).all()
+
+
+@pytest.mark.usefixtures("variant")
+def test_the_command_fills_and_others_take_the_result(shot, tmp_path, capsys):
+    textures, out = tmp_path / "textures", tmp_path / "filled"
+    assert run("recover", shot, "--resolution", 32, "--steps", 20, "-o", textures) == 0
+    assert run("inpaint", shot, "--recovered", textures, "-o", out) == 0
+    assert "filled" in capsys.readouterr().out
+    files = names(out)
+    assert {"base_color.exr", "filled.exr", "filled.png", "recovered.xml", "run.json",
+            "uncertainty.exr"} <= set(files)  # fmt: skip
+    mask, coverage = read_exr(out / "filled.exr")["Y"], read_exr(textures / "coverage.exr")["Y"]
+    assert mask.max() == 1 and mask[coverage > 0].max() == 0
+    before, after = (read_textures(folder) for folder in (textures, out))
+    change = np.abs(np.array(after.roughness) - np.array(before.roughness))[..., 0]
+    assert change[coverage > 0].max() < 1e-6
+    record = json.loads((out / "run.json").read_text())
+    assert record["result"]["filled"] > 0 and set(record["result"]["likeness"]) == set(NAMES)
+    assert run("export", out, "-o", tmp_path / "asset") == 0
+    assert "--above must be positive" in fails(
+        capsys, "inpaint", shot, "--recovered", textures, "--above", -1, "-o", out
+    )
+    assert "no such folder; give one that svu recover wrote" in fails(
+        capsys, "inpaint", shot, "--recovered", tmp_path / "none", "-o", tmp_path / "other"
+    )
