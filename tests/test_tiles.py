@@ -86,3 +86,21 @@ def test_guidance_and_recovery_go_on_from_tiles(vase, tiled):
     np.testing.assert_allclose(
         found.textures.roughness, known.textures.roughness, rtol=1e-4, atol=1e-4
     )
+
+
+def test_the_same_few_texels_are_gathered_once_for_several_questions(vase, tiled, monkeypatch):
+    posterior = tiled(vase.capture, vase.texels).posterior
+    made = []
+
+    def make(texels):
+        made.append(len(texels))
+        return original(texels)
+
+    original = posterior.make
+    object.__setattr__(posterior, "make", make)
+    few = np.arange(0, posterior.count, 13)
+    first = [posterior.half_width(name, 0.9, few) for name in posterior.axes]
+    assert len([count for count in made if count > 1]) == 1
+    posterior._last.clear()
+    again = posterior.half_width("roughness", 0.9, few)
+    np.testing.assert_array_equal(np.array(first[0]), np.array(again))
