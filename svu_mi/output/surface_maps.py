@@ -16,6 +16,7 @@ from svu_mi.output.result import Result, open_axes, words
 from svu_mi.output.style import COLORMAP, ENTROPY_ENDS, UNSEEN, VALUES_COLORMAP, VIEWS_COLORMAP
 from svu_mi.parameters import PARAMETERS
 from svu_mi.pipeline import Estimate
+from svu_mi.recovery.field.field import LEVEL, TextureField
 from svu_mi.recovery.textures import Textures
 
 ENDS = {"specular": ("0: no gloss", "1: mirror of all light")}  # Ks of a ``ParameterGrid``
@@ -87,6 +88,7 @@ def surface_maps(
     estimate: Estimate,
     recovered: Textures | None = None,
     intervals: Intervals | None = None,
+    field: TextureField | None = None,
 ) -> dict[str, SurfaceMap]:
     """Return what can be shown, by name; its colours are computed when they are asked for.
 
@@ -97,6 +99,7 @@ def surface_maps(
         estimate: what the photographs say.
         recovered: textures of the same resolution.
         intervals: of the estimate's posterior; computed if not given.
+        field: how sure the recovered textures are.
 
     Raises:
         ShapeError: they are of another one.
@@ -110,6 +113,7 @@ def surface_maps(
     if recovered is not None:
         recovered.require_resolution(estimate.texels)
         maps += recovered_maps(recovered)
+    maps += [] if field is None else field_maps(field, estimate)
     return {one.name: one for one in maps}
 
 
@@ -173,6 +177,26 @@ def recovered_maps(textures: Textures) -> list[SurfaceMap]:
             sentence="The recovered texture, also where nothing was seen.",
         )
         for name, tensor in textures.items()
+    ]  # fmt: skip
+
+
+def field_maps(field: TextureField, estimate: Estimate) -> list[SurfaceMap]:
+    """Return maps of how sure recovered textures are: half the widths of their intervals."""
+
+    def half_width(name: str) -> np.ndarray:
+        low, high = field.interval(name, LEVEL)
+        return np.asarray((high - low).reshape(len(low), -1).max(axis=1) / 2)
+
+    label = f"half the width of the {100 * LEVEL:g} % interval"
+    return [
+        SurfaceMap(
+            name=f"uncertainty of recovered {words(name)}", estimate=estimate,
+            values=partial(half_width, name),
+            scale=Scale(high=WIDEST, label=label, ends=("±0", f"±{WIDEST:g} and more")),
+            sentence="Of the recovered texture, which neighbours make surer than a point is by "
+            "itself, but for errors that they have in common.",
+        )
+        for name in field.names
     ]  # fmt: skip
 
 

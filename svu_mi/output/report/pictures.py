@@ -19,6 +19,7 @@ from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import is_seen, open_axes
 from svu_mi.output.surface_maps import SurfaceMap
 from svu_mi.pipeline import Estimate
+from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.textures import Textures
 
 SHOWN = 60  # photographs in a report; of more, every other, or fewer
@@ -120,12 +121,16 @@ def maps(table: Turntable, estimate: Estimate, intervals: Intervals) -> list[Map
     return _pictures(table, shown, estimate.texels.inside(), unseen=_chequers(estimate))
 
 
-def texture_maps(table: Turntable, estimate: Estimate, textures: Textures) -> list[MapPictures]:
-    """Return recovered textures as maps."""
+def texture_maps(
+    table: Turntable, estimate: Estimate, textures: Textures, field: TextureField | None = None
+) -> list[MapPictures]:
+    """Return recovered textures as maps, and how sure they are if there is a field around them."""
     inside = estimate.texels.inside()
     if textures.resolution != estimate.texels.resolution:
         inside = np.ones(textures.resolution[::-1], bool)
-    return _pictures(table, surface_maps.recovered_maps(textures), inside)
+    shown = surface_maps.recovered_maps(textures)
+    shown += [] if field is None else surface_maps.field_maps(field, estimate)
+    return _pictures(table, shown, inside)
 
 
 def light_maps(found: LightEstimate) -> list[tuple[str, str, Picture]]:

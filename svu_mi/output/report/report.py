@@ -27,6 +27,7 @@ from svu_mi.output.thinned import Thinned
 from svu_mi.output.upright import upright
 from svu_mi.pipeline import Estimate
 from svu_mi.progress import Stage
+from svu_mi.recovery.field.make import field_of
 from svu_mi.recovery.textures import Textures
 from svu_mi.results.keeping import write_alone
 
@@ -80,7 +81,10 @@ def write_report(
         maps = pictures.maps(table, shown.estimate, intervals)
         thumbnails, left_out = made.result()
     report(2, 5)
-    recovered = [] if textures is None else pictures.texture_maps(table, estimate, textures)
+    recovered = []
+    if textures is not None:
+        field = field_of(textures, estimate, capture.mesh)
+        recovered = pictures.texture_maps(table, estimate, textures, field)
     report(3, 5)
     turned = [frame[0] for frame in frames]
     examples = list(plots.examples(table, estimate, result, intervals.level, turned))

@@ -29,6 +29,7 @@ from svu_mi.output.viewer.panels import draw_pick, draw_scale, says
 from svu_mi.output.viewer.picking import Pick, Picker
 from svu_mi.output.viewer.serving import require_viser, serve, stop
 from svu_mi.pipeline import Estimate
+from svu_mi.recovery.field.make import field_of
 from svu_mi.recovery.textures import Textures
 
 HOME = (2.2, 1.2, 0.8)  # in front, to the right and above, in radii: the first look at the object
@@ -72,7 +73,8 @@ class Viewer:
         require_viser()  # before any work
         self._capture, self._estimate, self._recovered = capture, estimate, recovered
         intervals = Intervals(estimate.posterior)
-        self._maps = surface_maps(estimate, recovered, intervals)
+        field = None if recovered is None else field_of(recovered, estimate, capture.mesh)
+        self._maps = surface_maps(estimate, recovered, intervals, field)
         self._picker = Picker(capture, estimate, intervals)
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._shown: dict[str, Any] = {}

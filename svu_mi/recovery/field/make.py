@@ -71,6 +71,20 @@ def has_field(estimate: Estimate) -> bool:
     return isinstance(posterior, CalibratedPosterior) and posterior.groups == colors
 
 
+def field_of(textures: Textures, estimate: Estimate, mesh: Any) -> TextureField | None:
+    """Return the field around textures that somebody has recovered; None where the estimate does
+    not say enough for one, or is of other texels.
+
+    Args:
+        textures: over the mesh.
+        estimate: what is known of every texel by itself.
+        mesh: ``capture.mesh``.
+    """
+    if not has_field(estimate) or textures.resolution != estimate.texels.resolution:
+        return None
+    return field_around(textures, estimate, neighbors(estimate.texels, mesh))
+
+
 def field_around(
     textures: Textures, estimate: Estimate, around: Neighbors, names: Sequence[str] = NAMES,
     options: ShOptions | None = None,
