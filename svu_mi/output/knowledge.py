@@ -9,12 +9,11 @@ import numpy as np
 
 from svu_mi.output.page import NARROW_SPACE, percent
 from svu_mi.output.result import areas, is_seen, open_axes, words
+from svu_mi.posterior.intervals import LEVEL, spread
 from svu_mi.posterior.nodes import cell_edges
 
 TOLERANCE = 0.05  # half-width of an interval from which on a parameter counts as known
-LEVEL = 0.9  # probability that an interval holds
 WIDEST = 6 * TOLERANCE  # half-width at the upper end of a map's colours
-ENOUGH = 4096  # texels that say what part of a surface is known
 ROUNDING = 1e-6  # of interval ends in single precision
 
 
@@ -94,7 +93,7 @@ class Knowledge:
         """
         seen = is_seen(estimate)
         if intervals is None:
-            intervals = Intervals(estimate.posterior, chosen=_spread(np.flatnonzero(seen)))
+            intervals = Intervals(estimate.posterior, chosen=spread(np.flatnonzero(seen)))
         area = areas(estimate)
         seen_part = part(area, seen)
         entropy = np.array(estimate.entropy, np.float64)[seen]
@@ -139,12 +138,6 @@ class Knowledge:
             limits += f"; the grid's cells are up to {max(self.cell_width.values()):.2f} wide"
         text = f"{', '.join(told)} ({limits})."
         return text[0].upper() + text[1:]
-
-
-def _spread(texels: np.ndarray) -> np.ndarray:
-    """Take at most ``ENOUGH`` of texels, at equal steps: neighbours in order are neighbours."""
-    step = max(len(texels) / ENOUGH, 1)
-    return texels[np.arange(0, len(texels), step).astype(np.int64)]
 
 
 def within(half_width: Any, tolerance: float) -> Any:

@@ -6,10 +6,20 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.posterior.nodes import Axis
 from svu_mi.statistics.blocks import BLOCK, start
+
+LEVEL = 0.9  # probability that an interval holds, where nobody says another
+ENOUGH = 4096  # texels that say what part of a surface is known
+
+
+def spread(texels: np.ndarray) -> np.ndarray:
+    """Take at most ``ENOUGH`` of texels, at equal steps: neighbours in order are neighbours."""
+    step = max(len(texels) / ENOUGH, 1)
+    return np.asarray(texels[np.arange(0, len(texels), step).astype(np.int64)])
 
 
 def shortest(masses: Any, parts: Axis, count: int, level: float) -> tuple[Any, Any]:

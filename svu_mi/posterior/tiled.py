@@ -17,6 +17,7 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.posterior.calibrated import CalibratedPosterior
+from svu_mi.posterior.intervals import LEVEL, spread
 from svu_mi.posterior.record import Posterior
 
 SIZE = 2**15  # texels of a tile, whose statistics take 65 MB, several times at their peak
@@ -40,6 +41,7 @@ class TiledPosterior(Posterior):
     size: int = SIZE
     report: Callable[[int, int], None] = field(default=lambda *_: None, repr=False)
     _last: dict[bytes, Posterior] = field(default_factory=dict, repr=False)
+    _widths: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _one(self) -> Posterior:
@@ -99,6 +101,7 @@ class TiledPosterior(Posterior):
             entropy[texels] = np.array(tile.entropy())
             if self.continuous:
                 self._keep(moments, texels, tile)
+                self._keep_widths(texels, tile)
             done += len(texels)
             self.report(done, len(self._seen))
         dr.flush_malloc_cache()  # a tile's statistics, which nobody needs any more
@@ -122,6 +125,19 @@ class TiledPosterior(Posterior):
             )
             for table, values in zip(tables, found, strict=True):
                 table[texels] = values
+
+    def _keep_widths(self, texels: np.ndarray, tile: Posterior) -> None:
+        """Keep half the widths of the intervals of some texels, by which people are told how well
+        the surface is known: later, they would be in most pages of all photographs."""
+        own = np.flatnonzero(np.isin(texels, self._sample, assume_unique=True))
+        place = np.searchsorted(self._sample, texels[own])
+        for name in self.axes if len(own) else ():
+            kept = self._widths.setdefault(name, np.zeros(len(self._sample), np.float32))
+            kept[place] = tile._half_widths(name, LEVEL, own)
+
+    @cached_property
+    def _sample(self) -> np.ndarray:
+        return spread(self._seen)
 
     def _moments(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         mean, sd = self._moments_of_all[name]
@@ -150,6 +166,9 @@ class TiledPosterior(Posterior):
         return ends[:, 0], ends[:, 1]
 
     def _half_widths(self, name: str, level: float, texels: np.ndarray) -> np.ndarray:
+        kept = self._widths.get(name) if level == LEVEL else None
+        if kept is not None and np.isin(texels, self._sample).all():
+            return kept[np.searchsorted(self._sample, texels)]
         return self._joined(
             texels, lambda tile: tile._half_widths(name, level, np.arange(tile.count))
         )

@@ -8,6 +8,7 @@ a disk brings several times as many in the same time.
 from __future__ import annotations
 
 import mmap
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +23,7 @@ from svu_mi.visibility.views import Views
 
 PIXEL = 12  # bytes
 SHARE = 0.6  # of the free memory that is read at a time
+PORTION = 2**15  # texels whose pixels are read at a time
 GAP = 4  # pages that are read, too, where only they lie between others: rows of one window
 
 
@@ -75,6 +77,19 @@ def read_ahead(views: Views, surface: Surface) -> None:
     page = mmap.PAGESIZE
     for first, count in zip(pages.first.tolist(), pages.count.tolist(), strict=True):
         views.file.memory.madvise(mmap.MADV_WILLNEED, first * page, count * page)
+
+
+def portions(views: Views, surface: Surface) -> Iterator[Surface]:
+    """Yield parts of a surface, whose pixels are read ahead if photographs lie in a file; else all
+    of it at once."""
+    if views.file is None or surface.count <= PORTION:
+        yield surface
+        return
+    for first in range(0, surface.count, PORTION):
+        number = min(PORTION, surface.count - first)
+        part = surface.at(dr.arange(mi.UInt32, number) + dr.opaque(mi.UInt32, first))
+        read_ahead(views, part)
+        yield part
 
 
 def pages_of(views: Views, surface: Surface) -> Pages:
