@@ -24,8 +24,9 @@ from svu_mi.parameters import NAMES
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.textures import Textures, lay_out
 
+BORDER = "border"  # what spreading from it is called
 FOLDS = 6  # parts of the surface that are hidden in turn
-MARGIN = 0.95  # of the squared error of spreading, below which a guess is used
+MARGIN = 0.8  # of the squared error of spreading, below which a guess is used
 GUESSED = 16  # times as much as the mean of all, a guess counts where it is smoothed
 SUREST = 0.02  # standard deviation that no guess is surer than
 
@@ -38,7 +39,7 @@ class Filled:
         field: the textures, and how sure they are; where they were filled, never surer than before.
         filled: (T,) bool, texels that were filled.
         likeness: title of the guess that each parameter was filled with; ``border`` where none was
-            better than spreading from the border.
+            better than what had spread from the border, which then stays.
         errors: root mean square error of that on hidden parts, by parameter.
     """
 
@@ -77,9 +78,7 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
     points = centred(np.array(field.texels.position, np.float64).T)
     folds = _folds(points, seen)
     trial = _Trial(field, points, seen)
-    guesses: list[Likeness | None] = [None, *LIKENESSES]
-    errors = np.array([[trial.error(guess, hidden) for hidden in folds] for guess in guesses])
-    errors = errors.mean(axis=1)  # (guesses, N)
+    errors = np.mean([trial.errors(hidden) for hidden in folds], axis=0)  # (1 + guesses, N)
     middle, least = field.values.copy(), np.zeros_like(field.values)
     names, found = {}, {}
     for name in NAMES:
@@ -87,13 +86,14 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
         of_name = errors[:, rows].mean(axis=1)
         best = int(of_name.argmin())
         chosen = best if of_name[best] < MARGIN * of_name[0] else 0
-        guess = guesses[chosen]
-        names[name] = "border" if guess is None else guess.title
+        guess = LIKENESSES[chosen - 1] if chosen else None
+        names[name] = BORDER if guess is None else guess.title
         found[name] = float(np.sqrt(of_name[chosen]))
         wide = np.maximum(np.sqrt(errors[chosen, rows])[:, None], SUREST)
         own = np.where(shown, 1 / np.maximum(width[rows], SUREST) ** 2, 0)[:, ~seen]
-        both = own * middle[rows][:, ~seen] + trial.guessed(guess)[rows] / wide**2
-        middle[rows][:, ~seen] = both / (own + 1 / wide**2)
+        if guess is not None:
+            both = own * middle[rows][:, ~seen] + trial.guessed(guess)[rows] / wide**2
+            middle[rows][:, ~seen] = both / (own + 1 / wide**2)
         # Never surer than before.
         least[rows][:, ~seen] = np.where(own > 0, 0, wide)
         least[rows][:, ~seen] = np.maximum(least[rows], width[rows])[:, ~seen]
@@ -118,15 +118,29 @@ class _Trial:
     points: np.ndarray
     seen: np.ndarray
 
-    def error(self, guess: Likeness | None, hidden: np.ndarray) -> np.ndarray:
-        """Return the mean squared error (N,) of texels that were seen, as if they were hidden."""
-        known = self.seen & ~hidden
-        found = self._spread(guess, known, hidden)
-        return np.asarray(((found - self.field.values[:, hidden]) ** 2).mean(axis=1))
+    def errors(self, hidden: np.ndarray) -> np.ndarray:
+        """Return the mean squared errors (1 + guesses, N) of texels that were seen, as if they were
+        hidden: of spreading, and of every guess, which spreading stands in for where nothing is
+        alike."""
+        known, texels = self.seen & ~hidden, np.flatnonzero(hidden)
+        true, spread = self.field.values[:, hidden], self._spread(None, known, hidden)
+        found = [((spread - true) ** 2).mean(axis=1)]
+        for guess in LIKENESSES:
+            values, alike = self._guess(guess, known, texels)
+            found.append(((np.where(alike, values, spread) - true) ** 2).mean(axis=1))
+        return np.array(found)
 
-    def guessed(self, guess: Likeness | None) -> np.ndarray:
+    def guessed(self, guess: Likeness) -> np.ndarray:
         """Return values (N, w) of texels that nobody saw."""
         return self._spread(guess, self.seen, ~self.seen)
+
+    def _guess(
+        self, guess: Likeness, known: np.ndarray, texels: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        weights = 1 / self.field.deviation**2
+        return guess.guess(
+            self.points, np.flatnonzero(known), self.field.values, weights, texels
+        )
 
     def _spread(
         self, guess: Likeness | None, known: np.ndarray, wanted: np.ndarray
@@ -139,9 +153,7 @@ class _Trial:
         trust = np.where(known, weights, 1 / np.maximum(spread, SUREST)[:, None] ** 2)
         if guess is not None:
             texels = np.flatnonzero(wanted)
-            found, alike = guess.guess(
-                self.points, np.flatnonzero(known), self.field.values, weights, texels
-            )
+            found, alike = self._guess(guess, known, texels)
             target[:, texels[alike]] = found[:, alike]
             trust[:, texels[alike]] *= GUESSED
         smoother = self.field.smoother.with_precision(trust)

@@ -54,14 +54,19 @@ def uneven_views(capture: Capture, front: int, back: int) -> Capture:
     """
     if front + back > capture.count:
         raise OptionError(f"There are {capture.count} views; {front} + {back} are too many.")
+    order = nearest_to_front(capture)
+    rest = order[front:]
+    others = rest[np.linspace(0, len(rest) - 1, back + 2).round().astype(int)[1:-1]]
+    return chosen_views(capture, np.sort(np.concatenate([order[:front], others])))
+
+
+def nearest_to_front(capture: Capture) -> np.ndarray:
+    """Return the numbers of all views, by their angle to the front direction."""
     origins = np.array([to_world(sensor)[:3, 3] for sensor in capture.sensors])
     directions = origins - origins.mean(axis=0)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     axis = np.array(FRONT) / np.linalg.norm(FRONT)
-    order = np.argsort(-(directions @ axis), kind="stable")
-    rest = order[front:]
-    others = rest[np.linspace(0, len(rest) - 1, back + 2).round().astype(int)[1:-1]]
-    return chosen_views(capture, np.sort(np.concatenate([order[:front], others])))
+    return np.argsort(-(directions @ axis), kind="stable")
 
 
 @dataclass(frozen=True)

@@ -9,32 +9,36 @@ under two lights that nothing was recovered from, of some cells.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
-from studies.captures import uneven_views
+from studies.captures import nearest_to_front, uneven_views
 from studies.command import Command, main
 from svu_mi import metrics
-from svu_mi.bench.captures import some_views
+from svu_mi.bench.captures import chosen_views, some_views
 from svu_mi.bench.cells import Cell, chosen_cells
-from svu_mi.bench.clock import once
 from svu_mi.bench.experiment import Experiment, OnCell, Part, Record
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.text import Bar, Column, columns, digits, seconds
 from svu_mi.bench.truth import Truth
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import find_shape, load_scene
+from svu_mi.capture.traced import Pictures
 from svu_mi.inpaint import fill
 from svu_mi.observed import observe
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.field.field import LEVEL, TextureField
 from svu_mi.recovery.field.make import texture_field
 from svu_mi.recovery.recover import Recovery, recover
+from svu_mi.recovery.relight import path_length
 from svu_mi.recovery.relit_draws import relight_draws
 from svu_mi.surface import Texels
 
@@ -109,10 +113,10 @@ class Sure(OnCell):
             scene = load_scene(other.scene, other.defines)
             shape = find_shape(scene, self.capture.shape.id(), str(other.scene))
             lit = replace(some_views(self.capture, VIEWS), scene=scene, shape=shape, mesh=shape)
-            run = partial(relight_draws, lit, recovery.textures, draws, spp=SPP)
-            timed = once(run)
-            truth = _truth(lit)
-            records.append({"seconds": timed.seconds, **pixels_held(timed.result, truth)})
+            start = time.perf_counter()
+            relit = relight_draws(lit, recovery.textures, draws, spp=SPP)
+            taken = time.perf_counter() - start
+            records.append({"seconds": taken, **pixels_held(relit, _truth(lit))})
         return {name: float(np.mean([one[name] for one in records])) for name in records[0]}
 
     def _some(self, capture: Capture) -> Capture:
@@ -125,12 +129,16 @@ PARTS = (Part("textures", Sure.textures), Part("shared", Sure.shared),
 
 def _hiding(capture: Capture, layout: Texels) -> Capture:
     """Return the photographs from one side that leave about a third of the surface unseen."""
-    low, high = 1, capture.count
-    while high - low > 1:
-        middle = (low + high) // 2
-        shown = observe(uneven_views(capture, middle, 0), layout).coverage
-        low, high = (low, middle) if (shown == 0).mean() < HIDDEN else (middle, high)
-    return uneven_views(capture, low, 0)
+    seen = observe(capture, layout)
+    lane = dr.arange(mi.UInt32, layout.count)
+    shows = np.stack([
+        np.array(seen.found.bits.test(dr.opaque(mi.UInt32, view), lane))
+        for view in range(capture.count)
+    ])  # fmt: skip
+    order = nearest_to_front(capture)
+    unseen = 1 - np.logical_or.accumulate(shows[order]).mean(axis=1)
+    count = max(int((unseen >= HIDDEN).sum()), 1)
+    return chosen_views(capture, np.sort(order[:count]))
 
 
 def _recovered(
@@ -158,11 +166,6 @@ def held(recovery: Recovery, field: TextureField, truth: Truth) -> Record:
 
 def _truth(capture: Capture) -> list[np.ndarray]:
     """Render the true object as ``relight_draws`` renders others, with the same random numbers."""
-    import mitsuba as mi
-
-    from svu_mi.capture.traced import Pictures
-    from svu_mi.recovery.relight import path_length
-
     pictures = Pictures(capture.sensors)
     integrator = mi.load_dict({"type": "path", "max_depth": path_length(capture.scene)})
     everything = [np.ones((height, width), bool) for width, height in pictures.sizes]
