@@ -45,7 +45,7 @@ class Cost:
 
 COSTS = {
     "entropy": Cost(430e6, 23),
-    "recover": Cost(410e6, 28),
+    "recover": Cost(410e6, 28, 1200),
     "guide": Cost(600e6, 24, 600, 1.25e6),
     "relight": Cost(480e6, 23, texel=120),
     "report": Cost(480e6, 23),

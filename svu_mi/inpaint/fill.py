@@ -10,7 +10,6 @@ that does not beat spreading from the border is not used.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
 
@@ -25,7 +24,8 @@ from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.textures import Textures, lay_out
 
 BORDER = "border"  # what spreading from it is called
-FOLDS = 6  # parts of the surface that are hidden in turn
+FEWEST, MOST = 2, 6  # parts of the surface that are hidden in turn
+DIVISIONS = 2  # ways to divide it
 MARGIN = 0.8  # of the squared error of spreading, below which a guess is used
 GUESSED = 16  # times as much as the mean of all, a guess counts where it is smoothed
 SUREST = 0.02  # standard deviation that no guess is surer than
@@ -76,16 +76,17 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
     if seen.all():
         return Filled(field, ~seen, {name: "" for name in NAMES}, {name: 0.0 for name in NAMES})
     points = centred(np.array(field.texels.position, np.float64).T)
-    folds = _folds(points, seen)
     trial = _Trial(field, points, seen)
-    errors = np.mean([trial.errors(hidden) for hidden in folds], axis=0)  # (1 + guesses, N)
+    tried = np.array([trial.errors(hidden) for hidden in _hidden_parts(points, seen)])
+    errors = tried.mean(axis=0)  # (1 + guesses, N)
     middle, least = field.values.copy(), np.zeros_like(field.values)
     names, found = {}, {}
     for name in NAMES:
         rows = field.rows(name)
-        of_name = errors[:, rows].mean(axis=1)
-        best = int(of_name.argmin())
-        chosen = best if of_name[best] < MARGIN * of_name[0] else 0
+        of_parts = tried[:, :, rows].mean(axis=2)
+        of_name = of_parts.mean(axis=0)
+        better = (of_parts <= of_parts[:, :1]).all(axis=0) & (of_name < MARGIN * of_name[0])
+        chosen = int(np.where(better, of_name, np.inf).argmin()) if better.any() else 0
         guess = LIKENESSES[chosen - 1] if chosen else None
         names[name] = BORDER if guess is None else guess.title
         found[name] = float(np.sqrt(of_name[chosen]))
@@ -161,12 +162,26 @@ class _Trial:
         return np.clip(solved.reshape(trust.shape)[:, wanted], 0, 1)
 
 
-def _folds(points: np.ndarray, seen: np.ndarray) -> Sequence[np.ndarray]:
-    """Return parts of what was seen, (T,) bool each: contiguous, by direction from the middle."""
-    random = np.random.default_rng(0)
-    some = points[seen]
+def _hidden_parts(points: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
+    """Return parts of what was seen, (T,) bool each: contiguous, by direction from the middle, and
+    about as large as what was not seen, so that they are as far from what is known."""
+    number = int(np.clip(round(seen.sum() / max((~seen).sum(), 1)), FEWEST, MOST))
+    some, numbers = points[seen], np.flatnonzero(seen)
     unit = some / np.maximum(np.linalg.norm(some, axis=1, keepdims=True), 1e-9)
-    centres = unit[random.choice(len(unit), min(FOLDS, len(unit)), replace=False)]
+    found = []
+    for owner in (_clusters(unit, number, seed) for seed in range(DIVISIONS)):
+        for k in range(number):
+            hidden = np.zeros(len(points), bool)
+            hidden[numbers[owner == k]] = True
+            if hidden.any() and (seen & ~hidden).any():
+                found.append(hidden)
+    return found
+
+
+def _clusters(unit: np.ndarray, number: int, seed: int) -> np.ndarray:
+    """Return which of some clusters each unit vector (n, 3) is in, by spherical k-means."""
+    random = np.random.default_rng(seed)
+    centres = unit[random.choice(len(unit), min(number, len(unit)), replace=False)]
     for _ in range(8):
         owner = (unit @ centres.T).argmax(axis=1)
         centres = np.stack([
@@ -174,11 +189,4 @@ def _folds(points: np.ndarray, seen: np.ndarray) -> Sequence[np.ndarray]:
             for k in range(len(centres))
         ])  # fmt: skip
         centres /= np.maximum(np.linalg.norm(centres, axis=1, keepdims=True), 1e-9)
-    numbers = np.flatnonzero(seen)
-    found = []
-    for k in range(len(centres)):
-        hidden = np.zeros(len(points), bool)
-        hidden[numbers[owner == k]] = True
-        if hidden.any() and (seen & ~hidden).any():
-            found.append(hidden)
-    return found
+    return np.asarray((unit @ centres.T).argmax(axis=1))

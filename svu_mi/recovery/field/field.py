@@ -74,11 +74,11 @@ class TextureField:
     def mean(self, name: str) -> np.ndarray:
         """Return the mean of the field, (T, C) or (T,): the texture, but where that is near 0 or 1
         and the field goes on only to one side."""
-        return self._of(name, clipped.moments(self.values, self._width)[0])
+        return self._laid_out(name, clipped.moments(*self._rows_of(name))[0])
 
     def sd(self, name: str) -> np.ndarray:
         """Return standard deviations, (T, C) or (T,)."""
-        return self._of(name, clipped.moments(self.values, self._width)[1])
+        return self._laid_out(name, clipped.moments(*self._rows_of(name))[1])
 
     def interval(self, name: str, level: float = LEVEL) -> tuple[np.ndarray, np.ndarray]:
         """Return the ends of the interval that holds so much in its middle, (T, C) or (T,) each.
@@ -88,8 +88,8 @@ class TextureField:
         """
         if not 0 < level < 1:
             raise OptionError(f"TextureField.interval(): level must be in (0, 1), got {level}.")
-        low, high = clipped.interval(self.values, self._width, level)
-        return self._of(name, low), self._of(name, high)
+        low, high = clipped.interval(*self._rows_of(name), level)
+        return self._laid_out(name, low), self._laid_out(name, high)
 
     def draw(self, count: int, seed: int = 0) -> Iterator[Textures]:
         """Yield textures drawn from the field, clipped to [0, 1].
@@ -142,8 +142,8 @@ class TextureField:
         return np.hypot(left, self.values - self.own)
 
     @cached_property
-    def _width(self) -> np.ndarray:
-        """Standard deviation of every value before it is clipped, (N, T)."""
+    def width(self) -> np.ndarray:
+        """(N, T) standard deviations of values before they are clipped."""
         own = self._own_width if self.least is None else np.maximum(self._own_width, self.least)
         variance = own**2
         variance[:3] += (self.scale[:, None] * self.values[:3]) ** 2
@@ -156,11 +156,6 @@ class TextureField:
     def _own_width(self) -> np.ndarray:
         """The same without what all texels have in common."""
         return np.sqrt(COMMON * self._coherent**2 + (1 - COMMON) * self._variance)
-
-    @property
-    def width(self) -> np.ndarray:
-        """(N, T) standard deviations of values before they are clipped."""
-        return self._width
 
     @property
     def _variance(self) -> np.ndarray:
@@ -182,6 +177,10 @@ class TextureField:
         first = sum(CHANNELS[other] for other in NAMES[: NAMES.index(name)])
         return slice(first, first + CHANNELS[name])
 
-    def _of(self, name: str, values: np.ndarray) -> np.ndarray:
-        found = values[self.rows(name)].T
-        return found if CHANNELS[name] > 1 else found[:, 0]
+    def _rows_of(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return values and standard deviations of a parameter, (C, T) each."""
+        rows = self.rows(name)
+        return self.values[rows], self.width[rows]
+
+    def _laid_out(self, name: str, values: np.ndarray) -> np.ndarray:
+        return values.T if CHANNELS[name] > 1 else values[0]
