@@ -16,6 +16,7 @@ from svu_mi.errors import OptionError
 from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field import clipped
+from svu_mi.recovery.field import field as module
 from svu_mi.recovery.field.coherent import Waves
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.field.make import texture_field
@@ -188,14 +189,23 @@ def test_draws_have_the_mean_and_the_deviation_that_are_said(recovered: SimpleNa
         assert values.min() >= 0 and values.max() <= 1
 
 
+def exact_coherent(field: TextureField, row: int, inverse: np.ndarray) -> np.ndarray:
+    """(T,) float64, c of one value, from the equations."""
+    K = dense(field, row)
+    D = np.array(field.smoother.precision, np.float64).reshape(len(field.own), -1)[row]
+    K -= np.diag(D)
+    d = module.NARROW * np.median(np.diag(K))
+    apart = np.linalg.solve(K + d * np.eye(len(K)), d * np.abs(field.values - field.own)[row])
+    return np.sqrt((inverse @ (1 / field.deviation[row])) ** 2 + module.APART * apart**2)
+
+
 def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNamespace) -> None:
     """Dense: rho c c L L k(p_i, p_j) + (1 - rho) (D + K)^-1, where nothing is clipped."""
-    from svu_mi.recovery.field import field as module
-
     field = recovered.field
     row = 3  # roughness
     inverse = np.linalg.inv(dense(field, row))
-    coherent = np.hypot(inverse @ (1 / field.deviation[row]), field.values[row] - field.own[row])
+    coherent = exact_coherent(field, row, inverse)
+    np.testing.assert_allclose(field._coherent[row], coherent, atol=0.02 * coherent.max())
     place = np.array(field.texels.position, np.float64).T
     random = np.random.default_rng(0)
     middle, sd = field.textures.at(field.texels, "roughness"), field.sd("roughness")

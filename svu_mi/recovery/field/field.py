@@ -8,11 +8,12 @@ model are off in the same way for a whole neighbourhood, and smoothing takes not
 the deviation of a texel has two parts,
 
     x = x0 + sqrt(rho) c g + sqrt(1 - rho) e,    e ~ N(0, (D + K)^-1),
-    c^2 = (A b)^2 + (x0 - m)^2,    A = (D + K)^-1 D,
+    c^2 = (A b)^2 + a (S |x0 - m|)^2,    A = (D + K)^-1 D,    S = (d + K)^-1 d,
 
 with m and b the mean and the standard deviation of a texel's own posterior, and g a field of
 variance 1 that varies slowly over the object: c is what is left of b where all texels err alike,
-and what a texel and its neighbours do not agree about. Values beyond [0, 1] are clipped.
+and what texels do not agree about with their neighbours, the mean over a small neighbourhood
+(d: one precision for all). Values beyond [0, 1] are clipped.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ from svu_mi.settings import require_known
 from svu_mi.surface import Texels
 
 # Chosen on our own scenes:
-COMMON = 0.8  # rho, part of a texel's variance that its neighbourhood has in common
+COMMON = 0.5  # rho, part of a texel's variance that its neighbourhood has in common
+APART = 2.4  # a
+NARROW = 0.1  # d, as a part of the median of K's diagonal
 LENGTH = 0.1  # over which that varies, as a part of the object's extent
 LEVEL = 0.9
 TINY = 1e-9
@@ -137,9 +140,12 @@ class TextureField:
     @cached_property
     def _coherent(self) -> np.ndarray:
         """c, (N, T)."""
-        right = owned(mi.Float, (1 / self.deviation).astype(np.float32).ravel())
-        left = np.array(self.smoother.solve(right), np.float64).reshape(self.deviation.shape)
-        return np.hypot(left, self.values - self.own)
+        left = _solved(self.smoother, 1 / self.deviation)
+        links = np.array(self.smoother.diagonal - self.smoother.precision, np.float64)
+        links = np.median(links.reshape(self.deviation.shape), axis=1, keepdims=True)
+        d = np.broadcast_to(np.maximum(NARROW * links, TINY), self.deviation.shape)
+        apart = _solved(self.smoother.with_precision(d), d * np.abs(self.values - self.own))
+        return np.sqrt(left**2 + APART * np.maximum(apart, 0) ** 2)
 
     @cached_property
     def width(self) -> np.ndarray:
@@ -184,3 +190,9 @@ class TextureField:
 
     def _laid_out(self, name: str, values: np.ndarray) -> np.ndarray:
         return values.T if CHANNELS[name] > 1 else values[0]
+
+
+def _solved(smoother: Smoother, right: np.ndarray) -> np.ndarray:
+    """Solve for (N, T) float64."""
+    given = owned(mi.Float, right.astype(np.float32).ravel())
+    return np.array(smoother.solve(given), np.float64).reshape(right.shape)
