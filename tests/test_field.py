@@ -212,7 +212,7 @@ def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNam
     inner = np.flatnonzero(np.abs(middle - 0.5) < 0.5 - 2 * sd)
     i = random.choice(inner, 300)
     j = np.array(recovered.recovery.around.table()[0])[i]
-    both = np.isin(j, inner) & (j != i)
+    both = np.isin(j, inner) & (j != i) & (field.common[i] == field.common[j])
     i, j = i[both], j[both]
     assert len(i) > 50
     distance = np.linalg.norm(place[i] - place[j], axis=1) / (module.LENGTH * field.texels.extent)
@@ -220,7 +220,11 @@ def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNam
     alike = (field.mixing[i, row] * field.mixing[j, row]).sum(axis=1)  # of their correlations
     covariance = rho * coherent[i] * coherent[j] * np.exp(-(distance**2) / 2) * alike
     covariance += (1 - rho) * inverse[i, j]
-    variance = [rho * coherent[k] ** 2 + (1 - rho) * inverse[k, k] for k in (i, j)]
+    share = [field.common[k] for k in (i, j)]
+    variance = [
+        part * coherent[k] ** 2 + (1 - part) * inverse[k, k]
+        for k, part in zip((i, j), share, strict=True)
+    ]
     wanted = covariance / np.sqrt(variance[0] * variance[1])
     values = np.stack([draw.at(field.texels, "roughness") for draw in field.draw(200, seed=4)])
     centered = values - values.mean(axis=0)

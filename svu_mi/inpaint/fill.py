@@ -79,7 +79,7 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
     trial = _Trial(field, points, seen)
     tried = np.array([trial.errors(hidden) for hidden in _hidden_parts(points, seen)])
     errors = tried.mean(axis=0)  # (1 + guesses, N)
-    middle, least = field.values.copy(), np.zeros_like(field.values)
+    middle, least = field.values.copy(), width.copy()  # never surer than before
     names, found = {}, {}
     for name in NAMES:
         rows = field.rows(name)
@@ -95,9 +95,7 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
         if guess is not None:
             both = own * middle[rows][:, ~seen] + trial.guessed(guess)[rows] / wide**2
             middle[rows][:, ~seen] = both / (own + 1 / wide**2)
-        # Never surer than before.
-        least[rows][:, ~seen] = np.where(own > 0, 0, wide)
-        least[rows][:, ~seen] = np.maximum(least[rows], width[rows])[:, ~seen]
+        least[rows][:, ~shown] = np.maximum(wide, width[rows][:, ~shown])
     laid = lay_out(field.texels, {name: middle[field.rows(name)].T for name in NAMES})
     textures = field.textures.but(**{name: laid[name] for name in field.names})
     own = np.where(seen, field.own, np.concatenate([middle[field.rows(n)] for n in NAMES]))

@@ -38,7 +38,7 @@ from svu_mi.settings import require_known
 from svu_mi.surface import Texels
 
 # Chosen on our own scenes:
-COMMON = 0.5  # rho, part of a texel's variance that its neighbourhood has in common
+COMMON = 0.5  # rho, part of a seen texel's variance that its neighbourhood has in common
 APART = 2.4  # a
 NARROW = 0.1  # d, as a part of the median of K's diagonal
 LENGTH = 0.1  # over which that varies, as a part of the object's extent
@@ -56,6 +56,7 @@ class TextureField:
         names: parameters that were recovered; all others are what they are.
         own: (N, T), m of the N values of all parameters, base colour first.
         deviation: (N, T), b.
+        common: (T,), rho: 1 for texels that nobody saw, which are all as the prior has it.
         mixing: (T, N, N), triangular, L of every texel: L L^T are the correlations of its values.
         scale: standard deviation of the logarithm of a factor of base colour that all texels have
             in common, per channel.
@@ -69,6 +70,7 @@ class TextureField:
     names: tuple[str, ...]
     own: np.ndarray
     deviation: np.ndarray
+    common: np.ndarray
     mixing: np.ndarray
     scale: np.ndarray
     smoother: Smoother
@@ -113,11 +115,11 @@ class TextureField:
         count = self.texels.count
         length = dr.opaque(mi.Float, 1 / (LENGTH * self.texels.extent))
         waves = Waves.draw(len(self.deviation), random).at(self.texels.position * length)
-        together = np.sqrt(COMMON) * self._coherent * self._mixed(np.array(waves))
-        alone = self._mixed(random.standard_normal(self.deviation.shape, np.float32))
-        right = owned(mi.Float, (alone / self.deviation).astype(np.float32).ravel())
-        apart = self.smoother.solve(right + self.smoother.pulls(random))
-        away = together + np.sqrt(1 - COMMON) * np.array(apart, np.float64).reshape(-1, count)
+        together = np.sqrt(self.common) * self._coherent * self._mixed(np.array(waves))
+        forces = self._mixed(random.standard_normal(self.deviation.shape, np.float32))
+        right = owned(mi.Float, (forces / self.deviation).astype(np.float32).ravel())
+        alone = np.array(self.smoother.solve(right + self.smoother.pulls(random)), np.float64)
+        away = together + np.sqrt(1 - self.common) * alone.reshape(-1, count)
         if self.least is not None:
             away *= np.maximum(self.least / np.maximum(self._own_width, TINY), 1)
         values = self.values + away
@@ -161,7 +163,7 @@ class TextureField:
     @cached_property
     def _own_width(self) -> np.ndarray:
         """The same without what all texels have in common."""
-        return np.sqrt(COMMON * self._coherent**2 + (1 - COMMON) * self._variance)
+        return np.sqrt(self.common * self._coherent**2 + (1 - self.common) * self._variance)
 
     @property
     def _variance(self) -> np.ndarray:

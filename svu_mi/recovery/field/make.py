@@ -13,7 +13,7 @@ from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import CalibratedPosterior
 from svu_mi.progress import Progress
-from svu_mi.recovery.field.field import TextureField
+from svu_mi.recovery.field.field import COMMON, TextureField
 from svu_mi.recovery.field.smoother import Smoother
 from svu_mi.recovery.options import ShOptions
 from svu_mi.recovery.recover import Recovery
@@ -112,8 +112,8 @@ def field_around(
         1 / deviation**2, x0, around.around, strength, max(options.tv_epsilon, SUREST)
     )
     return TextureField(
-        texels=texels, textures=textures, names=tuple(names), own=own,
-        deviation=deviation, mixing=_mixing(posterior, values),
+        texels=texels, textures=textures, names=tuple(names), own=own, deviation=deviation,
+        common=np.where(posterior.observed, COMMON, 1.0), mixing=_mixing(posterior, values),
         scale=np.asarray(posterior.common), smoother=smoother,
     )  # fmt: skip
 
