@@ -12,11 +12,12 @@ import numpy as np
 import svu_mi
 from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import capture_key
+from svu_mi.capture.scene import to_world
 from svu_mi.exr import write_exr
 from svu_mi.inpaint import Filled
 from svu_mi.output import style, views
 from svu_mi.output.draws import texture_colors
-from svu_mi.output.figures import all_seen, draw_look, map_colors
+from svu_mi.output.figures import all_seen, draw_look, draw_map, map_colors
 from svu_mi.output.manifest import RECORD, Run, inputs_record, write_run
 from svu_mi.output.maps import padded, write_field
 from svu_mi.output.page import percent
@@ -27,6 +28,8 @@ from svu_mi.recovery.field.field import TextureField
 from svu_mi.results.writing import writing
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from svu_mi.output.style import Panel
 
 MASK, PAGE = "filled.exr", "filled.png"
@@ -98,29 +101,31 @@ def _draw(capture: Capture, before: TextureField, found: Filled, path: Path) -> 
     )  # fmt: skip
     texels = before.texels
     look = views.Look.at(views.alone(capture), capture.sensors[_facing(capture, found)])
-    mask = map_colors(all_seen(texels), found.filled.astype(np.float32), colormap=style.GREY)
+    everywhere = all_seen(texels)
+    mask = partial(draw_map, estimate=everywhere, values=found.filled, colormap=style.GREY)
     panels: list[Panel] = []
     for row in rows:
         for name in NAMES:
             if row == "standard deviation":
                 sd = found.field.sd(name).reshape(texels.count, -1).max(axis=1)
-                shown = map_colors(all_seen(texels), sd, limits=(0, 0.3))
+                shown = map_colors(everywhere, sd, limits=(0, 0.3))
             else:
                 field = before if row == "before" else found.field
                 shown = texture_colors(texels, field.textures, name)
             title = f"{words(name).capitalize()}, {row}"
             panels.append((title, partial(draw_look, look=look, colors=shown)))
-        panels.append(("Filled" if row == "before" else "", partial(
-            draw_look, look=look, colors=mask) if row == "before" else
-            lambda axes: axes.set_axis_off()))  # fmt: skip
+        first = row == rows[0]
+        panels.append(("Filled, in the texture", mask) if first else ("", _nothing))
     style.draw_panels(figure, list(grid), panels, "NW")
     style.save_figure(figure, path)
 
 
+def _nothing(axes: Axes) -> None:
+    axes.set_axis_off()
+
+
 def _facing(capture: Capture, found: Filled) -> int:
     """Return the sensor that most of what was filled faces."""
-    from svu_mi.capture.scene import to_world
-
     texels = found.field.texels
     position, normal = (np.array(x)[:, found.filled] for x in (texels.position, texels.normal))
     eyes = [to_world(sensor)[:3, 3] for sensor in capture.sensors]

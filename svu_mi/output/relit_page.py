@@ -32,6 +32,7 @@ HEADING = "The object under this light, and how sure every pixel is"
 CELL = 4.2  # inches
 ROWS = 6  # views on the page
 COLUMNS = 3
+DARK = 0.01  # of the median radiance, below which deviations are relative to that
 WIDEST = 0.5  # relative standard deviation at the upper end of its colours
 
 
@@ -134,14 +135,18 @@ def write_relit_page(
     )  # fmt: skip
     panels: list[Panel] = []
     for view, name in shown:
+        window = views.object_window(view.inside)
         sd = np.where(view.inside, view.sd.mean(axis=-1), np.nan)
         level = np.where(view.inside, view.picture.mean(axis=-1), np.nan)
-        top = float(np.nanpercentile(sd, 99)) if view.inside.any() else 1.0
+        top = float(f"{np.nanpercentile(sd, 99):.1g}") if view.inside.any() else 1.0
+        picture = views.tone_mapped(view.picture, view.inside)
+        relative = sd / np.maximum(level, DARK * float(np.nanmedian(level)))
         panels += [
-            (name, partial(style.draw_image, image=views.tone_mapped(view.picture, view.inside))),
-            ("Standard deviation", partial(_scaled, values=sd, limits=(0, max(top, 1e-6)))),
+            (name, partial(style.draw_image, image=views.crop(picture, window))),
+            ("Standard deviation", partial(
+                _scaled, values=views.crop(sd, window), limits=(0, max(top, 1e-6)))),
             ("Relative to the picture", partial(
-                _scaled, values=sd / np.maximum(level, 1e-6), limits=(0, WIDEST))),
+                _scaled, values=views.crop(relative, window), limits=(0, WIDEST))),
         ]  # fmt: skip
     style.draw_panels(figure, list(grid), panels, "NW")
     style.save_figure(figure, path)
