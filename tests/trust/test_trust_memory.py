@@ -50,7 +50,7 @@ def test_photographs_that_do_not_fit_are_to_be_shrunk(monkeypatch):
 def test_texels_that_do_not_fit_are_to_be_fewer(monkeypatch):
     machine(monkeypatch, 2e9)
     assert refused(Need("recover", [(512, 512)] * 10, (2048, 2048))) == (
-        "capture: needs 13 GB of memory, 2 are there; --resolution 512 needs 1.2."
+        "capture: needs 18 GB of memory, 2 are there; --resolution 512 needs 1.6."
     )
     assert refused(Need("entropy", [(512, 512)] * 10, (2048, 2048))) == (
         "capture: needs 2.2 GB of memory, 2 are there; --resolution 1024 needs 1.5."
