@@ -56,7 +56,7 @@ def test_texels_that_do_not_fit_are_to_be_fewer(monkeypatch):
         "capture: needs 2.2 GB of memory, 2 are there; --resolution 1024 needs 1.5."
     )
     need = Need("recover", SIXTY, (2048, 1024))
-    assert refused(need).endswith("; svu import --shrink 6 and --resolution 512 256 needs 1.9.")
+    assert refused(need).endswith("; svu import --shrink 7 and --resolution 512 256 needs 1.8.")
 
 
 def test_what_cannot_be_made_small_enough_says_so(monkeypatch):
