@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from svu_mi.exr import read_exr
 from svu_mi.formats import photographs
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
+from svu_mi.observed import observe
 from svu_mi.visibility import Surface, ahead, pack_views
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*8-bit:svu_mi.errors.SvuWarning")
@@ -277,3 +279,22 @@ def test_what_texels_look_up_is_read_ahead(shot, monkeypatch):
     in_memory = pack_views(svu.load_capture(shot))
     assert in_memory.file is None
     ahead.read_ahead(in_memory, some)
+
+
+@pytest.mark.parametrize("kind", ["shot", "integers"])
+def test_portions_of_texels_see_what_all_see(kind, request, monkeypatch):
+    """Photographs in a file are surveyed portion by portion, the last of which is smaller."""
+    folder = request.getfixturevalue(kind)
+    found = []
+    for portion in (10**6, 100):
+        monkeypatch.setattr(ahead, "PORTION", portion)
+        capture = svu.load_capture(folder, memory=0.0)
+        found.append(observe(capture, svu.texels(capture.mesh, 24)).found)
+    whole, parts = found
+    assert dr.width(whole.coverage) > 250
+    np.testing.assert_array_equal(np.array(parts.coverage), np.array(whole.coverage))
+    np.testing.assert_array_equal(np.array(parts.total), np.array(whole.total))
+    np.testing.assert_array_equal(parts.per_view, whole.per_view)
+    np.testing.assert_array_equal(np.array(parts.bits.words), np.array(whole.bits.words))
+    np.testing.assert_array_equal(parts.clipped_coverage, whole.clipped_coverage)
+    assert parts.scale == whole.scale

@@ -14,6 +14,7 @@ from svu_mi.cli.inputs import Photographed, Resolution, WithPictures
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import given
 from svu_mi.errors import CaptureError, OptionError
+from svu_mi.needs import Need, Sizes
 from svu_mi.progress import Progress
 from svu_mi.results.writing import claimed
 
@@ -82,6 +83,10 @@ class Relight(WithPictures, Photographed):
                 f"{self.environment}: no such file; --environment takes a lat-long map (EXR or "
                 "HDR)."
             )
+
+    def need(self, sizes: Sizes) -> Need:
+        """Return what memory the command takes: nothing is estimated."""
+        return replace(super().need(sizes), model="")
 
     def _run(self, progress: Progress) -> list[RelitView]:
         from svu_mi.illumination.lit import with_map
