@@ -26,8 +26,11 @@ from svu_mi.recovery.textures import Textures, lay_out
 BORDER = "border"  # what spreading from it is called
 FEWEST, MOST = 2, 6  # parts of the surface that are hidden in turn
 DIVISIONS = 2  # ways to divide it
+TRIED = 3000  # texels of a part that guesses are compared on
 MARGIN = 0.8  # of the squared error of spreading, below which a guess is used
-GUESSED = 16  # times as much as the mean of all, a guess counts where it is smoothed
+NEVER = 1.05  # of that of any part that it is tried on, above which it is not
+HARDLY = 1e-3  # precision of the mean of all where nothing is known, in units of their variance
+GUESSED = 1e3  # the same of a guess, where it is smoothed
 SUREST = 0.02  # standard deviation that no guess is surer than
 
 
@@ -77,7 +80,8 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
         return Filled(field, ~seen, {name: "" for name in NAMES}, {name: 0.0 for name in NAMES})
     points = centred(np.array(field.texels.position, np.float64).T)
     trial = _Trial(field, points, seen)
-    tried = np.array([trial.errors(hidden) for hidden in _hidden_parts(points, seen)])
+    normal = np.array(field.texels.normal, np.float64).T
+    tried = np.array([trial.errors(hidden) for hidden in _hidden_parts(normal, seen)])
     errors = tried.mean(axis=0)  # (1 + guesses, N)
     middle, least = field.values.copy(), width.copy()  # never surer than before
     names, found = {}, {}
@@ -85,7 +89,8 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
         rows = field.rows(name)
         of_parts = tried[:, :, rows].mean(axis=2)
         of_name = of_parts.mean(axis=0)
-        better = (of_parts <= of_parts[:, :1]).all(axis=0) & (of_name < MARGIN * of_name[0])
+        never_worse = (of_parts <= NEVER * of_parts[:, :1]).all(axis=0)
+        better = never_worse & (of_name < MARGIN * of_name[0])
         chosen = int(np.where(better, of_name, np.inf).argmin()) if better.any() else 0
         guess = LIKENESSES[chosen - 1] if chosen else None
         names[name] = BORDER if guess is None else guess.title
@@ -122,7 +127,10 @@ class _Trial:
         hidden: of spreading, and of every guess, which spreading stands in for where nothing is
         alike."""
         known, texels = self.seen & ~hidden, np.flatnonzero(hidden)
-        true, spread = self.field.values[:, hidden], self._spread(None, known, hidden)
+        spread = self._spread(None, known, hidden)
+        some = np.linspace(0, len(texels) - 1, min(TRIED, len(texels))).astype(np.int64)
+        texels, spread = texels[some], spread[:, some]
+        true = self.field.values[:, texels]
         found = [((spread - true) ** 2).mean(axis=1)]
         for guess in LIKENESSES:
             values, alike = self._guess(guess, known, texels)
@@ -146,30 +154,29 @@ class _Trial:
     ) -> np.ndarray:
         """Let values spread from the border into what is wanted, and from a guess about it."""
         weights = 1 / self.field.deviation**2
-        mean = (weights * self.field.values)[:, known].sum(axis=1) / weights[:, known].sum(axis=1)
-        target = np.where(known, self.field.values, mean[:, None])
-        spread = self.field.values[:, known].std(axis=1)
-        trust = np.where(known, weights, 1 / np.maximum(spread, SUREST)[:, None] ** 2)
+        values = self.field.values
+        mean = (weights * values)[:, known].sum(axis=1) / weights[:, known].sum(axis=1)
+        target = np.where(known, values, mean[:, None])
+        wide = np.maximum(values[:, known].std(axis=1), SUREST)[:, None]
+        trust = np.where(known, weights, HARDLY / wide**2)
         if guess is not None:
             texels = np.flatnonzero(wanted)
             found, alike = self._guess(guess, known, texels)
             target[:, texels[alike]] = found[:, alike]
-            trust[:, texels[alike]] *= GUESSED
-        smoother = self.field.smoother.with_precision(trust)
+            trust[:, texels[alike]] = GUESSED / wide**2
+        smoother = self.field.smoother.with_precision(trust, blind=~known)
         solved = np.array(smoother.solve(owned(mi.Float, (trust * target).astype("f4").ravel())))
         return np.clip(solved.reshape(trust.shape)[:, wanted], 0, 1)
 
 
-def _hidden_parts(points: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
-    """Return parts of what was seen, (T,) bool each: contiguous, by direction from the middle, and
-    about as large as what was not seen, so that they are as far from what is known."""
+def _hidden_parts(normal: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
+    """Return parts of what was seen, (T,) bool each, as cameras leave them out: what faces one way,
+    about as large as what was not seen, so that it is as far from what is known."""
     number = int(np.clip(round(seen.sum() / max((~seen).sum(), 1)), FEWEST, MOST))
-    some, numbers = points[seen], np.flatnonzero(seen)
-    unit = some / np.maximum(np.linalg.norm(some, axis=1, keepdims=True), 1e-9)
-    found = []
-    for owner in (_clusters(unit, number, seed) for seed in range(DIVISIONS)):
+    numbers, found = np.flatnonzero(seen), []
+    for owner in (_clusters(normal[seen], number, seed) for seed in range(DIVISIONS)):
         for k in range(number):
-            hidden = np.zeros(len(points), bool)
+            hidden = np.zeros(len(normal), bool)
             hidden[numbers[owner == k]] = True
             if hidden.any() and (seen & ~hidden).any():
                 found.append(hidden)

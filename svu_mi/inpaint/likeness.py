@@ -1,21 +1,28 @@
 """Places that a texel may be like: near it, around an axis, on the other side of a mirror.
 
-Objects are turned, cast in two halves, and painted in bands. Each ``Likeness`` maps points of the
-surface so that those that are alike lie near each other; whether an object has such a likeness is
-found out by hiding parts of it that were seen (``choose``).
+Objects are turned, cast in two halves, and painted in bands and patterns that repeat around them.
+Each ``Likeness`` says where in space a point's like is to be found; whether an object has such a
+likeness is found out by hiding parts of it that were seen (``fill``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 NEAREST = 12  # texels that a guess is made of
+FEW = 4  # and of each copy of a pattern, of which there are several
 CLOSE = 0.25  # part of the way to the farthest of them by which nearer ones count more
 FARTHEST = 0.04  # distance, in parts of the object's extent, from which on nothing is alike
-AXES = np.eye(3)
+FARTHEST_COPY = 0.015  # the same of a pattern, whose details count
+MOST_COPIES = 12  # of a pattern around an axis
+
+Axis = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -23,32 +30,44 @@ class Likeness:
     """One way to say which points are alike.
 
     Attributes:
-        kind: ``near``, ``turned`` or ``mirrored``.
+        kind: ``near``; ``turned``: at the same height and radius; ``mirrored``; ``repeated``:
+            turned by a whole number of steps.
         axis: (3,) of the turn, or normal of the mirror, through the middle of the object.
+        count: steps of a whole turn.
     """
 
-    kind: str
-    axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    kind: Literal["near", "turned", "mirrored", "repeated"]
+    axis: Axis = (0.0, 0.0, 0.0)
+    count: int = 1
 
     @property
     def title(self) -> str:
-        """For people."""
-        return self.kind if self.kind == "near" else f"{self.kind} about {_letter(self.axis)}"
-
-    def places(self, points: np.ndarray) -> np.ndarray:
-        """Return where points (n, 3) of a centred object are looked for, (n, 2 or 3)."""
-        axis = np.asarray(self.axis)
-        along = points @ axis
-        if self.kind == "mirrored":
-            return np.asarray(points - 2 * along[:, None] * axis)
-        if self.kind == "turned":
-            across = np.linalg.norm(points - along[:, None] * axis, axis=1)
-            return np.stack([along, across], axis=1)
-        return points
+        """For people: ``turned about y``, ``repeated 8 times about y``."""
+        if self.kind == "near":
+            return self.kind
+        times = f" {self.count} times" if self.kind == "repeated" else ""
+        return f"{self.kind}{times} about {'xyz'[int(np.argmax(np.abs(self.axis)))]}"
 
     def sources(self, points: np.ndarray) -> np.ndarray:
-        """Return where points whose values are known lie among them."""
-        return points if self.kind == "mirrored" else self.places(points)
+        """Return where points (n, 3) of a centred object are among those that others are like."""
+        if self.kind != "turned":
+            return points
+        axis = np.asarray(self.axis)
+        along = points @ axis
+        across = np.linalg.norm(points - along[:, None] * axis, axis=1)
+        return np.stack([along, across], axis=1)
+
+    def copies(self, points: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield where the likes of points are looked for, each as ``sources`` has it."""
+        axis = np.asarray(self.axis)
+        if self.kind == "mirrored":
+            yield points - 2 * (points @ axis)[:, None] * axis
+        elif self.kind == "repeated":
+            for step in range(1, self.count):
+                turn = Rotation.from_rotvec(2 * np.pi * step / self.count * axis)
+                yield turn.apply(points)
+        else:
+            yield self.sources(points)
 
     def guess(
         self, points: np.ndarray, known: np.ndarray, values: np.ndarray, weights: np.ndarray,
@@ -64,28 +83,36 @@ class Likeness:
             wanted: (w,) numbers of texels.
 
         Returns:
-            (N, w) values; and (w,) bool, whether anything is alike: nearer than ``FARTHEST``.
+            (N, w) values; and (w,) bool, whether anything is alike.
         """
-        count = min(NEAREST, len(known))
+        total, weight = (np.zeros((len(values), len(wanted))) for _ in range(2))
+        several = self.kind == "repeated"
+        count = min(FEW if several else NEAREST, len(known))
+        alike = np.full(len(wanted), self.kind == "near" and count > 0)
         if not count or not len(wanted):
-            return np.zeros((len(values), len(wanted))), np.zeros(len(wanted), bool)
+            return total, alike
+        farthest = FARTHEST_COPY if several else FARTHEST
         tree = cKDTree(self.sources(points[known]))
-        distance, found = tree.query(self.places(points[wanted]), count)
-        distance, found = distance.reshape(-1, count), found.reshape(-1, count)
-        scale = np.maximum(CLOSE * distance[:, -1:], 1e-9)
-        nearness = np.exp(-0.5 * (distance / scale) ** 2) + 1e-6
-        chosen = known[found]
-        how = weights[:, chosen] * nearness
-        guessed = (how * values[:, chosen]).sum(axis=2) / np.maximum(how.sum(axis=2), 1e-30)
-        alike = distance[:, 0] < FARTHEST if self.kind != "near" else np.ones(len(wanted), bool)
-        return guessed, alike
+        for places in self.copies(points[wanted]):
+            distance, found = (x.reshape(-1, count) for x in tree.query(places, count))
+            there = alike if self.kind == "near" else distance[:, 0] < farthest
+            scale = np.maximum(CLOSE * distance[:, -1:], 1e-9)
+            nearness = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * there[:, None]
+            how = weights[:, known[found]] * nearness
+            total += (how * values[:, known[found]]).sum(axis=2)
+            weight += how.sum(axis=2)
+            alike = alike | there
+        return total / np.maximum(weight, 1e-30), alike
 
 
+# Not what is near: values spread from the border as it is.
 LIKENESSES = (
-    Likeness("near"),
-    *(Likeness("turned", tuple(axis)) for axis in AXES),
-    *(Likeness("mirrored", tuple(axis)) for axis in AXES),
-)
+    *(Likeness(kind, axis) for kind in ("turned", "mirrored")
+      for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))),
+    *(Likeness("repeated", axis, count)
+      for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+      for count in range(2, MOST_COPIES + 1)),
+)  # fmt: skip
 
 
 def centred(points: np.ndarray) -> np.ndarray:
@@ -93,7 +120,3 @@ def centred(points: np.ndarray) -> np.ndarray:
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float(np.linalg.norm(high - low)) or 1.0
     return np.asarray((points - (low + high) / 2) / extent)
-
-
-def _letter(axis: tuple[float, float, float]) -> str:
-    return "xyz"[int(np.argmax(np.abs(axis)))]

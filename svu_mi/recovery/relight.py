@@ -122,9 +122,13 @@ def _lamps() -> np.ndarray:
 
 
 def _scene(capture: Capture, textures: Textures | None, environment: Any | None) -> Any:
-    scene = capture.scene
-    if textures is not None:
-        scene = PathScene.of(capture, textures).scene
+    scene = capture.scene if textures is None else PathScene.of(capture, textures).scene
+    return under(scene, environment)
+
+
+def under(scene: Any, environment: Any | None) -> Any:
+    """Return a scene of the same shapes under another light: an emitter, or a dictionary for
+    ``mi.load_dict``; the scene itself without one."""
     if environment is None:
         return scene
     light = mi.load_dict(environment) if isinstance(environment, dict) else environment

@@ -10,11 +10,10 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.traced import Pictures
 from svu_mi.errors import OptionError
 from svu_mi.recovery.path.scene import PathScene
-from svu_mi.recovery.relight import path_length
+from svu_mi.recovery.relight import path_length, under
 from svu_mi.recovery.textures import Textures
 
 FEWEST = 2  # draws that a standard deviation is of
@@ -73,7 +72,7 @@ def relight_draws(
         raise OptionError(f"relight_draws(): spp must be at least 1, got {spp}.")
     sensors = capture.sensors if sensors is None else sensors
     painted = PathScene.of(capture, textures)
-    scene = painted.scene if environment is None else _under(painted.scene, environment)
+    scene = under(painted.scene, environment)
     depth = path_length(capture.scene) if max_depth is None else max_depth
     integrator = mi.load_dict({"type": "path", "max_depth": depth})
     pictures = Pictures(sensors)
@@ -104,8 +103,3 @@ def relight_draws(
 
 def _zeros(images: Sequence[np.ndarray]) -> list[np.ndarray]:
     return [np.zeros(image.shape, np.float64) for image in images]
-
-
-def _under(scene: Any, environment: Any) -> Any:
-    light = mi.load_dict(environment) if isinstance(environment, dict) else environment
-    return scene_of([light, *scene.shapes()])

@@ -37,6 +37,8 @@ class Smoother:
             has fewer than K.
         strength, epsilon: opaque Floats, of the links.
         diagonal: (N T,) Float, of D + K.
+        blind: (N T,) Bool, lanes of whose values links must not know: theirs are as strong as any;
+            None for none.
     """
 
     precision: Any
@@ -45,6 +47,7 @@ class Smoother:
     strength: Any
     epsilon: Any
     diagonal: Any
+    blind: Any | None = None
 
     @staticmethod
     def of(
@@ -62,17 +65,21 @@ class Smoother:
         """
         given, middle = (owned(mi.Float, x.ravel().astype(np.float32)) for x in (precision, values))
         links = dr.opaque(mi.Float, strength), dr.opaque(mi.Float, epsilon)
-        found = Smoother(given, middle, tuple(around), *links, given)
-        diagonal = given + sum(weight for _, weight in found._links())
-        dr.eval(diagonal)
-        return replace(found, diagonal=diagonal)
+        return Smoother(given, middle, tuple(around), *links, given)._completed()
 
-    def with_precision(self, precision: np.ndarray) -> Smoother:
-        """Return the same links with another D, (N, T)."""
-        given = owned(mi.Float, precision.ravel().astype(np.float32))
-        diagonal = given + (self.diagonal - self.precision)
+    def with_precision(self, precision: np.ndarray, blind: np.ndarray | None = None) -> Smoother:
+        """Return the same links with another D, (N, T), not knowing the values of some texels,
+        (T,) bool."""
+        given, hidden = owned(mi.Float, precision.ravel().astype(np.float32)), None
+        if blind is not None:
+            hidden = owned(mi.Bool, np.tile(blind, len(precision)))
+        return replace(self, precision=given, blind=hidden)._completed()
+
+    def _completed(self) -> Smoother:
+        """Return the same with its diagonal."""
+        diagonal = self.precision + sum(weight for _, weight in self._links())
         dr.eval(diagonal)
-        return replace(self, precision=given, diagonal=diagonal)
+        return replace(self, diagonal=diagonal)
 
     def _links(self) -> Iterator[tuple[Any, Any]]:
         """Yield the lane of a neighbour of every lane, and the weight of the link, 0 for none."""
@@ -83,6 +90,8 @@ class Smoother:
         for column in self.around:
             other = first + dr.gather(mi.UInt32, column, texel)
             apart = self.values - dr.gather(mi.Float, self.values, other)
+            if self.blind is not None:
+                apart = dr.select(self.blind | dr.gather(mi.Bool, self.blind, other), 0, apart)
             weight = self.strength * dr.rsqrt(dr.fma(apart, apart, dr.square(self.epsilon)))
             yield other, dr.select(other == lane, 0, weight)
 
