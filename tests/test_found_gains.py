@@ -16,7 +16,7 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.illumination.equalize import equalized, estimate_gains
-from svu_mi.illumination.estimate import light_of_samples, without_gains
+from svu_mi.illumination.estimate import World, without_gains
 from svu_mi.illumination.finding import illuminated
 from svu_mi.illumination.found_gains import BALANCE, EXPOSURE, FoundGains
 from svu_mi.illumination.materials import Moments, columns_of, materials_of
@@ -24,6 +24,7 @@ from svu_mi.illumination.prior import prior_of
 from svu_mi.illumination.refine import (
     ALIKE,
     FREEDOM,
+    Known,
     _slopes_and_samples,
     gains_system,
     system_of,
@@ -84,8 +85,8 @@ def test_gains_are_unknowns_beside_the_light_as_in_the_whole_normal_equations():
     np.testing.assert_allclose(found.gradient, gradient, atol=2e-4 * np.abs(gradient).max())
 
     # The same beside cells of the light, whose own part is what it is without gains.
-    both = system_of(transport, x, posterior, tau, prior_of(64), gains=gains)
-    alone = system_of(transport, x, posterior, tau, prior_of(64))
+    both = system_of(transport, x, posterior, tau, Known(prior_of(64), gains=gains))
+    alone = system_of(transport, x, posterior, tau, Known(prior_of(64)))
     of_light = np.concatenate([np.arange(64) + c * 70 for c in range(3)])
     of_gains = np.concatenate([np.arange(64, 70) + c * 70 for c in range(3)])
     atol = 1e-5 * np.abs(alone.matrix).max()
@@ -137,8 +138,8 @@ def test_light_and_gains_are_found_together():
     shown = replace(
         samples, radiance=(samples.radiance * np.exp(true)[samples.view]).astype(np.float32)
     )
-    fit = light_of_samples(shown, SWITCHES, ((64, 9),), gains=True)
-    alone = light_of_samples(shown, SWITCHES, ((64, 9),))
+    fit = World(shown, SWITCHES, gains=True).light(((64, 9),))
+    alone = World(shown, SWITCHES).light(((64, 9),))
     assert fit.gains is not None and alone.gains is None and not fit.gains.odd.any()
     assert np.sqrt(np.mean((fit.gains.logarithm - true) ** 2)) < 0.03
     np.testing.assert_allclose(fit.gains.logarithm.mean(axis=0), 0, atol=1e-9)

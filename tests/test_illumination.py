@@ -20,7 +20,7 @@ from svu_mi.illumination.level import COLORS, FURTHEST, _common, _tint, level_of
 from svu_mi.illumination.likeness import likeness
 from svu_mi.illumination.materials import Moments, columns_of, materials_of
 from svu_mi.illumination.prior import SD, prior_of, refined
-from svu_mi.illumination.refine import ALIKE, FREEDOM, LARGEST, STEP, Fit, system_of
+from svu_mi.illumination.refine import ALIKE, FREEDOM, LARGEST, STEP, Fit, Known, system_of
 from svu_mi.illumination.samples import FACING, FEWEST, Samples
 from svu_mi.illumination.transport import WIDENED, Columns, Materials, Transport
 from svu_mi.interop import owned
@@ -157,7 +157,7 @@ def fit_of(samples: Samples, x: np.ndarray) -> Fit:
     transport = Transport.of(samples, len(x))
     found = Moments.of(samples, columns_of(transport, np.exp(x), SWITCHES))
     posterior = found.posterior(SWITCHES)
-    system = system_of(transport, x, posterior, SWITCHES.overdispersion, prior_of(len(x)))
+    system = system_of(transport, x, posterior, SWITCHES.overdispersion, Known(prior_of(len(x))))
     return Fit(transport, x, system, 0.1)
 
 
@@ -223,7 +223,7 @@ def test_materials_are_eliminated_as_from_the_whole_normal_equations():
     found = Moments.of(samples, columns_of(transport, np.exp(x), SWITCHES))
     posterior = found.posterior(SWITCHES)
     tau = SWITCHES.overdispersion
-    found = system_of(transport, x, posterior, tau, prior_of(64))
+    found = system_of(transport, x, posterior, tau, Known(prior_of(64)))
     w = samples.weight / (posterior.noise[samples.owner] ** 2 * tau)
     joint = Joint(samples, x, materials_of(shared(posterior)), w)
     H, g = joint.normal()

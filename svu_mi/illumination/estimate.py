@@ -28,7 +28,7 @@ from svu_mi.illumination.materials import Moments, columns_of, misfit_of, temper
 from svu_mi.illumination.options import LightOptions
 from svu_mi.illumination.prior import prior_of, refined
 from svu_mi.illumination.record import LightEstimate
-from svu_mi.illumination.refine import Fit, system_of
+from svu_mi.illumination.refine import Fit, Known, system_of
 from svu_mi.illumination.samples import Samples
 from svu_mi.illumination.transport import Columns, Transport
 from svu_mi.observed import Observed
@@ -98,34 +98,29 @@ class _Search:
     switches: AngularPreset
     options: LightOptions
 
-    def looks(self, moves: bool) -> Looks | None:
-        """Return what the photographs show beyond the object, if that is the light."""
-        if self.options.background == "none":
-            return None
-        return Looks.of(self.capture, moves=moves)
+    def world(self, moves: bool) -> World:
+        """Return what is looked at where the light stands still, or turns with the cameras."""
+        looks = None
+        if self.options.background != "none":
+            looks = Looks.of(self.capture, moves=moves)
+        return World(self.samples, self.switches, looks, moves, self.options.gains)
 
 
 def _found(search: _Search, progress: Progress) -> tuple[Fit, tuple[float, float]]:
     """Return the light in the world that explains the photographs, and the misfit of both."""
     options, misfit = search.options, [np.nan, np.nan]
     tried = (False, True) if options.moves is None else (options.moves,)
-    looks = {moves: search.looks(moves) for moves in tried}
+    worlds = {moves: search.world(moves) for moves in tried}
     first, *finer = options.depths
     coarse, steps = {}, len(tried) * first[1] + sum(rounds for _, rounds in finer)
     with progress.stage("Finding the light", steps) as stage:
         for number, moves in enumerate(tried):
-            coarse[moves] = light_of_samples(
-                search.samples, search.switches, (first,), looks=looks[moves], moves=moves,
-                gains=options.gains,
-                told=partial(_add, stage.update, number * first[1], steps),
-            )
+            told = partial(_add, stage.update, number * first[1], steps)
+            coarse[moves] = worlds[moves].light((first,), told=told)
             misfit[moves] = coarse[moves].misfit
         moves = tried[0] if len(tried) == 1 else misfit[True] < MOVED * misfit[False]
-        fit = light_of_samples(
-            search.samples, search.switches, tuple(finer), start=coarse[moves],
-            looks=looks[moves], moves=moves, gains=options.gains,
-            told=partial(_add, stage.update, len(tried) * first[1], steps),
-        )
+        told = partial(_add, stage.update, len(tried) * first[1], steps)
+        fit = worlds[moves].light(tuple(finer), coarse[moves], told)
     return fit, (misfit[False], misfit[True])
 
 
@@ -133,58 +128,93 @@ def _add(told: Told, before: int, total: int, done: int, _: int) -> None:
     told(before + done, total)
 
 
-def light_of_samples(
-    samples: Samples, switches: AngularPreset, depths: tuple[tuple[int, int], ...], *,
-    start: Fit | None = None, looks: Looks | None = None, moves: bool = False,
-    gains: bool = False, told: Told | None = None,
-) -> Fit:  # fmt: skip
-    """Find the light of samples.
+@dataclass(frozen=True)
+class World:
+    """Samples, and how they came about: what light is found in.
 
-    Args:
+    Attributes:
         samples: of some texels.
         switches: of the posterior of their parameters.
-        depths: numbers of cells, and rounds at each.
-        start: light of fewer cells to go on from; constant light by default.
-        looks: at the light itself.
-        moves: whether it turns with the cameras.
+        looks: at the light itself, if there are any.
+        moves: whether the light turns with the cameras.
         gains: whether photographs have gains that are not known.
-        told: called with rounds done, of how many.
     """
-    fit, heat, done = start, HEAT if start is None else 1.0, 0
-    total = sum(rounds for _, rounds in depths)
-    unknown = None if not gains else FoundGains.start(samples) if fit is None else fit.gains
-    for number, rounds in depths:
-        everything, prior = Transport.of(samples, number, moves), prior_of(number)
-        x = _even(samples, number) if fit is None else refined(fit.x, number)
-        seen = None if looks is None else looks.at(number)
-        for _ in range(rounds):
-            now, transport = tempered(switches, heat), without_gains(everything, unknown)
-            columns = columns_of(transport, np.exp(x), now)
-            # Light of the wrong shape could not be too dim: its level is not asked for yet.
-            known = start is None or seen is not None
-            step = np.zeros(3) if known else level_of(transport.samples, columns, now).best
-            posterior = Moments.of(transport.samples, columns).posterior(now, np.exp(step))
-            x = x + step
-            system = system_of(
-                transport, x, posterior, now.overdispersion, prior, seen,
-                None if unknown is None else unknown.logarithm,
-            )  # fmt: skip
-            change = system.step()
-            x, heat, done = x + change[:number], max(heat * COOLING, 1.0), done + 1
-            if unknown is not None:
-                left_out = unknown.odd
-                if heat == 1:
-                    unknown = unknown.judged(samples, system.found, posterior.noise)
-                unknown, common = unknown.stepped(change[number:], left_out)
-                x = x + common
-            if told is not None:
-                told(done, total)
-        fit = Fit(
-            without_gains(everything, unknown), x, system, misfit_of(posterior, samples.unit),
-            seen is not None, unknown,
-        )  # fmt: skip
-    assert fit is not None
-    return fit
+
+    samples: Samples
+    switches: AngularPreset
+    looks: Looks | None = None
+    moves: bool = False
+    gains: bool = False
+
+    def light(
+        self, depths: tuple[tuple[int, int], ...], start: Fit | None = None,
+        told: Told | None = None,
+    ) -> Fit:  # fmt: skip
+        """Find the light.
+
+        Args:
+            depths: numbers of cells, and rounds at each.
+            start: light of fewer cells to go on from; constant light by default.
+            told: called with rounds done, of how many.
+        """
+        fit, heat, done = start, HEAT if start is None else 1.0, 0
+        total = sum(rounds for _, rounds in depths)
+        gains = start.gains if start else FoundGains.start(self.samples) if self.gains else None
+        for number, rounds in depths:
+            stage = _Stage.of(self, number, coarse=start is None)
+            x = _even(self.samples, number) if fit is None else refined(fit.x, number)
+            for _ in range(rounds):
+                fit = stage.round(x, gains, heat)
+                x, gains, heat, done = fit.x, fit.gains, max(heat * COOLING, 1.0), done + 1
+                if told is not None:
+                    told(done, total)
+        assert fit is not None
+        return fit
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """Rounds with one number of cells.
+
+    Attributes:
+        transport: all samples, with their gains.
+        known: what is known of the cells without them.
+        leveled: whether the level of light is searched for by itself: light of the wrong shape
+            could not be too dim, so not at first; nor where it is seen.
+    """
+
+    world: World
+    transport: Transport
+    known: Known
+    leveled: bool
+
+    @staticmethod
+    def of(world: World, number: int, *, coarse: bool) -> _Stage:
+        seen = None if world.looks is None else world.looks.at(number)
+        transport = Transport.of(world.samples, number, world.moves)
+        return _Stage(world, transport, Known(prior_of(number), seen),
+                      not coarse and seen is None)  # fmt: skip
+
+    def round(self, x: np.ndarray, gains: FoundGains | None, heat: float) -> Fit:
+        """Take one step of materials, light (N, 3) and gains."""
+        now, transport = tempered(self.world.switches, heat), without_gains(self.transport, gains)
+        columns = columns_of(transport, np.exp(x), now)
+        step = level_of(transport.samples, columns, now).best if self.leveled else np.zeros(3)
+        posterior = Moments.of(transport.samples, columns).posterior(now, np.exp(step))
+        x = x + step
+        known = self.known if gains is None else replace(self.known, gains=gains.logarithm)
+        system = system_of(transport, x, posterior, now.overdispersion, known)
+        change = system.step()
+        x = x + change[: len(x)]
+        if gains is not None:
+            left_out = gains.odd
+            if heat == 1:
+                gains = gains.judged(self.world.samples, system.found, posterior.noise)
+            gains, common = gains.stepped(change[len(x) :], left_out)
+            x = x + common
+        misfit = misfit_of(posterior, self.world.samples.unit)
+        left = without_gains(self.transport, gains)
+        return Fit(left, x, system, misfit, self.known.seen is not None, gains)
 
 
 def without_gains(transport: Transport, gains: FoundGains | None) -> Transport:

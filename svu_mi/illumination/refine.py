@@ -80,9 +80,33 @@ class Fit:
     gains: FoundGains | None = None
 
 
+@dataclass(frozen=True)
+class Known:
+    """What is known of the light without samples, and what beside it is not known.
+
+    Attributes:
+        prior: of the light.
+        seen: what the photographs show of the light itself.
+        gains: (V, 3) logarithms of gains that samples were divided by; if given, they are
+            unknowns, too, and follow the cells of each channel.
+    """
+
+    prior: Prior
+    seen: CellLooks | None = None
+    gains: np.ndarray | None = None
+
+    def start(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the precision (3 N, 3 N) and the gradient (3, N) of the light at x (N, 3)."""
+        matrix, gradient = self.prior.precision(), self.prior.pull(x).T.copy()
+        if self.seen is not None:
+            matrix[np.diag_indices_from(matrix)] += np.tile(self.seen.precision, 3)
+            gradient += self.seen.precision * (x - self.seen.logarithm).T
+        return matrix, gradient
+
+
 def system_of(
     transport: Transport, x: np.ndarray, posterior: CalibratedPosterior, overdispersion: float,
-    prior: Prior, seen: CellLooks | None = None, gains: np.ndarray | None = None,
+    known: Known,
 ) -> System:  # fmt: skip
     """Linearise the samples around a light and the materials that are most likely under it.
 
@@ -91,23 +115,17 @@ def system_of(
         x: (N, 3) logarithms of radiance.
         posterior: of the parameters of the n texels.
         overdispersion: tau, how many samples say what one would alone.
-        prior: of the light.
-        seen: what the photographs show of the light itself.
-        gains: (V, 3) logarithms of gains that samples were divided by; if given, they are
-            unknowns, too, and follow the cells of each channel.
+        known: what is known beside the samples.
     """
     # Texels that are uncertain are like others: as one by one they would pull the light along.
     materials, light = materials_of(shared(posterior)), np.exp(x)
     J = transport.matrix(materials)
     J *= light.T[:, None].astype(np.float32)
     found = J.sum(axis=2).T.astype(np.float64)  # (S, 3)
-    matrix, gradient = prior.precision(), prior.pull(x).T.copy()
-    if seen is not None:
-        matrix[np.diag_indices_from(matrix)] += np.tile(seen.precision, 3)
-        gradient += seen.precision * (x - seen.logarithm).T
-    if gains is not None:
-        J = np.concatenate([J, of_gains(transport.samples, found, len(gains))], axis=2)
-        matrix, gradient = with_gains(matrix, gradient, gains)
+    matrix, gradient = known.start(x)
+    if known.gains is not None:
+        J = np.concatenate([J, of_gains(transport.samples, found, len(known.gains))], axis=2)
+        matrix, gradient = with_gains(matrix, gradient, known.gains)
     start = System(matrix, gradient.ravel(), found)
     slopes, _ = _slopes_and_samples(transport, light, materials)
     return _eliminated(
