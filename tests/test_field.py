@@ -175,6 +175,7 @@ def test_the_field_says_of_every_texel_how_sure_it_is(recovered: SimpleNamespace
         assert flat[~seen].mean() > flat[seen].mean()  # nobody saw them
 
 
+@pytest.mark.slow
 def test_draws_have_the_mean_and_the_deviation_that_are_said(recovered: SimpleNamespace) -> None:
     """And neighbours are as alike as the field says."""
     field = recovered.field
@@ -199,6 +200,7 @@ def exact_coherent(field: TextureField, row: int, inverse: np.ndarray) -> np.nda
     return np.sqrt((inverse @ (1 / field.deviation[row])) ** 2 + module.APART * apart**2)
 
 
+@pytest.mark.slow
 def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNamespace) -> None:
     """Dense: rho c c L L k(p_i, p_j) + (1 - rho) (D + K)^-1, where nothing is clipped."""
     field = recovered.field

@@ -132,6 +132,7 @@ def test_samples_without_gains_are_those_before():
     np.testing.assert_array_equal(out.weight == 0, shown.view == 2)
 
 
+@pytest.mark.slow
 def test_light_and_gains_are_found_together():
     samples, x = photographed(100, 20, 64, noise=0.03)
     true = random_gains(20)
@@ -250,6 +251,7 @@ def test_they_exclude_looks_at_the_background():
         svu.LightOptions(gains=True, background="distant")
 
 
+@pytest.mark.slow
 def test_light_found_together_with_gains_is_kept_beside_the_other(vase, tmp_path, monkeypatch):
     from svu_mi.illumination import finding
 
@@ -276,6 +278,7 @@ def test_light_found_together_with_gains_is_kept_beside_the_other(vase, tmp_path
     np.testing.assert_array_equal(folder.images[5], lit.images[5])  # they come with their light
 
 
+@pytest.mark.slow
 def test_svu_finds_them_under_the_light_of_the_scene(vase, tmp_path, capsys):
     out = tmp_path / "out"
     assert run("entropy", vase, "--gains", "estimate", "--resolution", 48, "-o", out) == 0

@@ -406,6 +406,7 @@ def test_a_black_object_is_refused_whatever_its_light(outdoors):
         svu.estimate_light(replace(outdoors, images=images), svu.texels(outdoors.mesh, 16))
 
 
+@pytest.mark.slow
 def test_the_background_helps(outdoors):
     texels = svu.texels(outdoors.mesh, 32)
     options = svu.LightOptions(texels=60, depths=((128, 4),), draws=2, moves=False)

@@ -129,6 +129,7 @@ def test_sharing_tells_materials_that_repeat_apart(
     assert sure[1] < sure[0]
 
 
+@pytest.mark.slow
 def test_recovery_goes_on_from_an_estimate(
     known: svu.Estimate, alone: svu.Recovery
 ) -> None:
@@ -167,7 +168,7 @@ def only_metals() -> np.ndarray:
     return prior
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(("preset", "robust"), [("default", 0), ("fast", 1), ("fixed", 0)])
 def test_a_prior_of_one_s_own_stays(
     capture: Capture, grid: Texels, preset: str, robust: int
@@ -415,7 +416,7 @@ def test_a_checkpoint_of_another_capture_is_refused(
                     resume=True)  # fmt: skip
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["coefficients", "spectrum"])
 def test_losses_of_the_paper_fall(capture: Capture, grid: Texels, preset: str) -> None:
     found = svu.recover(capture, grid, preset=preset)

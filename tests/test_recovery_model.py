@@ -236,6 +236,7 @@ def objectives(observed, kind):
 KINDS = ("paper", "default coefficients", "default spectrum")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_truth_is_nearly_stationary(capture, kind):
     """No textures a step away from the true ones fit much better, and those far off do not.
@@ -271,6 +272,7 @@ def test_nothing_is_compiled_between_steps(observed, kind):
             assert kernels and all(kernel["cache_hit"] for kernel in kernels)
 
 
+@pytest.mark.slow
 def test_many_views_are_fitted_by_the_other_solver(observed, monkeypatch):
     """More than the dual holds: the normal equations give the same loss and slopes."""
     textures = random_textures()

@@ -376,6 +376,7 @@ def test_relighting_refuses_no_samples(vase, fine):
         relight(vase.capture, fine.truth, spp=0)
 
 
+@pytest.mark.slow
 def test_relighting_leaves_the_capture_as_it_was(vase):
     before = relight(vase.capture, None, None, vase.capture.sensors[:1], spp=4)[0]
     relight(vase.capture, None, novel_light(vase.capture), spp=1)

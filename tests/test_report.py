@@ -370,6 +370,7 @@ def test_errors_tell_good_textures_from_bad(capture, estimate, monkeypatch):
     assert percent[0] < 5 < 20 < percent[1]
 
 
+@pytest.mark.slow
 def test_recovered_textures_of_any_size_are_shown(capture, page):
     text = page(textures=uniform(svu.texels(capture.mesh, 16), 0.4), compared=1)
     recovered = section(text, "recovered")

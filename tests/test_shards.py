@@ -74,6 +74,7 @@ def log_of(sums) -> list[list[str]]:
 # --- sums -------------------------------------------------------------------------------------
 
 
+@pytest.mark.few(1)
 @pytest.mark.filterwarnings("ignore::svu_mi.errors.SvuWarning")
 @pytest.mark.parametrize("name", ["shot", "clipped"])
 def test_shards_say_what_all_photographs_together_say(request, name, tmp_path):
@@ -118,6 +119,7 @@ def test_the_same_statistics_come_of_shards(shot, tmp_path):
     np.testing.assert_array_equal(ours.texel.numpy(), some)
 
 
+@pytest.mark.slow
 def test_many_texels_are_worked_on_tile_by_tile(shot, tmp_path, monkeypatch):
     whole = maps_of(svu.estimate(svu.gather_shards(None, shot, SIDE, shards=2, folder=tmp_path)))
     monkeypatch.setattr(estimators, "TILE", 100)
@@ -174,6 +176,7 @@ def test_sums_that_are_there_are_not_made_again(shot, tmp_path):
     assert not last.job.folder.exists()
 
 
+@pytest.mark.slow
 def test_other_photographs_options_and_weights_have_sums_of_their_own(shot, tmp_path):
     folder = shutil.copytree(shot, tmp_path / "shot")
     record = json.loads((folder / "capture.json").read_text())

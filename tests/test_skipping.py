@@ -178,6 +178,7 @@ def test_of_coloured_photographs_only_grey_light_is_skipped(colored, method, rul
     np.testing.assert_allclose(entropy(result), entropy(without), atol=TOLERANCE)
 
 
+@pytest.mark.slow
 def test_a_bright_grey_sun_does_not_make_a_coloured_sky_grey(tmp_path):
     sky = np.full((16, 32, 3), [0.03, 0.06, 0.1], np.float32)
     sky[4, 7] = 2e5
@@ -293,6 +294,7 @@ def test_known_values_that_are_refused(grey, known, words):
         estimate(capture, texels, known=known)
 
 
+@pytest.mark.slow
 def test_pictures_and_record_of_what_is_known(grey, tmp_path):
     """Overview, figures and run.json with an axis of one node; its marginal says nothing new."""
     import json

@@ -37,6 +37,7 @@ def shown(request, vase):
     return in_integers(vase.capture, vase.estimate.observed, 0.3)[0]
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("preset", ["default", "fixed", "fast", "paper"])
 def test_tiles_say_what_all_texels_say_together(vase, shown, tiled, preset):
     together = svu.estimate(shown, vase.texels, preset=preset)
@@ -67,6 +68,7 @@ def test_what_is_asked_of_some_texels_is_made_again_for_them(vase, tiled):
     assert apart.groups == 3 and apart.continuous and apart.most == together.most
 
 
+@pytest.mark.slow
 def test_draws_of_tiles_have_the_moments_of_their_texels(vase, tiled):
     posterior = tiled(vase.capture, vase.texels).posterior
     drawn = np.array(posterior.draw(64, seed=3)["roughness"])
