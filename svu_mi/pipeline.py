@@ -254,14 +254,7 @@ def estimate(
     chosen = with_known(chosen, known, capture.shape)
     tables = log_prior(prior, chosen.shape, "estimate()")  # refused before any work
     require_light(capture)
-    seen: Evidence
-    if isinstance(source, Capture):
-        seen = observe(
-            source, layout, progress,
-            skip_unseen=skip.unseen, skip_blind=skip.blind, skip_pairs=skip.pairs,
-        )  # fmt: skip
-    else:
-        seen = _evidence_of(source, texels)
+    seen = _seen(source, layout, skip, progress)
     with progress.stage("Reading the light"):
         _ = seen.lighting
     plan = make_plan(skip, switches, seen, chosen, tables)
@@ -270,16 +263,22 @@ def estimate(
     posterior = (from_angles if angular else from_spectra)(run, certain)
     with progress.stage("Computing entropy"):
         result = Estimate(
-            method=method,
-            preset=switches,
-            texels=seen.texels,
-            posterior=posterior,
-            coverage=owned(mi.UInt32, counted(seen, switches)),
-            seen_per_view=seen.per_view,
-            skipped=plan.skipped,
-            timings=progress.timings,
-            observed=seen if isinstance(seen, Observed) else None,
-            prior=prior,
-        )
+            method=method, preset=switches, texels=seen.texels, posterior=posterior,
+            coverage=owned(mi.UInt32, counted(seen, switches)), seen_per_view=seen.per_view,
+            skipped=plan.skipped, timings=progress.timings,
+            observed=seen if isinstance(seen, Observed) else None, prior=prior,
+        )  # fmt: skip
         dr.eval(result.entropy)
     return result
+
+
+def _seen(
+    source: Capture | Evidence | Estimate, texels: Texels, skip: Skip, progress: Progress
+) -> Evidence:
+    """Trace what photographs show of texels, or go on from what was traced."""
+    if not isinstance(source, Capture):
+        return _evidence_of(source, texels)
+    return observe(
+        source, texels, progress,
+        skip_unseen=skip.unseen, skip_blind=skip.blind, skip_pairs=skip.pairs,
+    )  # fmt: skip

@@ -111,6 +111,25 @@ def load_capture(
     )  # fmt: skip
     path = Path(path)
     folder = Path(images) if images is not None else photographs_of(path)
+    xml, remembered = _described(path, folder)
+    description = dataclasses.replace(  # what the caller says wins
+        remembered, scene=xml, shape=shape or remembered.shape,
+        defines={**remembered.defines, **(defines or {})},
+    )  # fmt: skip
+    scene = load_scene(xml, description.defines, trust=trust)
+    sensors = description.make_sensors(folder) or find_sensors(scene, str(xml))
+    if images is None:
+        folder = photographs_of(path, [sensor.id() for sensor in sensors])
+    found = read_capture(scene, sensors, folder, description, reading)
+    return dataclasses.replace(found, recipe=recipe)
+
+
+def _described(path: Path, folder: Path) -> tuple[Path, Description]:
+    """Return the scene that is meant, and what a folder of photographs says of itself.
+
+    Raises:
+        CaptureError: there is no scene.
+    """
     description = capture_folder.read(folder) or Description()
     xml = path if path.suffix.lower() == ".xml" else description.scene
     if xml is None and path.is_dir():
@@ -126,19 +145,7 @@ def load_capture(
             f"{folder / capture_folder.FILE}: its scene {excerpt(xml, 300)} does not exist; "
             "copy it there, or give the scene, and this folder as --images."
         )
-    # What the caller says wins over what the folder remembers.
-    description = dataclasses.replace(
-        description,
-        scene=xml,
-        shape=shape or description.shape,
-        defines={**description.defines, **(defines or {})},
-    )
-    scene = load_scene(xml, description.defines, trust=trust)
-    sensors = description.make_sensors(folder) or find_sensors(scene, str(xml))
-    if images is None:
-        folder = photographs_of(path, [sensor.id() for sensor in sensors])
-    found = read_capture(scene, sensors, folder, description, reading)
-    return dataclasses.replace(found, recipe=recipe)
+    return xml, description
 
 
 @dataclass(frozen=True, kw_only=True)
