@@ -16,6 +16,7 @@ from matplotlib import pyplot
 from unseen import blind
 
 import svu_mi as svu
+from svu_mi.capture.shown import tone_mapped
 from svu_mi.errors import OutputError
 from svu_mi.exr import read_exr, read_header
 from svu_mi.output import (
@@ -137,12 +138,12 @@ def test_tone_mapping_exposes_for_the_object():
     photograph[2:5, 2:5] = 4.0
     photograph[0, 0] = np.nan
     mask = photograph[..., 0] == 4
-    mapped = views.tone_mapped(photograph, mask)
+    mapped = tone_mapped(photograph, mask)
     np.testing.assert_allclose(mapped[3, 3], 1, atol=1e-6)
     np.testing.assert_allclose(mapped[0, 0], 0.5)
     assert np.isfinite(mapped).all()
     # sRGB: 18 % grey is 0.461 of full scale.
-    grey = views.tone_mapped(np.array([[[0.18] * 3] + [[1.0] * 3] * 9], np.float32))
+    grey = tone_mapped(np.array([[[0.18] * 3] + [[1.0] * 3] * 9], np.float32))
     np.testing.assert_allclose(grey[0, 0], 0.461, atol=0.005)
 
 

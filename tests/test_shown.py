@@ -11,13 +11,13 @@ from helpers import names, run
 
 import svu_mi as svu
 from svu_mi.capture.poses import scaled_sensor
+from svu_mi.capture.shown import shrunk
 from svu_mi.capture.traced import Pictures
 from svu_mi.cli.reporting import Report
 from svu_mi.cli.viewing import View
 from svu_mi.guidance.forecast import Forecast
 from svu_mi.output.report import pictures
 from svu_mi.output.thinned import Thinned
-from svu_mi.output.views import shrunk
 from svu_mi.posterior.part import PartOfPosterior
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import uniform

@@ -18,10 +18,11 @@ from unseen import blind
 
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import to_world
+from svu_mi.capture.shown import srgb
+from svu_mi.capture.shown import tone_mapped as exposed
 from svu_mi.cli.main import main
 from svu_mi.cli.viewing import View
 from svu_mi.errors import OptionError, ShapeError, SvuEnvironmentError
-from svu_mi.output import views
 from svu_mi.output.surface_maps import surface_maps
 from svu_mi.output.viewer import model
 from svu_mi.output.viewer.frusta import frustum
@@ -170,7 +171,7 @@ def test_maps_reach_over_all_that_is_outside_the_charts(known, quarters):
     assert np.array_equal(colors, own[table])
     shown = surface_maps(known, quarters)["recovered base colour"]
     assert shown.scale is None
-    assert np.allclose(shown.colors(), views.srgb(np.array(quarters.base_color)))
+    assert np.allclose(shown.colors(), srgb(np.array(quarters.base_color)))
     with pytest.raises(ShapeError, match="textures have"):
         surface_maps(replace(known, texels=texels_of_another_size(known)), quarters)
 
@@ -195,7 +196,7 @@ def test_a_frustum_is_opencv_with_its_axis_in_the_middle(capture):
         # Photographs are widened by whole pixels.
         assert np.abs(pixel - corner - np.array(sample.uv).ravel()).max() < 0.76
         assert camera.aspect == pytest.approx(width / height, rel=0.02)
-    photograph = views.tone_mapped(capture.images[0])
+    photograph = exposed(capture.images[0])
     assert np.abs(frustum(capture, 0, 99).image[..., :3] / 255 - photograph).max() < 0.01
 
 
@@ -350,5 +351,5 @@ def _colors_seen(capture, textures):
     hit = capture.scene.ray_intersect(ray)
     u, v = np.array(hit.uv)
     column, row = (np.clip(x * n, 0, n - 1).astype(int) for x, n in zip((u, v), SIZE, strict=True))
-    color = views.srgb(np.array(textures.base_color))[row, column]
+    color = srgb(np.array(textures.base_color))[row, column]
     return color.reshape(FILM[1], FILM[0], 3), np.array(hit.is_valid()).reshape(FILM[1], FILM[0])

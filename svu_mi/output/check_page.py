@@ -12,6 +12,7 @@ from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.poses import bounding_sphere
 from svu_mi.capture.scene import to_world
+from svu_mi.capture.shown import tone_mapped
 from svu_mi.checking.apply import apply_fixes
 from svu_mi.checking.frames import Frames, reduced
 from svu_mi.checking.record import Check, Finding, Summary
@@ -25,7 +26,6 @@ from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.output.page import THUMBNAIL, Picture, photograph, write_page
 from svu_mi.output.style import AFTER, BEFORE
 from svu_mi.output.upright import facing, up_of
-from svu_mi.output.views import tone_mapped
 from svu_mi.results.writing import writing
 
 AXES = ("poses", "light", "texture")  # what corrections are about

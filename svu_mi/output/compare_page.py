@@ -12,8 +12,9 @@ import numpy as np
 
 import svu_mi
 from svu_mi.capture.poses import sphere_sensors
+from svu_mi.capture.shown import srgb
 from svu_mi.exr import write_exr
-from svu_mi.output import style, views
+from svu_mi.output import style
 from svu_mi.output.compare import Comparison
 from svu_mi.output.compare_difference import AROUND, CERTAIN, Difference, Figures
 from svu_mi.output.figures import GUTTER, map_colors
@@ -128,7 +129,7 @@ class _Drawn:
     def colors_of_base(self, values: np.ndarray) -> np.ndarray:
         """Return linear colours (T, 3) as a texture (H, W, 3)."""
         surface, compared = self.found.surface, np.isfinite(values).all(axis=1)
-        shown = views.srgb(np.clip(np.where(compared[:, None], values, 0), 0, 1))
+        shown = srgb(np.clip(np.where(compared[:, None], values, 0), 0, 1))
         shown[~compared] = style.UNSEEN
         image, inside = surface.to_image(shown), surface.inside()
         image[~inside] = style.OUTSIDE

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.capture.look import Look, alone
+from svu_mi.capture.shown import srgb
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.files import prepare_folder
-from svu_mi.output import style, views
+from svu_mi.output import style
 from svu_mi.output.figures import all_seen, draw_look, map_colors
 from svu_mi.output.result import words
 from svu_mi.output.style import GREY
@@ -116,7 +118,7 @@ def write_sheet(
         len(NAMES), len(columns), left=0.01, right=0.99, top=1 - 1.05 / height, bottom=0.01,
         hspace=0.14, wspace=0.04,
     )  # fmt: skip
-    look = views.Look.at(views.alone(capture), capture.sensors[view])
+    look = Look.at(alone(capture), capture.sensors[view])
     panels: list[Panel] = []
     for name in NAMES:
         for number, textures in enumerate(columns):
@@ -130,7 +132,7 @@ def write_sheet(
 def texture_colors(texels: Texels, textures: Textures, name: str) -> np.ndarray:
     """Return a parameter as screen colours (H, W, 3)."""
     if CHANNELS[name] > 1:
-        return views.srgb(np.clip(np.array(textures[name], np.float32), 0, 1))
+        return srgb(np.clip(np.array(textures[name], np.float32), 0, 1))
     return map_colors(all_seen(texels), textures.at(texels, name), colormap=GREY)
 
 

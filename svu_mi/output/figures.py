@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.capture.look import Look, alone
+from svu_mi.capture.shown import srgb, tone_mapped
 from svu_mi.errors import OptionError
 from svu_mi.output import style, views
 from svu_mi.output.result import is_seen, prior_marginal, words
@@ -45,7 +47,7 @@ def draw_photograph(
 ) -> None:
     """Draw a photograph, exposed for the object and cropped: to a window, by default its mask's."""
     mask = capture.masks[view] if capture.masks else None
-    image = views.tone_mapped(capture.images[view], mask)
+    image = tone_mapped(capture.images[view], mask)
     if window is None and mask is not None:
         window = views.object_window(mask)
     style.draw_image(axes, image if window is None else views.crop(image, window))
@@ -106,10 +108,10 @@ def draw_on_object(
 
 def draw_texture(axes: Axes, capture: Capture, view: int, colors: np.ndarray) -> None:
     """Draw screen colours (H, W, 3) on the object, as a camera of the capture sees it."""
-    draw_look(axes, views.Look.at(views.alone(capture), capture.sensors[view]), colors)
+    draw_look(axes, Look.at(alone(capture), capture.sensors[view]), colors)
 
 
-def draw_look(axes: Axes, look: views.Look, colors: np.ndarray) -> None:
+def draw_look(axes: Axes, look: Look, colors: np.ndarray) -> None:
     """Draw screen colours (H, W, 3) on what a sensor sees of the object, cut to it."""
     shown = look.painted(colors)
     style.draw_image(axes, views.crop(shown[..., :3], views.object_window(shown[..., 3] > 0)))
@@ -138,7 +140,7 @@ def albedo_colors(
 
     ``unseen`` is what texels that no view sees look like: one colour, or a picture (H, W, 3).
     """
-    colors = views.srgb(np.clip(np.array(values), 0, 1))
+    colors = srgb(np.clip(np.array(values), 0, 1))
     return _laid_out(estimate, colors, gutter, unseen)
 
 

@@ -12,10 +12,11 @@ import numpy as np
 import svu_mi
 from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import capture_key
+from svu_mi.capture.look import Look, alone
 from svu_mi.capture.scene import to_world
 from svu_mi.exr import write_exr
 from svu_mi.inpaint import Filled
-from svu_mi.output import style, views
+from svu_mi.output import style
 from svu_mi.output.draws import texture_colors
 from svu_mi.output.figures import all_seen, draw_look, draw_map, map_colors
 from svu_mi.output.manifest import RECORD, Run, inputs_record, write_run
@@ -100,7 +101,7 @@ def _draw(capture: Capture, before: TextureField, found: Filled, path: Path) -> 
         hspace=0.16, wspace=0.04,
     )  # fmt: skip
     texels = before.texels
-    look = views.Look.at(views.alone(capture), capture.sensors[_facing(capture, found)])
+    look = Look.at(alone(capture), capture.sensors[_facing(capture, found)])
     everywhere = all_seen(texels)
     mask = partial(draw_map, estimate=everywhere, values=found.filled, colormap=style.GREY)
     panels: list[Panel] = []

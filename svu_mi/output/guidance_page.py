@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.capture.look import SIDE, Look, alone
 from svu_mi.capture.poses import film_size, resized_sensor
 from svu_mi.guidance.result import Guidance, Proposal
 from svu_mi.guidance.strategies import TABLE
@@ -48,13 +49,13 @@ class Gains:
 
     maps: np.ndarray
     pictures: list[np.ndarray]
-    looks: list[views.Look]
+    looks: list[Look]
 
     @classmethod
     def of(cls, capture: Capture, guidance: Guidance, maps: np.ndarray) -> Gains:
         """Draw maps."""
-        scene = views.alone(capture)
-        looks = [views.Look.at(scene, _large(one.sensor)) for one in guidance.proposals]
+        scene = alone(capture)
+        looks = [Look.at(scene, _large(one.sensor)) for one in guidance.proposals]
         return cls(maps, [_painted(look, guidance, k, maps) for k, look in enumerate(looks)], looks)
 
 
@@ -198,12 +199,12 @@ def gain_picture(
     Returns:
         (h, w, 4) float32 as of ``views.picture``.
     """
-    look = views.Look.at(views.alone(capture), _large(guidance.proposals[proposal].sensor))
+    look = Look.at(alone(capture), _large(guidance.proposals[proposal].sensor))
     return _painted(look, guidance, proposal, maps)
 
 
 def _painted(
-    look: views.Look, guidance: Guidance, proposal: int, maps: np.ndarray
+    look: Look, guidance: Guidance, proposal: int, maps: np.ndarray
 ) -> np.ndarray:
     limits = (0, gain_limit(maps))
     return look.painted(map_colors(
@@ -270,7 +271,7 @@ def _labels(
 
 def _large(sensor: Any) -> Any:
     """Return the sensor with a film that pictures need not be smaller than."""
-    return resized_sensor(sensor, -(-views.SIDE // max(film_size(sensor))))
+    return resized_sensor(sensor, -(-SIDE // max(film_size(sensor))))
 
 
 def _worth(proposal: Proposal) -> str:

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.capture.shown import srgb
 from svu_mi.illumination.likeness import Likeness
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.light.environment import directions, radiance_from
-from svu_mi.output import style, views
+from svu_mi.output import style
 from svu_mi.output.knowledge import plain_percent
 from svu_mi.output.style import LEFT, RIGHT
 
@@ -92,7 +93,7 @@ class Tone:
         white = GREY * 2 ** self.limits[1]
         mean = level.mean(axis=-1, keepdims=True)
         shrunk = level * (1 + mean / white**2) / (1 + mean)
-        return np.asarray(views.srgb(np.clip(shrunk, 0, 1)))
+        return np.asarray(srgb(np.clip(shrunk, 0, 1)))
 
     def stops(self, radiance: np.ndarray) -> np.ndarray:
         """Return how many times two a map (H, W, 3) is brighter than the middle: (H, W)."""

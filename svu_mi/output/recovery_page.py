@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.output import style, views
+from svu_mi.capture.look import Look, alone
+from svu_mi.capture.shown import srgb
+from svu_mi.output import style
 from svu_mi.output.figures import all_seen, draw_look, draw_scaled_map, map_colors
 from svu_mi.output.page import grouped
 from svu_mi.output.relit import Comparison
@@ -65,9 +67,9 @@ def write_recovery_overview(
     )
     style.draw_panels(figure, maps, _maps(recovery, estimate, field), "NW")
     style.draw_panels(figure, plot, [("Loss by step", partial(_losses, recovery=recovery))])
-    objects, scene = [], views.alone(capture)
+    objects, scene = [], alone(capture)
     for comparison, rest in zip(comparisons, (_parameters, _rest), strict=False):
-        look = views.Look.at(scene, capture.sensors[comparison.view])
+        look = Look.at(scene, capture.sensors[comparison.view])
         objects += [*_compared(comparison), *rest(look, recovery, comparison, estimate)]
     style.draw_panels(figure, rows, objects, "NW")
     style.save_figure(figure, path)
@@ -92,7 +94,7 @@ def _maps(
 ) -> list[Panel]:
     """The recovered textures, and what is known of each, in the layout of the texture."""
     inside = recovery.texels.inside()
-    color = views.srgb(np.clip(recovery.image("base_color"), 0, 1))
+    color = srgb(np.clip(recovery.image("base_color"), 0, 1))
     values = partial(recovery.textures.at, recovery.texels)
     sd = partial(_deviations, estimate=estimate, field=field)
     return [
@@ -166,10 +168,10 @@ def _compared(comparison: Comparison) -> list[Panel]:
 
 
 def _parameters(
-    look: views.Look, recovery: Recovery, _: Comparison, __: Estimate | None
+    look: Look, recovery: Recovery, _: Comparison, __: Estimate | None
 ) -> list[Panel]:
     """The three parameters on the object."""
-    color = views.srgb(np.clip(np.array(recovery.textures.base_color, np.float32), 0, 1))
+    color = srgb(np.clip(np.array(recovery.textures.base_color, np.float32), 0, 1))
     on_object = partial(_on_object, look=look, estimate=all_seen(recovery.texels), colormap=GREY)
     return [
         (TITLES[0], partial(draw_look, look=look, colors=color)),
@@ -179,7 +181,7 @@ def _parameters(
 
 
 def _rest(
-    look: views.Look, recovery: Recovery, comparison: Comparison, estimate: Estimate | None
+    look: Look, recovery: Recovery, comparison: Comparison, estimate: Estimate | None
 ) -> list[Panel]:
     """The other light, and what is known of the object from there."""
     coverage = np.array(recovery.coverage)
@@ -195,7 +197,7 @@ def _rest(
 
 
 def _on_object(
-    axes: Axes, look: views.Look, estimate: Estimate, values: Any | None = None, **options: Any
+    axes: Axes, look: Look, estimate: Estimate, values: Any | None = None, **options: Any
 ) -> None:
     """Draw a value of every texel on the object; ``options`` are those of ``map_colors``."""
     draw_look(axes, look, map_colors(estimate, values, **options))

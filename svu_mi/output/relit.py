@@ -10,6 +10,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.capture.poses import film_size, scaled_sensor
+from svu_mi.capture.shown import exposure, resized, tone_mapped
 from svu_mi.capture.traced import Pictures
 from svu_mi.output import style, views
 from svu_mi.output.style import DIFFERENCE_COLORMAP, FAINT, INK
@@ -65,7 +66,7 @@ class Comparison:
         colors = style.colors(error[..., 0], (0, WORST), DIFFERENCE_COLORMAP)
         pictures = [photograph, self._on_white(render), np.where(np.isnan(error), 1, colors)]
         if self.relit is not None:
-            pictures.append(self._on_white(views.tone_mapped(self.relit, self.inside)))
+            pictures.append(self._on_white(tone_mapped(self.relit, self.inside)))
         return pictures
 
     def cropped(self) -> list[np.ndarray]:
@@ -75,9 +76,9 @@ class Comparison:
 
     def _exposed(self) -> tuple[np.ndarray, np.ndarray]:
         """Photograph and render as sRGB values, both exposed for the object as photographed."""
-        white = views.exposure(self.photograph, self.inside)
-        return (views.tone_mapped(self.photograph, white=white),
-                views.tone_mapped(self.render, white=white))  # fmt: skip
+        white = exposure(self.photograph, self.inside)
+        return (tone_mapped(self.photograph, white=white),
+                tone_mapped(self.render, white=white))  # fmt: skip
 
     def _on_white(self, image: np.ndarray) -> np.ndarray:
         return np.where(self.inside[..., None], image, np.float32(1))
@@ -106,7 +107,7 @@ def explain(
     return [
         Comparison(
             view=view,
-            photograph=views.resized(capture.images[view], film_size(sensor)),
+            photograph=resized(capture.images[view], film_size(sensor)),
             render=render, inside=mask,
         )
         for view, sensor, render, mask in zip(chosen, sensors, renders, inside, strict=True)

@@ -14,6 +14,7 @@ import svu_mi
 from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.picture import quantized
+from svu_mi.capture.shown import tone_mapped
 from svu_mi.exr import write_exr
 from svu_mi.files import replacing
 from svu_mi.output import style, views
@@ -105,7 +106,7 @@ def write_relit_views(
         for kind, image in (("mean", view.mean), ("sd", view.sd)):
             channels |= {f"{kind}.{letter}": image[..., k] for k, letter in enumerate("RGB")}
         write_exr(folder / f"{name}.exr", channels, attributes)
-        shown = views.tone_mapped(view.picture, view.inside)
+        shown = tone_mapped(view.picture, view.inside)
         with replacing(folder / f"{name}.png") as temporary:
             Image.fromarray(quantized(shown)).save(temporary)
 
@@ -139,7 +140,7 @@ def write_relit_page(
         sd = np.where(view.inside, view.sd.mean(axis=-1), np.nan)
         level = np.where(view.inside, view.picture.mean(axis=-1), np.nan)
         top = float(f"{np.nanpercentile(sd, 99):.1g}") if view.inside.any() else 1.0
-        picture = views.tone_mapped(view.picture, view.inside)
+        picture = tone_mapped(view.picture, view.inside)
         relative = sd / np.maximum(level, DARK * float(np.nanmedian(level)))
         panels += [
             (name, partial(style.draw_image, image=views.crop(picture, window))),

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.output import style, views
+from svu_mi.capture.shown import srgb
+from svu_mi.output import style
 from svu_mi.output.figures import GUTTER, albedo_colors, map_colors
 from svu_mi.output.knowledge import TOLERANCE, WIDEST, Intervals
 from svu_mi.output.result import Result, open_axes, words
@@ -74,7 +75,7 @@ class SurfaceMap:
         if self.estimate is None:
             image = np.clip(values, 0, 1)
             if self.scale is None:
-                return views.srgb(image)
+                return srgb(image)
             return style.colors(image[..., 0], (0, self.scale.high), self.scale.colormap)
         if self.scale is None:
             return albedo_colors(self.estimate, values, gutter=gutter, unseen=unseen)

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.capture.shown import shrunk, tone_mapped
 from svu_mi.illumination.record import LightEstimate
-from svu_mi.output import surface_maps, views
+from svu_mi.output import surface_maps
 from svu_mi.output.figures import map_colors
 from svu_mi.output.knowledge import Intervals
 from svu_mi.output.light_page import deviation_colors, known_colors, light_colors
@@ -87,10 +88,10 @@ def _small(capture: Capture, view: int) -> np.ndarray:
     # By whole pixels, which takes no time; what is left to do, Pillow does.
     step = max(max(image.shape[:2]) // THUMBNAIL, 1)
     across, down = (min(step, size) for size in image.shape[1::-1])
-    small = views.shrunk(image, across, down)
+    small = shrunk(image, across, down)
     if mask is not None:
         mask = mask[down // 2 :: down, across // 2 :: across][: len(small), : small.shape[1]]
-    return views.tone_mapped(small, mask)
+    return tone_mapped(small, mask)
 
 
 def _why_left_out(image: np.ndarray) -> str:

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.capture.look import Look, alone
 from svu_mi.capture.mesh import arrays
 from svu_mi.capture.poses import bounding_sphere, film_size, make_sensor
 from svu_mi.capture.scene import to_world
@@ -73,7 +74,7 @@ class Turntable:
         places = np.concatenate([_places(points, sensor) for sensor in sensors])
         (left, top), (right, bottom) = places.min(axis=0) - BORDER, places.max(axis=0) + BORDER
         window = max(left, 0.0), min(right, 1.0), max(top, 0.0), min(bottom, 1.0)
-        return cls(views.alone(capture), tuple(sensors), window, up)
+        return cls(alone(capture), tuple(sensors), window, up)
 
     def frame(self, texture: np.ndarray, number: int) -> np.ndarray:
         """Render a texture on the object.
@@ -95,12 +96,12 @@ class Turntable:
         return views.crop(np.dstack([color, alpha]), self.window)
 
     @cached_property
-    def _front(self) -> views.Look:
+    def _front(self) -> Look:
         """What maps are shown on, one after the other."""
         return self._look(0)
 
-    def _look(self, number: int) -> views.Look:
-        return views.Look.of(self.scene, self.sensors[number])
+    def _look(self, number: int) -> Look:
+        return Look.of(self.scene, self.sensors[number])
 
     def find(self, texels: Texels, chosen: np.ndarray) -> tuple[int, int, float, float] | None:
         """Find the one of some texels that is shown best, and where.

@@ -11,8 +11,8 @@ from svu_mi.capture import Capture
 from svu_mi.capture.picture import quantized
 from svu_mi.capture.poses import film_size, focal_length, principal_point
 from svu_mi.capture.scene import to_world
+from svu_mi.capture.shown import tone_mapped
 from svu_mi.formats.source import OPENCV
-from svu_mi.output import views
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ def frustum(capture: Capture, view: int, side: int) -> Frustum:
     width, height = film_size(sensor)
     x, y = principal_point(sensor)
     half = np.array([max(x, width - x), max(y, height - y)])  # of the widened picture
-    screen = views.tone_mapped(capture.images[view], capture.masks[view])
+    screen = tone_mapped(capture.images[view], capture.masks[view])
     small = Image.fromarray(quantized(screen))
     small.thumbnail((side, side))
     scale = np.array(small.size) / (width, height)

@@ -10,9 +10,9 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.capture.look import alone
 from svu_mi.errors import OptionError
 from svu_mi.interop import owned
-from svu_mi.output import views
 from svu_mi.output.knowledge import Intervals
 from svu_mi.output.result import place_of
 from svu_mi.pipeline import Estimate
@@ -77,7 +77,7 @@ class Picker:
         self._capture, self._estimate = capture, estimate
         self._intervals = intervals or Intervals(estimate.posterior)
         self._nearest = nearest_texel(estimate.texels)
-        self._scene = views.alone(capture)
+        self._scene = alone(capture)
 
     def pick(self, origin: Any, direction: Any) -> Pick | None:
         """Return the texel that a ray hits first, None if it misses the object.
