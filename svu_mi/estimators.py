@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -24,7 +26,7 @@ from svu_mi.posterior import (
     spectrum_posterior,
 )
 from svu_mi.posterior.tiled import TiledPosterior
-from svu_mi.progress import Progress
+from svu_mi.progress import Progress, Stage
 from svu_mi.skipping import Plan
 from svu_mi.statistics import Factors
 from svu_mi.statistics.gather import Weighting
@@ -55,8 +57,10 @@ def from_angles(run: Run, switches: AngularPreset) -> Posterior:
     """Compare photographs with what the reflection model predicts for them, by statistics."""
     seen, count = run.observed, len(run.observed.seen)
     # What is global is made once, for all tiles.
-    if run.whole or count <= TILE:
+    if count <= TILE:
         return _of_all(run, switches)
+    if run.whole:
+        return _of_all_in_tiles(run, switches)
     with run.progress.stage("Gathering statistics", count) as stage:
         tiled = TiledPosterior(
             grid=run.grid, observed=counted(seen, switches) > 0,
@@ -72,7 +76,28 @@ def _of_all(run: Run, switches: AngularPreset) -> Posterior:
     with run.progress.stage("Gathering statistics"):
         chosen = np.flatnonzero(seen.coverage) if _leaves_clipped_out(seen, switches) else None
         factors = _factors(run, seen, switches, chosen)
-    return _posterior(run, seen, switches, factors, seen.texels.count)
+    return _posterior(run, switches, factors, _rounding(seen, switches), seen.texels.count)
+
+
+def _of_all_in_tiles(run: Run, switches: AngularPreset) -> Posterior:
+    """The same, but of no more than a tile are there sums, and what reaches it of the light."""
+    seen, texels = run.observed, run.observed.seen
+    if _leaves_clipped_out(seen, switches):
+        texels = np.flatnonzero(seen.coverage)
+    rounded = []
+
+    def of_tiles(stage: Stage) -> Iterator[Factors]:
+        for first in range(0, len(texels), TiledPosterior.size):
+            part = seen.part(texels[first : first + TiledPosterior.size])
+            yield _factors(run, part, switches, None)
+            rounded.append(_rounding(part, switches))
+            stage.update(first + len(part.seen), len(texels))
+
+    with run.progress.stage("Gathering statistics", len(texels)) as stage:
+        factors = Factors.joined(of_tiles(stage), len(texels))
+        dr.flush_malloc_cache()  # the sums of a tile, which nobody needs any more
+    rounding = None if rounded[0] is None else np.concatenate(rounded)
+    return _posterior(run, switches, factors, rounding, seen.texels.count)
 
 
 def _of_tile(run: Run, switches: AngularPreset, texels: np.ndarray) -> Posterior:
@@ -84,7 +109,7 @@ def _of_tile(run: Run, switches: AngularPreset, texels: np.ndarray) -> Posterior
         part = part.part(texels[own])
     factors = _factors(run, part, switches, None)
     factors = replace(factors, texel=owned(mi.UInt32, own.astype(np.uint32)))
-    return _posterior(run, part, switches, factors, len(texels))
+    return _posterior(run, switches, factors, _rounding(part, switches), len(texels))
 
 
 def _factors(
@@ -102,15 +127,19 @@ def _weighting(seen: Evidence, switches: AngularPreset) -> Weighting:
     return Weighting(switches.kappa(seen.unit), edges)
 
 
+def _rounding(seen: Evidence, switches: AngularPreset) -> np.ndarray | None:
+    """Return what rounding does to the texels of ``seen``, where noise is estimated."""
+    return seen.rounding(_weighting(seen, switches)) if switches.noise == "estimated" else None
+
+
 def _posterior(
-    run: Run, seen: Evidence, switches: AngularPreset, factors: Factors, texels: int
+    run: Run, switches: AngularPreset, factors: Factors, rounding: np.ndarray | None, texels: int
 ) -> Posterior:
-    plan = run.plan
+    plan, seen = run.plan, run.observed
     if switches.noise == "estimated":
         return calibrated_posterior(
             factors, run.grid, seen.unit, switches, prior=run.prior, copies=plan.copies,
-            texels=texels, doubt=seen.capture.doubt,
-            rounding=seen.rounding(_weighting(seen, switches)),
+            texels=texels, doubt=seen.capture.doubt, rounding=rounding,
         )  # fmt: skip
     return angular_posterior(
         factors, run.grid, seen.unit, switches,

@@ -10,19 +10,25 @@ from studies.clipped import in_integers
 
 import svu_mi as svu
 from svu_mi import estimators
+from svu_mi.posterior import calibrated_kernel
 from svu_mi.posterior.tiled import TiledPosterior
+from svu_mi.recovery.field.make import texture_field
 
 MAPS = [f"roughness_{what}" for what in ("mean", "sd", "low", "high")]
 
 
+SMALL = 496  # texels of a tile; of 1500, the last tile is smaller
+
+
 @pytest.fixture
 def tiled(monkeypatch):
-    """Estimate in tiles of 500 texels, the last of which is smaller."""
+    """Estimate in small tiles, or do something else so."""
 
-    def estimated(*args, **options):
-        monkeypatch.setattr(estimators, "TILE", 500)
-        monkeypatch.setattr(TiledPosterior, "size", 500)
-        found = svu.estimate(*args, **options)
+    def estimated(*args, do=svu.estimate, **options):
+        monkeypatch.setattr(estimators, "TILE", SMALL)
+        monkeypatch.setattr(TiledPosterior, "size", SMALL)
+        monkeypatch.setattr(calibrated_kernel, "SPAN", SMALL)
+        found = do(*args, **options)
         monkeypatch.undo()
         return found
 
@@ -43,7 +49,7 @@ def test_tiles_say_what_all_texels_say_together(vase, shown, tiled, preset):
     together = svu.estimate(shown, vase.texels, preset=preset)
     apart = tiled(shown, vase.texels, preset=preset)
     assert isinstance(apart.posterior, TiledPosterior)
-    assert apart.posterior.count > 3 * 500
+    assert apart.posterior.count > 3 * SMALL
     names = ["entropy", "coverage", *(MAPS if "metallic" in apart.posterior.axes else [])]
     for name in names:
         np.testing.assert_allclose(
@@ -88,6 +94,30 @@ def test_guidance_and_recovery_go_on_from_tiles(vase, tiled):
     np.testing.assert_allclose(
         found.textures.roughness, known.textures.roughness, rtol=1e-4, atol=1e-4
     )
+
+
+@pytest.mark.parametrize("preset", ["default", "fixed"])
+def test_statistics_of_tiles_are_kept_for_those_who_go_on_from_them(vase, shown, tiled, preset):
+    together = svu.estimate(shown, vase.texels, preset=preset)
+    apart = tiled(shown, vase.texels, preset=preset, whole=True)
+    assert type(apart.posterior) is type(together.posterior)
+    one, other = (found.posterior.problem.factors for found in (apart, together))
+    np.testing.assert_allclose(one.table(), other.table(), rtol=1e-6, atol=1e-7)
+    np.testing.assert_array_equal(one.texel.numpy(), other.texel.numpy())
+    np.testing.assert_array_equal(one.views.numpy(), other.views.numpy())
+    for name in ("entropy", *MAPS):
+        np.testing.assert_allclose(apart.image(name), together.image(name), rtol=1e-6, atol=2e-6)
+
+
+@pytest.mark.parametrize("sharing", [False, True])
+def test_textures_recovered_in_tiles_are_those_recovered_in_one_piece(vase, shown, tiled, sharing):
+    together = svu.recover(shown, vase.texels, sharing=sharing)
+    apart = tiled(shown, vase.texels, do=svu.recover, sharing=sharing)
+    sure = tiled(apart, None, shown.mesh, do=texture_field)
+    usual = texture_field(together, None, shown.mesh)
+    for name, texture in together.textures.items():
+        np.testing.assert_allclose(apart.textures[name], texture, atol=1e-4, err_msg=name)
+        np.testing.assert_allclose(sure.sd(name), usual.sd(name), rtol=1e-3, atol=1e-4)
 
 
 def test_the_same_few_texels_are_gathered_once_for_several_questions(vase, tiled, monkeypatch):

@@ -10,7 +10,7 @@ form (``truncated``), all others on fine nodes (``nodes``). Probabilities and en
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from statistics import NormalDist
 from typing import Any
 
@@ -147,11 +147,23 @@ class CalibratedPosterior(Posterior):
     def _ends(
         self, name: str, level: float, texels: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        problem, lanes = self.problem, self._lane[texels]
-        if name == "base_color":
-            return self._ends_of_color(level, lanes)
-        masses = self._summary_of_lanes.masses(problem, name)
-        low, high = shortest(masses, problem.axis(name), problem.factors.count, level)
+        lanes = self._lane[texels]
+        of = self._ends_of_color if name == "base_color" else partial(self._ends_of_nodes, name)
+        if self._summary_of_lanes.rows is not None:
+            return of(level, lanes)
+        found = [of(level, lanes[span]) for span in kernel.spans(len(lanes))]
+        low, high = (np.concatenate([ends[k] for ends in found]) for k in range(2))
+        return low, high
+
+    def _ends_of_nodes(
+        self, name: str, level: float, lanes: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        problem, found = self.problem, self._summary_of_lanes
+        if found.rows is None:  # of so many texels nobody keeps them
+            found = kernel.summary_of(problem, owned(mi.UInt32, lanes.astype(np.uint32)))
+            lanes = np.arange(len(lanes))
+        masses, count = found.masses(problem, name), dr.width(found.total)
+        low, high = shortest(masses, problem.axis(name), count, level)
         return np.array(low)[lanes, None], np.array(high)[lanes, None]
 
     def _ends_of_color(self, level: float, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,8 @@ Each is one walk over the nodes of all but base colour (``walk``).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -18,6 +19,14 @@ from svu_mi.posterior.nodes import Axis
 from svu_mi.posterior.problem import Problem
 from svu_mi.posterior.walk import Node, Walker
 from svu_mi.statistics.blocks import BLOCK, size, start
+
+SPAN = 2**17  # texels at a time, of whose nodes the masses are in memory
+
+
+def spans(count: int) -> Iterator[slice]:
+    """Yield the numbers from 0 to ``count``, ``SPAN`` at a time."""
+    for first in range(0, count, SPAN):
+        yield slice(first, min(first + SPAN, count))
 
 
 def least(problem: Problem, *, excess: bool = False) -> Any:
@@ -60,7 +69,8 @@ class Summary:
             of several.
         best_colors: UInt32s (S,), which of K is that of every channel's base colour, given that.
         rows, columns: Floats in blocks (statistics/blocks.py), not normalised: the masses of N
-            nodes of roughness, and of L columns.
+            nodes of roughness, and of L columns; None where more than ``SPAN`` texels are summed
+            up, of which they would take more than all else.
     """
 
     entropy: Any
@@ -69,11 +79,28 @@ class Summary:
     sd: list[Any]
     best: Any
     best_colors: list[Any]
-    rows: Any
-    columns: Any
+    rows: Any | None
+    columns: Any | None
+
+    @staticmethod
+    def joined(parts: list[Summary]) -> Summary:
+        """Return what is asked of the texels of all parts, without the masses of nodes."""
+
+        def all_of(name: str) -> Any:
+            columns = zip(*(getattr(part, name) for part in parts), strict=True)
+            return [dr.concat(list(column)) for column in columns]
+
+        entropy, total, best = (
+            dr.concat([getattr(part, name) for part in parts])
+            for name in ("entropy", "total", "best")
+        )
+        mean, sd, best_colors = (all_of(name) for name in ("mean", "sd", "best_colors"))
+        dr.eval(entropy, total, mean, sd, best, best_colors)
+        return Summary(entropy, total, mean, sd, best, best_colors, None, None)
 
     def masses(self, problem: Problem, name: str) -> Any:
         """Return the masses of the nodes of a parameter that is walked over, in blocks."""
+        assert self.rows is not None and self.columns is not None
         if name not in MIXED:
             return self.rows
         which, shape = MIXED.index(name), problem.mixed.shape
@@ -85,8 +112,26 @@ class Summary:
 
 
 def summarize(problem: Problem) -> Summary:
-    """Walk once over all nodes of all texels."""
-    walker, count = Walker(problem), problem.factors.count
+    """Sum all texels up."""
+    count = problem.factors.count
+    if count <= SPAN:
+        return summary_of(problem, dr.arange(mi.UInt32, count))
+    parts = []
+    for span in spans(count):
+        first = dr.opaque(mi.UInt32, span.start)
+        lanes = dr.arange(mi.UInt32, span.stop - span.start) + first
+        parts.append(replace(summary_of(problem, lanes), rows=None, columns=None))
+    return Summary.joined(parts)
+
+
+def summary_of(problem: Problem, lanes: Any) -> Summary:
+    """Walk once over all nodes of some texels.
+
+    Args:
+        problem: of S texels.
+        lanes: UInt32, which of them; no more than ``SPAN``.
+    """
+    walker, count = Walker(problem, lanes), dr.width(lanes)
     channels, nodes = problem.factors.channels, problem.nodes
     rows, columns = problem.roughness.count, problem.mixed.count
     _, of_column, of_color = problem.shape
@@ -95,7 +140,8 @@ def summarize(problem: Problem) -> Summary:
     first = dr.opaque(mi.UInt32, cells)  # of the columns, behind the cells
     by_row, by_column = (dr.zeros(mi.Float, size(n, count)) for n in (rows, columns))
     dr.eval(by_row, by_column)
-    place = start(walker.lane, dr.opaque(mi.UInt32, rows))
+    launch = dr.arange(mi.UInt32, count)
+    place = start(launch, dr.opaque(mi.UInt32, rows))
     moments = 2 * (len(nodes.columns) + channels)
     ahead = moments + 3  # sums in double precision, before all else
 
@@ -129,7 +175,7 @@ def summarize(problem: Problem) -> Summary:
          *(dr.zeros(mi.UInt32, count) for _ in range(1 + channels))),
     )  # fmt: skip
     (*summed, total, r1, r2), (zx, _, best, *best_colors) = state[:ahead], state[ahead:]
-    by_column = _write(masses, first, columns, walker.lane, by_column)
+    by_column = _write(masses, first, columns, launch, by_column)
     total = dr.select(total > 0, total, 1)
     sums = [r1, r2, *summed]
     mean = [x / total for x in sums[::2]]

@@ -13,7 +13,7 @@ either is kept apart, in double precision until then: it would drown differences
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,7 +23,7 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.reflection.principled import COLUMNS
-from svu_mi.statistics.blocks import Reader, in_blocks, rows_of, scattered
+from svu_mi.statistics.blocks import BLOCK, Reader, rows_of, scattered, size, taken
 
 PAIRS = tuple((i, j) for i in range(COLUMNS) for j in range(i, COLUMNS))
 FLOOR = len(PAIRS) - 1  # the entry that is kept as a square
@@ -77,13 +77,37 @@ class Factors:
 
     def some(self, chosen: np.ndarray) -> Factors:
         """Return the factors of some texels, by their numbers among S."""
-        lanes = owned(mi.UInt32, chosen)
+        lanes = owned(mi.UInt32, np.asarray(chosen).astype(np.uint32))
         return replace(
             self,
-            values=in_blocks(mi.Float, self._table()[:, chosen]),
+            values=taken(self.values, self.rows, lanes),
             views=dr.gather(mi.UInt32, self.views, lanes),
             texel=dr.gather(mi.UInt32, self.texel, lanes),
         )
+
+    @staticmethod
+    def joined(parts: Iterable[Factors], count: int) -> Factors:
+        """Return the factors of texels that come part by part, of which only one is held beside
+        the result.
+
+        Args:
+            parts: whole blocks of texels each, but for the last (see ``blocks``).
+            count: S, texels in all.
+        """
+        values, views, texel, done, part = mi.Float(), [], [], 0, None
+        for part in parts:
+            assert done % BLOCK == 0
+            if not done:
+                values = dr.empty(mi.Float, size(part.rows, count))
+            place = dr.arange(mi.UInt32, dr.width(part.values))
+            place += dr.opaque(mi.UInt32, size(part.rows, done))
+            dr.scatter(values, part.values, place, mode=dr.ReduceMode.NoConflicts)
+            dr.eval(values)
+            views.append(part.views)
+            texel.append(part.texel)
+            done += part.count
+        assert part is not None and done == count
+        return replace(part, values=values, views=dr.concat(views), texel=dr.concat(texel))
 
     def table(self) -> np.ndarray:
         """Return U as (R, C, P, S) float32, with its last entry itself."""
