@@ -84,7 +84,7 @@ def _of_all_in_tiles(run: Run, switches: AngularPreset) -> Posterior:
     seen, texels = run.observed, run.observed.seen
     if _leaves_clipped_out(seen, switches):
         texels = np.flatnonzero(seen.coverage)
-    rounded = []
+    rounded: list[np.ndarray | None] = []
 
     def of_tiles(stage: Stage) -> Iterator[Factors]:
         for first in range(0, len(texels), TiledPosterior.size):
@@ -96,7 +96,8 @@ def _of_all_in_tiles(run: Run, switches: AngularPreset) -> Posterior:
     with run.progress.stage("Gathering statistics", len(texels)) as stage:
         factors = Factors.joined(of_tiles(stage), len(texels))
         dr.flush_malloc_cache()  # the sums of a tile, which nobody needs any more
-    rounding = None if rounded[0] is None else np.concatenate(rounded)
+    told = [part for part in rounded if part is not None]  # of all tiles, or of none
+    rounding = np.concatenate(told) if told else None
     return _posterior(run, switches, factors, rounding, seen.texels.count)
 
 

@@ -62,8 +62,8 @@ MODELS = {"default": 2900, "fixed": 1300, "fast": 1100, "paper": 2000, "spectrum
 GRID = 100  # bytes per texel of the grid that no chart covers
 # More texels than TILE are worked on tile by tile by these commands, but for power spectra: that
 # takes no more than TILE of them, and LAID_OUT bytes of every texel.
-TILED = ("entropy", "report", "view")
-TILE, LAID_OUT = 2**18, 230
+TILE = 2**18
+LAID_OUT = {"entropy": 230, "report": 230, "view": 230, "recover": 2000}
 STORED = 14  # bytes of a photograph's pixel that can lie in a file
 FLAGS = 4  # bytes of those that have to be in memory all the same
 READING = 25  # bytes per pixel of a photograph, while it is decoded and made smaller
@@ -97,6 +97,7 @@ class Sizes:
         lit: whether there is a light.
         stored: (width, height) of each, as it is stored.
         memory: bytes that photographs may take, before they go to a file.
+        asked: whether somebody has asked for just that.
     """
 
     photographs: Sequence[Size]
@@ -105,6 +106,7 @@ class Sizes:
     lit: bool = True
     stored: Sequence[Size] = ()
     memory: float = inf
+    asked: bool = True
 
 
 @dataclass(frozen=True)
@@ -160,9 +162,16 @@ class Need:
         grid = self.resolution[0] * self.resolution[1]
         covered, model = self.charts * grid, MODELS[self.model] if self.model else 0
         texels = cost.texel * covered + (1 - self.charts) * grid * GRID
-        if self.command in TILED and self.model != "spectrum" and covered > TILE:
-            return photographs, texels + model * TILE + LAID_OUT * covered
+        laid_out = LAID_OUT.get(self.command)
+        if laid_out is not None and self.model != "spectrum" and covered > TILE:
+            return photographs, laid_out * covered + model * TILE + (1 - self.charts) * grid * GRID
         return photographs, texels + model * covered
+
+    @property
+    def fits(self) -> bool:
+        """Whether there is that much memory, as far as anybody knows."""
+        room = _room()
+        return room is None or self.bytes <= room
 
     def sentence(self) -> str:
         """Return what is announced: "Needs up to 1.4 GB of memory, 23 are there"."""
@@ -182,7 +191,7 @@ class Need:
         """
         label = f"{label}: " if label else ""
         room = _room()
-        if room is not None and self.bytes > room:
+        if room is not None and not self.fits:
             raise CaptureError(
                 f"{label}needs {_giga(self.bytes)} GB of memory, {_giga(room)} are there; "
                 f"{self._less(room) or 'work on a machine with more'}."

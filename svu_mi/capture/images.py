@@ -78,7 +78,7 @@ def not_taken(size: tuple[int, int]) -> Photograph:
 def read_photographs(
     paths: Sequence[Path | None], windows: Sequence[Window], exposures: Sequence[float],
     *, films: Sequence[Size] | None = None, memory: float = inf,
-    opened: Callable[[Sequence[int]], None] | None = None,
+    opened: Callable[[Sequence[int]], float | None] | None = None,
 ) -> list[Photograph]:  # fmt: skip
     """Read photographs and their masks, on as many threads as Dr.Jit has and memory allows.
 
@@ -94,7 +94,7 @@ def read_photographs(
             have; by default the windows'.
         memory: bytes that they may take, beyond which they lie in a file (``block.allocate``).
         opened: called with the numbers of those that there are, when all headers have been read
-            and no pixel has.
+            and no pixel has; may return another ``memory``.
 
     Raises:
         CaptureError: one is unreadable or of another size than its film, the first in order; or
@@ -109,7 +109,8 @@ def read_photographs(
     if not pictures:
         return [not_taken(film) for film in films]
     if opened is not None:
-        opened(list(pictures))
+        chosen = opened(list(pictures))
+        memory = memory if chosen is None else chosen
     rooms = _rooms([windows[view] for view in pictures], memory, pictures)
     gains = [exposures[view] for view in pictures]
     largest = max(width * height for width, height in (p.size for p in pictures.values()))

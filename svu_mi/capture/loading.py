@@ -38,7 +38,7 @@ from svu_mi.needs import Size, Sizes
 from svu_mi.results.reading import require_no_result
 
 Light = Literal["required", "optional"]
-Preflight = Callable[[Sizes], None]
+Preflight = Callable[[Sizes], float | None]
 Value = TypeVar("Value")
 
 
@@ -79,7 +79,8 @@ def load_capture(
         trust: let the scene load libraries as Mitsuba plugins, from ``plugins`` beside it or in
             the working directory; only for scenes of people you know. A library never replaces
             a plugin of Mitsuba's own.
-        preflight: called before any pixel is read with how large everything is; it may refuse.
+        preflight: called before any pixel is read with how large everything is; it may refuse, and
+            may return another ``memory``.
         detail: what is needed of photographs of 4 megapixels and more: those of
             ``Detail(texels=(2048, 2048))`` are cropped to the object, and made smaller as far as
             texels keep about one pixel across. By default they are kept as they are.
@@ -189,13 +190,14 @@ def read_capture(
     films = [film_size(sensor) for sensor in sensors]
     memory = room_for_photographs(films) if reading.memory is None else reading.memory
 
-    def opened(taken: Sequence[int]) -> None:
+    def opened(taken: Sequence[int]) -> float | None:
         if reading.preflight is None:
-            return
+            return None
         charts = 1.0 if reading.unwrap else covered_by_charts(target)
-        reading.preflight(Sizes(
+        return reading.preflight(Sizes(
             [windows[view].size for view in taken], map_size(light), charts, light is not None,
             stored=[films[view] for view in taken], memory=memory,
+            asked=reading.memory is not None,
         ))  # fmt: skip
 
     photographs = read_photographs(

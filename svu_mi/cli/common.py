@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -102,8 +102,10 @@ class Common:
 
 def announcing(
     progress: Progress, label: str, need: Callable[[Sizes], Need]
-) -> Callable[[Sizes], None]:
-    """Return what refuses sizes that need too much memory, and announces the others.
+) -> Callable[[Sizes], float]:
+    """Return what refuses sizes that need too much memory, announces the others, and returns
+    bytes of memory that photographs may take: none where all else needs their room, and nobody has
+    asked for another.
 
     Args:
         progress: says so.
@@ -111,7 +113,14 @@ def announcing(
         need: of how large everything is.
     """
 
-    return lambda sizes: announce(progress, label, need(sizes))
+    def preflight(sizes: Sizes) -> float:
+        found = need(sizes)
+        if not (found.fits or sizes.asked):
+            found = need(replace(sizes, memory=0.0))
+        announce(progress, label, found)
+        return found.memory
+
+    return preflight
 
 
 def announce(progress: Progress, label: str, need: Need) -> None:

@@ -59,7 +59,7 @@ class Compare(Common):
             self.start()
             progress = Progress(console)
 
-            def preflight(path: str, texels: Size) -> Callable[[Sizes], None]:
+            def preflight(path: str, texels: Size) -> Callable[[Sizes], float]:
                 return announcing(progress, path, partial(self._need, texels))
 
             found = compare(

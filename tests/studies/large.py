@@ -79,7 +79,7 @@ class Large:
             if self.only and line[0] not in self.only:
                 continue
             log = self.output / f"{line[0]}.log"
-            seconds, peak, whole = _measured(
+            seconds, peak, whole = measured(
                 [word.format(**words) for word in line], log, self.memory
             )
             row = [name, f"{seconds:.0f} s", f"{peak:.2f} GB", whole]
@@ -99,7 +99,7 @@ class Large:
             size = ("--resolution", str(SIZE[0]), str(SIZE[1]))
             words = ("-D", "light=window", "--views", str(DISTINCT), *size, "--spp", str(SPP))
             if not (rendered / "capture.json").is_file():
-                _run("render", str(scenes.path("vase")), *words, "-o", str(rendered))
+                run("render", str(scenes.path("vase")), *words, "-o", str(rendered))
             _store(rendered, folder, self.photographs)
         return folder
 
@@ -131,14 +131,16 @@ def _store(rendered: Path, folder: Path, count: int) -> None:
     write_transforms(folder / "transforms.json", frames)
 
 
-def _run(*words: str) -> None:
+def run(*words: str) -> None:
+    """Run a command of ``svu``, whose output is shown."""
     done = subprocess.run([sys.executable, "-m", "svu_mi", *words], check=False)
     if done.returncode:
         raise SvuEnvironmentError(f"svu {' '.join(words)}: ended with {done.returncode}.")
 
 
-def _measured(words: list[str], log: Path, memory: float) -> tuple[float, float, str]:
-    """Run a command; return seconds, GB of memory that is not a file's, and what its group took."""
+def measured(words: list[str], log: Path, memory: float) -> tuple[float, float, str]:
+    """Run a command of ``svu``; return seconds, GB of memory that is not a file's, and what its
+    group of so many GB took."""
     with _group(memory) as joined, log.open("w") as stream:
         start = time.perf_counter()
         process = subprocess.Popen(
