@@ -57,7 +57,7 @@ def from_angles(run: Run, switches: AngularPreset) -> Posterior:
     """Compare photographs with what the reflection model predicts for them, by statistics."""
     seen, count = run.observed, len(run.observed.seen)
     # What is global is made once, for all tiles.
-    if count <= TILE:
+    if seen.texels.count <= TILE:  # seen or not: what is announced does not know
         return _of_all(run, switches)
     if run.whole:
         return _of_all_in_tiles(run, switches)

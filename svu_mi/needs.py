@@ -61,9 +61,12 @@ COSTS = {
 MODELS = {"default": 2900, "fixed": 1300, "fast": 1100, "paper": 2000, "spectrum": 560}
 GRID = 100  # bytes per texel of the grid that no chart covers
 # More texels than TILE are worked on tile by tile by these commands, but for power spectra: that
-# takes no more than TILE of them, and LAID_OUT bytes of every texel.
+# takes what the model does of two tiles, AT_WORK texels each, and so many bytes of every texel on
+# charts.
 TILE = 2**18
-LAID_OUT = {"entropy": 230, "report": 230, "view": 230, "recover": 2000}
+ABOUT = 1.1  # times TILE, from which on it is certain that there are more: charts are told at most
+LAID_OUT = {"entropy": 230, "report": 230, "view": 230, "guide": 1500, "recover": 2400}
+AT_WORK = 2**15  # whose statistics take 65 MB, several times at their peak
 STORED = 14  # bytes of a photograph's pixel that can lie in a file
 FLAGS = 4  # bytes of those that have to be in memory all the same
 READING = 25  # bytes per pixel of a photograph, while it is decoded and made smaller
@@ -163,8 +166,9 @@ class Need:
         covered, model = self.charts * grid, MODELS[self.model] if self.model else 0
         texels = cost.texel * covered + (1 - self.charts) * grid * GRID
         laid_out = LAID_OUT.get(self.command)
-        if laid_out is not None and self.model != "spectrum" and covered > TILE:
-            return photographs, laid_out * covered + model * TILE + (1 - self.charts) * grid * GRID
+        if laid_out is not None and self.model != "spectrum" and covered > ABOUT * TILE:
+            at_work = 2 * model * AT_WORK + (1 - self.charts) * grid * GRID
+            return photographs, laid_out * covered + at_work
         return photographs, texels + model * covered
 
     @property

@@ -93,7 +93,8 @@ class Photographed(OfScene):
     """Samples per pixel, with --render."""
     memory: Memory = ""
     """Memory that photographs may take, such as 4G; beyond it they lie in a file in TMPDIR (or
-    /var/tmp) while the command runs. By default half of what is free."""
+    /var/tmp) while the command runs. By default half of what is free, or nothing if all else needs
+    the room."""
 
     @property
     def rendered(self) -> Path:

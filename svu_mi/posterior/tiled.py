@@ -16,11 +16,11 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
+from svu_mi.needs import AT_WORK
 from svu_mi.posterior.calibrated import CalibratedPosterior
 from svu_mi.posterior.intervals import LEVEL, spread
 from svu_mi.posterior.record import Posterior
 
-SIZE = 2**15  # texels of a tile, whose statistics take 65 MB, several times at their peak
 KEPT = 2**13  # texels whose posterior is kept for the next question about the same
 
 Moments = dict[str, tuple[np.ndarray, ...]]
@@ -38,7 +38,7 @@ class TiledPosterior(Posterior):
     """
 
     make: Callable[[np.ndarray], Posterior] = field(repr=False)
-    size: int = SIZE
+    size: int = AT_WORK
     report: Callable[[int, int], None] = field(default=lambda *_: None, repr=False)
     _last: dict[bytes, Posterior] = field(default_factory=dict, repr=False)
     _widths: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
