@@ -117,6 +117,20 @@ def test_bands_are_filled_from_the_other_side(banded: SimpleNamespace) -> None:
     assert np.isfinite(np.array(draw.roughness)).all()
 
 
+@pytest.mark.slow
+def test_what_all_texels_have_in_common_counts_once(banded: SimpleNamespace) -> None:
+    """Of light that was found: what is not filled is as sure as before, and filling again."""
+    field = replace(banded.field, scale=np.array([0.1, 0.2, 0.3]))
+    found = fill(field, ~banded.hidden)
+    np.testing.assert_allclose(found.field.width[:, ~banded.hidden],
+                               field.width[:, ~banded.hidden], rtol=1e-4)  # fmt: skip
+    assert (found.field.width >= field.width - 1e-6).all()
+    drawn = np.array([np.array(draw.base_color)[..., 2] for draw in found.field.draw(48)])
+    wide = field.texels.to_image(found.field.sd("base_color")[:, 2])
+    seen = field.texels.to_image(~banded.hidden, False)
+    assert np.median(drawn.std(axis=0)[seen] / wide[seen]) == pytest.approx(1, abs=0.15)
+
+
 def test_intervals_of_what_was_filled_are_honest(banded: SimpleNamespace) -> None:
     found = fill(banded.field, ~banded.hidden)
     low, high = found.field.interval("roughness")

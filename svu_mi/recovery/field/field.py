@@ -120,8 +120,7 @@ class TextureField:
         right = owned(mi.Float, (forces / self.deviation).astype(np.float32).ravel())
         alone = np.array(self.smoother.solve(right + self.smoother.pulls(random)), np.float64)
         away = together + np.sqrt(1 - self.common) * alone.reshape(-1, count)
-        if self.least is not None:
-            away *= np.maximum(self.least / np.maximum(self._own_width, TINY), 1)
+        away *= self._raised / np.maximum(self._own_width, TINY)
         values = self.values + away
         values[:3] += values[:3] * self.scale[:, None] * random.standard_normal((3, 1))
         values = np.clip(values, 0, 1)
@@ -152,17 +151,30 @@ class TextureField:
     @cached_property
     def width(self) -> np.ndarray:
         """(N, T) standard deviations of values before they are clipped."""
-        own = self._own_width if self.least is None else np.maximum(self._own_width, self.least)
-        variance = own**2
-        variance[:3] += (self.scale[:, None] * self.values[:3]) ** 2
+        variance = self._raised**2 + self._in_common**2
         for name in NAMES:
             if name not in self.names:
                 variance[self.rows(name)] = 0
         return np.sqrt(variance)
 
     @cached_property
-    def _own_width(self) -> np.ndarray:
+    def _raised(self) -> np.ndarray:
         """The same without what all texels have in common."""
+        if self.least is None:
+            return self._own_width
+        left = np.maximum(self.least**2 - self._in_common**2, 0)
+        return np.maximum(self._own_width, np.sqrt(left))
+
+    @property
+    def _in_common(self) -> np.ndarray:
+        """What all texels have in common, as a standard deviation of each."""
+        common = np.zeros_like(self.values)
+        common[:3] = self.scale[:, None] * self.values[:3]
+        return common
+
+    @cached_property
+    def _own_width(self) -> np.ndarray:
+        """What texels have of their own, however sure they may be at most."""
         return np.sqrt(self.common * self._coherent**2 + (1 - self.common) * self._variance)
 
     @property
