@@ -35,6 +35,10 @@ if TYPE_CHECKING:
     from svu_mi.illumination.lit import with_light
     from svu_mi.illumination.options import LightOptions
     from svu_mi.illumination.record import LightEstimate
+    from svu_mi.inpaint.diffusion.fill import fill_by_diffusion
+    from svu_mi.inpaint.diffusion.options import DiffusionOptions
+    from svu_mi.inpaint.fill import fill
+    from svu_mi.inpaint.record import Filled
     from svu_mi.options import AngularPreset, Fit, Preset, Skip, preset
     from svu_mi.output.compare import Comparison, compare
     from svu_mi.output.report.report import write_report
@@ -81,7 +85,9 @@ _HOME = {
     "Reference": "reference", "reference_posterior": "reference",
     "Recovery": "recovery.recover", "recover": "recovery.recover",
     "TextureField": "recovery.field.field", "texture_field": "recovery.field.make",
-    "Filled": "inpaint", "fill": "inpaint",
+    "Filled": "inpaint.record", "fill": "inpaint.fill",
+    "DiffusionOptions": "inpaint.diffusion.options",
+    "fill_by_diffusion": "inpaint.diffusion.fill",
     "RelitView": "recovery.relit_draws", "relight_draws": "recovery.relit_draws",
     "DescentOptions": "recovery.options", "PathOptions": "recovery.options",
     "ShOptions": "recovery.options",
@@ -94,16 +100,16 @@ _HOME = {
 
 __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "AngularPreset", "Asset", "Candidates", "Capture", "Check", "Comparison", "DescentOptions",
-    "Estimate", "ExportOptions", "Filled", "Fit", "FoundGains", "GlobalSharing", "Guidance",
-    "GuidanceOptions", "ImportOptions", "Light", "LightEstimate", "LightOptions", "ParameterGrid",
-    "PathOptions", "Posterior", "Preset", "PrincipledGrid", "Recovery", "Reference", "RelitView",
-    "ShOptions", "Sharded", "Skip", "SvuError", "SvuWarning", "Texels", "TextureField",
-    "TotalVariation", "angular_posterior", "calibrated_posterior", "check", "compare", "equalized",
-    "estimate", "estimate_gains", "estimate_light", "export_asset", "fill", "fit_sh",
-    "gather_shards", "import_capture", "load_asset", "load_capture", "load_light",
-    "next_best_view", "power_spectrum", "preset", "read_source", "recover", "reference_posterior",
-    "relight_draws", "render_capture", "save_light", "spectrum_posterior", "texels",
-    "texture_field", "with_light", "write_report",
+    "DiffusionOptions", "Estimate", "ExportOptions", "Filled", "Fit", "FoundGains", "GlobalSharing",
+    "Guidance", "GuidanceOptions", "ImportOptions", "Light", "LightEstimate", "LightOptions",
+    "ParameterGrid", "PathOptions", "Posterior", "Preset", "PrincipledGrid", "Recovery",
+    "Reference", "RelitView", "ShOptions", "Sharded", "Skip", "SvuError", "SvuWarning", "Texels",
+    "TextureField", "TotalVariation", "angular_posterior", "calibrated_posterior", "check",
+    "compare", "equalized", "estimate", "estimate_gains", "estimate_light", "export_asset", "fill",
+    "fill_by_diffusion", "fit_sh", "gather_shards", "import_capture", "load_asset", "load_capture",
+    "load_light", "next_best_view", "power_spectrum", "preset", "read_source", "recover",
+    "reference_posterior", "relight_draws", "render_capture", "save_light", "spectrum_posterior",
+    "texels", "texture_field", "with_light", "write_report",
 ]  # fmt: skip
 
 _llvm.bootstrap()

@@ -12,7 +12,7 @@ from helpers import fails, names, run
 
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr
-from svu_mi.inpaint import fill
+from svu_mi.inpaint.fill import fill
 from svu_mi.inpaint.likeness import FARTHEST, Likeness, centred
 from svu_mi.output.textures import read_textures
 from svu_mi.parameters import CHANNELS, NAMES

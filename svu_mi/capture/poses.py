@@ -121,6 +121,27 @@ def resized_sensor(sensor: Any, scale: float) -> Any:
     return make_sensor(record, sensor.id())
 
 
+def windowed_sensor(
+    sensor: Any, corner: tuple[int, int], size: tuple[int, int], scale: float
+) -> Any:
+    """Return a sensor whose film shows a window of another's, in pixels of another size.
+
+    Args:
+        sensor: the other.
+        corner: (x, y) of the window in pixels of its photograph; may lie beyond it.
+        size: (width, height) of the new film, in its own pixels.
+        scale: how many of them there are to one of the photograph's, along a side.
+    """
+    focal, center = focal_length(sensor) * scale, principal_point(sensor)
+    offset = [0.5 - (center[k] - corner[k]) * scale / size[k] for k in range(2)]
+    record = describe(sensor) | {
+        "x_fov": float(2 * np.degrees(np.arctan(size[0] / 2 / focal))),
+        "principal_point_offset": offset,
+        "film": list(size), "crop_offset": [0, 0], "crop_size": list(size),
+    }  # fmt: skip
+    return make_sensor(record, sensor.id())
+
+
 def cropped_fov(sensor: Any) -> float:
     """Return the opening angle of a sensor's crop window over its width, in degrees."""
     return float(2 * np.degrees(np.arctan(film_size(sensor)[0] / 2 / focal_length(sensor))))

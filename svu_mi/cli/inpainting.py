@@ -15,13 +15,20 @@ from svu_mi.cli.inputs import FromPhotographs, Resolution, WithPictures
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import given
 from svu_mi.errors import OptionError
+from svu_mi.inpaint.diffusion.options import DiffusionOptions
 from svu_mi.progress import Progress
 from svu_mi.results.writing import claimed
 
 if TYPE_CHECKING:
-    from svu_mi.inpaint import Filled
+    import numpy as np
+
+    from svu_mi.capture import Capture
+    from svu_mi.inpaint.diffusion.model import Model
+    from svu_mi.inpaint.record import Filled
+    from svu_mi.recovery.field.field import TextureField
 
 From = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+Weights = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +36,9 @@ class Inpaint(WithPictures, FromPhotographs):
     """Fill texels of recovered textures that no photograph shows, by what they are like.
 
     Near them, around an axis, or on the other side of a mirror: which of these the object is like
-    is found out by hiding parts of it that were seen. Writes textures, recovered.xml,
-    uncertainty.exr, filled.exr (1 where a texel was filled), filled.png and run.json.
+    is found out by hiding parts of it that were seen. With --model, a diffusion model invents
+    them. Writes textures, recovered.xml, uncertainty.exr, filled.exr (1 where a texel was filled),
+    filled.png and run.json.
     """
 
     work = "recover"
@@ -42,6 +50,12 @@ class Inpaint(WithPictures, FromPhotographs):
     above: float = inf
     """Fill texels, too, of which a parameter's standard deviation is larger: what is known of them
     counts as much as it is certain. Without it, those that were never seen."""
+    model: Weights = None
+    """Folder with the weights of a diffusion model, which fills instead of likeness, as in Sec. 5.3
+    of the paper: Marigold (intrinsics, appearance) or RGB<->X (RGB to X), as published. They do
+    not come with svu_mi and have licences of their own; that of RGB<->X is for noncommercial
+    research. Needs svu_mi[diffusion]."""
+    diffusion: DiffusionOptions = DiffusionOptions()
 
     def run(self, console: Console) -> int:
         """Fill, and write the results."""
@@ -61,9 +75,14 @@ class Inpaint(WithPictures, FromPhotographs):
         super().check()
         if not self.above > 0:
             raise OptionError(f"--above must be positive, got {self.above}.")
+        if self.model is not None:
+            from svu_mi.inpaint.diffusion.loading import require_model
+
+            require_model(self.model)
+        elif self.diffusion != DiffusionOptions():
+            raise OptionError("How a diffusion model is asked has no effect without --model.")
 
     def _run(self, progress: Progress) -> Filled:
-        from svu_mi.inpaint import fill
         from svu_mi.output.filled import write_filled
         from svu_mi.output.manifest import Run
         from svu_mi.output.textures import read_textures, require_textures_of
@@ -71,16 +90,39 @@ class Inpaint(WithPictures, FromPhotographs):
         from svu_mi.recovery.field.make import field_around
         from svu_mi.surface.neighbors import neighbors
 
-        textures = read_textures(self.recovered)
+        textures, model = read_textures(self.recovered), self._model(progress)
         sized = replace(self, resolution=textures.resolution)
         capture, texels = sized.load(progress)
         require_textures_of(capture, self.recovered)
         known = estimate(capture, texels, whole=True, progress=progress)
         with progress.stage("How sure the textures are"):
             field = field_around(textures, known, neighbors(texels, capture.mesh))
-        with progress.stage("Looking for likeness"):
-            found = fill(field, known.posterior.observed, self.above)
+        found = self._fill(progress, model, capture, field, known.posterior.observed)
         with progress.stage("Writing the results"):
             run = Run(settings=given(self), kernels=progress.kernels)
             write_filled(capture, field, found, self.output, run, pictures=self.pictures)
         return found
+
+    def _model(self, progress: Progress) -> Model | None:
+        """Read the weights: before anything that takes long."""
+        if self.model is None:
+            return None
+        from svu_mi.inpaint.diffusion.loading import load_model
+
+        with progress.stage("Reading the model"):
+            return load_model(self.model, self.diffusion.device)
+
+    def _fill(
+        self, progress: Progress, model: Model | None, capture: Capture, field: TextureField,
+        seen: np.ndarray,
+    ) -> Filled:  # fmt: skip
+        if model is None:
+            from svu_mi.inpaint.fill import fill
+
+            with progress.stage("Looking for likeness"):
+                return fill(field, seen, self.above)
+        from svu_mi.inpaint.diffusion.fill import fill_by_diffusion
+
+        return fill_by_diffusion(
+            capture, field, seen, model, self.above, self.diffusion, progress=progress
+        )

@@ -1,4 +1,1 @@
-"""What nobody saw: texels filled by likeness, with how sure that is."""
-
-from svu_mi.inpaint.fill import Filled as Filled
-from svu_mi.inpaint.fill import fill as fill
+"""What nobody saw: texels filled by likeness, or by a model, with how sure that is."""

@@ -10,51 +10,28 @@ that does not beat spreading from the border is not used.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from math import inf
 
 import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import CaptureError
+from svu_mi.inpaint.filling import SUREST, Filling
+from svu_mi.inpaint.hiding import hidden_parts
 from svu_mi.inpaint.likeness import LIKENESSES, Likeness, centred
+from svu_mi.inpaint.record import Filled
 from svu_mi.interop import owned
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.field.field import TextureField
-from svu_mi.recovery.textures import Textures, lay_out
 
 BORDER = "border"  # what spreading from it is called
-FEWEST, MOST = 2, 6  # parts of the surface that are hidden in turn
-DIVISIONS = 2  # ways to divide it
 TRIED = 3000  # texels of a part that guesses are compared on
 MARGIN = 0.8  # of the squared error of spreading, below which a guess is used
 NEVER = 1.05  # of that of any part that it is tried on, above which it is not
 HARDLY = 1e-3  # precision of the mean of all where nothing is known, in units of their variance
 GUESSED = 1e3  # the same of a guess, where it is smoothed
-SUREST = 0.02  # standard deviation that no guess is surer than
-
-
-@dataclass(frozen=True)
-class Filled:
-    """Textures without holes.
-
-    Attributes:
-        field: the textures, and how sure they are; where they were filled, never surer than before.
-        filled: (T,) bool, texels that were filled.
-        likeness: title of the guess that each parameter was filled with; ``border`` where none was
-            better than what had spread from the border, which then stays.
-        errors: root mean square error of that on hidden parts, by parameter.
-    """
-
-    field: TextureField
-    filled: np.ndarray
-    likeness: dict[str, str]
-    errors: dict[str, float]
-
-    @property
-    def textures(self) -> Textures:
-        """The textures."""
-        return self.field.textures
 
 
 def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
@@ -71,20 +48,18 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
     """
     shown, width = np.asarray(seen, bool), field.width
     seen = shown & (width <= above).all(axis=0)
-    if not seen.any():
+    if seen.any() and seen.all():
+        return Filled(field, ~seen, {name: "" for name in NAMES}, {name: 0.0 for name in NAMES})
+    parts = hidden_parts(np.array(field.texels.normal, np.float64).T, seen) if seen.any() else []
+    if not parts:
         raise CaptureError(
             "fill(): no texel is seen surely enough to fill others by; allow more (above=).",
             shell="No texel is seen surely enough to fill others by; give a larger --above.",
         )
-    if seen.all():
-        return Filled(field, ~seen, {name: "" for name in NAMES}, {name: 0.0 for name in NAMES})
-    points = centred(np.array(field.texels.position, np.float64).T)
-    trial = _Trial(field, points, seen)
-    normal = np.array(field.texels.normal, np.float64).T
-    tried = np.array([trial.errors(hidden) for hidden in _hidden_parts(normal, seen)])
+    trial = _Trial(field, centred(np.array(field.texels.position, np.float64).T), seen)
+    tried = np.array([trial.errors(hidden) for hidden in parts])
     errors = tried.mean(axis=0)  # (1 + guesses, N)
-    middle, least = field.values.copy(), width.copy()  # never surer than before
-    names, found = {}, {}
+    filling, names, found = Filling(field, shown), {}, {}
     for name in NAMES:
         rows = field.rows(name)
         of_parts = tried[:, :, rows].mean(axis=2)
@@ -92,20 +67,39 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
         never_worse = (of_parts <= NEVER * of_parts[:, :1]).all(axis=0)
         better = never_worse & (of_name < MARGIN * of_name[0])
         chosen = int(np.where(better, of_name, np.inf).argmin()) if better.any() else 0
-        guess = LIKENESSES[chosen - 1] if chosen else None
-        names[name] = BORDER if guess is None else guess.title
-        found[name] = float(np.sqrt(of_name[chosen]))
-        wide = np.maximum(np.sqrt(errors[chosen, rows])[:, None], SUREST)
-        own = np.where(shown, 1 / np.maximum(width[rows], SUREST) ** 2, 0)[:, ~seen]
-        if guess is not None:
-            both = own * middle[rows][:, ~seen] + trial.guessed(guess)[rows] / wide**2
-            middle[rows][:, ~seen] = both / (own + 1 / wide**2)
-        least[rows][:, ~shown] = np.maximum(wide, width[rows][:, ~shown])
-    laid = lay_out(field.texels, {name: middle[field.rows(name)].T for name in NAMES})
-    textures = field.textures.but(**{name: laid[name] for name in field.names})
-    own = np.where(seen, field.own, np.concatenate([middle[field.rows(n)] for n in NAMES]))
-    new = replace(field, textures=textures, own=own, least=least)
-    return Filled(new, ~seen, names, found)
+        off = np.sqrt(errors[chosen, rows])[:, None]
+        names[name], found[name] = BORDER, float(np.sqrt(of_name[chosen]))
+        if chosen:
+            guess = LIKENESSES[chosen - 1]
+            names[name] = guess.title
+            filling.put(name, ~seen, trial.guessed(guess)[rows], off)
+        else:
+            filling.doubt(name, ~seen, off)
+    return Filled(filling.done(~seen), ~seen, names, found)
+
+
+def by_likeness(
+    field: TextureField, known: np.ndarray, likeness: Mapping[str, str]
+) -> np.ndarray:
+    """Return all values as if only some were known, and the others filled as others have been.
+
+    Args:
+        field: recovered textures.
+        known: (T,) bool, of what nothing else is looked at.
+        likeness: by parameter (``Filled.likeness``).
+
+    Returns:
+        (N, T).
+    """
+    trial = _Trial(field, centred(np.array(field.texels.position, np.float64).T), known)
+    values = field.values.copy()
+    values[:, ~known] = spread(field, known, ~known)
+    for guess in LIKENESSES:
+        names = [name for name, title in likeness.items() if title == guess.title]
+        found = trial.guessed(guess) if names else values
+        for name in names:
+            values[field.rows(name)] = found[field.rows(name)]
+    return values
 
 
 @dataclass(frozen=True)
@@ -138,8 +132,10 @@ class _Trial:
         return np.array(found)
 
     def guessed(self, guess: Likeness) -> np.ndarray:
-        """Return values (N, w) of texels that nobody saw."""
-        return self._spread(guess, self.seen, ~self.seen)
+        """Return values (N, T), of texels that nobody saw guesses."""
+        values = self.field.values.copy()
+        values[:, ~self.seen] = self._spread(guess, self.seen, ~self.seen)
+        return values
 
     def _guess(
         self, guess: Likeness, known: np.ndarray, texels: np.ndarray
@@ -153,45 +149,37 @@ class _Trial:
         self, guess: Likeness | None, known: np.ndarray, wanted: np.ndarray
     ) -> np.ndarray:
         """Let values spread from the border into what is wanted, and from a guess about it."""
-        weights = 1 / self.field.deviation**2
-        values = self.field.values
-        mean = (weights * values)[:, known].sum(axis=1) / weights[:, known].sum(axis=1)
-        target = np.where(known, values, mean[:, None])
-        wide = np.maximum(values[:, known].std(axis=1), SUREST)[:, None]
-        trust = np.where(known, weights, HARDLY / wide**2)
+        found, alike = None, np.zeros(0, bool)
         if guess is not None:
-            texels = np.flatnonzero(wanted)
-            found, alike = self._guess(guess, known, texels)
-            target[:, texels[alike]] = found[:, alike]
-            trust[:, texels[alike]] = GUESSED / wide**2
-        smoother = self.field.smoother.with_precision(trust, blind=~known)
-        solved = np.array(smoother.solve(owned(mi.Float, (trust * target).astype("f4").ravel())))
-        return np.clip(solved.reshape(trust.shape)[:, wanted], 0, 1)
+            found, alike = self._guess(guess, known, np.flatnonzero(wanted))
+        return spread(self.field, known, wanted, found, alike)
 
 
-def _hidden_parts(normal: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
-    """Return parts of what was seen, (T,) bool each, as cameras leave them out: what faces one way,
-    about as large as what was not seen, so that it is as far from what is known."""
-    number = int(np.clip(round(seen.sum() / max((~seen).sum(), 1)), FEWEST, MOST))
-    numbers, found = np.flatnonzero(seen), []
-    for owner in (_clusters(normal[seen], number, seed) for seed in range(DIVISIONS)):
-        for k in range(number):
-            hidden = np.zeros(len(normal), bool)
-            hidden[numbers[owner == k]] = True
-            if hidden.any() and (seen & ~hidden).any():
-                found.append(hidden)
-    return found
+def spread(
+    field: TextureField, known: np.ndarray, wanted: np.ndarray, guess: np.ndarray | None = None,
+    alike: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
+    """Let values spread from what is known, as total variation does.
 
+    Args:
+        field: whose values.
+        known: (T,) bool, of what they are known.
+        wanted: (T,) bool, w texels of which they are not.
+        guess: (N, w), what they are spread about, by default the mean of what is known.
+        alike: (w,) bool, where there is a guess.
 
-def _clusters(unit: np.ndarray, number: int, seed: int) -> np.ndarray:
-    """Return which of some clusters each unit vector (n, 3) is in, by spherical k-means."""
-    random = np.random.default_rng(seed)
-    centres = unit[random.choice(len(unit), min(number, len(unit)), replace=False)]
-    for _ in range(8):
-        owner = (unit @ centres.T).argmax(axis=1)
-        centres = np.stack([
-            unit[owner == k].mean(axis=0) if (owner == k).any() else centres[k]
-            for k in range(len(centres))
-        ])  # fmt: skip
-        centres /= np.maximum(np.linalg.norm(centres, axis=1, keepdims=True), 1e-9)
-    return np.asarray((unit @ centres.T).argmax(axis=1))
+    Returns:
+        (N, w).
+    """
+    weights, values = 1 / field.deviation**2, field.values
+    mean = (weights * values)[:, known].sum(axis=1) / weights[:, known].sum(axis=1)
+    target = np.where(known, values, mean[:, None])
+    wide = np.maximum(values[:, known].std(axis=1), SUREST)[:, None]
+    trust = np.where(known, weights, HARDLY / wide**2)
+    if guess is not None:
+        texels = np.flatnonzero(wanted)
+        target[:, texels[alike]] = guess[:, alike]
+        trust[:, texels[alike]] = GUESSED / wide**2
+    smoother = field.smoother.with_precision(trust, blind=~known)
+    solved = np.array(smoother.solve(owned(mi.Float, (trust * target).astype("f4").ravel())))
+    return np.clip(solved.reshape(trust.shape)[:, wanted], 0, 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.look import Look, alone
 from svu_mi.capture.scene import to_world
 from svu_mi.exr import write_exr
-from svu_mi.inpaint import Filled
+from svu_mi.inpaint.record import Filled, Invented
 from svu_mi.output import style
 from svu_mi.output.draws import texture_colors
 from svu_mi.output.figures import all_seen, draw_look, draw_map, map_colors
@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from svu_mi.output.style import Panel
 
 MASK, PAGE = "filled.exr", "filled.png"
-HEADING = "What nobody saw, filled by what it is like"
+LIKE = "What nobody saw, filled by what it is like"
+INVENTED = "What nobody knows, filled by {}"
 CELL = 3.2  # inches
 
 
@@ -60,17 +61,21 @@ def write_filled(
     """
     run = run or Run()
     about = {"svu:version": svu_mi.__version__, "svu:method": "inpaint"}
+    model = found.invented
     with writing(folder, "inpaint", RECORD, capture=capture_key(capture)) as draft:
         write_scene(capture, found.textures, draft.folder, attributes=about)
         write_field(found.field, draft.folder, about)
-        mask = padded(found.field, found.filled.astype(np.float32), fill=0)
-        write_exr(draft.folder / MASK, {"Y": mask}, about)
+        masks = {"Y": found.filled} | ({} if model is None else {"model": model.reached})
+        write_exr(draft.folder / MASK, {
+            name: padded(found.field, mask.astype(np.float32), fill=0)
+            for name, mask in masks.items()
+        }, about)  # fmt: skip
         if pictures:
             _draw(capture, before, found, draft.folder / PAGE)
         record = {
             "inputs": inputs_record(capture), "settings": {},
             "result": {"filled": int(found.filled.sum()), "likeness": found.likeness,
-                       "errors": found.errors},
+                       "errors": found.errors, **({} if model is None else _of_model(model))},
         }  # fmt: skip
         write_run(draft, record, run)
 
@@ -82,11 +87,43 @@ def fill_sentences(found: Filled) -> Iterator[str]:
         yield "Every texel is seen, and surely enough; nothing was filled."
         return
     yield f"{percent(part)} of the texels filled."
+    if found.invented is not None:
+        yield from _invented_sentences(found.invented, found)
     for name in NAMES:
         yield (
             f"{words(name).capitalize()}: {found.likeness[name]}, off by "
             f"{found.errors[name]:.2f} (rms) where that was tried on what was seen."
         )
+
+
+def _invented_sentences(model: Invented, found: Filled) -> Iterator[str]:
+    """Yield what a model has filled, and how far off it is, beside likeness."""
+    part = model.reached.sum() / found.filled.sum()
+    yield f"{percent(part)} of these by {model.model}; licence of its weights: {model.licence}."
+    for answer in model.answers:
+        number = len(answer.pictures)
+        kind = {"photographs": "photograph", "renders": "render"}[answer.source]
+        off = ", ".join(
+            f"{words(name)} {error:.2f} ({answer.likeness[name]:.2f})"
+            for name, error in answer.errors.items()
+        )
+        yield (
+            f"In {number} {kind}{'' if number == 1 else 's'}. Off, where that was tried on what "
+            f"was seen, by (in brackets: likeness, there): {off} (rms)."
+        )
+    if model.reached.sum() < found.filled.sum():
+        yield "What no picture shows well is filled by likeness:"
+
+
+def _of_model(model: Invented) -> dict[str, Any]:
+    """Return what a model was asked, for ``run.json``."""
+    answers = [
+        {"source": answer.source, "pictures": list(answer.pictures),
+         "reached": int(answer.reached.sum()), "errors": answer.errors,
+         "likeness": answer.likeness}
+        for answer in model.answers
+    ]  # fmt: skip
+    return {"model": {"title": model.model, "licence": model.licence, "answers": answers}}
 
 
 def _draw(capture: Capture, before: TextureField, found: Filled, path: Path) -> None:
@@ -95,7 +132,9 @@ def _draw(capture: Capture, before: TextureField, found: Filled, path: Path) -> 
     rows = ("before", "after", "standard deviation")
     height = CELL * len(rows) + 1.1
     figure = style.new_figure(CELL * (len(NAMES) + 1), height)
-    style.heading(figure, HEADING, [], (1 - 0.35 / height, 0.0))
+    model = found.invented
+    heading = LIKE if model is None else INVENTED.format(model.model)
+    style.heading(figure, heading, [], (1 - 0.35 / height, 0.0))
     grid = figure.add_gridspec(
         len(rows), len(NAMES) + 1, left=0.01, right=0.99, top=1 - 0.85 / height, bottom=0.01,
         hspace=0.16, wspace=0.04,
@@ -103,7 +142,10 @@ def _draw(capture: Capture, before: TextureField, found: Filled, path: Path) -> 
     texels = before.texels
     look = Look.at(alone(capture), capture.sensors[_facing(capture, found)])
     everywhere = all_seen(texels)
-    mask = partial(draw_map, estimate=everywhere, values=found.filled, colormap=style.GREY)
+    mask = partial(draw_map, estimate=everywhere, colormap=style.GREY)
+    masks = {"before": ("Filled, in the texture", partial(mask, values=found.filled))}
+    if model is not None:
+        masks["after"] = ("By the model, in the texture", partial(mask, values=model.reached))
     panels: list[Panel] = []
     for row in rows:
         for name in NAMES:
@@ -115,8 +157,7 @@ def _draw(capture: Capture, before: TextureField, found: Filled, path: Path) -> 
                 shown = texture_colors(texels, field.textures, name)
             title = f"{words(name).capitalize()}, {row}"
             panels.append((title, partial(draw_look, look=look, colors=shown)))
-        first = row == rows[0]
-        panels.append(("Filled, in the texture", mask) if first else ("", _nothing))
+        panels.append(masks.get(row, ("", _nothing)))
     style.draw_panels(figure, list(grid), panels, "NW")
     style.save_figure(figure, path)
 

@@ -149,7 +149,9 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
     )
 
 
-def pack_sensors(scene: Any, target: Any, sensors: Sequence[Any]) -> Views:
+def pack_sensors(
+    scene: Any, target: Any, sensors: Sequence[Any], largest: int = LARGEST_FILM
+) -> Views:
     """Lay sensors out that have not taken any photograph: they see texels, not radiance.
 
     What a photograph would not show, they do not see: pixels on a silhouette. Films of more than
@@ -160,8 +162,9 @@ def pack_sensors(scene: Any, target: Any, sensors: Sequence[Any]) -> Views:
         scene: the ``mi.Scene`` that visibility is traced in.
         target: the object.
         sensors: V perspective sensors.
+        largest: pixels per side beyond which a film is looked at in fewer.
     """
-    poses = [_Pose.of(scaled_sensor(sensor, LARGEST_FILM)) for sensor in sensors]
+    poses = [_Pose.of(scaled_sensor(sensor, largest)) for sensor in sensors]
     sizes = np.array([pose.size for pose in poses], np.int64).reshape(-1, 2)
     ends = np.cumsum(sizes.prod(axis=1))
     films = _films(poses, ends - sizes.prod(axis=1))

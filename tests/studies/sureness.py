@@ -32,7 +32,7 @@ from svu_mi.bench.truth import Truth
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import find_shape, load_scene
 from svu_mi.capture.traced import Pictures
-from svu_mi.inpaint import fill
+from svu_mi.inpaint.fill import fill
 from svu_mi.observed import observe
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.field.field import LEVEL, TextureField

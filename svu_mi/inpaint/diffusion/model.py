@@ -1,0 +1,167 @@
+"""A model whose weights were read: pictures to latents and back, and the loop in between.
+
+Nothing of PyTorch is imported before a model is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from svu_mi.capture.picture import decoded, srgb
+from svu_mi.inpaint.diffusion.blending import blend
+from svu_mi.inpaint.diffusion.families import Family, Run
+from svu_mi.inpaint.diffusion.picture import Picture
+from svu_mi.parameters import CHANNELS
+
+Names = tuple[str | None, ...]
+
+
+@dataclass(frozen=True)
+class Model:
+    """Weights that were read (an ``Inventor``).
+
+    Attributes:
+        family: which kind.
+        unet, vae, text_encoder, tokenizer, scheduler: of diffusers and transformers.
+        device: where they are, as PyTorch names it.
+    """
+
+    family: Family
+    unet: Any
+    vae: Any
+    text_encoder: Any
+    tokenizer: Any
+    scheduler: Any
+    device: str
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return self.family.title
+
+    @property
+    def licence(self) -> str:
+        """Of its weights, for people."""
+        return self.family.licence
+
+    @property
+    def runs(self) -> int:
+        """How many times all steps are taken for one picture."""
+        return len(self.family.runs)
+
+    def invent(
+        self, picture: Picture, steps: int, free: int, seed: int,
+        after_step: Callable[[], None] = lambda: None,
+    ) -> dict[str, np.ndarray]:  # fmt: skip
+        """Return maps (h, w, 3) or (h, w) float32 in [0, 1], by parameter (see ``Inventor``)."""
+        import torch
+
+        found: dict[str, np.ndarray] = {}
+        with torch.inference_mode():
+            # On the CPU whatever the device is, so that all devices start from the same noise.
+            random = torch.Generator("cpu").manual_seed(seed)
+            photograph = self._latent(self._on_screen("photograph", picture.photograph))
+            certain = self._on_latents(picture.certain)
+            for run in self.family.runs:
+                known = torch.cat([self._latent(self._stacked(m, picture)) for m in run.maps], 1)
+                noise = torch.randn(known.shape, generator=random).to(known)
+                schedule = _Schedule(self.scheduler, steps, self.device)
+                predict = self._predictor(run, photograph, after_step)
+                latent = blend(predict, schedule, known, certain, noise, free)
+                for names, part in zip(run.maps, latent.chunk(len(run.maps), 1), strict=True):
+                    found |= self._unstacked(names, self._decoded(part, picture.certain.shape))
+        return found
+
+    def _predictor(
+        self, run: Run, photograph: Any, after_step: Callable[[], None]
+    ) -> Callable[[Any, Any], Any]:
+        import torch
+
+        tokens = self.tokenizer(
+            run.text, padding="max_length" if run.text else "do_not_pad", truncation=True,
+            max_length=self.tokenizer.model_max_length, return_tensors="pt",
+        ).input_ids  # fmt: skip
+        told = self.text_encoder(tokens.to(self.device))[0]
+
+        def predict(latent: Any, time: Any) -> Any:
+            pair = (photograph, latent) if self.family.photograph_first else (latent, photograph)
+            out = self.unet(torch.cat(pair, 1), time, encoder_hidden_states=told, return_dict=False)
+            after_step()
+            return out[0]
+
+        return predict
+
+    def _on_screen(self, name: str, linear: np.ndarray) -> np.ndarray:
+        return srgb(linear) if name in self.family.encoded else linear
+
+    def _stacked(self, names: Names, picture: Picture) -> np.ndarray:
+        """Return what is known of the parameters of one picture, (h, w, 3) in [0, 1]."""
+        channels = []
+        for channel, name in enumerate(names):
+            if name is None:
+                channels.append(np.zeros(picture.certain.shape))
+                continue
+            known = self._on_screen(name, np.clip(picture.maps[name], 0, 1))
+            channels.append(known if known.ndim == 2 else known[..., channel])
+        return np.stack(channels, axis=-1)
+
+    def _unstacked(self, names: Names, image: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the parameters of one picture (h, w, 3), linear."""
+        found = {}
+        for name in dict.fromkeys(name for name in names if name):
+            first = names.index(name)
+            part = image if CHANNELS[name] == 3 else image[..., first]
+            linear = decoded(part) if name in self.family.encoded else part
+            found[name] = np.asarray(linear, np.float32)
+        return found
+
+    def _latent(self, image: np.ndarray) -> Any:
+        """Encode (h, w, 3) in [0, 1]; edges are repeated up to a whole number of latents."""
+        import torch
+
+        padded = np.pad(image, [*self._padding(image.shape[:2]), (0, 0)], mode="edge")
+        tensor = torch.from_numpy((2 * padded - 1).astype(np.float32)).permute(2, 0, 1)[None]
+        latent = self.vae.encode(tensor.to(self.device, self.vae.dtype)).latent_dist.mode()
+        return latent * self.vae.config.scaling_factor
+
+    def _decoded(self, latent: Any, size: tuple[int, ...]) -> np.ndarray:
+        image = self.vae.decode(latent / self.vae.config.scaling_factor, return_dict=False)[0]
+        image = ((image[0].float().clamp(-1, 1) + 1) / 2).permute(1, 2, 0).cpu().numpy()
+        return np.asarray(image[: size[0], : size[1]])
+
+    def _on_latents(self, certain: np.ndarray) -> Any:
+        """Return 1 for latents all of whose pixels are certain, (1, 1, h', w')."""
+        import torch
+
+        factor = self._factor
+        padded = np.pad(certain, self._padding(certain.shape), mode="edge")
+        height, width = padded.shape
+        cells = padded.reshape(1, 1, height // factor, factor, width // factor, factor)
+        whole = np.asarray(cells.all(axis=(3, 5)))
+        return torch.from_numpy(whole).to(self.device, self.vae.dtype)
+
+    def _padding(self, size: tuple[int, ...]) -> list[tuple[int, int]]:
+        return [(0, -side % self._factor) for side in size]
+
+    @property
+    def _factor(self) -> int:
+        """Pixels per latent, along a side."""
+        return int(2 ** (len(self.vae.config.block_out_channels) - 1))
+
+
+class _Schedule:
+    """That of diffusers (``blending.Schedule``)."""
+
+    def __init__(self, scheduler: Any, steps: int, device: str) -> None:
+        scheduler.set_timesteps(steps, device=device)
+        self._scheduler, self.times = scheduler, list(scheduler.timesteps)
+
+    def step(self, latent: Any, predicted: Any, time: Any) -> Any:
+        return self._scheduler.step(predicted, time, latent, return_dict=False)[0]
+
+    def noised(self, clean: Any, noise: Any, time: Any) -> Any:
+        return self._scheduler.add_noise(clean, noise, time[None])

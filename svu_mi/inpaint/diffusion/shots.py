@@ -1,0 +1,188 @@
+"""Pictures to ask a model about: where from, what they show, and how texels get their answer.
+
+Of texels that photographs show, but do not determine, the pictures are these photographs: they
+have the evidence that the paper gives the model, too. A texel that no photograph shows needs
+another view, of which there is no photograph. What stands in its place is a render of the
+textures as they are filled so far, in the light of the capture: a model that is trained on
+photographs gets a picture of the kind that it knows, with true shading around what it has to
+invent, and nothing in it that the photographs have not said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.capture.look import Look, alone
+from svu_mi.capture.poses import film_size, scaled_sensor
+from svu_mi.capture.shown import exposure
+from svu_mi.guidance.candidates import Candidates
+from svu_mi.inpaint.diffusion.frame import Frame
+from svu_mi.inpaint.diffusion.picture import Picture
+from svu_mi.interop import owned
+from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.recovery.field.field import TextureField
+from svu_mi.recovery.relight import relight
+from svu_mi.recovery.textures import lay_out
+from svu_mi.surface.gutter import dilate
+from svu_mi.visibility import Surface, Views, observe, pack_sensors
+from svu_mi.visibility.observe import look
+from svu_mi.visibility.views import LARGEST_FILM
+
+AROUND = 100  # views on a sphere, of which some are rendered
+STEEPEST = 0.3  # cosine to the camera, below which a view does not show a texel well
+JUDGED = 2**16  # texels that views are chosen by, at most
+WORTH = 0.01  # part of what is wanted that a view has to add
+SPP = 64  # of a render
+MARGIN = 0.06  # around it, in parts of its size
+WHOLE = 0.999  # part of a pixel that is known, above which all of it is
+
+
+@dataclass(frozen=True)
+class Shots:
+    """Views of one kind that pictures can be had from.
+
+    Attributes:
+        capture: the ``Capture``.
+        field: whose textures are filled.
+        side: pixels of the longer side of a picture, at most.
+        photographs: numbers of the sensors whose photographs are the pictures; None for renders,
+            from everywhere around the object.
+    """
+
+    capture: Capture
+    field: TextureField
+    side: int
+    photographs: tuple[int, ...] | None = None
+
+    @cached_property
+    def places(self) -> Candidates:
+        """Where pictures can be had from."""
+        if self.photographs is None:
+            return Candidates.around(self.capture, AROUND)
+        return Candidates.at(self.capture, self.photographs)
+
+    def cover(self, wanted: np.ndarray, most: int) -> list[int]:
+        """Return the numbers of some places that together show what is wanted: each adds more
+        than any other would.
+
+        Args:
+            wanted: (T,) bool.
+            most: how many, at most.
+        """
+        texels = np.flatnonzero(wanted)
+        texels = texels[:: -(-len(texels) // JUDGED) or 1]
+        surface = Surface.of(self.field.texels, owned(mi.UInt32, texels.astype(np.uint32)))
+        views = pack_sensors(self.capture.scene, self.capture.shape, self.places.sensors)
+        shown = np.array([_shown(views, surface, k) for k in range(views.number)])
+        chosen: list[int] = []
+        while len(chosen) < most:
+            gains = shown.sum(axis=1)
+            best = int(gains.argmax())
+            if gains[best] <= WORTH * len(texels):
+                break
+            chosen.append(best)
+            shown = shown & ~shown[best]
+        return chosen
+
+    def picture(self, place: int, values: np.ndarray, known: np.ndarray, seed: int) -> Picture:
+        """Return what a model is given of a place.
+
+        Args:
+            place: its number.
+            values: (N, T), of all parameters, as the textures are by now.
+            known: (T,) bool, where they are not to be changed.
+            seed: of a render's paths.
+        """
+        frame = self._frame(place)
+        maps = self._maps(frame.sensor, values, known)
+        usable = self._packed(frame.sensor).usable
+        usable = np.array(usable).reshape(maps["known"].shape)
+        if self.photographs is None:
+            textures = lay_out(self.field.texels, self._by_name(values))
+            shown = relight(self.capture, textures, None, [frame.sensor], SPP, seed=seed)[0]
+        else:
+            shown = frame.cut(self.capture.images[self.photographs[place]])
+        white = exposure(shown, usable)
+        return Picture(
+            # What holds no radiance is mostly what was too bright.
+            photograph=np.clip(np.nan_to_num(shown / white, nan=1.0), 0, 1).astype(np.float32),
+            certain=usable & (maps.pop("known") > WHOLE), maps=maps, sensor=frame.sensor,
+        )  # fmt: skip
+
+    def carried(
+        self, place: int, maps: Mapping[str, np.ndarray]
+    ) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Return what maps of a place say of texels.
+
+        Args:
+            place: its number.
+            maps: as ``Picture.maps`` has them.
+
+        Returns:
+            By parameter (C, T) values; and (T,) bool, the texels that the view shows well.
+        """
+        surface, views = Surface.of(self.field.texels), self._packed(self._frame(place).sensor)
+        seen = _shown(views, surface, 0)
+        found = {}
+        for name, image in maps.items():
+            color = np.repeat(image[..., None], 3, axis=-1) if image.ndim == 2 else image
+            one = replace(views, pixels=owned(mi.Float, color.astype(np.float32).ravel()))
+            mean = look(one, surface, dr.opaque(mi.UInt32, 0), owned(mi.Bool, seen)).radiance
+            found[name] = np.array(mean)[: CHANNELS[name]]
+        return found, seen
+
+    def _frame(self, place: int) -> Frame:
+        """Return how a place's picture is cut to the object, of which a model sees more then."""
+        sensor = self.places.sensors[place]
+        small = scaled_sensor(sensor, LARGEST_FILM)  # as ``cover`` has looked at it
+        (width, height), (across, down) = film_size(sensor), film_size(small)
+        usable = np.array(self._packed(small).usable).reshape(down, across)
+        rows, columns = (np.flatnonzero(usable.any(axis=axis)) for axis in (1, 0))
+        middle = np.array([columns[0] + columns[-1] + 1, rows[0] + rows[-1] + 1]) / 2
+        longest = max(np.ptp(columns), np.ptp(rows)) + 1
+        scale = np.array([width / across, height / down])
+        return Frame.around(
+            sensor, middle * scale, (1 + 2 * MARGIN) * longest * float(scale.max()), self.side,
+            rendered=self.photographs is None,
+        )  # fmt: skip
+
+    def _packed(self, sensor: Any) -> Views:
+        size = max(film_size(sensor))
+        return pack_sensors(self.capture.scene, self.capture.shape, [sensor], size)
+
+    @cached_property
+    def _alone(self) -> Any:
+        return alone(self.capture)
+
+    def _maps(self, sensor: Any, values: np.ndarray, known: np.ndarray) -> dict[str, np.ndarray]:
+        """Return maps of all parameters as the sensor sees them, and of what is ``known``."""
+        seen = Look.of(self._alone, sensor)
+        textures = lay_out(self.field.texels, self._by_name(values))
+        maps = {}
+        for name in NAMES:
+            image = np.array(textures[name])
+            shown = seen.values(np.broadcast_to(image, (*image.shape[:2], 3)))
+            maps[name] = shown if CHANNELS[name] > 1 else shown[..., 0]
+        texels = self.field.texels
+        # With a gutter, as textures have: else all seams would pass for unknown.
+        flags = dilate(texels.to_image(known), texels.inside(), float(np.hypot(*image.shape[:2])))
+        maps["known"] = seen.values(np.repeat(flags[..., None], 3, axis=-1))[..., 0]
+        return maps
+
+    @staticmethod
+    def _by_name(values: np.ndarray) -> dict[str, np.ndarray]:
+        return {name: values[TextureField.rows(name)].T for name in NAMES}
+
+
+def _shown(views: Views, surface: Surface, number: int) -> np.ndarray:
+    """Return (t,) bool, the texels that a view shows well."""
+    seen = observe(views, surface, dr.opaque(mi.UInt32, number))
+    return np.array(seen.seen & (seen.cosine > dr.opaque(mi.Float, STEEPEST)))

@@ -1,0 +1,46 @@
+"""Parts of what was seen that are hidden in turn, to find out how far off guesses are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+FEWEST, MOST = 2, 6  # parts of the surface that are hidden in turn
+DIVISIONS = 2  # ways to divide it
+
+
+def hidden_parts(normal: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
+    """Return parts of what was seen, as cameras leave them out.
+
+    Each is what faces one way, about as large as what was not seen, so that it is as far from what
+    is known.
+
+    Args:
+        normal: (T, 3) of all texels.
+        seen: (T,) bool.
+
+    Returns:
+        (T,) bool each; none if nothing would be left to guess from.
+    """
+    number = int(np.clip(round(seen.sum() / max((~seen).sum(), 1)), FEWEST, MOST))
+    numbers, found = np.flatnonzero(seen), []
+    for owner in (_clusters(normal[seen], number, seed) for seed in range(DIVISIONS)):
+        for k in range(number):
+            hidden = np.zeros(len(normal), bool)
+            hidden[numbers[owner == k]] = True
+            if hidden.any() and (seen & ~hidden).any():
+                found.append(hidden)
+    return found
+
+
+def _clusters(unit: np.ndarray, number: int, seed: int) -> np.ndarray:
+    """Return which of some clusters each unit vector (n, 3) is in, by spherical k-means."""
+    random = np.random.default_rng(seed)
+    centres = unit[random.choice(len(unit), min(number, len(unit)), replace=False)]
+    for _ in range(8):
+        owner = (unit @ centres.T).argmax(axis=1)
+        centres = np.stack([
+            unit[owner == k].mean(axis=0) if (owner == k).any() else centres[k]
+            for k in range(len(centres))
+        ])  # fmt: skip
+        centres /= np.maximum(np.linalg.norm(centres, axis=1, keepdims=True), 1e-9)
+    return np.asarray((unit @ centres.T).argmax(axis=1))

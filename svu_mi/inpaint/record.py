@@ -1,0 +1,77 @@
+"""What filling has made of textures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from svu_mi.recovery.field.field import TextureField
+from svu_mi.recovery.textures import Textures
+
+Source = Literal["photographs", "renders"]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a model has made of pictures of one kind.
+
+    Attributes:
+        source: of the pictures: ``photographs`` of texels that they do not determine, or
+            ``renders`` of what none shows.
+        pictures: names of the views, in the order in which the model was asked about them.
+        reached: (T,) bool, texels that have got their values from it.
+        errors: root mean square error on hidden parts, by parameter.
+        likeness: the same of filling by likeness, at the same texels.
+    """
+
+    source: Source
+    pictures: tuple[str, ...]
+    reached: np.ndarray
+    errors: dict[str, float]
+    likeness: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Invented:
+    """What a model was asked.
+
+    Attributes:
+        model: for people.
+        licence: of its weights, for people.
+        answers: by kind of picture, of those that there was something to ask about.
+        reached: (T,) bool, texels that have got their values from it.
+    """
+
+    model: str
+    licence: str
+    answers: tuple[Answer, ...]
+    reached: np.ndarray
+
+
+@dataclass(frozen=True)
+class Filled:
+    """Textures without holes.
+
+    Attributes:
+        field: the textures, and how sure they are; where they were filled, never surer than before:
+            no standard deviation gets smaller before values are clipped to [0, 1].
+        filled: (T,) bool, texels that were filled.
+        likeness: title of the guess that each parameter was filled with; ``border`` where none was
+            better than what had spread from the border, which then stays.
+        errors: root mean square error of that on hidden parts, by parameter.
+        invented: what a model has made of texels (``fill_by_diffusion``), instead of likeness; None
+            if none was asked.
+    """
+
+    field: TextureField
+    filled: np.ndarray
+    likeness: dict[str, str]
+    errors: dict[str, float]
+    invented: Invented | None = None
+
+    @property
+    def textures(self) -> Textures:
+        """The textures."""
+        return self.field.textures
