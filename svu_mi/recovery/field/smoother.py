@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -84,8 +85,7 @@ class Smoother:
     def _links(self) -> Iterator[tuple[Any, Any]]:
         """Yield the lane of a neighbour of every lane, and the weight of the link, 0 for none."""
         lane = dr.arange(mi.UInt32, dr.width(self.values))
-        count = dr.opaque(mi.UInt32, dr.width(self.around[0])) if self.around else 1
-        texel = lane % count
+        texel = self._texel
         first = lane - texel
         for column in self.around:
             other = first + dr.gather(mi.UInt32, column, texel)
@@ -94,6 +94,14 @@ class Smoother:
                 apart = dr.select(self.blind | dr.gather(mi.Bool, self.blind, other), 0, apart)
             weight = self.strength * dr.rsqrt(dr.fma(apart, apart, dr.square(self.epsilon)))
             yield other, dr.select(other == lane, 0, weight)
+
+    @cached_property
+    def _texel(self) -> Any:
+        """(N T,) UInt32, which texel a lane is; kept, as divisions take as long as the rest."""
+        count = dr.opaque(mi.UInt32, dr.width(self.around[0])) if self.around else 1
+        texel = dr.arange(mi.UInt32, dr.width(self.values)) % count
+        dr.eval(texel)
+        return texel
 
     def __matmul__(self, x: Any) -> Any:
         """Return (D + K) x."""
@@ -122,13 +130,13 @@ class Smoother:
 
     def _iterate(self, x: Any, rest: Any, step: Any, size: Any) -> tuple[Any, ...]:
         turned = self @ step
+        dr.eval(turned)  # a sum evaluates what it adds up: all of it would be computed twice
         along = dr.sum(step * turned)
-        dr.eval(turned, along)
         length = dr.select(along > 0, size / along, 0)
         x, rest = dr.fma(length, step, x), dr.fma(-length, turned, rest)
         better = rest / self.diagonal
+        dr.eval(x, rest, better)
         new = dr.sum(rest * better)
-        dr.eval(x, rest, better, new)
         step = dr.fma(dr.select(size > 0, new / size, 0), step, better)
         dr.eval(step)
         return x, rest, step, new
