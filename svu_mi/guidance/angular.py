@@ -114,12 +114,15 @@ class AngularForecast(Forecast):
             first: whether the first of ``asked`` is added (1), or stands for none (0).
             keep: whether each one counts among the views so far for those after it.
         """
-        out = dr.zeros(mi.Float, len(asked) * len(texels))
+        place, number = self.hypotheses.of_texels(texels)
+        out = dr.zeros(mi.Float, len(asked) * len(place))
         dr.eval(out)
-        launch, add = _Launch(self, numbers(texels)), dr.opaque(mi.Float, first)
+        launch = _Launch(self, numbers(texels[place]), numbers(number))
+        add = dr.opaque(mi.Float, first)
         _expect(launch, _Order(views), _Order(asked), add, out, keep)
         dr.eval(out)
-        return out.numpy().reshape(len(asked), len(texels))
+        each = out.numpy().reshape(len(asked), len(place))
+        return np.add.reduceat(each, np.flatnonzero(number == 0), axis=1)
 
 
 class _Order:
@@ -135,54 +138,67 @@ class _Order:
 
 Truth = tuple[Any, list[Any], Any, Any]
 """Row, colour of every channel, probability and -log prior of a hypothesis."""
+Lobes = list[tuple[Any, ...]]
+"""Columns of every lobe (``reflection/principled.py``)."""
 Shown = tuple[Any, list[Any]]
 """Weight of the errors of a photograph, over 2 s^2 tau, and its radiance by channel."""
 
 
 class _Launch:
-    """The texels of one launch, and the rows of their grid."""
+    """Hypotheses of texels, a lane of each, and the rows of their grid.
 
-    def __init__(self, forecast: AngularForecast, lane: Any) -> None:
+    A packet of lanes has those of few texels, which the same views see.
+    """
+
+    def __init__(self, forecast: AngularForecast, lane: Any, number: Any) -> None:
         self._forecast, self._lane = forecast, lane
         self._responses, self.measure = forecast.responses.at(lane), forecast.measure
-        levels, *mixed, _ = forecast.grid.shape
+        self.levels, *mixed, _ = forecast.grid.shape
         self._roughness, self._mixed = forecast.grid.roughness_nodes, forecast.grid.mixed_nodes
-        self.rows = levels * prod(mixed)
-        self._columns = dr.opaque(mi.UInt32, prod(mixed))
+        self.mixtures = prod(mixed)
+        self.rows = self.levels * self.mixtures
         self._truths, self.channels = forecast.truths, forecast.channels
-        self._lobes = (self._responses.columns - 1) // (4 * levels)  # 1 of grey light
+        self._lobes = (self._responses.columns - 1) // (4 * self.levels)  # 1 of grey light
         self._kappa = dr.opaque(mi.Float, forecast.kappa)
         self._averaged = dr.opaque(mi.Bool, forecast.averaged)
         self._precision = dr.gather(mi.Float, forecast.precision, lane)
         self._stride = dr.opaque(mi.UInt32, self.rows * self.channels)
-        self.size = dr.opaque(mi.UInt32, dr.width(lane))
-        self.place = dr.arange(mi.UInt32, dr.width(lane))
-        self.hypotheses = dr.gather(mi.UInt32, forecast.hypotheses.counts, lane)
+        self._size = dr.opaque(mi.UInt32, dr.width(lane))
+        self._own = dr.arange(mi.UInt32, dr.width(lane))
+        self.truth = self._truth(number)
 
     def sees(self, view: Any) -> Any:
         """cos theta of a view, 0 where it does not see the texel."""
         return self._responses.read(view, 0)
 
-    def truth(self, number: Any) -> Truth:
-        """Read a hypothesis."""
+    def _truth(self, number: Any) -> Truth:
         row, weight = self._forecast.hypotheses.at(number, self._lane)
         place = self._lane * self._stride + row * self.channels
         colors = [dr.gather(mi.Float, self._truths, place + k) for k in range(self.channels)]
         return row, colors, weight, self._prior(row)
 
-    def shown(self, view: Any, truth: Truth) -> Shown:
+    def shown(self, view: Any) -> Shown:
         """What a photograph of the truth would show."""
-        row, colors, *_ = truth
-        r = [dr.fma(c, slope, base) for c, (slope, base) in
-             zip(colors, self._lines(view, row), strict=True)]  # fmt: skip
+        row, colors, *_ = self.truth
+        level = row // self.mixtures
+        lines = self._lines(self.lobes(view, level), row - level * self.mixtures)
+        r = [dr.fma(c, slope, base) for c, (slope, base) in zip(colors, lines, strict=True)]
         return self._precision * noise_weight(sum(r) / len(r), self._kappa), r
 
-    def errors(self, view: Any, row: Any, truth: Truth, shown: Shown) -> list[Any]:
+    def lobes(self, view: Any, level: Any) -> Lobes:
+        """What a view shows of all rows of a level: the columns of every lobe."""
+        found = []
+        for lobe in range(self._lobes):
+            first = 1 + 4 * (level * self._lobes + lobe)
+            found.append(columns_of(*(self._responses.read(view, first + k) for k in range(4))))
+        return found
+
+    def errors(self, lobes: Lobes, mixed: Any, shown: Shown) -> list[Any]:
         """Products w slope^2, w slope rest, w rest^2 of every channel, in a view of a row."""
         weight, radiance = shown
         found = []
         for (slope, base), c, r in zip(
-            self._lines(view, row), truth[1], radiance, strict=True
+            self._lines(lobes, mixed), self.truth[1], radiance, strict=True
         ):
             rest = r - dr.fma(c, slope, base)
             scaled = weight * slope
@@ -193,33 +209,32 @@ class _Launch:
         """What the sum over so many views is multiplied by."""
         return dr.select(self._averaged, dr.rcp(views), 1)
 
-    def row(self, sums: list[Any], row: Any, truth: Truth) -> tuple[Any, Any]:
+    def row(self, sums: list[Any], row: Any) -> tuple[Any, Any]:
         """Energy of a row relative to the truth's, which no colour is below, and what sums up."""
-        bound, channels = self._forecast.colors.channels(sums, truth[1])
-        return bound + self._prior(row) - truth[3], channels
+        _, colors, _, usual = self.truth
+        bound, channels = self._forecast.colors.channels(sums, colors)
+        return bound + self._prior(row) - usual, channels
 
     def add(self, sums: list[Any], row: Any, energy: Any, channels: list[Parts]) -> list[Any]:
         """Add a row to the measure's sums."""
-        level, mixed = self._row(row)
+        level = row // self.mixtures
+        mixed = streaming.nodes(mi.Float, self._mixed, row - level * self.mixtures)
         shared = (streaming.node(mi.Float, self._roughness, level), *mixed)
         energy = dr.maximum(energy, -FAR)
         return self.measure.add(sums, self._forecast.colors.row(energy, channels, row), shared)
 
+    def write(self, out: Any, place: Any, sums: list[Any]) -> None:
+        """Write p(psi_0) times the measure to a row of ``out``."""
+        value = self.truth[2] * self.measure.value(sums)
+        dr.scatter(out, value, place * self._size + self._own, mode=dr.ReduceMode.NoConflicts)
+
     def _prior(self, row: Any) -> Any:
         return dr.gather(mi.Float, self._forecast.prior, row)
 
-    def _row(self, row: Any) -> tuple[Any, list[Any]]:
-        level = row // self._columns
-        return level, streaming.nodes(mi.Float, self._mixed, row - level * self._columns)
-
-    def _lines(self, view: Any, row: Any) -> list[tuple[Any, Any]]:
+    def _lines(self, lobes: Lobes, mixed: Any) -> list[tuple[Any, Any]]:
         """Radiance of a row as slope and value at 0 over the base colour of each channel."""
-        level, mixed = self._row(row)
-        how, found = mixture(*mixed), []
-        for lobe in range(self._lobes):
-            first = 1 + 4 * (level * self._lobes + lobe)
-            x = columns_of(*(self._responses.read(view, first + k) for k in range(4)))
-            found.append((dot(how.scaled, x), dot(how.constant, x)))
+        how = mixture(*streaming.nodes(mi.Float, self._mixed, mixed))
+        found = [(dot(how.scaled, x), dot(how.constant, x)) for x in lobes]
         return found if len(found) == self.channels else found * self.channels
 
 
@@ -227,13 +242,13 @@ class _Launch:
 def _expect(
     launch: _Launch, known: _Order, asked: _Order, first: Any, out: Any, keep: bool
 ) -> Any:
-    """Add p(psi_0) times the measure, for every psi_0, to ``out`` (views asked for, texels).
+    """Write p(psi_0) times the measure, for every psi_0, to ``out`` (views asked for, lanes).
 
-    The products of the views so far, per row, are summed up once per hypothesis and kept in
-    local memory, where all candidates find them.
+    The products of the views so far, per row, are summed up once and kept in local memory, where
+    all candidates find them.
 
     Args:
-        launch: texels and rows.
+        launch: hypotheses and rows.
         known: the views so far.
         asked: the candidates.
         first: 1 to add the first candidate; 0 for the views so far alone, whatever it is.
@@ -241,51 +256,58 @@ def _expect(
         keep: whether each candidate is one of the views so far for those after it.
     """
     so_far = [dr.alloc_local(mi.Float, launch.rows) for _ in range(3 * launch.channels)]
-    # A literal: Dr.Jit 1.5 leaves the size of local memory out of what tells kernels apart.
-    rows = mi.UInt32(launch.rows)
-    h = mi.UInt32(0)
-    while h < launch.hypotheses:
-        truth = launch.truth(h)
-        row = mi.UInt32(0)
-        while row < rows:
-            _set(so_far, row, [mi.Float(0) for _ in so_far])
-            row += 1
-        n = mi.Float(0)
-        i = mi.UInt32(0)
-        while i < known.count:
-            view = known.at(i)
-            if launch.sees(view) > 0:
-                shown = launch.shown(view, truth)
-                row = mi.UInt32(0)
-                while row < rows:
-                    _set(so_far, row, _sums(so_far, row, launch.errors(view, row, truth, shown)))
-                    row += 1
-                n += 1
-            i += 1
-        j = mi.UInt32(0)
-        while j < asked.count:
-            view = asked.at(j)
-            add = dr.select(j > 0, mi.Float(1), first)
-            if dr.select(add > 0, launch.sees(view), n) > 0:
-                shown = launch.shown(view, truth)
-                share = launch.share(n + add)
-                sums = launch.measure.start()
-                row = mi.UInt32(0)
-                while row < rows:
-                    errors = [add * x for x in launch.errors(view, row, truth, shown)]
-                    total = _sums(so_far, row, errors)
+    # Literals: Dr.Jit 1.5 leaves the size of local memory out of what tells kernels apart.
+    rows, levels, mixtures = (mi.UInt32(n) for n in (launch.rows, launch.levels, launch.mixtures))
+    row = mi.UInt32(0)
+    while row < rows:
+        _set(so_far, row, [mi.Float(0) for _ in so_far])
+        row += 1
+    n = mi.Float(0)
+    i = mi.UInt32(0)
+    while i < known.count:
+        view = known.at(i)
+        if launch.sees(view) > 0:
+            shown = launch.shown(view)
+            level = mi.UInt32(0)
+            while level < levels:
+                lobes = launch.lobes(view, level)
+                mixed = mi.UInt32(0)
+                while mixed < mixtures:
+                    row = level * mixtures + mixed
+                    errors = launch.errors(lobes, mixed, shown)
+                    _set(so_far, row, _sums(so_far, row, errors))
+                    mixed += 1
+                level += 1
+            n += 1
+        i += 1
+    j = mi.UInt32(0)
+    while j < asked.count:
+        view = asked.at(j)
+        add = dr.select(j > 0, mi.Float(1), first)
+        if dr.select(add > 0, launch.sees(view), n) > 0:
+            shown = launch.shown(view)
+            share = launch.share(n + add)
+            sums = launch.measure.start()
+            level = mi.UInt32(0)
+            while level < levels:
+                lobes = launch.lobes(view, level)
+                mixed = mi.UInt32(0)
+                while mixed < mixtures:
+                    row = level * mixtures + mixed
+                    errors = launch.errors(lobes, mixed, shown)
+                    total = _sums(so_far, row, [add * x for x in errors])
                     if keep:
                         _set(so_far, row, total)
                     total = [share * x for x in total]
-                    energy, channels = launch.row(total, row, truth)
+                    energy, channels = launch.row(total, row)
                     if energy < HOPELESS:
                         sums = launch.add(sums, row, energy, channels)
-                    row += 1
-                _add(out, j * launch.size + launch.place, truth[2] * launch.measure.value(sums))
-                if keep:
-                    n += add
-            j += 1
-        h += 1
+                    mixed += 1
+                level += 1
+            launch.write(out, j, sums)
+            if keep:
+                n += add
+        j += 1
     return out
 
 
@@ -296,7 +318,3 @@ def _set(memory: list[Any], row: Any, values: list[Any]) -> None:
 
 def _sums(memory: list[Any], row: Any, errors: list[Any]) -> list[Any]:
     return [slot[row] + error for slot, error in zip(memory, errors, strict=True)]
-
-
-def _add(out: Any, place: Any, value: Any) -> None:
-    dr.scatter_add(out, value, place, True, dr.ReduceMode.NoConflicts)

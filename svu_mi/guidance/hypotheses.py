@@ -39,6 +39,19 @@ class Hypotheses:
         place = number * self._stride + texel
         return dr.gather(mi.UInt32, self.cells, place), dr.gather(mi.Float, self.weights, place)
 
+    def of_texels(self, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return all hypotheses of some texels, those of one after the other.
+
+        Args:
+            texels: (L,) of the T.
+
+        Returns:
+            Which of the L each is of, and its number among those, from 0: (N,) int64 each.
+        """
+        counts = self.counts.numpy()[texels].astype(np.int64)
+        place = np.repeat(np.arange(len(texels)), counts)
+        return place, np.arange(len(place)) - (np.cumsum(counts) - counts)[place]
+
     @cached_property
     def _stride(self) -> Any:
         return dr.opaque(mi.UInt32, dr.width(self.counts))
