@@ -14,7 +14,8 @@ from svu_mi import _llvm, _workers
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture, load_capture, render_capture
-    from svu_mi.checking import Check, check
+    from svu_mi.checking.record import Check
+    from svu_mi.checking.run import check
     from svu_mi.errors import SvuError, SvuWarning
     from svu_mi.export.asset import Asset
     from svu_mi.export.export import export_asset
@@ -71,7 +72,7 @@ _HOME = {
     "spectrum_posterior": "posterior",
     "AngularPreset": "options", "Fit": "options", "Preset": "options", "Skip": "options",
     "preset": "options",
-    "Check": "checking", "check": "checking",
+    "Check": "checking.record", "check": "checking.run",
     "Candidates": "guidance.candidates", "Guidance": "guidance.result",
     "GuidanceOptions": "guidance.options", "next_best_view": "guidance.next_view",
     "Estimate": "pipeline", "estimate": "pipeline",

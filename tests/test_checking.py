@@ -24,8 +24,8 @@ from svu_mi.capture.poses import sphere_sensors
 from svu_mi.capture.rendering import object_mask
 from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.scene import to_world
-from svu_mi.checking import apply_fixes
 from svu_mi.checking.appearance import read_texture, texture_fit
+from svu_mi.checking.apply import apply_fixes
 from svu_mi.checking.frames import Frames, reduced
 from svu_mi.checking.hypotheses import light_hypotheses, pose_hypotheses
 from svu_mi.checking.light import LightScore, score_light

@@ -66,7 +66,7 @@ class CheckCapture(OfScene):
         """Check, print what was found, and write the page."""
         from svu_mi.capture import load_capture
         from svu_mi.capture.window import Detail
-        from svu_mi.checking import check
+        from svu_mi.checking.run import check
         from svu_mi.output.check_page import write_check
 
         defines, memory = self.defines(), bytes_of(self.memory, "--memory")

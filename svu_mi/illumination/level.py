@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from math import log
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from svu_mi.illumination.materials import Moments, materials_of, noise_of
 from svu_mi.illumination.prior import COLOR
@@ -97,6 +96,8 @@ def level_of(samples: Samples, columns: Columns, switches: AngularPreset) -> Lev
 
 def _common(worse: Callable[[np.ndarray], float]) -> tuple[float, float]:
     """Return the median and the standard deviation of the factor of all channels."""
+    from scipy.interpolate import PchipInterpolator  # takes long to import, and is rarely needed
+
     steps = np.linspace(-FURTHEST, FURTHEST, STEPS)
     noise = PchipInterpolator(steps, [worse(np.full(3, step)) for step in steps])
     fine = np.linspace(-FURTHEST, FURTHEST, 601)
