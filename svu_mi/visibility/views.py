@@ -183,6 +183,8 @@ class _Pixels:
         radiance: (3 P,) Float, the photographs.
         usable: (P,) Bool.
         coloured: (1,) UInt32, 1 when a usable pixel is not grey.
+        brightest: (1,) UInt32, the bits of the largest radiance of a usable pixel, which are in the
+            order of the numbers.
         clipped: (P,) UInt8, see ``ClippedPixels``; None where no photograph is clipped.
     """
 
@@ -191,6 +193,7 @@ class _Pixels:
         self.radiance = radiance
         self.usable = dr.zeros(mi.Bool, count)
         self.coloured = dr.zeros(mi.UInt32, 1)
+        self.brightest = dr.zeros(mi.UInt32, 1)
         self.clipped = None if flags is None else dr.zeros(type(flags), count)
         self._allowed, self._flags = allowed, flags
 
@@ -203,12 +206,14 @@ class _Pixels:
         dr.scatter(self.usable, mi.Bool(True), index, good)
         coloured = good & (most - dr.min(color) > GREY * most)
         dr.scatter(self.coloured, mi.UInt32(1), 0, coloured)
-        dr.eval(self.usable, self.coloured)
+        bits = dr.reinterpret_array(mi.UInt32, dr.maximum(most, 0))
+        local = dr.ReduceMode.Local  # all lanes go to one place
+        dr.scatter_reduce(dr.ReduceOp.Max, self.brightest, bits, mi.UInt32(0), good, local)
         if self.clipped is not None:
             flags = dr.gather(type(self._flags), self._flags, index, inside)
             known = [dr.isfinite(x) | ((flags & (1 << c)) > 0) for c, x in enumerate(color)]
             dr.scatter(self.clipped, flags, index, inside & known[0] & known[1] & known[2])
-            dr.eval(self.clipped)
+        dr.eval(self.usable, self.coloured, self.brightest, self.clipped)  # photographs read once
 
     def clipped_pixels(self, capture: Capture, kept: Sequence[int]) -> ClippedPixels | None:
         """Return what is clipped of the photographs that are kept; None without anything."""
@@ -239,13 +244,11 @@ class _Pixels:
         lit = colors[::step][self.usable.numpy()[::step]].max(axis=1, initial=0)
         lit = lit[lit > 0]
         most = HOT * float(np.median(lit)) if len(lit) else np.inf
+        if not self.brightest.numpy().view(np.float32)[0] > np.float32(most):
+            return []  # without another look at all of them
         index = dr.arange(mi.UInt32, len(colors))
         bright = dr.max(dr.gather(mi.Color3f, self.radiance, index, self.usable))
         hot = self.usable & (bright > dr.opaque(mi.Float, most))
-        some = dr.zeros(mi.UInt32, 1)
-        dr.scatter(some, mi.UInt32(1), 0, hot)  # unlike dr.any, this keeps no flag per pixel
-        if not some[0]:
-            return []
         pixels = np.flatnonzero(hot.numpy())
         self.usable &= ~hot
         dr.eval(self.usable)
