@@ -183,8 +183,8 @@ class _Pixels:
         radiance: (3 P,) Float, the photographs.
         usable: (P,) Bool.
         coloured: (1,) UInt32, 1 when a usable pixel is not grey.
-        brightest: (1,) UInt32, the bits of the largest radiance of a usable pixel, which are in the
-            order of the numbers.
+        brightest, faintest: (1,) UInt32, the bits of the largest radiance of a usable pixel, and of
+            the smallest that is not black: bits are in the order of such numbers.
         clipped: (P,) UInt8, see ``ClippedPixels``; None where no photograph is clipped.
     """
 
@@ -194,6 +194,7 @@ class _Pixels:
         self.usable = dr.zeros(mi.Bool, count)
         self.coloured = dr.zeros(mi.UInt32, 1)
         self.brightest = dr.zeros(mi.UInt32, 1)
+        self.faintest = dr.reinterpret_array(mi.UInt32, dr.opaque(mi.Float, dr.inf))
         self.clipped = None if flags is None else dr.zeros(type(flags), count)
         self._allowed, self._flags = allowed, flags
 
@@ -207,17 +208,22 @@ class _Pixels:
         coloured = good & (most - dr.min(color) > GREY * most)
         dr.scatter(self.coloured, mi.UInt32(1), 0, coloured)
         bits = dr.reinterpret_array(mi.UInt32, dr.maximum(most, 0))
-        local = dr.ReduceMode.Local  # all lanes go to one place
-        dr.scatter_reduce(dr.ReduceOp.Max, self.brightest, bits, mi.UInt32(0), good, local)
+        place, local = mi.UInt32(0), dr.ReduceMode.Local  # all lanes go to one place
+        dr.scatter_reduce(dr.ReduceOp.Max, self.brightest, bits, place, good, local)
+        dr.scatter_reduce(dr.ReduceOp.Min, self.faintest, bits, place, good & (most > 0), local)
         if self.clipped is not None:
             flags = dr.gather(type(self._flags), self._flags, index, inside)
             known = [dr.isfinite(x) | ((flags & (1 << c)) > 0) for c, x in enumerate(color)]
             dr.scatter(self.clipped, flags, index, inside & known[0] & known[1] & known[2])
-        dr.eval(self.usable, self.coloured, self.brightest, self.clipped)  # photographs read once
+        # At once: photographs are read once.
+        dr.eval(self.usable, self.coloured, self.brightest, self.faintest, self.clipped)
 
     def clipped_pixels(self, capture: Capture, kept: Sequence[int]) -> ClippedPixels | None:
         """Return what is clipped of the photographs that are kept; None without anything."""
-        if self.clipped is None or not dr.any(self.clipped > 0):
+        some = dr.zeros(mi.UInt32, 1)
+        if self.clipped is not None:
+            dr.scatter(some, mi.UInt32(1), 0, self.clipped > 0)  # dr.any keeps a flag per pixel
+        if self.clipped is None or not some[0]:
             return None
         least = np.ones((len(kept), 3), np.float32)
         for place, index in enumerate(kept):
@@ -239,13 +245,18 @@ class _Pixels:
             Of each photograph that has some: its number, theirs, and how often the brightest
             holds the median.
         """
+        brightest, faintest = (
+            bits.numpy().view(np.float32)[0] for bits in (self.brightest, self.faintest)
+        )
+        if brightest <= HOT * faintest:  # and so of the median: nothing has to be read again
+            return []
         colors = self.radiance.numpy().reshape(-1, 3)
         step = len(colors) // SAMPLED | 1  # odd: not a whole number of rows
         lit = colors[::step][self.usable.numpy()[::step]].max(axis=1, initial=0)
         lit = lit[lit > 0]
         most = HOT * float(np.median(lit)) if len(lit) else np.inf
-        if not self.brightest.numpy().view(np.float32)[0] > np.float32(most):
-            return []  # without another look at all of them
+        if not brightest > np.float32(most):
+            return []
         index = dr.arange(mi.UInt32, len(colors))
         bright = dr.max(dr.gather(mi.Color3f, self.radiance, index, self.usable))
         hot = self.usable & (bright > dr.opaque(mi.Float, most))
