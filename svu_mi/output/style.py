@@ -38,6 +38,7 @@ OUTSIDE = (0.95, 0.95, 0.96)
 INK, FAINT, RULE = "#26262b", "#6f6f78", "#c4c4cb"
 ENTROPY_ENDS = "0 = one material left, 1 = nothing known"
 TEXT = 9  # points: numbers on axes, keys
+PNG_LEVEL = 3  # half of the time of Pillow's own 6, for a tenth more bytes
 BELOW = (0.0, -0.075, 1.0, 0.035)  # place of a colour bar, in parts of its axes
 
 
@@ -59,7 +60,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
         OutputError: the file cannot be written.
     """
     with replacing(path) as temporary:
-        figure.savefig(temporary, format="png")
+        figure.savefig(temporary, format="png", pil_kwargs={"compress_level": PNG_LEVEL})
 
 
 def heading(figure: Figure, text: str, notes: Sequence[str], places: tuple[float, float]) -> None:
