@@ -20,7 +20,7 @@ import numpy as np
 from svu_mi.capture.picture import quantized
 from svu_mi.errors import OutputError
 from svu_mi.files import write_text
-from svu_mi.output.style import css, css_gradient
+from svu_mi.output.style import PNG_LEVEL, css, css_gradient
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -29,7 +29,6 @@ TEMPLATES = Path(__file__).parent / "templates"
 STYLE, SCRIPT = "page.css", "page.js"
 THUMBNAIL = 240  # pixels of the longer side of a photograph; 60 of them take about a megabyte
 JPEG_QUALITY = 82
-PNG_LEVEL = 6  # 9 takes five times as long for 3 % less
 NARROW_SPACE = "\u202f"  # at which no line breaks
 
 
