@@ -17,7 +17,7 @@ from svu_mi.capture.poses import describe, film_size, make_sensor, sphere_sensor
 from svu_mi.capture.scene import load_scene
 from svu_mi.errors import CaptureError
 from svu_mi.surface import texels
-from svu_mi.visibility import Surface, observe, pack_views
+from svu_mi.visibility import Surface, observe, pack_sensors, pack_views
 from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.silhouette import MIN_COSINE, SLOPE_MARGIN
 
@@ -142,6 +142,22 @@ def test_a_camera_that_looks_away_has_no_pixels(tmp_path):
 
 
 # --- colour ---------------------------------------------------------------------------------
+
+
+def test_pixels_that_are_judged_later_are_those_of_whole_films():
+    scene = load_scene(scenes.path("vase"))
+    target = next(shape for shape in scene.shapes() if shape.is_mesh())
+    sensors = sphere_sensors(target, 6, (96, 80))
+    surface = Surface.of(texels(target, resolution=128))
+    at_once, later = (
+        pack_sensors(scene, target, sensors, later=value) for value in (False, True)
+    )
+    assert later.usable is None
+    for view in range(6):
+        seen = [observe(v, surface, dr.opaque(mi.UInt32, view)).seen.numpy()
+                for v in (at_once, later)]  # fmt: skip
+        assert 0.05 < seen[0].mean() < 0.6
+        assert (seen[0] == seen[1]).mean() > 0.9999  # a kernel may round a ray differently
 
 
 def test_photographs_are_packed_in_colour(tmp_path):

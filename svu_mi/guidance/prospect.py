@@ -116,7 +116,7 @@ class Prospect:
     @cached_property
     def _packed(self) -> Views:
         capture = self.observed.capture
-        return pack_sensors(capture.scene, capture.shape, self.candidates.sensors)
+        return pack_sensors(capture.scene, capture.shape, self.candidates.sensors, later=True)
 
     def _greedy(self, forecast: Forecast) -> Greedy:
         return Greedy(

@@ -141,7 +141,7 @@ def observe(views: Views, surface: Surface, view: Any, *, dense: bool = False) -
     ) -> tuple[Any, ...]:
         """Look the pixels up and trace visibility, for lanes that face the camera."""
         shown = seen  # clipped or not; never changed in place, which would change both
-        for pixel in pixels:
+        for pixel in pixels if views.outline is None else ():
             usable = dr.gather(mi.Bool, views.usable, pixel, shown)
             seen = seen & usable
             if views.clipped is None:
@@ -154,6 +154,8 @@ def observe(views: Views, surface: Surface, view: Any, *, dense: bool = False) -
         ray = mi.Ray3f(start, *way, 0.0, [])
         free = ~views.scene.ray_test(ray, coherent=True, active=asked(shown, dense))
         seen = seen & free
+        if views.outline is not None:
+            seen = views.outline.encloses(views.scene, view, pixels[0], seen)
         radiance = dr.select(seen, interpolated(views, pixels, weights, seen), 0)
         return radiance, seen, *([] if views.clipped is None else [shown & free & ~seen])
 

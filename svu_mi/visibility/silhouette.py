@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import drjit as dr
@@ -44,6 +45,47 @@ class Films:
     offset: Any
     angle: Any
     rays: Any
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Where an object ends in pictures of it, found by rays where it is asked for.
+
+    Attributes:
+        target: the object.
+        films: the views.
+    """
+
+    target: Any
+    films: Films
+
+    def encloses(self, scene: Any, view: Any, pixel: Any, active: Any) -> Any:
+        """Return whether four pixels, 2 x 2, are interior: nine rays through their corners.
+
+        Args:
+            scene: the ``mi.Scene``.
+            view: UInt32.
+            pixel: UInt32 index of the first of them, over all films.
+            active: Bool.
+        """
+        films = self.films
+        width = dr.gather(mi.UInt32, films.width, view)
+        place = pixel - dr.gather(mi.UInt32, films.offset, view)
+        row = place // dr.maximum(width, 1)  # inactive lanes have 0, and division by it ends all
+        column = place - row * width
+
+        def corner(i: int, j: int) -> tuple[Any, Any]:
+            ray = film_ray(films.rays, view, mi.Float(column + i), mi.Float(row + j))
+            return _trace(scene, self.target, ray, active)
+
+        hits = {(i, j): corner(i, j) for i in range(3) for j in range(3)}
+        angle = SLOPE_MARGIN * dr.gather(mi.Float, films.angle, view)
+        for i, j in product(range(2), range(2)):
+            corners = [hits[i + k, j + m] for m in (0, 1) for k in (0, 1)]
+            near, far = _extremes([distance for distance, _ in corners])
+            least, _ = _extremes([slope for _, slope in corners])
+            active &= dr.isfinite(far) & (far - near <= angle * far * (0.5 + least))
+        return active
 
 
 def interior(scene: Any, target: Any, films: Films, tiles: np.ndarray) -> Iterator[tuple[Any, Any]]:

@@ -28,7 +28,7 @@ from svu_mi.capture.poses import describe, film_size, scaled_sensor
 from svu_mi.capture.rays import ray_floats
 from svu_mi.errors import CaptureError, SvuWarning
 from svu_mi.interop import owned
-from svu_mi.visibility.silhouette import Films, interior
+from svu_mi.visibility.silhouette import Films, Outline, interior
 from svu_mi.visibility.tiles import find_tiles
 
 CAMERA_FLOATS = 16  # rows x, y, w of the projection (4 each), position (3), near clip
@@ -49,7 +49,8 @@ class Views:
         offset: (V,) UInt32, index of each photograph's first pixel.
         pixels: (3 P,) Float, radiance of all photographs, interleaved RGB: the capture's own
             memory where they lie in one block. None where nothing was photographed.
-        usable: (P,) Bool, the pixel shows nothing but the object and holds a radiance.
+        usable: (P,) Bool, the pixel shows nothing but the object and holds a radiance. None where
+            ``outline`` says so.
         count: V, an opaque UInt32, so that its value is not part of a kernel.
         number: V as a Python int.
         scene: the ``mi.Scene`` that visibility is traced in.
@@ -60,6 +61,7 @@ class Views:
         rounding: (3 V,) Float twice, the first step and the slope of each channel (``Rounding``);
             0 for photographs of floats. None where all are.
         file: that the photographs lie in; None for those in memory.
+        outline: of the object, of sensors whose pixels are judged when they are looked at.
     """
 
     cameras: Any
@@ -76,6 +78,7 @@ class Views:
     clipped: ClippedPixels | None = None
     rounding: tuple[Any, Any] | None = None
     file: InFile | None = None
+    outline: Outline | None = None
 
 
 @dataclass(frozen=True)
@@ -150,24 +153,28 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
 
 
 def pack_sensors(
-    scene: Any, target: Any, sensors: Sequence[Any], largest: int = LARGEST_FILM
-) -> Views:
+    scene: Any, target: Any, sensors: Sequence[Any], largest: int = LARGEST_FILM, *,
+    later: bool = False,
+) -> Views:  # fmt: skip
     """Lay sensors out that have not taken any photograph: they see texels, not radiance.
 
     What a photograph would not show, they do not see: pixels on a silhouette. Films of more than
-    512 pixels are looked at in 512, with silhouettes that much wider: rays through all pixels
-    of a hundred cameras would take longer than everything else.
+    512 pixels are looked at in 512, with silhouettes that much wider.
 
     Args:
         scene: the ``mi.Scene`` that visibility is traced in.
         target: the object.
         sensors: V perspective sensors.
         largest: pixels per side beyond which a film is looked at in fewer.
+        later: judge pixels when they are looked at: of many films and few texels, less work than
+            to find those of whole films. ``usable`` is None then.
     """
     poses = [_Pose.of(scaled_sensor(sensor, largest)) for sensor in sensors]
     sizes = np.array([pose.size for pose in poses], np.int64).reshape(-1, 2)
     ends = np.cumsum(sizes.prod(axis=1))
     films = _films(poses, ends - sizes.prod(axis=1))
+    if later:
+        return replace(_views(scene, poses, films, None), outline=Outline(target, films))
     usable = dr.zeros(mi.Bool, int(ends[-1]) if len(ends) else 0)
     dr.eval(usable)
     for index, inside in interior(scene, target, films, _tiles(target, poses, [None] * len(poses))):
