@@ -1,65 +1,179 @@
-"""Places that a texel may be like: near it, around an axis, on the other side of a mirror.
+"""Texels that others are like: of the same piece, as high, around an axis, in a mirror.
 
-Objects are turned, cast in two halves, and painted in bands and patterns that repeat around them.
-Each ``Likeness`` says where in space a point's like is to be found; whether an object has such a
-likeness is found out by hiding parts of it that were seen (``fill``).
+Objects are turned, cast in two halves, put together from pieces of one material each, and painted
+in bands and patterns that repeat around them. Each ``Likeness`` says which of the texels that are
+known tell what another one is; how well they do is found out by hiding parts that were seen
+(``judging``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-NEAREST = 12  # texels that a guess is made of
-FEW = 4  # and of each copy of a pattern, of which there are several
-CLOSE = 0.25  # part of the way to the farthest of them by which nearer ones count more
-FARTHEST = 0.04  # distance, in parts of the object's extent, from which on nothing is alike
-FARTHEST_COPY = 0.015  # the same of a pattern, whose details count
-MOST_COPIES = 12  # of a pattern around an axis
+from svu_mi.inpaint.surface import Surface
 
+Kind = Literal[
+    "all", "piece", "near", "level", "turned", "turned piece", "mirrored", "repeated"
+]  # fmt: skip
 Axis = tuple[float, float, float]
+X, Y, Z = AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+CHUNK = 2**15  # texels that are guessed at a time
+FEWEST = 12  # texels of a piece by which others of it are guessed
+BEND = 0.3  # distance that normals at right angles count as, along the surface
+TURN = 0.1  # the same, around an axis
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How texels are found that another one is like.
+
+    Attributes:
+        nearest: how many are averaged.
+        close: part of the way to the farthest of them by which nearer ones count more.
+        farthest: distance, in parts of the object's extent, from which on nothing is alike.
+        inside: whether they are of the same piece.
+    """
+
+    nearest: int
+    close: float
+    farthest: float = np.inf
+    inside: bool = False
+
+
+RULES: dict[Kind, Rule] = {
+    "near": Rule(12, 0.25, inside=True),
+    "level": Rule(60, 0.5),
+    "turned": Rule(32, 0.5),
+    "turned piece": Rule(32, 0.5, inside=True),
+    "mirrored": Rule(12, 0.25, farthest=0.04),
+    "repeated": Rule(4, 0.25, farthest=0.015),
+}
+
+
+@dataclass(frozen=True)
+class Known:
+    """Texels that others are guessed by.
+
+    Attributes:
+        texels: (k,) their numbers.
+        values: (N, k).
+        weights: (N, k), how much they count.
+    """
+
+    texels: np.ndarray
+    values: np.ndarray
+    weights: np.ndarray
+
+    @cached_property
+    def mean(self) -> np.ndarray:
+        """(N, 1), of all."""
+        return np.average(self.values, axis=1, weights=self.weights)[:, None]
 
 
 @dataclass(frozen=True)
 class Likeness:
-    """One way to say which points are alike.
+    """One way to say which texels are alike.
 
     Attributes:
-        kind: ``near``; ``turned``: at the same height and radius; ``mirrored``; ``repeated``:
-            turned by a whole number of steps.
-        axis: (3,) of the turn, or normal of the mirror, through the middle of the object.
+        kind: ``all``, and ``piece``: of the same connected piece of the surface, means;
+            ``near``: close by, and facing the same way;
+            ``level``: as high along the axis;
+            ``turned``: at the same height and radius, facing the same way as seen from the axis;
+            ``turned piece``: at the same height and radius of its piece;
+            ``mirrored``; ``repeated``: turned by a whole number of steps.
+        axis: (3,) through the middle of the object, or of the piece; normal of the mirror.
         count: steps of a whole turn.
     """
 
-    kind: Literal["near", "turned", "mirrored", "repeated"]
-    axis: Axis = (0.0, 0.0, 0.0)
+    kind: Kind
+    axis: Axis = Y
     count: int = 1
 
     @property
     def title(self) -> str:
-        """For people: ``turned about y``, ``repeated 8 times about y``."""
+        """For people: ``turned about y``, ``repeated 6 times about y``."""
+        if self.kind in ("all", "piece", "near"):
+            return {"all": "mean of all", "piece": "mean of its piece", "near": "near"}[self.kind]
+        words = {"level": "level along", "turned piece": "turned as a piece about"}
+        first = words.get(self.kind, f"{self.kind} about")
+        if self.kind == "repeated":
+            first = f"repeated {self.count} times about"
+        return f"{first} {'xyz'[int(np.argmax(np.abs(self.axis)))]}"
+
+    def guess(
+        self, surface: Surface, known: Known, wanted: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Guess values of texels from those that are like them.
+
+        Args:
+            surface: all texels.
+            known: those whose values are known.
+            wanted: (w,) numbers of texels.
+
+        Returns:
+            (N, w) values; and (w,) bool, whether anything is alike.
+        """
+        if self.kind == "all":
+            return np.repeat(known.mean, len(wanted), axis=1), np.ones(len(wanted), bool)
+        if self.kind == "piece":
+            return _means_of_pieces(surface.piece, known, wanted)
+        found = np.zeros((len(known.values), len(wanted)))
+        alike = np.zeros(len(wanted), bool)
+        rule, places = RULES[self.kind], self._places(surface)
+        tree = cKDTree(places[known.texels])
+        for first in range(0, len(wanted), CHUNK):
+            span = slice(first, first + CHUNK)
+            found[:, span], alike[span] = self._nearest(
+                rule, tree, known, self._copies(surface, places, wanted[span])
+            )
+        if rule.inside:
+            alike &= _sizes(surface.piece, known.texels)[surface.piece[wanted]] >= FEWEST
+        return found, alike
+
+    def _nearest(
+        self, rule: Rule, tree: cKDTree, known: Known, copies: Iterator[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return weighted means of what is nearest to copies of points, and where any is."""
+        count = min(rule.nearest, len(known.texels))
+        total: np.ndarray | float = 0.0
+        weight: np.ndarray | float = 0.0
+        alike: np.ndarray | bool = False
+        for points in copies:
+            distance, found = (x.reshape(-1, count) for x in tree.query(points, count))
+            there = distance[:, 0] < rule.farthest
+            scale = np.maximum(rule.close * distance[:, -1:], 1e-9)
+            near = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * there[:, None]
+            how = known.weights[:, found] * near
+            total = total + (how * known.values[:, found]).sum(axis=2)
+            weight = weight + how.sum(axis=2)
+            alike = alike | there
+        return np.asarray(total / np.maximum(weight, 1e-30)), np.asarray(alike)
+
+    def _places(self, surface: Surface) -> np.ndarray:
+        """Return where every texel is, (T, d), as this likeness looks at it."""
+        axis, points = np.asarray(self.axis), surface.point
         if self.kind == "near":
-            return self.kind
-        times = f" {self.count} times" if self.kind == "repeated" else ""
-        return f"{self.kind}{times} about {'xyz'[int(np.argmax(np.abs(self.axis)))]}"
+            return surface.apart(np.concatenate([points, BEND * surface.normal], axis=1))
+        if self.kind == "level":
+            return (points @ axis)[:, None]
+        if self.kind == "turned":
+            return _around(points, axis, TURN * surface.normal)
+        if self.kind == "turned piece":
+            return surface.apart(_around(points - surface.middle, axis))
+        return points
 
-    def sources(self, points: np.ndarray) -> np.ndarray:
-        """Return where points (n, 3) of a centred object are among those that others are like."""
-        if self.kind != "turned":
-            return points
-        axis = np.asarray(self.axis)
-        along = points @ axis
-        across = np.linalg.norm(points - along[:, None] * axis, axis=1)
-        return np.stack([along, across], axis=1)
-
-    def copies(self, points: np.ndarray) -> Iterator[np.ndarray]:
-        """Yield where the likes of points are looked for, each as ``sources`` has it."""
-        axis = np.asarray(self.axis)
+    def _copies(
+        self, surface: Surface, places: np.ndarray, wanted: np.ndarray
+    ) -> Iterator[np.ndarray]:
+        """Yield where the likes of texels are looked for."""
+        axis, points = np.asarray(self.axis), surface.point[wanted]
         if self.kind == "mirrored":
             yield points - 2 * (points @ axis)[:, None] * axis
         elif self.kind == "repeated":
@@ -67,56 +181,41 @@ class Likeness:
                 turn = Rotation.from_rotvec(2 * np.pi * step / self.count * axis)
                 yield turn.apply(points)
         else:
-            yield self.sources(points)
-
-    def guess(
-        self, points: np.ndarray, known: np.ndarray, values: np.ndarray, weights: np.ndarray,
-        wanted: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        """Guess values of texels from those that are like them.
-
-        Args:
-            points: (T, 3) in units of the object's extent, about its middle.
-            known: (k,) numbers of texels whose values are known.
-            values: (N, T), of which those of known texels count.
-            weights: (N, T), how much.
-            wanted: (w,) numbers of texels.
-
-        Returns:
-            (N, w) values; and (w,) bool, whether anything is alike.
-        """
-        total, weight = (np.zeros((len(values), len(wanted))) for _ in range(2))
-        several = self.kind == "repeated"
-        count = min(FEW if several else NEAREST, len(known))
-        alike = np.full(len(wanted), self.kind == "near" and count > 0)
-        if not count or not len(wanted):
-            return total, alike
-        farthest = FARTHEST_COPY if several else FARTHEST
-        tree = cKDTree(self.sources(points[known]))
-        for places in self.copies(points[wanted]):
-            distance, found = (x.reshape(-1, count) for x in tree.query(places, count))
-            there = alike if self.kind == "near" else distance[:, 0] < farthest
-            scale = np.maximum(CLOSE * distance[:, -1:], 1e-9)
-            nearness = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * there[:, None]
-            how = weights[:, known[found]] * nearness
-            total += (how * values[:, known[found]]).sum(axis=2)
-            weight += how.sum(axis=2)
-            alike = alike | there
-        return total / np.maximum(weight, 1e-30), alike
+            yield places[wanted]
 
 
-# Not what is near: values spread from the border as it is.
+def _around(points: np.ndarray, axis: np.ndarray, normal: np.ndarray | None = None) -> np.ndarray:
+    """Return height and radius of points, and the same two of normals, in columns."""
+    along = points @ axis
+    across = points - along[:, None] * axis
+    radius = np.linalg.norm(across, axis=1)
+    columns = [along, radius]
+    if normal is not None:
+        columns += [normal @ axis, (normal * across).sum(axis=1) / np.maximum(radius, 1e-9)]
+    return np.stack(columns, axis=1)
+
+
+def _sizes(piece: np.ndarray, texels: np.ndarray) -> np.ndarray:
+    """Return how many of some texels are of each piece."""
+    return np.bincount(piece[texels], minlength=int(piece.max()) + 1)
+
+
+def _means_of_pieces(
+    piece: np.ndarray, known: Known, wanted: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    size, owner = _sizes(piece, known.texels), piece[known.texels]
+    means = []
+    for values, weights in zip(known.values, known.weights, strict=True):
+        total = np.bincount(owner, weights * values, len(size))
+        means.append(total / np.maximum(np.bincount(owner, weights, len(size)), 1e-30))
+    return np.array(means)[:, piece[wanted]], size[piece[wanted]] >= FEWEST
+
+
+NEAR = Likeness("near")
+STEPS = (2, 3, 4, 6)  # of patterns: others are hardly ever painted, and cost as much to look for
 LIKENESSES = (
-    *(Likeness(kind, axis) for kind in ("turned", "mirrored")
-      for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))),
-    *(Likeness("repeated", axis, count)
-      for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-      for count in range(2, MOST_COPIES + 1)),
+    Likeness("all"), Likeness("piece"), NEAR,
+    *(Likeness(kind, axis) for kind in ("level", "turned", "turned piece", "mirrored")
+      for axis in AXES),
+    *(Likeness("repeated", axis, count) for axis in AXES for count in STEPS),
 )  # fmt: skip
-
-
-def centred(points: np.ndarray) -> np.ndarray:
-    """Return points (T, 3) about the middle of their bounding box, in units of its diagonal."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    extent = float(np.linalg.norm(high - low)) or 1.0
-    return np.asarray((points - (low + high) / 2) / extent)

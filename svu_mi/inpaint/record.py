@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,6 +12,10 @@ from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.textures import Textures
 
 Source = Literal["photographs", "renders"]
+Weights = Mapping[str, Mapping[str, float]]
+"""How much each likeness counts, by parameter and by title; nothing where spreading stays."""
+BORDER = "border"  # what spreading from it is called
+NAMED = 3  # likenesses that count most, which are named
 
 
 @dataclass(frozen=True)
@@ -58,8 +63,8 @@ class Filled:
         field: the textures, and how sure they are; where they were filled, never surer than before:
             no standard deviation gets smaller before values are clipped to [0, 1].
         filled: (T,) bool, texels that were filled.
-        likeness: title of the guess that each parameter was filled with; ``border`` where none was
-            better than what had spread from the border, which then stays.
+        weights: how much each likeness counts in what a parameter was filled with; none where they
+            were not better than what had spread from the border, which then stays.
         errors: root mean square error of that on hidden parts, by parameter.
         invented: what a model has made of texels (``fill_by_diffusion``), instead of likeness; None
             if none was asked.
@@ -67,9 +72,19 @@ class Filled:
 
     field: TextureField
     filled: np.ndarray
-    likeness: dict[str, str]
+    weights: Weights
     errors: dict[str, float]
     invented: Invented | None = None
+
+    @property
+    def likeness(self) -> dict[str, str]:
+        """By parameter, what counts most: ``turned about y 41 %, ...``, or ``border``."""
+        found = {}
+        for name, weights in self.weights.items():
+            most = sorted(weights.items(), key=lambda one: -one[1])[:NAMED]
+            words = ", ".join(f"{title} {100 * weight:.0f} %" for title, weight in most)
+            found[name] = words or BORDER if self.filled.any() else ""
+        return found
 
     @property
     def textures(self) -> Textures:

@@ -128,7 +128,7 @@ class _Object:
         known = ~start.filled
         parts = hidden_parts(np.array(self.field.texels.normal, np.float64).T, known)
         some = parts[:: max(len(parts) // TRIALS, 1)][:TRIALS]
-        return [_Trial(part, by_likeness(self.field, known & ~part, start.likeness))
+        return [_Trial(part, by_likeness(self.field, known & ~part, start.weights))
                 for part in some]  # fmt: skip
 
     def _answer(
