@@ -16,6 +16,7 @@ from svu_mi.interop import owned
 from svu_mi.recovery.field.field import TextureField
 
 TRIED = 3000  # texels of a part that guesses are compared on
+GUESSED_BY = 2**16  # texels that they are made of there, at most: evenly chosen, of large textures
 POWER = 4  # of the mean squared error, by which likenesses count less
 NEVER = 1.05  # part of the squared error of spreading, on any part, above which it stays
 HARDLY = 1e-5  # precision of the mean of all where nothing is known, in units of their variance
@@ -36,11 +37,13 @@ class Trial:
     @staticmethod
     def of(field: TextureField, surface: Surface, seen: np.ndarray, hidden: np.ndarray) -> Trial:
         known, texels = seen & ~hidden, np.flatnonzero(hidden)
-        some = np.linspace(0, len(texels) - 1, min(TRIED, len(texels))).astype(np.int64)
+        some = _evenly(np.arange(len(texels)), TRIED)
         spreading, texels = spread(field, known, hidden)[:, some], texels[some]
         true = field.values[:, texels]
         every = range(len(LIKENESSES))
-        off = [x - true for _, x in guesses(field, surface, known, texels, every)]
+        few = np.zeros(len(known), bool)
+        few[_evenly(np.flatnonzero(known), GUESSED_BY)] = True
+        off = [x - true for _, x in guesses(field, surface, few, texels, every)]
         return Trial(spreading - true, np.array(off))
 
 
@@ -87,6 +90,11 @@ class Judged:
     def error(self, used: bool) -> float:
         """Return the root mean square error of all parts."""
         return float(np.sqrt(self.squares(used).mean()))
+
+
+def _evenly(numbers: np.ndarray, most: int) -> np.ndarray:
+    """Return so many of some numbers at most, evenly chosen."""
+    return numbers[np.linspace(0, len(numbers) - 1, min(most, len(numbers))).astype(np.int64)]
 
 
 def spread(field: TextureField, known: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -146,7 +146,7 @@ class Likeness:
         weight: np.ndarray | float = 0.0
         alike: np.ndarray | bool = False
         for points in copies:
-            distance, found = (x.reshape(-1, count) for x in tree.query(points, count))
+            distance, found = (x.reshape(-1, count) for x in tree.query(points, count, workers=-1))
             there = distance[:, 0] < rule.farthest
             scale = np.maximum(rule.close * distance[:, -1:], 1e-9)
             near = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * there[:, None]
