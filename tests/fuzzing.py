@@ -130,7 +130,7 @@ class Fuzzer:
             "failures": self.failures,
             "counts": self.counts,
             "slowest": self.slowest,
-            "peak": usage.ru_maxrss * 1024,
+            "peak": _peak(),
             "seconds": usage.ru_utime + usage.ru_stime,
         }
 
@@ -201,6 +201,16 @@ def _tree(folder: Path) -> list[tuple[str, int, int]]:
             status = os.lstat(os.path.join(root, name))
             found.append((f"{root}/{name}", status.st_size, status.st_mtime_ns))
     return found
+
+
+def _peak() -> int:
+    """Return how many bytes this process has had in use at most.
+
+    Not ``ru_maxrss``, which begins with what the process had that started this one.
+    """
+    lines = Path("/proc/self/status").read_text().splitlines()
+    (line,) = (line for line in lines if line.startswith("VmHWM"))
+    return int(line.split()[1]) * 1024
 
 
 def _limit_memory() -> None:

@@ -16,10 +16,10 @@ from helpers import fails, last_line, names, run, sensor_xml, write_scene
 from svu_mi import scenes
 from svu_mi.cli.common import was_interrupted
 from svu_mi.exr import read_exr, write_exr
+from svu_mi.interrupts import between_steps
 from svu_mi.output.textures import read_textures, write_textures
 from svu_mi.parameters import NAMES
 from svu_mi.recovery import descent
-from svu_mi.recovery.interrupts import between_steps
 from svu_mi.recovery.textures import Textures
 
 PICTURES = ["recovery.png", "relit.png"]

@@ -7,12 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 LAYERS = (
-    "errors", "names", "memory", "needs", "limits", "quiet", "_reload", "_llvm", "_workers",
-    "interop", "files", "npz", "exr", "results", "progress", "settings", "parameters", "switches",
-    "options", "capture", "formats", "surface", "light", "visibility", "frequency", "reflection",
-    "statistics", "evidence", "observed", "posterior", "skipping", "estimators", "pipeline",
-    "prediction", "illumination", "guidance", "regularization", "recovery", "inpaint", "reference",
-    "metrics", "checking", "output", "export", "shards", "batch", "bench", "cli",
+    "errors", "names", "memory", "needs", "limits", "quiet", "interrupts", "_reload", "_llvm",
+    "_workers", "interop", "files", "npz", "exr", "results", "progress", "settings",
+    "parameters", "switches", "options", "capture", "formats", "surface", "light", "visibility",
+    "frequency", "reflection", "statistics", "evidence", "observed", "posterior", "skipping",
+    "estimators", "pipeline", "prediction", "illumination", "guidance", "regularization",
+    "recovery", "inpaint", "reference", "metrics", "checking", "output", "export", "shards",
+    "batch", "bench", "cli",
 )  # fmt: skip
 # Built on the stages; only what stands at the very top may use them.
 ABOVE = {"plugins": ("output", "cli"), "scenes": ("output", "bench", "cli")}

@@ -33,6 +33,7 @@ from svu_mi.capture.traced import Pictures
 from svu_mi.capture.unwrap import UNWRAPPED
 from svu_mi.errors import CaptureError, OptionError, SceneError, excerpt
 from svu_mi.exr import read_header, read_pixels, write_exr
+from svu_mi.interrupts import between_steps
 from svu_mi.limits import require_render, require_spp
 from svu_mi.needs import Size, Sizes
 from svu_mi.results.record import RUN
@@ -201,12 +202,14 @@ def _write(
     progress: Callable[[int, int], None] | None,
 ) -> None:  # fmt: skip
     """Render the views that are not there yet, and write them."""
-    for index in range(count):
-        path = folder / _view(index)
-        if not path.exists():
-            write_exr(path, shot(index))
-        if progress is not None:
-            progress(index + 1, count)
+    with between_steps() as stop_if_asked:
+        for index in range(count):
+            path = folder / _view(index)
+            if not path.exists():
+                write_exr(path, shot(index))
+            if progress is not None:
+                progress(index + 1, count)
+            stop_if_asked()
 
 
 def _radiance(scene: Any, sensor: Any, spp: int, seed: int) -> np.ndarray:

@@ -22,9 +22,9 @@ from drjit.opt import Adam
 
 from svu_mi.errors import OptionError, ShapeError, SvuError
 from svu_mi.interop import owned
+from svu_mi.interrupts import between_steps
 from svu_mi.progress import Stage
 from svu_mi.recovery.checkpoint import Checkpoint, State
-from svu_mi.recovery.interrupts import between_steps
 
 if TYPE_CHECKING:
     from svu_mi.recovery.options import DescentOptions

@@ -1,7 +1,8 @@
 """Ctrl-C between steps rather than within them.
 
 Within a custom operation or a recorded loop, Dr.Jit turns a ``KeyboardInterrupt`` into an error
-of its own, and nobody could tell that the user has had enough.
+of its own, and one that is raised while C++ calls Python is lost: nobody could tell that the user
+has had enough.
 """
 
 from __future__ import annotations
