@@ -84,7 +84,7 @@ class Outline:
             corners = [hits[i + k, j + m] for m in (0, 1) for k in (0, 1)]
             near, far = _extremes([distance for distance, _ in corners])
             least, _ = _extremes([slope for _, slope in corners])
-            active &= dr.isfinite(far) & (far - near <= angle * far * (0.5 + least))
+            active &= dr.isfinite(far) & _is_explained(far - near, angle * far, least)
         return active
 
 
@@ -158,10 +158,15 @@ def _is_smooth(hit: tuple[Any, Any], corners: list[Any], angle: Any, pixel: Any)
 
     def explained(steep: Any, corners: list[Any]) -> Any:
         slopes = [dr.gather(mi.Float, slope, corner, steep) for corner in corners]
-        return depth <= reach * (0.5 + _extremes(slopes)[0])
+        return _is_explained(depth, reach, _extremes(slopes)[0])
 
     # Most pixels are nearly level: only the others look their slopes up.
     return on_object & dr.if_stmt((steep, corners), steep, explained, lambda *_: mi.Bool(True))
+
+
+def _is_explained(depth: Any, reach: Any, slope: Any) -> Any:
+    """Return whether corners may differ so much in depth on one surface that is met at a slope."""
+    return depth <= reach * (0.5 + slope)
 
 
 def _extremes(values: list[Any]) -> tuple[Any, Any]:
