@@ -11,6 +11,7 @@ import pytest
 from svu_mi.errors import OptionError
 from svu_mi.output.knowledge import Intervals, Knowledge
 from svu_mi.posterior import ParameterGrid, PrincipledGrid, TabulatedPosterior
+from svu_mi.posterior.intervals import spread
 
 AXES = {"roughness": np.linspace(0, 1, 21), "base_color": np.linspace(0, 1, 21)}
 # Five texels, the last of them unseen: their sides, and ends of their intervals.
@@ -106,6 +107,17 @@ def test_a_sample_stands_for_a_large_surface():
     assert found.seen_part == exact.seen_part == pytest.approx(0.9, abs=1e-3)
     assert found.known_part["roughness"] == pytest.approx(exact.known_part["roughness"], abs=2e-3)
     assert 0.1 < exact.known_part["roughness"] < 0.25
+
+
+@pytest.mark.parametrize("most", [4096, 3000, 7])
+def test_as_many_texels_are_taken_as_asked_for_at_equal_steps(most):
+    for count in (0, 5, most, most + 1, 3003, 16693):
+        taken = spread(np.arange(count), most)
+        assert len(taken) == len(set(taken.tolist())) == min(count, most)
+        if len(taken) > 1:
+            steps = np.diff(taken)
+            assert taken[0] == 0 and steps.max() - steps.min() <= 1
+            assert count - taken[-1] <= -(-count // most)
 
 
 def test_nothing_seen_is_said_and_nothing_computed(posterior):

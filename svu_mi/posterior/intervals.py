@@ -16,10 +16,10 @@ LEVEL = 0.9  # probability that an interval holds, where nobody says another
 ENOUGH = 4096  # texels that say what part of a surface is known
 
 
-def spread(texels: np.ndarray) -> np.ndarray:
-    """Take at most ``ENOUGH`` of texels, at equal steps: neighbours in order are neighbours."""
-    step = max(len(texels) / ENOUGH, 1)
-    return np.asarray(texels[np.arange(0, len(texels), step).astype(np.int64)])
+def spread(texels: np.ndarray, most: int = ENOUGH) -> np.ndarray:
+    """Take at most so many of texels, at equal steps: neighbours in order are neighbours."""
+    count = min(len(texels), most)
+    return np.asarray(texels[np.arange(count) * len(texels) // max(count, 1)])
 
 
 def shortest(masses: Any, parts: Axis, count: int, level: float) -> tuple[Any, Any]:
