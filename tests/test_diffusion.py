@@ -27,8 +27,8 @@ from svu_mi.inpaint.diffusion.loading import PARTS, require_model
 from svu_mi.inpaint.diffusion.options import DiffusionOptions
 from svu_mi.inpaint.diffusion.picture import Picture
 from svu_mi.inpaint.filling import SUREST
+from svu_mi.inpaint.pieces import centred
 from svu_mi.inpaint.record import Filled
-from svu_mi.inpaint.surface import centred
 from svu_mi.output.filled import fill_sentences, write_filled
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field.make import field_around

@@ -13,8 +13,8 @@ from helpers import fails, names, run
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr
 from svu_mi.inpaint.fill import fill
-from svu_mi.inpaint.likeness import FEWEST, RULES, Known, Likeness
-from svu_mi.inpaint.surface import Surface, centred, pieces
+from svu_mi.inpaint.likeness import FEWEST, RULES, Examples, Likeness
+from svu_mi.inpaint.pieces import Pieces, centred, connected
 from svu_mi.output.textures import read_textures
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field.field import TextureField
@@ -26,17 +26,17 @@ from svu_mi.surface.neighbors import neighbors
 Y = (0.0, 1.0, 0.0)
 
 
-def cylinder(columns: int) -> Surface:
+def cylinder(columns: int) -> Pieces:
     """Texels on the side of a cylinder around y: one piece."""
     angle = np.linspace(0, 2 * np.pi, columns, endpoint=False)
     around, up = np.meshgrid(angle, np.linspace(-1, 1, 60))
     normal = np.stack([np.cos(around), 0 * up, np.sin(around)], axis=-1).reshape(-1, 3)
     points = normal + [0, 1, 0] * up.reshape(-1, 1)
-    return Surface(centred(points), normal, np.zeros(len(points), np.int64))
+    return Pieces(centred(points), normal, np.zeros(len(points), np.int64))
 
 
-def known_of(values: np.ndarray, texels: np.ndarray) -> Known:
-    return Known(texels, values[:, texels], np.ones((len(values), len(texels))))
+def known_of(values: np.ndarray, texels: np.ndarray) -> Examples:
+    return Examples(texels, values[:, texels], np.ones((len(values), len(texels))))
 
 
 @pytest.mark.parametrize("likeness", [
@@ -45,12 +45,12 @@ def known_of(values: np.ndarray, texels: np.ndarray) -> Known:
 ])  # fmt: skip
 def test_a_guess_knows_what_is_alike(likeness: Likeness) -> None:
     """Bands around a cylinder: near ones tell little of its far side, a turn or a mirror all."""
-    surface = cylinder(240)
-    x, y, _ = surface.point.T
+    pieces = cylinder(240)
+    x, y, _ = pieces.point.T
     values = np.sin(9 * y)[None] * 0.5 + 0.5
     wanted = np.flatnonzero(x < -0.1)
     known = known_of(values, np.flatnonzero(x > 0))
-    found, alike = likeness.guess(surface, known, wanted)
+    found, alike = likeness.guess(pieces, known, wanted)
     assert found.shape == (1, len(wanted)) and alike.all()
     error = np.abs(found - values[:, wanted])
     assert error.mean() < (0.03 if likeness.kind != "near" else 0.2)
@@ -58,13 +58,13 @@ def test_a_guess_knows_what_is_alike(likeness: Likeness) -> None:
 
 def test_a_pattern_around_an_axis_is_continued() -> None:
     """Three of six petals are known: the others are found, which height and radius cannot tell."""
-    surface = cylinder(360)
-    x, _, z = surface.point.T
+    pieces = cylinder(360)
+    x, _, z = pieces.point.T
     values = (np.sin(6 * np.arctan2(z, x)) > 0)[None].astype(float)
     known, wanted = known_of(values, np.flatnonzero(x > 0.02)), np.flatnonzero(x < -0.02)
     off = {}
     for likeness in (Likeness("turned", Y), Likeness("repeated", Y, 6), Likeness("repeated", Y, 4)):
-        found, alike = likeness.guess(surface, known, wanted)
+        found, alike = likeness.guess(pieces, known, wanted)
         off[likeness.title] = np.abs(found - values[:, wanted])[:, alike].mean()
     assert off["repeated 6 times about y"] < 0.03
     assert min(off["turned about y"], off["repeated 4 times about y"]) > 0.3
@@ -76,39 +76,39 @@ def test_pieces_are_of_one_material() -> None:
     ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     points = np.concatenate([ring - [1.05, 0, 0], ring + [1.05, 0, 0]])
     piece = np.repeat([0, 1], 60)
-    surface = Surface(centred(points), np.concatenate([ring, ring]), piece)
+    pieces = Pieces(centred(points), np.concatenate([ring, ring]), piece)
     values = np.array([0.2, 0.9])[piece][None]
     hidden = np.concatenate([np.cos(angle) > 0.2, np.cos(angle) < -0.8])
     known, wanted = known_of(values, np.flatnonzero(~hidden)), np.flatnonzero(hidden)
     for likeness in (Likeness("piece"), Likeness("near"), Likeness("turned piece", Y)):
-        found, alike = likeness.guess(surface, known, wanted)
+        found, alike = likeness.guess(pieces, known, wanted)
         assert alike.all(), likeness
         np.testing.assert_allclose(found, values[:, wanted], atol=1e-9, err_msg=likeness.title)
     middle = centred(points)[piece == 1].mean(axis=0)
-    np.testing.assert_allclose(surface.middle[60:], np.tile(middle, (60, 1)), atol=1e-12)
+    np.testing.assert_allclose(pieces.middle[60:], np.tile(middle, (60, 1)), atol=1e-12)
 
 
 def test_a_piece_of_which_too_little_is_known_is_like_nothing() -> None:
-    surface = replace(cylinder(20), piece=np.repeat([0, 1], 600))
+    pieces = replace(cylinder(20), piece=np.repeat([0, 1], 600))
     values = np.full((1, 1200), 0.4)
     some = known_of(values, np.concatenate([np.arange(100), 600 + np.arange(FEWEST - 1)]))
     for kind in ("piece", "near", "turned piece"):
-        _, alike = Likeness(kind).guess(surface, some, np.array([200, 700]))
+        _, alike = Likeness(kind).guess(pieces, some, np.array([200, 700]))
         assert alike.tolist() == [True, False], kind
 
 
 def test_texels_that_are_neighbours_are_of_one_piece() -> None:
     around = [np.array([1, 0, 3, 2, 4]), np.array([0, 1, 2, 3, 4])]
-    found = pieces(around)
+    found = connected(around)
     assert found[0] == found[1] and found[2] == found[3] and len(set(found.tolist())) == 3
 
 
 def test_nothing_is_alike_where_nothing_is_near() -> None:
     far = 3 * RULES["mirrored"].farthest
     points = np.array([[0.5, 0, 0], [0.51, 0, 0], [-0.5, far, 0]], float)
-    surface = Surface(points, np.zeros((3, 3)), np.zeros(3, np.int64))
+    pieces = Pieces(points, np.zeros((3, 3)), np.zeros(3, np.int64))
     known = known_of(np.ones((1, 3)), np.array([0, 1]))
-    found, alike = Likeness("mirrored", (1.0, 0.0, 0.0)).guess(surface, known, np.array([2]))
+    found, alike = Likeness("mirrored", (1.0, 0.0, 0.0)).guess(pieces, known, np.array([2]))
     assert not alike.any() and np.isfinite(found).all()
 
 

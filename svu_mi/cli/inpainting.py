@@ -35,10 +35,10 @@ Weights = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 class Inpaint(WithPictures, FromPhotographs):
     """Fill texels of recovered textures that no photograph shows, by what they are like.
 
-    Near them, around an axis, or on the other side of a mirror: which of these the object is like
-    is found out by hiding parts of it that were seen. With --model, a diffusion model invents
-    them. Writes textures, recovered.xml, uncertainty.exr, filled.exr (1 where a texel was filled),
-    filled.png and run.json.
+    In their piece of the object, as high, around an axis, or on the other side of a mirror: how
+    much each of these says is found out by hiding parts that were seen. With --model, a diffusion
+    model invents them. Writes textures, recovered.xml, uncertainty.exr, filled.exr (1 where a texel
+    was filled), filled.png and run.json.
     """
 
     work = "recover"

@@ -20,8 +20,8 @@ from svu_mi.inpaint.filling import Filling
 from svu_mi.inpaint.hiding import hidden_parts
 from svu_mi.inpaint.judging import Judged, Trial, spread
 from svu_mi.inpaint.mixing import mixed
+from svu_mi.inpaint.pieces import Pieces
 from svu_mi.inpaint.record import Filled, Weights
-from svu_mi.inpaint.surface import Surface
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.field.field import TextureField
 
@@ -44,18 +44,18 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
     seen = shown & (width <= above).all(axis=0)
     if seen.any() and seen.all():
         return Filled(field, ~seen, {name: {} for name in NAMES}, {name: 0.0 for name in NAMES})
-    surface = Surface.of(field.texels, field.smoother.around)
-    parts = hidden_parts(surface.normal, seen) if seen.any() else []
+    pieces = Pieces.of(field.texels, field.smoother.around)
+    parts = hidden_parts(pieces.normal, seen) if seen.any() else []
     if not parts:
         raise CaptureError(
             "fill(): no texel is seen surely enough to fill others by; allow more (above=).",
             shell="No texel is seen surely enough to fill others by; give a larger --above.",
         )
-    trials = [Trial.of(field, surface, seen, hidden) for hidden in parts]
+    trials = [Trial.of(field, pieces, seen, hidden) for hidden in parts]
     judged = {name: Judged.of(trials, field.rows(name)) for name in NAMES}
     alike = judged[DECIDES].never_worse
     weights = {name: each.weights if alike and each.better else {} for name, each in judged.items()}
-    guess = mixed(field, surface, seen, ~seen, weights)
+    guess = mixed(field, pieces, seen, ~seen, weights)
     filling, errors = Filling(field, shown), {}
     # Nothing says that what nobody saw is less unlike the rest than that is unlike itself.
     unlike = field.values[:, seen].var(axis=1, keepdims=True)
@@ -81,9 +81,10 @@ def by_likeness(field: TextureField, known: np.ndarray, weights: Weights) -> np.
     Returns:
         (N, T).
     """
-    surface = Surface.of(field.texels, field.smoother.around)
-    values, found = field.values.copy(), mixed(field, surface, known, ~known, weights)
-    values[:, ~known] = spread(field, known, ~known)
+    pieces = Pieces.of(field.texels, field.smoother.around)
+    values, found = field.values.copy(), mixed(field, pieces, known, ~known, weights)
+    if not all(weights.values()):
+        values[:, ~known] = spread(field, known, ~known)
     for name, used in weights.items():
         if used:
             rows = field.rows(name)

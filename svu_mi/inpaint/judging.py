@@ -11,8 +11,9 @@ import numpy as np
 from svu_mi.inpaint.filling import SUREST
 from svu_mi.inpaint.likeness import LIKENESSES
 from svu_mi.inpaint.mixing import guesses
-from svu_mi.inpaint.surface import Surface
+from svu_mi.inpaint.pieces import Pieces
 from svu_mi.interop import owned
+from svu_mi.posterior import intervals
 from svu_mi.recovery.field.field import TextureField
 
 TRIED = 3000  # texels of a part that guesses are compared on
@@ -35,15 +36,15 @@ class Trial:
     guesses: np.ndarray
 
     @staticmethod
-    def of(field: TextureField, surface: Surface, seen: np.ndarray, hidden: np.ndarray) -> Trial:
+    def of(field: TextureField, pieces: Pieces, seen: np.ndarray, hidden: np.ndarray) -> Trial:
         known, texels = seen & ~hidden, np.flatnonzero(hidden)
-        some = _evenly(np.arange(len(texels)), TRIED)
+        some = intervals.spread(np.arange(len(texels)), TRIED)
         spreading, texels = spread(field, known, hidden)[:, some], texels[some]
         true = field.values[:, texels]
         every = range(len(LIKENESSES))
         few = np.zeros(len(known), bool)
-        few[_evenly(np.flatnonzero(known), GUESSED_BY)] = True
-        off = [x - true for _, x in guesses(field, surface, few, texels, every)]
+        few[intervals.spread(np.flatnonzero(known), GUESSED_BY)] = True
+        off = [x - true for _, x in guesses(field, pieces, few, texels, every)]
         return Trial(spreading - true, np.array(off))
 
 
@@ -90,11 +91,6 @@ class Judged:
     def error(self, used: bool) -> float:
         """Return the root mean square error of all parts."""
         return float(np.sqrt(self.squares(used).mean()))
-
-
-def _evenly(numbers: np.ndarray, most: int) -> np.ndarray:
-    """Return so many of some numbers at most, evenly chosen."""
-    return numbers[np.linspace(0, len(numbers) - 1, min(most, len(numbers))).astype(np.int64)]
 
 
 def spread(field: TextureField, known: np.ndarray, wanted: np.ndarray) -> np.ndarray:

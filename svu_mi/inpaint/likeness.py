@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from svu_mi.inpaint.surface import Surface
+from svu_mi.inpaint.pieces import Pieces
 
 Kind = Literal[
     "all", "piece", "near", "level", "turned", "turned piece", "mirrored", "repeated"
@@ -58,7 +58,7 @@ RULES: dict[Kind, Rule] = {
 
 
 @dataclass(frozen=True)
-class Known:
+class Examples:
     """Texels that others are guessed by.
 
     Attributes:
@@ -108,12 +108,12 @@ class Likeness:
         return f"{first} {'xyz'[int(np.argmax(np.abs(self.axis)))]}"
 
     def guess(
-        self, surface: Surface, known: Known, wanted: np.ndarray
+        self, pieces: Pieces, known: Examples, wanted: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Guess values of texels from those that are like them.
 
         Args:
-            surface: all texels.
+            pieces: all texels.
             known: those whose values are known.
             wanted: (w,) numbers of texels.
 
@@ -123,22 +123,22 @@ class Likeness:
         if self.kind == "all":
             return np.repeat(known.mean, len(wanted), axis=1), np.ones(len(wanted), bool)
         if self.kind == "piece":
-            return _means_of_pieces(surface.piece, known, wanted)
+            return _means_of_pieces(pieces.piece, known, wanted)
         found = np.zeros((len(known.values), len(wanted)))
         alike = np.zeros(len(wanted), bool)
-        rule, places = RULES[self.kind], self._places(surface)
+        rule, places = RULES[self.kind], self._places(pieces)
         tree = cKDTree(places[known.texels])
         for first in range(0, len(wanted), CHUNK):
             span = slice(first, first + CHUNK)
             found[:, span], alike[span] = self._nearest(
-                rule, tree, known, self._copies(surface, places, wanted[span])
+                rule, tree, known, self._copies(pieces, places, wanted[span])
             )
         if rule.inside:
-            alike &= _sizes(surface.piece, known.texels)[surface.piece[wanted]] >= FEWEST
+            alike &= _sizes(pieces.piece, known.texels)[pieces.piece[wanted]] >= FEWEST
         return found, alike
 
     def _nearest(
-        self, rule: Rule, tree: cKDTree, known: Known, copies: Iterator[np.ndarray]
+        self, rule: Rule, tree: cKDTree, known: Examples, copies: Iterator[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return weighted means of what is nearest to copies of points, and where any is."""
         count = min(rule.nearest, len(known.texels))
@@ -156,24 +156,24 @@ class Likeness:
             alike = alike | there
         return np.asarray(total / np.maximum(weight, 1e-30)), np.asarray(alike)
 
-    def _places(self, surface: Surface) -> np.ndarray:
+    def _places(self, pieces: Pieces) -> np.ndarray:
         """Return where every texel is, (T, d), as this likeness looks at it."""
-        axis, points = np.asarray(self.axis), surface.point
+        axis, points = np.asarray(self.axis), pieces.point
         if self.kind == "near":
-            return surface.apart(np.concatenate([points, BEND * surface.normal], axis=1))
+            return pieces.apart(np.concatenate([points, BEND * pieces.normal], axis=1))
         if self.kind == "level":
             return (points @ axis)[:, None]
         if self.kind == "turned":
-            return _around(points, axis, TURN * surface.normal)
+            return _around(points, axis, TURN * pieces.normal)
         if self.kind == "turned piece":
-            return surface.apart(_around(points - surface.middle, axis))
+            return pieces.apart(_around(points - pieces.middle, axis))
         return points
 
     def _copies(
-        self, surface: Surface, places: np.ndarray, wanted: np.ndarray
+        self, pieces: Pieces, places: np.ndarray, wanted: np.ndarray
     ) -> Iterator[np.ndarray]:
         """Yield where the likes of texels are looked for."""
-        axis, points = np.asarray(self.axis), surface.point[wanted]
+        axis, points = np.asarray(self.axis), pieces.point[wanted]
         if self.kind == "mirrored":
             yield points - 2 * (points @ axis)[:, None] * axis
         elif self.kind == "repeated":
@@ -201,7 +201,7 @@ def _sizes(piece: np.ndarray, texels: np.ndarray) -> np.ndarray:
 
 
 def _means_of_pieces(
-    piece: np.ndarray, known: Known, wanted: np.ndarray
+    piece: np.ndarray, known: Examples, wanted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     size, owner = _sizes(piece, known.texels), piece[known.texels]
     means = []

@@ -79,7 +79,7 @@ class Asking:
             picture = self._shots.picture(place, values, known, paths)
             options = self._options
             maps = self._model.invent(picture, options.steps, options.free, noise, self._step)
-            found, seen = self._shots.carried(place, maps)
+            found, seen = self._shots.carried(picture.sensor, maps)
             new = task.wanted & seen & ~reached
             for name, of_texels in found.items():
                 values[field.rows(name), new] = of_texels[:, new]

@@ -118,18 +118,18 @@ class Shots:
         )  # fmt: skip
 
     def carried(
-        self, place: int, maps: Mapping[str, np.ndarray]
+        self, sensor: Any, maps: Mapping[str, np.ndarray]
     ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Return what maps of a place say of texels.
+        """Return what maps of a picture say of texels.
 
         Args:
-            place: its number.
+            sensor: that of the picture.
             maps: as ``Picture.maps`` has them.
 
         Returns:
             By parameter (C, T) values; and (T,) bool, the texels that the view shows well.
         """
-        surface, views = Surface.of(self.field.texels), self._packed(self._frame(place).sensor)
+        surface, views = Surface.of(self.field.texels), self._packed(sensor)
         seen = _shown(views, surface, 0)
         found = {}
         for name, image in maps.items():

@@ -17,7 +17,7 @@ APART = 1e3  # distance between pieces that are not to be mixed up, in extents o
 
 
 @dataclass(frozen=True)
-class Surface:
+class Pieces:
     """T texels of an object.
 
     Attributes:
@@ -31,10 +31,10 @@ class Surface:
     piece: np.ndarray
 
     @staticmethod
-    def of(texels: Texels, around: Sequence[Any]) -> Surface:
+    def of(texels: Texels, around: Sequence[Any]) -> Pieces:
         """Take texels and their neighbours (``Neighbors.around``)."""
         position, normal = (np.array(x, np.float64).T for x in (texels.position, texels.normal))
-        return Surface(centred(position), normal, pieces(around))
+        return Pieces(centred(position), normal, connected(around))
 
     @cached_property
     def middle(self) -> np.ndarray:
@@ -49,7 +49,7 @@ class Surface:
         return np.concatenate([places, APART * self.piece[:, None]], axis=1)
 
 
-def pieces(around: Sequence[Any]) -> np.ndarray:
+def connected(around: Sequence[Any]) -> np.ndarray:
     """Return the connected piece of every texel, (T,) int64, given columns of neighbours."""
     columns = [np.array(column, np.int64) for column in around]
     count = len(columns[0])
