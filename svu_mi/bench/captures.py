@@ -7,8 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from svu_mi.bench.cells import Cell
 from svu_mi.bench.sizes import Sizes
 from svu_mi.bench.store import Store, key_of
@@ -16,6 +14,7 @@ from svu_mi.capture import Capture, load_capture, render_capture
 from svu_mi.capture import folder as capture_folder
 from svu_mi.progress import Progress
 from svu_mi.results.record import digest_of, is_as_written
+from svu_mi.spacing import evenly_spaced
 
 MARK = "bench"  # bench.json in the capture's folder: the key it was rendered under
 
@@ -61,9 +60,7 @@ def contents(cell: Cell) -> list[tuple[str, str]]:
 
 def some_views(capture: Capture, count: int) -> Capture:
     """Return the capture with ``count`` of its views, evenly spread over their order."""
-    return chosen_views(
-        capture, np.unique(np.linspace(0, capture.count - 1, count).round().astype(int))
-    )
+    return chosen_views(capture, evenly_spaced(capture.count, count))
 
 
 def chosen_views(capture: Capture, indices: Iterable[int]) -> Capture:

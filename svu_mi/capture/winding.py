@@ -16,6 +16,7 @@ import numpy as np
 from svu_mi.capture.mesh import MeshArrays, arrays, faces_at
 from svu_mi.capture.scene import is_closed, to_world
 from svu_mi.interop import owned
+from svu_mi.spacing import evenly_spaced
 
 MOST = 0.6  # of what is seen, from which the front is wrong; a plate seen from both sides has .5
 POINTS, EYES = 400, 32  # that are looked at, and from
@@ -73,7 +74,7 @@ def part_from_behind(scene: Any, mesh: MeshArrays, eyes: Sequence[np.ndarray]) -
     if mesh.normals is not None:
         pointing = mesh.normals[mesh.faces[face]].sum(axis=1)
         normal *= np.where(np.einsum("ni,ni->n", normal, pointing) < 0, -1, 1)[:, None]
-    chosen = np.linspace(0, len(eyes) - 1, min(EYES, len(eyes))).round().astype(int)
+    chosen = evenly_spaced(len(eyes), EYES)
     toward = np.array(eyes, np.float64)[chosen][:, None] - point
     distance = np.linalg.norm(toward, axis=2)
     direction = toward / np.maximum(distance, 1e-300)[..., None]

@@ -15,6 +15,7 @@ from svu_mi.errors import CaptureError
 from svu_mi.formats.resampling import squared
 from svu_mi.formats.source import frame_of
 from svu_mi.interop import owned
+from svu_mi.spacing import evenly_spaced
 from svu_mi.visibility.views import CAMERA_FLOATS, Views, pack_views
 
 POSE = slice(8, 20)  # where ``ray_floats`` keeps three rows of to_world
@@ -122,13 +123,8 @@ def reduced(capture: Capture, side: int) -> Capture:
 def some(capture: Capture, most: int) -> Capture:
     """Return the capture with at most so many of its photographs in use, evenly spread."""
     used = np.flatnonzero(capture.used)
-    chosen = used[evenly(len(used), most)]
+    chosen = used[evenly_spaced(len(used), most)]
     return replace(capture, used=tuple(index in chosen for index in range(capture.count)))
-
-
-def evenly(count: int, most: int) -> list[int]:
-    """Return at most so many of ``count`` indices, evenly spread."""
-    return sorted({int(i) for i in np.linspace(0, count - 1, min(count, most)).round()})
 
 
 def _mean(values: np.ndarray, block: int) -> np.ndarray:

@@ -26,6 +26,7 @@ from svu_mi.posterior import streaming
 from svu_mi.posterior.calibrated import CalibratedPosterior, prior_tables
 from svu_mi.posterior.nodes import cell_widths
 from svu_mi.posterior.problem import Problem
+from svu_mi.spacing import evenly_spaced
 
 ROUNDS = 2  # more of them drift where all texels err alike; chosen on our own scenes
 SHARPNESS = 1.3
@@ -49,7 +50,7 @@ def shared(posterior: CalibratedPosterior, rounds: int = ROUNDS) -> CalibratedPo
     seen = np.flatnonzero(np.array(problem.factors.views))
     if posterior.learned or len(seen) == 0:
         return posterior
-    chosen = seen[np.linspace(0, len(seen) - 1, min(SAMPLE, len(seen))).round().astype(np.int64)]
+    chosen = seen[evenly_spaced(len(seen), SAMPLE)]
     sample, everyone = problem.some(chosen), np.arange(len(chosen))
     alone = prior_tables(problem)
     learned = _mixed(kernel.tables(sample, everyone).mean(axis=0, dtype=float), alone)

@@ -22,6 +22,7 @@ from svu_mi.output.surface_maps import SurfaceMap
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.textures import Textures
+from svu_mi.spacing import evenly_spaced
 
 SHOWN = 60  # photographs in a report; of more, every other, or fewer
 FIRST = 12  # of them that are shown without asking
@@ -75,9 +76,7 @@ def thumbnails(capture: Capture, estimate: Estimate) -> tuple[list[Thumbnail], l
 
 def spread(views_: Sequence[int], most: int) -> list[int]:
     """Return at most so many of some views, evenly through their order, the first and the last."""
-    if len(views_) <= most:
-        return list(views_)
-    return [views_[k] for k in np.linspace(0, len(views_) - 1, most).round().astype(int)]
+    return [views_[k] for k in evenly_spaced(len(views_), most)]
 
 
 def _small(capture: Capture, view: int) -> np.ndarray:
