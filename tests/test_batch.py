@@ -149,6 +149,34 @@ def test_a_command_that_is_killed_is_tried_again_one_that_fails_is_not(shelf_of,
     assert outcome.sentence == "entropy: went wrong" and not Done.read(outcome.folder).steps
 
 
+def test_a_command_that_left_a_checkpoint_goes_on_from_it(shelf_of, tmp_path):
+    item = Item("a", shelf_of("a") / "a")
+    shelf = Shelf(output=tmp_path / "out", steps=["recover"], words=("-t", "2"))
+    left = shelf.output / "a" / "recovered" / "checkpoint.npz"
+
+    class Killed(Made):
+        def run(self, words):
+            left.parent.mkdir(parents=True, exist_ok=True)
+            left.touch()
+            return super().run(words)
+
+    killed = Killed([-9] * 3)
+    assert shelf.work(item, killed).sentence
+    assert ["--resume" in line for line in killed.lines] == [False, True, True]
+    again = Made()
+    assert shelf.work(item, again).made == 1 and again.lines[0][-1] == "--resume"
+
+    # What is left of other inputs, or of nobody knows what, would be refused.
+    shelf.work(item, Killed([-9] * 3))
+    os.utime(item.capture / "view_0002.exr")
+    other = Made()
+    assert shelf.work(item, other).made == 1 and "--resume" not in other.lines[0]
+    assert not left.exists()
+    (left.parent / "run.json").unlink()
+    left.touch()
+    assert shelf.work(item, Made()).made == 1 and not left.exists()
+
+
 # --- whole runs -------------------------------------------------------------------------------
 
 

@@ -19,36 +19,50 @@ class Done:
     Attributes:
         folder: of its results.
         steps: what ``batch.json`` says of them.
+        begun: keys of those that were begun and did not get done.
     """
 
     folder: Path
     steps: dict[str, dict[str, Any]] = field(default_factory=dict)
+    begun: dict[str, str] = field(default_factory=dict)
 
     @staticmethod
     def read(folder: Path) -> Done:
         """Read what earlier runs have done; nothing, where the file is missing or damaged."""
         try:
-            found = read_json(folder / FILE)["steps"]
-            return Done(folder, {name: dict(found[name]) for name in found})
-        except (OSError, SvuError, ValueError, TypeError, KeyError):
+            found = read_json(folder / FILE)
+            steps = {name: dict(step) for name, step in found["steps"].items()}
+            return Done(folder, steps, dict(found.get("begun", {})))
+        except (OSError, SvuError, ValueError, TypeError, KeyError, AttributeError):
             return Done(folder)
 
     def has(self, name: str, key: str, proof: Path) -> bool:
         """Return whether a step is done, of the same inputs."""
         return self.steps.get(name, {}).get("key") == key and proof.is_file()
 
-    def forget(self, name: str) -> None:
-        """Take a step out, before it is done again."""
-        if self.steps.pop(name, None) is not None:
-            self._write()
+    def begin(self, name: str, key: str, unfinished: Path | None) -> None:
+        """Take a step out, before it is done again.
+
+        Args:
+            name: of the step.
+            key: of its inputs.
+            unfinished: what an interrupted command leaves to go on from. Of other inputs, or of
+                nobody knows what, it is removed: no command would go on from it.
+        """
+        if unfinished is not None and self.begun.get(name) != key:
+            unfinished.unlink(missing_ok=True)
+        self.steps.pop(name, None)
+        self.begun[name] = key
+        self._write()
 
     def add(self, name: str, key: str, seconds: float, peak: int) -> None:
         """Keep that a step is done."""
+        self.begun.pop(name, None)
         self.steps[name] = {"key": key, "seconds": round(seconds, 2), "peak_bytes": peak}
         self._write()
 
     def _write(self) -> None:
-        write_json(self.folder / FILE, {"steps": self.steps})
+        write_json(self.folder / FILE, {"steps": self.steps, "begun": self.begun})
 
 
 @dataclass(frozen=True)

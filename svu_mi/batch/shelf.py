@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -82,9 +82,10 @@ class Shelf:
             words = words_of(step, item, folder, self.steps)
             key = key_of(words, item, key)
             if not done.has(name, key, folder / step.proof):
-                done.forget(name)
+                left = step.left_in(folder)
+                done.begin(name, key, left)
                 start = time.perf_counter()
-                ended = _tried(lambda: processes.run([*words, *self.words]))  # noqa: B023
+                ended = _tried(processes, [*words, *self.words], left)
                 if ended.status:
                     said = ended.said or f"ended with status {ended.status}"
                     outcome = replace(outcome, sentence=f"{step.command}: {said}")
@@ -99,16 +100,14 @@ class Shelf:
         )  # fmt: skip
 
 
-def _tried(run: Callable[[], Ended]) -> Ended:
-    """Run a command again, if somebody else has killed it."""
-    for _ in range(TRIES - 1):
-        ended = run()
+def _tried(processes: Processes, words: Sequence[str], left: Path | None) -> Ended:
+    """Run a command again, if somebody else has killed it, from what it left unfinished."""
+    for _ in range(TRIES):
+        resumes = left is not None and left.is_file()
+        ended = processes.run([*words, "--resume"] if resumes else words)
         if ended.status >= 0:
             return ended
-    ended = run()
-    if ended.status < 0:
-        return ended._replace(said=f"was killed {TRIES} times (signal {-ended.status})")
-    return ended
+    return ended._replace(said=f"was killed {TRIES} times (signal {-ended.status})")
 
 
 class Processes:

@@ -22,12 +22,20 @@ class Step:
         output: file or folder that it writes, in the folder of the capture's results.
         proof: file that is there when it is done.
         options: those of ``OPTIONS`` that it takes.
+        unfinished: file that it leaves when it is killed, and goes on from with ``--resume``; empty
+            if it begins again.
     """
 
     command: str
     output: str
     proof: str
     options: tuple[str, ...] = ()
+    unfinished: str = ""
+
+    def left_in(self, folder: Path) -> Path | None:
+        """Return where the folder of a capture's results has what was left unfinished, if this
+        command leaves anything."""
+        return folder / self.unfinished if self.unfinished else None
 
 
 STEPS = {
@@ -35,6 +43,7 @@ STEPS = {
     "recover": Step(
         "recover", "recovered", "recovered/run.json",
         tuple(name for name in OPTIONS if name != "preset"),
+        unfinished="recovered/checkpoint.npz",
     ),
     "report": Step(
         "report", "report.html", "report.html",
