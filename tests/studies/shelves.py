@@ -70,7 +70,8 @@ class Shelves:
             start = time.perf_counter()
             said = work(output)
             seconds = time.perf_counter() - start
-            same = "" if folder == "one" else _compared(self.output / "one", output)
+            files, differ = _compared(self.output / "one", output)
+            same = "" if folder == "one" else f"{files} files, {differ} differ"
             rows.append([name, f"{seconds:.0f} s", said, same])
             say(console, ", ".join(rows[-1]))
             return seconds
@@ -131,18 +132,25 @@ class Shelves:
         return f"{killed} killed, then status {status}"
 
     def _interrupted(self, shelf: Path, output: Path, chance: random.Random) -> str:
-        """End the command itself, in turns by Ctrl-C and at once, and type it again."""
-        ended = 0
-        for number in range(self.interruptions):
+        """End the command itself, in turns by Ctrl-C and at once, and type it again; from nothing
+        where it got through before that."""
+        ended, whole = 0, 0
+        while ended < self.interruptions:
             process = _started(self._words(shelf, output, 2))
             try:
-                process.wait(chance.uniform(0.3, 12))
+                _require(process.wait(chance.uniform(0.3, 12)), "batch")
             except subprocess.TimeoutExpired:
-                process.send_signal(signal.SIGINT if number % 2 else signal.SIGKILL)
+                process.send_signal(signal.SIGINT if ended % 2 else signal.SIGKILL)
                 process.wait()
                 ended += 1
+            else:
+                whole += 1
+                files, differ = _compared(self.output / "one", output)
+                if differ:
+                    return f"batch {whole}: {differ} of {files} files differ"
+                shutil.rmtree(output)
         _require(_started(self._words(shelf, output, 2)).wait(), "batch")
-        return f"{ended} of {self.interruptions} in time"
+        return f"{ended} times, of {whole + 1} batches"
 
     def _memory(self, shelf: Path, output: Path) -> str:
         """Watch the batch itself, and its largest worker, over many captures."""
@@ -203,10 +211,10 @@ def _maps(folder: Path) -> dict[str, bytes]:
     return found
 
 
-def _compared(wanted: Path, found: Path) -> str:
+def _compared(wanted: Path, found: Path) -> tuple[int, int]:
+    """Return the number of maps, and of those that differ or are missing on one side."""
     ours, theirs = _maps(wanted), _maps(found)
-    differ = sum(ours.get(name) != theirs.get(name) for name in {*ours, *theirs})
-    return f"{len(ours)} files, {differ} differ"
+    return len(ours), sum(ours.get(name) != theirs.get(name) for name in {*ours, *theirs})
 
 
 if __name__ == "__main__":
