@@ -37,7 +37,7 @@ def text_of(output) -> str:
 
 
 def test_there_is_a_notebook():
-    names = ["conventions", "entropy", "guidance", "import", "light", "recovery"]
+    names = ["conventions", "entropy", "guidance", "import", "light", "recovery", "uncertainty"]
     assert [path.stem for path in NOTEBOOKS] == names
 
 
