@@ -180,6 +180,7 @@ def test_a_command_that_left_a_checkpoint_goes_on_from_it(shelf_of, tmp_path):
 # --- whole runs -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_corrupt_capture_is_a_row(shelf_of, tmp_path, capsys):
     folder = shelf_of("bad", "good")
     (folder / "bad" / "view_0003.exr").write_bytes(b"no picture")

@@ -453,6 +453,7 @@ def test_poses_and_texture_are_checked_without_a_light(capture):
     assert same(svu.check(case.made(dark)).fixes, case.fixes)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default::svu_mi.errors.SvuWarning")
 def test_the_command_checks_a_scene_without_a_light(knot, tmp_path, capsys, browser):
     folder, out = tmp_path / "capture", tmp_path / "out"
@@ -571,6 +572,7 @@ def test_rates_are_counted_by_what_was_said():
     assert outcome([silent], Case(("camera-z180",))) == "silent"
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::svu_mi.SvuWarning")
 def test_an_import_from_colmap_is_mended_by_what_the_check_says(knot, tmp_path):
     wrong = Case(("camera-x180",)).made(knot)  # as the tool has it

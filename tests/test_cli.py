@@ -318,7 +318,7 @@ def help_of(command, width, monkeypatch, capsys):
     return capsys.readouterr().out
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)], ids=str)
 def test_help_can_be_read_in_a_narrow_window(command, monkeypatch, capsys):
     """No line is longer than the window, none ends inside a word, and no type is spelt out."""

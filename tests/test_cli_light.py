@@ -81,6 +81,7 @@ def record(folder: Path, name: str = "run.json") -> dict:
     return json.loads((folder / name).read_text())
 
 
+@pytest.mark.slow
 def test_light_is_found_and_compared_with_that_of_the_capture(around, tmp_path, capsys):
     assert run("light", around, *SMALL, "-o", tmp_path / "a") == 0
     said = capsys.readouterr().out
@@ -155,6 +156,7 @@ def test_it_is_found_once_and_reused(dark, tmp_path, capsys, made_up):
     assert first["written"]["capture"] == second["written"]["capture"]
 
 
+@pytest.mark.slow
 def test_it_is_found_again_in_other_photographs(dark, made_up):
     first, said = lit(dark)
     assert "The light is kept in " in said
@@ -178,6 +180,7 @@ def test_a_broken_one_is_said_and_found_again(dark, made_up):
     assert len(made_up) == 2 and svu.load_light(dark / "light").texels == 99
 
 
+@pytest.mark.slow
 def test_it_is_kept_beside_the_results_where_the_capture_is_read_only(dark, tmp_path, made_up):
     (dark / "light").write_text("in the way")
     place = tmp_path / "out" / "light"

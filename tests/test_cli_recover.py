@@ -281,6 +281,7 @@ def test_textures_of_another_size_name_the_option(shot, tmp_path, capsys):
     assert "--resolution 9 8" in fails(capsys, *words)
 
 
+@pytest.mark.slow
 def test_draws_are_written_and_a_picture_says_how_sure_it_is(shot, tmp_path, capsys):
     textures, out = tmp_path / "textures", tmp_path / "relit"
     assert recover(shot, textures, "--draws", 3) == 0

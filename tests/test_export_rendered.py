@@ -203,6 +203,7 @@ def seen_by_mitsuba(rendered, sensor, shape):
     return srgb(np.clip(np.array(mi.render(scene, sensor=sensor, spp=SPP)), 0, 1))
 
 
+@pytest.mark.slow
 def test_a_browser_shows_the_textures_the_right_way_round(rendered, webgl, tmp_path):
     sensor = large(rendered.capture.sensors[1])  # sees the letter
     found, shown = show(webgl, tmp_path, rendered.asset / "asset.glb", sensor, "color")
@@ -227,6 +228,7 @@ def test_a_browser_shades_as_mitsuba_does(rendered, webgl, tmp_path):
     assert psnr(shown, picture) > 25
 
 
+@pytest.mark.slow
 def test_a_browser_shows_entropy_without_light(rendered, webgl, tmp_path):
     sensor = large(rendered.capture.sensors[0])
     found, shown = show(webgl, tmp_path, rendered.asset / "entropy.glb", sensor, "as it is")

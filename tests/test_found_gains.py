@@ -172,6 +172,7 @@ def observed(vase):
 OPTIONS = svu.LightOptions(texels=300)
 
 
+@pytest.mark.slow
 def test_gains_are_found_under_a_known_light(observed):
     true = random_gains(24)
     found = estimate_gains(multiplied(observed.capture, true), observed.texels, OPTIONS)

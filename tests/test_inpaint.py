@@ -208,6 +208,7 @@ def test_what_is_hardly_known_counts_as_much_as_it_is_sure(vase: SimpleNamespace
     assert (found.field.width >= field.width - 1e-6).all()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("variant")
 def test_the_command_fills_and_others_take_the_result(shot, tmp_path, capsys):
     textures, out = tmp_path / "textures", tmp_path / "filled"

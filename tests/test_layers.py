@@ -8,7 +8,7 @@ from pathlib import Path
 
 LAYERS = (
     "errors", "names", "memory", "needs", "limits", "quiet", "interrupts", "_reload", "_llvm",
-    "_workers", "interop", "files", "npz", "exr", "results", "progress", "settings",
+    "_workers", "interop", "files", "npz", "exr", "results", "progress", "settings", "spacing",
     "parameters", "switches", "options", "capture", "formats", "surface", "light", "visibility",
     "frequency", "reflection", "statistics", "evidence", "observed", "posterior", "skipping",
     "estimators", "pipeline", "prediction", "illumination", "guidance", "regularization",

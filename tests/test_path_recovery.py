@@ -351,6 +351,7 @@ def test_paths_without_halves_are_left_to_mitsuba(capture, grid):
         PathGradient(target, mi.load_dict({"type": "prb"}), LOSSES["l2"], 3)
 
 
+@pytest.mark.slow
 @pytest.mark.few(1)
 @pytest.mark.parametrize("loss", LOSSES)
 def test_true_textures_are_a_stationary_point(capture, grid, loss):

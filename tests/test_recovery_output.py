@@ -433,6 +433,7 @@ FILES = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_all_of_a_recovery_is_written(vase, fine, tmp_path):
     estimate = svu.estimate(vase.capture, fine.texels)
     recovery = fake_recovery(fine.texels, fine.truth)

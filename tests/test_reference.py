@@ -175,6 +175,7 @@ def assert_finds_truth(reference, part: float = 0.95) -> None:
     assert (best == truth)[often].mean() >= part
 
 
+@pytest.mark.slow
 def test_the_true_material_has_the_smallest_energy(capture, layout):
     reference = reference_posterior(capture, layout, 200, 128, grid=GRID, seed=SEED)
     assert reference.count == 200

@@ -98,6 +98,7 @@ def test_shards_say_what_all_photographs_together_say(request, name, tmp_path):
     np.testing.assert_array_equal(*clips)
 
 
+@pytest.mark.slow
 def test_the_same_statistics_come_of_shards(shot, tmp_path):
     capture = svu.load_capture(shot)
     seen = svu.estimate(capture, svu.texels(capture.mesh, SIDE)).observed
@@ -130,6 +131,7 @@ def test_many_texels_are_worked_on_tile_by_tile(shot, tmp_path, monkeypatch):
     require_close(maps_of(found), whole)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::svu_mi.errors.SvuWarning")
 def test_a_shard_of_black_photographs_adds_nothing(shot, tmp_path):
     """It has no photograph that can be used, and its views are left out as ever."""
@@ -247,6 +249,7 @@ def test_views_that_are_not_read_are_not_used(shot):
 # --- the command ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_same_and_cleans_up(shot, tmp_path, capsys):
     words = ("entropy", shot, "--resolution", SIDE, "--no-pictures")
     assert run(*words, "-o", tmp_path / "whole") == 0

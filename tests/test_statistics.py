@@ -296,6 +296,7 @@ def parts_of(scene, groups, texels, switches, kappa, places, **options):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.few(1)
 @pytest.mark.parametrize("kappa", [np.inf, 0.8], ids=["plain", "kappa"])
 def test_statistics_of_two_captures_are_those_of_one_with_all_views(scene, kappa):

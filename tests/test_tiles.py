@@ -84,6 +84,7 @@ def test_draws_of_tiles_have_the_moments_of_their_texels(vase, tiled):
     assert abs(off.mean()) < 0.1 and 0.8 < off.std() < 1.2
 
 
+@pytest.mark.slow
 def test_guidance_and_recovery_go_on_from_tiles(vase, tiled):
     apart = tiled(vase.capture, vase.texels)
     whole = apart.in_one_piece()
