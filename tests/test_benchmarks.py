@@ -9,12 +9,14 @@ import shlex
 import sys
 from importlib import import_module
 
+import numpy as np
 import pytest
 import tyro
 
 from svu_mi.bench import BENCHMARKS
 from svu_mi.bench.cells import own_cells
 from svu_mi.cli.main import main
+from svu_mi.metrics import ground_truth
 
 TIME = re.compile(r"# .*?\d+ (seconds?|minutes?|hours?)\b")
 TABLE = re.compile(r"^\| ?---|^\|---", re.MULTILINE)
@@ -127,6 +129,25 @@ def test_records_keep_what_is_finished(root, tmp_path, monkeypatch):
     assert list(rows) == ["vase__window", "knot__window"] == measured
     two = record.run("two", cells[:1], asked, lambda _: lambda row: {"row": row}, ("a", "b"))
     assert two == {"vase__window": {"a": {"row": "a"}, "b": {"row": "b"}}}
+
+
+@pytest.mark.slow
+def test_figures_of_calibration_are_those_of_draws(root, vase, monkeypatch):
+    monkeypatch.syspath_prepend(root / "tests" / "records")
+    calibration, posterior = import_module("calibration"), vase.estimate.posterior
+    chosen = np.flatnonzero(np.array(vase.estimate.coverage))[::5]
+    known = ground_truth(vase.capture, vase.texels)
+    truth = {name: known[name][chosen] for name in calibration.NAMES}
+    found = calibration.figures(posterior, truth, chosen)
+    assert all(np.isfinite(value) for value in found.values())
+    assert all(0 <= found[key] <= 1 for key in found if key.startswith(("90", "50", "interval")))
+    drawn = {name: np.array(x) for name, x in posterior.draw(64, seed=1).items()}
+    for name in calibration.NAMES:
+        own = drawn[name][:, chosen].reshape(64, len(chosen), -1).astype(np.float64)
+        true = truth[name].reshape(len(chosen), -1)
+        apart = np.abs(own[:, None] - own[None]).sum(axis=(0, 1)) / (64 * 63)
+        crps = (np.abs(own - true).mean(axis=0) - apart / 2).mean()
+        assert found[f"crps {name.replace('base_', '')[0]}"] == pytest.approx(crps, abs=0.005)
 
 
 def test_every_benchmark_has_a_study():

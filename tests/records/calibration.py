@@ -308,7 +308,7 @@ def fine_masses(posterior: Any, name: str, chosen: np.ndarray) -> tuple[list[np.
         tables = color_masses(problem, parts, lanes)
         found = [rows_of(table, parts.count, len(lanes)) for table in tables]
     else:
-        parts, table = getattr(problem, name), getattr(posterior._summary_of_lanes, name)
+        parts, table = problem.axis(name), posterior._summary_of_lanes.masses(problem, name)
         found = [rows_of(table, parts.count, problem.factors.count)[:, lanes]]
     return [x.astype(np.float64) for x in found], parts
 

@@ -235,7 +235,7 @@ def _bars_of_filling(filled: Sequence[Record]) -> list[Bar]:
         Bar("filled: intervals hold", held, 0.97),
     ]
     if repeating:
-        title = "filled: the same, mean of objects that repeat"
+        title = "filled: texture PSNR over spreading, mean of objects that repeat"
         bars.insert(0, Bar(title, float(np.mean(repeating)), 2.0, "dB", True))
     return bars
 
