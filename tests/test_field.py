@@ -214,15 +214,15 @@ def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNam
     inner = np.flatnonzero(np.abs(middle - 0.5) < 0.5 - 2 * sd)
     i = random.choice(inner, 300)
     j = np.array(recovered.recovery.around.table()[0])[i]
-    both = np.isin(j, inner) & (j != i) & (field.common[i] == field.common[j])
+    both = np.isin(j, inner) & (j != i) & (field.common[row, i] == field.common[row, j])
     i, j = i[both], j[both]
     assert len(i) > 50
     distance = np.linalg.norm(place[i] - place[j], axis=1) / (module.LENGTH * field.texels.extent)
-    rho = module.COMMON
+    rho = module.COMMON["roughness"]
     alike = (field.mixing[i, row] * field.mixing[j, row]).sum(axis=1)  # of their correlations
     covariance = rho * coherent[i] * coherent[j] * np.exp(-(distance**2) / 2) * alike
     covariance += (1 - rho) * inverse[i, j]
-    share = [field.common[k] for k in (i, j)]
+    share = [field.common[row, k] for k in (i, j)]
     variance = [
         part * coherent[k] ** 2 + (1 - part) * inverse[k, k]
         for k, part in zip((i, j), share, strict=True)

@@ -38,7 +38,9 @@ from svu_mi.settings import require_known
 from svu_mi.surface import Texels
 
 # Chosen on our own scenes:
-COMMON = 0.5  # rho, part of a seen texel's variance that its neighbourhood has in common
+# rho, part of a seen texel's variance that its neighbourhood has in common. What may be metal or
+# paint is so for all of a neighbourhood, in the same light.
+COMMON = {"base_color": 0.5, "roughness": 0.5, "metallic": 1.0}
 APART = 2.4  # a
 NARROW = 0.1  # d, as a part of the median of K's diagonal
 LENGTH = 0.1  # over which that varies, as a part of the object's extent
@@ -56,7 +58,7 @@ class TextureField:
         names: parameters that were recovered; all others are what they are.
         own: (N, T), m of the N values of all parameters, base colour first.
         deviation: (N, T), b.
-        common: (T,), rho: 1 for texels that nobody saw, which are all as the prior has it.
+        common: (N, T), rho: 1 for texels that nobody saw, which are all as the prior has it.
         mixing: (T, N, N), triangular, L of every texel: L L^T are the correlations of its values.
         scale: standard deviation of the logarithm of a factor of base colour that all texels have
             in common, per channel.

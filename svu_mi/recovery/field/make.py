@@ -113,9 +113,15 @@ def field_around(
     )
     return TextureField(
         texels=texels, textures=textures, names=tuple(names), own=own, deviation=deviation,
-        common=np.where(posterior.observed, COMMON, 1.0), mixing=_mixing(posterior, values),
+        common=_common(posterior), mixing=_mixing(posterior, values),
         scale=np.asarray(posterior.common), smoother=smoother,
     )  # fmt: skip
+
+
+def _common(posterior: CalibratedPosterior) -> np.ndarray:
+    """Return the part of every variance that neighbourhoods have in common, (N, T)."""
+    parts = np.repeat([COMMON[name] for name in NAMES], [CHANNELS[name] for name in NAMES])
+    return np.where(posterior.observed, parts[:, None], 1.0).astype(np.float32)
 
 
 def _own(posterior: CalibratedPosterior, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
