@@ -17,6 +17,7 @@ from svu_mi import scenes
 from svu_mi.cli.common import was_interrupted
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.interrupts import between_steps
+from svu_mi.output.relit_page import files_of
 from svu_mi.output.textures import read_textures, write_textures
 from svu_mi.parameters import NAMES
 from svu_mi.recovery import descent
@@ -311,6 +312,19 @@ def test_draws_are_written_and_a_picture_says_how_sure_it_is(shot, tmp_path, cap
     light = scenes.FOLDER / "lights" / "studio.exr"
     assert run(*words, "--environment", light, "--no-pictures", "-o", tmp_path / "other") == 0
     assert "relight.png" not in names(tmp_path / "other")
+
+
+@pytest.mark.parametrize(
+    "given",
+    [["../../escaped"], ["capture.json: sensor 0"], ["a", "A"], ["relight"], ["run", "b"], ["/a"],
+     [".hidden"], ["a\nb"], [""]],
+)  # fmt: skip
+def test_no_view_is_written_elsewhere_or_over_another(given):
+    assert files_of(given) == [f"view_{number:04d}" for number in range(len(given))]
+
+
+def test_views_keep_names_that_can_be_files():
+    assert files_of(["left", "view_0007", "IMG 12-b"]) == ["left", "view_0007", "IMG 12-b"]
 
 
 @pytest.mark.usefixtures("no_pictures")

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from helpers import fails, names, run
 
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.exr import read_exr
 from svu_mi.inpaint.fill import fill
+from svu_mi.inpaint.hiding import hidden_parts
 from svu_mi.inpaint.likeness import FEWEST, RULES, Examples, Likeness
 from svu_mi.inpaint.pieces import Pieces, centred, connected
-from svu_mi.output.textures import read_textures
+from svu_mi.output.textures import parameters_of, read_textures
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.field.make import field_around
@@ -188,8 +190,54 @@ def test_all_seen_and_none_seen(banded: SimpleNamespace) -> None:
     field = banded.field
     whole = fill(field, np.ones(field.texels.count, bool))
     assert whole.field is field and not whole.filled.any()
-    with pytest.raises(CaptureError, match="no texel is seen surely enough"):
+    with pytest.raises(CaptureError, match=r"^0 of \d+ texels are seen: too few"):
         fill(field, np.zeros(field.texels.count, bool))
+
+
+def test_what_cannot_be_filled_is_said(banded: SimpleNamespace) -> None:
+    field, seen = banded.field, ~banded.hidden
+    for flags in (seen[:-1], seen[:, None], np.True_):
+        with pytest.raises(ShapeError, match=f"one flag for each of {len(seen)} texels"):
+            fill(field, flags)
+    for above in (0.0, -1.0, np.nan):
+        with pytest.raises(OptionError, match="above must be positive"):
+            fill(field, seen, above)
+    with pytest.raises(CaptureError, match="no texel is seen surely enough"):
+        fill(field, seen, above=1e-6)
+
+
+def test_of_a_flat_object_sides_are_hidden() -> None:
+    """All of it faces one way, and what faces one way would be everything."""
+    x, y = (side.ravel() for side in np.meshgrid(np.arange(20.0), np.arange(12.0)))
+    point = centred(np.stack([x, y, 0 * x], axis=1))
+    pieces = Pieces(point, np.tile([0.0, 0, 1], (len(point), 1)), np.zeros(len(point), np.int64))
+    seen = x < 13
+    parts = hidden_parts(pieces, seen)
+    assert len(parts) >= 2
+    for part in parts:
+        assert part.any() and not part[~seen].any() and (seen & ~part).any()
+
+
+def test_which_parameters_were_recovered(tmp_path: Path) -> None:
+    assert parameters_of(tmp_path) == NAMES
+    record = {"settings": {"used": {"parameters": ["metallic", "roughness"]}}}
+    (tmp_path / "run.json").write_text(json.dumps(record))
+    assert parameters_of(tmp_path) == ("roughness", "metallic")
+    (tmp_path / "run.json").write_text("{")
+    assert parameters_of(tmp_path) == NAMES
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("variant")
+def test_parameters_that_were_not_recovered_are_not_filled(shot, tmp_path):
+    textures, out = tmp_path / "textures", tmp_path / "filled"
+    words = ("--resolution", 32, "--steps", 20, "--parameters", "roughness")
+    assert run("recover", shot, *words, "-o", textures) == 0
+    assert run("inpaint", shot, "--recovered", textures, "-o", out) == 0
+    before, after = (read_textures(folder) for folder in (textures, out))
+    for name in ("base_color", "metallic"):
+        np.testing.assert_array_equal(np.array(before[name]), np.array(after[name]))
+    assert (np.array(before.roughness) != np.array(after.roughness)).any()
 
 
 def test_what_is_hardly_known_counts_as_much_as_it_is_sure(vase: SimpleNamespace) -> None:

@@ -85,7 +85,11 @@ class Inpaint(WithPictures, FromPhotographs):
     def _run(self, progress: Progress) -> Filled:
         from svu_mi.output.filled import write_filled
         from svu_mi.output.manifest import Run
-        from svu_mi.output.textures import read_textures, require_textures_of
+        from svu_mi.output.textures import (
+            parameters_of,
+            read_textures,
+            require_textures_of,
+        )
         from svu_mi.pipeline import estimate
         from svu_mi.recovery.field.make import field_around
         from svu_mi.surface.neighbors import neighbors
@@ -96,7 +100,8 @@ class Inpaint(WithPictures, FromPhotographs):
         require_textures_of(capture, self.recovered)
         known = estimate(capture, texels, whole=True, progress=progress)
         with progress.stage("How sure the textures are"):
-            field = field_around(textures, known, neighbors(texels, capture.mesh))
+            around, names = neighbors(texels, capture.mesh), parameters_of(self.recovered)
+            field = field_around(textures, known, around, names)
         found = self._fill(progress, model, capture, field, known.posterior.observed)
         with progress.stage("Writing the results"):
             run = Run(settings=given(self), kernels=progress.kernels)

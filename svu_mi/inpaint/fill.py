@@ -15,7 +15,7 @@ from math import inf
 
 import numpy as np
 
-from svu_mi.errors import CaptureError
+from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.inpaint.filling import Filling
 from svu_mi.inpaint.hiding import hidden_parts
 from svu_mi.inpaint.judging import Judged, Trial, spread
@@ -38,14 +38,23 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
             what is known of it counts as much as it is sure.
 
     Raises:
-        CaptureError: nothing is seen, or nothing surely enough.
+        CaptureError: nothing is seen, or nothing surely enough, or too little to guess from.
+        ShapeError: flags of other texels.
+        OptionError: ``above`` is not positive.
     """
-    shown, width = np.asarray(seen, bool), field.width
+    shown, width = require_seen(field, seen), field.width
+    if not above > 0:
+        raise OptionError(f"fill(): above must be positive, got {above}.")
     seen = shown & (width <= above).all(axis=0)
     if seen.any() and seen.all():
         return Filled(field, ~seen, {name: {} for name in NAMES}, {name: 0.0 for name in NAMES})
     pieces = Pieces.of(field.texels, field.smoother.around)
-    parts = hidden_parts(pieces.normal, seen) if seen.any() else []
+    parts = hidden_parts(pieces, seen) if seen.any() else []
+    if not parts and above == inf:
+        raise CaptureError(
+            f"{shown.sum()} of {len(shown)} texels are seen: too few to fill the others by; add "
+            "photographs of the object."
+        )
     if not parts:
         raise CaptureError(
             "fill(): no texel is seen surely enough to fill others by; allow more (above=).",
@@ -68,6 +77,21 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
         else:
             filling.doubt(name, ~seen, off)
     return Filled(filling.done(~seen), ~seen, weights, errors)
+
+
+def require_seen(field: TextureField, seen: np.ndarray) -> np.ndarray:
+    """Return flags of all texels, (T,) bool.
+
+    Raises:
+        ShapeError: there are others.
+    """
+    flags = np.asarray(seen)
+    if flags.shape != (field.texels.count,):
+        raise ShapeError(
+            f"fill(): seen must have one flag for each of {field.texels.count} texels, got shape "
+            f"{flags.shape}."
+        )
+    return flags.astype(bool)
 
 
 def by_likeness(field: TextureField, known: np.ndarray, weights: Weights) -> np.ndarray:

@@ -4,23 +4,32 @@ from __future__ import annotations
 
 import numpy as np
 
+from svu_mi.inpaint.pieces import Pieces
+
 FEWEST, MOST = 2, 6  # parts of the surface that are hidden in turn
 DIVISIONS = 2  # ways to divide it
 
 
-def hidden_parts(normal: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
+def hidden_parts(pieces: Pieces, seen: np.ndarray) -> list[np.ndarray]:
     """Return parts of what was seen, as cameras leave them out.
 
-    Each is what faces one way, about as large as what was not seen, so that it is as far from what
-    is known.
+    Each is what faces one way, or of a flat object what lies on one side, about as large as what
+    was not seen, so that it is as far from what is known.
 
     Args:
-        normal: (T, 3) of all texels.
+        pieces: T texels.
         seen: (T,) bool.
 
     Returns:
         (T,) bool each; none if nothing would be left to guess from.
     """
+    distance = np.linalg.norm(pieces.point, axis=1, keepdims=True)
+    side = pieces.point / np.maximum(distance, 1e-9)
+    return _divided(pieces.normal, seen) or _divided(side, seen)
+
+
+def _divided(normal: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
+    """Return parts of what was seen of which the unit vectors (T, 3) are alike."""
     number = int(np.clip(round(seen.sum() / max((~seen).sum(), 1)), FEWEST, MOST))
     numbers, found = np.flatnonzero(seen), []
     for owner in (_clusters(normal[seen], number, seed) for seed in range(DIVISIONS)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -32,6 +33,7 @@ PAGE = "relight.png"
 HEADING = "The object under this light, and how sure every pixel is"
 CELL = 4.2  # inches
 ROWS = 6  # views on the page
+PLAIN = re.compile(r"\w[\w +-]*")  # what files may be called after views
 COLUMNS = 3
 DARK = 0.01  # of the median radiance, below which deviations are relative to that
 WIDEST = 0.5  # relative standard deviation at the upper end of its colours
@@ -60,15 +62,28 @@ def write_relighting(
     run = run or Run()
     about = {"svu:version": svu_mi.__version__, "svu:draws": draws}
     with writing(folder, "relight", RECORD, capture=capture_key(capture)) as draft:
-        write_relit_views(found, names, draft.folder, about)
+        files = files_of(names)
+        write_relit_views(found, files, draft.folder, about)
         if pictures:
             notes = [f"{len(found)} views", f"{draws} draws"]
             write_relit_page(found, names, draft.folder / PAGE, notes)
         record = {
             "inputs": inputs_record(capture), "settings": {"draws": draws},
-            "result": {"relative_sd": [relative_sd(view) for view in found]},
+            "result": {
+                "relative_sd": [relative_sd(view) for view in found],
+                "views": dict(zip(files, names, strict=True)),
+            },
         }  # fmt: skip
         write_run(draft, record, run)
+
+
+def files_of(names: Sequence[str]) -> list[str]:
+    """Return what the files of views are called, without endings: as the views are, where these can
+    be names of files, and no two or other files of the folder are called so; else by number."""
+    own = {Path(PAGE).stem, Path(RECORD).stem, *(name.casefold() for name in names)}
+    if len(own) == len(names) + 2 and all(map(PLAIN.fullmatch, names)):
+        return list(names)
+    return [f"view_{number:04d}" for number in range(len(names))]
 
 
 def relative_sd(view: RelitView) -> float | None:

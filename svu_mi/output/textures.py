@@ -12,8 +12,9 @@ import svu_mi
 from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import capture_key, mesh_key
 from svu_mi.capture.picture import decoded, open_picture
-from svu_mi.errors import CaptureError, SvuWarning, excerpt
+from svu_mi.errors import CaptureError, SvuError, SvuWarning, excerpt
 from svu_mi.exr import read_exr, write_exr
+from svu_mi.files import read_json
 from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import ENTROPY
 from svu_mi.parameters import CHANNELS, NAMES
@@ -51,6 +52,16 @@ def write_textures(
         channels = "RGB" if CHANNELS[name] == 3 else "Y"
         image = np.array(tensor, np.float32)
         write_exr(Path(folder) / FILES[name], {channels: image}, header, half=half)
+
+
+def parameters_of(folder: str | Path) -> tuple[str, ...]:
+    """Return the parameters that were recovered, as the record of a folder of textures says; all
+    where none does, such as beside textures of others."""
+    try:
+        named = read_json(Path(folder) / RECORD)["settings"]["used"]["parameters"]
+        return tuple(name for name in NAMES if name in named)
+    except (OSError, SvuError, KeyError, TypeError):
+        return NAMES
 
 
 def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:

@@ -20,6 +20,7 @@ from svu_mi.options import AngularPreset
 from svu_mi.progress import Progress
 from svu_mi.shards.cluster import run
 from svu_mi.shards.job import Ask, Job, Task
+from svu_mi.shards.work import is_whole
 from svu_mi.statistics import Statistics
 from svu_mi.statistics.gather import Weighting
 from svu_mi.visibility.survey import mean_radiance
@@ -150,7 +151,7 @@ class Sharded(Evidence):
             arrays["models"] = weighting.models.values.numpy()
             arrays["sigma"] = weighting.models.sigma.numpy()
         path = self.job.folder / f"inputs-{Key(arrays).digest()[:16]}.npz"
-        if not path.exists():
+        if not is_whole(path):
             write_arrays(path, arrays)
         return Ask(
             kind=kind, inputs=path, lit_for=self._used, kappa=float(weighting.kappa),

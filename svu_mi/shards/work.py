@@ -94,7 +94,7 @@ def work(task: Task, worker: Worker | None = None) -> Done:
     """
     worker = worker or Worker()
     with _lock:
-        if _is_whole(task.path):
+        if is_whole(task.path):
             return Done(task.shard, False, worker.address)
         _log(task, "begins")
         if worker.address:  # a process of its own: nobody else has chosen
@@ -115,8 +115,8 @@ def forget() -> None:
         _kept.clear()
 
 
-def _is_whole(path: Path) -> bool:
-    """Return whether sums are there; what is damaged is taken away."""
+def is_whole(path: Path) -> bool:
+    """Return whether arrays are there; what is damaged is taken away."""
     if not path.exists():
         return False
     try:

@@ -31,6 +31,7 @@ from svu_mi.inpaint.diffusion.shots import Shots
 from svu_mi.inpaint.fill import by_likeness, fill
 from svu_mi.inpaint.filling import Filling
 from svu_mi.inpaint.hiding import hidden_parts
+from svu_mi.inpaint.pieces import Pieces
 from svu_mi.inpaint.record import Answer, Filled, Invented, Source
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
@@ -65,7 +66,8 @@ def fill_by_diffusion(
     Raises:
         SvuEnvironmentError: PyTorch, diffusers or transformers are not installed.
         OptionError: the folder holds no weights that are known.
-        CaptureError: nothing is seen, or nothing surely enough.
+        CaptureError: nothing is seen, or nothing surely enough, or too little to guess from.
+        ShapeError: flags of other texels.
     """
     options, progress = options or DiffusionOptions(), progress or Progress()
     inventor = load_model(model, options.device) if isinstance(model, str | Path) else model
@@ -126,7 +128,7 @@ class _Object:
 
     def _trials(self, start: Filled) -> list[_Trial]:
         known = ~start.filled
-        parts = hidden_parts(np.array(self.field.texels.normal, np.float64).T, known)
+        parts = hidden_parts(Pieces.of(self.field.texels, self.field.smoother.around), known)
         some = parts[:: max(len(parts) // TRIALS, 1)][:TRIALS]
         return [_Trial(part, by_likeness(self.field, known & ~part, start.weights))
                 for part in some]  # fmt: skip
