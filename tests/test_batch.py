@@ -126,6 +126,45 @@ def test_steps_are_made_once_and_again_if_anything_changed(shelf_of, tmp_path):
     assert made(shelf) == list(STEPS)
 
 
+def steps_made(shelf: Shelf, item: Item) -> list[str]:
+    commands = Made()
+    assert not shelf.work(item, commands).sentence
+    return [line[0] for line in commands.lines]
+
+
+def test_a_scene_outside_of_its_capture_and_the_variant_are_inputs(shelf_of, tmp_path):
+    folder = shelf_of("a", "b") / "a"
+    scene = shutil.copy(scenes.path("vase"), tmp_path / "shelf")  # beside all captures
+    record = json.loads((folder / "capture.json").read_text()) | {"scene": "../vase.xml"}
+    (folder / "capture.json").write_text(json.dumps(record))
+    shelf = Shelf(output=tmp_path / "shelf" / "out")
+    item = Item("a", folder)
+    assert steps_made(shelf, item) == list(STEPS) and steps_made(shelf, item) == []
+    os.utime(scene)
+    assert steps_made(shelf, item) == list(STEPS)
+    (tmp_path / "shelf" / "texture.png").touch()
+    assert steps_made(shelf, item) == list(STEPS)
+    os.utime(tmp_path / "shelf" / "b" / "capture.json")  # another capture of the same scene
+    assert steps_made(shelf, item) == []
+    lit = Item("a", folder, {"light": str(tmp_path / "shelf" / "l.exr")})
+    (tmp_path / "shelf" / "l.exr").touch()  # beside the scene
+    assert steps_made(shelf, lit) == list(STEPS)
+    os.utime(scene)
+    assert steps_made(shelf, lit) == list(STEPS) and steps_made(shelf, item) == list(STEPS)
+    other = Shelf(output=shelf.output, words=("-m", "cuda_ad_rgb", "-t", "2"))
+    assert steps_made(other, item) == list(STEPS) and steps_made(other, item) == []
+
+
+def test_a_scene_beside_the_results_is_done_once(tmp_path, monkeypatch):
+    scene = shutil.copy(scenes.path("vase"), tmp_path)
+    monkeypatch.chdir(tmp_path)
+    for out, path in (("out/one", Path("vase.xml")), ("out/two", Path(scene))):
+        shelf, item = Shelf(output=Path(out)), Item("vase", path)
+        assert steps_made(shelf, item) == list(STEPS) and steps_made(shelf, item) == []
+    os.utime(scene)
+    assert steps_made(shelf, item) == list(STEPS)
+
+
 def test_commands_get_the_options_they_know(tmp_path):
     options = {"resolution": "16 8", "preset": "fast", "light": "l.exr"}
     item = Item("a", tmp_path, options)

@@ -42,7 +42,7 @@ class Shelf:
         output: folder that gets a folder per capture.
         steps: names of ``STEPS``, in their order.
         workers: captures at a time.
-        words: that every command gets, such as ``-t 2``; they do not change results.
+        words: that every command gets, such as ``-t 2``; of these only ``-m`` changes results.
         options: of all captures (``Item.options``), where they have none of their own.
     """
 
@@ -80,7 +80,7 @@ class Shelf:
             if name not in self.steps:
                 continue
             words = words_of(step, item, folder, self.steps)
-            key = key_of(words, item, key)
+            key = key_of([*words, *self._variant()], item, key, self.output)
             if not done.has(name, key, folder / step.proof):
                 left = step.left_in(folder)
                 done.begin(name, key, left)
@@ -98,6 +98,13 @@ class Shelf:
             peak=max((step["peak_bytes"] for step in taken), default=0),
             figures=figures_of(folder) if "entropy" in done.steps else {},
         )  # fmt: skip
+
+    def _variant(self) -> tuple[str, ...]:
+        """Return those of the words that say which variant of Mitsuba computes."""
+        if "-m" not in self.words:
+            return ()
+        start = self.words.index("-m")
+        return self.words[start : start + 2]
 
 
 def _tried(processes: Processes, words: Sequence[str], left: Path | None) -> Ended:

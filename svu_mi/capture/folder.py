@@ -100,8 +100,7 @@ def read(folder: Path) -> Description | None:
     for key, (is_fine, what) in FIELDS.items():
         if key in record and not is_fine(record[key]):
             raise CaptureError(
-                f"{path}: {key} must be {what}, got "
-                f"{excerpt(repr(record[key]), 60)}."
+                f"{path}: {key} must be {what}, got {excerpt(repr(record[key]), 60)}."
             )
     scene, written = record.get("scene"), Entry.parse(record.get(RESULT))
     try:
@@ -219,18 +218,29 @@ def write(draft: Draft, description: Description, sensors: Sequence[Any]) -> Non
     write_json(draft.folder / FILE, record)
 
 
-def stamps(places: Iterable[Path]) -> list[tuple[str, int, int]]:
+def stamps(
+    places: Iterable[Path], apart: Callable[[Path], bool] = lambda _: False
+) -> list[tuple[str, int, int]]:
     """Return paths, sizes and times of files, by which it is known whether inputs are the same.
 
     Args:
         places: files, and folders with all that is in them, but for what commands keep there.
+        apart: which folders inside of these are no inputs; they are not looked into.
     """
     found = []
     for place in places:
-        for path in [place] if place.is_file() else sorted(place.rglob("*")):
+        for path in [place] if place.is_file() else _files_in(place, apart):
             own = path.relative_to(place).parts
             kept = path.name in KEPT or (own and own[0] in KEPT_FOLDERS)
             if path.is_file() and not kept:
                 status = path.stat()
                 found.append((str(path), status.st_size, status.st_mtime_ns))
     return found
+
+
+def _files_in(place: Path, apart: Callable[[Path], bool]) -> list[Path]:
+    found = []
+    for folder, inner, names in os.walk(place):
+        inner[:] = [name for name in inner if not apart(Path(folder, name))]
+        found += [Path(folder, name) for name in names]
+    return sorted(found)
