@@ -216,6 +216,25 @@ def test_a_command_that_left_a_checkpoint_goes_on_from_it(shelf_of, tmp_path):
     assert shelf.work(item, Made()).made == 1 and not left.exists()
 
 
+def test_a_checkpoint_that_cannot_be_gone_on_from_is_removed(shelf_of, tmp_path):
+    item = Item("a", shelf_of("a") / "a")
+    shelf = Shelf(output=tmp_path / "out", steps=["recover"])
+    left = shelf.output / "a" / "recovered" / "checkpoint.npz"
+
+    def tried(*statuses):
+        commands = Made(statuses)
+        outcome = shelf.work(item, commands)
+        return outcome.sentence, ["--resume" in line for line in commands.lines], left.exists()
+
+    assert tried(2)[0]
+    left.parent.mkdir(parents=True)
+    left.write_bytes(b"half a checkpo")
+    assert tried(130) == ("recover: went wrong", [True], True)  # Ctrl-C: it is good
+    assert tried(2, 2) == ("recover: went wrong", [True, False], False)
+    left.touch()
+    assert tried(2) == ("", [True, False], False)
+
+
 # --- whole runs -------------------------------------------------------------------------------
 
 

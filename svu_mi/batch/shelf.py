@@ -23,6 +23,7 @@ from svu_mi.batch.steps import STEPS, key_of, words_of
 from svu_mi.memory import free_memory
 
 TRIES = 3  # of a command that is killed from outside
+INTERRUPTED = 130  # exit status after Ctrl-C, which reaches the commands, too
 KILOBYTE = 1024
 
 
@@ -108,10 +109,14 @@ class Shelf:
 
 
 def _tried(processes: Processes, words: Sequence[str], left: Path | None) -> Ended:
-    """Run a command again, if somebody else has killed it, from what it left unfinished."""
+    """Run a command again, if somebody else has killed it, from what it left unfinished; from the
+    beginning, if it cannot go on from that."""
     for _ in range(TRIES):
         resumes = left is not None and left.is_file()
         ended = processes.run([*words, "--resume"] if resumes else words)
+        if resumes and left is not None and ended.status > 0 and ended.status != INTERRUPTED:
+            left.unlink(missing_ok=True)
+            ended = processes.run(words)
         if ended.status >= 0:
             return ended
     return ended._replace(said=f"was killed {TRIES} times (signal {-ended.status})")
@@ -132,7 +137,7 @@ class Processes:
         line = [sys.executable, "-m", "svu_mi.batch.worker", *own, *words]
         with self._lock:
             if self._over:
-                return Ended(1, "not begun", 0)
+                return Ended(INTERRUPTED, "not begun", 0)
             process = subprocess.Popen(
                 line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
             )
@@ -144,6 +149,8 @@ class Processes:
         finally:
             with self._lock:
                 self._running.discard(process)
+        if status and self._over:  # not its fault: what it left is good
+            status = INTERRUPTED
         last = said.splitlines()[-1].removeprefix("svu: ") if said else ""
         return Ended(status, last, peak)
 
