@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -233,6 +234,45 @@ def test_a_checkpoint_that_cannot_be_gone_on_from_is_removed(shelf_of, tmp_path)
     assert tried(2, 2) == ("recover: went wrong", [True, False], False)
     left.touch()
     assert tried(2) == ("", [True, False], False)
+
+
+def test_what_cannot_be_read_or_written_is_a_row(shelf_of, tmp_path, monkeypatch):
+    folder = shelf_of("file", "full", "good", "odd")
+    (folder / "odd" / "capture.json").write_text("{")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "file").write_text("a file")
+    write = Done._write
+
+    def written(done):
+        if done.folder.name == "full":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "out/full/batch.json")
+        write(done)
+
+    monkeypatch.setattr(Done, "_write", written)
+    monkeypatch.setattr("svu_mi.batch.shelf.Processes", lambda _: Made())
+    found = {one.name: one for one in Shelf(output=out).run(read_list(folder))}
+    assert "is a file, not a folder" in found["file"].sentence
+    assert found["full"].sentence.startswith("out/full/batch.json: No space left on device; ")
+    assert "capture.json: not a readable JSON" in found["odd"].sentence
+    assert not found["good"].sentence and found["good"].made == len(STEPS)
+
+
+def test_a_file_that_vanishes_while_it_is_looked_at_is_a_row(shelf_of, tmp_path, monkeypatch):
+    def vanished(*_):
+        raise FileNotFoundError(errno.ENOENT, "No such file or directory", "view_0001.exr")
+
+    monkeypatch.setattr("svu_mi.batch.steps.stamps", vanished)
+    outcome = Shelf(output=tmp_path / "out").work(Item("a", shelf_of("a") / "a"), Made())
+    assert outcome.sentence.startswith("view_0001.exr: No such file or directory; ")
+
+
+@pytest.mark.parametrize("name", ["index.html", "Index.CSV"])
+def test_a_capture_that_is_called_like_a_file_of_the_batch_is_refused(shelf_of, tmp_path, name):
+    folder = shelf_of("a", name)
+    for path in (folder, table(tmp_path, "capture,name", f"shelf/a,{name}")):
+        with pytest.raises(OptionError, match=f"a capture is called '{name}'"):
+            read_list(path)
 
 
 # --- whole runs -------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from svu_mi.batch.record import INDEX, TABLE
 from svu_mi.capture.folder import FILE
 from svu_mi.errors import CaptureError, OptionError, excerpt
 
@@ -53,7 +54,7 @@ def read_list(path: Path) -> list[Item]:
     if not items:
         what = f"no folder in it has a {FILE} or one scene.xml" if path.is_dir() else "has no rows"
         raise CaptureError(f"{path}: names no captures: {what}.")
-    _require_different(path, items)
+    _require_names(path, items)
     return items
 
 
@@ -113,9 +114,14 @@ def _item(table: Path, line: int, row: dict[str, str]) -> Item:
     return Item(name, capture, options)
 
 
-def _require_different(path: Path, items: Sequence[Item]) -> None:
+def _require_names(path: Path, items: Sequence[Item]) -> None:
     names = [item.name.casefold() for item in items]  # of folders, on some systems
     for number, name in enumerate(names):
+        if name in (INDEX, TABLE):
+            raise OptionError(
+                f"{path}: a capture is called {items[number].name!r}, as a file of the batch is; "
+                "rename it, or give it another name in the column name of a table."
+            )
         if name in names[:number]:
             raise OptionError(
                 f"{path}: two captures are called {items[number].name!r}; tell them apart in the "

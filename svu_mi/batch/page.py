@@ -11,12 +11,11 @@ from urllib.parse import quote
 
 import numpy as np
 
-from svu_mi.batch.record import Outcome
+from svu_mi.batch.record import INDEX, TABLE, Outcome
 from svu_mi.batch.steps import STEPS
 from svu_mi.files import write_text
 from svu_mi.output.page import Picture, drawing, percent, write_page
 
-INDEX, TABLE = "index.html", "index.csv"
 SIDE = 160  # pixels of a thumbnail
 COLUMNS = ("capture", "seen", "entropy", "known", "seconds", "peak_gb", "problem")
 

@@ -10,6 +10,7 @@ from svu_mi.errors import SvuError
 from svu_mi.files import read_json, write_json
 
 FILE = "batch.json"
+INDEX, TABLE = "index.html", "index.csv"  # of all captures, beside their folders
 
 
 @dataclass

@@ -20,6 +20,8 @@ from typing import NamedTuple
 from svu_mi.batch.listing import Item
 from svu_mi.batch.record import Done, Outcome, figures_of
 from svu_mi.batch.steps import STEPS, key_of, words_of
+from svu_mi.errors import SvuError, excerpt
+from svu_mi.files import prepare_folder
 from svu_mi.memory import free_memory
 
 TRIES = 3  # of a command that is killed from outside
@@ -72,10 +74,19 @@ class Shelf:
                 processes.end()
 
     def work(self, item: Item, processes: Processes) -> Outcome:
-        """Take the steps of one capture that are not done."""
-        item = replace(item, options=self.options | item.options)
+        """Take the steps of one capture that are not done; what goes wrong is said, not raised."""
         folder = self.output / item.name
-        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            return self._work(replace(item, options=self.options | item.options), processes)
+        except SvuError as error:
+            return Outcome(item.name, folder, error.shell)
+        except OSError as error:
+            place = folder if error.filename is None else error.filename
+            said = f"{excerpt(place)}: {error.strerror or error}; the same command tries it again."
+            return Outcome(item.name, folder, said)
+
+    def _work(self, item: Item, processes: Processes) -> Outcome:
+        folder = prepare_folder(self.output / item.name)
         done, outcome, key = Done.read(folder), Outcome(item.name, folder), ""
         for name, step in STEPS.items():
             if name not in self.steps:
