@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 
 import pytest
+import tyro
 from helpers import fails, run
 
 from svu_mi import scenes
@@ -21,6 +22,9 @@ from svu_mi.batch import STEPS, Item, Shelf, read_list, write_index
 from svu_mi.batch.record import Done
 from svu_mi.batch.shelf import Ended, Processes
 from svu_mi.batch.steps import key_of, words_of
+from svu_mi.cli.help import REGISTRY
+from svu_mi.cli.main import Command
+from svu_mi.cli.words import with_known_repeated
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.exr import read_exr
 
@@ -70,6 +74,9 @@ def test_a_folder_of_captures_and_a_table_name_the_same(shelf_of, tmp_path):
     (["capture,name", "shelf/a,../b"], "line 2: '../b' cannot be the name of a folder"),
     (["capture,name", "shelf/a,x", "shelf/a,X"], "two captures are called 'X'"),
     (["capture"], "names no captures: has no rows"),
+    (["capture,resolution", "shelf/a,16 --trust"], "line 2: '16 --trust' is no resolution"),
+    (["capture,resolution", "shelf/a,16 8 4"], "line 2: '16 8 4' is no resolution"),
+    (["capture,resolution", "shelf/a,0"], "list.csv, line 2: '0' is no resolution"),
 ])  # fmt: skip
 def test_what_a_table_cannot_say_is_a_sentence(shelf_of, tmp_path, lines, sentence):
     shelf_of("a")
@@ -170,12 +177,25 @@ def test_commands_get_the_options_they_know(tmp_path):
     options = {"resolution": "16 8", "preset": "fast", "light": "l.exr"}
     item = Item("a", tmp_path, options)
     words = {name: words_of(step, item, tmp_path, STEPS) for name, step in STEPS.items()}
-    expected = ["--resolution", "16", "8", "--preset", "fast", "--light", "l.exr"]
+    expected = ["--resolution", "16", "8", "--preset=fast", "--light=l.exr"]
     assert words["entropy"][4:] == expected
     assert "--preset" not in words["recover"]
     assert words["report"][-2:] == ["--recovered", str(tmp_path / "recovered")]
     assert words["export"][1] == str(tmp_path / "recovered")
     assert key_of(words["entropy"], item, "") != key_of(words["entropy"], item, "x")
+
+
+def test_commands_understand_paths_with_spaces_and_ids_with_dashes(tmp_path):
+    given = {"light": "my lamps/a b.exr", "images": "-a b", "shape": "--my shape"}
+    options = given | {"resolution": "16", "preset": "fast"}
+    for name in ("entropy", "recover", "report"):
+        words = words_of(STEPS[name], Item("a", tmp_path / "a b", options), tmp_path, ["recover"])
+        found = tyro.cli(
+            Command, args=with_known_repeated(words), registry=REGISTRY,
+            config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
+        )  # fmt: skip
+        assert str(found.light) == given["light"] and found.shape == given["shape"]
+        assert str(found.images) == given["images"] and found.scene == tmp_path / "a b"
 
 
 def test_a_command_that_is_killed_is_tried_again_one_that_fails_is_not(shelf_of, tmp_path):

@@ -16,6 +16,7 @@ from svu_mi.errors import CaptureError, OptionError, excerpt
 OPTIONS = ("resolution", "preset", "light", "images", "shape")
 PATHS = ("light", "images")
 NAME = re.compile(r"[\w][\w .+-]*")  # what folders of results may be called
+SIZE = re.compile(r"[1-9][0-9]*(\s+[1-9][0-9]*)?")
 LONGEST = 80
 
 
@@ -108,6 +109,11 @@ def _item(table: Path, line: int, row: dict[str, str]) -> Item:
             "digits, spaces and . + - _ in the column name."
         )
     options = {key: row[key] for key in OPTIONS if row.get(key)}
+    if not SIZE.fullmatch(options.get("resolution", "1")):
+        raise OptionError(
+            f"{where}: {excerpt(options['resolution'], LONGEST)!r} is no resolution; give one or "
+            "two whole numbers, such as 512 or 1024 512."
+        )
     for key in PATHS:
         if key in options:
             options[key] = str(table.parent / options[key])

@@ -68,8 +68,10 @@ def words_of(step: Step, item: Item, folder: Path, steps: Sequence[str]) -> list
         return ["export", str(folder / STEPS["recover"].output), "-o", str(folder / step.output)]
     words = [step.command, str(item.capture), "-o", str(folder / step.output)]
     for name in step.options:
-        if name in item.options:
+        if name == "resolution" and name in item.options:
             words += [f"--{name}", *item.options[name].split()]
+        elif name in item.options:  # one word, whatever it begins with
+            words.append(f"--{name}={item.options[name]}")
     if step.command == "report" and "recover" in steps:
         words += ["--recovered", str(folder / STEPS["recover"].output)]
     return words
