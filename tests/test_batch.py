@@ -20,7 +20,7 @@ from helpers import fails, run
 from svu_mi import scenes
 from svu_mi.batch import STEPS, Item, Shelf, read_list, write_index
 from svu_mi.batch.record import Done
-from svu_mi.batch.shelf import Ended, Processes
+from svu_mi.batch.shelf import Ended, Processes, sentence_of
 from svu_mi.batch.steps import key_of, words_of
 from svu_mi.cli.help import REGISTRY
 from svu_mi.cli.main import Command
@@ -293,6 +293,29 @@ def test_a_capture_that_is_called_like_a_file_of_the_batch_is_refused(shelf_of, 
     for path in (folder, table(tmp_path, "capture,name", f"shelf/a,{name}")):
         with pytest.raises(OptionError, match=f"a capture is called '{name}'"):
             read_list(path)
+
+
+@pytest.mark.parametrize(("said", "sentence"), [
+    ("svu: warning: dark\nsvu: a/view_0001.exr: not an EXR.", "a/view_0001.exr: not an EXR."),
+    ("Aborted (core dumped)\n ─────\n\n", "Aborted (core dumped)"),
+    ("", ""),
+    ("╭─ Odd ─╮\n│ box   │\n╰───────╯\nsvu: the end.", "the end."),
+    ("""a line before
+╭─ Invalid choice ───────────────────────────────────────────────╮
+│ invalid choice 'bogus' for argument '--preset'. Expected one   │
+│ of ('default', 'fast').                                        │
+│ ────────────────────────────────────────────────────────────── │
+│ For full helptext, run svu entropy --help                      │
+╰────────────────────────────────────────────────────────────────╯
+""", "invalid choice 'bogus' for argument '--preset'. Expected one of ('default', 'fast')."),
+])  # fmt: skip
+def test_the_sentence_of_a_row_is_the_last_that_was_said(said, sentence):
+    assert sentence_of(said) == sentence
+
+
+def test_a_preset_that_there_is_not_is_a_sentence(tmp_path):
+    ended = Processes().run(["entropy", str(tmp_path), "--preset=bogus"])
+    assert ended.status == 2 and ended.said.startswith("invalid choice 'bogus' for argument")
 
 
 # --- whole runs -------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,6 +28,7 @@ from svu_mi.memory import free_memory
 TRIES = 3  # of a command that is killed from outside
 INTERRUPTED = 130  # exit status after Ctrl-C, which reaches the commands, too
 KILOBYTE = 1024
+CORNER, LAST_CORNER, BOX = "╭", "╰", "╭╮╰╯│─ "  # drawn around what is wrong with options
 
 
 class Ended(NamedTuple):
@@ -162,8 +164,7 @@ class Processes:
                 self._running.discard(process)
         if status and self._over:  # not its fault: what it left is good
             status = INTERRUPTED
-        last = said.splitlines()[-1].removeprefix("svu: ") if said else ""
-        return Ended(status, last, peak)
+        return Ended(status, sentence_of(said), peak)
 
     def end(self) -> None:
         """Kill what is running; results are written in one step, so none is left half-written."""
@@ -171,6 +172,22 @@ class Processes:
             self._over = True
             for process in self._running:
                 process.kill()
+
+
+def sentence_of(said: str) -> str:
+    """Return what a command has said last: its last line with words, or what is in a box at the
+    end, which wraps a sentence about an option and goes on with a hint below a rule."""
+    lines = said.rstrip().splitlines()
+    texts = [line.strip(BOX) for line in lines]
+    if lines and lines[-1].startswith(LAST_CORNER):
+        tops = [number for number, line in enumerate(lines) if line.startswith(CORNER)]
+        return " ".join(takewhile(_has_words, texts[tops[-1] + 1 if tops else 0 :]))
+    last = next((text for text in reversed(texts) if _has_words(text)), "")
+    return last.removeprefix("svu: ")
+
+
+def _has_words(text: str) -> bool:
+    return any(map(str.isalnum, text))
 
 
 def _waited(process: subprocess.Popen[bytes]) -> tuple[int, int]:
