@@ -265,7 +265,7 @@ def test_what_cannot_be_read_or_written_is_a_row(shelf_of, tmp_path, monkeypatch
     write = Done._write
 
     def written(done):
-        if done.folder.name == "full":
+        if done.folder.name == "full" and "report" in done.begun:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "out/full/batch.json")
         write(done)
 
@@ -274,6 +274,7 @@ def test_what_cannot_be_read_or_written_is_a_row(shelf_of, tmp_path, monkeypatch
     found = {one.name: one for one in Shelf(output=out).run(read_list(folder))}
     assert "is a file, not a folder" in found["file"].sentence
     assert found["full"].sentence.startswith("out/full/batch.json: No space left on device; ")
+    assert found["full"].done == ("entropy", "recover") and found["full"].made == 2
     assert "capture.json: not a readable JSON" in found["odd"].sentence
     assert not found["good"].sentence and found["good"].made == len(STEPS)
 
@@ -316,6 +317,23 @@ def test_the_sentence_of_a_row_is_the_last_that_was_said(said, sentence):
 def test_a_preset_that_there_is_not_is_a_sentence(tmp_path):
     ended = Processes().run(["entropy", str(tmp_path), "--preset=bogus"])
     assert ended.status == 2 and ended.said.startswith("invalid choice 'bogus' for argument")
+
+
+def test_the_page_links_what_is_done_of_the_capture_as_it_is_now(shelf_of, tmp_path):
+    item, out = Item("a", shelf_of("a") / "a"), tmp_path / "out"
+
+    def linked(shelf, *statuses):
+        write_index(out, [shelf.work(item, Made(statuses))])
+        page = (out / "index.html").read_text()
+        return [name for name, step in STEPS.items() if f'href="a/{step.output}' in page]
+
+    assert linked(Shelf(output=out)) == list(STEPS)
+    assert linked(Shelf(output=out, steps=["report"])) == ["report"]
+    os.utime(item.capture / "view_0002.exr")
+    assert linked(Shelf(output=out), 0, 2) == ["entropy"]
+    (out / "a" / "report.html").unlink()
+    assert (out / "a" / "asset" / "asset.json").is_file()
+    assert linked(Shelf(output=out)) == list(STEPS)
 
 
 # --- whole runs -------------------------------------------------------------------------------

@@ -57,11 +57,12 @@ def _row(outcome: Outcome) -> dict[str, Any]:
     """Return what the page shows of a capture."""
     there = {
         name: f"{quote(outcome.name)}/{step.output}{'' if '.' in step.output else '/'}"
-        for name, step in STEPS.items() if (outcome.folder / step.proof).is_file()
+        for name, step in STEPS.items() if name in outcome.done
     }  # fmt: skip
     figures = outcome.figures
+    picture = _thumbnail(outcome.folder) if "entropy" in there else None
     return {
-        "name": outcome.name, "picture": _thumbnail(outcome.folder), "links": there,
+        "name": outcome.name, "picture": picture, "links": there,
         "sentence": outcome.sentence, "seconds": outcome.seconds, "peak": outcome.peak / 1e9,
         "seen": figures.get("seen"), "entropy": figures.get("entropy"),
         "known": figures.get("known"),

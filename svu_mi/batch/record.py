@@ -77,6 +77,7 @@ class Outcome:
         seconds: that all its steps took, also those of earlier runs.
         peak: bytes of the largest of its processes.
         made: number of steps that this run has done.
+        done: names of the steps whose results are there, of what the capture and options are now.
         figures: what was found, by name: ``seen``, ``entropy`` and ``known``, parts in [0, 1].
     """
 
@@ -86,6 +87,7 @@ class Outcome:
     seconds: float = 0.0
     peak: int = 0
     made: int = 0
+    done: tuple[str, ...] = ()
     figures: dict[str, float] = field(default_factory=dict)
 
 

@@ -77,41 +77,43 @@ class Shelf:
 
     def work(self, item: Item, processes: Processes) -> Outcome:
         """Take the steps of one capture that are not done; what goes wrong is said, not raised."""
+        item = replace(item, options=self.options | item.options)
         folder = self.output / item.name
+        done, outcome = Done.read(folder), Outcome(item.name, folder)
         try:
-            return self._work(replace(item, options=self.options | item.options), processes)
-        except SvuError as error:
-            return Outcome(item.name, folder, error.shell)
-        except OSError as error:
-            place = folder if error.filename is None else error.filename
-            said = f"{excerpt(place)}: {error.strerror or error}; the same command tries it again."
-            return Outcome(item.name, folder, said)
+            prepare_folder(folder)
+            for reached in self._taken(item, done, processes):
+                outcome = reached
+        except (OSError, SvuError) as error:
+            outcome = replace(outcome, sentence=_problem(error, folder))
+        taken = [done.steps[name] for name in outcome.done]
+        return replace(
+            outcome, seconds=sum(step["seconds"] for step in taken),
+            peak=max((step["peak_bytes"] for step in taken), default=0),
+            figures=figures_of(folder) if "entropy" in outcome.done else {},
+        )  # fmt: skip
 
-    def _work(self, item: Item, processes: Processes) -> Outcome:
-        folder = prepare_folder(self.output / item.name)
-        done, outcome, key = Done.read(folder), Outcome(item.name, folder), ""
+    def _taken(self, item: Item, done: Done, processes: Processes) -> Iterator[Outcome]:
+        """Yield what has become of a capture after each step; the first that fails is the last."""
+        outcome, key = Outcome(item.name, done.folder), ""
         for name, step in STEPS.items():
             if name not in self.steps:
                 continue
-            words = words_of(step, item, folder, self.steps)
+            words = words_of(step, item, done.folder, self.steps)
             key = key_of([*words, *self._variant()], item, key, self.output)
-            if not done.has(name, key, folder / step.proof):
-                left = step.left_in(folder)
+            if not done.has(name, key, done.folder / step.proof):
+                left = step.left_in(done.folder)
                 done.begin(name, key, left)
                 start = time.perf_counter()
                 ended = _tried(processes, [*words, *self.words], left)
                 if ended.status:
                     said = ended.said or f"ended with status {ended.status}"
-                    outcome = replace(outcome, sentence=f"{step.command}: {said}")
-                    break
+                    yield replace(outcome, sentence=f"{step.command}: {said}")
+                    return
                 done.add(name, key, time.perf_counter() - start, ended.peak)
                 outcome = replace(outcome, made=outcome.made + 1)
-        taken = [done.steps[name] for name in self.steps if name in done.steps]
-        return replace(
-            outcome, seconds=sum(step["seconds"] for step in taken),
-            peak=max((step["peak_bytes"] for step in taken), default=0),
-            figures=figures_of(folder) if "entropy" in done.steps else {},
-        )  # fmt: skip
+            outcome = replace(outcome, done=(*outcome.done, name))
+            yield outcome
 
     def _variant(self) -> tuple[str, ...]:
         """Return those of the words that say which variant of Mitsuba computes."""
@@ -119,6 +121,14 @@ class Shelf:
             return ()
         start = self.words.index("-m")
         return self.words[start : start + 2]
+
+
+def _problem(error: OSError | SvuError, folder: Path) -> str:
+    """Say what cannot be read or written."""
+    if isinstance(error, SvuError):
+        return error.shell
+    place = folder if error.filename is None else error.filename
+    return f"{excerpt(place)}: {error.strerror or error}; the same command tries it again."
 
 
 def _tried(processes: Processes, words: Sequence[str], left: Path | None) -> Ended:
