@@ -12,7 +12,7 @@ from helpers import as_values
 from test_recovery_statistics import TEXELS, columns, exact, factors_of, parameters, upper
 
 import svu_mi as svu
-from svu_mi.errors import OptionError
+from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field import clipped
@@ -283,3 +283,11 @@ def test_pictures_are_less_sure_where_textures_are(
     )
     for view in same:  # common random numbers: nothing is left
         assert view.sd.max() < 1e-5 * view.picture.max()
+
+
+def test_an_estimate_of_other_texels_is_refused(
+    vase: SimpleNamespace, recovered: SimpleNamespace
+) -> None:
+    other = svu.estimate(vase.capture, svu.texels(vase.capture.mesh, (32, 24)))
+    with pytest.raises(ShapeError, match="32 x 24|64 x 48"):
+        texture_field(recovered.recovery, other)

@@ -17,10 +17,11 @@ from svu_mi.inpaint.fill import fill
 from svu_mi.inpaint.hiding import hidden_parts
 from svu_mi.inpaint.likeness import FEWEST, RULES, Examples, Likeness
 from svu_mi.inpaint.pieces import Pieces, centred, connected
-from svu_mi.output.textures import parameters_of, read_textures
+from svu_mi.output.textures import read_textures, settings_of
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field.field import TextureField
-from svu_mi.recovery.field.make import field_around
+from svu_mi.recovery.field.make import field_around, weights_of
+from svu_mi.recovery.options import ShOptions
 from svu_mi.recovery.recover import recover
 from svu_mi.recovery.textures import lay_out
 from svu_mi.surface.neighbors import neighbors
@@ -218,13 +219,19 @@ def test_of_a_flat_object_sides_are_hidden() -> None:
         assert part.any() and not part[~seen].any() and (seen & ~part).any()
 
 
-def test_which_parameters_were_recovered(tmp_path: Path) -> None:
-    assert parameters_of(tmp_path) == NAMES
-    record = {"settings": {"used": {"parameters": ["metallic", "roughness"]}}}
-    (tmp_path / "run.json").write_text(json.dumps(record))
-    assert parameters_of(tmp_path) == ("roughness", "metallic")
+def test_how_textures_were_recovered(tmp_path: Path) -> None:
+    assert settings_of(tmp_path) == {} and weights_of({}) == ShOptions()
+    used = {"parameters": ["roughness"], "sh": {"loss": "statistics", "tv": 2, "tv_epsilon": 0.5}}
+    (tmp_path / "run.json").write_text(json.dumps({"settings": {"used": used}}))
+    assert settings_of(tmp_path) == used
+    assert weights_of(used) == ShOptions(tv=2, tv_epsilon=0.5)
     (tmp_path / "run.json").write_text("{")
-    assert parameters_of(tmp_path) == NAMES
+    assert settings_of(tmp_path) == {}
+
+
+def test_textures_are_not_filled_where_they_lie(shot, tmp_path, capsys):
+    said = fails(capsys, "inpaint", shot, "--recovered", tmp_path, "-o", tmp_path / "x" / "..")
+    assert "holds the textures that are to be filled" in said
 
 
 @pytest.mark.slow

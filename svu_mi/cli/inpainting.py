@@ -75,6 +75,11 @@ class Inpaint(WithPictures, FromPhotographs):
         super().check()
         if not self.above > 0:
             raise OptionError(f"--above must be positive, got {self.above}.")
+        if self.output.resolve() == self.recovered.resolve():
+            raise OptionError(
+                f"{self.output}: holds the textures that are to be filled, which would be "
+                "replaced; choose another folder with -o."
+            )
         if self.model is not None:
             from svu_mi.inpaint.diffusion.loading import require_model
 
@@ -86,12 +91,13 @@ class Inpaint(WithPictures, FromPhotographs):
         from svu_mi.output.filled import write_filled
         from svu_mi.output.manifest import Run
         from svu_mi.output.textures import (
-            parameters_of,
             read_textures,
             require_textures_of,
+            settings_of,
         )
+        from svu_mi.parameters import NAMES
         from svu_mi.pipeline import estimate
-        from svu_mi.recovery.field.make import field_around
+        from svu_mi.recovery.field.make import field_around, weights_of
         from svu_mi.surface.neighbors import neighbors
 
         textures, model = read_textures(self.recovered), self._model(progress)
@@ -100,8 +106,9 @@ class Inpaint(WithPictures, FromPhotographs):
         require_textures_of(capture, self.recovered)
         known = estimate(capture, texels, whole=True, progress=progress)
         with progress.stage("How sure the textures are"):
-            around, names = neighbors(texels, capture.mesh), parameters_of(self.recovered)
-            field = field_around(textures, known, around, names)
+            used, around = settings_of(self.recovered), neighbors(texels, capture.mesh)
+            names = used.get("parameters", NAMES)
+            field = field_around(textures, known, around, names, weights_of(used))
         found = self._fill(progress, model, capture, field, known.posterior.observed)
         with progress.stage("Writing the results"):
             run = Run(settings=given(self), kernels=progress.kernels)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -54,14 +55,13 @@ def write_textures(
         write_exr(Path(folder) / FILES[name], {channels: image}, header, half=half)
 
 
-def parameters_of(folder: str | Path) -> tuple[str, ...]:
-    """Return the parameters that were recovered, as the record of a folder of textures says; all
-    where none does, such as beside textures of others."""
+def settings_of(folder: str | Path) -> dict[str, Any]:
+    """Return ``Recovery.settings`` as the record of a folder of textures has them; nothing where
+    there is none, such as beside textures of others."""
     try:
-        named = read_json(Path(folder) / RECORD)["settings"]["used"]["parameters"]
-        return tuple(name for name in NAMES if name in named)
-    except (OSError, SvuError, KeyError, TypeError):
-        return NAMES
+        return dict(read_json(Path(folder) / RECORD)["settings"]["used"])
+    except (OSError, SvuError, KeyError, TypeError, ValueError):
+        return {}
 
 
 def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:

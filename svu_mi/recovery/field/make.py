@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import drjit as dr
@@ -46,6 +46,7 @@ def texture_field(
 
     Raises:
         OptionError: there is no estimate in colour that knows its noise.
+        ShapeError: the estimate is of texels of another resolution.
     """
     found = recovery.estimate if estimate is None else estimate
     if found is None or not has_field(found):
@@ -53,15 +54,22 @@ def texture_field(
             "texture_field(): needs an estimate in colour that knows its noise; give "
             "estimate=svu.estimate(capture, texels)."
         )
-    used = recovery.settings.get("sh", {})
-    options = ShOptions()  # weights in nats: those of ours also for other losses
-    if used.get("loss") == "statistics":
-        options = ShOptions(tv=used["tv"], tv_epsilon=used["tv_epsilon"])
+    recovery.textures.require_resolution(found.texels)
+    options = weights_of(recovery.settings)
     with (progress or Progress()).stage("How sure the textures are"):
         around = recovery.around or neighbors(recovery.texels, mesh)
         return field_around(
             recovery.textures, found, around, recovery.settings["parameters"], options
         )
+
+
+def weights_of(settings: Mapping[str, Any]) -> ShOptions:
+    """Return options with the weights of total variation that textures were recovered with
+    (``Recovery.settings``): in nats, so of other losses than ours they are our defaults."""
+    used = settings.get("sh", {})
+    if used.get("loss") != "statistics":
+        return ShOptions()
+    return ShOptions(tv=used["tv"], tv_epsilon=used["tv_epsilon"])
 
 
 def has_field(estimate: Estimate) -> bool:
