@@ -119,7 +119,7 @@ class Detail:
         if self.side is not None:
             shrink = -(-max(film) // self.side)
         elif surface is not None and (across := surface.pixels_across(sensor)) is not None:
-            shrink = max(int(across / ENOUGH), 1)
+            shrink = max(min(int(across / ENOUGH), *film), 1)
         low, high = np.zeros(2, np.int64), np.array(film)
         if surface is not None and not self.surroundings and self.side is None:
             low, high = surface.bounds_in(sensor, film)
