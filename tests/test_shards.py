@@ -52,7 +52,7 @@ def clipped(shot, tmp_path_factory):
         path.unlink()
     record = json.loads((folder / "capture.json").read_text())
     kept = {key: value for key, value in record.items() if key not in ("written", "run", "beside")}
-    kept |= {"scene": str(scenes.path("vase")), "exposures": [float(gain)] * 8}
+    kept |= {"scene": str(scenes.path("vase")), "exposure": [float(gain)] * 8}
     (folder / "capture.json").write_text(json.dumps(kept))
     return folder
 
