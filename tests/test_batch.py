@@ -11,7 +11,9 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import tyro
@@ -19,6 +21,7 @@ from helpers import fails, run
 
 from svu_mi import scenes
 from svu_mi.batch import STEPS, Item, Shelf, read_list, write_index
+from svu_mi.batch.cluster import work_there
 from svu_mi.batch.record import Done
 from svu_mi.batch.shelf import Ended, Processes, sentence_of
 from svu_mi.batch.steps import key_of, words_of
@@ -334,6 +337,27 @@ def test_the_page_links_what_is_done_of_the_capture_as_it_is_now(shelf_of, tmp_p
     (out / "a" / "report.html").unlink()
     assert (out / "a" / "asset" / "asset.json").is_file()
     assert linked(Shelf(output=out)) == list(STEPS)
+
+
+def test_a_worker_of_a_cluster_works_on_one_capture_at_a_time(tmp_path, monkeypatch):
+    """It has a task for each of its threads, which every command uses all of."""
+    distributed = pytest.importorskip("distributed")
+    state, memory = SimpleNamespace(nthreads=4), SimpleNamespace(memory_limit=10**9)
+    worker = SimpleNamespace(state=state, memory_manager=memory)
+    monkeypatch.setattr(distributed, "get_worker", lambda: worker)
+    at_work, most = [], []
+
+    def work(self, item, processes):
+        at_work.append(item.name)
+        most.append(len(at_work))
+        time.sleep(0.05)
+        at_work.remove(item.name)
+
+    monkeypatch.setattr(Shelf, "work", work)
+    shelf = Shelf(output=tmp_path)
+    with ThreadPoolExecutor(4) as threads:
+        list(threads.map(lambda name: work_there(shelf, Item(name, tmp_path)), "abcd"))
+    assert most == [1, 1, 1, 1]
 
 
 # --- whole runs -------------------------------------------------------------------------------

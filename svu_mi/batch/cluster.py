@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from svu_mi.batch.listing import PATHS, Item
@@ -12,6 +13,8 @@ from svu_mi.batch.record import Outcome
 from svu_mi.batch.shelf import Processes, Shelf
 from svu_mi.limits import FEWEST_THREADS
 from svu_mi.shards.cluster import require_workers
+
+_one_at_a_time = Lock()  # a worker has as many tasks at once as it has threads
 
 
 def run_there(client: Any, shelf: Shelf, items: Sequence[Item]) -> Iterator[Outcome]:
@@ -54,7 +57,8 @@ def work_there(shelf: Shelf, item: Item) -> Outcome:
     if "-t" not in words:
         words += ("-t", str(max(worker.state.nthreads, FEWEST_THREADS)))
     memory = worker.memory_manager.memory_limit or 0
-    return replace(shelf, words=words).work(item, Processes(memory))
+    with _one_at_a_time:
+        return replace(shelf, words=words).work(item, Processes(memory))
 
 
 def _absolute(item: Item) -> Item:
