@@ -15,6 +15,7 @@ from svu_mi.errors import OptionError
 from svu_mi.evidence import Evidence
 from svu_mi.frequency.gather import fit_spectra
 from svu_mi.interop import owned
+from svu_mi.limits import MAX_LANES
 from svu_mi.needs import TILE
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, AnyPreset, Preset
@@ -29,6 +30,8 @@ from svu_mi.posterior.tiled import TiledPosterior
 from svu_mi.progress import Progress, Stage
 from svu_mi.skipping import Plan
 from svu_mi.statistics import Factors
+from svu_mi.statistics.blocks import BLOCK
+from svu_mi.statistics.factors import PAIRS
 from svu_mi.statistics.gather import Weighting
 
 
@@ -84,6 +87,12 @@ def _of_all_in_tiles(run: Run, switches: AngularPreset) -> Posterior:
     seen, texels = run.observed, run.observed.seen
     if _leaves_clipped_out(seen, switches):
         texels = np.flatnonzero(seen.coverage)
+    rows = len(_levels(run, switches)) * run.plan.channels * len(PAIRS) + run.plan.channels + 1
+    if rows * len(texels) > MAX_LANES - BLOCK * rows:
+        raise OptionError(
+            f"{len(texels)} texels that are seen are too many to keep the statistics of; use at "
+            f"most {MAX_LANES // rows - BLOCK}, with fewer texels per side (--resolution)."
+        )
     rounded: list[np.ndarray | None] = []
 
     def of_tiles(stage: Stage) -> Iterator[Factors]:

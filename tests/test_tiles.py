@@ -145,3 +145,18 @@ def test_the_same_few_texels_are_gathered_once_for_several_questions(vase, tiled
     posterior._last.clear()
     again = posterior.half_width("roughness", 0.8, few)
     np.testing.assert_array_equal(np.array(first[0]), np.array(again))
+
+
+def test_more_statistics_than_can_be_counted_are_refused_before_any_are_made(
+    vase, tiled, monkeypatch
+):
+    """Dr.Jit counts entries in 32 bits: 17 million texels of 244 in three channels."""
+    limit = 244 * 1000
+    monkeypatch.setattr(estimators, "_factors", None)
+
+    def asked(*args, **options):
+        monkeypatch.setattr(estimators, "MAX_LANES", limit, raising=False)
+        return svu.estimate(*args, **options)
+
+    with pytest.raises(svu.SvuError, match="use at most 984, with fewer texels per side"):
+        tiled(vase.capture, vase.texels, do=asked, whole=True)
