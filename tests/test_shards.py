@@ -263,6 +263,15 @@ def test_the_command_writes_the_same_and_cleans_up(shot, tmp_path, capsys):
     assert not (tmp_path / "sums" / "shards").exists()
 
 
+def test_the_command_deletes_no_files_of_others(shot, tmp_path):
+    own = tmp_path / "shards" / "notes" / "mine.txt"
+    own.parent.mkdir(parents=True)
+    own.write_text("mine")
+    words = ("--resolution", SIDE // 2, "--no-pictures", "--shards", 2, "-o", tmp_path)
+    assert run("entropy", shot, *words) == 0
+    assert [path.name for path in (tmp_path / "shards").iterdir()] == ["notes"] and own.is_file()
+
+
 @pytest.mark.parametrize(("words", "sentence"), [
     (("--scheduler", "tcp://x:1"), "say how many, such as --shards 8"),
     (("--shards", -1), "--shards must be in 0 ... 10000, got -1"),

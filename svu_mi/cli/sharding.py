@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -88,8 +89,14 @@ class InShards(Estimated):
         return sums.capture, found
 
     def clear_shards(self) -> None:
-        """Delete partial sums, once what they are for is written."""
+        """Delete partial sums, once what they are for is written; nothing else lies in folders
+        that have a log of workers."""
         import shutil
 
+        from svu_mi.shards.work import LOG
+
         if self.shards:
-            shutil.rmtree(self.output / FOLDER, ignore_errors=True)
+            for log in (self.output / FOLDER).glob(f"{'[0-9a-f]' * 16}/{LOG}"):
+                shutil.rmtree(log.parent, ignore_errors=True)
+            with suppress(OSError):
+                (self.output / FOLDER).rmdir()  # only if it is empty
