@@ -6,6 +6,8 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -357,6 +359,34 @@ def test_the_command_works_on_a_cluster(client, shot, tmp_path):
     both = [read_exr(tmp_path / name / "entropy.exr") for name in ("here", "there")]
     for name, plane in both[0].items():
         np.testing.assert_array_equal(both[1][name], plane)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_ends_is_a_sentence(shot, tmp_path, capsys):
+    """It ends with its process, while a worker is at the first sum."""
+    distributed = pytest.importorskip("distributed")
+    code = "from distributed.cli.dask_scheduler import main; main()"
+    line = [sys.executable, "-c", code, "--port", "0", "--no-dashboard", "--scheduler-file"]
+    place = tmp_path / "scheduler.json"
+    scheduler = subprocess.Popen([*line, str(place)], stderr=subprocess.DEVNULL)
+    while not place.exists() or not place.read_text():
+        time.sleep(0.1)
+    address = json.loads(place.read_text())["address"]
+    code = "from distributed.cli.dask_worker import main; main()"
+    line = [sys.executable, "-c", code, address, "--nthreads", "1", "--no-dashboard"]
+    worker = subprocess.Popen(line, stderr=subprocess.DEVNULL)
+    try:
+        with distributed.Client(address) as client:
+            client.wait_for_workers(1, timeout=60)
+        threading.Timer(2.5, scheduler.kill).start()
+        words = ("--resolution", 400, "--shards", 8, "--scheduler", address, "-o", tmp_path / "o")
+        said = fails(capsys, "entropy", shot, *words)
+    finally:
+        for process in (worker, scheduler):
+            process.terminate()
+            process.wait()
+    assert "the connection was lost; what is done is kept, and the same command goes on" in said
+    assert "Traceback" not in said
 
 
 @pytest.mark.slow

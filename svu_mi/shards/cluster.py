@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -24,6 +26,7 @@ def connected(address: str) -> Iterator[Any]:
     Raises:
         SvuEnvironmentError: Dask is not installed.
         OptionError: nobody answers there.
+        SvuError: it was there, and is no more.
     """
     if not address:
         yield None
@@ -31,6 +34,11 @@ def connected(address: str) -> Iterator[Any]:
     client = _client(address)
     try:
         yield client
+    except CancelledError as error:
+        raise SvuError(
+            f"--scheduler {excerpt(address, 80)}: the connection was lost; what is done is kept, "
+            "and the same command goes on."
+        ) from error
     finally:
         with suppress(Exception):  # it may have gone
             client.close()
@@ -44,6 +52,7 @@ def _client(address: str) -> Any:
             "A scheduler needs Dask; install it with: pip install 'svu_mi[cluster]'."
         ) from error
     try:
+        logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # we say it ourselves
         return Client(address, timeout=SECONDS)
     except (OSError, ValueError, TimeoutError) as error:
         raise OptionError(
