@@ -67,6 +67,7 @@ BENCHMARKS
 notebooks/entropy
 notebooks/guidance
 notebooks/recovery
+notebooks/uncertainty
 notebooks/import
 notebooks/light
 notebooks/conventions

@@ -218,7 +218,7 @@ def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNam
     i, j = i[both], j[both]
     assert len(i) > 50
     distance = np.linalg.norm(place[i] - place[j], axis=1) / (module.LENGTH * field.texels.extent)
-    rho = module.COMMON["roughness"]
+    rho = module.COMMON
     alike = (field.mixing[i, row] * field.mixing[j, row]).sum(axis=1)  # of their correlations
     covariance = rho * coherent[i] * coherent[j] * np.exp(-(distance**2) / 2) * alike
     covariance += (1 - rho) * inverse[i, j]

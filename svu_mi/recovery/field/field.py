@@ -38,9 +38,9 @@ from svu_mi.settings import require_known
 from svu_mi.surface import Texels
 
 # Chosen on our own scenes:
-# rho, part of a seen texel's variance that its neighbourhood has in common. What may be metal or
-# paint is so for all of a neighbourhood, in the same light.
-COMMON = {"base_color": 0.5, "roughness": 0.5, "metallic": 1.0}
+# rho, part of a seen texel's variance that its neighbourhood has in common; and of parameters that
+# mix: what may be metal or paint is so for all of a neighbourhood, in the same light.
+COMMON, COMMON_MIXED = 0.5, 1.0
 APART = 2.4  # a
 NARROW = 0.1  # d, as a part of the median of K's diagonal
 LENGTH = 0.1  # over which that varies, as a part of the object's extent

@@ -9,11 +9,11 @@ import drjit as dr
 import numpy as np
 
 from svu_mi.errors import OptionError
-from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.parameters import CHANNELS, MIXED, NAMES
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import CalibratedPosterior
 from svu_mi.progress import Progress
-from svu_mi.recovery.field.field import COMMON, TextureField
+from svu_mi.recovery.field.field import COMMON, COMMON_MIXED, TextureField
 from svu_mi.recovery.field.smoother import Smoother
 from svu_mi.recovery.options import ShOptions
 from svu_mi.recovery.recover import Recovery
@@ -128,7 +128,9 @@ def field_around(
 
 def _common(posterior: CalibratedPosterior) -> np.ndarray:
     """Return the part of every variance that neighbourhoods have in common, (N, T)."""
-    parts = np.repeat([COMMON[name] for name in NAMES], [CHANNELS[name] for name in NAMES])
+    parts = np.concatenate([
+        np.full(CHANNELS[name], COMMON_MIXED if name in MIXED else COMMON) for name in NAMES
+    ])  # fmt: skip
     return np.where(posterior.observed, parts[:, None], 1.0).astype(np.float32)
 
 
