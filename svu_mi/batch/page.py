@@ -45,10 +45,7 @@ def _cells(outcome: Outcome) -> list[Any]:
     found = [f"{outcome.figures[name]:.4f}" if name in outcome.figures else ""
              for name in ("seen", "entropy", "known")]  # fmt: skip
     return [
-        outcome.name,
-        *found,
-        f"{outcome.seconds:.1f}",
-        f"{outcome.peak / 1e9:.2f}",
+        outcome.name, *found, f"{outcome.seconds:.1f}", f"{outcome.peak / 1e9:.2f}",
         outcome.sentence,
     ]
 

@@ -90,11 +90,7 @@ class Inpaint(WithPictures, FromPhotographs):
     def _run(self, progress: Progress) -> Filled:
         from svu_mi.output.filled import write_filled
         from svu_mi.output.manifest import Run
-        from svu_mi.output.textures import (
-            read_textures,
-            require_textures_of,
-            settings_of,
-        )
+        from svu_mi.output.textures import read_textures, require_textures_of, settings_of
         from svu_mi.parameters import NAMES
         from svu_mi.pipeline import estimate
         from svu_mi.recovery.field.make import field_around, weights_of
