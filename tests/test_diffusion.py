@@ -236,7 +236,7 @@ def test_what_is_hidden_to_try_is_not_known(by_truth) -> None:
 @pytest.fixture(scope="module")
 def by_quarter(painted: SimpleNamespace) -> tuple[Filled, Truth]:
     """By a model that says 0.25 of everything, of texels that are less sure than others, too."""
-    limit = float(np.quantile(painted.field.width[:, painted.shown].max(axis=0), 0.7))
+    limit = float(np.quantile(painted.field.sds[:, painted.shown].max(axis=0), 0.7))
     model = Truth(painted, always=0.25)
     found = fill_by_diffusion(
         painted.capture, painted.field, painted.shown, model, limit, OPTIONS
@@ -254,7 +254,7 @@ def test_precisions_weigh_what_is_known_and_what_the_model_says(painted, by_quar
     for name in NAMES:
         rows = field.rows(name)
         off = max(answers["photographs"].errors[name], SUREST)
-        own = 1 / np.maximum(field.width[rows][:, reached], SUREST) ** 2
+        own = 1 / np.maximum(field.sds[rows][:, reached], SUREST) ** 2
         wanted = (own * field.values[rows][:, reached] + 0.25 / off**2) / (own + 1 / off**2)
         np.testing.assert_allclose(found.field.values[rows][:, reached], wanted, atol=1e-4)
         np.testing.assert_allclose(found.field.values[rows][:, unseen], 0.25, atol=1e-4)

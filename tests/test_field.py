@@ -95,6 +95,16 @@ def test_moments_of_clipped_normals(place: float, width: float) -> None:
     assert 0 <= low[0] <= high[0] <= 1
 
 
+def test_widths_are_found_that_leave_a_standard_deviation_when_clipped() -> None:
+    place, wanted = np.meshgrid(np.linspace(0, 1, 41), np.geomspace(1e-4, 0.4, 60))
+    width = clipped.width_of(place, wanted)
+    assert (width >= wanted).all() and (width < clipped.WIDEST).all()
+    np.testing.assert_allclose(clipped.moments(place, width)[1], wanted, rtol=2e-3)
+    none = clipped.width_of(np.array([0.0, 0.5, 1.0]), np.zeros(3))
+    assert not none.any()
+    assert clipped.width_of(np.array([0.5]), np.array([0.6])) == pytest.approx(clipped.WIDEST)
+
+
 def test_waves_are_a_field_of_their_correlation() -> None:
     place = np.zeros((3, 5), np.float32)
     place[0] = np.array([0, 0.3, 0.8, 1.5, 4])

@@ -7,20 +7,27 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from helpers import fails, names, run
+from test_field import square
 
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.exr import read_exr
 from svu_mi.inpaint.fill import fill
 from svu_mi.inpaint.hiding import hidden_parts
+from svu_mi.inpaint.judging import Judged, Trial, importance
 from svu_mi.inpaint.likeness import FEWEST, RULES, Examples, Likeness
+from svu_mi.inpaint.mixing import TITLES
 from svu_mi.inpaint.pieces import Pieces, centred, connected
+from svu_mi.inpaint.spreading import FARTHER, spread
+from svu_mi.interop import owned
 from svu_mi.output.textures import read_textures, settings_of
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.field.make import field_around, weights_of
+from svu_mi.recovery.field.smoother import Smoother
 from svu_mi.recovery.options import ShOptions
 from svu_mi.recovery.recover import recover
 from svu_mi.recovery.textures import lay_out
@@ -98,6 +105,82 @@ def test_a_piece_of_which_too_little_is_known_is_like_nothing() -> None:
     for kind in ("piece", "near", "turned piece"):
         _, alike = Likeness(kind).guess(pieces, some, np.array([200, 700]))
         assert alike.tolist() == [True, False], kind
+
+
+def test_what_is_like_a_piece_is_of_that_piece_alone() -> None:
+    """Of one of two rings 12 texels are known, fewer than are averaged: none of the other's."""
+    angle = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    ring = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
+    points = np.concatenate([ring - [1.05, 0, 0], ring + [1.05, 0, 0]])
+    piece = np.repeat([0, 1], 60)
+    pieces, values = Pieces(centred(points), np.tile(ring, (2, 1)), piece), piece[None] * 0.7 + 0.2
+    known = known_of(values, np.concatenate([np.arange(FEWEST), 60 + np.arange(60)]))
+    found, alike = Likeness("turned piece", Y).guess(pieces, known, np.array([30]))
+    assert alike.all() and found[0, 0] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("title", FARTHER)
+def test_values_spread_to_the_middle_of_a_large_hole(title: str) -> None:
+    """Of surely known texels with a slope: it goes on. Of a piece by itself nothing is known."""
+    side = 120
+    across, down = np.meshgrid(*[np.linspace(-1, 1, side)] * 2)
+    true = (0.6 + 0.3 * across).ravel()[None]
+    hole = (np.hypot(across, down) < 0.7).ravel()
+    alone = hole & (np.hypot(across, down) < 0.1).ravel()
+    around = [np.array(column) for column in square(side)]
+    around = [np.where(alone[column] == alone, column, np.arange(side**2)) for column in around]
+    piece = connected(around)
+    values, deviation = np.where(hole, 0.5, true), np.where(hole, 0.3, 0.01)[None]
+    lanes = [owned(mi.UInt32, column.astype(np.uint32)) for column in around]
+    smoother = Smoother.of(1 / deviation**2, values, lanes, 3.0, 0.01)
+    field = SimpleNamespace(values=values, deviation=deviation, smoother=smoother)
+    pieces = Pieces(np.zeros((side**2, 3)), np.zeros((side**2, 3)), piece)
+    found = spread(field, pieces, ~hole, title)
+    np.testing.assert_array_equal(found[:, ~hole], values[:, ~hole])
+    np.testing.assert_allclose(found[:, alone], true[:, ~hole].mean(), atol=1e-5)
+    off = (found - true)[:, hole & ~alone]
+    assert np.abs(off).max() < 0.04 and np.sqrt((off**2).mean()) < 0.01
+
+
+def judged_of(errors: np.ndarray) -> Judged:
+    """Of one value in two parts: (P, G, w) errors."""
+    return Judged.of([Trial(e[:, None], np.full(e.shape[1], 1 / e.shape[1])) for e in errors],
+                     slice(0, 1))  # fmt: skip
+
+
+def test_what_is_filled_in_is_never_worse_than_spreading_where_it_was_tried() -> None:
+    random = np.random.default_rng(0)
+    for _ in range(20):
+        size = (2, len(TITLES), 50)
+        errors = random.normal(0, random.uniform(0.05, 0.5, (*size[:2], 1)), size)
+        judged = judged_of(errors)
+        weights = judged.weights()
+        assert sum(weights.values()) == pytest.approx(1) and min(weights.values()) >= 0
+        alone = judged.squares(dict(zip(TITLES, judged.spread.tolist(), strict=True)))
+        assert (judged.squares(weights) <= alone + 1e-9).all()
+        none = judged.weights(most=0.0)
+        assert set(title for title, weight in none.items() if weight > 0) <= set(FARTHER)
+
+
+def test_the_better_a_guess_the_more_it_counts() -> None:
+    errors = np.full((2, len(TITLES), 40), 0.4)
+    errors[:, TITLES.index("turned about y")] = 0.1
+    errors[0, TITLES.index("near")] = 0.1  # on one part only
+    weights = judged_of(errors).weights()
+    order = sorted(weights, key=lambda title: -weights[title])
+    assert order[:2] == ["turned about y", "near"]
+    # Where spreading is right on one part, and all else is not, it stays.
+    errors[1, : len(FARTHER)] = 0.0
+    assert judged_of(errors).share == 0.0
+
+
+def test_parts_are_weighed_to_be_as_far_from_what_is_known() -> None:
+    random = np.random.default_rng(1)
+    meant, given = random.exponential(0.02, 4000), random.uniform(0, 0.3, 3000)
+    weights = importance(meant, given)
+    assert weights.sum() == pytest.approx(1)
+    assert (weights * given).sum() < 0.06 < given.mean()
+    np.testing.assert_allclose(importance(meant, meant), 1 / len(meant), rtol=1e-9)
 
 
 def test_texels_that_are_neighbours_are_of_one_piece() -> None:
@@ -253,11 +336,11 @@ def test_what_is_hardly_known_counts_as_much_as_it_is_sure(vase: SimpleNamespace
         recovery.textures, recovery.estimate, neighbors(vase.texels, vase.capture.mesh)
     )
     seen = recovery.coverage > 0
-    limit = float(np.quantile(field.width[:, seen].max(axis=0), 0.8))
+    limit = float(np.quantile(field.sds[:, seen].max(axis=0), 0.8))
     found = fill(field, seen, above=limit)
     filled = found.filled & seen
     assert 0.1 < filled.sum() / seen.sum() < 0.3
-    np.testing.assert_array_equal(found.filled, ~seen | (field.width > limit).any(axis=0))
+    np.testing.assert_array_equal(found.filled, ~seen | (field.sds > limit).any(axis=0))
     sure = fill(field, seen)
     np.testing.assert_array_equal(sure.filled, ~seen)
     assert (found.field.width >= field.width - 1e-6).all()

@@ -1,12 +1,9 @@
 """Fill what nobody saw by what it is like, and say how sure that is.
 
-No likeness is right for all objects, and which are shows only in part. So what a texel may be is
-the mean of what all of them say (``mixing``), each with a weight of
-
-    1 / e^8,    e: how far off it is (rms) on parts of the surface that were seen, hidden in turn,
-
-for each parameter by itself. The same parts tell how far off that mean is, and how far spreading
-from the border, which recovery has done (``judging``). Where that was ever better, it stays.
+No likeness is right for all objects, and which are shows only in part. So what a texel may be is a
+mean of what all of them say, and of what spreads from the border (``mixing``), each parameter by
+itself; how much each counts is found out on parts of the surface that were seen, hidden in turn,
+and so is how far off that mean is (``judging``).
 """
 
 from __future__ import annotations
@@ -18,14 +15,14 @@ import numpy as np
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.inpaint.filling import Filling
 from svu_mi.inpaint.hiding import hidden_parts
-from svu_mi.inpaint.judging import Judged, Trial, spread
+from svu_mi.inpaint.judging import Judged, Trial
 from svu_mi.inpaint.mixing import mixed
 from svu_mi.inpaint.pieces import Pieces
 from svu_mi.inpaint.record import Filled, Weights
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.field.field import TextureField
 
-DECIDES = "base_color"  # what photographs tell best, and so whether anything is alike
+DECIDES = "base_color"  # what photographs tell best, and so how far anything is alike
 
 
 def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
@@ -42,10 +39,10 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
         ShapeError: flags of other texels.
         OptionError: ``above`` is not positive.
     """
-    shown, width = require_seen(field, seen), field.width
+    shown = require_seen(field, seen)
     if not above > 0:
         raise OptionError(f"fill(): above must be positive, got {above}.")
-    seen = shown & (width <= above).all(axis=0)
+    seen = shown & (field.sds <= above).all(axis=0)
     if seen.any() and seen.all():
         return Filled(field, ~seen, {name: {} for name in NAMES}, {name: 0.0 for name in NAMES})
     pieces = Pieces.of(field.texels, field.smoother.around)
@@ -62,21 +59,22 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
         )
     trials = [Trial.of(field, pieces, seen, hidden) for hidden in parts]
     judged = {name: Judged.of(trials, field.rows(name)) for name in NAMES}
-    alike = judged[DECIDES].never_worse
-    weights = {name: each.weights if alike and each.better else {} for name, each in judged.items()}
-    guess = mixed(field, pieces, seen, ~seen, weights)
-    filling, errors = Filling(field, shown), {}
-    # Nothing says that what nobody saw is less unlike the rest than that is unlike itself.
-    unlike = field.values[:, seen].var(axis=1, keepdims=True)
-    for name, used in weights.items():
-        rows, worst = field.rows(name), judged[name].squares(bool(used)).max(axis=0)
-        errors[name] = judged[name].error(bool(used))
-        off = np.sqrt(worst[:, None] + unlike[rows])
-        if used:
-            filling.put(name, ~seen, guess[rows], off)
-        else:
-            filling.doubt(name, ~seen, off)
+    alike = judged[DECIDES].share
+    weights = {name: each.weights(alike) for name, each in judged.items()}
+    guess = mixed(field, pieces, seen, weights)
+    filling, errors, unlike = Filling(field, shown), {}, variance(field, seen)
+    for name, each in judged.items():
+        rows, squares = field.rows(name), each.squares(weights[name])
+        errors[name] = float(np.sqrt(squares.mean()))
+        off = np.sqrt(squares.max(axis=0)[:, None] + unlike[rows])
+        filling.put(name, ~seen, guess[rows], off)
     return Filled(filling.done(~seen), ~seen, weights, errors)
+
+
+def variance(field: TextureField, known: np.ndarray) -> np.ndarray:
+    """Return how unlike each other known texels (T,) are, (N, 1): nothing says that what nobody saw
+    is less unlike the rest than that is unlike itself."""
+    return np.asarray(field.values[:, known].var(axis=1, keepdims=True))
 
 
 def require_seen(field: TextureField, seen: np.ndarray) -> np.ndarray:
@@ -106,11 +104,4 @@ def by_likeness(field: TextureField, known: np.ndarray, weights: Weights) -> np.
         (N, T).
     """
     pieces = Pieces.of(field.texels, field.smoother.around)
-    values, found = field.values.copy(), mixed(field, pieces, known, ~known, weights)
-    if not all(weights.values()):
-        values[:, ~known] = spread(field, known, ~known)
-    for name, used in weights.items():
-        if used:
-            rows = field.rows(name)
-            values[rows] = np.where(known, values[rows], found[rows])
-    return values
+    return np.where(known, field.values, mixed(field, pieces, known, weights))

@@ -42,8 +42,7 @@ class Filling:
         """
         rows = self.field.rows(name)
         off = np.maximum(off, SUREST)
-        width = self.field.width[rows]
-        own = np.where(self.shown, 1 / np.maximum(width, SUREST) ** 2, 0)
+        own = np.where(self.shown, 1 / np.maximum(self.field.sds[rows], SUREST) ** 2, 0)
         both = own * self.field.values[rows] + guess / off**2
         self.values[rows] = np.where(at, both / (own + 1 / off**2), self.values[rows])
         self.doubt(name, at, off)

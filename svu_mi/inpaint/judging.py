@@ -1,114 +1,139 @@
-"""How far off guesses are: tried on parts of the surface that were seen."""
+"""How far off guesses are: tried on parts of the surface that were seen.
+
+Each parameter is judged by itself. With e_g how far off guess g is on a hidden part, in the square
+mean over its texels, all guesses are averaged with weights
+
+    w_g ~ 1 / mean over parts of ((e_g^2 + e^2) / (that of the best guess there + e^2)),
+
+to m (e: what no guess is surer than); and so, by themselves, those that spread from the border, to
+s. Texels of a part are weighted so as to be as far from what is known as those that are to be
+filled [Shimodaira 2000]: what is hidden lies deeper inside. What is filled in is s + a (m - s),
+with the largest share a by which no part gets worse than by s alone,
+
+    a = min over parts of 2 (<s s> - <s m>) / <(s - m) (s - m)>,    in [0, 1],
+
+where <> are means of products of errors.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
-import mitsuba as mi
 import numpy as np
+from scipy.spatial import cKDTree
 
 from svu_mi.inpaint.filling import SUREST
-from svu_mi.inpaint.likeness import LIKENESSES
-from svu_mi.inpaint.mixing import guesses
+from svu_mi.inpaint.mixing import TITLES, guesses
 from svu_mi.inpaint.pieces import Pieces
-from svu_mi.interop import owned
+from svu_mi.inpaint.spreading import FARTHER
 from svu_mi.posterior import intervals
 from svu_mi.recovery.field.field import TextureField
 
 TRIED = 3000  # texels of a part that guesses are compared on
 GUESSED_BY = 2**16  # texels that they are made of there, at most: evenly chosen, of large textures
-POWER = 4  # of the mean squared error, by which likenesses count less
-NEVER = 1.05  # part of the squared error of spreading, on any part, above which it stays
-HARDLY = 1e-5  # precision of the mean of all where nothing is known, in units of their variance
+DISTANCES = 5  # groups of texels by how far they are from what is known
+RARE = 0.01  # part of the texels from which on a group of them tells enough
+TINY = 1e-12  # squared differences that are as good as none
 
 
 @dataclass(frozen=True)
 class Trial:
-    """How far off values of a hidden part are.
+    """How far off all guesses of a hidden part are.
 
     Attributes:
-        spread: (N, w) of spreading from the border.
-        guesses: (G, N, w) of every likeness.
+        errors: (G, N, w).
+        weights: (w,) of the part's texels, which sum to one.
     """
 
-    spread: np.ndarray
-    guesses: np.ndarray
+    errors: np.ndarray
+    weights: np.ndarray
 
     @staticmethod
     def of(field: TextureField, pieces: Pieces, seen: np.ndarray, hidden: np.ndarray) -> Trial:
         known, texels = seen & ~hidden, np.flatnonzero(hidden)
-        some = intervals.spread(np.arange(len(texels)), TRIED)
-        spreading, texels = spread(field, known, hidden)[:, some], texels[some]
-        true = field.values[:, texels]
-        every = range(len(LIKENESSES))
-        few = np.zeros(len(known), bool)
-        few[intervals.spread(np.flatnonzero(known), GUESSED_BY)] = True
-        off = [x - true for _, x in guesses(field, pieces, few, texels, every)]
-        return Trial(spreading - true, np.array(off))
+        texels = texels[intervals.spread(np.arange(len(texels)), TRIED)]
+        examples = intervals.spread(np.flatnonzero(known), GUESSED_BY)
+        found = guesses(field, pieces, known, texels, examples=examples)
+        errors = np.array([guess - field.values[:, texels] for _, guess in found])
+        meant = _distance(pieces, seen, np.flatnonzero(~seen))
+        return Trial(errors, importance(meant, _distance(pieces, known, texels)))
+
+    def products(self, rows: slice) -> np.ndarray:
+        """Return means of products of errors of two guesses each, (C, G, G)."""
+        some = self.errors[:, rows].transpose(1, 0, 2)
+        return np.asarray((some * self.weights) @ some.transpose(0, 2, 1))
+
+
+def _distance(pieces: Pieces, known: np.ndarray, texels: np.ndarray) -> np.ndarray:
+    """Return how far texels are from what is known, (w,)."""
+    return np.asarray(cKDTree(pieces.point[known]).query(pieces.point[texels], workers=-1)[0])
+
+
+def importance(meant: np.ndarray, given: np.ndarray) -> np.ndarray:
+    """Return weights of some distances (w,) with which they are distributed as others are."""
+    edges = np.quantile(meant, np.linspace(0, 1, DISTANCES + 1)[1:-1])
+    groups = np.digitize(given, edges)
+    wanted = np.bincount(np.digitize(meant, edges), minlength=DISTANCES) / len(meant)
+    share = np.bincount(groups, minlength=DISTANCES) / len(given)
+    weights = (wanted / np.maximum(share, RARE))[groups]
+    return np.asarray(weights / weights.sum())
 
 
 @dataclass(frozen=True)
 class Judged:
-    """How far off the values of one parameter are, of P parts.
+    """How far off the values of one parameter are.
 
     Attributes:
-        weights: of the likenesses, by title.
-        spread, mixed: (P, C) mean squared errors of spreading, and of the likenesses together.
+        products: (P, C, G, G) of errors, of P parts and C channels.
     """
 
-    weights: dict[str, float]
-    spread: np.ndarray
-    mixed: np.ndarray
+    products: np.ndarray
 
     @staticmethod
     def of(trials: Sequence[Trial], rows: slice) -> Judged:
-        squares = np.mean([(t.guesses[:, rows] ** 2).mean(axis=(1, 2)) for t in trials], axis=0)
-        weights = np.maximum(squares / squares.max(initial=1e-12), 1e-6) ** -POWER
-        weights /= weights.sum()
-        titles = [one.title for one in LIKENESSES]
-        mixed = [np.tensordot(weights, t.guesses[:, rows], 1) for t in trials]
-        return Judged(
-            dict(zip(titles, weights.tolist(), strict=True)),
-            np.array([(t.spread[rows] ** 2).mean(axis=1) for t in trials]),
-            np.array([(off**2).mean(axis=1) for off in mixed]),
-        )
+        return Judged(np.stack([trial.products(rows) for trial in trials]))
 
-    @property
-    def never_worse(self) -> bool:
-        """Whether likenesses are about as good as spreading on every part."""
-        return bool((self.mixed.mean(axis=1) <= NEVER * self.spread.mean(axis=1)).all())
+    @cached_property
+    def mixed(self) -> np.ndarray:
+        """(G,), weights of the guesses in m."""
+        return self._weights(np.arange(len(TITLES)))
 
-    @property
-    def better(self) -> bool:
-        """Whether they are better on the whole."""
-        return bool(self.mixed.mean() < self.spread.mean())
+    @cached_property
+    def spread(self) -> np.ndarray:
+        """(G,), weights of the guesses in s."""
+        return self._weights(np.arange(len(FARTHER)))
 
-    def squares(self, used: bool) -> np.ndarray:
-        """Return mean squared errors (P, C) of likenesses if they are used, or of spreading."""
-        return self.mixed if used else self.spread
+    @cached_property
+    def share(self) -> float:
+        """a."""
+        forms = self.products.mean(axis=1)
+        ss, sm, mm = (
+            forms @ right @ left + TINY
+            for left, right in ((self.spread, self.spread), (self.spread, self.mixed),
+                                (self.mixed, self.mixed))
+        )  # fmt: skip
+        return float(np.clip(2 * (ss - sm) / np.maximum(ss - 2 * sm + mm, TINY), 0, 1).min())
 
-    def error(self, used: bool) -> float:
-        """Return the root mean square error of all parts."""
-        return float(np.sqrt(self.squares(used).mean()))
+    def weights(self, most: float = 1.0) -> dict[str, float]:
+        """Return how much every guess counts, by title.
 
+        Args:
+            most: that a may be.
+        """
+        found = self.spread + min(self.share, most) * (self.mixed - self.spread)
+        return dict(zip(TITLES, found.tolist(), strict=True))
 
-def spread(field: TextureField, known: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Let values spread from what is known, over links as strong as those between equals.
+    def squares(self, weights: dict[str, float]) -> np.ndarray:
+        """Return mean squared errors (P, C) of guesses together."""
+        used = np.array([weights[title] for title in TITLES])
+        return np.asarray(self.products @ used @ used)
 
-    Args:
-        field: whose values.
-        known: (T,) bool, of what they are known.
-        wanted: (T,) bool, w texels of which they are not.
-
-    Returns:
-        (N, w).
-    """
-    weights, values = 1 / field.deviation**2, field.values
-    mean = np.average(values[:, known], axis=1, weights=weights[:, known])[:, None]
-    wide = np.maximum(values[:, known].std(axis=1), SUREST)[:, None]
-    trust = np.where(known, weights, HARDLY / wide**2)
-    smoother = field.smoother.with_precision(trust, blind=~known)
-    target = trust * np.where(known, values, mean)
-    solved = np.array(smoother.solve(owned(mi.Float, target.astype("f4").ravel())))
-    return np.clip(solved.reshape(trust.shape)[:, wanted], 0, 1)
+    def _weights(self, used: np.ndarray) -> np.ndarray:
+        squares = np.einsum("pcgg->pg", self.products / self.products.shape[1])[:, used]
+        squares = squares + SUREST**2
+        off = (squares / squares.min(axis=1, keepdims=True)).mean(axis=0)
+        weights = np.zeros(len(TITLES))
+        weights[used] = 1 / off / (1 / off).sum()
+        return weights

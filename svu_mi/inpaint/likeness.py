@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from svu_mi.inpaint.pieces import Pieces
+from svu_mi.inpaint.pieces import APART, Pieces
 
 Kind = Literal[
     "all", "piece", "near", "level", "turned", "turned piece", "mirrored", "repeated"
@@ -148,8 +148,10 @@ class Likeness:
         for points in copies:
             distance, found = (x.reshape(-1, count) for x in tree.query(points, count, workers=-1))
             there = distance[:, 0] < rule.farthest
-            scale = np.maximum(rule.close * distance[:, -1:], 1e-9)
-            near = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * there[:, None]
+            mine = distance < (APART / 2 if rule.inside else np.inf)
+            reach = np.where(mine, distance, 0).max(axis=1, keepdims=True)
+            scale = np.maximum(rule.close * reach, 1e-9)
+            near = (np.exp(-0.5 * (distance / scale) ** 2) + 1e-6) * there[:, None] * mine
             how = known.weights[:, found] * near
             total = total + (how * known.values[:, found]).sum(axis=2)
             weight = weight + how.sum(axis=2)

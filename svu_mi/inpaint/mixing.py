@@ -1,43 +1,64 @@
-"""What likenesses say of texels, together: a weighted mean."""
+"""What likenesses and spreading say of texels, together: a weighted mean."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator
 
 import numpy as np
 
 from svu_mi.inpaint.likeness import LIKENESSES, NEAR, Examples
 from svu_mi.inpaint.pieces import Pieces
 from svu_mi.inpaint.record import Weights
+from svu_mi.inpaint.spreading import FARTHER, spread
 from svu_mi.recovery.field.field import TextureField
+
+TITLES = (*FARTHER, *(one.title for one in LIKENESSES))
 
 
 def mixed(
-    field: TextureField, pieces: Pieces, known: np.ndarray, wanted: np.ndarray, weights: Weights
+    field: TextureField, pieces: Pieces, known: np.ndarray, weights: Weights
 ) -> np.ndarray:
-    """Return means of what likenesses say of what is wanted, (N, T); 0 elsewhere."""
-    titles = {title for used in weights.values() for title in used}
-    chosen, mean = np.flatnonzero(wanted), np.zeros((len(field.values), len(wanted)))
-    used = [number for number, one in enumerate(LIKENESSES) if one.title in titles]
-    for number, guess in guesses(field, pieces, known, chosen, used):
+    """Return weighted means of all that is said of texels that are not known, (N, T), 0 elsewhere.
+
+    Args:
+        field: whose values.
+        pieces: its texels.
+        known: (T,) bool, of what they are known; no others are looked at.
+        weights: of everything.
+    """
+    titles = {title for used in weights.values() for title, weight in used.items() if weight > 0}
+    wanted, mean = np.flatnonzero(~known), np.zeros_like(field.values)
+    for title, guess in guesses(field, pieces, known, wanted, titles):
         for name, each in weights.items():
             rows = field.rows(name)
-            mean[rows, chosen] += each.get(LIKENESSES[number].title, 0.0) * guess[rows]
+            mean[rows, wanted] += each.get(title, 0.0) * guess[rows]
     return mean
 
 
 def guesses(
     field: TextureField, pieces: Pieces, known: np.ndarray, wanted: np.ndarray,
-    chosen: Sequence[int],
-) -> Iterator[tuple[int, np.ndarray]]:  # fmt: skip
-    """Yield the number of each chosen likeness, and what it says (N, w) of wanted texels."""
-    texels = np.flatnonzero(known)
+    titles: Container[str] = TITLES, examples: np.ndarray | None = None,
+) -> Iterator[tuple[str, np.ndarray]]:  # fmt: skip
+    """Yield titles, and what each says (N, w) of wanted texels.
+
+    Args:
+        field: whose values.
+        pieces: its texels.
+        known: (T,) bool, of what they are known.
+        wanted: (w,) numbers of others.
+        titles: what is asked for.
+        examples: numbers of the known texels that others may be like; all by default.
+    """
+    for title in FARTHER:
+        if title in titles:
+            yield title, spread(field, pieces, known, title)[:, wanted]
+    texels = np.flatnonzero(known) if examples is None else examples
     some = Examples(texels, field.values[:, texels], 1 / field.deviation[:, texels] ** 2)
     instead, near = NEAR.guess(pieces, some, wanted)
     instead = np.where(near, instead, some.mean)  # where nothing else is alike
-    for number in chosen:
-        if LIKENESSES[number] is NEAR:
-            yield number, instead
-            continue
-        values, alike = LIKENESSES[number].guess(pieces, some, wanted)
-        yield number, np.where(alike, values, instead)
+    for likeness in LIKENESSES:
+        if likeness is NEAR and NEAR.title in titles:
+            yield NEAR.title, instead
+        elif likeness.title in titles:
+            values, alike = likeness.guess(pieces, some, wanted)
+            yield likeness.title, np.where(alike, values, instead)

@@ -13,9 +13,8 @@ from svu_mi.recovery.textures import Textures
 
 Source = Literal["photographs", "renders"]
 Weights = Mapping[str, Mapping[str, float]]
-"""How much each likeness counts, by parameter and by title; nothing where spreading stays."""
-BORDER = "border"  # what spreading from it is called
-NAMED = 3  # likenesses that count most, which are named
+"""How much each guess counts, by parameter and by title: they sum to one."""
+NAMED = 3  # guesses that count most, which are named
 
 
 @dataclass(frozen=True)
@@ -63,8 +62,8 @@ class Filled:
         field: the textures, and how sure they are; where they were filled, never surer than before:
             no standard deviation gets smaller before values are clipped to [0, 1].
         filled: (T,) bool, texels that were filled.
-        weights: how much each likeness counts in what a parameter was filled with; none where they
-            were not better than what had spread from the border, which then stays.
+        weights: how much each likeness, and what spreads from the border, counts in what a
+            parameter was filled with; nothing if nothing was.
         errors: root mean square error of that on hidden parts, by parameter.
         invented: what a model has made of texels (``fill_by_diffusion``), instead of likeness; None
             if none was asked.
@@ -78,12 +77,11 @@ class Filled:
 
     @property
     def likeness(self) -> dict[str, str]:
-        """By parameter, what counts most: ``turned about y 41 %, ...``, or ``border``."""
+        """By parameter, what counts most: ``turned about y 41 %, ...``."""
         found = {}
         for name, weights in self.weights.items():
             most = sorted(weights.items(), key=lambda one: -one[1])[:NAMED]
-            words = ", ".join(f"{title} {100 * weight:.0f} %" for title, weight in most)
-            found[name] = words or BORDER if self.filled.any() else ""
+            found[name] = ", ".join(f"{title} {100 * weight:.0f} %" for title, weight in most)
         return found
 
     @property

@@ -28,7 +28,7 @@ from svu_mi.inpaint.diffusion.loading import load_model
 from svu_mi.inpaint.diffusion.options import DiffusionOptions
 from svu_mi.inpaint.diffusion.picture import Inventor
 from svu_mi.inpaint.diffusion.shots import Shots
-from svu_mi.inpaint.fill import by_likeness, fill
+from svu_mi.inpaint.fill import by_likeness, fill, variance
 from svu_mi.inpaint.filling import Filling
 from svu_mi.inpaint.hiding import hidden_parts
 from svu_mi.inpaint.pieces import Pieces
@@ -73,7 +73,7 @@ def fill_by_diffusion(
     inventor = load_model(model, options.device) if isinstance(model, str | Path) else model
     with progress.stage("Looking for likeness"):
         start = fill(field, seen, above)
-    asked = _Object(capture, field, np.asarray(seen, bool), inventor, options, above, progress)
+    asked = _Object(capture, field, np.asarray(seen, bool), inventor, options, progress)
     return asked.filled(start) if start.filled.any() else start
 
 
@@ -99,13 +99,13 @@ class _Object:
     shown: np.ndarray
     model: Inventor
     options: DiffusionOptions
-    above: float
     progress: Progress
 
     def filled(self, start: Filled) -> Filled:
         """Return what likeness has filled, filled by the model as far as it reaches."""
         trials = self._trials(start)
         filling, answers = Filling(self.field, self.shown, start.field), []
+        unlike = variance(self.field, ~start.filled)
         rest = Task(start.field.values, ~start.filled, start.filled, ())
         for source, shots in self._sources().items():
             task = replace(rest, wanted=start.filled & (self.shown == (source == "photographs")))
@@ -114,9 +114,10 @@ class _Object:
                 continue
             rest = replace(rest, values=guess.values, known=rest.known | guess.reached)
             answers.append(answer)
-            for name, off in answer.errors.items():
+            for name, error in answer.errors.items():
                 rows = self.field.rows(name)
-                filling.put(name, guess.reached, guess.values[rows], np.array([[off]]))
+                off = np.sqrt(error**2 + (source == "renders") * unlike[rows])
+                filling.put(name, guess.reached, guess.values[rows], off)
         reached = start.filled & rest.known
         invented = Invented(self.model.title, self.model.licence, tuple(answers), reached)
         return replace(start, field=filling.done(start.filled), invented=invented)

@@ -13,7 +13,8 @@ the deviation of a texel has two parts,
 with m and b the mean and the standard deviation of a texel's own posterior, and g a field of
 variance 1 that varies slowly over the object: c is what is left of b where all texels err alike,
 and what texels do not agree about with their neighbours, the mean over a small neighbourhood
-(d: one precision for all). Values beyond [0, 1] are clipped.
+(d: one precision for all). Values beyond [0, 1] are clipped: as all of these standard deviations
+are of values in [0, 1], what is clipped is as much wider as it takes to be left with them.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ class TextureField:
 
     def sd(self, name: str) -> np.ndarray:
         """Return standard deviations, (T, C) or (T,)."""
-        return self._laid_out(name, clipped.moments(*self._rows_of(name))[1])
+        return self._laid_out(name, self.sds[self.rows(name)])
 
     def interval(self, name: str, level: float = LEVEL) -> tuple[np.ndarray, np.ndarray]:
         """Return the ends of the interval that holds so much in its middle, (T, C) or (T,) each.
@@ -122,7 +123,7 @@ class TextureField:
         right = owned(mi.Float, (forces / self.deviation).astype(np.float32).ravel())
         alone = np.array(self.smoother.solve(right + self.smoother.pulls(random)), np.float64)
         away = together + np.sqrt(1 - self.common) * alone.reshape(-1, count)
-        away *= self._raised / np.maximum(self._own_width, TINY)
+        away *= self._raised / np.maximum(self._own_sd, TINY)
         values = self.values + away
         values[:3] += values[:3] * self.scale[:, None] * random.standard_normal((3, 1))
         values = np.clip(values, 0, 1)
@@ -151,6 +152,11 @@ class TextureField:
         return np.sqrt(left**2 + APART * np.maximum(apart, 0) ** 2)
 
     @cached_property
+    def sds(self) -> np.ndarray:
+        """(N, T) standard deviations, of all values as ``values`` has them."""
+        return clipped.moments(self.values, self.width)[1]
+
+    @cached_property
     def width(self) -> np.ndarray:
         """(N, T) standard deviations of values before they are clipped."""
         variance = self._raised**2 + self._in_common**2
@@ -162,10 +168,11 @@ class TextureField:
     @cached_property
     def _raised(self) -> np.ndarray:
         """The same without what all texels have in common."""
+        width = clipped.width_of(self.values, self._own_sd)
         if self.least is None:
-            return self._own_width
+            return width
         left = np.maximum(self.least**2 - self._in_common**2, 0)
-        return np.maximum(self._own_width, np.sqrt(left))
+        return np.maximum(width, np.sqrt(left))
 
     @property
     def _in_common(self) -> np.ndarray:
@@ -175,8 +182,8 @@ class TextureField:
         return common
 
     @cached_property
-    def _own_width(self) -> np.ndarray:
-        """What texels have of their own, however sure they may be at most."""
+    def _own_sd(self) -> np.ndarray:
+        """(N, T) standard deviations of what texels have of their own, as these are."""
         return np.sqrt(self.common * self._coherent**2 + (1 - self.common) * self._variance)
 
     @property

@@ -23,6 +23,7 @@ from svu_mi.interop import owned
 TOLERANCE = 1e-3  # of the residual, relative to the right-hand side's
 LOOK = 8  # iterations between looks at it
 MOST = 400
+CLOSE, LONG = 3e-3, 2000  # the same of what is filled in, relative to the residual at first
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,13 @@ class Smoother:
             hidden = owned(mi.Bool, np.tile(blind, len(precision)))
         return replace(self, precision=given, blind=hidden)._completed()
 
+    def with_values(self, values: np.ndarray, precision: np.ndarray) -> Smoother:
+        """Return links of the same strength around other values, with another D, (N, T) each."""
+        given, middle = (
+            owned(mi.Float, x.ravel().astype(np.float32)) for x in (precision, values)
+        )
+        return replace(self, precision=given, values=middle, blind=None)._completed()
+
     def _completed(self) -> Smoother:
         """Return the same with its diagonal."""
         diagonal = self.precision + sum(weight for _, weight in self._links())
@@ -117,19 +125,33 @@ class Smoother:
             right: (N T,) Float.
         """
         x = right / self.diagonal
-        rest = right - self @ x
+        goal = TOLERANCE**2 * dr.sum(dr.square(right) / self.diagonal)
+        return self._descend(x, right - self @ x, dr.full(mi.Float, 1, dr.width(x)), goal, MOST)
+
+    def fill(self, right: Any, start: Any, free: Any) -> Any:
+        """Return x with (D + K) x = right on some lanes, and what it was on all others.
+
+        Args:
+            right: (N T,) Float.
+            start: (N T,) Float, x to begin with.
+            free: (N T,) Float, 1 where x is looked for and 0 where it is known.
+        """
+        rest = free * (right - self @ start)
+        goal = CLOSE**2 * dr.sum(dr.square(rest) / self.diagonal)
+        return self._descend(start, rest, free, goal, LONG)
+
+    def _descend(self, x: Any, rest: Any, free: Any, goal: Any, most: int) -> Any:
         step = rest / self.diagonal
         size = dr.sum(rest * step)
-        goal = TOLERANCE**2 * dr.sum(dr.square(right) / self.diagonal)
-        dr.eval(x, rest, step, size, goal)
-        for iteration in range(MOST):
+        dr.eval(x, rest, step, size, goal, free)
+        for iteration in range(most):
             if iteration % LOOK == 0 and size[0] <= goal[0]:
                 break
-            x, rest, step, size = self._iterate(x, rest, step, size)
+            x, rest, step, size = self._iterate(x, rest, step, size, free)
         return x
 
-    def _iterate(self, x: Any, rest: Any, step: Any, size: Any) -> tuple[Any, ...]:
-        turned = self @ step
+    def _iterate(self, x: Any, rest: Any, step: Any, size: Any, free: Any) -> tuple[Any, ...]:
+        turned = free * (self @ step)
         dr.eval(turned)  # a sum evaluates what it adds up: all of it would be computed twice
         along = dr.sum(step * turned)
         length = dr.select(along > 0, size / along, 0)
