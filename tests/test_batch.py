@@ -20,7 +20,7 @@ import tyro
 from helpers import fails, run
 
 from svu_mi import scenes
-from svu_mi.batch import STEPS, Item, Shelf, read_list, write_index
+from svu_mi.batch import STEPS, Item, Shelf, page, read_list, write_index
 from svu_mi.batch.cluster import work_there
 from svu_mi.batch.record import Done
 from svu_mi.batch.shelf import Ended, Processes, sentence_of
@@ -320,6 +320,29 @@ def test_the_sentence_of_a_row_is_the_last_that_was_said(said, sentence):
 def test_a_preset_that_there_is_not_is_a_sentence(tmp_path):
     ended = Processes().run(["entropy", str(tmp_path), "--preset=bogus"])
     assert ended.status == 2 and ended.said.startswith("invalid choice 'bogus' for argument")
+
+
+def test_nothing_is_loaded_from_where_a_batch_runs(tmp_path, monkeypatch):
+    for name in ("svu_mi", "numpy", "mitsuba"):
+        (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'loaded')!r}, 'w')")
+    monkeypatch.chdir(tmp_path)
+    ended = Processes().run(["entropy", "nowhere", "-o", "out"])
+    assert ended.status == 2 and "nowhere" in ended.said
+    assert not (tmp_path / "loaded").exists()
+
+
+def test_a_picture_of_the_page_is_drawn_again_only_if_it_is_another(tmp_path, monkeypatch):
+    from PIL import Image
+
+    (tmp_path / "a" / "entropy").mkdir(parents=True)
+    path, asked = tmp_path / "a" / "entropy" / "overview.png", []
+    monkeypatch.setattr(page, "drawing", lambda *_: asked.append(1))
+    for color in ("red", "red", "blue"):
+        if not path.is_file() or color == "blue":
+            Image.new("RGB", (32, 16), color).save(path)
+            os.utime(path, (len(asked) + 1, len(asked) + 1))
+        page.thumbnail(tmp_path / "a")
+    assert len(asked) == 2
 
 
 def test_the_page_links_what_is_done_of_the_capture_as_it_is_now(shelf_of, tmp_path):

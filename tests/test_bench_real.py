@@ -92,6 +92,7 @@ def measured(imported: Path) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_photographs_of_a_phone_are_predicted_from_each_other(measured):
     (cell,) = json.loads((measured / "bench.json").read_text())["real"]["cells"]
     rows = cell["rows"]
@@ -103,6 +104,7 @@ def test_photographs_of_a_phone_are_predicted_from_each_other(measured):
     assert len(rows["posterior"]["views"]) == VIEWS // 4
 
 
+@pytest.mark.slow
 def test_what_was_found_is_told_and_drawn(measured):
     text = (measured / "bench.md").read_text()
     assert f"IMG_{SPOILT:04d}.jpg" in text and "| texel means |" in text
@@ -110,6 +112,7 @@ def test_what_was_found_is_told_and_drawn(measured):
     assert (measured / "real.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_taken_up_again(measured, imported, capsys):
     files = sorted((measured / "real").rglob("*.json"))
     before = [file.stat().st_mtime_ns for file in files]
@@ -149,6 +152,7 @@ def test_without_a_capture_there_is_nothing_to_run(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_what_is_no_real_capture_is_refused(imported, tmp_path, capsys):
     out = ("-o", tmp_path / "out")
     assert "needs a capture" in fails(capsys, "bench", "real", *out)

@@ -71,6 +71,7 @@ def capture(finished):
 # --- the whole ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_one_benchmark_writes_its_page(tmp_path):
     bench = Bench(tmp_path, SIZES, quick=True)
     record = run_bench(bench, ["accuracy"], ASKED, "svu b")

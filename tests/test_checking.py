@@ -405,6 +405,7 @@ def test_every_way_to_lay_axes_is_tried_once():
     assert not pose_hypotheses()[0].fixes and len(pose_hypotheses()) == 80
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::svu_mi.SvuWarning")
 def test_the_command_says_what_is_wrong_and_how_to_mend_it(knot, tmp_path, capsys, browser):
     folder, out = tmp_path / "capture", tmp_path / "out"
@@ -481,6 +482,7 @@ def test_the_command_checks_a_scene_without_a_light(knot, tmp_path, capsys, brow
     assert "The capture has no light: it is found in the photographs first." in printed
 
 
+@pytest.mark.slow
 def test_a_mesh_that_shows_its_back_is_turned(capture):
     """Before, light and texture were judged by the few points that happened to be seen."""
     wrong = spoil(capture, FIXES["mesh-inside-out"])

@@ -297,6 +297,7 @@ def test_the_module_is_the_program(tmp_path):
     assert done.stderr.strip().count("\n") == 0
 
 
+@pytest.mark.slow
 def test_demo_leaves_four_files(tmp_path, capsys):
     assert run("demo", "-o", tmp_path, "--spp", 1, "--resolution", 32) == 0
     told = capsys.readouterr().out.splitlines()[-1]

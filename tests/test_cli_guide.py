@@ -99,6 +99,7 @@ def test_sensors_of_the_scene_that_have_no_photograph_are_candidates(partial, tm
         np.testing.assert_allclose(proposal["pose"]["to_world"], to_world(sensor), atol=1e-6)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("garbage", [np.nan, 1e30])
 def test_what_is_not_photographed_has_no_say(shot, partial, garbage):
     """Guidance does not look at the images of its candidates: any other would be cheating."""

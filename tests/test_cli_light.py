@@ -141,6 +141,7 @@ def test_what_is_known_of_the_world_is_passed_on(
     assert (used["moves"], used["background"]) == (moves, background)
 
 
+@pytest.mark.slow
 def test_it_is_found_once_and_reused(dark, tmp_path, capsys, made_up):
     assert entropy(dark, tmp_path / "first") == 0
     said = capsys.readouterr().out

@@ -182,6 +182,7 @@ def by_truth(painted: SimpleNamespace) -> tuple[Filled, Truth]:
     return found, model
 
 
+@pytest.mark.slow
 def test_texels_get_what_the_model_says_of_their_place(painted, by_truth) -> None:
     """Of a model that knows the truth, texels get the truth: nothing is flipped or shifted."""
     found, _ = by_truth
@@ -201,12 +202,14 @@ def test_texels_get_what_the_model_says_of_their_place(painted, by_truth) -> Non
         assert answer.errors[name] < 0.6 * max(answer.likeness[name], 0.1), name
 
 
+@pytest.mark.slow
 def test_what_was_filled_is_never_surer_than_before(painted, by_truth) -> None:
     found, _ = by_truth
     assert (found.field.width >= painted.field.width - 1e-6).all()
     np.testing.assert_array_equal(found.filled, ~painted.shown)
 
 
+@pytest.mark.slow
 def test_a_model_is_given_what_is_known(painted, by_truth) -> None:
     found, model = by_truth
     assert set(model.steps) == {(4, 1)}
@@ -227,6 +230,7 @@ def test_a_model_is_given_what_is_known(painted, by_truth) -> None:
         assert off[~picture.certain].max() > 0.1
 
 
+@pytest.mark.slow
 def test_what_is_hidden_to_try_is_not_known(by_truth) -> None:
     """Where likeness finds nothing, recovery's values stay, which here are the very truth."""
     found, _ = by_truth
@@ -304,6 +308,7 @@ def test_a_window_of_a_sensor_sees_the_same(vase: SimpleNamespace) -> None:
     np.testing.assert_allclose(after[:, inside], expected[:, inside], atol=5e-3)
 
 
+@pytest.mark.slow
 def test_files_say_which_texels_are_the_models(painted, by_truth, tmp_path) -> None:
     from svu_mi.exr import read_exr
 

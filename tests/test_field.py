@@ -159,6 +159,7 @@ def dense(field: TextureField, row: int) -> np.ndarray:
     return Q
 
 
+@pytest.mark.slow
 def test_the_variance_of_the_field_is_that_of_its_inverse(recovered: SimpleNamespace) -> None:
     """The approximation by the lattice, against dense inverses: right on average."""
     field = recovered.field

@@ -185,6 +185,7 @@ def test_gains_are_found_under_a_known_light(observed):
     assert np.sqrt(np.mean(without.logarithm**2)) < 0.05 and not without.odd.any()
 
 
+@pytest.mark.slow
 def test_photographs_that_do_not_fit_are_named_and_left_out(observed):
     capture = observed.capture
     images = list(capture.images)
@@ -209,6 +210,7 @@ def test_photographs_that_do_not_fit_are_named_and_left_out(observed):
     assert off[0] < 0.03 and off[0] < 0.4 * off[1]
 
 
+@pytest.mark.slow
 def test_photographs_are_divided_and_the_capture_is_not_modified(observed):
     capture = replace(
         observed.capture, used=tuple(view != 1 for view in range(observed.capture.count))
@@ -229,6 +231,7 @@ def test_photographs_are_divided_and_the_capture_is_not_modified(observed):
         equalized(capture, replace(gains, odd=np.ones(23, bool)))
 
 
+@pytest.mark.slow
 def test_they_are_kept_with_the_light_and_read_back(observed, tmp_path):
     gains = FoundGains(random_gains(5), np.linspace(0, 2, 5), np.arange(5) == 2)
     svu.save_light(replace(made_up_light(), gains=gains), tmp_path / "light")

@@ -330,6 +330,7 @@ def test_parameters_that_were_not_recovered_are_not_filled(shot, tmp_path):
     assert (np.array(before.roughness) != np.array(after.roughness)).any()
 
 
+@pytest.mark.slow
 def test_what_is_hardly_known_counts_as_much_as_it_is_sure(vase: SimpleNamespace) -> None:
     recovery = recover(vase.estimate)
     field = field_around(

@@ -111,7 +111,7 @@ def test_statistics_of_tiles_are_kept_for_those_who_go_on_from_them(vase, shown,
         np.testing.assert_allclose(apart.image(name), together.image(name), rtol=1e-6, atol=2e-6)
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("sharing", [False, True])
 def test_textures_recovered_in_tiles_are_those_recovered_in_one_piece(vase, shown, tiled, sharing):
     together = svu.recover(shown, vase.texels, sharing=sharing)

@@ -194,6 +194,7 @@ def test_integers_are_decoded_as_they_were(integers):
     np.testing.assert_array_equal(capture.clipped[3].flags, codes / 255 > 0.98)
 
 
+@pytest.mark.slow
 def test_a_large_jpeg_is_imported_as_it_is(shot, monkeypatch, tmp_path, capsys):
     """With its mask beside it; what it says is what an EXR made of it would."""
     description = capture_folder.read(shot)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -57,7 +58,7 @@ def _row(outcome: Outcome) -> dict[str, Any]:
         for name, step in STEPS.items() if name in outcome.done
     }  # fmt: skip
     figures = outcome.figures
-    picture = _thumbnail(outcome.folder) if "entropy" in there else None
+    picture = thumbnail(outcome.folder) if "entropy" in there else None
     return {
         "name": outcome.name, "picture": picture, "links": there,
         "sentence": outcome.sentence, "seconds": outcome.seconds, "peak": outcome.peak / 1e9,
@@ -68,13 +69,20 @@ def _row(outcome: Outcome) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _thumbnail(folder: Path) -> Picture | None:
-    from PIL import Image
-
+def thumbnail(folder: Path) -> Picture | None:
+    """Return the overview of a capture's results, small; None if there is none."""
     path = folder / "entropy" / "overview.png"
     try:
-        with Image.open(path) as image:
-            image.draft("RGB", (4 * SIDE, 4 * SIDE))
-            return drawing(np.asarray(image.convert("RGB"), np.float32) / 255, 2 * SIDE)
+        return _drawn(path, path.stat().st_mtime_ns)
     except OSError:
         return None
+
+
+@cache
+def _drawn(path: Path, _time: int) -> Picture:
+    """Draw a picture of some time, once: the page is written anew after every capture."""
+    from PIL import Image
+
+    with Image.open(path) as image:
+        image.draft("RGB", (4 * SIDE, 4 * SIDE))
+        return drawing(np.asarray(image.convert("RGB"), np.float32) / 255, 2 * SIDE)

@@ -32,7 +32,11 @@ class Done:
         """Read what earlier runs have done; nothing, where the file is missing or damaged."""
         try:
             found = read_json(folder / FILE)
-            steps = {name: dict(step) for name, step in found["steps"].items()}
+            steps = {
+                name: {"key": str(step["key"]), "seconds": float(step["seconds"]),
+                       "peak_bytes": int(step["peak_bytes"])}
+                for name, step in found["steps"].items()
+            }  # fmt: skip
             return Done(folder, steps, dict(found.get("begun", {})))
         except (OSError, SvuError, ValueError, TypeError, KeyError, AttributeError):
             return Done(folder)

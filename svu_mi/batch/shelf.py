@@ -62,10 +62,10 @@ class Shelf:
 
         Closing the iterator, or an exception such as Ctrl-C, ends the commands that are running.
         """
-        free = free_memory()
-        share = 0 if free is None or self.workers == 1 else free // self.workers
+        free, workers = free_memory(), max(min(self.workers, len(items)), 1)
+        share = 0 if free is None or workers == 1 else free // workers
         processes = Processes(share)
-        with ThreadPoolExecutor(self.workers) as threads:
+        with ThreadPoolExecutor(workers) as threads:
             work = [threads.submit(self.work, item, processes) for item in items]
             try:
                 for future in as_completed(work):
@@ -157,7 +157,8 @@ class Processes:
     def run(self, words: Sequence[str]) -> Ended:
         """Run ``svu`` with words, to its end."""
         own = [str(os.getpid()), str(self._memory)]
-        line = [sys.executable, "-m", "svu_mi.batch.worker", *own, *words]
+        # -P: Python would look for every module in the working directory first.
+        line = [sys.executable, "-P", "-m", "svu_mi.batch.worker", *own, *words]
         with self._lock:
             if self._over:
                 return Ended(INTERRUPTED, "not begun", 0)
