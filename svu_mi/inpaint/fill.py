@@ -15,7 +15,7 @@ import numpy as np
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.inpaint.filling import Filling
 from svu_mi.inpaint.hiding import hidden_parts
-from svu_mi.inpaint.judging import Judged, Trial
+from svu_mi.inpaint.judging import Judged, Trial, distances
 from svu_mi.inpaint.mixing import mixed
 from svu_mi.inpaint.pieces import Pieces
 from svu_mi.inpaint.record import Filled, Weights
@@ -47,22 +47,24 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
         return Filled(field, ~seen, {name: {} for name in NAMES}, {name: 0.0 for name in NAMES})
     pieces = Pieces.of(field.texels, field.smoother.around)
     parts = hidden_parts(pieces, seen) if seen.any() else []
-    if not parts and above == inf:
+    if not parts and (above == inf or shown.sum() < 2):
         raise CaptureError(
             f"{shown.sum()} of {len(shown)} texels are seen: too few to fill the others by; add "
             "photographs of the object."
         )
     if not parts:
         raise CaptureError(
-            "fill(): no texel is seen surely enough to fill others by; allow more (above=).",
-            shell="No texel is seen surely enough to fill others by; give a larger --above.",
+            "fill(): too few texels are seen surely enough to fill others by; allow more (above=).",
+            shell="Too few texels are seen surely enough to fill others by; give a larger --above.",
         )
-    trials = [Trial.of(field, pieces, seen, hidden) for hidden in parts]
-    judged = {name: Judged.of(trials, field.rows(name)) for name in NAMES}
-    alike = judged[DECIDES].share
-    weights = {name: each.weights(alike) for name, each in judged.items()}
-    guess = mixed(field, pieces, seen, weights)
-    filling, errors, unlike = Filling(field, shown), {}, variance(field, seen)
+    far = distances(pieces, seen, np.flatnonzero(~seen))
+    trials = [Trial.of(field, pieces, seen, hidden, far) for hidden in parts]
+    judged = {name: Judged.of(trials, field.rows(name)) for name in field.names}
+    alike = judged[DECIDES].share if DECIDES in judged else 1.0
+    weights: dict[str, dict[str, float]] = {name: {} for name in NAMES}
+    weights |= {name: each.weights(alike) for name, each in judged.items()}
+    guess, unlike = mixed(field, pieces, seen, weights), variance(field, seen)
+    filling, errors = Filling(field, shown), {name: 0.0 for name in NAMES}
     for name, each in judged.items():
         rows, squares = field.rows(name), each.squares(weights[name])
         errors[name] = float(np.sqrt(squares.mean()))
@@ -104,4 +106,9 @@ def by_likeness(field: TextureField, known: np.ndarray, weights: Weights) -> np.
         (N, T).
     """
     pieces = Pieces.of(field.texels, field.smoother.around)
-    return np.where(known, field.values, mixed(field, pieces, known, weights))
+    values, found = field.values.copy(), mixed(field, pieces, known, weights)
+    for name, used in weights.items():
+        if used:
+            rows = field.rows(name)
+            values[rows] = np.where(known, values[rows], found[rows])
+    return values

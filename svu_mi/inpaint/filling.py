@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from svu_mi.parameters import NAMES
+from svu_mi.recovery.field import clipped
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.textures import lay_out
 
@@ -50,7 +51,9 @@ class Filling:
     def doubt(self, name: str, at: np.ndarray, off: np.ndarray) -> None:
         """Say how far off texels are that nobody saw, and others of these not at all."""
         rows = self.field.rows(name)
-        least = np.maximum(np.maximum(off, SUREST), self.field.width[rows])
+        values = self.values[rows]
+        off = np.broadcast_to(np.maximum(off, SUREST), values.shape)
+        least = np.maximum(clipped.width_of(values, off), self.field.width[rows])
         self.least[rows] = np.where(at & ~self.shown, least, self.least[rows])
 
     def done(self, filled: np.ndarray) -> TextureField:

@@ -31,12 +31,14 @@ def hidden_parts(pieces: Pieces, seen: np.ndarray) -> list[np.ndarray]:
 def _divided(normal: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
     """Return parts of what was seen of which the unit vectors (T, 3) are alike."""
     number = int(np.clip(round(seen.sum() / max((~seen).sum(), 1)), FEWEST, MOST))
-    numbers, found = np.flatnonzero(seen), []
+    numbers = np.flatnonzero(seen)
+    found: list[np.ndarray] = []
     for owner in (_clusters(normal[seen], number, seed) for seed in range(DIVISIONS)):
         for k in range(number):
             hidden = np.zeros(len(normal), bool)
             hidden[numbers[owner == k]] = True
-            if hidden.any() and (seen & ~hidden).any():
+            new = not any(np.array_equal(hidden, other) for other in found)
+            if new and hidden.any() and (seen & ~hidden).any():
                 found.append(hidden)
     return found
 

@@ -10,9 +10,9 @@ s. Texels of a part are weighted so as to be as far from what is known as those 
 filled [Shimodaira 2000]: what is hidden lies deeper inside. What is filled in is s + a (m - s),
 with the largest share a by which no part gets worse than by s alone,
 
-    a = min over parts of 2 (<s s> - <s m>) / <(s - m) (s - m)>,    in [0, 1],
+    a = min over parts of (h + sqrt(h^2 + t^2 d)) / d,    h = <s s> - <s m>,  d = <(s - m) (s - m)>,
 
-where <> are means of products of errors.
+at most 1, where <> are means of products of errors, and t^2 is a gain or loss that nobody sees.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ TRIED = 3000  # texels of a part that guesses are compared on
 GUESSED_BY = 2**16  # texels that they are made of there, at most: evenly chosen, of large textures
 DISTANCES = 5  # groups of texels by how far they are from what is known
 RARE = 0.01  # part of the texels from which on a group of them tells enough
-TINY = 1e-12  # squared differences that are as good as none
+UNSEEN = 1e-4  # t
 
 
 @dataclass(frozen=True)
@@ -51,14 +51,24 @@ class Trial:
     weights: np.ndarray
 
     @staticmethod
-    def of(field: TextureField, pieces: Pieces, seen: np.ndarray, hidden: np.ndarray) -> Trial:
+    def of(
+        field: TextureField, pieces: Pieces, seen: np.ndarray, hidden: np.ndarray, far: np.ndarray
+    ) -> Trial:
+        """Try all guesses on a part of what was seen.
+
+        Args:
+            field: whose values.
+            pieces: its texels.
+            seen: (T,) bool, of what they are known.
+            hidden: (T,) bool, the part.
+            far: distances from what is known to what is to be filled (``distances``).
+        """
         known, texels = seen & ~hidden, np.flatnonzero(hidden)
         texels = texels[intervals.spread(np.arange(len(texels)), TRIED)]
         examples = intervals.spread(np.flatnonzero(known), GUESSED_BY)
         found = guesses(field, pieces, known, texels, examples=examples)
         errors = np.array([guess - field.values[:, texels] for _, guess in found])
-        meant = _distance(pieces, seen, np.flatnonzero(~seen))
-        return Trial(errors, importance(meant, _distance(pieces, known, texels)))
+        return Trial(errors, importance(far, distances(pieces, known, texels)))
 
     def products(self, rows: slice) -> np.ndarray:
         """Return means of products of errors of two guesses each, (C, G, G)."""
@@ -66,13 +76,16 @@ class Trial:
         return np.asarray((some * self.weights) @ some.transpose(0, 2, 1))
 
 
-def _distance(pieces: Pieces, known: np.ndarray, texels: np.ndarray) -> np.ndarray:
-    """Return how far texels are from what is known, (w,)."""
+def distances(pieces: Pieces, known: np.ndarray, texels: np.ndarray) -> np.ndarray:
+    """Return how far texels are from what is known, (w,), of many of them those of some."""
+    texels = intervals.spread(texels, GUESSED_BY)
     return np.asarray(cKDTree(pieces.point[known]).query(pieces.point[texels], workers=-1)[0])
 
 
 def importance(meant: np.ndarray, given: np.ndarray) -> np.ndarray:
-    """Return weights of some distances (w,) with which they are distributed as others are."""
+    """Return weights of some distances (w,) with which they are distributed as others are; what is
+    farther than most of them counts as if it were as far as these."""
+    meant = np.minimum(meant, np.quantile(given, 1 - 1 / DISTANCES))
     edges = np.quantile(meant, np.linspace(0, 1, DISTANCES + 1)[1:-1])
     groups = np.digitize(given, edges)
     wanted = np.bincount(np.digitize(meant, edges), minlength=DISTANCES) / len(meant)
@@ -96,6 +109,10 @@ class Judged:
         return Judged(np.stack([trial.products(rows) for trial in trials]))
 
     @cached_property
+    def _means(self) -> np.ndarray:
+        return np.asarray(self.products.mean(axis=1))
+
+    @cached_property
     def mixed(self) -> np.ndarray:
         """(G,), weights of the guesses in m."""
         return self._weights(np.arange(len(TITLES)))
@@ -108,13 +125,10 @@ class Judged:
     @cached_property
     def share(self) -> float:
         """a."""
-        forms = self.products.mean(axis=1)
-        ss, sm, mm = (
-            forms @ right @ left + TINY
-            for left, right in ((self.spread, self.spread), (self.spread, self.mixed),
-                                (self.mixed, self.mixed))
-        )  # fmt: skip
-        return float(np.clip(2 * (ss - sm) / np.maximum(ss - 2 * sm + mm, TINY), 0, 1).min())
+        apart = self.spread - self.mixed
+        h, d = self._means @ apart @ self.spread, self._means @ apart @ apart
+        d = np.maximum(d, UNSEEN**2)
+        return float(min(((h + np.sqrt(h**2 + UNSEEN**2 * d)) / d).min(), 1))
 
     def weights(self, most: float = 1.0) -> dict[str, float]:
         """Return how much every guess counts, by title.
@@ -131,8 +145,7 @@ class Judged:
         return np.asarray(self.products @ used @ used)
 
     def _weights(self, used: np.ndarray) -> np.ndarray:
-        squares = np.einsum("pcgg->pg", self.products / self.products.shape[1])[:, used]
-        squares = squares + SUREST**2
+        squares = np.diagonal(self._means, axis1=1, axis2=2)[:, used] + SUREST**2
         off = (squares / squares.min(axis=1, keepdims=True)).mean(axis=0)
         weights = np.zeros(len(TITLES))
         weights[used] = 1 / off / (1 / off).sum()

@@ -6,6 +6,7 @@ from collections.abc import Container, Iterator
 
 import numpy as np
 
+from svu_mi.inpaint.filling import SUREST
 from svu_mi.inpaint.likeness import LIKENESSES, NEAR, Examples
 from svu_mi.inpaint.pieces import Pieces
 from svu_mi.inpaint.record import Weights
@@ -52,13 +53,17 @@ def guesses(
     for title in FARTHER:
         if title in titles:
             yield title, spread(field, pieces, known, title)[:, wanted]
+    likenesses = [one for one in LIKENESSES if one.title in titles]
+    if not likenesses:
+        return
     texels = np.flatnonzero(known) if examples is None else examples
-    some = Examples(texels, field.values[:, texels], 1 / field.deviation[:, texels] ** 2)
+    sure = np.maximum(field.deviation[:, texels], SUREST)
+    some = Examples(texels, field.values[:, texels], 1 / sure**2)
     instead, near = NEAR.guess(pieces, some, wanted)
     instead = np.where(near, instead, some.mean)  # where nothing else is alike
-    for likeness in LIKENESSES:
-        if likeness is NEAR and NEAR.title in titles:
-            yield NEAR.title, instead
-        elif likeness.title in titles:
-            values, alike = likeness.guess(pieces, some, wanted)
-            yield likeness.title, np.where(alike, values, instead)
+    for likeness in likenesses:
+        if likeness is NEAR:
+            yield likeness.title, instead
+            continue
+        values, alike = likeness.guess(pieces, some, wanted)
+        yield likeness.title, np.where(alike, values, instead)

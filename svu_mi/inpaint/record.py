@@ -59,11 +59,11 @@ class Filled:
     """Textures without holes.
 
     Attributes:
-        field: the textures, and how sure they are; where they were filled, never surer than before:
-            no standard deviation gets smaller before values are clipped to [0, 1].
+        field: the textures, and how sure they are; where they were filled, no standard deviation
+            gets smaller before values are clipped to [0, 1].
         filled: (T,) bool, texels that were filled.
         weights: how much each likeness, and what spreads from the border, counts in what a
-            parameter was filled with; nothing if nothing was.
+            parameter was filled with; nothing for what was not recovered, or if nothing was filled.
         errors: root mean square error of that on hidden parts, by parameter.
         invented: what a model has made of texels (``fill_by_diffusion``), instead of likeness; None
             if none was asked.

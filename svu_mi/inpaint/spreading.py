@@ -6,16 +6,18 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+from scipy.spatial import cKDTree
 
 from svu_mi.inpaint.filling import SUREST
 from svu_mi.inpaint.pieces import Pieces
 from svu_mi.interop import owned
 from svu_mi.recovery.field.field import TextureField
 
-FARTHER = {"border": 1e-5, "border, cautiously": 1e-2}
+FARTHER = {"from the border": 1e-5, "cautiously from the border": 1e-2}
 """By title, how much the mean of all that is known counts in a hole, as a precision in units of the
 variance of that: the more, the less far from the border anything spreads."""
 AGAIN = 2  # times that links go by what has spread: edges go on into a hole
+NEAREST = 8  # known texels that a hole is filled by to begin with
 
 
 def spread(
@@ -34,19 +36,33 @@ def spread(
     Returns:
         (N, T).
     """
-    weights, values = 1 / field.deviation**2, field.values
+    weights, values = 1 / np.maximum(field.deviation, SUREST) ** 2, field.values
     mean = np.average(values[:, known], axis=1, weights=weights[:, known])[:, None]
     wide = np.maximum(values[:, known].std(axis=1), SUREST)[:, None]
     trust = np.where(known, weights, FARTHER[title] / wide**2)
-    found = np.where(known, values, mean)
     border = np.bincount(pieces.piece, known)[pieces.piece] > 0
-    right, free = _lanes(trust * found), _lanes(np.tile(border, (len(found), 1)))
+    right = _lanes(trust * np.where(known, values, mean))
+    free = _lanes(np.tile(border, (len(values), 1)))
+    found = np.where(border, _nearest(pieces, values, known), mean)
     smoother = field.smoother.with_precision(trust, blind=~known)
     for _ in range(1 + AGAIN):
         found = np.array(smoother.fill(right, _lanes(found), free), np.float64)
         found = np.where(known, values, found.reshape(values.shape))
-        smoother = field.smoother.with_values(found, trust)
+        smoother = field.smoother.with_precision(trust, found)
     return np.clip(found, 0, 1)
+
+
+def _nearest(pieces: Pieces, values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return values of which those that are not known are as what is near, (N, T)."""
+    places, found = pieces.apart(pieces.point), values.copy()
+    tree = cKDTree(places[known])
+    count = min(NEAREST, int(known.sum()))
+    away, which = tree.query(places[~known], [*range(1, count + 1)], workers=-1)
+    weights = 1 / np.maximum(away, 1e-9) ** 2
+    weights /= weights.sum(axis=1, keepdims=True)
+    for row, some in zip(found, values[:, known], strict=True):
+        row[~known] = (some[which] * weights).sum(axis=1)
+    return found
 
 
 def _lanes(values: np.ndarray) -> Any:

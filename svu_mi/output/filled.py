@@ -89,7 +89,7 @@ def fill_sentences(found: Filled) -> Iterator[str]:
     yield f"{percent(part)} of the texels filled."
     if found.invented is not None:
         yield from _invented_sentences(found.invented, found)
-    for name in NAMES:
+    for name in found.field.names:
         yield (
             f"{words(name).capitalize()}: {found.likeness[name]}, off by "
             f"{found.errors[name]:.2f} (rms) where that was tried on what was seen."

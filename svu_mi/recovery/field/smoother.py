@@ -23,7 +23,7 @@ from svu_mi.interop import owned
 TOLERANCE = 1e-3  # of the residual, relative to the right-hand side's
 LOOK = 8  # iterations between looks at it
 MOST = 400
-CLOSE, LONG = 3e-3, 2000  # the same of what is filled in, relative to the residual at first
+CLOSE, LONG = 5e-3, 1000  # the same of what is filled in, relative to the residual at first
 
 
 @dataclass(frozen=True)
@@ -65,24 +65,26 @@ class Smoother:
             strength: lambda.
             epsilon: differences far below it do not make a link any stronger.
         """
-        given, middle = (owned(mi.Float, x.ravel().astype(np.float32)) for x in (precision, values))
+        given, middle = _lanes(precision), _lanes(values)
         links = dr.opaque(mi.Float, strength), dr.opaque(mi.Float, epsilon)
         return Smoother(given, middle, tuple(around), *links, given)._completed()
 
-    def with_precision(self, precision: np.ndarray, blind: np.ndarray | None = None) -> Smoother:
-        """Return the same links with another D, (N, T), not knowing the values of some texels,
-        (T,) bool."""
-        given, hidden = owned(mi.Float, precision.ravel().astype(np.float32)), None
+    def with_precision(
+        self, precision: np.ndarray, values: np.ndarray | None = None,
+        blind: np.ndarray | None = None,
+    ) -> Smoother:  # fmt: skip
+        """Return links of the same strength with another D.
+
+        Args:
+            precision: (N, T), positive.
+            values: (N, T), that links depend on; by default, those that they do.
+            blind: (T,) bool, texels whose values they must not know.
+        """
+        given, hidden = _lanes(precision), None
+        middle = self.values if values is None else _lanes(values)
         if blind is not None:
             hidden = owned(mi.Bool, np.tile(blind, len(precision)))
-        return replace(self, precision=given, blind=hidden)._completed()
-
-    def with_values(self, values: np.ndarray, precision: np.ndarray) -> Smoother:
-        """Return links of the same strength around other values, with another D, (N, T) each."""
-        given, middle = (
-            owned(mi.Float, x.ravel().astype(np.float32)) for x in (precision, values)
-        )
-        return replace(self, precision=given, values=middle, blind=None)._completed()
+        return replace(self, precision=given, values=middle, blind=hidden)._completed()
 
     def _completed(self) -> Smoother:
         """Return the same with its diagonal."""
@@ -176,6 +178,10 @@ class Smoother:
             total = dr.fma(dr.sqrt(weight) * sign, force, total)
         dr.eval(total)
         return total
+
+
+def _lanes(values: np.ndarray) -> Any:
+    return owned(mi.Float, values.ravel().astype(np.float32))
 
 
 def _normal(seed: Any, number: Any) -> Any:
