@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import mitsuba as mi
 import numpy as np
 from scipy.spatial import cKDTree
 
 from svu_mi.inpaint.filling import SUREST
 from svu_mi.inpaint.pieces import Pieces
-from svu_mi.interop import owned
 from svu_mi.recovery.field.field import TextureField
 
 FARTHER = {"from the border": 1e-5, "cautiously from the border": 1e-2}
@@ -41,14 +37,13 @@ def spread(
     wide = np.maximum(values[:, known].std(axis=1), SUREST)[:, None]
     trust = np.where(known, weights, FARTHER[title] / wide**2)
     border = np.bincount(pieces.piece, known)[pieces.piece] > 0
-    right = _lanes(trust * np.where(known, values, mean))
-    free = _lanes(np.tile(border, (len(values), 1)))
+    right = trust * np.where(known, values, mean)
     found = np.where(border, _nearest(pieces, values, known), mean)
     smoother = field.smoother.with_precision(trust, blind=~known)
-    for _ in range(1 + AGAIN):
-        found = np.array(smoother.fill(right, _lanes(found), free), np.float64)
-        found = np.where(known, values, found.reshape(values.shape))
-        smoother = field.smoother.with_precision(trust, found)
+    for again in range(AGAIN + 1):
+        if again:
+            smoother = smoother.with_precision(trust, found)
+        found = np.where(known, values, smoother.fill(right, found, border))
     return np.clip(found, 0, 1)
 
 
@@ -63,7 +58,3 @@ def _nearest(pieces: Pieces, values: np.ndarray, known: np.ndarray) -> np.ndarra
     for row, some in zip(found, values[:, known], strict=True):
         row[~known] = (some[which] * weights).sum(axis=1)
     return found
-
-
-def _lanes(values: np.ndarray) -> Any:
-    return owned(mi.Float, values.astype(np.float32).ravel())

@@ -130,17 +130,19 @@ class Smoother:
         goal = TOLERANCE**2 * dr.sum(dr.square(right) / self.diagonal)
         return self._descend(x, right - self @ x, dr.full(mi.Float, 1, dr.width(x)), goal, MOST)
 
-    def fill(self, right: Any, start: Any, free: Any) -> Any:
-        """Return x with (D + K) x = right on some lanes, and what it was on all others.
+    def fill(self, right: np.ndarray, start: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """Return x with (D + K) x = right at some texels, and what it was at all others, (N, T).
 
         Args:
-            right: (N T,) Float.
-            start: (N T,) Float, x to begin with.
-            free: (N T,) Float, 1 where x is looked for and 0 where it is known.
+            right: (N, T).
+            start: (N, T), x to begin with.
+            free: (T,) bool, where x is looked for.
         """
-        rest = free * (right - self @ start)
+        x, wanted = _lanes(start), _lanes(np.tile(free, (len(start), 1)))
+        rest = wanted * (_lanes(right) - self @ x)
         goal = CLOSE**2 * dr.sum(dr.square(rest) / self.diagonal)
-        return self._descend(start, rest, free, goal, LONG)
+        found = self._descend(x, rest, wanted, goal, LONG)
+        return np.array(found, np.float64).reshape(start.shape)
 
     def _descend(self, x: Any, rest: Any, free: Any, goal: Any, most: int) -> Any:
         step = rest / self.diagonal
