@@ -68,14 +68,14 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
     for name, each in judged.items():
         rows, squares = field.rows(name), each.squares(weights[name])
         errors[name] = float(np.sqrt(squares.mean()))
-        off = np.sqrt(squares.max(axis=0)[:, None] + unlike[rows])
+        off = np.sqrt(np.maximum(squares.max(axis=0)[:, None], unlike[rows]))
         filling.put(name, ~seen, guess[rows], off)
     return Filled(filling.done(~seen), ~seen, weights, errors)
 
 
 def variance(field: TextureField, known: np.ndarray) -> np.ndarray:
     """Return how unlike each other known texels (T,) are, (N, 1): nothing says that what nobody saw
-    is less unlike the rest than that is unlike itself."""
+    is any more like what it is filled with."""
     return np.asarray(field.values[:, known].var(axis=1, keepdims=True))
 
 

@@ -116,7 +116,8 @@ class _Object:
             answers.append(answer)
             for name, error in answer.errors.items():
                 rows = self.field.rows(name)
-                off = np.sqrt(error**2 + (source == "renders") * unlike[rows])
+                least = unlike[rows] if source == "renders" else np.zeros((1, 1))
+                off = np.sqrt(np.maximum(error**2, least))
                 filling.put(name, guess.reached, guess.values[rows], off)
         reached = start.filled & rest.known
         invented = Invented(self.model.title, self.model.licence, tuple(answers), reached)
