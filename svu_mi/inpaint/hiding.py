@@ -7,7 +7,7 @@ import numpy as np
 from svu_mi.inpaint.pieces import Pieces
 
 FEWEST, MOST = 2, 6  # parts of the surface that are hidden in turn
-DIVISIONS = 2  # ways to divide it
+DIVISIONS = 2  # ways to divide it, where it is divided into so few
 
 
 def hidden_parts(pieces: Pieces, seen: np.ndarray) -> list[np.ndarray]:
@@ -33,7 +33,8 @@ def _divided(normal: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:
     number = int(np.clip(round(seen.sum() / max((~seen).sum(), 1)), FEWEST, MOST))
     numbers = np.flatnonzero(seen)
     found: list[np.ndarray] = []
-    for owner in (_clusters(normal[seen], number, seed) for seed in range(DIVISIONS)):
+    ways = DIVISIONS if number == FEWEST else 1
+    for owner in (_clusters(normal[seen], number, seed) for seed in range(ways)):
         for k in range(number):
             hidden = np.zeros(len(normal), bool)
             hidden[numbers[owner == k]] = True
