@@ -21,7 +21,7 @@ from svu_mi.inpaint.judging import UNSEEN, Judged, Trial, importance
 from svu_mi.inpaint.likeness import FEWEST, RULES, Examples, Likeness
 from svu_mi.inpaint.mixing import TITLES
 from svu_mi.inpaint.pieces import Pieces, centred, connected
-from svu_mi.inpaint.spreading import FARTHER, spread
+from svu_mi.inpaint.spreading import FARTHER, spreads
 from svu_mi.interop import owned
 from svu_mi.output.textures import read_textures, settings_of
 from svu_mi.parameters import CHANNELS, NAMES
@@ -135,7 +135,7 @@ def test_values_spread_to_the_middle_of_a_large_hole(title: str) -> None:
     smoother = Smoother.of(1 / deviation**2, values, lanes, 3.0, 0.01)
     field = SimpleNamespace(values=values, deviation=deviation, smoother=smoother)
     pieces = Pieces(np.zeros((side**2, 3)), np.zeros((side**2, 3)), piece)
-    found = spread(field, pieces, ~hole, title)
+    ((_, found),) = spreads(field, pieces, ~hole, {title})
     np.testing.assert_array_equal(found[:, ~hole], values[:, ~hole])
     np.testing.assert_allclose(found[:, alone], true[:, ~hole].mean(), atol=1e-5)
     off = (found - true)[:, hole & ~alone]

@@ -45,16 +45,12 @@ class Filling:
         off = np.maximum(off, SUREST)
         own = np.where(self.shown, 1 / np.maximum(self.field.sds[rows], SUREST) ** 2, 0)
         both = own * self.field.values[rows] + guess / off**2
-        self.values[rows] = np.where(at, both / (own + 1 / off**2), self.values[rows])
-        self.doubt(name, at, off)
-
-    def doubt(self, name: str, at: np.ndarray, off: np.ndarray) -> None:
-        """Say how far off texels are that nobody saw, and others of these not at all."""
-        rows = self.field.rows(name)
-        values = self.values[rows]
-        off = np.broadcast_to(np.maximum(off, SUREST), values.shape)
-        least = np.maximum(clipped.width_of(values, off), self.field.width[rows])
+        values = np.where(at, both / (own + 1 / off**2), self.values[rows])
+        # Of texels that a photograph shows, nothing more is known than was.
+        least = clipped.width_of(values, np.broadcast_to(off, values.shape))
+        least = np.maximum(least, self.field.width[rows])
         self.least[rows] = np.where(at & ~self.shown, least, self.least[rows])
+        self.values[rows] = values
 
     def done(self, filled: np.ndarray) -> TextureField:
         """Return the field of which some texels, (T,) bool, were filled."""

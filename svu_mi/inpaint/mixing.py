@@ -10,7 +10,7 @@ from svu_mi.inpaint.filling import SUREST
 from svu_mi.inpaint.likeness import LIKENESSES, NEAR, Examples
 from svu_mi.inpaint.pieces import Pieces
 from svu_mi.inpaint.record import Weights
-from svu_mi.inpaint.spreading import FARTHER, spread
+from svu_mi.inpaint.spreading import FARTHER, spreads
 from svu_mi.recovery.field.field import TextureField
 
 TITLES = (*FARTHER, *(one.title for one in LIKENESSES))
@@ -50,9 +50,8 @@ def guesses(
         titles: what is asked for.
         examples: numbers of the known texels that others may be like; all by default.
     """
-    for title in FARTHER:
-        if title in titles:
-            yield title, spread(field, pieces, known, title)[:, wanted]
+    for title, values in spreads(field, pieces, known, titles):
+        yield title, values[:, wanted]
     likenesses = [one for one in LIKENESSES if one.title in titles]
     if not likenesses:
         return

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Container, Iterator
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -16,9 +18,9 @@ AGAIN = 2  # times that links go by what has spread: edges go on into a hole
 NEAREST = 8  # known texels that a hole is filled by to begin with
 
 
-def spread(
-    field: TextureField, pieces: Pieces, known: np.ndarray, title: str
-) -> np.ndarray:
+def spreads(
+    field: TextureField, pieces: Pieces, known: np.ndarray, titles: Container[str] = FARTHER
+) -> Iterator[tuple[str, np.ndarray]]:
     """Let values spread from what is known: first over links as strong as those between equals,
     then over links that are weak across edges of what has spread [Vogel and Oman 1996]. Pieces of
     which nothing is known are as the mean of all.
@@ -27,24 +29,25 @@ def spread(
         field: whose values.
         pieces: its texels.
         known: (T,) bool, of what they are known; no others are looked at.
-        title: one of ``FARTHER``.
+        titles: those of ``FARTHER`` that are asked for.
 
-    Returns:
-        (N, T).
+    Yields:
+        A title, and (N, T).
     """
     weights, values = 1 / np.maximum(field.deviation, SUREST) ** 2, field.values
     mean = np.average(values[:, known], axis=1, weights=weights[:, known])[:, None]
     wide = np.maximum(values[:, known].std(axis=1), SUREST)[:, None]
-    trust = np.where(known, weights, FARTHER[title] / wide**2)
     border = np.bincount(pieces.piece, known)[pieces.piece] > 0
-    right = trust * np.where(known, values, mean)
-    found = np.where(border, _nearest(pieces, values, known), mean)
-    smoother = field.smoother.with_precision(trust, blind=~known)
-    for again in range(AGAIN + 1):
-        if again:
-            smoother = smoother.with_precision(trust, found)
-        found = np.where(known, values, smoother.fill(right, found, border))
-    return np.clip(found, 0, 1)
+    start = np.where(border, _nearest(pieces, values, known), mean)
+    for title in (title for title in FARTHER if title in titles):
+        trust, found = np.where(known, weights, FARTHER[title] / wide**2), start
+        right = trust * np.where(known, values, mean)
+        smoother = field.smoother.with_precision(trust, blind=~known)
+        for again in range(AGAIN + 1):
+            if again:
+                smoother = smoother.with_precision(trust, found)
+            found = np.where(known, values, smoother.fill(right, found, border))
+        yield title, np.clip(found, 0, 1)
 
 
 def _nearest(pieces: Pieces, values: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -29,11 +29,10 @@ import numpy as np
 from scipy.special import ellipk
 
 from svu_mi.errors import OptionError
-from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field import clipped
 from svu_mi.recovery.field.coherent import Waves
-from svu_mi.recovery.field.smoother import Smoother
+from svu_mi.recovery.field.smoother import Smoother, lanes
 from svu_mi.recovery.textures import Textures, lay_out
 from svu_mi.settings import require_known
 from svu_mi.surface import Texels
@@ -120,7 +119,7 @@ class TextureField:
         waves = Waves.draw(len(self.deviation), random).at(self.texels.position * length)
         together = np.sqrt(self.common) * self._coherent * self._mixed(np.array(waves))
         forces = self._mixed(random.standard_normal(self.deviation.shape, np.float32))
-        right = owned(mi.Float, (forces / self.deviation).astype(np.float32).ravel())
+        right = lanes(forces / self.deviation)
         alone = np.array(self.smoother.solve(right + self.smoother.pulls(random)), np.float64)
         away = together + np.sqrt(1 - self.common) * alone.reshape(-1, count)
         away *= self._raised / np.maximum(self._own_sd, TINY)
@@ -217,5 +216,4 @@ class TextureField:
 
 def _solved(smoother: Smoother, right: np.ndarray) -> np.ndarray:
     """Solve for (N, T) float64."""
-    given = owned(mi.Float, right.astype(np.float32).ravel())
-    return np.array(smoother.solve(given), np.float64).reshape(right.shape)
+    return np.array(smoother.solve(lanes(right)), np.float64).reshape(right.shape)

@@ -65,7 +65,7 @@ class Smoother:
             strength: lambda.
             epsilon: differences far below it do not make a link any stronger.
         """
-        given, middle = _lanes(precision), _lanes(values)
+        given, middle = lanes(precision), lanes(values)
         links = dr.opaque(mi.Float, strength), dr.opaque(mi.Float, epsilon)
         return Smoother(given, middle, tuple(around), *links, given)._completed()
 
@@ -80,8 +80,8 @@ class Smoother:
             values: (N, T), that links depend on; by default, those that they do.
             blind: (T,) bool, texels whose values they must not know.
         """
-        given, hidden = _lanes(precision), None
-        middle = self.values if values is None else _lanes(values)
+        given, hidden = lanes(precision), None
+        middle = self.values if values is None else lanes(values)
         if blind is not None:
             hidden = owned(mi.Bool, np.tile(blind, len(precision)))
         return replace(self, precision=given, values=middle, blind=hidden)._completed()
@@ -128,7 +128,7 @@ class Smoother:
         """
         x = right / self.diagonal
         goal = TOLERANCE**2 * dr.sum(dr.square(right) / self.diagonal)
-        return self._descend(x, right - self @ x, dr.full(mi.Float, 1, dr.width(x)), goal, MOST)
+        return self._descend(x, right - self @ x, mi.Float(1), goal, MOST)
 
     def fill(self, right: np.ndarray, start: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Return x with (D + K) x = right at some texels, and what it was at all others, (N, T).
@@ -138,8 +138,8 @@ class Smoother:
             start: (N, T), x to begin with.
             free: (T,) bool, where x is looked for.
         """
-        x, wanted = _lanes(start), _lanes(np.tile(free, (len(start), 1)))
-        rest = wanted * (_lanes(right) - self @ x)
+        x, wanted = lanes(start), lanes(np.tile(free, (len(start), 1)))
+        rest = wanted * (lanes(right) - self @ x)
         goal = CLOSE**2 * dr.sum(dr.square(rest) / self.diagonal)
         found = self._descend(x, rest, wanted, goal, LONG)
         return np.array(found, np.float64).reshape(start.shape)
@@ -147,7 +147,7 @@ class Smoother:
     def _descend(self, x: Any, rest: Any, free: Any, goal: Any, most: int) -> Any:
         step = rest / self.diagonal
         size = dr.sum(rest * step)
-        dr.eval(x, rest, step, size, goal, free)
+        dr.eval(x, rest, step, size, goal)
         for iteration in range(most):
             if iteration % LOOK == 0 and size[0] <= goal[0]:
                 break
@@ -182,7 +182,8 @@ class Smoother:
         return total
 
 
-def _lanes(values: np.ndarray) -> Any:
+def lanes(values: np.ndarray) -> Any:
+    """Return (N, T) values as (N T,) Float."""
     return owned(mi.Float, values.ravel().astype(np.float32))
 
 
