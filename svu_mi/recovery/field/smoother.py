@@ -92,18 +92,24 @@ class Smoother:
         dr.eval(diagonal)
         return replace(self, diagonal=diagonal)
 
+    def _others(self) -> Iterator[Any]:
+        """Yield the lane of a neighbour of every lane, its own for none."""
+        first = dr.arange(mi.UInt32, dr.width(self.values)) - self._texel
+        for column in self.around:
+            yield first + dr.gather(mi.UInt32, column, self._texel)
+
     def _links(self) -> Iterator[tuple[Any, Any]]:
         """Yield the lane of a neighbour of every lane, and the weight of the link, 0 for none."""
         lane = dr.arange(mi.UInt32, dr.width(self.values))
-        texel = self._texel
-        first = lane - texel
-        for column in self.around:
-            other = first + dr.gather(mi.UInt32, column, texel)
-            apart = self.values - dr.gather(mi.Float, self.values, other)
-            if self.blind is not None:
-                apart = dr.select(self.blind | dr.gather(mi.Bool, self.blind, other), 0, apart)
-            weight = self.strength * dr.rsqrt(dr.fma(apart, apart, dr.square(self.epsilon)))
-            yield other, dr.select(other == lane, 0, weight)
+        for other in self._others():
+            yield other, dr.select(other == lane, 0, self._weight(other))
+
+    def _weight(self, other: Any) -> Any:
+        """Return the weight of the link from every lane to another."""
+        apart = self.values - dr.gather(mi.Float, self.values, other)
+        if self.blind is not None:
+            apart = dr.select(self.blind | dr.gather(mi.Bool, self.blind, other), 0, apart)
+        return self.strength * dr.rsqrt(dr.fma(apart, apart, dr.square(self.epsilon)))
 
     @cached_property
     def _texel(self) -> Any:
@@ -115,9 +121,16 @@ class Smoother:
 
     def __matmul__(self, x: Any) -> Any:
         """Return (D + K) x."""
-        total = self.diagonal * x
-        for other, weight in self._links():
-            total = dr.fma(-weight, dr.gather(mi.Float, x, other), total)
+        lane, total = dr.arange(mi.UInt32, dr.width(self.values)), self.diagonal * x
+        for other in self._others():
+
+            def pulled(total: Any, other: Any = other) -> tuple[Any]:
+                return (dr.fma(-self._weight(other), dr.gather(mi.Float, x, other), total),)
+
+            # Only along seams are there more than four; whole packets skip the rest.
+            (total,) = dr.if_stmt(
+                args=(total,), cond=other != lane, true_fn=pulled, false_fn=lambda total: (total,)
+            )
         return total
 
     def solve(self, right: Any) -> Any:
