@@ -75,12 +75,18 @@ class TotalVariation(Regularizer):
         total, gradient = mi.Float(0), mi.Float(0)
         for column in self._around:
             other = dr.gather(mi.UInt32, column, texel)
-            difference = values - dr.gather(mi.Float, values, other * channels + channel)
-            # A texel without a neighbour may hold anything, NaN included.
-            difference = dr.select(other == texel, 0, difference)
-            size, slope = self._absolute(difference)
-            total += size
-            gradient += slope
+            neighbor = other * channels + channel
+
+            def add(total: Any, gradient: Any, neighbor: Any = neighbor) -> tuple[Any, Any]:
+                size, slope = self._absolute(values - dr.gather(mi.Float, values, neighbor))
+                return total + size, gradient + slope
+
+            # A texel without a neighbour may hold anything, NaN included; and only along seams
+            # are there more than four: whole packets skip the rest.
+            total, gradient = dr.if_stmt(
+                args=(total, gradient), cond=other != texel, true_fn=add,
+                false_fn=lambda total, gradient: (total, gradient),
+            )  # fmt: skip
         gradient *= self._scale
         dr.eval(total, gradient)
         return dr.sum(total) * (0.5 * self._scale), gradient  # every pair was seen from both ends
