@@ -15,7 +15,9 @@ from test_field import square
 
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.exr import read_exr
+from svu_mi.inpaint import ground as grounds
 from svu_mi.inpaint.fill import fill
+from svu_mi.inpaint.ground import Ground
 from svu_mi.inpaint.hiding import hidden_parts
 from svu_mi.inpaint.judging import UNSEEN, Judged, Trial, importance
 from svu_mi.inpaint.likeness import FEWEST, RULES, Examples, Likeness
@@ -119,27 +121,74 @@ def test_what_is_like_a_piece_is_of_that_piece_alone() -> None:
     assert alike.all() and found[0, 0] == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize("title", FARTHER)
-def test_values_spread_to_the_middle_of_a_large_hole(title: str) -> None:
-    """Of surely known texels with a slope: it goes on. Of a piece by itself nothing is known."""
-    side = 120
-    across, down = np.meshgrid(*[np.linspace(-1, 1, side)] * 2)
-    true = (0.6 + 0.3 * across).ravel()[None]
-    hole = (np.hypot(across, down) < 0.7).ravel()
-    alone = hole & (np.hypot(across, down) < 0.1).ravel()
+def sheet(side: int, hole: np.ndarray, alone: np.ndarray) -> tuple[Ground, np.ndarray]:
+    """A square of surely known texels with a slope and a hole, and a piece by itself in the hole;
+    and its true values."""
+    rows, columns = np.divmod(np.arange(side**2), side)
+    true = (0.6 + 0.6 * (columns / (side - 1) - 0.5))[None]
     around = [np.array(column) for column in square(side)]
     around = [np.where(alone[column] == alone, column, np.arange(side**2)) for column in around]
-    piece = connected(around)
     values, deviation = np.where(hole, 0.5, true), np.where(hole, 0.3, 0.01)[None]
     lanes = [owned(mi.UInt32, column.astype(np.uint32)) for column in around]
     smoother = Smoother.of(1 / deviation**2, values, lanes, 3.0, 0.01)
-    field = SimpleNamespace(values=values, deviation=deviation, smoother=smoother)
-    pieces = Pieces(np.zeros((side**2, 3)), np.zeros((side**2, 3)), piece)
-    ((_, found),) = spreads(field, pieces, ~hole, {title})
-    np.testing.assert_array_equal(found[:, ~hole], values[:, ~hole])
+    pieces = Pieces(np.zeros((side**2, 3)), np.zeros((side**2, 3)), connected(around))
+    squares = np.stack([rows, columns], axis=1)
+    return Ground(values, 1 / deviation**2, values, ~hole, squares, pieces, smoother), true
+
+
+def round_hole(side: int, radius: float) -> np.ndarray:
+    across, down = np.meshgrid(*[np.linspace(-1, 1, side)] * 2)
+    return (np.hypot(across, down) < radius).ravel()
+
+
+@pytest.mark.parametrize("enough", [2**16, 1000])
+@pytest.mark.parametrize("title", FARTHER)
+def test_values_spread_to_the_middle_of_a_large_hole(monkeypatch, title: str, enough: int) -> None:
+    """Of surely known texels with a slope: it goes on. Of a piece by itself nothing is known."""
+    monkeypatch.setattr(grounds, "ENOUGH", enough)
+    hole, alone = round_hole(120, 0.7), round_hole(120, 0.1)
+    ground, true = sheet(120, hole, alone)
+    assert ground.many == (enough == 1000)
+    ((_, found),) = spreads(ground, {title})
+    np.testing.assert_array_equal(found[:, ~hole], ground.values[:, ~hole])
     np.testing.assert_allclose(found[:, alone], true[:, ~hole].mean(), atol=1e-5)
     off = (found - true)[:, hole & ~alone]
     assert np.abs(off).max() < 0.04 and np.sqrt((off**2).mean()) < 0.01
+
+
+def test_groups_are_of_neighbours_that_are_all_known_or_none() -> None:
+    hole, alone = round_hole(41, 0.7), round_hole(41, 0.3)
+    ground, _ = sheet(41, hole, alone)
+    groups, owner = ground.halved
+    assert len(owner) == ground.count and owner.max() + 1 == groups.count < 0.4 * ground.count
+    np.testing.assert_array_equal(groups.known[owner], ground.known)
+    np.testing.assert_array_equal(groups.square[owner], ground.square // 2)
+    same = groups.pieces.piece[owner]
+    assert len(set(zip(same, ground.pieces.piece, strict=True))) == len(set(same))
+    for group in np.random.default_rng(0).integers(groups.count, size=50):
+        texels = owner == group
+        assert 1 <= texels.sum() <= 4
+        w, v = ground.weights[0, texels], ground.values[0, texels]
+        assert groups.weights[0, group] == pytest.approx(w.sum())
+        assert groups.values[0, group] == pytest.approx((w * v).sum() / w.sum())
+        assert groups.single[0, group] in v
+    # Groups are linked where texels are.
+    linked, expected = set(), set()
+    for column in groups.smoother.around:
+        linked |= set(enumerate(np.array(column).tolist()))
+    for column in ground.smoother.around:
+        expected |= set(zip(owner.tolist(), owner[np.array(column)].tolist(), strict=True))
+    own = {(group, group) for group in range(groups.count)}
+    assert linked - own == expected - own
+
+
+def test_groups_are_no_help_where_known_texels_lie_here_and_there(monkeypatch) -> None:
+    monkeypatch.setattr(grounds, "ENOUGH", 100)
+    hole = np.indices((40, 40)).sum(axis=0).ravel() % 2 > 0
+    ground, true = sheet(40, hole, np.zeros_like(hole))
+    assert not ground.many and ground.small is ground
+    for _, found in spreads(ground):
+        assert np.abs(found - true).max() < 0.02
 
 
 def judged_of(errors: np.ndarray) -> Judged:
@@ -269,6 +318,25 @@ def test_what_all_texels_have_in_common_counts_once(banded: SimpleNamespace) -> 
     assert np.median(drawn.std(axis=0)[seen] / wide[seen]) == pytest.approx(1, abs=0.15)
 
 
+def test_large_textures_are_judged_by_groups_of_texels(monkeypatch, banded) -> None:
+    """What fills them is about the same, and so is how far off that is: of wide stripes."""
+    field, hidden = banded.field, banded.hidden
+    _, y, z = centred(np.array(field.texels.position).T).T
+    stripes = (0.5 + 0.4 * np.sin(4 * y + 3 * np.abs(z)))[:, None]
+    smooth = {name: np.repeat(stripes, count, axis=1) for name, count in CHANNELS.items()}
+    field = replace(field, textures=lay_out(field.texels, smooth))
+    whole = fill(field, ~hidden)
+    monkeypatch.setattr(grounds, "ENOUGH", field.texels.count // 2)
+    found = fill(field, ~hidden)
+    for name in NAMES:
+        # Other parts are hidden, of texels twice as large.
+        assert 0.5 < found.errors[name] / whole.errors[name] < 2
+        new, old = (each.field.values[field.rows(name)] for each in (found, whole))
+        off, before = (np.abs(x - smooth[name].T)[:, hidden].mean() for x in (new, old))
+        assert off < 1.2 * before
+        np.testing.assert_array_equal(new[:, ~hidden], old[:, ~hidden])
+
+
 def test_intervals_of_what_was_filled_are_honest(banded: SimpleNamespace) -> None:
     found = fill(banded.field, ~banded.hidden)
     low, high = found.field.interval("roughness")
@@ -317,7 +385,8 @@ def test_of_a_flat_object_sides_are_hidden() -> None:
     point = centred(np.stack([x, y, 0 * x], axis=1))
     pieces = Pieces(point, np.tile([0.0, 0, 1], (len(point), 1)), np.zeros(len(point), np.int64))
     seen = x < 13
-    parts = hidden_parts(pieces, seen)
+    none = np.zeros((1, len(point)))
+    parts = hidden_parts(Ground(none, none, none, seen, point[:, :2], pieces, None))
     assert len(parts) >= 2
     for part in parts:
         assert part.any() and not part[~seen].any() and (seen & ~part).any()

@@ -127,8 +127,7 @@ class Inpaint(WithPictures, FromPhotographs):
         if model is None:
             from svu_mi.inpaint.fill import fill
 
-            with progress.stage("Looking for likeness"):
-                return fill(field, seen, self.above)
+            return fill(field, seen, self.above, progress=progress)
         from svu_mi.inpaint.diffusion.fill import fill_by_diffusion
 
         return fill_by_diffusion(

@@ -8,24 +8,28 @@ and so is how far off that mean is (``judging``).
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from math import inf
 
 import numpy as np
 
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.inpaint.filling import Filling
+from svu_mi.inpaint.ground import Ground
 from svu_mi.inpaint.hiding import hidden_parts
 from svu_mi.inpaint.judging import Judged, Trial, distances
 from svu_mi.inpaint.mixing import mixed
-from svu_mi.inpaint.pieces import Pieces
 from svu_mi.inpaint.record import Filled, Weights
 from svu_mi.parameters import NAMES
+from svu_mi.progress import Progress, Stage
 from svu_mi.recovery.field.field import TextureField
 
 DECIDES = "base_color"  # what photographs tell best, and so how far anything is alike
 
 
-def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
+def fill(
+    field: TextureField, seen: np.ndarray, above: float = inf, *, progress: Progress | None = None
+) -> Filled:
     """Fill texels that nobody saw, or that are less sure than asked.
 
     Args:
@@ -33,6 +37,7 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
         seen: (T,) bool, texels that a photograph shows.
         above: standard deviation of any parameter from which on one that was seen is filled, too;
             what is known of it counts as much as it is sure.
+        progress: shows what is going on.
 
     Raises:
         CaptureError: nothing is seen, or nothing surely enough, or too little to guess from.
@@ -45,32 +50,55 @@ def fill(field: TextureField, seen: np.ndarray, above: float = inf) -> Filled:
     seen = shown & (field.sds <= above).all(axis=0)
     if seen.any() and seen.all():
         return Filled(field, ~seen, {name: {} for name in NAMES}, {name: 0.0 for name in NAMES})
-    pieces = Pieces.of(field.texels, field.smoother.around)
-    parts = hidden_parts(pieces, seen) if seen.any() else []
-    if not parts and (above == inf or shown.sum() < 2):
-        raise CaptureError(
+    with (progress or Progress()).stage("Looking for likeness") as stage:
+        ground = Ground.of(field, seen)
+        parts = hidden_parts(ground.small) if seen.any() else []
+        if not parts:
+            raise _too_few(shown, above)
+        judged = _judged(field, ground, parts, stage)
+        alike = judged[DECIDES].share if DECIDES in judged else 1.0
+        weights: dict[str, dict[str, float]] = {name: {} for name in NAMES}
+        weights |= {name: each.weights(alike) for name, each in judged.items()}
+        return _filled(Filling(field, shown), ground, judged, weights)
+
+
+def _too_few(shown: np.ndarray, above: float) -> CaptureError:
+    """Return what is wrong where nothing can be hidden."""
+    if above == inf or shown.sum() < 2:
+        return CaptureError(
             f"{shown.sum()} of {len(shown)} texels are seen: too few to fill the others by; add "
             "photographs of the object."
         )
-    if not parts:
-        raise CaptureError(
-            "fill(): too few texels are seen surely enough to fill others by; allow more (above=).",
-            shell="Too few texels are seen surely enough to fill others by; give a larger --above.",
-        )
-    far = distances(pieces, seen, np.flatnonzero(~seen))
-    trials = [Trial.of(field, pieces, seen, hidden, far) for hidden in parts]
-    judged = {name: Judged.of(trials, field.rows(name)) for name in field.names}
-    alike = judged[DECIDES].share if DECIDES in judged else 1.0
-    weights: dict[str, dict[str, float]] = {name: {} for name in NAMES}
-    weights |= {name: each.weights(alike) for name, each in judged.items()}
-    guess, unlike = mixed(field, pieces, seen, weights), variance(field, seen)
-    filling, errors = Filling(field, shown), {name: 0.0 for name in NAMES}
+    return CaptureError(
+        "fill(): too few texels are seen surely enough to fill others by; allow more (above=).",
+        shell="Too few texels are seen surely enough to fill others by; give a larger --above.",
+    )
+
+
+def _judged(
+    field: TextureField, ground: Ground, parts: Sequence[np.ndarray], stage: Stage
+) -> dict[str, Judged]:
+    """Return how far off guesses are of every parameter that was recovered."""
+    far, trials = distances(ground, np.flatnonzero(~ground.known)), []
+    for done, hidden in enumerate(parts):
+        stage.update(done, len(parts) + 1)
+        trials.append(Trial.of(ground.small, hidden, far))
+    stage.update(len(parts), len(parts) + 1)
+    return {name: Judged.of(trials, field.rows(name)) for name in field.names}
+
+
+def _filled(
+    filling: Filling, ground: Ground, judged: Mapping[str, Judged], weights: Weights
+) -> Filled:
+    """Fill what is not known by weighted means of all guesses."""
+    guess, unlike = mixed(ground, weights), variance(filling.field, ground.known)
+    errors = {name: 0.0 for name in NAMES}
     for name, each in judged.items():
-        rows, squares = field.rows(name), each.squares(weights[name])
+        rows, squares = TextureField.rows(name), each.squares(weights[name])
         errors[name] = float(np.sqrt(squares.mean()))
         off = np.sqrt(np.maximum(squares.max(axis=0)[:, None], unlike[rows]))
-        filling.put(name, ~seen, guess[rows], off)
-    return Filled(filling.done(~seen), ~seen, weights, errors)
+        filling.put(name, ~ground.known, guess[rows], off)
+    return Filled(filling.done(~ground.known), ~ground.known, weights, errors)
 
 
 def variance(field: TextureField, known: np.ndarray) -> np.ndarray:
@@ -105,8 +133,7 @@ def by_likeness(field: TextureField, known: np.ndarray, weights: Weights) -> np.
     Returns:
         (N, T).
     """
-    pieces = Pieces.of(field.texels, field.smoother.around)
-    values, found = field.values.copy(), mixed(field, pieces, known, weights)
+    values, found = field.values.copy(), mixed(Ground.of(field, known), weights)
     for name, used in weights.items():
         if used:
             rows = field.rows(name)

@@ -4,28 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from svu_mi.inpaint.pieces import Pieces
+from svu_mi.inpaint.ground import Ground
 
 FEWEST, MOST = 2, 6  # parts of the surface that are hidden in turn
 DIVISIONS = 2  # ways to divide it, where it is divided into so few
 
 
-def hidden_parts(pieces: Pieces, seen: np.ndarray) -> list[np.ndarray]:
-    """Return parts of what was seen, as cameras leave them out.
+def hidden_parts(ground: Ground) -> list[np.ndarray]:
+    """Return parts of what is known, as cameras leave them out.
 
     Each is what faces one way, or of a flat object what lies on one side, about as large as what
-    was not seen, so that it is as far from what is known.
+    is not known, so that it is as far from what is.
 
     Args:
-        pieces: T texels.
-        seen: (T,) bool.
+        ground: T texels.
 
     Returns:
         (T,) bool each; none if nothing would be left to guess from.
     """
-    distance = np.linalg.norm(pieces.point, axis=1, keepdims=True)
-    side = pieces.point / np.maximum(distance, 1e-9)
-    return _divided(pieces.normal, seen) or _divided(side, seen)
+    point, normal = ground.pieces.point, ground.pieces.normal
+    side = point / np.maximum(np.linalg.norm(point, axis=1, keepdims=True), 1e-9)
+    return _divided(normal, ground.known) or _divided(side, ground.known)
 
 
 def _divided(normal: np.ndarray, seen: np.ndarray) -> list[np.ndarray]:

@@ -17,7 +17,7 @@ at most 1, where <> are means of products of errors, and t^2 is a gain or loss t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,14 +25,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from svu_mi.inpaint.filling import SUREST
+from svu_mi.inpaint.ground import Ground
 from svu_mi.inpaint.mixing import TITLES, guesses
-from svu_mi.inpaint.pieces import Pieces
 from svu_mi.inpaint.spreading import FARTHER
 from svu_mi.posterior import intervals
-from svu_mi.recovery.field.field import TextureField
 
 TRIED = 3000  # texels of a part that guesses are compared on
-GUESSED_BY = 2**16  # texels that they are made of there, at most: evenly chosen, of large textures
+MEASURED = 2**16  # distances, at most
 DISTANCES = 5  # groups of texels by how far they are from what is known
 RARE = 0.01  # part of the texels from which on a group of them tells enough
 UNSEEN = 1e-4  # t
@@ -51,24 +50,19 @@ class Trial:
     weights: np.ndarray
 
     @staticmethod
-    def of(
-        field: TextureField, pieces: Pieces, seen: np.ndarray, hidden: np.ndarray, far: np.ndarray
-    ) -> Trial:
-        """Try all guesses on a part of what was seen.
+    def of(ground: Ground, hidden: np.ndarray, far: np.ndarray) -> Trial:
+        """Try all guesses on a part of what is known.
 
         Args:
-            field: whose values.
-            pieces: its texels.
-            seen: (T,) bool, of what they are known.
+            ground: what is known.
             hidden: (T,) bool, the part.
             far: distances from what is known to what is to be filled (``distances``).
         """
-        known, texels = seen & ~hidden, np.flatnonzero(hidden)
+        left, texels = ground.without(hidden), np.flatnonzero(hidden)
         texels = texels[intervals.spread(np.arange(len(texels)), TRIED)]
-        examples = intervals.spread(np.flatnonzero(known), GUESSED_BY)
-        found = guesses(field, pieces, known, texels, examples=examples)
-        errors = np.array([guess - field.values[:, texels] for _, guess in found])
-        return Trial(errors, importance(far, distances(pieces, known, texels)))
+        true = ground.single[:, texels]
+        errors = np.array([guess - true for _, guess in guesses(left, texels)])
+        return Trial(errors, importance(far, distances(left, texels)))
 
     def products(self, rows: slice) -> np.ndarray:
         """Return means of products of errors of two guesses each, (C, G, G)."""
@@ -76,10 +70,11 @@ class Trial:
         return np.asarray((some * self.weights) @ some.transpose(0, 2, 1))
 
 
-def distances(pieces: Pieces, known: np.ndarray, texels: np.ndarray) -> np.ndarray:
+def distances(ground: Ground, texels: np.ndarray) -> np.ndarray:
     """Return how far texels are from what is known, (w,), of many of them those of some."""
-    texels = intervals.spread(texels, GUESSED_BY)
-    return np.asarray(cKDTree(pieces.point[known]).query(pieces.point[texels], workers=-1)[0])
+    texels = intervals.spread(texels, MEASURED)
+    point = ground.pieces.point
+    return np.asarray(cKDTree(point[ground.known]).query(point[texels], workers=-1)[0])
 
 
 def importance(meant: np.ndarray, given: np.ndarray) -> np.ndarray:
@@ -139,7 +134,7 @@ class Judged:
         found = self.spread + min(self.share, most) * (self.mixed - self.spread)
         return dict(zip(TITLES, found.tolist(), strict=True))
 
-    def squares(self, weights: dict[str, float]) -> np.ndarray:
+    def squares(self, weights: Mapping[str, float]) -> np.ndarray:
         """Return mean squared errors (P, C) of guesses together."""
         used = np.array([weights[title] for title in TITLES])
         return np.asarray(self.products @ used @ used)

@@ -44,6 +44,19 @@ class Pieces:
         low, high = (end.reduceat(self.point[order], starts) for end in (np.minimum, np.maximum))
         return np.asarray((low + high)[self.piece] / 2)
 
+    def grouped(self, owner: np.ndarray) -> Pieces:
+        """Return groups of texels of one piece each, by the group (T,) that every texel is of."""
+        point, normal = (
+            np.stack([np.bincount(owner, column) for column in table.T], axis=1)
+            for table in (self.point, self.normal)
+        )
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        first = np.unique(owner, return_index=True)[1]
+        return Pieces(
+            point / np.bincount(owner)[:, None], normal / np.maximum(length, 1e-9),
+            self.piece[first],
+        )  # fmt: skip
+
     def apart(self, places: np.ndarray) -> np.ndarray:
         """Return places (T, d) with another column, by which pieces are far from each other."""
         return np.concatenate([places, APART * self.piece[:, None]], axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,6 +71,19 @@ def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
     inside = np.concatenate([right, down])
     across = _across_seams(surface, right, down)
     return _gather(np.concatenate([inside, across]), texels.count, len(across))
+
+
+def grouped(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[Any, ...]:
+    """Return which groups of texels are next to each other, as ``Neighbors.around`` has them.
+
+    Args:
+        around: columns (T,) of the texels' neighbours.
+        owner: (T,), which group each texel is of.
+    """
+    others = owner[np.stack(around)]
+    apart = others > owner  # each pair once
+    pairs = np.stack([np.broadcast_to(owner, others.shape)[apart], others[apart]], axis=1)
+    return _gather(np.unique(pairs, axis=0), int(owner.max()) + 1, 0).around
 
 
 @dataclass(frozen=True)

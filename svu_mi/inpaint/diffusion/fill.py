@@ -30,8 +30,8 @@ from svu_mi.inpaint.diffusion.picture import Inventor
 from svu_mi.inpaint.diffusion.shots import Shots
 from svu_mi.inpaint.fill import by_likeness, fill, variance
 from svu_mi.inpaint.filling import Filling
+from svu_mi.inpaint.ground import Ground
 from svu_mi.inpaint.hiding import hidden_parts
-from svu_mi.inpaint.pieces import Pieces
 from svu_mi.inpaint.record import Answer, Filled, Invented, Source
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
@@ -71,8 +71,7 @@ def fill_by_diffusion(
     """
     options, progress = options or DiffusionOptions(), progress or Progress()
     inventor = load_model(model, options.device) if isinstance(model, str | Path) else model
-    with progress.stage("Looking for likeness"):
-        start = fill(field, seen, above)
+    start = fill(field, seen, above, progress=progress)
     asked = _Object(capture, field, np.asarray(seen, bool), inventor, options, progress)
     return asked.filled(start) if start.filled.any() else start
 
@@ -130,7 +129,7 @@ class _Object:
 
     def _trials(self, start: Filled) -> list[_Trial]:
         known = ~start.filled
-        parts = hidden_parts(Pieces.of(self.field.texels, self.field.smoother.around), known)
+        parts = hidden_parts(Ground.of(self.field, known))
         some = parts[:: max(len(parts) // TRIALS, 1)][:TRIALS]
         return [_Trial(part, by_likeness(self.field, known & ~part, start.weights))
                 for part in some]  # fmt: skip

@@ -86,6 +86,22 @@ class Smoother:
             hidden = owned(mi.Bool, np.tile(blind, len(precision)))
         return replace(self, precision=given, values=middle, blind=hidden)._completed()
 
+    def halved(
+        self, around: Sequence[Any], precision: np.ndarray, values: np.ndarray
+    ) -> Smoother:
+        """Return links between groups of 2 x 2 texels: two links of texels go from one group to
+        the next, over twice the way.
+
+        Args:
+            around: columns (G,) UInt32 of the groups' neighbours.
+            precision: (N, G), positive.
+            values: (N, G), that links depend on.
+        """
+        strength, epsilon = 2 * self.strength, 2 * self.epsilon
+        dr.eval(strength, epsilon)
+        links = replace(self, around=tuple(around), strength=strength, epsilon=epsilon, blind=None)
+        return links.with_precision(precision, values)
+
     def _completed(self) -> Smoother:
         """Return the same with its diagonal."""
         diagonal = self.precision + sum(weight for _, weight in self._links())

@@ -1,0 +1,96 @@
+"""What filling works on: texels, what is known of them and how they hang together, also coarser."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from svu_mi.inpaint.filling import SUREST
+from svu_mi.inpaint.pieces import Pieces, connected
+from svu_mi.recovery.field.field import TextureField
+from svu_mi.recovery.field.smoother import Smoother
+from svu_mi.surface.neighbors import grouped
+
+ENOUGH = 2**16  # texels that guesses are tried on: of more, groups of neighbours
+FEWER = 0.7  # part of the texels from which on groups are no help: known ones here and there
+
+
+@dataclass(frozen=True)
+class Ground:
+    """T texels, or groups of them, some of which are known.
+
+    Attributes:
+        values: (N, T), of groups their mean.
+        weights: (N, T), precisions of these, where they are known.
+        single: (N, T), the values of one texel of each group: errors are those of texels, whose
+            values differ by more than those of means.
+        known: (T,) bool; of others, no values are looked at.
+        square: (T, 2) int64, row and column in the map.
+        pieces: where they lie.
+        smoother: the links between them.
+    """
+
+    values: np.ndarray
+    weights: np.ndarray
+    single: np.ndarray
+    known: np.ndarray
+    square: np.ndarray
+    pieces: Pieces
+    smoother: Smoother
+
+    @staticmethod
+    def of(field: TextureField, known: np.ndarray) -> Ground:
+        """Take the texels of a field, of which some, (T,) bool, are known."""
+        weights = 1 / np.maximum(field.deviation, SUREST) ** 2
+        width = field.texels.resolution[0]
+        square = np.stack(np.divmod(field.texels.index.numpy().astype(np.int64), width), axis=1)
+        pieces = Pieces.of(field.texels, field.smoother.around)
+        return Ground(
+            field.values, weights, field.values, known, square, pieces, field.smoother
+        )
+
+    def without(self, hidden: np.ndarray) -> Ground:
+        """Return the same with some texels, (T,) bool, that are not known."""
+        return replace(self, known=self.known & ~hidden)
+
+    @property
+    def count(self) -> int:
+        """T."""
+        return len(self.known)
+
+    @property
+    def many(self) -> bool:
+        """Whether there are more texels than it takes, and groups of them are fewer."""
+        return self.count > ENOUGH and self.halved[0].count < FEWER * self.count
+
+    @property
+    def small(self) -> Ground:
+        """The same of groups, of groups of groups, and so on, until these are not too many."""
+        return self.halved[0].small if self.many else self
+
+    @cached_property
+    def halved(self) -> tuple[Ground, np.ndarray]:
+        """Groups of neighbours in squares of 2 x 2, of which all are known or none; and the group
+        of every texel, (T,) int64."""
+        square, own = self.square // 2, np.arange(self.count)
+        alike = np.concatenate([square, self.known[:, None]], axis=1)
+        columns = [np.array(column, np.int64) for column in self.smoother.around]
+        owner = connected([
+            np.where((alike[column] == alike).all(axis=1), column, own) for column in columns
+        ])  # fmt: skip
+        first = np.unique(owner, return_index=True)[1]
+        weights = _sums(self.weights, owner)
+        values = _sums(self.weights * self.values, owner) / weights
+        smoother = self.smoother.halved(grouped(columns, owner), weights, values)
+        coarse = Ground(
+            values, weights, self.single[:, first], self.known[first], square[first],
+            self.pieces.grouped(owner), smoother,
+        )  # fmt: skip
+        return coarse, owner
+
+
+def _sums(values: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    """Return sums of values (N, T) over groups."""
+    return np.stack([np.bincount(owner, row) for row in values])
