@@ -36,14 +36,16 @@ class Timed:
     Attributes:
         name: for people.
         views: number of photographs of 512 x 512 pixels.
-        words: of the command line; ``{capture}`` is their folder, ``{drawn}`` textures with draws.
+        words: of the command line; ``{capture}`` is their folder, ``{textures}`` recovered ones.
         most: seconds that it may take.
+        recover: options of ``svu recover``, where ``{textures}`` are needed.
     """
 
     name: str
     views: int
     words: tuple[str, ...]
     most: float
+    recover: tuple[str, ...] = ()
 
 
 COMMANDS = (
@@ -53,13 +55,17 @@ COMMANDS = (
     Timed("recover, 40 photographs, 256 x 256 texels", 40,
           ("recover", "{capture}", "--resolution", "256"), 8),
     Timed("relight, one view of 512 x 512 in 16 draws", 40,
-          ("relight", "{capture}", "--recovered", "{drawn}", "--views", "1"), 60),
+          ("relight", "{capture}", "--recovered", "{textures}", "--views", "1"), 60,
+          recover=("--resolution", "256", "--draws", "16")),
+    Timed("inpaint, 512 x 512 texels", 40,
+          ("inpaint", "{capture}", "--recovered", "{textures}"), 60,
+          recover=("--resolution", "512")),
 )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
 class Commands:
-    """Time svu report, guide, recover and relight; writes commands.md."""
+    """Time svu report, guide, recover, relight and inpaint; writes commands.md."""
 
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("out/commands")
     """Folder for photographs and results."""
@@ -84,11 +90,10 @@ class Commands:
 
     def _line(self, one: Timed) -> list[str]:
         """Return the words of a command, and make what it needs."""
-        capture, drawn = self._photographs(one.views), self.output / f"drawn_{one.views}"
-        if "{drawn}" in one.words and not drawn.exists():
-            _timed(["recover", str(capture), "--resolution", "256", "--draws", "16",
-                    "-o", str(drawn)])  # fmt: skip
-        return [word.format(capture=capture, drawn=drawn) for word in one.words]
+        capture, textures = self._photographs(one.views), self.output / f"textures_{one.words[0]}"
+        if one.recover and not textures.exists():
+            _timed(["recover", str(capture), *one.recover, "-o", str(textures)])
+        return [word.format(capture=capture, textures=textures) for word in one.words]
 
     def _photographs(self, views: int) -> Path:
         folder = self.output / f"vase_{views}"
