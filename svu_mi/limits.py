@@ -49,6 +49,28 @@ def _unreserved() -> int | None:
     return None if space is None else max(space[0] - space[1], 0)
 
 
+def require_files(count: int) -> None:
+    """Let this process have so many files open; a system's default is 1024, or 256.
+
+    Raises:
+        CaptureError: it may not.
+    """
+    try:
+        import resource  # not on Windows
+    except ImportError:
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY or soft >= count:
+        return
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (count, hard))
+    except (OSError, ValueError) as error:
+        raise CaptureError(
+            f"Photographs in files need {count} open files, ulimit -n allows {soft}; raise it, use "
+            "fewer shards, or give --memory more."
+        ) from error
+
+
 def require_texels(resolution: Size, option: str) -> None:
     """Refuse a grid of texels that cannot be laid out.
 

@@ -177,6 +177,22 @@ def test_a_disk_that_is_full_is_said_to_be(shot, monkeypatch, tmp_path):
         svu.load_capture(shot, memory=0.0)
 
 
+def test_more_files_than_a_process_may_open_by_default_are_opened(monkeypatch):
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (64, before[1]))
+    try:
+        kept = [block.allocate([(4, 4)], memory=0) for _ in range(80)]
+        assert all(block.in_file(part) for (part,) in kept)
+        soft = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        monkeypatch.setattr(resource, "setrlimit", lambda *_: resource.getrlimit(-1))
+        with pytest.raises(CaptureError, match=rf"files, ulimit -n allows {soft}; raise it, use"):
+            kept += [block.allocate([(4, 4)], memory=0) for _ in range(2)]
+    finally:
+        monkeypatch.undo()
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
 def test_the_command_takes_memory(shot, tmp_path, capsys):
     size = ("--resolution", 16)
     assert run("entropy", shot, *size, "--memory", "0M", "--no-pictures", "-o", tmp_path / "a") == 0

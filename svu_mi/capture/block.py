@@ -14,17 +14,19 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
 from svu_mi.errors import CaptureError
+from svu_mi.limits import require_files
 from svu_mi.memory import free_memory
 from svu_mi.needs import READING, Size, decoders
 
 SHARE = 0.5  # of the free memory that photographs take, before they go to a file
 ON_DISK = Path("/var/tmp")  # what is in /tmp is memory on some systems
 GIGA = 1e9
+SPARE = 32  # open files beside those of photographs: of decoders, libraries and results
 
 
 def room_for_photographs(films: Sequence[Size]) -> float:
@@ -56,7 +58,7 @@ def allocate(
         V arrays (H, W, channels) of zeros.
 
     Raises:
-        CaptureError: there is no room for the file.
+        CaptureError: there is no room for the file, or too many are open.
     """
     shapes = [(height, width, channels) for width, height in sizes]
     ends = np.cumsum([math.prod(shape) for shape in shapes], dtype=np.int64)
@@ -73,6 +75,7 @@ def _in_file(count: int, kind: Any) -> np.ndarray:
     folder = os.environ.get("TMPDIR") or (str(ON_DISK) if ON_DISK.is_dir() else None)
     try:
         with tempfile.TemporaryFile(dir=folder, prefix="svu_") as file:
+            require_files(_first_free(file) + SPARE)
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(file.fileno(), 0, size)  # a full disk is not noticed later on
             else:
@@ -83,6 +86,13 @@ def _in_file(count: int, kind: Any) -> np.ndarray:
             f"{folder or tempfile.gettempdir()}: no room for {size / GIGA:.1f} GB of photographs "
             f"({error.strerror}); set TMPDIR to a folder with more, or give --memory more."
         ) from error
+
+
+def _first_free(file: IO[bytes]) -> int:
+    """Return the number that the next file to be opened gets: about how many are open."""
+    number = os.dup(file.fileno())
+    os.close(number)
+    return number
 
 
 def look_up_here_and_there(block: np.ndarray) -> None:
