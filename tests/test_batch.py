@@ -20,11 +20,12 @@ import tyro
 from helpers import fails, run
 
 from svu_mi import scenes
-from svu_mi.batch import STEPS, Item, Shelf, page, read_list, write_index
+from svu_mi.batch import STEPS, Item, Shelf, page, read_list, require_apart, write_index
 from svu_mi.batch.cluster import work_there
 from svu_mi.batch.record import Done
 from svu_mi.batch.shelf import Ended, Processes, sentence_of
 from svu_mi.batch.steps import key_of, words_of
+from svu_mi.capture.folder import stamps
 from svu_mi.cli.help import REGISTRY
 from svu_mi.cli.main import Command
 from svu_mi.cli.words import with_known_repeated
@@ -94,6 +95,27 @@ def test_a_list_that_is_not_there_and_steps_that_need_others(tmp_path, capsys):
     assert "needs recover, too" in fails(capsys, *words)
 
 
+def test_results_among_the_files_of_captures_are_refused_before_anything_is_written(
+    shelf_of, tmp_path, capsys
+):
+    shelf = shelf_of("a", "b")
+    (tmp_path / "scenes" / "vase").mkdir(parents=True)
+    shutil.copy(scenes.path("vase"), tmp_path / "scenes" / "vase")
+    (tmp_path / "link").symlink_to(shelf)
+    swapped = table(tmp_path, "capture,name", "shelf/a,b")
+    before = set(tmp_path.rglob("*"))
+    for captures, output in (
+        (shelf, shelf), (shelf, shelf / "b"), (shelf, shelf / "b" / "out"), (shelf / ".", shelf),
+        (shelf, tmp_path / "link"), (swapped, shelf / "a"),
+        (tmp_path / "scenes", tmp_path / "scenes"),
+    ):  # fmt: skip
+        said = fails(capsys, "batch", captures, "-o", output)
+        assert "among the files of the capture" in said and "another folder with -o" in said
+    assert set(tmp_path.rglob("*")) == before
+    require_apart(shelf / "out", read_list(shelf))
+    require_apart(tmp_path / "scenes" / "vase", read_list(tmp_path / "scenes"))
+
+
 # --- steps ------------------------------------------------------------------------------------
 
 
@@ -143,6 +165,18 @@ def steps_made(shelf: Shelf, item: Item) -> list[str]:
     return [line[0] for line in commands.lines]
 
 
+def test_files_of_a_capture_are_looked_at_once(shelf_of, tmp_path, monkeypatch):
+    item, looked_at = Item("a", shelf_of("a") / "a"), []
+
+    def counted(places, *words):
+        looked_at.extend(places)
+        return stamps(places, *words)
+
+    monkeypatch.setattr("svu_mi.batch.steps.stamps", counted)
+    assert steps_made(Shelf(output=tmp_path / "out"), item) == list(STEPS)
+    assert looked_at.count(item.capture.resolve()) == 1
+
+
 def test_a_scene_outside_of_its_capture_and_the_variant_are_inputs(shelf_of, tmp_path):
     folder = shelf_of("a", "b") / "a"
     scene = shutil.copy(scenes.path("vase"), tmp_path / "shelf")  # beside all captures
@@ -185,7 +219,7 @@ def test_commands_get_the_options_they_know(tmp_path):
     assert "--preset" not in words["recover"]
     assert words["report"][-2:] == ["--recovered", str(tmp_path / "recovered")]
     assert words["export"][1] == str(tmp_path / "recovered")
-    assert key_of(words["entropy"], item, "") != key_of(words["entropy"], item, "x")
+    assert key_of(words["entropy"], "") != key_of(words["entropy"], "x")
 
 
 def test_commands_understand_paths_with_spaces_and_ids_with_dashes(tmp_path):

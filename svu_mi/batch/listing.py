@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,7 +11,7 @@ from pathlib import Path
 
 from svu_mi.batch.record import INDEX, TABLE
 from svu_mi.capture.folder import FILE
-from svu_mi.errors import CaptureError, OptionError, excerpt
+from svu_mi.errors import CaptureError, OptionError, OutputError, excerpt
 
 # Columns of a table beside "capture" and "name": options of the commands; paths are told apart.
 OPTIONS = ("resolution", "preset", "light", "images", "shape")
@@ -57,6 +58,33 @@ def read_list(path: Path) -> list[Item]:
         raise CaptureError(f"{path}: names no captures: {what}.")
     _require_names(path, items)
     return items
+
+
+def require_apart(output: Path, items: Sequence[Item]) -> None:
+    """Refuse to write results among the files of captures.
+
+    Args:
+        output: folder of the batch, which gets a folder per capture.
+        items: the captures.
+
+    Raises:
+        OutputError: the results of one would lie in a capture, or in the folder of a scene.
+    """
+    captures = {real(item.capture) for item in items if item.capture.is_dir()}
+    scenes = {real(item.capture.parent) for item in items if not item.capture.is_dir()}
+    for item in items:
+        results = real(output / item.name)
+        found = captures & {results, *results.parents} or scenes & {results}
+        if found:
+            raise OutputError(
+                f"{output}: results of {excerpt(item.name, LONGEST)} would lie among the files of "
+                f"the capture {excerpt(min(found))}; choose another folder with -o."
+            )
+
+
+def real(path: Path) -> Path:
+    """Return a path without links; ``Path.resolve`` raises on those to themselves."""
+    return Path(os.path.realpath(path))
 
 
 def _in_folder(folder: Path) -> list[Item]:

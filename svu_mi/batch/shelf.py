@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from svu_mi.batch.listing import Item
 from svu_mi.batch.record import Done, Outcome, figures_of
-from svu_mi.batch.steps import STEPS, key_of, words_of
+from svu_mi.batch.steps import STEPS, inputs_key, key_of, words_of
 from svu_mi.errors import SvuError, excerpt
 from svu_mi.files import prepare_folder
 from svu_mi.memory import free_memory
@@ -95,12 +95,12 @@ class Shelf:
 
     def _taken(self, item: Item, done: Done, processes: Processes) -> Iterator[Outcome]:
         """Yield what has become of a capture after each step; the first that fails is the last."""
-        outcome, key = Outcome(item.name, done.folder), ""
+        outcome, key = Outcome(item.name, done.folder), inputs_key(item, self.output)
         for name, step in STEPS.items():
             if name not in self.steps:
                 continue
             words = words_of(step, item, done.folder, self.steps)
-            key = key_of([*words, *self._variant()], item, key, self.output)
+            key = key_of([*words, *self._variant()], key)
             if not done.has(name, key, done.folder / step.proof):
                 left = step.left_in(done.folder)
                 done.begin(name, key, left)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from svu_mi import __version__
-from svu_mi.batch.listing import OPTIONS, PATHS, Item
+from svu_mi.batch.listing import OPTIONS, PATHS, Item, real
 from svu_mi.capture.folder import FILE, read, stamps
 
 
@@ -77,20 +77,27 @@ def words_of(step: Step, item: Item, folder: Path, steps: Sequence[str]) -> list
     return words
 
 
-def key_of(words: Sequence[str], item: Item, before: str, output: Path | None = None) -> str:
-    """Return a digest of all that a step depends on: its command, the files of the capture and of
-    its scene, by their sizes and times, and the steps before it.
+def key_of(words: Sequence[str], before: str) -> str:
+    """Return a digest of all that a step depends on.
 
     Args:
         words: of the command.
+        before: key of the step before; of the first, ``inputs_key``.
+    """
+    return _digest([__version__, list(words), before])
+
+
+def inputs_key(item: Item, output: Path | None = None) -> str:
+    """Return a digest of the files of a capture and of its scene, by their sizes and times.
+
+    Args:
         item: the capture, with all its options.
-        before: key of the step before; empty = it is the first.
         output: folder of the batch, which may lie beside a scene and is none of its files.
 
     Raises:
         CaptureError: what a capture folder says cannot be read.
     """
-    places, own = _places(item), None if output is None else _real(output)
+    places, own = _places(item), None if output is None else real(output)
     scenes = _scenes(places)
     folders = {place for place in places if place.is_dir()}
     files = stamps([*places, *scenes], lambda folder: folder == own)
@@ -98,14 +105,18 @@ def key_of(words: Sequence[str], item: Item, before: str, output: Path | None = 
         if not any(scene.is_relative_to(folder) for folder in folders):
             files += stamps([scene.parent], partial(_is_apart, own))
             folders.add(scene.parent)
-    text = json.dumps([__version__, list(words), before, files])
+    return _digest(files)
+
+
+def _digest(value: Any) -> str:
+    text = json.dumps(value)
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:32]
 
 
 def _places(item: Item) -> list[Path]:
     """Return where the files of a capture are, but for a scene that its folder only names."""
     capture = item.capture if item.capture.is_dir() else item.capture.parent
-    return [_real(path) for path in (
+    return [real(path) for path in (
         capture, *(Path(item.options[name]) for name in PATHS if name in item.options)
     )]  # fmt: skip
 
@@ -120,7 +131,3 @@ def _is_apart(output: Path | None, folder: Path) -> bool:
     """Return whether a folder beside a scene holds none of its files: captures that were made of
     it, the batch's results, and what is hidden."""
     return folder == output or folder.name.startswith(".") or (folder / FILE).is_file()
-
-
-def _real(path: Path) -> Path:
-    return Path(os.path.realpath(path))  # Path.resolve() raises on links to themselves

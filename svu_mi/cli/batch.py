@@ -55,9 +55,10 @@ class Batch(Common):
 
     def run(self, console: Console) -> int:
         """Work on all captures, and write the page after each."""
-        from svu_mi.batch import read_list, write_index
+        from svu_mi.batch import read_list, require_apart, write_index
 
         shelf, items = self._shelf(), read_list(self.captures)
+        require_apart(self.output, items)
         self.output.mkdir(parents=True, exist_ok=True)
         outcomes: list[Outcome] = []
         with locked(self.output, "svu batch"):
