@@ -396,6 +396,26 @@ def test_the_page_links_what_is_done_of_the_capture_as_it_is_now(shelf_of, tmp_p
     assert linked(Shelf(output=out)) == list(STEPS)
 
 
+def test_who_comes_to_a_capture_that_another_works_on_waits_and_has_nothing_to_do(
+    shelf_of, tmp_path
+):
+    """As the same command does, after one that was killed, on a cluster."""
+    item, shelf = Item("a", shelf_of("a") / "a"), Shelf(output=tmp_path / "out", patience=60)
+
+    class Slow(Made):
+        def run(self, words):
+            time.sleep(0.1)
+            return super().run(words)
+
+    def outcomes(shelf):
+        with ThreadPoolExecutor(2) as threads:
+            return list(threads.map(lambda _: shelf.work(item, Slow()), range(2)))
+
+    assert sorted(one.made for one in outcomes(shelf)) == [0, 4]
+    said = sorted(one.sentence for one in outcomes(Shelf(output=tmp_path / "other")))
+    assert not said[0] and "is writing there; wait for it" in said[1]
+
+
 def test_a_worker_of_a_cluster_works_on_one_capture_at_a_time(tmp_path, monkeypatch):
     """It has a task for each of its threads, which every command uses all of."""
     distributed = pytest.importorskip("distributed")

@@ -14,6 +14,7 @@ from svu_mi.batch.shelf import Processes, Shelf
 from svu_mi.limits import FEWEST_THREADS
 from svu_mi.shards.cluster import require_workers
 
+DAY = 86400.0  # seconds
 _one_at_a_time = Lock()  # a worker has as many tasks at once as it has threads
 
 
@@ -33,7 +34,8 @@ def run_there(client: Any, shelf: Shelf, items: Sequence[Item]) -> Iterator[Outc
     from distributed import KilledWorker, as_completed
 
     require_workers(client)
-    shelf = replace(shelf, output=shelf.output.absolute())
+    # A batch that was stopped leaves workers at their captures: their results are waited for.
+    shelf = replace(shelf, output=shelf.output.absolute(), patience=DAY)
     futures = {
         client.submit(work_there, shelf, _absolute(item), pure=False): item for item in items
     }

@@ -24,6 +24,7 @@ from svu_mi.batch.steps import STEPS, inputs_key, key_of, words_of
 from svu_mi.errors import SvuError, excerpt
 from svu_mi.files import prepare_folder
 from svu_mi.memory import free_memory
+from svu_mi.results.lock import locked
 
 TRIES = 3  # of a command that is killed from outside
 INTERRUPTED = 130  # exit status after Ctrl-C, which reaches the commands, too
@@ -48,6 +49,7 @@ class Shelf:
         steps: names of ``STEPS``, in their order.
         workers: captures at a time.
         words: that every command gets, such as ``-t 2``; of these only ``-m`` changes results.
+        patience: seconds to wait for others that work on the same capture.
         options: of all captures (``Item.options``), where they have none of their own.
     """
 
@@ -55,6 +57,7 @@ class Shelf:
     steps: Sequence[str] = tuple(STEPS)
     workers: int = 1
     words: tuple[str, ...] = ()
+    patience: float = 0
     options: dict[str, str] = field(default_factory=dict)
 
     def run(self, items: Sequence[Item]) -> Iterator[Outcome]:
@@ -79,11 +82,13 @@ class Shelf:
         """Take the steps of one capture that are not done; what goes wrong is said, not raised."""
         item = replace(item, options=self.options | item.options)
         folder = self.output / item.name
-        done, outcome = Done.read(folder), Outcome(item.name, folder)
+        done, outcome = Done(folder), Outcome(item.name, folder)
         try:
             prepare_folder(folder)
-            for reached in self._taken(item, done, processes):
-                outcome = reached
+            with locked(folder, "svu batch", wait=self.patience):
+                done = Done.read(folder)
+                for reached in self._taken(item, done, processes):
+                    outcome = reached
         except (OSError, SvuError) as error:
             outcome = replace(outcome, sentence=_problem(error, folder))
         taken = [done.steps[name] for name in outcome.done]
