@@ -33,12 +33,12 @@ def allow(size: int) -> None:
 
 def resident() -> int:
     """Return bytes of memory that this process holds; 0 where nobody says."""
-    return _status("VmRSS") or 0
+    return held("VmRSS") or 0
 
 
 def _own() -> int:
     """Return bytes of memory that this process holds, other than of files."""
-    anonymous = _status("RssAnon")
+    anonymous = held("RssAnon")
     return resident() if anonymous is None else anonymous
 
 
@@ -52,7 +52,7 @@ def address_space() -> tuple[int, int] | None:
     except ImportError:
         return None
     most = resource.getrlimit(resource.RLIMIT_AS)[0]
-    return None if most in (-1, resource.RLIM_INFINITY) else (most, _status("VmSize") or 0)
+    return None if most in (-1, resource.RLIM_INFINITY) else (most, held("VmSize") or 0)
 
 
 def _available() -> int | None:
@@ -64,7 +64,9 @@ def _available() -> int | None:
     return None
 
 
-def _status(name: str) -> int | None:
+def held(name: str) -> int | None:
+    """Return bytes of memory of this process, such as ``VmHWM``, the most that was resident; None
+    where the system does not tell. ``getrusage`` tells no less than what the parent's peak was."""
     return _field(PROCESS / "status", name)
 
 

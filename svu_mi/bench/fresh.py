@@ -10,13 +10,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
 from svu_mi.errors import SvuEnvironmentError
+from svu_mi.memory import held
 
 # svu_mi first: it chooses LLVM. The variant is set here because this is the whole program.
 PROGRAM = """
@@ -28,7 +28,6 @@ from svu_mi.bench.fresh import child
 child(*sys.argv[3:])
 """
 TIMEOUT_S = 1800
-STATUS = Path("/proc/self/status")  # of Linux
 
 
 def in_new_process(function: Callable[..., dict[str, Any]], **arguments: Any) -> dict[str, Any]:
@@ -68,13 +67,6 @@ def child(module: str, name: str, arguments: str) -> None:
 
 
 def memory_mib(kind: str) -> float | None:
-    """Return memory of this process in MiB; None where the system does not tell.
-
-    Args:
-        kind: ``VmRSS``, what is resident, or ``VmHWM``, the most that was. Not by ``getrusage``:
-            its peak of a new process is at least what the parent's was.
-    """
-    if not STATUS.exists():
-        return None
-    fields = dict(line.split(":", 1) for line in STATUS.read_text().splitlines() if ":" in line)
-    return int(fields[kind].split()[0]) / 1024
+    """Return memory of this process in MiB (``memory.held``)."""
+    size = held(kind)
+    return None if size is None else size / 2**20

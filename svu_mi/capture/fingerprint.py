@@ -22,6 +22,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import mesh as meshes
+from svu_mi.capture.mesh import crosses_of, unit_vectors
 from svu_mi.capture.poses import describe
 from svu_mi.capture.record import Capture, Doubt
 from svu_mi.capture.repaint import is_same
@@ -227,18 +228,13 @@ def _are_computed(mesh: Any, normals: np.ndarray) -> bool:
     if not np.isfinite(positions).all() or (faces >= len(positions)).any():
         return False
     corners = positions[faces]
-    across = _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    across = unit_vectors(crosses_of(positions, faces))
     total = np.zeros_like(positions)
     for corner in range(3):
         here, after, before = (corners[:, (corner + k) % 3] for k in range(3))
-        cosine = np.einsum("fi,fi->f", _unit(after - here), _unit(before - here))
+        cosine = np.einsum("fi,fi->f", unit_vectors(after - here), unit_vectors(before - here))
         weighted = np.arccos(np.clip(cosine, -1, 1))[:, None] * across
         for axis in range(3):
             total[:, axis] += np.bincount(faces[:, corner], weighted[:, axis], len(total))
     sound = np.linalg.norm(total, axis=1) > ALIKE  # faces around cancel out: any direction will do
-    return bool(np.abs(_unit(total) - normals.reshape(-1, 3))[sound].max(initial=0) < ALIKE)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.where(length > 0, length, 1))
+    return bool(np.abs(unit_vectors(total) - normals.reshape(-1, 3))[sound].max(initial=0) < ALIKE)

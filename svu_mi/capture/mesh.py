@@ -43,8 +43,19 @@ class MeshArrays:
     @property
     def crosses(self) -> np.ndarray:
         """(F, 3), along the normals that the triangles wind around, twice as long as their area."""
-        corners = self.positions[self.faces]
-        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        return crosses_of(self.positions, self.faces)
+
+
+def crosses_of(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return the ``MeshArrays.crosses`` of triangles (F, 3) between places (N, 3)."""
+    a, b, c = (positions[faces[:, corner]] for corner in range(3))
+    return np.cross(b - a, c - a)
+
+
+def unit_vectors(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors (..., 3) of length 1; 0 stays 0."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.where(length > 0, length, 1))
 
 
 def faces_at(crosses: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.mesh import MeshArrays, arrays, has_uvs
+from svu_mi.capture.mesh import MeshArrays, arrays, crosses_of, has_uvs
 from svu_mi.capture.poses import describe, film_size, focal_length, make_sensor, principal_point
 from svu_mi.capture.scene import to_world
 from svu_mi.needs import Size
@@ -152,7 +152,7 @@ class _Surface:
         """Measure an ``mi.Mesh`` with a texture of (W, H)."""
         found = arrays(mesh)
         chosen = found.faces[:: max(len(found.faces) // FACES, 1)]
-        areas = np.linalg.norm(_crosses(found.positions[chosen]), axis=1) / 2
+        areas = np.linalg.norm(crosses_of(found.positions, chosen), axis=1) / 2
         sides = np.zeros(0)
         if texels is not None:
             sides = _sides(found, chosen, areas, has_uvs(mesh), texels)
@@ -190,10 +190,6 @@ def _seen_from(sensor: Any, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """Return (N, 2) x and y of points in camera space, and their depth (N,)."""
     local = (points - to_world(sensor)[:3, 3]) @ to_world(sensor)[:3, :3]
     return local[:, :2], local[:, 2]
-
-
-def _crosses(corners: np.ndarray) -> np.ndarray:
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def _sides(

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.mesh import arrays, faces_at
+from svu_mi.capture.mesh import arrays, faces_at, unit_vectors
 from svu_mi.checking.frames import Frames
 from svu_mi.interop import owned
 from svu_mi.visibility.observe import Surface, observe
@@ -62,8 +62,8 @@ def scatter_points(mesh: Any, count: int = COUNT) -> Points:
     def mixed(values: np.ndarray) -> np.ndarray:
         return np.einsum("nk,nki->ni", weights, values[source.faces[face]])
 
-    flat = _unit(crosses[face])
-    normal = flat if source.normals is None else _unit(mixed(source.normals))
+    flat = unit_vectors(crosses[face])
+    normal = flat if source.normals is None else unit_vectors(mixed(source.normals))
     side = np.where(np.einsum("ni,ni->n", flat, normal) < 0, -1, 1)
     return Points(
         position=mixed(source.positions),
@@ -72,12 +72,6 @@ def scatter_points(mesh: Any, count: int = COUNT) -> Points:
         uv=None if source.uvs is None else mixed(source.uvs),
         offset=OFFSET * float(np.linalg.norm(np.ptp(source.positions, axis=0))),
     )
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    """Return vectors (N, 3) of length 1; 0 stays 0."""
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.where(length > 0, length, 1)
 
 
 @dataclass(frozen=True)

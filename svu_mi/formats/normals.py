@@ -9,7 +9,7 @@ import trimesh
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from svu_mi.capture.mesh import MeshArrays
+from svu_mi.capture.mesh import MeshArrays, crosses_of
 
 CREASE = 40  # degrees between triangles from which the edge between them is one
 # A scan whose points are off by a fifth of the way between them has creases at 13 to 17 % of its
@@ -67,7 +67,7 @@ def _shaded(mesh: MeshArrays, welded: trimesh.Trimesh) -> tuple[MeshArrays, bool
     Corners of triangles that meet at a vertex share a normal if one gets from one to the other
     over edges that are no creases. A vertex with several becomes several vertices.
     """
-    cross = _cross(welded.vertices, welded.faces)
+    cross = crosses_of(welded.vertices, welded.faces)
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     normal = cross / np.maximum(length, 1e-300)
     count = mesh.faces.size
@@ -129,12 +129,6 @@ def _across_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([corners[:-1][same], corners[1:][same]]), ~others[same]
 
 
-def _cross(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Return normals (F, 3) of triangles, twice their area long."""
-    a, b, c = (positions[faces[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)
-
-
 def _unit(normals: np.ndarray, instead: np.ndarray) -> np.ndarray:
     """Return unit normals; those of no length are taken from elsewhere, or point up."""
     for other in (instead, np.array([0.0, 0.0, 1.0])):
@@ -146,7 +140,7 @@ def _unit(normals: np.ndarray, instead: np.ndarray) -> np.ndarray:
 def _agreement(mesh: MeshArrays) -> float:
     """Return the mean cosine, by area, between faces and the normals of their corners."""
     assert mesh.normals is not None
-    cross = _cross(mesh.positions, mesh.faces)
+    cross = mesh.crosses
     mean = mesh.normals[mesh.faces].mean(axis=1)
     twice_area = np.linalg.norm(cross, axis=1).sum()
     return float(np.einsum("fi,fi->", cross, mean) / max(twice_area, 1e-300))

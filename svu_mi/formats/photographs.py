@@ -139,17 +139,7 @@ def convert(frame: Frame, path: Path, scale: tuple[float, float]) -> Converted:
     # Eight bits lose nothing in half floats, unless a curve puts some close together.
     half = bits == 8 and not isinstance(frame.transfer, Response)
     write_exr(path, channels, header, half=half)
-    return Converted(
-        bits=bits,
-        foreign=picture.header.foreign,
-        turned=picture.is_turned(),
-        saturated=int(clipped.sum()),
-        crushed=0.0 if mask is None else float(black[mask].sum() / max(1, mask.sum())),
-        invalid=int(invalid.sum()),
-        masked=mask is not None,
-        empty=mask is not None and not mask.any(),
-        inverted=mask is not None and _is_inverted(mask),
-    )
+    return _converted(picture, mask, clipped, black, int(invalid.sum()))
 
 
 def _serves(picture: Picture, frame: Frame, scale: tuple[float, float]) -> bool:
@@ -172,11 +162,18 @@ def _copied(picture: Picture, frame: Frame, path: Path) -> Converted:
         clipped &= mask
         beside = path.with_name(f"{masks_of(path.stem)[0]}.png")
         Image.fromarray(mask.astype(np.uint8) * 255).save(beside)
+    return _converted(picture, mask, clipped, black, 0)
+
+
+def _converted(
+    picture: Picture, mask: np.ndarray | None, clipped: np.ndarray, black: np.ndarray, invalid: int
+) -> Converted:
+    """Say what became of a photograph of which some pixels (H, W) are clipped or black."""
     return Converted(
-        bits=8, foreign=picture.header.foreign, turned=picture.is_turned(),
+        bits=picture.bits, foreign=picture.header.foreign, turned=picture.is_turned(),
         saturated=int(clipped.sum()),
         crushed=0.0 if mask is None else float(black[mask].sum() / max(1, mask.sum())),
-        invalid=0, masked=mask is not None, empty=mask is not None and not mask.any(),
+        invalid=invalid, masked=mask is not None, empty=mask is not None and not mask.any(),
         inverted=mask is not None and _is_inverted(mask),
     )  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,46 @@ from svu_mi.posterior.record import Posterior
 
 
 @dataclass(frozen=True, kw_only=True)
-class PartOfPosterior(Posterior):
+class LikeAnother(Posterior):
+    """A posterior that has what all texels have in common from another one."""
+
+    @property
+    @abstractmethod
+    def _another(self) -> Posterior:
+        """The other."""
+
+    @property
+    def groups(self) -> int:
+        """Number of distributions per texel (see ``Posterior``)."""
+        return self._another.groups
+
+    @property
+    def continuous(self) -> bool:
+        """Whether intervals are made of finer parts than cells (see ``Posterior``)."""
+        return self._another.continuous
+
+    @property
+    def prior(self) -> np.ndarray:
+        """Probability of every cell where nobody looked (see ``Posterior``)."""
+        return self._another.prior
+
+    @property
+    def most(self) -> float:
+        """Nats that entropies are a part of (see ``Posterior``)."""
+        return self._another.most
+
+    @property
+    def prior_entropy(self) -> float:
+        """Normalised entropy of a texel nobody saw (see ``Posterior``)."""
+        return self._another.prior_entropy
+
+    def prior_moments(self, name: str) -> tuple[Any, Any]:
+        """Return mean and standard deviation where nobody looked (see ``Posterior``)."""
+        return self._another.prior_moments(name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartOfPosterior(LikeAnother):
     """What a posterior says of some of its texels; nothing is computed for the others.
 
     Attributes:
@@ -33,33 +73,8 @@ class PartOfPosterior(Posterior):
         )
 
     @property
-    def groups(self) -> int:
-        """Those of the whole."""
-        return self.whole.groups
-
-    @property
-    def prior(self) -> np.ndarray:
-        """That of the whole."""
-        return self.whole.prior
-
-    @property
-    def most(self) -> float:
-        """That of the whole."""
-        return self.whole.most
-
-    @property
-    def prior_entropy(self) -> float:
-        """That of the whole."""
-        return self.whole.prior_entropy
-
-    @property
-    def continuous(self) -> bool:
-        """Whether the whole is."""
-        return self.whole.continuous
-
-    def prior_moments(self, name: str) -> tuple[Any, Any]:
-        """Return those of the whole."""
-        return self.whole.prior_moments(name)
+    def _another(self) -> Posterior:
+        return self.whole
 
     def _entropy_of_all(self) -> Any:
         return dr.gather(mi.Float, self.whole._entropy, owned(mi.UInt32, self.chosen))

@@ -19,6 +19,7 @@ from svu_mi.interop import owned
 from svu_mi.needs import AT_WORK
 from svu_mi.posterior.calibrated import CalibratedPosterior
 from svu_mi.posterior.intervals import LEVEL, spread
+from svu_mi.posterior.part import LikeAnother
 from svu_mi.posterior.record import Posterior
 
 KEPT = 2**13  # texels whose posterior is kept for the next question about the same
@@ -27,7 +28,7 @@ Moments = dict[str, tuple[np.ndarray, ...]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TiledPosterior(Posterior):
+class TiledPosterior(LikeAnother):
     """The posterior of T texels, of which no more than a tile is held at a time.
 
     Attributes:
@@ -44,42 +45,13 @@ class TiledPosterior(Posterior):
     _widths: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
 
     @cached_property
-    def _one(self) -> Posterior:
+    def _another(self) -> Posterior:
         """The posterior of one texel, which knows what all have in common."""
         return self.make(self._seen[:1])
 
     @cached_property
     def _seen(self) -> np.ndarray:
         return np.flatnonzero(self.observed)
-
-    @property
-    def groups(self) -> int:
-        """Number of distributions per texel (see ``Posterior``)."""
-        return self._one.groups
-
-    @property
-    def continuous(self) -> bool:
-        """Whether intervals are made of finer parts than cells (see ``Posterior``)."""
-        return self._one.continuous
-
-    @property
-    def prior(self) -> np.ndarray:
-        """Probability of every cell where nobody looked (see ``Posterior``)."""
-        return self._one.prior
-
-    @property
-    def most(self) -> float:
-        """Nats that entropies are a part of (see ``Posterior``)."""
-        return self._one.most
-
-    @property
-    def prior_entropy(self) -> float:
-        """Normalised entropy of a texel nobody saw (see ``Posterior``)."""
-        return self._one.prior_entropy
-
-    def prior_moments(self, name: str) -> tuple[Any, Any]:
-        """Return mean and standard deviation where nobody looked (see ``Posterior``)."""
-        return self._one.prior_moments(name)
 
     def noise_of(self, texels: np.ndarray) -> np.ndarray:
         """Return the noise of texels (t,) that are observed, by their numbers among all T."""
@@ -154,7 +126,7 @@ class TiledPosterior(Posterior):
 
     def _marginals_of(self, chosen: np.ndarray) -> dict[str, Any]:
         parts = [tile._marginals_of(np.arange(tile.count)) for _, tile in self._tiles(chosen)]
-        parts = parts or [self._one._marginals_of(np.arange(0))]
+        parts = parts or [self._another._marginals_of(np.arange(0))]
         return {name: np.concatenate([part[name] for part in parts]) for name in self.axes}
 
     def _ends(
@@ -200,4 +172,4 @@ class TiledPosterior(Posterior):
     def _joined(self, chosen: np.ndarray, ask: Callable[[Posterior], np.ndarray]) -> np.ndarray:
         """Ask the posteriors of texels; return all answers, one after the other."""
         found = [ask(tile) for _, tile in self._tiles(chosen)]
-        return np.concatenate(found or [ask(self._one)[:0]])
+        return np.concatenate(found or [ask(self._another)[:0]])
