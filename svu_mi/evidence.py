@@ -49,6 +49,26 @@ class Wanted:
     texels: np.ndarray | None
 
 
+@dataclass(frozen=True, kw_only=True)
+class OfAllViews:
+    """What all photographs together show of T texels.
+
+    Attributes:
+        coverage: (T,) uint32, number of photographs that show each texel with nothing clipped.
+        clipped: (T,) uint32, number of those that show it with channels that are clipped; None
+            where no photograph is.
+        per_view: (V,) int64, number of texels that each photograph that is used shows.
+        grey: whether all photographs are grey where they show the object.
+        scale: mean radiance of all samples; 0 if they are black.
+    """
+
+    coverage: np.ndarray
+    clipped: np.ndarray | None
+    per_view: np.ndarray
+    grey: bool
+    scale: float
+
+
 @dataclass(eq=False, kw_only=True)
 class Evidence(ABC):
     """Which texels photographs show, and the sums of what they say.
@@ -70,29 +90,24 @@ class Evidence(ABC):
 
     @property
     @abstractmethod
-    def coverage(self) -> np.ndarray:
-        """(T,) uint32, number of photographs that show each texel with nothing clipped."""
+    def all_views(self) -> OfAllViews:
+        """What all photographs together show."""
 
     @property
-    @abstractmethod
+    def coverage(self) -> np.ndarray:
+        """(T,) uint32, number of photographs that show each texel with nothing clipped."""
+        return self.all_views.coverage
+
+    @property
     def clipped_coverage(self) -> np.ndarray | None:
         """(T,) uint32, number of those that show it with channels that are clipped; None where no
         photograph is."""
+        return self.all_views.clipped
 
     @property
-    @abstractmethod
-    def per_view(self) -> np.ndarray:
-        """(V,) int64, number of texels that each photograph that is used shows."""
-
-    @property
-    @abstractmethod
-    def grey(self) -> bool:
-        """Whether all photographs are grey where they show the object."""
-
-    @property
-    @abstractmethod
     def scale(self) -> float:
         """Mean radiance of all samples; 0 if they are black."""
+        return self.all_views.scale
 
     @abstractmethod
     def _gather(self, wanted: Wanted) -> Statistics:

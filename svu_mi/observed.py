@@ -17,7 +17,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.errors import CaptureError
-from svu_mi.evidence import Evidence, Wanted
+from svu_mi.evidence import Evidence, OfAllViews, Wanted
 from svu_mi.frequency.mirrored import MirroredLight
 from svu_mi.interop import owned
 from svu_mi.light import LightCells, light_cells
@@ -70,31 +70,15 @@ class Observed(Evidence):
         lanes[self.seen] = np.arange(len(self.seen))
         return lanes
 
-    @property
-    def coverage(self) -> np.ndarray:
-        """(T,) uint32, number of photographs that show each texel with nothing clipped."""
-        return np.array(self.found.coverage)
-
     @cached_property
-    def clipped_coverage(self) -> np.ndarray | None:
-        """(T,) uint32, number of those that show it with channels that are clipped (see
-        ``Evidence``)."""
-        return None if self.found.clipped is None else np.asarray(self.found.clipped_coverage)
-
-    @property
-    def per_view(self) -> np.ndarray:
-        """(V,) int64, number of texels that each photograph that is used shows."""
-        return self.found.per_view
-
-    @property
-    def grey(self) -> bool:
-        """Whether all photographs are grey where they show the object."""
-        return self.views.grey
-
-    @property
-    def scale(self) -> float:
-        """Mean radiance of all samples; 0 if they are black."""
-        return self.found.scale
+    def all_views(self) -> OfAllViews:
+        """What all photographs together show (see ``Evidence``)."""
+        found = self.found
+        return OfAllViews(
+            coverage=np.array(found.coverage),
+            clipped=None if found.clipped is None else np.asarray(found.clipped_coverage),
+            per_view=found.per_view, grey=self.views.grey, scale=found.scale,
+        )  # fmt: skip
 
     def prepare(self, switches: AngularPreset, progress: Progress) -> None:
         """Trace what light reaches the texels of ``seen``, if the model asks for that."""

@@ -265,7 +265,8 @@ def estimate(
     with progress.stage("Computing entropy"):
         result = Estimate(
             method=method, preset=switches, texels=seen.texels, posterior=posterior,
-            coverage=owned(mi.UInt32, counted(seen, switches)), seen_per_view=seen.per_view,
+            coverage=owned(mi.UInt32, counted(seen, switches)),
+            seen_per_view=seen.all_views.per_view,
             skipped=plan.skipped, timings=progress.timings,
             observed=seen if isinstance(seen, Observed) else None, prior=prior,
         )  # fmt: skip

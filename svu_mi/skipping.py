@@ -61,7 +61,8 @@ def make_plan(
         prior: its tables, as ``streaming.log_prior`` has them.
     """
     grey_light = skip.channels and switches.colors == 3 and observed.lighting.environment.grey
-    grey = grey_light and observed.grey  # grey photographs of coloured light: no less work
+    # Grey photographs of coloured light: no less work.
+    grey = grey_light and observed.all_views.grey
     levels = np.ones(grid.shape[0], bool)
     if skip.levels and prior is not None:
         levels = np.any(prior[0].reshape(grid.shape[0], -1) < IMPOSSIBLE, axis=1)
@@ -72,7 +73,7 @@ def make_plan(
         "texels on overlapping charts": texels.overlapping,
         "texels never seen": int((observed.shown == 0).sum()),
         "views left out": capture.count - sum(capture.used),
-        "views that show no texel": int((observed.per_view == 0).sum()),
+        "views that show no texel": int((observed.all_views.per_view == 0).sum()),
         "channels of the light equal to another": 2 if grey_light else 0,
         "channels of the photographs equal to another": 2 if grey else 0,
         "roughness levels that the prior excludes": int((~levels).sum()),

@@ -95,7 +95,7 @@ def test_shards_say_what_all_photographs_together_say(request, name, tmp_path):
     seen = svu.estimate(capture, texels).observed
     assert sums.unit == seen.unit  # to the bit: weights are the same
     np.testing.assert_array_equal(sums.coverage, seen.coverage)
-    np.testing.assert_array_equal(sums.per_view, seen.per_view)
+    np.testing.assert_array_equal(sums.all_views.per_view, seen.all_views.per_view)
     clips = (None, None) if name == "shot" else (sums.clipped_coverage, seen.clipped_coverage)
     np.testing.assert_array_equal(*clips)
 

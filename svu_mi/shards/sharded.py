@@ -13,7 +13,7 @@ import numpy as np
 
 from svu_mi.capture.fingerprint import Key
 from svu_mi.errors import OptionError
-from svu_mi.evidence import Evidence, Wanted
+from svu_mi.evidence import Evidence, OfAllViews, Wanted
 from svu_mi.interop import owned
 from svu_mi.npz import read_arrays, write_arrays
 from svu_mi.options import AngularPreset
@@ -24,17 +24,6 @@ from svu_mi.shards.work import is_whole
 from svu_mi.statistics import Statistics
 from svu_mi.statistics.gather import Weighting
 from svu_mi.visibility.survey import mean_radiance
-
-
-@dataclass(frozen=True)
-class Merged:
-    """What all views see, in the order of the shards (see ``Evidence``)."""
-
-    coverage: np.ndarray
-    clipped: np.ndarray | None
-    per_view: np.ndarray
-    grey: bool
-    scale: float
 
 
 @dataclass
@@ -66,35 +55,15 @@ class Sharded(Evidence):
     """
 
     job: Job
-    merged: Merged
+    merged: OfAllViews
     client: Any = field(repr=False)
     progress: Progress = field(repr=False)
     tally: Tally
 
     @property
-    def coverage(self) -> np.ndarray:
-        """(T,) uint32 (see ``Evidence``)."""
-        return self.merged.coverage
-
-    @property
-    def clipped_coverage(self) -> np.ndarray | None:
-        """(T,) uint32 (see ``Evidence``)."""
-        return self.merged.clipped
-
-    @property
-    def per_view(self) -> np.ndarray:
-        """(V,) int64 (see ``Evidence``)."""
-        return self.merged.per_view
-
-    @property
-    def grey(self) -> bool:
-        """Whether all photographs are grey (see ``Evidence``)."""
-        return self.merged.grey
-
-    @property
-    def scale(self) -> float:
-        """Mean radiance of all samples (see ``Evidence``)."""
-        return self.merged.scale
+    def all_views(self) -> OfAllViews:
+        """What all photographs together show (see ``Evidence``)."""
+        return self.merged
 
     def prepare(self, switches: AngularPreset, progress: Progress) -> None:
         """Do nothing: workers trace what they need."""
@@ -197,12 +166,12 @@ def read_sums(path: Path) -> dict[str, np.ndarray]:
         ) from error
 
 
-def merged(found: Sequence[dict[str, np.ndarray]]) -> Merged:
+def merged(found: Sequence[dict[str, np.ndarray]]) -> OfAllViews:
     """Put together what the views of all shards see."""
     names = {name for part in found for name in part}
     coverage = _sum("coverage", found, np.uint32)
     total = _sum("total", found, np.float64)
-    return Merged(
+    return OfAllViews(
         coverage=coverage,
         clipped=_sum("clipped", found, np.uint32) if "clipped" in names else None,
         per_view=np.concatenate([part["per_view"] for part in found]),
