@@ -151,9 +151,9 @@ def write_text(path: str | Path, text: str) -> None:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
-def write_json(path: str | Path, record: Any, indent: int = 1) -> None:
+def write_json(path: str | Path, record: Any) -> None:
     """Write a JSON file (errors as ``write_text``)."""
-    write_text(path, json.dumps(record, indent=indent))
+    write_text(path, json.dumps(record, indent=1))
 
 
 @contextlib.contextmanager

@@ -65,10 +65,10 @@ def digits(count: int) -> Callable[[float], str]:
     return lambda value: f"{value:.{count}f}"
 
 
-def left_out(title: str, record: dict[str, Any], head: str = "cell") -> list[str]:
+def left_out(title: str, record: dict[str, Any]) -> list[str]:
     """Return Markdown about what of an experiment could not be run; nothing without any."""
     rows = [[failed["cell"], failed["reason"]] for failed in record["failed"]]
-    return [f"## {title}", table((head, "reason"), rows)] if rows else []
+    return [f"## {title}", table(("cell", "reason"), rows)] if rows else []
 
 
 @dataclass(frozen=True)

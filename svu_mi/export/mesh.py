@@ -35,9 +35,8 @@ def front_faces(mesh: MeshArrays) -> np.ndarray:
     """
     if mesh.normals is None:
         return mesh.faces
-    a, b, c = (mesh.positions[mesh.faces[:, k]] for k in range(3))
     normal = mesh.normals[mesh.faces].sum(axis=1)
-    away = np.einsum("fi,fi->f", np.cross(b - a, c - a), normal) < 0
+    away = np.einsum("fi,fi->f", mesh.crosses, normal) < 0
     return np.where(away[:, None], mesh.faces[:, ::-1], mesh.faces)
 
 

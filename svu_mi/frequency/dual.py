@@ -72,15 +72,10 @@ def _compact(sample: Sample, views: Any, samples: list, capacity: int) -> tuple[
         # for the same in all lanes; the select gives it the width of the lanes.
         slot = dr.select(held, count, 0)
         if held:
-            _append(samples, slot, [*unit(direction), mi.Float64(weight), *values])
+            cholesky.store(samples, slot, [*unit(direction), mi.Float64(weight), *values])
             count += 1
         view += 1
     return samples, count
-
-
-def _append(samples: list, index: Any, numbers: list) -> None:
-    for memory, number in zip(samples, numbers, strict=True):
-        memory[index] = number
 
 
 def _pad(samples: list, count: Any, blocks: Any) -> None:

@@ -24,6 +24,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.frequency.cholesky import store
 from svu_mi.guidance.colors import Colors, Parts
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.measures import FAR
@@ -260,7 +261,7 @@ def _expect(
     rows, levels, mixtures = (mi.UInt32(n) for n in (launch.rows, launch.levels, launch.mixtures))
     row = mi.UInt32(0)
     while row < rows:
-        _set(so_far, row, [mi.Float(0) for _ in so_far])
+        store(so_far, row, [mi.Float(0) for _ in so_far])
         row += 1
     n = mi.Float(0)
     i = mi.UInt32(0)
@@ -275,7 +276,7 @@ def _expect(
                 while mixed < mixtures:
                     row = level * mixtures + mixed
                     errors = launch.errors(lobes, mixed, shown)
-                    _set(so_far, row, _sums(so_far, row, errors))
+                    store(so_far, row, _sums(so_far, row, errors))
                     mixed += 1
                 level += 1
             n += 1
@@ -297,7 +298,7 @@ def _expect(
                     errors = launch.errors(lobes, mixed, shown)
                     total = _sums(so_far, row, [add * x for x in errors])
                     if keep:
-                        _set(so_far, row, total)
+                        store(so_far, row, total)
                     total = [share * x for x in total]
                     energy, channels = launch.row(total, row)
                     if energy < HOPELESS:
@@ -309,11 +310,6 @@ def _expect(
                 n += add
         j += 1
     return out
-
-
-def _set(memory: list[Any], row: Any, values: list[Any]) -> None:
-    for slot, value in zip(memory, values, strict=True):
-        slot[row] = value
 
 
 def _sums(memory: list[Any], row: Any, errors: list[Any]) -> list[Any]:

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.capture.mesh import MeshArrays, arrays, has_uvs
+from svu_mi.capture.mesh import MeshArrays, arrays, has_uvs, unit_vectors
 from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import require_variant
 from svu_mi.errors import MeshError, OptionError, ShapeError
@@ -206,7 +206,7 @@ def _face_normals(source: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
     """Return (F, 3) unit normals by the winding and (F,) areas."""
     cross = source.crosses
     length = np.linalg.norm(cross, axis=1)
-    return cross / np.where(length > 0, length, 1)[:, None], length / 2
+    return unit_vectors(cross), length / 2
 
 
 def _morton(x: np.ndarray, y: np.ndarray) -> np.ndarray:
