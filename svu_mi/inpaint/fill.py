@@ -122,20 +122,19 @@ def require_seen(field: TextureField, seen: np.ndarray) -> np.ndarray:
     return flags.astype(bool)
 
 
-def by_likeness(field: TextureField, known: np.ndarray, weights: Weights) -> np.ndarray:
-    """Return all values as if only some were known, and the others filled as others have been.
+def by_likeness(ground: Ground, weights: Weights) -> np.ndarray:
+    """Return all values, those that are not known filled as others have been.
 
     Args:
-        field: recovered textures.
-        known: (T,) bool, of what nothing else is looked at.
+        ground: what is known.
         weights: of ``Filled``.
 
     Returns:
         (N, T).
     """
-    values, found = field.values.copy(), mixed(Ground.of(field, known), weights)
+    values, found = ground.values.copy(), mixed(ground, weights)
     for name, used in weights.items():
         if used:
-            rows = field.rows(name)
-            values[rows] = np.where(known, values[rows], found[rows])
+            rows = TextureField.rows(name)
+            values[rows] = np.where(ground.known, values[rows], found[rows])
     return values

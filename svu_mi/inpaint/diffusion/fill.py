@@ -128,11 +128,10 @@ class _Object:
         return {"photographs": replace(shots, photographs=used), "renders": shots}
 
     def _trials(self, start: Filled) -> list[_Trial]:
-        known = ~start.filled
-        parts = hidden_parts(Ground.of(self.field, known))
+        ground = Ground.of(self.field, ~start.filled)
+        parts = hidden_parts(ground)
         some = parts[:: max(len(parts) // TRIALS, 1)][:TRIALS]
-        return [_Trial(part, by_likeness(self.field, known & ~part, start.weights))
-                for part in some]  # fmt: skip
+        return [_Trial(part, by_likeness(ground.without(part), start.weights)) for part in some]
 
     def _answer(
         self, source: Source, shots: Shots, task: Task, trials: Sequence[_Trial]
