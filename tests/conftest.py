@@ -20,6 +20,9 @@ VARIANT = "llvm_ad_rgb"
 MAPS = 64  # of filtered light, that are kept: less than 100 MB
 # Read when Dr.Jit is first imported: compiled kernels are kept with the checkout, not in HOME.
 os.environ.setdefault("DRJIT_CACHE_DIR", str(ROOT / ".pytest_cache" / "drjit"))
+# Read when NumPy is first imported, which for the workers of -n is later than this: its threads
+# spin while they wait, on cores that the other worker needs.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m is looked at
