@@ -70,7 +70,7 @@ def test_lobes_lean_from_the_mirror_to_the_normal_as_they_widen():
 def test_split_sum_is_the_directional_albedo(alpha):
     table = split_sum(np.array([alpha]))[0]
     for node in range(0, ALBEDO_NODES, 5):
-        truth = oracle.albedo(alpha, COSINES[node])
+        truth = oracle.albedo(alpha, COSINES[node], nodes=150)  # to 1e-5, as with 500
         np.testing.assert_allclose(table[node], truth, atol=5e-3)
 
 
