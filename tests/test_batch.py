@@ -351,6 +351,7 @@ def test_the_sentence_of_a_row_is_the_last_that_was_said(said, sentence):
     assert sentence_of(said) == sentence
 
 
+@pytest.mark.slow  # the same words, and another mistake in a process, are above and below
 def test_a_preset_that_there_is_not_is_a_sentence(tmp_path):
     ended = Processes().run(["entropy", str(tmp_path), "--preset=bogus"])
     assert ended.status == 2 and ended.said.startswith("invalid choice 'bogus' for argument")

@@ -287,6 +287,7 @@ def test_verbose_shows_the_traceback(tmp_path):
         run("entropy", tmp_path / "no.xml", "-v", "-o", tmp_path / "out")
 
 
+@pytest.mark.slow  # another mistake, in a process: trust/test_trust_terminal.py
 def test_the_module_is_the_program(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "svu_mi", "entropy", str(tmp_path / "no.xml"), "-o", str(tmp_path)],

@@ -11,6 +11,7 @@ from hour import done, notebook, stopped, svu
 SCENE = "scenes/vase/vase.xml -D light=window -D resolution=64"
 
 
+@pytest.mark.slow  # without processes of its own: test_cli.py
 def test_a_scene_without_photographs_is_not_rendered_unasked(desk):
     """Placeholders of the scene would be found, minutes later, instead of the object."""
     assert svu("entropy scenes/vase/vase.xml -o out/none", desk).refusal == (
@@ -19,6 +20,7 @@ def test_a_scene_without_photographs_is_not_rendered_unasked(desk):
     )
 
 
+@pytest.mark.slow  # without a process of its own: test_cli.py
 def test_no_gpu_is_said_so(desk):
     said = svu("entropy capture -m cuda_ad_rgb -o out/gpu", desk)
     if said.status == 0:

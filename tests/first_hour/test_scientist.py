@@ -46,6 +46,7 @@ def test_mistakes_in_a_notebook_are_sentences(desk):
     ], said  # fmt: skip
 
 
+@pytest.mark.slow  # without processes of its own: test_messages.py
 def test_the_shell_answers_in_words_of_the_shell(desk):
     assert svu("entropy capture --known metal=0", desk).refusal == (
         "--known: there is no parameter 'metal'; use base_color, roughness or metallic."
