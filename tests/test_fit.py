@@ -57,7 +57,7 @@ def spectrum_error(got: np.ndarray, truth: np.ndarray) -> float:
 @pytest.mark.few(3)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("kind", ["hemisphere", "grazing", "duplicated", "crowded", "collinear"])
-@pytest.mark.parametrize("views, lmax", [(1, 9), (7, 6), (32, 6), (100, 4), (256, 6)])
+@pytest.mark.parametrize("views, lmax", [(7, 6), (256, 6), (1, 9), (100, 4), (32, 6)])
 def test_spectra_agree_with_a_double_precision_solve(views, lmax, kind, method):
     """The method needs 1e-3 of the largest degree; rounding of the output alone is 2e-7.
 
@@ -120,7 +120,7 @@ def test_auto_chooses_the_primal_for_many_views_and_agrees():
 @pytest.mark.parametrize("method", METHODS)
 def test_order_of_the_views_does_not_matter(method):
     rng = np.random.default_rng(550912)
-    d, w, f = samples(rng, 20, 33, 3, visible=0.6)
+    d, w, f = samples(rng, 20, 33, 2, visible=0.6)
     order = rng.permutation(33)
     before = np.array(fit_sh(d, w, f, method=method))
     after = np.array(fit_sh(d[:, order], w[:, order], f[:, order], method=method))
