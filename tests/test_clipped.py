@@ -96,7 +96,7 @@ def shiny(tmp_path_factory):
     paint = {"type": "principled", "roughness": 0.3, "metallic": 0.0,
              "base_color": {"type": "rgb", "value": [0.5, 0.3, 0.2]}}  # fmt: skip
     return render_ball(tmp_path_factory.mktemp("shiny"), emitter, paint, views=16,
-                       resolution=(64, 64), spp=64)  # fmt: skip
+                       resolution=(64, 64), spp=16)  # fmt: skip
 
 
 @pytest.mark.filterwarnings("ignore::svu_mi.errors.SvuWarning")

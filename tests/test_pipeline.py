@@ -41,7 +41,7 @@ def studio(scale=1.0, to_world=None):
 @pytest.fixture(scope="module")
 def glossy(tmp_path_factory):
     """A metal ball in a studio, seen from all sides, and its texels."""
-    capture = render_ball(tmp_path_factory.mktemp("glossy"), studio(), GLOSSY, views=30)
+    capture = render_ball(tmp_path_factory.mktemp("glossy"), studio(), GLOSSY, views=30, spp=16)
     return capture, svu.texels(capture.mesh, 40)
 
 

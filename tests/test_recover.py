@@ -56,7 +56,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
         bsdf[name] = {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(image)),
                       "raw": True, "filter_type": "nearest"}  # fmt: skip
     folder = tmp_path_factory.mktemp("ball")
-    return render_ball(folder, sky(), bsdf, views=24, resolution=(96, 96), spp=64)
+    return render_ball(folder, sky(), bsdf, views=24, resolution=(96, 96), spp=16)
 
 
 @pytest.fixture(scope="module")

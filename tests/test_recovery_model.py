@@ -53,7 +53,7 @@ def angular(name, **switches):
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ball")
-    return render_ball(folder, STUDIO, PAINT, views=16, resolution=(40, 40))
+    return render_ball(folder, STUDIO, PAINT, views=16, resolution=(40, 40), spp=16)
 
 
 @pytest.fixture(scope="module")

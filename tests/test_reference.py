@@ -52,7 +52,7 @@ def paint(roughness: float = 0.5, metallic: float = 1.0, base_color: float = 0.5
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ball")
-    return render_ball(folder, sky(), paint(), views=24, resolution=(48, 48), spp=256)
+    return render_ball(folder, sky(), paint(), views=24, resolution=(48, 48), spp=64)
 
 
 @pytest.fixture(scope="module")
