@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 # What the tests around set, or a developer has set: a new user has none of it.
-NOT_SET = ("DRJIT_", "MPL", "MI_", "PYTHONUTF8", "PYTHONIOENCODING", "PYTEST_")
+NOT_SET = ("DRJIT_", "OPENBLAS_", "MPL", "MI_", "PYTHONUTF8", "PYTHONIOENCODING", "PYTEST_")
 SECONDS = 120
 STAGE = re.compile(r".*: (failed after )?[0-9.]+ s(, [0-9]+ kernels? compiled)?")
 
