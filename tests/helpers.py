@@ -375,4 +375,5 @@ def turning(capture: Capture, spp: int = 32) -> Capture:
         direct = mi.load_dict({"type": "path", "max_depth": 2})
         image = mi.render(scene, sensor=sensor, spp=spp, seed=index, integrator=direct)
         images.append(np.array(image, np.float32)[..., :3])
+        del turned, scene  # beside which the next would take kernels of their own
     return replace(capture, images=tuple(images))
