@@ -131,6 +131,7 @@ print(dr.detail.llvm_version()[0], svu_mi._llvm.status().source)
     assert int(version) >= _llvm.FIRST_GOOD_X86 and source == "user"
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("variant", ["", VARIANT], ids=["", "variant set"])
 @pytest.mark.parametrize(
     ("content", "says"),

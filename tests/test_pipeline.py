@@ -71,6 +71,7 @@ def exact_spectra(d, w, f, switches):
     return oracle_frequency.power(c)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", ["default", "paper", "fast"])
 def test_the_fused_kernels_agree_with_the_oracle(glossy, name):
     """Samples stored, fitted and compared in float64, straight from the equations."""

@@ -243,7 +243,7 @@ def test_another_known_value_needs_no_other_kernel(grey):
             assert sum(detail.launch_stats()[1:]) == compiled
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @RULES
 def test_another_prior_needs_no_other_kernel(grey, method, rule):
     """Of entropy, and of all that is asked of a posterior."""
