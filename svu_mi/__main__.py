@@ -1,7 +1,5 @@
 """``python -m svu_mi`` is ``svu``."""
 
-import sys
+from svu_mi.cli.process import run
 
-from svu_mi.cli.main import main
-
-sys.exit(main())
+run()

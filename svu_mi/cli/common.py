@@ -12,6 +12,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from svu_mi import _llvm
+from svu_mi.cli.process import importing
 from svu_mi.errors import OptionError, SvuEnvironmentError, excerpt
 from svu_mi.limits import FEWEST_THREADS
 from svu_mi.needs import Need, Sizes
@@ -61,12 +62,13 @@ class Common:
             raise OptionError(f"--threads must be 0 (all) or more, got {self.threads}.")
         if self.threads > MAX_THREADS:
             raise OptionError(f"--threads must be at most {MAX_THREADS}, got {self.threads}.")
-        import drjit as dr
-        import mitsuba as mi
+        with importing():
+            import drjit as dr
+            import mitsuba as mi
 
-        self._set_variant()
-        import svu_mi.plugins  # noqa: F401 - registers them for the variant
-        from svu_mi.capture.trust import require_own_plugins
+            self._set_variant()
+            import svu_mi.plugins  # noqa: F401 - registers them for the variant
+            from svu_mi.capture.trust import require_own_plugins
 
         require_own_plugins(self.trust)
 

@@ -1,0 +1,59 @@
+"""The process of ``svu``: it ends at once, and yet everything that it owes is done."""
+
+from __future__ import annotations
+
+import gc
+
+import pytest
+from helpers import python
+
+from svu_mi.cli.process import importing
+
+LEAVING = """
+import atexit, sys
+from svu_mi.cli.process import leave
+atexit.register(print, "registered")
+class Late:
+    def __del__(self):
+        print("taken down")
+late = Late()
+sys.stdout.write("said, ")
+leave({status})
+"""
+
+
+@pytest.mark.parametrize("status", [0, 2])
+def test_leaving_says_all_and_takes_nothing_down(status):
+    done = python("-c", LEAVING.format(status=status))
+    assert (done.returncode, done.stdout, done.stderr) == (status, "said, registered\n", "")
+
+
+@pytest.mark.parametrize("stream", ["sys.stdout.close()", "sys.stdout = None"])
+def test_where_nobody_listens_the_status_stays(stream):
+    code = f"import sys; from svu_mi.cli.process import leave; {stream}; leave(3)"
+    done = python("-c", code)
+    assert (done.returncode, done.stderr) == (3, "")
+
+
+def test_modules_are_no_garbage_and_the_rest_is_collected():
+    code = """
+import gc, sys
+from svu_mi.cli.commands import Doctor
+from svu_mi.cli.process import run
+def work(self, console):
+    first = gc.get_freeze_count()
+    self.start()
+    print(first > 10_000, gc.get_freeze_count() > first, gc.isenabled())
+    return 7
+Doctor.run, sys.argv = work, ["svu", "doctor"]
+run()
+"""
+    done = python("-c", code)
+    assert (done.returncode, done.stdout) == (7, "True True True\n")
+
+
+def test_other_processes_are_left_as_they_are():
+    before = gc.get_freeze_count()
+    with importing():
+        assert gc.isenabled()
+    assert gc.isenabled() and gc.get_freeze_count() == before
