@@ -53,22 +53,6 @@ class Colors:
     given: Any | None
     nodes: np.ndarray | None = None
 
-    def truths(self, p: np.ndarray) -> np.ndarray:
-        """Return the colour that stands for all of a row, if that is the truth: (t, rows, C).
-
-        Args:
-            p: (t, rows, K, C) probabilities of cells.
-        """
-        if self.nodes is not None:  # between nodes, none might explain what it shows
-            return self.nodes[p.argmax(axis=2)]
-        middle = (self.edges[1:] + self.edges[:-1]) / 2
-        mean = np.einsum("trkc,k->trc", p, middle) / np.maximum(p.sum(axis=2), 1e-30)
-        cell = np.clip(np.searchsorted(self.edges, mean, "right") - 1, 0, len(middle) - 1)
-        allowed = np.take_along_axis(p, cell[:, :, None], axis=2)[:, :, 0] > 0
-        if allowed.all():
-            return mean
-        return np.where(allowed, mean, middle[p.argmax(axis=2)])  # a prior may have gaps
-
     def channels(self, sums: list[Any], truth: list[Any]) -> tuple[Any, list[Parts]]:
         """Return the energy of the best colours, Float, and each channel's likelihood.
 

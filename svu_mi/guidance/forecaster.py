@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -112,17 +111,30 @@ def _angular(
     prior, given = prior_tables(posterior.prior, usual)
     nodes = grid.base_color_nodes if by_nodes else None
     colors = Colors(edges, posterior.problem.copies, given, nodes)
-    p = np.array(posterior.probabilities_of(texels))
-    p = p.reshape(len(p), dr.width(prior), len(usual), -1)[..., :channels]
-    rows = p[..., 0].sum(axis=2, dtype=np.float64)
+    rows, truths = _rows(posterior, texels)
     variance = _variance(posterior, switches, observed.unit)[texels]
     return AngularForecast(
         responses=responses, hypotheses=draw(rows, posterior.prior.sum(axis=2).ravel()),
         grid=grid, prior=prior, measure=_entropy(posterior),
-        truths=owned(mi.Float, colors.truths(p).ravel()), channels=channels,
+        truths=owned(mi.Float, truths.ravel()), channels=channels,
         precision=owned(mi.Float, 0.5 / variance), kappa=switches.kappa(observed.unit),
         averaged=by_nodes and switches.errors == "mean", colors=colors,
     )  # fmt: skip
+
+
+def _rows(
+    posterior: CalibratedPosterior | AngularPosterior, texels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Probabilities (t, rows) of texels whatever the base colour, and what this is if a row is the
+    truth, (t, rows, C)."""
+    if isinstance(posterior, CalibratedPosterior):
+        return posterior.rows_of(texels)
+    nodes = posterior.grid.axes["base_color"]
+    p = np.array(posterior.probabilities_of(texels))
+    p = p.reshape(len(p), -1, len(nodes), posterior.groups)
+    p = p[..., : posterior.problem.factors.channels]
+    # Between nodes, no colour might explain what a row shows.
+    return p[..., 0].sum(axis=2, dtype=np.float64), nodes[p.argmax(axis=2)]
 
 
 def _variance(

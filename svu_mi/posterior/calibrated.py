@@ -26,7 +26,7 @@ from svu_mi.options import preset as find_preset
 from svu_mi.parameters import MIXED, PARAMETERS
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import streaming
-from svu_mi.posterior.cells import marginals_of
+from svu_mi.posterior.cells import color_of_rows, marginals_of
 from svu_mi.posterior.checks import require_scale, total_texels
 from svu_mi.posterior.grid import PrincipledGrid
 from svu_mi.posterior.intervals import shortest
@@ -124,6 +124,29 @@ class CalibratedPosterior(Posterior):
         p = kernel.tables(self.problem, self._lane[chosen])
         p = np.repeat(p, self.problem.copies, -1) if self.problem.copies > 1 else p
         return p.reshape(len(p), *self.grid.shape, -1)
+
+    def rows_of(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return p of some texels summed over base colour, and the colour that stands for each sum
+        (``cells.color_of_rows``), without the table of ``probabilities_of``.
+
+        Args:
+            chosen: (t,) int64 indices of texels.
+
+        Returns:
+            (t, N) and (t, N, C) float64, for the N cells of all other parameters and the C
+            channels of the statistics.
+        """
+        usual = self.prior.astype(np.float32).reshape(1, -1, self.grid.shape[-1], 1)
+        observed, shape = self.observed[chosen], (len(chosen), usual.shape[1])
+        masses = np.empty(shape, np.float64)
+        colors = np.empty((*shape, self.problem.factors.channels), np.float64)
+        masses[~observed] = usual[..., 0].sum(axis=2, dtype=np.float64)
+        colors[~observed] = color_of_rows(usual, self.problem.edges)
+        seen = np.flatnonzero(observed)
+        for span in self._chunks(len(seen)):
+            part = seen[span]
+            masses[part], colors[part] = kernel.rows(self.problem, self._lane[chosen[part]])
+        return masses, colors
 
     def _best(self, chosen: np.ndarray) -> np.ndarray:
         found, lanes = self._summary_of_lanes, self._lane[chosen]

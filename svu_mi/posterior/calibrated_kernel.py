@@ -199,12 +199,71 @@ def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
         (t, R, M, K, C) float32, of sum 1 for every texel and channel, the others marginalised.
     """
     rows, of_column, of_color = problem.shape
-    channels, nodes = problem.factors.channels, problem.nodes
+    shape = (len(chosen), rows, of_column, problem.factors.channels, of_color)
+    found = _cell_masses(problem, chosen).numpy().reshape(shape)
+    total = found.sum(axis=(1, 2, 4), keepdims=True, dtype=np.float64)
+    found = found * (1 / np.where(total > 0, total, 1)).astype(np.float32)
+    return np.moveaxis(found, 3, 4)
+
+
+def rows(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sum ``tables`` over base colour, without making them.
+
+    Args:
+        problem: of S texels.
+        chosen: (t,) int64, which of them.
+
+    Returns:
+        The masses of all N = R M cells of all but base colour, (t, N) float64, and the colour that
+        stands for each (``cells.color_of_rows``), (t, N, C) float64.
+    """
+    channels, of_color = problem.factors.channels, problem.shape[2]
+    number = problem.shape[0] * problem.shape[1]
+    masses, cells = _cell_masses(problem, chosen), dr.opaque(mi.UInt32, number)
+
+    def p_of(place: Any) -> list[Any]:
+        return [dr.gather(mi.Float, masses, place * of_color + k) for k in range(of_color)]
+
+    def add(row: Any, total: Any) -> tuple[Any, Any]:
+        place = (texel * cells + row) * channels + channel
+        return row + 1, total + sum(mi.Float64(p) for p in p_of(place))
+
+    lane = dr.arange(mi.UInt32, len(chosen) * channels)
+    texel, channel = lane // channels, lane % channels
+    start = mi.UInt32(0), dr.zeros(mi.Float64, len(chosen) * channels)
+    total = dr.while_loop(start, lambda row, _: row < cells, add)[1]
+    scale = mi.Float(1 / dr.select(total > 0, total, 1))
+    dr.eval(scale)
+    lane = dr.arange(mi.UInt32, len(chosen) * number * channels)
+    own = lane // (cells * channels) * channels + lane % channels
+    p = [dr.gather(mi.Float, scale, own) * mass for mass in p_of(lane)]
+    mass, color = sum(mi.Float64(one) for one in p), _standing(p, problem.edges)
+    dr.eval(mass, color)
+    shape = (len(chosen), number, channels)
+    return mass.numpy().reshape(shape)[..., 0], color.numpy().reshape(shape)
+
+
+def _standing(p: list[Any], edges: np.ndarray) -> Any:
+    """Return what ``cells.color_of_rows`` does, of the K cells of a row and channel: Float64."""
+    middle = ((edges[1:] + edges[:-1]) / 2).tolist()
+    mean = sum(mi.Float64(one) * c for one, c in zip(p, middle, strict=True))
+    mean /= mi.Float64(dr.maximum(sum(p), 1e-30))
+    there, most, best = p[0], p[0], mi.Float64(middle[0])
+    for one, low, c in zip(p[1:], edges[1:-1].tolist(), middle[1:], strict=True):
+        there = dr.select(mean >= low, one, there)
+        most, best = dr.maximum(most, one), dr.select(one > most, mi.Float64(c), best)
+    return dr.select(there > 0, mean, best)
+
+
+def _cell_masses(problem: Problem, chosen: np.ndarray) -> Any:
+    """Return the masses of all cells of some texels, not normalised: (t R M C K,) Float."""
+    rows, of_column, of_color = problem.shape
+    nodes, size_of_row = problem.nodes, of_column * problem.factors.channels * of_color
     launch = dr.arange(mi.UInt32, len(chosen) * rows)
-    number = dr.opaque(mi.UInt32, rows)
-    texel, cell = launch // number, launch % number
+    # A packet is about one cell of roughness of many texels, which leave out the same nodes.
+    number = dr.opaque(mi.UInt32, len(chosen))
+    texel, cell = launch % number, launch // number
     walker = Walker(problem, dr.gather(mi.UInt32, owned(mi.UInt32, chosen), texel))
-    size_of_row = of_column * channels * of_color
 
     def visit(node: Node, masses: Any) -> tuple[Any, ...]:
         _add_cells(problem, masses, node)
@@ -214,14 +273,11 @@ def tables(problem: Problem, chosen: np.ndarray) -> np.ndarray:
         dr.gather(mi.UInt32, nodes.first, cell), dr.gather(mi.UInt32, nodes.first, cell + 1),
         visit, lambda _, masses: (masses,), (cleared(size_of_row),),
     )  # fmt: skip
-    result = dr.zeros(mi.Float, len(chosen) * rows * size_of_row)
+    result = dr.empty(mi.Float, len(chosen) * rows * size_of_row)  # all of it is written
+    place = (texel * dr.opaque(mi.UInt32, rows) + cell) * size_of_row
+    result = _write(masses, mi.UInt32(0), size_of_row, None, result, place)
     dr.eval(result)
-    result = _write(masses, mi.UInt32(0), size_of_row, None, result, launch * size_of_row)
-    dr.eval(result)
-    found = result.numpy().reshape(len(chosen), rows, of_column, channels, of_color)
-    total = found.sum(axis=(1, 2, 4), keepdims=True, dtype=np.float64)
-    found = found * (1 / np.where(total > 0, total, 1)).astype(np.float32)
-    return np.moveaxis(found, 3, 4)
+    return result
 
 
 def color_masses(

@@ -34,6 +34,21 @@ def normalized(energies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return p.reshape(*energies.shape, 1).astype(np.float32), node[..., None]
 
 
+def color_of_rows(p: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Return the colour that stands for all of a row: their mean, or the middle of the most
+    probable cell where the prior excludes what is there, (t, rows, C) float64.
+
+    Args:
+        p: (t, rows, K, C) probabilities of cells.
+        edges: (K + 1,) of the cells of base colour.
+    """
+    middle = (edges[1:] + edges[:-1]) / 2
+    mean = np.einsum("trkc,k->trc", p, middle) / np.maximum(p.sum(axis=2), 1e-30)
+    cell = np.clip(np.searchsorted(edges, mean, "right") - 1, 0, len(middle) - 1)
+    allowed = np.take_along_axis(p, cell[:, :, None], axis=2)[:, :, 0] > 0
+    return np.asarray(np.where(allowed, mean, middle[p.argmax(axis=2)]))
+
+
 def draw_cells(
     p: np.ndarray, axes: Mapping[str, np.ndarray], count: int, random: np.random.Generator
 ) -> dict[str, np.ndarray]:
