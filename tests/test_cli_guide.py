@@ -8,6 +8,7 @@ import io
 import json
 import re
 import shutil
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ def partial(shot, tmp_path_factory):
 def no_page(monkeypatch):
     """Leave out what takes longest and others look at."""
 
-    monkeypatch.setattr("svu_mi.output.guidance.write_guidance_overview", lambda *_, **__: None)
+    monkeypatch.setattr("svu_mi.output.guidance.GuidanceOverview", MagicMock())
 
 
 def guide(shot, out, *words):

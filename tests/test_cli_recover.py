@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from unittest.mock import MagicMock
 
 import mitsuba as mi
 import numpy as np
@@ -15,6 +16,7 @@ from helpers import fails, last_line, names, run, sensor_xml, write_scene
 
 from svu_mi import scenes
 from svu_mi.cli.common import was_interrupted
+from svu_mi.errors import OutputError
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.interrupts import between_steps
 from svu_mi.output.relit_page import files_of
@@ -36,11 +38,22 @@ STEPS = 150  # enough to be interrupted in
 pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
 
 
+def test_a_page_that_cannot_be_drawn_is_an_error_and_leaves_no_result(
+    shot, tmp_path, monkeypatch, capsys
+):
+    def refuse(*_):
+        raise OutputError("relit.png: the disk is full.")
+
+    monkeypatch.setattr("svu_mi.output.recovery.write_relit", refuse)
+    assert recover(shot, tmp_path) == 2
+    assert last_line(capsys) == "svu: relit.png: the disk is full."
+    assert not set(FILES) & set(names(tmp_path))
+
+
 @pytest.fixture
 def no_pictures(monkeypatch):
     """Of a recovery's results, they take longest, and others look at them."""
-    for name in ("compare", "write_relit", "write_recovery_overview"):
-        monkeypatch.setattr(f"svu_mi.output.recovery.{name}", lambda *_: None)
+    monkeypatch.setattr("svu_mi.output.recovery.Pages", MagicMock())
 
 
 def recover(shot, out, *words):

@@ -19,7 +19,8 @@ from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.result import Guidance
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.output.guidance_page import Gains, write_guidance_overview
+from svu_mi.output.aside import drawing_aside
+from svu_mi.output.guidance_page import Gains, GuidanceOverview
 from svu_mi.output.manifest import RECORD, Run, guidance_record, write_manifest, write_run
 from svu_mi.output.maps import GUTTER, header, padded
 from svu_mi.output.upright import UP
@@ -59,19 +60,25 @@ def write_guidance(
     """
     run = run or Run()
     with writing(folder, "guide", RECORD, capture=capture_key(capture)) as draft:
-        _write_poses(capture, guidance, draft.folder)
-        write_manifest(draft.folder / PLAN, plan(capture, estimate, guidance))
-        run.progress(1, 4)
-        maps = guidance.gain_maps()
-        _write_maps(guidance, maps, draft.folder)
-        run.progress(2, 4)
-        if pictures:
-            gains = Gains.of(capture, guidance, maps)
-            _write_thumbnails(gains.pictures, prepare_folder(draft.folder / THUMBNAILS))
+        target = draft.folder
+        with drawing_aside() as aside:
+            if pictures:
+                overview = GuidanceOverview(capture, estimate, guidance, up)
+                aside(overview.begin)
+            _write_poses(capture, guidance, target)
+            write_manifest(target / PLAN, plan(capture, estimate, guidance))
+            run.progress(1, 4)
+            maps = guidance.gain_maps()
+            run.progress(2, 4)
+            if pictures:
+                gains = Gains.of(capture, estimate, guidance, maps)
+                aside(overview.finish, gains, target / PAGE)
+                aside(_write_thumbnails, gains.pictures, prepare_folder(target / THUMBNAILS))
             run.progress(3, 4)
-            write_guidance_overview(capture, estimate, guidance, gains, draft.folder / PAGE, up=up)
+            _write_maps(guidance, maps, target)
+            record = guidance_record(capture, estimate, guidance)
         run.progress(4, 4)
-        write_run(draft, guidance_record(capture, estimate, guidance), run)
+        write_run(draft, record, run)
 
 
 def _write_poses(capture: Capture, guidance: Guidance, folder: Path) -> None:

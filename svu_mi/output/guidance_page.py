@@ -17,8 +17,8 @@ from svu_mi.guidance.result import Guidance, Proposal
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.names import plain_name
 from svu_mi.output import style, views
-from svu_mi.output.directions import color_range, draw_directions, numbered
-from svu_mi.output.figures import all_seen, draw_map, map_colors
+from svu_mi.output.directions import Directions, color_range, numbered
+from svu_mi.output.figures import all_seen, draw_map, map_colors, still
 from svu_mi.output.page import grouped
 from svu_mi.output.style import GAIN_COLORS, INK, LEFT, RIGHT, RULE
 from svu_mi.output.upright import UP
@@ -44,67 +44,81 @@ class Gains:
     Attributes:
         maps: (proposals, T) of ``Guidance.gain_maps``.
         pictures: what the proposals see of them, of ``gain_picture``.
-        looks: what the proposals see of the object.
+        entropy: what they see of the entropy so far, of those that the page shows.
     """
 
     maps: np.ndarray
     pictures: list[np.ndarray]
-    looks: list[Look]
+    entropy: list[np.ndarray]
 
     @classmethod
-    def of(cls, capture: Capture, guidance: Guidance, maps: np.ndarray) -> Gains:
+    def of(
+        cls, capture: Capture, estimate: Estimate, guidance: Guidance, maps: np.ndarray
+    ) -> Gains:
         """Draw maps."""
-        scene = alone(capture)
+        scene, entropy = alone(capture), map_colors(estimate)
         looks = [Look.at(scene, _large(one.sensor)) for one in guidance.proposals]
-        return cls(maps, [_painted(look, guidance, k, maps) for k, look in enumerate(looks)], looks)
+        return cls(
+            maps, [_painted(look, guidance, k, maps) for k, look in enumerate(looks)],
+            [look.painted(entropy) for look in looks[:SHOWN]],
+        )  # fmt: skip
 
 
-def write_guidance_overview(
-    capture: Capture,
-    estimate: Estimate,
-    guidance: Guidance,
-    gains: Gains,
-    path: str | Path,
-    *,
-    up: tuple[float, float, float] = UP,
-) -> None:
-    """Draw where to go, what it is worth, and what is to be seen there: 1800 x 1120 pixels.
+class GuidanceOverview:
+    """Where to go, what it is worth, and what is to be seen there: 1800 x 1120 pixels.
+
+    In two parts, each of which any thread may draw: gains of all texels take longer than the rest.
 
     Args:
         capture: the ``Capture``.
         estimate: what its photographs say.
         guidance: the ``Guidance`` from there.
-        gains: of its proposals.
-        path: the PNG file.
         up: top of the map of directions.
-
-    Raises:
-        OutputError: the file cannot be written.
     """
-    figure = style.new_figure(*SIZE)
-    style.heading(figure, HEADING, _notes(capture, estimate, guidance), (0.968, 0.936))
-    places = [
-        figure.add_gridspec(1, 1, left=left, right=right, top=top, bottom=bottom)[0]
-        for left, right, top, bottom in PLACES
-    ]
-    style.draw_panels(figure, places, [
-        ("", partial(_directions, capture=capture, guidance=guidance, up=up)),
-        ("Mean entropy of all texels, now and expected",
-         partial(draw_expected, capture=capture, guidance=guidance)),
-        ("All candidates as the next photograph", partial(draw_ranking, guidance=guidance)),
-    ])  # fmt: skip
-    rows = figure.add_gridspec(
-        2, SHOWN + 1, left=LEFT + 0.012, right=RIGHT, top=0.42, bottom=0.01, hspace=0.2, wspace=0.1
-    )
-    entropy, shown = map_colors(estimate), guidance.proposals[:SHOWN]
-    pictures = zip(shown, gains.looks, gains.pictures, strict=False)
-    for column, (proposal, look, gain) in enumerate(pictures):
-        before = look.painted(entropy)
-        cells = [figure.add_subplot(rows[row, column]) for row in (0, 1)]
-        _proposal(cells, column + 1, proposal, (before, gain))
-    cells = [figure.add_subplot(rows[row, len(shown)]) for row in (0, 1)]
-    _maps(cells, estimate, guidance, gains.maps)
-    style.save_figure(figure, path)
+
+    def __init__(
+        self, capture: Capture, estimate: Estimate, guidance: Guidance,
+        up: tuple[float, float, float] = UP,
+    ) -> None:  # fmt: skip
+        self._guidance, self._estimate = guidance, still(estimate)
+        self._capture, self._notes = capture, _notes(capture, estimate, guidance)
+        self._directions = Directions.of(capture, guidance, up)
+        self._everywhere = all_seen(guidance.texels)
+
+    def begin(self) -> None:
+        """Draw all that gains of texels are not asked for."""
+        self._figure = figure = style.new_figure(*SIZE)
+        style.heading(figure, HEADING, self._notes, (0.968, 0.936))
+        places = [
+            figure.add_gridspec(1, 1, left=left, right=right, top=top, bottom=bottom)[0]
+            for left, right, top, bottom in PLACES
+        ]
+        guidance = self._guidance
+        style.draw_panels(figure, places, [
+            ("", partial(_directions, drawn=self._directions, guidance=guidance)),
+            ("Mean entropy of all texels, now and expected",
+             partial(draw_expected, capture=self._capture, guidance=guidance)),
+            ("All candidates as the next photograph", partial(draw_ranking, guidance=guidance)),
+        ])  # fmt: skip
+
+    def finish(self, gains: Gains, path: str | Path) -> None:
+        """Draw what the proposals see, and write the PNG file.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        figure, shown = self._figure, self._guidance.proposals[:SHOWN]
+        rows = figure.add_gridspec(
+            2, SHOWN + 1, left=LEFT + 0.012, right=RIGHT, top=0.42, bottom=0.01, hspace=0.2,
+            wspace=0.1,
+        )  # fmt: skip
+        pictures = zip(shown, gains.entropy, gains.pictures, strict=False)
+        for column, (proposal, before, gain) in enumerate(pictures):
+            cells = [figure.add_subplot(rows[row, column]) for row in (0, 1)]
+            _proposal(cells, column + 1, proposal, (before, gain))
+        cells = [figure.add_subplot(rows[row, len(shown)]) for row in (0, 1)]
+        _maps(cells, self._estimate, self._everywhere, gains.maps)
+        style.save_figure(figure, path)
 
 
 def _notes(capture: Capture, estimate: Estimate, guidance: Guidance) -> list[str]:
@@ -122,13 +136,11 @@ def _notes(capture: Capture, estimate: Estimate, guidance: Guidance) -> list[str
     ]
 
 
-def _directions(
-    axes: Axes, capture: Capture, guidance: Guidance, up: tuple[float, float, float]
-) -> None:  # fmt: skip
-    drawn = draw_directions(axes, capture, guidance, up=up)
+def _directions(axes: Axes, drawn: Directions, guidance: Guidance) -> None:
+    colors = drawn.draw(axes)
     style.title(axes, "Directions from which the object can be photographed", pad=34)
     label = f"as the next photograph: {TABLE[guidance.options.strategy].unit}"
-    style.color_bar(axes, drawn, label, (0.2, -0.06, 0.6, 0.028))
+    style.color_bar(axes, colors, label, (0.2, -0.06, 0.6, 0.028))
 
 
 def draw_expected(axes: Axes, capture: Capture, guidance: Guidance) -> None:
@@ -235,16 +247,14 @@ def _proposal(
     numbered(cells[0], 0.06, 0.93, rank, "white", 260, transform=cells[0].transAxes)
 
 
-def _maps(
-    cells: Sequence[Axes], estimate: Estimate, guidance: Guidance, maps: np.ndarray
-) -> None:  # fmt: skip
+def _maps(cells: Sequence[Axes], estimate: Any, everywhere: Any, maps: np.ndarray) -> None:
     """Both in the layout of the texture, with the scales of the pictures beside them."""
     above, below = cells
-    gains = maps[0] if len(maps) else np.zeros(guidance.texels.count, np.float32)
+    gains = maps[0] if len(maps) else np.zeros(everywhere.texels.count, np.float32)
     scale: Any = {"limits": (0, gain_limit(maps)), "colormap": gain_colors()}
     for axes, what, words in (
         (above, draw_map(above, estimate), "entropy of every texel"),
-        (below, draw_map(below, all_seen(guidance.texels), gains, **scale), "gain by proposal 1"),
+        (below, draw_map(below, everywhere, gains, **scale), "gain by proposal 1"),
     ):
         style.color_bar(axes, what, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
         style.caption(axes, words)

@@ -14,6 +14,7 @@ from svu_mi.capture.fingerprint import capture_key
 from svu_mi.exr import write_exr
 from svu_mi.files import write_text
 from svu_mi.output import views
+from svu_mi.output.aside import Aside, drawing_aside
 from svu_mi.output.draws import SHEET, write_draws, write_sheet
 from svu_mi.output.manifest import RECORD, Run, recovery_record, write_run
 from svu_mi.output.maps import (
@@ -24,7 +25,7 @@ from svu_mi.output.maps import (
     write_maps,
     write_uncertainty,
 )
-from svu_mi.output.recovery_page import write_recovery_overview
+from svu_mi.output.recovery_page import RecoveryOverview, maps_of
 from svu_mi.output.relit import compare, write_relit
 from svu_mi.output.scene_xml import write_scene
 from svu_mi.pipeline import Estimate
@@ -83,30 +84,44 @@ def write_recovery(
     with writing(folder, "recover", RECORD, capture=key, consumed=run.consumed) as draft:
         target = draft.folder
         write_scene(capture, recovery.textures, target, attributes=about)
-        _write_known(recovery, estimate, field, target)
-        write_losses(recovery.losses, target / LOSSES)
+        with drawing_aside() as aside:
+            pages = Pages(capture, recovery, estimate, target, aside) if pictures else None
+            run.progress(1, 4)
+            _write_known(recovery, estimate, field, target)
+            run.progress(2, 4)
+            if pages is not None:
+                pages.finish(field)
+            write_losses(recovery.losses, target / LOSSES)
+            record = recovery_record(capture, recovery, estimate)
+        run.progress(3, 4)
         if field is not None and draws is not None:
             first = write_draws(field.draw(draws.count, draws.seed), target, about)
             if pictures:
                 view = views.far_apart(capture, getattr(estimate, "seen_per_view", None), 1)[0]
                 write_sheet(capture, recovery, first, target / SHEET, view)
-        run.progress(1, 4)
-        if pictures:
-            _draw(capture, recovery, estimate, field, target, run)
         run.progress(4, 4)
-        write_run(draft, recovery_record(capture, recovery, estimate), run)
+        write_run(draft, record, run)
 
 
-def _draw(
-    capture: Capture, recovery: Recovery, estimate: Estimate | None, field: TextureField | None,
-    folder: Path, run: Run,
-) -> None:  # fmt: skip
-    chosen = views.far_apart(capture, getattr(estimate, "seen_per_view", None), VIEWS)
-    comparisons = compare(capture, recovery.textures, chosen)
-    run.progress(2, 4)
-    write_relit(comparisons, folder / RELIT)
-    run.progress(3, 4)
-    write_recovery_overview(capture, recovery, comparisons, folder / PAGE, estimate, field)
+class Pages:
+    """``relit.png`` and ``recovery.png``: drawn aside, while it is computed what they show."""
+
+    def __init__(
+        self, capture: Capture, recovery: Recovery, estimate: Estimate | None, folder: Path,
+        aside: Aside,
+    ) -> None:  # fmt: skip
+        self._recovery, self._estimate = recovery, estimate
+        self._path, self._aside = folder / PAGE, aside
+        chosen = views.far_apart(capture, getattr(estimate, "seen_per_view", None), VIEWS)
+        comparisons = compare(capture, recovery.textures, chosen)
+        aside(write_relit, comparisons, folder / RELIT)
+        self._overview = RecoveryOverview(capture, recovery, comparisons, estimate)
+        aside(self._overview.begin)
+
+    def finish(self, field: TextureField | None) -> None:
+        """Draw what is known as well."""
+        maps = maps_of(self._recovery, self._estimate, field)
+        self._aside(self._overview.finish, maps, self._path)
 
 
 def _write_known(

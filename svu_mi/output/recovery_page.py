@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,13 @@ from svu_mi.capture import Capture
 from svu_mi.capture.look import Look, alone
 from svu_mi.capture.shown import srgb
 from svu_mi.output import style
-from svu_mi.output.figures import all_seen, draw_look, draw_scaled_map, map_colors
+from svu_mi.output.figures import (
+    all_seen,
+    draw_scaled_map,
+    map_colors,
+    seen_on_object,
+    still,
+)
 from svu_mi.output.page import grouped
 from svu_mi.output.relit import Comparison
 from svu_mi.output.result import is_seen, words
@@ -36,6 +42,55 @@ WIDEST_SD = 0.3  # at the upper end of the colours; an even prior's is 0.29, tha
 SMOOTH = 50  # losses are averaged over this part of the steps
 
 
+class RecoveryOverview:
+    """A page of 1800 x 1020 pixels: textures, what is known of them, losses and comparisons.
+
+    In two parts, each of which any thread may draw: what is known may take longer than the rest.
+
+    Args:
+        capture: the ``Capture``.
+        recovery: its ``Recovery``.
+        comparisons: of two views, or one.
+        estimate: an ``Estimate``, if any, whose entropy is drawn.
+    """
+
+    def __init__(
+        self, capture: Capture, recovery: Recovery, comparisons: Sequence[Comparison],
+        estimate: Estimate | None = None,
+    ) -> None:  # fmt: skip
+        self._notes, self._losses = _notes(capture, recovery, estimate), np.array(recovery.losses)
+        self._objects, scene = [], alone(capture)
+        for comparison, rest in zip(comparisons, (_parameters, _rest), strict=False):
+            look = Look.at(scene, capture.sensors[comparison.view])
+            self._objects.append((comparison, rest(look, recovery, comparison, estimate)))
+
+    def begin(self) -> None:
+        """Draw all but the maps."""
+        self._figure = figure = style.new_figure(*SIZE)
+        style.heading(figure, HEADING, self._notes, (0.962, 0.925))
+        plot = figure.add_gridspec(1, 1, left=0.87, right=RIGHT, top=0.875, bottom=0.64)
+        rows = figure.add_gridspec(
+            2, 6, left=LEFT, right=RIGHT, top=0.545, bottom=0.015, hspace=0.13, wspace=0.1
+        )
+        style.draw_panels(figure, plot, [("Loss by step", partial(_losses, values=self._losses))])
+        objects: list[Panel] = []
+        for comparison, rest in self._objects:
+            objects += [*_compared(comparison), *rest]
+        style.draw_panels(figure, rows, objects, "NW")
+
+    def finish(self, maps: Sequence[Panel], path: str | Path) -> None:
+        """Draw maps (``maps_of``), and write the PNG file.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        cells = self._figure.add_gridspec(
+            1, 7, left=LEFT, right=0.83, top=0.875, bottom=0.63, wspace=0.12
+        )
+        style.draw_panels(self._figure, cells, maps, "NW")
+        style.save_figure(self._figure, path)
+
+
 def write_recovery_overview(
     capture: Capture,
     recovery: Recovery,
@@ -44,7 +99,7 @@ def write_recovery_overview(
     estimate: Estimate | None = None,
     field: TextureField | None = None,
 ) -> None:
-    """Draw textures, what is known of them, losses and comparisons: a page of 1800 x 1020 pixels.
+    """Draw a ``RecoveryOverview`` at once.
 
     Args:
         capture: the ``Capture``.
@@ -58,21 +113,9 @@ def write_recovery_overview(
     Raises:
         OutputError: the file cannot be written.
     """
-    figure = style.new_figure(*SIZE)
-    style.heading(figure, HEADING, _notes(capture, recovery, estimate), (0.962, 0.925))
-    maps = figure.add_gridspec(1, 7, left=LEFT, right=0.83, top=0.875, bottom=0.63, wspace=0.12)
-    plot = figure.add_gridspec(1, 1, left=0.87, right=RIGHT, top=0.875, bottom=0.64)
-    rows = figure.add_gridspec(
-        2, 6, left=LEFT, right=RIGHT, top=0.545, bottom=0.015, hspace=0.13, wspace=0.1
-    )
-    style.draw_panels(figure, maps, _maps(recovery, estimate, field), "NW")
-    style.draw_panels(figure, plot, [("Loss by step", partial(_losses, recovery=recovery))])
-    objects, scene = [], alone(capture)
-    for comparison, rest in zip(comparisons, (_parameters, _rest), strict=False):
-        look = Look.at(scene, capture.sensors[comparison.view])
-        objects += [*_compared(comparison), *rest(look, recovery, comparison, estimate)]
-    style.draw_panels(figure, rows, objects, "NW")
-    style.save_figure(figure, path)
+    page = RecoveryOverview(capture, recovery, comparisons, estimate)
+    page.begin()
+    page.finish(maps_of(recovery, estimate, field), path)
 
 
 def _notes(capture: Capture, recovery: Recovery, estimate: Estimate | None) -> list[str]:
@@ -89,11 +132,11 @@ def _notes(capture: Capture, recovery: Recovery, estimate: Estimate | None) -> l
     ]
 
 
-def _maps(
+def maps_of(
     recovery: Recovery, estimate: Estimate | None, field: TextureField | None
 ) -> list[Panel]:
-    """The recovered textures, and what is known of each, in the layout of the texture."""
-    inside = recovery.texels.inside()
+    """Return the recovered textures, and what is known of each, in the layout of the texture."""
+    inside, known = recovery.texels.inside(), None if estimate is None else still(estimate)
     color = srgb(np.clip(recovery.image("base_color"), 0, 1))
     values = partial(recovery.textures.at, recovery.texels)
     sd = partial(_deviations, estimate=estimate, field=field)
@@ -102,9 +145,9 @@ def _maps(
         *((title, partial(_scaled, estimate=all_seen(recovery.texels), values=values(name),
                           colormap=GREY))
           for title, name in zip(TITLES[1:], NAMES[1:], strict=True)),
-        *((f"{title}, sd", partial(_uncertainty, estimate=estimate, sd=sd(name)))
+        *((f"{title}, sd", partial(_uncertainty, estimate=known, sd=sd(name)))
           for title, name in zip(TITLES, NAMES, strict=True)),
-        ("Entropy", partial(_scaled, estimate=estimate, label=GREYS)),
+        ("Entropy", partial(_scaled, estimate=known, label=GREYS)),
     ]  # fmt: skip
 
 
@@ -141,8 +184,8 @@ def _uncertainty(axes: Axes, estimate: Estimate | None, sd: np.ndarray | None) -
     _scaled(axes, estimate, values=worst, limits=(0, WIDEST_SD), ticks=(0, 0.1, 0.2), label=GREYS)
 
 
-def _losses(axes: Axes, recovery: Recovery) -> None:
-    losses = np.array(recovery.losses, np.float64)
+def _losses(axes: Axes, values: np.ndarray) -> None:
+    losses = values.astype(np.float64)
     if len(losses) < 2:
         _empty(axes, "no descent")
         return
@@ -172,10 +215,10 @@ def _parameters(
 ) -> list[Panel]:
     """The three parameters on the object."""
     color = srgb(np.clip(np.array(recovery.textures.base_color, np.float32), 0, 1))
-    on_object = partial(_on_object, look=look, estimate=all_seen(recovery.texels), colormap=GREY)
+    on_object = partial(_on_object, look, all_seen(recovery.texels), colormap=GREY)
     return [
-        (TITLES[0], partial(draw_look, look=look, colors=color)),
-        *((title, partial(on_object, values=recovery.textures.at(recovery.texels, name)))
+        (TITLES[0], _picture(look, color)),
+        *((title, on_object(recovery.textures.at(recovery.texels, name)))
           for title, name in zip(TITLES[1:], NAMES[1:], strict=True)),
     ]  # fmt: skip
 
@@ -185,22 +228,27 @@ def _rest(
 ) -> list[Panel]:
     """The other light, and what is known of the object from there."""
     coverage = np.array(recovery.coverage)
-    on_object = partial(_on_object, look=look)
     most = max(float(coverage.max(initial=0)), 1.0)
     return [
         ("Under another light", partial(style.draw_image, image=comparison.cropped()[3])),
         ("", lambda axes: axes.set_axis_off()) if estimate is None else
-        ("Entropy", partial(on_object, estimate=estimate)),
-        ("Coverage", partial(on_object, estimate=recovery, values=coverage, limits=(0, most),
-                             colormap=VIEWS_COLORMAP)),
+        ("Entropy", _on_object(look, estimate)),
+        ("Coverage", _on_object(look, recovery, coverage, limits=(0, most),
+                                colormap=VIEWS_COLORMAP)),
     ]  # fmt: skip
 
 
 def _on_object(
-    axes: Axes, look: Look, estimate: Estimate, values: Any | None = None, **options: Any
-) -> None:
-    """Draw a value of every texel on the object; ``options`` are those of ``map_colors``."""
-    draw_look(axes, look, map_colors(estimate, values, **options))
+    look: Look, estimate: Any, values: Any | None = None, **options: Any
+) -> Callable[[Axes], None]:
+    """Return what draws a value of every texel on the object; ``options`` are those of
+    ``map_colors``."""
+    return _picture(look, map_colors(estimate, values, **options))
+
+
+def _picture(look: Look, colors: np.ndarray) -> Callable[[Axes], None]:
+    """Return what draws screen colours (H, W, 3) on the object, which is traced now."""
+    return partial(style.draw_image, image=seen_on_object(look, colors))
 
 
 def _empty(axes: Axes, text: str) -> None:

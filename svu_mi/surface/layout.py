@@ -67,6 +67,11 @@ class Texels:
         """Number of texels T."""
         return int(dr.width(self.index))
 
+    @property
+    def places(self) -> Places:
+        """Where they are in the texture, without Dr.Jit."""
+        return Places(self.resolution, np.array(self.index))
+
     def to_image(self, values: Any, fill: float = 0.0) -> np.ndarray:
         """Lay per-texel values out as a texture.
 
@@ -80,6 +85,32 @@ class Texels:
         Raises:
             ShapeError: the number of values is not T.
         """
+        return self.places.to_image(values, fill)
+
+    def inside(self) -> np.ndarray:
+        """Return (H, W) bool: True where there is a texel."""
+        return self.places.inside()
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where T texels are in a texture: all that drawing them takes, for any thread.
+
+    Attributes:
+        resolution: (W, H) of the texel grid.
+        index: (T,) uint32, flat row-major texel index.
+    """
+
+    resolution: tuple[int, int]
+    index: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """Number of texels T."""
+        return len(self.index)
+
+    def to_image(self, values: Any, fill: float = 0.0) -> np.ndarray:
+        """Lay values out as ``Texels.to_image`` does."""
         flat = np.array(values)
         if flat.ndim == 0 or len(flat) != self.count:
             raise ShapeError(
@@ -88,7 +119,7 @@ class Texels:
             )
         width, height = self.resolution
         image = np.full((width * height, *flat.shape[1:]), fill, flat.dtype)
-        image[self.index.numpy()] = flat
+        image[self.index] = flat
         return image.reshape(height, width, *flat.shape[1:])
 
     def inside(self) -> np.ndarray:

@@ -6,7 +6,6 @@ import dataclasses
 import datetime
 import os
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import svu_mi
 from svu_mi.capture import Capture
 from svu_mi.illumination.words import sentences
 from svu_mi.output import style
+from svu_mi.output.aside import drawing_aside
 from svu_mi.output.knowledge import Intervals, Knowledge
 from svu_mi.output.manifest import environment_record
 from svu_mi.output.page import NARROW_SPACE, grouped, page_of, percent
@@ -74,8 +74,8 @@ def write_report(
     result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
     shown = Thinned.of(estimate, pictures.MAP_SIDE)
     intervals = Intervals(estimate.posterior, chosen=shown.chosen)
-    with ThreadPoolExecutor(1) as aside:  # NumPy and Pillow alone, beside kernels
-        made = aside.submit(pictures.thumbnails, capture, estimate)
+    with drawing_aside() as aside:
+        made = aside(pictures.thumbnails, capture, estimate)
         frames = list(pictures.turning(table, estimate))
         report(1, 5)
         maps = pictures.maps(table, shown.estimate, intervals)

@@ -1,0 +1,44 @@
+"""Drawing beside other work: matplotlib, NumPy and Pillow in a thread, while kernels run."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+# After so many seconds the thread lets the other one go on, which asks a hundred times a second
+# when it launches small kernels, and would wait for Python's own 5 ms each time.
+TURN = 5e-4
+
+Aside = Callable[..., Future[Any]]
+"""``aside(work, *arguments)`` has work done in the thread, after what it was given before."""
+
+
+@contextmanager
+def drawing_aside() -> Iterator[Aside]:
+    """Give a thread for work that takes no Dr.Jit, which is not asked from two threads at once.
+
+    It is one thread, as matplotlib can do no more. At the end of the block all of it is done, or
+    the first error that was raised there is raised here. If the block itself fails, what has not
+    begun is left out.
+    """
+    given: list[Future[Any]] = []
+    before = sys.getswitchinterval()
+    with ThreadPoolExecutor(1, "aside") as thread:
+
+        def aside(work: Callable[..., Any], *arguments: Any) -> Future[Any]:
+            given.append(thread.submit(work, *arguments))
+            return given[-1]
+
+        sys.setswitchinterval(TURN)
+        try:
+            yield aside
+            for one in given:
+                one.result()
+        except BaseException:
+            thread.shutdown(wait=False, cancel_futures=True)
+            raise
+        finally:
+            sys.setswitchinterval(before)

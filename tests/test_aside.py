@@ -1,0 +1,54 @@
+"""Drawing aside: in order, in one thread, and what goes wrong there reaches whoever waits."""
+
+from __future__ import annotations
+
+import sys
+import threading
+
+import pytest
+
+from svu_mi.errors import OutputError
+from svu_mi.output.aside import drawing_aside
+
+
+def test_work_is_done_in_order_by_one_other_thread():
+    done, interval = [], sys.getswitchinterval()
+    with drawing_aside() as aside:
+        for number in range(20):
+            aside(lambda n: done.append((n, threading.get_ident())), number)
+        assert aside(lambda: "returned").result() == "returned"
+        assert sys.getswitchinterval() < interval
+    assert [number for number, _ in done] == list(range(20))
+    assert {thread for _, thread in done}.isdisjoint({threading.get_ident()})
+    assert len({thread for _, thread in done}) == 1
+    assert sys.getswitchinterval() == interval
+
+
+def fail(words):
+    raise OutputError(words)
+
+
+def test_the_first_error_is_raised_in_the_end():
+    done, interval = [], sys.getswitchinterval()
+    with pytest.raises(OutputError, match="disk is full"), drawing_aside() as aside:
+        aside(fail, "the disk is full")
+        aside(fail, "and so it is still")
+        done.append("the block")
+    assert done == ["the block"] and sys.getswitchinterval() == interval
+
+
+def test_where_the_block_fails_nothing_more_is_begun():
+    done, begun, go = [], threading.Event(), threading.Event()
+
+    def slow():
+        begun.set()
+        go.wait(10)
+        done.append("slow")
+
+    with pytest.raises(KeyboardInterrupt), drawing_aside() as aside:
+        aside(slow)
+        aside(done.append, "next")
+        begun.wait(10)
+        threading.Timer(0.05, go.set).start()
+        raise KeyboardInterrupt
+    assert done == ["slow"]
