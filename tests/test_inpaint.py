@@ -133,7 +133,8 @@ def sheet(side: int, hole: np.ndarray, alone: np.ndarray) -> tuple[Ground, np.nd
     smoother = Smoother.of(1 / deviation**2, values, lanes, 3.0, 0.01)
     pieces = Pieces(np.zeros((side**2, 3)), np.zeros((side**2, 3)), connected(around))
     squares = np.stack([rows, columns], axis=1)
-    return Ground(values, 1 / deviation**2, values, ~hole, squares, pieces, smoother), true
+    weights, ones = 1 / deviation**2, np.ones(side**2)
+    return Ground(values, weights, values, ~hole, ones, squares, pieces, smoother), true
 
 
 def round_hole(side: int, radius: float) -> np.ndarray:
@@ -163,6 +164,7 @@ def test_groups_are_of_neighbours_that_are_all_known_or_none() -> None:
     assert len(owner) == ground.count and owner.max() + 1 == groups.count < 0.4 * ground.count
     np.testing.assert_array_equal(groups.known[owner], ground.known)
     np.testing.assert_array_equal(groups.square[owner], ground.square // 2)
+    np.testing.assert_array_equal(groups.size, np.bincount(owner))
     same = groups.pieces.piece[owner]
     assert len(set(zip(same, ground.pieces.piece, strict=True))) == len(set(same))
     for group in np.random.default_rng(0).integers(groups.count, size=50):
@@ -180,6 +182,20 @@ def test_groups_are_of_neighbours_that_are_all_known_or_none() -> None:
         expected |= set(zip(owner.tolist(), owner[np.array(column)].tolist(), strict=True))
     own = {(group, group) for group in range(groups.count)}
     assert linked - own == expected - own
+
+
+@pytest.mark.parametrize("title", FARTHER)
+def test_over_groups_values_spread_as_far_as_over_texels(monkeypatch, title: str) -> None:
+    """Guesses are tried on groups: they must be those that texels are filled by."""
+    hole = round_hole(128, 0.8)
+    ground, _ = sheet(128, hole, np.zeros_like(hole))
+    ((_, fine),) = spreads(ground, {title})
+    groups, first = ground.halved
+    groups, second = groups.halved
+    assert groups.count < ground.count / 12
+    ((_, coarse),) = spreads(groups, {title})
+    # A group is as wide as a slope of .02, whose own deviation is .006.
+    assert np.sqrt(((coarse[:, second[first]] - fine)[:, hole] ** 2).mean()) < 0.008
 
 
 def test_groups_are_no_help_where_known_texels_lie_here_and_there(monkeypatch) -> None:
@@ -386,7 +402,7 @@ def test_of_a_flat_object_sides_are_hidden() -> None:
     pieces = Pieces(point, np.tile([0.0, 0, 1], (len(point), 1)), np.zeros(len(point), np.int64))
     seen = x < 13
     none = np.zeros((1, len(point)))
-    parts = hidden_parts(Ground(none, none, none, seen, point[:, :2], pieces, None))
+    parts = hidden_parts(Ground(none, none, none, seen, none[0], point[:, :2], pieces, None))
     assert len(parts) >= 2
     for part in parts:
         assert part.any() and not part[~seen].any() and (seen & ~part).any()

@@ -27,6 +27,7 @@ class Ground:
         single: (N, T), the values of one texel of each group: errors are those of texels, whose
             values differ by more than those of means.
         known: (T,) bool; of others, no values are looked at.
+        size: (T,), of how many texels each is.
         square: (T, 2) int64, row and column in the map.
         pieces: where they lie.
         smoother: the links between them.
@@ -36,6 +37,7 @@ class Ground:
     weights: np.ndarray
     single: np.ndarray
     known: np.ndarray
+    size: np.ndarray
     square: np.ndarray
     pieces: Pieces
     smoother: Smoother
@@ -48,8 +50,9 @@ class Ground:
         square = np.stack(np.divmod(field.texels.index.numpy().astype(np.int64), width), axis=1)
         pieces = Pieces.of(field.texels, field.smoother.around)
         return Ground(
-            field.values, weights, field.values, known, square, pieces, field.smoother
-        )
+            field.values, weights, field.values, known, np.ones(len(known)), square, pieces,
+            field.smoother,
+        )  # fmt: skip
 
     def without(self, hidden: np.ndarray) -> Ground:
         """Return the same with some texels, (T,) bool, that are not known."""
@@ -85,8 +88,8 @@ class Ground:
         values = _sums(self.weights * self.values, owner) / weights
         smoother = self.smoother.halved(grouped(columns, owner), weights, values)
         coarse = Ground(
-            values, weights, self.single[:, first], self.known[first], square[first],
-            self.pieces.grouped(owner), smoother,
+            values, weights, self.single[:, first], self.known[first],
+            np.bincount(owner, self.size), square[first], self.pieces.grouped(owner), smoother,
         )  # fmt: skip
         return coarse, owner
 

@@ -12,8 +12,8 @@ from svu_mi.inpaint.ground import Ground
 from svu_mi.inpaint.pieces import Pieces
 
 FARTHER = {"from the border": 1e-5, "cautiously from the border": 1e-2}
-"""By title, how much the mean of all that is known counts in a hole, as a precision in units of the
-variance of that: the more, the less far from the border anything spreads."""
+"""By title, how much the mean of all that is known counts at a texel of a hole, as a precision in
+units of the variance of that: the more, the less far from the border anything spreads."""
 AGAIN = 2  # times that links go by what has spread: edges go on into a hole
 NEAREST = 8  # known texels that a hole is filled by to begin with
 
@@ -36,7 +36,7 @@ def spreads(ground: Ground, titles: Container[str] = FARTHER) -> Iterator[tuple[
     wide = np.maximum(values[:, known].std(axis=1), SUREST)[:, None]
     border = np.bincount(ground.pieces.piece, known)[ground.pieces.piece] > 0
     for title, found, edges in _starts(ground, titles, border, mean):
-        trust = np.where(known, weights, FARTHER[title] / wide**2)
+        trust = np.where(known, weights, FARTHER[title] * ground.size / wide**2)
         right = trust * np.where(known, values, mean)
         for hidden in [None] if edges else [~known, *[None] * AGAIN]:
             smoother = ground.smoother.with_precision(trust, found, hidden)
