@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuError
@@ -49,8 +50,8 @@ def _unreserved() -> int | None:
     return None if space is None else max(space[0] - space[1], 0)
 
 
-def require_files(count: int) -> None:
-    """Let this process have so many files open; a system's default is 1024, or 256.
+def require_files(more: int) -> None:
+    """Let this process open so many more files; a system's default is 1024 in all, or 256.
 
     Raises:
         CaptureError: it may not.
@@ -60,7 +61,7 @@ def require_files(count: int) -> None:
     except ImportError:
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if soft == resource.RLIM_INFINITY or soft >= count:
+    if soft == resource.RLIM_INFINITY or (count := _open_files(soft) + more) <= soft:
         return
     try:
         resource.setrlimit(resource.RLIMIT_NOFILE, (count, hard))
@@ -69,6 +70,14 @@ def require_files(count: int) -> None:
             f"Photographs in files need {count} open files, ulimit -n allows {soft}; raise it, use "
             "fewer shards, or give --memory more."
         ) from error
+
+
+def _open_files(most: int) -> int:
+    """Return how many files this process has open; ``most`` where there is none left to ask by."""
+    try:
+        return len(os.listdir("/dev/fd"))
+    except OSError:
+        return most
 
 
 def require_texels(resolution: Size, option: str) -> None:

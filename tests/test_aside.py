@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from concurrent.futures import wait
 
 import pytest
 
@@ -31,10 +32,17 @@ def fail(words):
 def test_the_first_error_is_raised_in_the_end():
     done, interval = [], sys.getswitchinterval()
     with pytest.raises(OutputError, match="disk is full"), drawing_aside() as aside:
-        aside(fail, "the disk is full")
-        aside(fail, "and so it is still")
         done.append("the block")
+        aside(fail, "the disk is full")
     assert done == ["the block"] and sys.getswitchinterval() == interval
+
+
+def test_nothing_is_added_to_what_has_failed():
+    done = []
+    with pytest.raises(OutputError, match="disk is full"), drawing_aside() as aside:
+        wait([aside(fail, "the disk is full")])
+        aside(done.append, "more")
+    assert not done
 
 
 def test_where_the_block_fails_nothing_more_is_begun():

@@ -237,7 +237,7 @@ def test_a_card_that_is_none_is_named(gray_ball):
         scale.scaled_by_card(made_up_light(), seen, (0.5, 1.5), 0.3)
     with pytest.raises(CaptureError, match="The light turns with the camera"):
         scale.scaled_by_mean(replace(made_up_light(), moves=True), seen, 0.3)
-    blind = replace(seen.found, coverage=0 * seen.found.coverage)
+    blind = replace(seen.found, coverage=0 * seen.found.coverage, total=0 * seen.found.total)
     with pytest.raises(CaptureError, match="no photograph shows the surface at texture coordina"):
         scale.scaled_by_card(made_up_light(), replace(seen, found=blind), (0.5, 0.5), 0.3)
 

@@ -28,6 +28,21 @@ def test_leaving_says_all_and_takes_nothing_down(status):
     assert (done.returncode, done.stdout, done.stderr) == (status, "said, registered\n", "")
 
 
+def test_what_threads_and_libraries_have_to_say_is_said():
+    code = """
+import ctypes, threading, time
+from svu_mi.cli.process import leave
+def late():
+    time.sleep(0.2)
+    print("from a thread")
+ctypes.CDLL(None).printf(b"from C, ")
+threading.Thread(target=late).start()
+leave(0)
+"""
+    done = python("-c", code, PYTHONUNBUFFERED="")
+    assert (done.returncode, done.stdout) == (0, "from a thread\nfrom C, ")
+
+
 @pytest.mark.parametrize("stream", ["sys.stdout.close()", "sys.stdout = None"])
 def test_where_nobody_listens_the_status_stays(stream):
     code = f"import sys; from svu_mi.cli.process import leave; {stream}; leave(3)"

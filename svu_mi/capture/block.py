@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from svu_mi.needs import READING, Size, decoders
 SHARE = 0.5  # of the free memory that photographs take, before they go to a file
 ON_DISK = Path("/var/tmp")  # what is in /tmp is memory on some systems
 GIGA = 1e9
-SPARE = 32  # open files beside those of photographs: of decoders, libraries and results
+SPARE = 32  # files that are open at once: of photographs, decoders, libraries and results
 
 
 def room_for_photographs(films: Sequence[Size]) -> float:
@@ -73,9 +73,9 @@ def _in_file(count: int, kind: Any) -> np.ndarray:
     """Make an array in a file without a name."""
     size = count * np.dtype(kind).itemsize
     folder = os.environ.get("TMPDIR") or (str(ON_DISK) if ON_DISK.is_dir() else None)
+    require_files(SPARE)
     try:
         with tempfile.TemporaryFile(dir=folder, prefix="svu_") as file:
-            require_files(_first_free(file) + SPARE)
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(file.fileno(), 0, size)  # a full disk is not noticed later on
             else:
@@ -86,13 +86,6 @@ def _in_file(count: int, kind: Any) -> np.ndarray:
             f"{folder or tempfile.gettempdir()}: no room for {size / GIGA:.1f} GB of photographs "
             f"({error.strerror}); set TMPDIR to a folder with more, or give --memory more."
         ) from error
-
-
-def _first_free(file: IO[bytes]) -> int:
-    """Return the number that the next file to be opened gets: about how many are open."""
-    number = os.dup(file.fileno())
-    os.close(number)
-    return number
 
 
 def look_up_here_and_there(block: np.ndarray) -> None:

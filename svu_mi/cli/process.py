@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import atexit
+import ctypes
 import gc
 import os
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import NoReturn
@@ -39,9 +41,12 @@ def importing() -> Iterator[None]:
 
 def leave(status: int) -> NoReturn:
     """End the process as it is: to take down what Python, Dr.Jit and Mitsuba hold takes a fifth
-    of a second, and the system takes it back anyway."""
+    of a second. Threads are waited for, and what was printed is written, by libraries in C, too."""
+    threading._shutdown()  # type: ignore[attr-defined]
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError, AttributeError):  # full, closed, none
             stream.flush()
+    with suppress(OSError, AttributeError):  # no C library that can be asked
+        ctypes.CDLL(None).fflush(None)
     os._exit(status)

@@ -29,6 +29,9 @@ def drawing_aside() -> Iterator[Aside]:
     with ThreadPoolExecutor(1, "aside") as thread:
 
         def aside(work: Callable[..., Any], *arguments: Any) -> Future[Any]:
+            for one in given:
+                if one.done():
+                    one.result()  # what has failed is said now, not when all else is done
             given.append(thread.submit(work, *arguments))
             return given[-1]
 
