@@ -167,6 +167,7 @@ def test_what_is_no_real_capture_is_refused(imported, tmp_path, capsys):
 # --- predictions ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_prediction_is_what_statistics_compare_photographs_with(vase):
     """Squared errors of every view, one by one, add up to those of the sums."""
     observed, switches = vase.estimate.observed, preset("default", method="angular")

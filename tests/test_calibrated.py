@@ -345,6 +345,7 @@ def test_a_prior_of_cells_is_bayes() -> None:
     assert np.isfinite(np.array(found.entropy())).all()
 
 
+@pytest.mark.slow
 def test_a_prior_in_common_is_that_of_expectation_maximisation() -> None:
     """Texels of two materials, and what the oracle learns from them."""
     samples, _ = simulate(100, 12, 0.2)
@@ -600,6 +601,7 @@ def test_draws_of_grey_light_have_three_channels() -> None:
         assert found.draw(5)["base_color"].shape == (5, 16, 3)
 
 
+@pytest.mark.slow
 def test_a_prior_of_one_cell_leaves_nothing_open() -> None:
     samples, _ = simulate(8, 6, 0.2)
     weights = np.zeros((8, 8, 8))

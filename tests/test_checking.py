@@ -191,6 +191,7 @@ def test_a_right_capture_is_left_alone(capture):
     assert [one.verdict for one in findings] == ["fits", "fits", "fits"]
 
 
+@pytest.mark.slow
 def test_two_mistakes_and_a_flipped_texture_are_found_together(capture):
     case = Case(("camera-x180", "light-x90", "light-turn-90", "texture-flip-v"))
     found = svu.check(case.made(capture))
@@ -307,6 +308,7 @@ def test_photographs_that_are_not_used_stay_as_they_are(capture):
     assert again.masks[1] is small.masks[1]
 
 
+@pytest.mark.slow
 def test_of_one_plane_the_light_is_not_told():
     """Highlights alone would speak for a turn of the map; they are not believed."""
     points = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])

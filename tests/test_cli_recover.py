@@ -38,6 +38,7 @@ STEPS = 150  # enough to be interrupted in
 pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
 
 
+@pytest.mark.slow
 def test_a_page_that_cannot_be_drawn_is_an_error_and_leaves_no_result(
     shot, tmp_path, monkeypatch, capsys
 ):

@@ -116,6 +116,7 @@ def test_channels_that_are_clipped_are_known_to_be_bright(tmp_path):
     assert photographs_key(capture) != photographs_key(other)
 
 
+@pytest.mark.slow
 def test_gains_are_divided_out_of_what_is_clipped(shiny):
     observed = observe(shiny, svu.texels(shiny.mesh, 32))
     stored, _ = in_integers(shiny, observed, 0.03)
@@ -132,6 +133,7 @@ def test_what_is_not_clipped_is_as_before(shiny):
     assert same.views.clipped is None and same.found.clipped is None
 
 
+@pytest.mark.slow
 def test_what_is_clipped_in_all_views_is_seen_to_be_bright(vase):
     """It has not been unseen: it is at least as bright as photographs can say."""
     before = vase.estimate
@@ -192,6 +194,7 @@ def test_a_clipped_highlight_still_says_that_it_is_one(shiny):
     assert all(np.isfinite(values).all() for values in entropy.values())
 
 
+@pytest.mark.slow
 def test_more_is_known_where_something_is_clipped_and_nothing_changes_elsewhere(shiny):
     texels = svu.texels(shiny.mesh, 32)
     hdr = observe(shiny, texels)

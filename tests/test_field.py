@@ -278,6 +278,7 @@ def test_what_makes_no_sense_is_refused(vase: SimpleNamespace, recovered: Simple
         relight_draws(vase.capture, field.textures, field.draw(1), spp=1)
 
 
+@pytest.mark.slow
 def test_pictures_are_less_sure_where_textures_are(
     vase: SimpleNamespace, recovered: SimpleNamespace
 ) -> None:

@@ -185,6 +185,7 @@ def oracle(environment, points):
     return (cosine * area) @ environment.radiance.reshape(-1, 3) / np.pi
 
 
+@pytest.mark.slow
 def test_the_bound_is_what_a_white_surface_shows(lit_ball):
     _, _, arriving, white = lit_ball
     bright = white.mean(axis=1) > np.median(white.mean(axis=1))

@@ -419,6 +419,7 @@ class TestGrowing:
         np.testing.assert_allclose(lit.now(np.arange(4)), exact, atol=1e-4)
         assert np.abs(forecast.now(np.arange(4)) - exact).max() > 1e-3
 
+    @pytest.mark.slow
     def test_steps_in_growing_light_compile_nothing(self, sunny, estimated):
         capture, _ = sunny
         estimate = estimated(0, 3, method="spectrum", preset=SHARP)
@@ -670,6 +671,7 @@ class TestNextBestView:
         np.testing.assert_array_equal(found[0].gains, found[1].gains)
         assert [p.name for p in found[0].proposals] == [p.name for p in found[1].proposals]
 
+    @pytest.mark.slow
     def test_candidates_see_what_their_photographs_show(self, sunny, estimated):
         capture, texels = sunny
         whole = svu.estimate(capture, texels)
@@ -735,6 +737,7 @@ class TestNextBestView:
         after = [p.entropy for p in guidance.proposals]
         np.testing.assert_allclose(guidance.entropy - np.cumsum(gains), after, rtol=1e-5)
 
+    @pytest.mark.slow
     def test_a_block_of_a_large_gain_map_has_the_gain_of_one_of_its_texels(
         self, sunny, estimated, monkeypatch
     ):
@@ -970,6 +973,7 @@ class TestNextBestView:
         assert 0.3 < H < 0.9
         np.testing.assert_allclose(forecast.now(np.arange(2))[unseen], H, rtol=1e-6)
 
+    @pytest.mark.slow
     def test_the_calibrated_measure_is_that_of_the_estimate(self, sunny):
         """A part of the prior's entropy, which unseen texels have all of."""
         capture, texels = sunny

@@ -151,6 +151,7 @@ def test_a_capture_comes_back(original, tmp_path, form, variant):
     check(original, source, imported(path, tmp_path / "capture", options), SHIFT)
 
 
+@pytest.mark.slow
 def test_a_capture_comes_back_from_stanford_orb(centered, tmp_path):
     path = as_orb(tmp_path, centered.source)
     check(centered, centered.source, imported(path, tmp_path / "capture", {}), (0, 0))

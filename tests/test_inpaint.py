@@ -368,6 +368,7 @@ def test_all_seen_and_none_seen(banded: SimpleNamespace) -> None:
         fill(field, np.zeros(field.texels.count, bool))
 
 
+@pytest.mark.slow
 def test_one_texel_that_nobody_saw_is_filled(banded: SimpleNamespace) -> None:
     seen = np.ones(banded.field.texels.count, bool)
     seen[7] = False
@@ -376,6 +377,7 @@ def test_one_texel_that_nobody_saw_is_filled(banded: SimpleNamespace) -> None:
     assert np.isfinite(found.field.values).all() and np.isfinite(found.field.width).all()
 
 
+@pytest.mark.slow
 def test_standard_deviations_are_at_least_what_was_measured(banded: SimpleNamespace) -> None:
     """Of values that are clipped, too, where a normal distribution loses half of its width."""
     found = fill(banded.field, ~banded.hidden)

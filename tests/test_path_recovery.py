@@ -254,6 +254,7 @@ def test_a_batch_depends_on_seed_and_step_alone(capture):
     )
 
 
+@pytest.mark.slow
 def test_renders_and_photographs_are_of_the_same_pixels(capture, grid):
     """In every view, crop or not; with the true material, all that is left is noise."""
     scene = mixed(capture)

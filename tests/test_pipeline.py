@@ -270,6 +270,7 @@ def test_memory_does_not_grow_with_texels_times_views(tmp_path, method, many):
     assert per_view < 0.5 * texels.count  # one byte per texel and view would be 2 times that
 
 
+@pytest.mark.slow
 def test_the_oracle_and_the_posterior_agree_on_a_rendered_object(glossy):
     capture, texels = glossy
     switches = preset("paper", sigma=0.05)

@@ -319,6 +319,7 @@ def test_equal_runs_give_equal_textures(
         np.testing.assert_array_equal(np.array(tensor), np.array(getattr(again.textures, name)))
 
 
+@pytest.mark.slow
 def test_a_brighter_exposure_changes_nothing(capture: Capture, grid: Texels) -> None:
     """Radiance times four under light times four: the same object."""
     options = replace(ShOptions(), descent=DescentOptions(steps=20))

@@ -236,7 +236,7 @@ def objectives(observed, kind):
 KINDS = ("paper", "default coefficients", "default spectrum")
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_truth_is_nearly_stationary(capture, kind):
     """No textures a step away from the true ones fit much better, and those far off do not.

@@ -263,6 +263,7 @@ def asked(monkeypatch):
     return found, rendered
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("noise", ["relative", "heteroscedastic"])
 def test_energies_are_weighted_squares_of_the_mean_radiance(capture, layout, asked, noise):
     """Every psi of every texel again, from the pairs and the traced halves, in NumPy."""

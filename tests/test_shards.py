@@ -158,6 +158,7 @@ def test_a_shard_of_black_photographs_adds_nothing(shot, tmp_path):
 # --- files ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_sums_that_are_there_are_not_made_again(shot, tmp_path):
     first = svu.gather_shards(None, shot, SIDE, shards=3, folder=tmp_path)
     wanted = maps_of(svu.estimate(first))

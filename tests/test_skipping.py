@@ -165,7 +165,7 @@ def colored(request, tmp_path_factory):
     return request.param, capture, svu.texels(capture.mesh, 24)
 
 
-@pytest.mark.few(1)
+@pytest.mark.slow
 @RULES
 def test_of_coloured_photographs_only_grey_light_is_skipped(colored, method, rule):
     what, *subject = colored
@@ -210,6 +210,7 @@ def test_a_known_value_is_a_prior_that_says_so(grey, method, rule, name, node):
     assert 1 in np.array(known.posterior.probabilities_of([0])).shape
 
 
+@pytest.mark.slow
 def test_a_known_value_is_a_prior_on_a_narrow_cell_where_cells_are_integrated(grey):
     """With the usual prior of the others; the narrower the cell, the nearer to what is known."""
     capture, texels = grey

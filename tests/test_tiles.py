@@ -43,7 +43,7 @@ def shown(request, vase):
     return in_integers(vase.capture, vase.estimate.observed, 0.3)[0]
 
 
-@pytest.mark.few(1)  # the statistics of both captures are held below
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["default", "fixed", "fast", "paper"])
 def test_tiles_say_what_all_texels_say_together(vase, shown, tiled, preset):
     together = svu.estimate(shown, vase.texels, preset=preset)

@@ -138,6 +138,7 @@ def test_a_server_that_cannot_be_guarded_is_not_left_open(monkeypatch):
         http.client.HTTPConnection("127.0.0.1", ports[0], timeout=5).request("GET", "/")
 
 
+@pytest.mark.slow
 def test_websockets_is_left_as_it_was():
     from websockets.asyncio import server
 
