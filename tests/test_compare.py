@@ -77,6 +77,7 @@ def test_textures_of_others_are_compared(recovered, tmp_path, capsys):
     assert max(np.abs(colors[c]).max() for c in "RGB") < 0.01
 
 
+@pytest.mark.slow
 def test_results_of_other_objects_are_refused(recovered, tmp_path, capsys):
     other = tmp_path / "other"
     recovered_folder(other, lettered(WIDTH, HEIGHT), uvs=ball().uvs * 0.5)

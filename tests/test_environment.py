@@ -139,7 +139,7 @@ def test_light_at_the_poles_and_the_seam_has_no_jump():
         assert np.ptp(values, axis=1).max() < 5e-3 * values.max()
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["envmap", "sunsky", "constant"])
 def test_irradiance_is_what_a_white_wall_reflects(kind):
     """Radiance of a white diffuse surface is E / pi; Mitsuba renders it."""

@@ -136,6 +136,7 @@ def flipped(path, target):
     return target
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", ["mesh.obj", "mesh.ply"])
 def test_png_textures_show_what_was_recovered(rendered, tmp_path, mesh):
     """Mitsuba turns v of an OBJ over: there it runs up, in a PLY down."""

@@ -362,6 +362,7 @@ def alike(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("moves", [False, True])
 def test_the_background_is_light_from_where_the_camera_looks(outdoors, moves):
     """Of a turntable, in camera space: what all photographs show is the same part of it."""

@@ -104,6 +104,7 @@ def test_forecasts_of_seen_texels_trace_no_cell_again(capture, layout, calls, mo
     assert not calls
 
 
+@pytest.mark.slow
 def test_what_was_observed_serves_as_well_as_an_estimate(capture, layout, calls):
     observed = module.observe(capture, layout)
     assert calls == {"pack_views": 1, "survey": 1}

@@ -130,6 +130,7 @@ def test_both_sides_reflect_if_they_did(tmp_path):
     assert "TwoSided" in repaint(capture, mi.load_dict(paint())).shape.bsdf().class_name()
 
 
+@pytest.mark.slow
 def test_uniform_textures_render_as_the_uniform_material(capture, grid):
     """Same paths, same radiance: the textures stand for what they are called."""
     target = PathScene.of(capture, uniform(grid))

@@ -109,6 +109,7 @@ def test_shadows_make_the_difference():
     assert psnr(shadowed, reference) > psnr(plain, reference) + 6
 
 
+@pytest.mark.slow
 def test_a_mirror_shows_the_light_and_a_white_wall_its_irradiance():
     """Under constant light nothing depends on the angle but Fresnel's term."""
     white = {"type": "constant", "radiance": {"type": "rgb", "value": [0.5, 1.0, 2.0]}}

@@ -260,6 +260,7 @@ def test_the_truth_is_nearly_stationary(capture, kind):
             assert loss(near) > 0.85 * best, (name, sign)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_is_compiled_between_steps(observed, kind):
     objective = objectives(observed, kind)

@@ -213,6 +213,7 @@ def is_of_texture(variation: TotalVariation, grid: Any) -> bool:
     )
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("method", "name"), [
     pytest.param(*asked, marks=[pytest.mark.slow] if asked[0] != "sh" else [])
     for asked in ASKED

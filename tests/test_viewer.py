@@ -78,6 +78,7 @@ def quarters():
     return Textures(base_color=mi.TensorXf(color), roughness=ones, metallic=ones)
 
 
+@pytest.mark.slow
 def test_rays_meet_the_texel_that_they_are_aimed_at(known, picker):
     """From anywhere above its face, for a ball hides nothing else; away from it nothing is met."""
     random, grid = np.random.default_rng(740_219), known.texels
