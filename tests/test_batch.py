@@ -103,10 +103,14 @@ def test_results_among_the_files_of_captures_are_refused_before_anything_is_writ
     shutil.copy(scenes.path("vase"), tmp_path / "scenes" / "vase")
     (tmp_path / "link").symlink_to(shelf)
     swapped = table(tmp_path, "capture,name", "shelf/a,b")
+    (tmp_path / "photos" / "c").mkdir(parents=True)
+    lists = tmp_path / "lists"
+    lists.mkdir()
+    taken = table(lists, "capture,name,images", "../shelf/a,c,../photos/c")
     before = set(tmp_path.rglob("*"))
     for captures, output in (
         (shelf, shelf), (shelf, shelf / "b"), (shelf, shelf / "b" / "out"), (shelf / ".", shelf),
-        (shelf, tmp_path / "link"), (swapped, shelf / "a"),
+        (shelf, tmp_path / "link"), (swapped, shelf / "a"), (taken, tmp_path / "photos"),
         (tmp_path / "scenes", tmp_path / "scenes"),
     ):  # fmt: skip
         said = fails(capsys, "batch", captures, "-o", output)

@@ -68,18 +68,27 @@ def require_apart(output: Path, items: Sequence[Item]) -> None:
         items: the captures.
 
     Raises:
-        OutputError: the results of one would lie in a capture, or in the folder of a scene.
+        OutputError: the results of one would lie in a capture, or be mixed with photographs, or
+            with the files of a scene.
     """
     captures = {real(item.capture) for item in items if item.capture.is_dir()}
-    scenes = {real(item.capture.parent) for item in items if not item.capture.is_dir()}
+    places = {place for item in items for place in places_of(item)}
     for item in items:
         results = real(output / item.name)
-        found = captures & {results, *results.parents} or scenes & {results}
+        found = captures & {results, *results.parents} or places & {results}
         if found:
             raise OutputError(
                 f"{output}: results of {excerpt(item.name, LONGEST)} would lie among the files of "
                 f"the capture {excerpt(min(found))}; choose another folder with -o."
             )
+
+
+def places_of(item: Item) -> list[Path]:
+    """Return where the files of a capture are, but for a scene that its folder only names."""
+    capture = item.capture if item.capture.is_dir() else item.capture.parent
+    return [real(path) for path in (
+        capture, *(Path(item.options[name]) for name in PATHS if name in item.options)
+    )]  # fmt: skip
 
 
 def real(path: Path) -> Path:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from svu_mi import __version__
-from svu_mi.batch.listing import OPTIONS, PATHS, Item, real
+from svu_mi.batch.listing import OPTIONS, Item, places_of, real
 from svu_mi.capture.folder import FILE, read, stamps
 
 
@@ -97,7 +97,7 @@ def inputs_key(item: Item, output: Path | None = None) -> str:
     Raises:
         CaptureError: what a capture folder says cannot be read.
     """
-    places, own = _places(item), None if output is None else real(output)
+    places, own = places_of(item), None if output is None else real(output)
     scenes = _scenes(places)
     folders = {place for place in places if place.is_dir()}
     files = stamps([*places, *scenes], lambda folder: folder == own)
@@ -111,14 +111,6 @@ def inputs_key(item: Item, output: Path | None = None) -> str:
 def _digest(value: Any) -> str:
     text = json.dumps(value)
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:32]
-
-
-def _places(item: Item) -> list[Path]:
-    """Return where the files of a capture are, but for a scene that its folder only names."""
-    capture = item.capture if item.capture.is_dir() else item.capture.parent
-    return [real(path) for path in (
-        capture, *(Path(item.options[name]) for name in PATHS if name in item.options)
-    )]  # fmt: skip
 
 
 def _scenes(places: Sequence[Path]) -> list[Path]:
