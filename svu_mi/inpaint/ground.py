@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from svu_mi.inpaint.filling import SUREST
-from svu_mi.inpaint.pieces import Pieces, connected
+from svu_mi.inpaint.pieces import Pieces, connected, sums
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.field.smoother import Smoother
 from svu_mi.surface.neighbors import grouped
@@ -84,16 +84,11 @@ class Ground:
             np.where((alike[column] == alike).all(axis=1), column, own) for column in columns
         ])  # fmt: skip
         first = np.unique(owner, return_index=True)[1]
-        weights = _sums(self.weights, owner)
-        values = _sums(self.weights * self.values, owner) / weights
+        weights = sums(self.weights, owner)
+        values = sums(self.weights * self.values, owner) / weights
         smoother = self.smoother.halved(grouped(columns, owner), weights, values)
         coarse = Ground(
             values, weights, self.single[:, first], self.known[first],
             np.bincount(owner, self.size), square[first], self.pieces.grouped(owner), smoother,
         )  # fmt: skip
         return coarse, owner
-
-
-def _sums(values: np.ndarray, owner: np.ndarray) -> np.ndarray:
-    """Return sums of values (N, T) over groups."""
-    return np.stack([np.bincount(owner, row) for row in values])

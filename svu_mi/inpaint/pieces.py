@@ -11,6 +11,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from svu_mi.capture.mesh import unit_vectors
 from svu_mi.surface import Texels
 
 APART = 1e3  # distance between pieces that are not to be mixed up, in extents of the object
@@ -46,20 +47,19 @@ class Pieces:
 
     def grouped(self, owner: np.ndarray) -> Pieces:
         """Return groups of texels of one piece each, by the group (T,) that every texel is of."""
-        point, normal = (
-            np.stack([np.bincount(owner, column) for column in table.T], axis=1)
-            for table in (self.point, self.normal)
-        )
-        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        point, normal = (sums(table.T, owner).T for table in (self.point, self.normal))
         first = np.unique(owner, return_index=True)[1]
-        return Pieces(
-            point / np.bincount(owner)[:, None], normal / np.maximum(length, 1e-9),
-            self.piece[first],
-        )  # fmt: skip
+        size = np.bincount(owner)[:, None]
+        return Pieces(point / size, unit_vectors(normal), self.piece[first])
 
     def apart(self, places: np.ndarray) -> np.ndarray:
         """Return places (T, d) with another column, by which pieces are far from each other."""
         return np.concatenate([places, APART * self.piece[:, None]], axis=1)
+
+
+def sums(values: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    """Return sums of values (N, T) over groups, (N, G), by the group (T,) that each texel is of."""
+    return np.stack([np.bincount(owner, row) for row in values])
 
 
 def connected(around: Sequence[Any]) -> np.ndarray:
