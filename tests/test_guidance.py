@@ -44,13 +44,17 @@ PAINT = {"type": "principled", "base_color": {"type": "rgb", "value": [0.5, 0.3,
 
 
 def responses_of(table: np.ndarray) -> Responses:
-    """Responses that hold a table (V, T, K)."""
+    """Responses that hold a table (V, T, K), and NaN in what nobody may read."""
     views, count, columns = table.shape
     padded = np.zeros((views, -(-count // BLOCK) * BLOCK, columns), np.float32)
     padded[:, :count] = table
+    padded[padded[..., 0] == 0, 1:] = np.nan
     blocks = padded.reshape(views, -1, BLOCK, columns).transpose(1, 0, 3, 2)
+    first, rest = (
+        owned(mi.Float, x.ravel()) for x in np.split(blocks, [1], axis=2)
+    )
     return Responses(
-        values=owned(mi.Float, blocks.ravel()), views=dr.opaque(mi.UInt32, views),
+        first=first, rest=rest, views=dr.opaque(mi.UInt32, views),
         columns=columns, count=count, lane=dr.arange(mi.UInt32, count),
     )  # fmt: skip
 

@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import mesh as meshes
-from svu_mi.capture.poses import film_size, scaled_sensor
+from svu_mi.capture.poses import film_size, projected, scaled_sensor
 from svu_mi.capture.rays import evenly, pixel_rays, table_of
 from svu_mi.interop import owned
 
@@ -24,13 +24,13 @@ class Look:
     """What a sensor sees of an object: traced once, for any number of textures.
 
     Attributes:
-        size: (width, height) of the picture.
-        uv: (N,) Point2f of all samples, those of a pixel one after the other.
+        window: rows and columns around the object; no pixel beyond shows it.
+        uv: (N,) Point2f of all samples of these, those of a pixel one after the other.
         shade: (N,) Float, how bright the surface is in each; 0 off the object.
-        covered: (h, w) float32, the part of every pixel that the object covers.
+        covered: (h, w) float32, the part of every pixel of the picture that the object covers.
     """
 
-    size: tuple[int, int]
+    window: tuple[slice, slice]
     uv: Any
     shade: Any
     covered: np.ndarray
@@ -39,9 +39,12 @@ class Look:
     def of(scene: Any, sensor: Any) -> Look:
         """Trace the rays of a sensor, a few to a pixel, in a scene as of ``alone``."""
         width, height = film_size(sensor)
-        pixel = dr.arange(mi.UInt32, width * height)
-        row = pixel // dr.opaque(mi.UInt32, width)
-        place = dr.zeros(mi.UInt32, width * height), row, pixel - row * width
+        rows, columns = window = _window(meshes.positions(scene.shapes()[0]), sensor)
+        shape = rows.stop - rows.start, columns.stop - columns.start
+        across, top, left = (dr.opaque(mi.UInt32, n) for n in (shape[1], rows.start, columns.start))
+        pixel = dr.arange(mi.UInt32, shape[0] * shape[1])
+        row = pixel // across
+        place = dr.zeros(mi.UInt32, dr.width(pixel)), top + row, left + pixel - row * across
         ray = pixel_rays(table_of([sensor]), place, SAMPLES**2, evenly(SAMPLES))
         si = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
         hit = si.is_valid()
@@ -49,8 +52,10 @@ class Look:
         shade = dr.lerp(AMBIENT, 1, dr.abs(dr.dot(si.sh_frame.n, ray.d)))
         uv, shade = dr.select(hit, si.uv, 0), dr.select(hit, shade, 0)
         dr.eval(uv, shade)
-        covered = dr.block_sum(dr.select(shade > 0, mi.Float(1), 0), SAMPLES**2) / SAMPLES**2
-        return Look((width, height), uv, shade, covered.numpy().reshape(height, width))
+        part = dr.block_sum(dr.select(shade > 0, mi.Float(1), 0), SAMPLES**2) / SAMPLES**2
+        covered = np.zeros((height, width), np.float32)
+        covered[window] = part.numpy().reshape(shape)
+        return Look(window, uv, shade, covered)
 
     @staticmethod
     def at(scene: Any, sensor: Any) -> Look:
@@ -68,12 +73,12 @@ class Look:
         """
         # Antialiasing and shading work on screen values: good enough here.
         color = dr.select(self.shade > 0, self.shade * self._texel(texture), 1)
-        return np.clip(np.dstack([self._mean(color), self.covered]), 0, 1)
+        return np.clip(np.dstack([self._mean(color, 1), self.covered]), 0, 1)
 
     def values(self, texture: np.ndarray) -> np.ndarray:
         """Return means (h, w, 3) float32 of a texture (H, W, 3) over what of the object a pixel
         shows; 0 where it shows none."""
-        mean = self._mean(dr.select(self.shade > 0, self._texel(texture), 0))
+        mean = self._mean(dr.select(self.shade > 0, self._texel(texture), 0), 0)
         return mean / np.maximum(self.covered, 1 / SAMPLES**2)[..., None]
 
     def _texel(self, texture: np.ndarray) -> Any:
@@ -86,13 +91,28 @@ class Look:
         )
         return dr.gather(mi.Color3f, texels, row * dr.opaque(mi.UInt32, width) + column)
 
-    def _mean(self, color: Any) -> np.ndarray:
-        """Means over the samples of a pixel, (h, w, 3)."""
+    def _mean(self, color: Any, beyond: float) -> np.ndarray:
+        """Means over the samples of a pixel, (h, w, 3), or what is beyond the window."""
         dr.eval(color)
         mean = [dr.block_sum(channel, SAMPLES**2) / SAMPLES**2 for channel in color]
         dr.eval(mean)
-        image = np.stack([channel.numpy() for channel in mean], axis=-1)
-        return image.reshape(*self.covered.shape, 3)
+        image = np.full((*self.covered.shape, 3), beyond, np.float32)
+        inside = image[self.window]
+        inside[...] = np.stack([channel.numpy() for channel in mean], -1).reshape(inside.shape)
+        return image
+
+
+def _window(points: np.ndarray, sensor: Any) -> tuple[slice, slice]:
+    """Return rows and columns of the pixels that may show something between points (N, 3), at least
+    one; all of them if some are beside or behind the camera."""
+    width, height = film_size(sensor)
+    places, depth = projected(sensor, points)
+    if not (depth > 0).all():
+        return slice(0, height), slice(0, width)
+    low, high = np.floor(places.min(axis=0)) - 1, np.ceil(places.max(axis=0)) + 1
+    left, top = (int(x) for x in np.clip(low, 0, (width - 1, height - 1)))
+    right, bottom = (int(x) for x in np.clip(high, (left + 1, top + 1), (width, height)))
+    return slice(top, bottom), slice(left, right)
 
 
 def alone(capture: Any) -> Any:

@@ -77,22 +77,28 @@ def has_uvs(mesh: Any) -> bool:
 def arrays(mesh: Any) -> MeshArrays:
     """Copy a mesh's buffers to NumPy (Dr.Jit's own views alias the mesh's memory)."""
 
-    def rows(buffer: Any, width: int) -> np.ndarray:
-        with np.errstate(invalid="ignore"):  # NaN of a damaged file; callers look for them
-            return np.array(buffer.numpy(), np.float64).reshape(-1, width)
-
     faces = np.array(mesh.faces_buffer().numpy(), np.int64).reshape(-1, 3)
-    normals = rows(mesh.vertex_normals_buffer(), 3) if mesh.has_vertex_normals() else None
+    normals = _rows(mesh.vertex_normals_buffer(), 3) if mesh.has_vertex_normals() else None
     if mesh.has_flipped_normals():
         # Mitsuba 3.9 turns them when a ray hits, not in the buffers.
         faces = faces[:, ::-1].copy()
         normals = None if normals is None else -normals
     return MeshArrays(
-        positions=rows(mesh.vertex_positions_buffer(), 3),
+        positions=positions(mesh),
         faces=faces,
         normals=normals,
-        uvs=rows(mesh.vertex_texcoords_buffer(), 2) if has_uvs(mesh) else None,
+        uvs=_rows(mesh.vertex_texcoords_buffer(), 2) if has_uvs(mesh) else None,
     )
+
+
+def positions(mesh: Any) -> np.ndarray:
+    """Copy a mesh's vertices to NumPy, (N, 3) float64 in world space."""
+    return _rows(mesh.vertex_positions_buffer(), 3)
+
+
+def _rows(buffer: Any, width: int) -> np.ndarray:
+    with np.errstate(invalid="ignore"):  # NaN of a damaged file; callers look for them
+        return np.array(buffer.numpy(), np.float64).reshape(-1, width)
 
 
 def flipped_v(uvs: np.ndarray) -> np.ndarray:

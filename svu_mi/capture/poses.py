@@ -161,6 +161,17 @@ def principal_point(sensor: Any) -> tuple[float, float]:
     return x, y
 
 
+def projected(sensor: Any, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where points (N, 3) are in a sensor's photograph, (N, 2) x and y in pixels, and how
+    far ahead of the camera (N,); x and y mean nothing where that is not positive."""
+    pose = to_world(sensor)
+    local = (points - pose[:3, 3]) @ pose[:3, :3]
+    depth = local[:, 2]
+    # Mitsuba's cameras look along +Z with +X to the left and +Y up.
+    away = focal_length(sensor) * local[:, :2] / np.where(depth > 0, depth, 1)[:, None]
+    return np.array(principal_point(sensor)) - away, depth
+
+
 def sphere_sensors(
     shape: Any, count: int, resolution: tuple[int, int], fov: float = 35.0, *,
     distance: float | None = None, up: tuple[float, float, float] = (0.0, 1.0, 0.0),

@@ -14,8 +14,14 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, arrays, crosses_of, has_uvs
-from svu_mi.capture.poses import describe, film_size, focal_length, make_sensor, principal_point
-from svu_mi.capture.scene import to_world
+from svu_mi.capture.poses import (
+    describe,
+    film_size,
+    focal_length,
+    make_sensor,
+    principal_point,
+    projected,
+)
 from svu_mi.needs import Size
 
 LARGE = 2**22  # pixels of a photograph from which on it is worth it
@@ -162,11 +168,9 @@ class _Surface:
         """Return the first and the last but one pixel (2,) int64 of the object, with a margin; the
         whole film if some of it is not in front of the camera."""
         whole = np.zeros(2, np.int64), np.array(film)
-        local, depth = _seen_from(sensor, self.corners)
+        points, depth = projected(sensor, self.corners)
         if not len(depth) or depth.min() <= float(sensor.near_clip()):
             return whole
-        # Mitsuba's cameras look along +Z with +X to the left and +Y up.
-        points = np.array(principal_point(sensor)) - focal_length(sensor) * local / depth[:, None]
         low, high = points.min(axis=0), points.max(axis=0)
         margin = MARGIN * (high - low).max() + BORDER
         low = np.clip(np.floor(low - margin), 0, film).astype(np.int64)
@@ -176,7 +180,7 @@ class _Surface:
     def pixels_across(self, sensor: Any) -> float | None:
         """Return how many pixels all but the smallest texels have across, seen face on; None where
         that is not known."""
-        _, depth = _seen_from(sensor, self.middles)
+        _, depth = projected(sensor, self.middles)
         seen = depth > float(sensor.near_clip())
         if not len(self.sides) or not seen.any():
             return None
@@ -184,12 +188,6 @@ class _Surface:
         order = np.argsort(across)
         area = np.cumsum(self.areas[seen][order])
         return float(across[order][np.searchsorted(area, SMALL * area[-1])])
-
-
-def _seen_from(sensor: Any, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (N, 2) x and y of points in camera space, and their depth (N,)."""
-    local = (points - to_world(sensor)[:3, 3]) @ to_world(sensor)[:3, :3]
-    return local[:, :2], local[:, 2]
 
 
 def _sides(

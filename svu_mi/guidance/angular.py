@@ -170,7 +170,7 @@ class _Launch:
 
     def sees(self, view: Any) -> Any:
         """cos theta of a view, 0 where it does not see the texel."""
-        return self._responses.read(view, 0)
+        return self._responses.sees(view)
 
     def _truth(self, number: Any) -> Truth:
         row, weight = self._forecast.hypotheses.at(number, self._lane)

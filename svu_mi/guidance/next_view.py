@@ -104,7 +104,7 @@ def next_best_view(
         method=estimate.method,
         skipped=_skipped(greedy, known),
         timings=progress.timings,
-        _prospect=known,
+        _prospect=replace(known),  # without its forecast, which takes most of the memory
     )
 
 

@@ -27,18 +27,23 @@ Respond = Callable[[Observation], list[Any]]
 
 @dataclass(frozen=True)
 class Responses:
-    """K numbers of V views per texel; memory: 4 K V bytes per texel.
+    """K numbers of V views per texel; memory: up to 4 K V bytes per texel.
 
     Attributes:
-        values: (ceil(T / 16) V K 16,) Float: for every block of 16 texels, view and column, one
-            value per texel. A packet of lanes finds all views in a few pages.
+        first: (ceil(T / 16) V 16,) Float: for every block of 16 texels and view, one value of the
+            first column per texel, 0 where the view does not see it. A packet of lanes finds all
+            views in a few pages.
+        rest: (ceil(T / 16) V (K - 1) 16,) Float, the same of all others; whatever there was in
+            memory where the view does not see the texel, which most do not: fresh memory that
+            nobody touches costs nothing.
         views: V, an opaque UInt32.
         columns: K.
         count: T.
         lane: (L,) UInt32, which of the T texels a launch is about.
     """
 
-    values: Any
+    first: Any
+    rest: Any
     views: Any
     columns: int
     count: int
@@ -49,32 +54,44 @@ class Responses:
         """(V, T) bool, which view sees which texel."""
         views, count = int(self.views[0]), dr.opaque(mi.UInt32, self.count)
         place = dr.arange(mi.UInt32, views * self.count)
-        first = self.at(place % count).read(place // count, 0) > 0
-        return np.array(first).reshape(views, self.count)
+        found = self.at(place % count).sees(place // count) > 0
+        return np.array(found).reshape(views, self.count)
 
     def table(self) -> np.ndarray:
         """Return (V, T, K) float32."""
-        blocks = self.values.numpy().reshape(-1, int(self.views[0]), self.columns, BLOCK)
-        rows = np.transpose(blocks, (1, 0, 3, 2)).reshape(blocks.shape[1], -1, self.columns)
-        return rows[:, : self.count]
+        views = int(self.views[0])
+        first, rest = (
+            np.transpose(x.numpy().reshape(-1, views, k, BLOCK), (1, 0, 3, 2)).reshape(views, -1, k)
+            for x, k in ((self.first, 1), (self.rest, self.columns - 1))
+        )
+        return np.concatenate([first, np.where(first > 0, rest, 0)], axis=2)[:, : self.count]
 
     def at(self, lane: Any) -> Responses:
         """Return the same, for launches about some of the texels."""
         return replace(self, lane=lane)
 
+    def sees(self, view: Any) -> Any:
+        """Read the first column of a view, for the lanes of a launch: Float."""
+        return dr.gather(mi.Float, self.first, self._block(view) * BLOCK + self.lane % BLOCK)
+
     def read(self, view: Any, column: Any) -> Any:
-        """Read a column of a view, for the lanes of a launch: Float."""
-        return dr.gather(mi.Float, self.values, self._place(view, column))
+        """Read another column of a view, from 1 on: Float, 0 where it does not see the texel."""
+        return dr.gather(mi.Float, self.rest, self._place(view, column), self.sees(view) > 0)
 
     def write(self, view: Any, columns: list[Any], active: Any) -> None:
         """Write all columns of a view, within the kernel that computes them."""
-        for column, value in enumerate(columns):
+        place = self._block(view) * BLOCK + self.lane % BLOCK
+        dr.scatter(self.first, columns[0], place, active, dr.ReduceMode.NoConflicts)
+        for column, value in enumerate(columns[1:], 1):
             place = self._place(view, column)
-            dr.scatter(self.values, value, place, active, dr.ReduceMode.NoConflicts)
+            dr.scatter(self.rest, value, place, active, dr.ReduceMode.NoConflicts)
 
     def _place(self, view: Any, column: Any) -> Any:
-        block = (self.lane // BLOCK) * self.views + view
-        return (block * self.columns + column) * BLOCK + self.lane % BLOCK
+        row = self._block(view) * (self.columns - 1) + (column - 1)
+        return row * BLOCK + self.lane % BLOCK
+
+    def _block(self, view: Any) -> Any:
+        return (self.lane // BLOCK) * self.views + view
 
 
 def collect(
@@ -95,7 +112,8 @@ def collect(
     """
     views, found = photographed
     number, count = views.number + candidates.number, surface.count
-    room = -(-count // BLOCK) * BLOCK * number * columns
+    pairs = -(-count // BLOCK) * BLOCK * number
+    room = pairs * columns
     if room >= 2**32:
         raise OptionError(
             f"next_best_view(): {count} texels are too many for {number} views; use "
@@ -104,10 +122,10 @@ def collect(
             f"{count * 2**32 // room}, or fewer.",
         )
     responses = Responses(
-        values=dr.zeros(mi.Float, room), views=dr.opaque(mi.UInt32, number), columns=columns,
-        count=count, lane=surface.lane,
+        first=dr.zeros(mi.Float, pairs), rest=dr.empty(mi.Float, room - pairs),
+        views=dr.opaque(mi.UInt32, number), columns=columns, count=count, lane=surface.lane,
     )  # fmt: skip
-    dr.eval(responses.values)
+    dr.eval(responses.first)
 
     def record(seen: Observation, view: Any) -> tuple[()]:
         def write() -> tuple[()]:
@@ -120,7 +138,7 @@ def collect(
     found.over_views(
         views, surface, lambda seen, slot: record(seen, dr.gather(mi.UInt32, found.order, slot)), ()
     )
-    dr.eval(responses.values)
+    dr.eval(responses.first, responses.rest)
     over_views(candidates, surface, lambda seen, view: record(seen, first + view), ())
-    dr.eval(responses.values)
+    dr.eval(responses.first, responses.rest)
     return responses

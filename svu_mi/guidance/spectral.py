@@ -167,8 +167,8 @@ def _samples(rows: Responses, views: np.ndarray) -> Any:
 
     def sample(index: Any) -> tuple[Any, Any, list[Any]]:
         view = dr.gather(mi.UInt32, order, index)
-        weight, x, y, z, *light = (rows.read(view, k) for k in range(rows.columns))
-        return mi.Vector3f(x, y, z), weight, light
+        x, y, z, *light = (rows.read(view, k) for k in range(1, rows.columns))
+        return mi.Vector3f(x, y, z), rows.sees(view), light
 
     return sample
 

@@ -219,18 +219,26 @@ class Walker:
             one = Integrals(mi.Float(1), [mi.Float(1)], c, mi.Float(0))
             return Node(row, column, weight, [one] * self.problem.factors.channels)
         edges = self.edges.tolist()
-        whole = edges if self._only is None else [0.0, 1.0]
-        found = [Channel(*one).integrate(whole) for one in parts]
+        if self._only is not None:
+            return self._node_of_one(row, column, weight, [Channel(*one) for one in parts])
+        found = [Channel(*one).integrate(edges) for one in parts]
         for one in found:
             for _ in range(self.problem.copies):
                 weight *= one.mass
-        if self._only is not None:
-            chosen = parts[0]
-            for channel, one in enumerate(parts[1:], 1):
-                chosen = dr.select(self._only == channel, one, chosen)
-            mass, cells = Channel(*chosen).masses(edges)
-            found = [Integrals(mass, cells, mi.Float(0), mi.Float(0))]
         return Node(row, column, weight, found)
+
+    def _node_of_one(
+        self, row: Any, column: Any, weight: Any, channels: list[Channel]
+    ) -> Node:
+        """The same with the colours of one channel only, for intervals: in single precision."""
+        for channel in channels:
+            weight *= channel.masses([0.0, 1.0])[0] ** self.problem.copies
+        own, *others = [(c.least, c.mirrored, c.mu, c.s) for c in channels]
+        for number, other in enumerate(others, 1):
+            pairs = zip(other, own, strict=True)
+            own = tuple(dr.select(self._only == number, new, old) for new, old in pairs)
+        mass, cells = Channel(*own).masses(self.edges.tolist())
+        return Node(row, column, weight, [Integrals(mass, cells, mi.Float(0), mi.Float(0))])
 
     def _color_prior(self, row: Any, column: Any) -> list[list[Any]] | None:
         """Density of every channel's base colour in every cell of ``edges``, given a node."""

@@ -30,12 +30,23 @@ def start(lane: Any, rows: Any) -> Any:
 
 def scattered(kind: Any, columns: list[Any], count: int) -> Any:
     """Write the values of all lanes, in the kernel that computes them; returns them evaluated."""
-    target = dr.zeros(kind, size(len(columns), count))
-    dr.eval(target)
+    target = cleared(kind, len(columns), count)
     place = start(dr.arange(mi.UInt32, count), len(columns))
     target = scatter_strided(target, columns, place, mi.UInt32(BLOCK))
     dr.eval(target)
     return target
+
+
+def cleared(kind: Any, rows: int, count: int) -> Any:
+    """Return memory for N rows of S values, of which only the last block is cleared: all others
+    are written by whoever asks, and to touch fresh memory takes longer than to compute."""
+    values = dr.empty(kind, size(rows, count))
+    if count % BLOCK:
+        last = dr.opaque(mi.UInt32, size(rows, count) - rows * BLOCK)
+        place = last + dr.arange(mi.UInt32, rows * BLOCK)
+        dr.scatter(values, dr.zeros(kind), place, mode=dr.ReduceMode.NoConflicts)
+        dr.eval(values)
+    return values
 
 
 def in_blocks(kind: Any, table: np.ndarray) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.capture.look import Look, alone
 from svu_mi.capture.mesh import arrays
-from svu_mi.capture.poses import bounding_sphere, film_size, make_sensor
+from svu_mi.capture.poses import bounding_sphere, film_size, make_sensor, projected
 from svu_mi.capture.scene import to_world
 from svu_mi.interop import owned
 from svu_mi.output import views
@@ -140,7 +140,4 @@ class Turntable:
 
 def _places(points: np.ndarray, sensor: Any) -> np.ndarray:
     """Return where a sensor shows points (N, 3): (N, 2) from the left and the top, in [0, 1]."""
-    interaction = mi.Interaction3f()
-    interaction.p = owned(mi.Point3f, points.T)
-    sample, _ = sensor.sample_direction(interaction, mi.Point2f(0.5))
-    return np.array(sample.uv, np.float64).T / film_size(sensor)
+    return projected(sensor, points)[0] / film_size(sensor)
