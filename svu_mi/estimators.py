@@ -30,8 +30,7 @@ from svu_mi.posterior.tiled import TiledPosterior
 from svu_mi.progress import Progress, Stage
 from svu_mi.skipping import Plan
 from svu_mi.statistics import Factors
-from svu_mi.statistics.blocks import BLOCK
-from svu_mi.statistics.factors import PAIRS
+from svu_mi.statistics.factors import stride
 from svu_mi.statistics.gather import Weighting
 
 
@@ -87,11 +86,11 @@ def _of_all_in_tiles(run: Run, switches: AngularPreset) -> Posterior:
     seen, texels = run.observed, run.observed.seen
     if _leaves_clipped_out(seen, switches):
         texels = np.flatnonzero(seen.coverage)
-    rows = len(_levels(run, switches)) * run.plan.channels * len(PAIRS) + run.plan.channels + 1
-    if rows * len(texels) > MAX_LANES - BLOCK * rows:
+    rows = stride(len(_levels(run, switches)), run.plan.channels)
+    if rows * len(texels) > MAX_LANES:
         raise OptionError(
             f"{len(texels)} texels that are seen are too many to keep the statistics of; use at "
-            f"most {MAX_LANES // rows - BLOCK}, with fewer texels per side (--resolution)."
+            f"most {MAX_LANES // rows}, with fewer texels per side (--resolution)."
         )
     rounded: list[np.ndarray | None] = []
 

@@ -382,7 +382,7 @@ def test_factor_is_that_of_a_qr_factorisation(texels):
     factors = summed(samples, np.arange(14)).factor()
     np.testing.assert_allclose(factors.table(), upper(samples), rtol=2e-5, atol=1e-6)
     np.testing.assert_allclose(
-        factors.at().weight().numpy(), samples[0].sum(axis=0), rtol=1e-6
+        factors.at().weight.numpy(), samples[0].sum(axis=0), rtol=1e-6
     )
 
 
@@ -393,9 +393,9 @@ def test_the_least_that_nothing_explains_is_kept_apart():
     reader = factors.at()
     for channel in range(3):
         least = exact[:, channel].min(axis=0)
-        np.testing.assert_allclose(reader.least(channel).numpy(), least, rtol=1e-5)
+        np.testing.assert_allclose(reader.least[channel].numpy(), least, rtol=1e-5)
         for level in range(factors.levels):
-            floor = reader.entries(mi.UInt32(level), channel)[FLOOR].numpy()
+            floor = reader.entries(mi.UInt32(level))[channel][FLOOR].numpy()
             assert (floor >= 0).all()
             np.testing.assert_allclose(
                 floor, exact[level, channel] - least, atol=1e-6 * exact.max()
@@ -471,7 +471,7 @@ def test_products_and_some_of_the_texels():
     np.testing.assert_array_equal(some.texel.numpy(), chosen)
     np.testing.assert_array_equal(some.views.numpy(), statistics.views.numpy()[chosen])
     np.testing.assert_array_equal(
-        factors.at(owned(mi.UInt32, chosen)).weight().numpy(), some.at().weight().numpy()
+        factors.at(owned(mi.UInt32, chosen)).weight.numpy(), some.at().weight.numpy()
     )
 
 

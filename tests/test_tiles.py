@@ -150,13 +150,13 @@ def test_the_same_few_texels_are_gathered_once_for_several_questions(vase, tiled
 def test_more_statistics_than_can_be_counted_are_refused_before_any_are_made(
     vase, tiled, monkeypatch
 ):
-    """Dr.Jit counts entries in 32 bits: 17 million texels of 244 in three channels."""
-    limit = 244 * 1000
+    """Dr.Jit counts entries in 32 bits: 16 million texels of 260 in three channels."""
+    limit = 260 * 1000
     monkeypatch.setattr(estimators, "_factors", None)
 
     def asked(*args, **options):
         monkeypatch.setattr(estimators, "MAX_LANES", limit, raising=False)
         return svu.estimate(*args, **options)
 
-    with pytest.raises(svu.SvuError, match="use at most 984, with fewer texels per side"):
+    with pytest.raises(svu.SvuError, match="use at most 1000, with fewer texels per side"):
         tiled(vase.capture, vase.texels, do=asked, whole=True)

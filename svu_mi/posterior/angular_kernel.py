@@ -78,26 +78,24 @@ def tables(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def _row_energies(problem: Problem, lane: Any) -> streaming.RowEnergies:
     factors = problem.factors
     reader = factors.at(lane)
-    square = reader.weight() / 2  # errors are per unit of weight
+    square = reader.weight / 2  # errors are per unit of weight
     if problem.averaged:  # over views, whose weights are at most 1
         square /= mi.Float(dr.maximum(dr.gather(mi.UInt32, factors.views, lane), 1))
     scale = dr.sqrt(square) / problem.sigma
     power = None if problem.power is None else dr.gather(mi.Float, problem.power, lane)
     # Squares may leave single precision where their roots do not: 0 times infinity is NaN.
-    least = [
-        dr.minimum(scale * (scale * reader.least(c)), HOPELESS) for c in range(factors.channels)
-    ]
+    least = [dr.minimum(scale * (scale * of_channel), HOPELESS) for of_channel in reader.least]
 
     def energies(row: Any) -> list[tuple[Any, list[Any]]]:
         level = row // problem.columns
         slot = dr.gather(mi.UInt32, problem.slots, level)
         groups = []
-        for channel in range(factors.channels):
-            *entries, floor = (scale * entry for entry in reader.entries(slot, channel))
+        for of_channel, rest in zip(reader.entries(slot), least, strict=True):
+            *entries, floor = (scale * entry for entry in of_channel)
             x = _cells(problem, row - level * problem.columns, [*entries, scale * floor])
             x = [dr.minimum(value, HOPELESS) for value in x]
             if power is not None:
-                x = [power * dr.log(2 * (value + least[channel]) + 1) for value in x]
+                x = [power * dr.log(2 * (value + rest) + 1) for value in x]
             groups.append(x)
         return streaming.with_prior(groups * problem.copies, problem.prior, row)
 

@@ -109,8 +109,7 @@ class Walker:
         levels = [dr.gather(mi.UInt32, self.nodes.levels, place) for place in places]
         weights = [dr.gather(mi.Float, self.nodes.weights, place) for place in places]
         found = []
-        for channel in range(self.problem.factors.channels):
-            near = [self._reader.entries(level, channel) for level in levels]
+        for near in zip(*(self._reader.entries(level) for level in levels), strict=True):
             U = [
                 self._scale * sum(w * U[k] for w, U in zip(weights, near, strict=True))
                 for k in range(len(PAIRS))

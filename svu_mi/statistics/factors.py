@@ -21,24 +21,30 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.frequency.arrays import scatter_strided
 from svu_mi.interop import owned
 from svu_mi.reflection.principled import COLUMNS
-from svu_mi.statistics.blocks import BLOCK, Reader, rows_of, scattered, size, taken
+from svu_mi.statistics.blocks import Reader
 
 PAIRS = tuple((i, j) for i in range(COLUMNS) for j in range(i, COLUMNS))
 FLOOR = len(PAIRS) - 1  # the entry that is kept as a square
 TINY = 1e-13  # part of its diagonal below which a pivot is nothing but rounding
+QUAD = 4  # values that a kernel reads at once
 
 
 @dataclass(frozen=True)
 class Factors:
     """The factors U of S texels at R levels of roughness and in C channels.
 
+    What belongs to a texel lies together, and begins at multiples of four values, which kernels
+    read at once: lanes may read of different levels then, and that takes a third of the time of
+    reading value by value.
+
     Attributes:
-        values: (ceil(S / 16) * (R * C * P + C + 1) * 16,) Float in blocks (see ``blocks``): for
-            level, channel and each of P pairs of columns an entry of U, in radiance; the last of
-            them ``floor``, squared radiance, its square less the ``least`` of its channel. Then
-            least of every channel, and the sum of the weights that U was divided by.
+        values: (S * ``stride``,) Float, for every texel: for each level, U of all channels, an
+            entry for each of P pairs of columns, in radiance; the last of them ``floor``, squared
+            radiance, its square less the ``least`` of its channel. Then least of every channel,
+            and the sum of the weights that U was divided by. Levels are padded by zeros.
         views: (S,) UInt32, how many views see each texel.
         texel: (S,) UInt32, which of all texels each is.
         roughness: (R,) float64 of the levels.
@@ -62,25 +68,29 @@ class Factors:
         return len(self.roughness)
 
     @property
-    def rows(self) -> int:
-        """Number of values per texel, R C P + C + 1."""
-        return self.entries + self.channels + 1
-
-    @property
-    def entries(self) -> int:
-        """Number of entries of U per texel, R C P."""
-        return self.levels * self.channels * len(PAIRS)
+    def stride(self) -> int:
+        """Number of values per texel."""
+        return stride(self.levels, self.channels)
 
     def at(self, lane: Any | None = None) -> FactorReader:
         """Return what reads the factors of texels, by default of all in order."""
-        return FactorReader(self, lane)
+        return FactorReader(self, dr.arange(mi.UInt32, self.count) if lane is None else lane)
 
     def some(self, chosen: np.ndarray) -> Factors:
         """Return the factors of some texels, by their numbers among S."""
         lanes = owned(mi.UInt32, np.asarray(chosen).astype(np.uint32))
+        values = mi.Float()
+        if len(chosen):
+            place, of_texel = (
+                dr.arange(mi.UInt32, self.stride * len(chosen)), dr.opaque(mi.UInt32, self.stride)
+            )
+            lane = place // of_texel
+            source = dr.gather(mi.UInt32, lanes, lane) * of_texel + (place - lane * of_texel)
+            values = dr.gather(mi.Float, self.values, source)
+            dr.eval(values)
         return replace(
             self,
-            values=taken(self.values, self.rows, lanes),
+            values=values,
             views=dr.gather(mi.UInt32, self.views, lanes),
             texel=dr.gather(mi.UInt32, self.texel, lanes),
         )
@@ -91,16 +101,15 @@ class Factors:
         the result.
 
         Args:
-            parts: whole blocks of texels each, but for the last (see ``blocks``).
+            parts: some texels each.
             count: S, texels in all.
         """
         values, views, texel, done, part = mi.Float(), [], [], 0, None
         for part in parts:
-            assert done % BLOCK == 0
             if not done:
-                values = dr.empty(mi.Float, size(part.rows, count))
+                values = dr.empty(mi.Float, part.stride * count)
             place = dr.arange(mi.UInt32, dr.width(part.values))
-            place += dr.opaque(mi.UInt32, size(part.rows, done))
+            place += dr.opaque(mi.UInt32, part.stride * done)
             dr.scatter(values, part.values, place, mode=dr.ReduceMode.NoConflicts)
             dr.eval(values)
             views.append(part.views)
@@ -111,11 +120,12 @@ class Factors:
 
     def table(self) -> np.ndarray:
         """Return U as (R, C, P, S) float32, with its last entry itself."""
-        rows = self._table()
-        least = rows[self.entries : -1]
-        shape = (self.levels, self.channels, len(PAIRS), self.count)
-        entries = rows[: self.entries].reshape(shape).copy()
-        entries[:, :, FLOOR] = np.sqrt(entries[:, :, FLOOR] + least)
+        rows, number = self.values.numpy().reshape(self.count, self.stride), len(PAIRS)
+        of_levels, ends = np.split(rows, [self.levels * padded(self.channels * number)], axis=1)
+        of_levels = of_levels.reshape(self.count, self.levels, -1)[..., : self.channels * number]
+        entries = of_levels.reshape(self.count, self.levels, self.channels, number)
+        entries = np.transpose(entries, (1, 2, 3, 0)).copy()
+        entries[:, :, FLOOR] = np.sqrt(entries[:, :, FLOOR] + ends[:, : self.channels].T)
         return entries
 
     def lanes(self, total: int) -> np.ndarray:
@@ -128,40 +138,58 @@ class Factors:
         """Return the mean squared error that nothing explains, the sum over channels, and the sum
         of the weights: (S,) float64 both."""
         reader = self.at()
-        least = sum(mi.Float64(reader.least(channel)) for channel in range(self.channels))
-        weight = reader.weight()
+        least, weight = sum(mi.Float64(x) for x in reader.least), mi.Float(reader.weight)
         dr.eval(least, weight)
         return np.array(least), np.array(weight, np.float64)
 
-    def _table(self) -> np.ndarray:
-        return rows_of(self.values, self.rows, self.count)
-
 
 class FactorReader:
-    """Reads factors of the texels of a launch; levels and channels may differ by lane."""
+    """Reads factors of the texels of a launch; levels may differ by lane."""
 
-    def __init__(self, factors: Factors, lane: Any | None) -> None:
-        self._read = Reader(factors.values, factors.rows, factors.count, lane).read
-        self._channels = factors.channels
-        self._least = dr.opaque(mi.UInt32, factors.entries)
+    def __init__(self, factors: Factors, lane: Any) -> None:
+        self._values, self._channels = factors.values, factors.channels
+        self._first = lane * dr.opaque(mi.UInt32, factors.stride // QUAD)
+        self._row = padded(factors.channels * len(PAIRS)) // QUAD
+        ends = self._first + dr.opaque(mi.UInt32, factors.levels * self._row)
+        self._ends = self._read(ends, factors.channels + 1)
 
-    def entries(self, level: Any, channel: int) -> list[Any]:
-        """Return the entries of U but the last, and ``floor``: Floats."""
-        row = (level * self._channels + channel) * len(PAIRS)
-        return [self._read(row + entry) for entry in range(len(PAIRS))]
+    def entries(self, level: Any) -> list[list[Any]]:
+        """Return the entries of U but the last, and ``floor``, of every channel: Floats."""
+        row = self._read(self._first + level * self._row, self._channels * len(PAIRS))
+        return [row[k : k + len(PAIRS)] for k in range(0, len(row), len(PAIRS))]
 
-    def least(self, channel: int) -> Any:
-        """Return the squared error that nothing explains: Float."""
-        return self._read(self._least + channel)
+    def factor(self, level: Any) -> list[list[Any]]:
+        """Return all entries of U, in the order of ``PAIRS``, of every channel: Floats."""
+        return [
+            [*entries, dr.sqrt(floor + least)]
+            for (*entries, floor), least in zip(self.entries(level), self.least, strict=True)
+        ]
 
+    @property
+    def least(self) -> list[Any]:
+        """The squared error that nothing explains, of every channel: Floats."""
+        return self._ends[:-1]
+
+    @property
     def weight(self) -> Any:
-        """Return the sum of the weights: Float."""
-        return self._read(self._least + self._channels)
+        """The sum of the weights: Float."""
+        return self._ends[-1]
 
-    def factor(self, level: Any, channel: int) -> list[Any]:
-        """Return all entries of U, in the order of ``PAIRS``: Floats."""
-        *entries, floor = self.entries(level, channel)
-        return [*entries, dr.sqrt(floor + self.least(channel))]
+    def _read(self, first: Any, count: int) -> list[Any]:
+        """Read so many values from a multiple of four on."""
+        found = [dr.gather(mi.Vector4f, self._values, first + k)
+                 for k in range(padded(count) // QUAD)]  # fmt: skip
+        return [x for four in found for x in four][:count]
+
+
+def padded(count: int) -> int:
+    """Return how many values take the room of ``count``."""
+    return -(-count // QUAD) * QUAD
+
+
+def stride(levels: int, channels: int) -> int:
+    """Return how many values the factors of a texel take."""
+    return levels * padded(channels * len(PAIRS)) + padded(channels + 1)
 
 
 def combined(U: list[Any], x: Sequence[Any]) -> list[Any]:
@@ -189,18 +217,29 @@ def factorize(
     reader = Reader(sums, last + 1, count)
     weight = reader.read(dr.opaque(mi.UInt32, last))
     scale = dr.select(weight > 0, dr.rcp(dr.select(weight > 0, weight, 1)), 0)
-    columns, least = [], [mi.Float64(dr.inf)] * channels
+    rows, least = [], [mi.Float64(dr.inf)] * channels
     for level in range(levels):
+        rows.append([])
         for channel in range(channels):
             row = (level * channels + channel) * len(PAIRS)
             U = _cholesky([scale * reader.read(row + entry) for entry in range(len(PAIRS))])
             least[channel] = dr.minimum(least[channel], U[-1])
-            columns += U
-    # Channels take turns, level by level; the last entry of each is the floor.
-    for place in range(FLOOR, len(columns), len(PAIRS)):
-        columns[place] = columns[place] - least[place // len(PAIRS) % channels]
-    values = scattered(mi.Float, [*columns, *least, weight], count)
+            rows[-1].append(U)
+    columns = []
+    for of_level in rows:
+        columns += _filled([x for U, low in zip(of_level, least, strict=True)
+                            for x in (*U[:-1], U[-1] - low)])  # fmt: skip
+    columns += _filled([*least, weight])
+    values = dr.empty(mi.Float, stride(levels, channels) * count)
+    place = dr.arange(mi.UInt32, count) * len(columns)
+    values = scatter_strided(values, columns, place, mi.UInt32(1))
+    dr.eval(values)
     return Factors(values, views, texel, roughness, channels)
+
+
+def _filled(values: list[Any]) -> list[Any]:
+    """Pad values by zeros."""
+    return [*values, *[mi.Float64(0)] * (padded(len(values)) - len(values))]
 
 
 def _cholesky(sums: list[Any]) -> list[Any]:

@@ -6,6 +6,7 @@ by Catmull-Rom splines [Catmull and Rom 1974], so that the error has a derivativ
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
@@ -14,7 +15,7 @@ import mitsuba as mi
 from svu_mi.parameters import MIXED
 from svu_mi.reflection.principled import mixture, slope
 from svu_mi.reflection.shading import dot
-from svu_mi.statistics.factors import PAIRS, Factors, combined
+from svu_mi.statistics.factors import Factors, combined
 from svu_mi.statistics.gather import Values, mixed_of
 from svu_mi.statistics.spline import catmull_rom
 
@@ -29,14 +30,13 @@ def energy(factors: Factors, values: Values) -> tuple[Any, Values]:
     Returns:
         Float (S,), squared radiance, and its derivatives by every parameter.
     """
-    levels, weights, slopes = _spline(factors, values["roughness"][0])
+    near = _interpolate(factors, values["roughness"][0])
     mixed, colors, error = mixed_of(values), values["base_color"], mi.Float(0)
     how, turns = mixture(*mixed), [slope(mixed, k) for k in range(len(mixed))]
     by = {name: [mi.Float(0) for _ in of_name] for name, of_name in values.items()}
     for channel, c in enumerate(colors):
         # One channel stands for all where photographs and light are grey.
-        of_channel = channel % factors.channels
-        U, change = _interpolate(factors, of_channel, levels, weights, slopes)
+        U, change = near[channel % factors.channels]
         x = how.at(c)
         rest = combined(U, x)
         error += dot(rest, rest)
@@ -60,14 +60,14 @@ def information(factors: Factors, values: Values) -> list[list[Any]]:
         A symmetric matrix of Floats (S,), squared radiance; rows and columns are all values of
         all parameters, in the order of ``values``.
     """
-    levels, weights, slopes = _spline(factors, values["roughness"][0])
+    near = _interpolate(factors, values["roughness"][0])
     mixed, colors = mixed_of(values), values["base_color"]
     how, turns = mixture(*mixed), [slope(mixed, k) for k in range(len(mixed))]
     places = {key: place for place, key in enumerate(
         (name, k) for name, of_name in values.items() for k in range(len(of_name)))}  # fmt: skip
     found = [[dr.zeros(mi.Float, factors.count) for _ in places] for _ in places]
     for channel, c in enumerate(colors):
-        U, change = _interpolate(factors, channel % factors.channels, levels, weights, slopes)
+        U, change = near[channel % factors.channels]
         by = {
             ("base_color", channel): combined(U, how.scaled),
             ("roughness", 0): combined(change, how.at(c)),
@@ -96,18 +96,20 @@ def _spline(factors: Factors, roughness: Any) -> tuple[list[Any], list[Any], lis
     return levels, catmull_rom(t), slopes
 
 
-def _interpolate(
-    factors: Factors, channel: int, levels: list[Any], weights: list[Any], slopes: list[Any]
-) -> tuple[list[Any], list[Any]]:
-    """Return U at a roughness, and its derivative."""
+def _interpolate(factors: Factors, roughness: Any) -> list[tuple[list[Any], list[Any]]]:
+    """Return U at a roughness, and its derivative, of every channel."""
+    levels, weights, slopes = _spline(factors, roughness)
     reader = factors.at()
-    near = [reader.factor(level, channel) for level in levels]
-    values, turned = [], []
-    for entry in range(len(PAIRS)):
-        value, slope = mi.Float(0), mi.Float(0)
-        for factor, weight, change in zip(near, weights, slopes, strict=True):
-            value = dr.fma(weight, factor[entry], value)
-            slope = dr.fma(change, factor[entry], slope)
-        values.append(value)
-        turned.append(slope)
-    return values, turned
+    near = [reader.factor(level) for level in levels]
+    return [
+        (_summed(weights, of_levels), _summed(slopes, of_levels))
+        for of_levels in zip(*near, strict=True)
+    ]
+
+
+def _summed(weights: list[Any], factors: Sequence[list[Any]]) -> list[Any]:
+    """Return the weighted sum of factors, entry by entry."""
+    total = [mi.Float(0)] * len(factors[0])
+    for weight, factor in zip(weights, factors, strict=True):
+        total = [dr.fma(weight, x, old) for x, old in zip(factor, total, strict=True)]
+    return total

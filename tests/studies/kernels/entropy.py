@@ -28,9 +28,7 @@ from svu_mi.posterior import (
     spectrum_posterior,
 )
 from svu_mi.reflection.lobes import mean_albedo
-from svu_mi.statistics import Factors
-from svu_mi.statistics.blocks import in_blocks
-from svu_mi.statistics.factors import FLOOR, PAIRS
+from svu_mi.statistics.factors import FLOOR, PAIRS, Factors, padded, stride
 
 DEGREE = 6
 CHECKED = 2000  # texels that are compared with double precision
@@ -247,9 +245,12 @@ def _of_statistics(
     fields[:, FLOOR] **= 2
     fields = fields.astype(np.float32)
     views = np.full((1, texels), 20)
-    values = np.concatenate([fields.reshape(-1, texels), 0 * views, views])
+    rows = np.zeros((texels, stride(case.grid.roughness, 1)), np.float32)
+    of_levels = rows[:, : -padded(2)].reshape(texels, case.grid.roughness, -1)
+    of_levels[..., : len(PAIRS)] = np.moveaxis(fields, 2, 0)
+    rows[:, -padded(2) + 1] = views
     factors = Factors(
-        values=in_blocks(mi.Float, values), views=owned(mi.UInt32, views[0]),
+        values=owned(mi.Float, rows.ravel()), views=owned(mi.UInt32, views[0]),
         texel=dr.arange(mi.UInt32, texels), roughness=case.grid.roughness_nodes, channels=1,
     )  # fmt: skip
     posterior = angular_posterior(factors, case.grid, 1.0, case.switches)
