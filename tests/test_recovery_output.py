@@ -394,7 +394,7 @@ def test_a_perfect_recovery_differs_by_noise_alone(vase, fine, tmp_path):
     comparison = compare(vase.capture, fine.truth, [1], spp=32)[0]
     wrong = compare(vase.capture, any_textures(), [1], spp=32)[0]
     assert comparison.photograph.shape == comparison.render.shape == (36, 48, 3)
-    error = comparison.difference()
+    error = comparison.difference
     assert np.isnan(error[~comparison.inside]).all()
     assert comparison.mean_difference < 0.6 * wrong.mean_difference
     write_relit([comparison, wrong], tmp_path / "relit.png")

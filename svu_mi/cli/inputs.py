@@ -136,6 +136,7 @@ class Photographed(OfScene):
             OptionError: there are no photographs, and --render was not given.
             OutputError: the results would lie among the files of the scene.
         """
+        from svu_mi.output.aside import import_aside
         from svu_mi.surface import texels
 
         if self.fills:
@@ -147,6 +148,8 @@ class Photographed(OfScene):
             capture = self._render(progress, again)
         else:
             capture = self._read(progress, self.images, missing or self.missing)
+        if self.draws and getattr(self, "pictures", True):
+            import_aside()
         with progress.stage("Laying out texels"):
             return capture, texels(capture.mesh, size)
 

@@ -5,15 +5,35 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from importlib import import_module
+from threading import Thread
 from typing import Any
 
 # After so many seconds the thread lets the other one go on, which asks a hundred times a second
 # when it launches small kernels, and would wait for Python's own 5 ms each time.
 TURN = 5e-4
+DRAWING = ("matplotlib.figure", "matplotlib.backends.backend_agg", "PIL.PngImagePlugin")
 
 Aside = Callable[..., Future[Any]]
 """``aside(work, *arguments)`` has work done in the thread, after what it was given before."""
+
+
+def import_aside() -> None:
+    """Import what pages are drawn with in a thread, a third of a second that nobody waits for while
+    kernels run."""
+
+    def imported() -> None:
+        before = sys.getswitchinterval()
+        sys.setswitchinterval(TURN)
+        try:
+            with suppress(ImportError):  # whoever needs it will say so
+                for name in DRAWING:
+                    import_module(name)
+        finally:
+            sys.setswitchinterval(before)
+
+    Thread(target=imported).start()
 
 
 @contextmanager

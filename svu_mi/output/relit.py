@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -43,26 +44,28 @@ class Comparison:
     inside: np.ndarray
     relit: np.ndarray | None = None
 
+    @cached_property
     def difference(self) -> np.ndarray:
-        """Return (h, w): the largest difference of sRGB values among channels; NaN outside."""
-        error = np.abs(np.subtract(*self._exposed())).max(axis=2)
+        """(h, w): the largest difference of sRGB values among channels; NaN outside."""
+        error = np.abs(np.subtract(*self._exposed)).max(axis=2)
         usable = self.inside & np.isfinite(self.photograph).all(axis=2)
         return np.where(usable, error, np.nan)
 
     @property
     def mean_difference(self) -> float | None:
         """Mean of ``difference``; None without any usable pixel."""
-        error = self.difference()
+        error = self.difference
         return float(np.nanmean(error)) if np.isfinite(error).any() else None
 
+    @cached_property
     def pictures(self) -> list[np.ndarray]:
-        """Return photograph, render, difference and any ``relit`` as screen colours (h, w, 3).
+        """Photograph, render, difference and any ``relit`` as screen colours (h, w, 3).
 
         White outside. The difference is from 0 (black) to a quarter (yellow); what is under the
         other light is exposed for itself.
         """
-        photograph, render = self._exposed()
-        error = self.difference()[..., None]
+        photograph, render = self._exposed
+        error = self.difference[..., None]
         colors = style.colors(error[..., 0], (0, WORST), DIFFERENCE_COLORMAP)
         pictures = [photograph, self._on_white(render), np.where(np.isnan(error), 1, colors)]
         if self.relit is not None:
@@ -72,8 +75,9 @@ class Comparison:
     def cropped(self) -> list[np.ndarray]:
         """Return ``pictures``, cut to the object."""
         window = views.object_window(self.inside)
-        return [views.crop(image, window) for image in self.pictures()]
+        return [views.crop(image, window) for image in self.pictures]
 
+    @cached_property
     def _exposed(self) -> tuple[np.ndarray, np.ndarray]:
         """Photograph and render as sRGB values, both exposed for the object as photographed."""
         white = exposure(self.photograph, self.inside)

@@ -109,9 +109,9 @@ def _compare(
 
 def _pictures(comparison: Comparison) -> list[Picture]:
     window = views.object_window(comparison.inside)
-    usable = np.isfinite(comparison.difference())
+    usable = np.isfinite(comparison.difference)
     image, render, difference, inside, usable = (
-        views.crop(i, window) for i in (*comparison.pictures(), comparison.inside, usable)
+        views.crop(i, window) for i in (*comparison.pictures, comparison.inside, usable)
     )
     return [
         photograph(image), drawing(np.dstack([render, inside])),
