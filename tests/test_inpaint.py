@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from helpers import fails, names, run
-from test_field import square
+from test_field import square, those_first
 
 from svu_mi.errors import CaptureError, OptionError, ShapeError
 from svu_mi.exr import read_exr
@@ -126,12 +126,12 @@ def sheet(side: int, hole: np.ndarray, alone: np.ndarray) -> tuple[Ground, np.nd
     and its true values."""
     rows, columns = np.divmod(np.arange(side**2), side)
     true = (0.6 + 0.6 * (columns / (side - 1) - 0.5))[None]
-    around = [np.array(column) for column in square(side)]
-    around = [np.where(alone[column] == alone, column, np.arange(side**2)) for column in around]
+    around = square(side)
+    around = those_first(np.where(alone[around] == alone, around, np.arange(side**2)))
     values, deviation = np.where(hole, 0.5, true), np.where(hole, 0.3, 0.01)[None]
     lanes = [owned(mi.UInt32, column.astype(np.uint32)) for column in around]
     smoother = Smoother.of(1 / deviation**2, values, lanes, 3.0, 0.01)
-    pieces = Pieces(np.zeros((side**2, 3)), np.zeros((side**2, 3)), connected(around))
+    pieces = Pieces(np.zeros((side**2, 3)), np.zeros((side**2, 3)), connected(list(around)))
     squares = np.stack([rows, columns], axis=1)
     weights, ones = 1 / deviation**2, np.ones(side**2)
     return Ground(values, weights, values, ~hole, ones, squares, pieces, smoother), true

@@ -13,7 +13,7 @@ from svu_mi.errors import OptionError
 from svu_mi.interop import owned
 from svu_mi.regularization.gradients import Regularizer, sign
 from svu_mi.surface import Texels
-from svu_mi.surface.neighbors import Neighbors
+from svu_mi.surface.neighbors import Neighbors, over_neighbors
 
 EPSILON = 1e-2  # in units of the parameters, all in [0, 1]
 
@@ -72,21 +72,14 @@ class TotalVariation(Regularizer):
         lane = dr.arange(mi.UInt32, dr.width(values))
         texel = lane // channels
         channel = lane - texel * channels
-        total, gradient = mi.Float(0), mi.Float(0)
-        for column in self._around:
-            other = dr.gather(mi.UInt32, column, texel)
-            neighbor = other * channels + channel
 
-            def add(total: Any, gradient: Any, neighbor: Any = neighbor) -> tuple[Any, Any]:
-                size, slope = self._absolute(values - dr.gather(mi.Float, values, neighbor))
-                return total + size, gradient + slope
+        def add(other: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
+            there = dr.gather(mi.Float, values, other * channels + channel)
+            size, slope = self._absolute(values - there)
+            return state[0] + size, state[1] + slope
 
-            # A texel without a neighbour may hold anything, NaN included; and only along seams
-            # are there more than four: whole packets skip the rest.
-            total, gradient = dr.if_stmt(
-                args=(total, gradient), cond=other != texel, true_fn=add,
-                false_fn=lambda total, gradient: (total, gradient),
-            )  # fmt: skip
+        # A texel without a neighbour may hold anything, NaN included.
+        total, gradient = over_neighbors(self._around, texel, add, (mi.Float(0), mi.Float(0)))
         gradient *= self._scale
         dr.eval(total, gradient)
         return dr.sum(total) * (0.5 * self._scale), gradient  # every pair was seen from both ends

@@ -217,14 +217,14 @@ def factorize(
     reader = Reader(sums, last + 1, count)
     weight = reader.read(dr.opaque(mi.UInt32, last))
     scale = dr.select(weight > 0, dr.rcp(dr.select(weight > 0, weight, 1)), 0)
-    rows, least = [], [mi.Float64(dr.inf)] * channels
+    least = [mi.Float64(dr.inf)] * channels
+    rows: list[list[list[Any]]] = [[] for _ in range(levels)]
     for level in range(levels):
-        rows.append([])
         for channel in range(channels):
             row = (level * channels + channel) * len(PAIRS)
             U = _cholesky([scale * reader.read(row + entry) for entry in range(len(PAIRS))])
             least[channel] = dr.minimum(least[channel], U[-1])
-            rows[-1].append(U)
+            rows[level].append(U)
     columns = []
     for of_level in rows:
         columns += _filled([x for U, low in zip(of_level, least, strict=True)

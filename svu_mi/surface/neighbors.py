@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,8 +29,8 @@ class Neighbors:
 
     Attributes:
         pairs: two (P,) UInt32 of texel numbers in [0, T), the lower one first, each pair once.
-        around: K arrays (T,) UInt32: the neighbours of each texel, and its own number where it
-            has fewer than K. Symmetric: i is around j if, and only if, j is around i.
+        around: K arrays (T,) UInt32: the neighbours of each texel, and its own number in the last
+            ones where it has fewer than K. Symmetric: i is around j if, and only if, j is around i.
         seams: number of pairs that lie across a seam.
     """
 
@@ -71,6 +71,32 @@ def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
     inside = np.concatenate([right, down])
     across = _across_seams(surface, right, down)
     return _gather(np.concatenate([inside, across]), texels.count, len(across))
+
+
+def over_neighbors(
+    around: Sequence[Any], texel: Any, add: Callable[[Any, Any], Any], state: Any
+) -> Any:
+    """Fold over the neighbours of texels, within a kernel.
+
+    Few texels have more than four, along seams: packets of which none has go no further.
+
+    Args:
+        around: columns (T,) UInt32, of ``Neighbors``.
+        texel: UInt32, of the launch.
+        add: ``add(other, state)`` returns the new state.
+        state: Dr.Jit arrays.
+    """
+    if not around:
+        return state
+    other = dr.gather(mi.UInt32, around[0], texel)
+
+    def more(state: Any) -> tuple[Any]:
+        return (over_neighbors(around[1:], texel, add, add(other, state)),)
+
+    (found,) = dr.if_stmt(
+        args=(state,), cond=other != texel, true_fn=more, false_fn=lambda state: (state,)
+    )
+    return found
 
 
 def grouped(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[Any, ...]:

@@ -32,7 +32,7 @@ from svu_mi.errors import OptionError
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field import clipped
 from svu_mi.recovery.field.coherent import Waves
-from svu_mi.recovery.field.smoother import Smoother, lanes
+from svu_mi.recovery.field.smoother import Smoother
 from svu_mi.recovery.textures import Textures, lay_out
 from svu_mi.settings import require_known
 from svu_mi.surface import Texels
@@ -114,14 +114,12 @@ class TextureField:
             yield self._drawn(np.random.default_rng((seed, number)))
 
     def _drawn(self, random: np.random.Generator) -> Textures:
-        count = self.texels.count
         length = dr.opaque(mi.Float, 1 / (LENGTH * self.texels.extent))
         waves = Waves.draw(len(self.deviation), random).at(self.texels.position * length)
         together = np.sqrt(self.common) * self._coherent * self._mixed(np.array(waves))
         forces = self._mixed(random.standard_normal(self.deviation.shape, np.float32))
-        right = lanes(forces / self.deviation)
-        alone = np.array(self.smoother.solve(right + self.smoother.pulls(random)), np.float64)
-        away = together + np.sqrt(1 - self.common) * alone.reshape(-1, count)
+        right = forces / self.deviation + self.smoother.pulls(random)
+        away = together + np.sqrt(1 - self.common) * self.smoother.solve(right)
         away *= self._raised / np.maximum(self._own_sd, TINY)
         values = self.values + away
         values[:3] += values[:3] * self.scale[:, None] * random.standard_normal((3, 1))
@@ -143,11 +141,10 @@ class TextureField:
     @cached_property
     def _coherent(self) -> np.ndarray:
         """c, (N, T)."""
-        left = _solved(self.smoother, 1 / self.deviation)
-        links = np.array(self.smoother.diagonal - self.smoother.precision, np.float64)
-        links = np.median(links.reshape(self.deviation.shape), axis=1, keepdims=True)
+        left = self.smoother.solve(1 / self.deviation)
+        links = np.median(self.smoother.links, axis=1, keepdims=True)
         d = np.broadcast_to(np.maximum(NARROW * links, TINY), self.deviation.shape)
-        apart = _solved(self.smoother.with_precision(d), d * np.abs(self.values - self.own))
+        apart = self.smoother.with_precision(d).solve(d * np.abs(self.values - self.own))
         return np.sqrt(left**2 + APART * np.maximum(apart, 0) ** 2)
 
     @cached_property
@@ -189,10 +186,10 @@ class TextureField:
     def _variance(self) -> np.ndarray:
         """The diagonal of (D + K)^-1, (N, T), as it is where all neighbours are alike: that of
         a random walk on the square lattice that is killed at the rate of D [Economou 2006]."""
-        whole = np.array(self.smoother.diagonal, np.float64)
-        stays = 1 - np.array(self.smoother.precision, np.float64) / whole
-        found: np.ndarray = 2 / np.pi * ellipk(np.clip(stays, 0, 1) ** 2) / whole
-        return found.reshape(self.deviation.shape)
+        links = self.smoother.links
+        whole = self.smoother.precision + links
+        found: np.ndarray = 2 / np.pi * ellipk((links / whole) ** 2) / whole
+        return found
 
     @staticmethod
     def rows(name: str) -> slice:
@@ -212,8 +209,3 @@ class TextureField:
 
     def _laid_out(self, name: str, values: np.ndarray) -> np.ndarray:
         return values.T if CHANNELS[name] > 1 else values[0]
-
-
-def _solved(smoother: Smoother, right: np.ndarray) -> np.ndarray:
-    """Solve for (N, T) float64."""
-    return np.array(smoother.solve(lanes(right)), np.float64).reshape(right.shape)

@@ -9,9 +9,8 @@ of every pair of neighbours, strong where they are alike, weak across an edge.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -19,35 +18,41 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
+from svu_mi.surface.neighbors import over_neighbors
 
 TOLERANCE = 1e-3  # of the residual, relative to the right-hand side's
 LOOK = 8  # iterations between looks at it
 MOST = 400
 CLOSE, LONG = 5e-3, 1000  # the same of what is filled in, relative to the residual at first
+QUAD = 4  # values that a kernel reads and writes at once
 
 
 @dataclass(frozen=True)
 class Smoother:
     """D + K of N fields over T texels, which do not know of each other.
 
-    Lanes are texels of the first field, then of the second, and so on.
+    Fields go side by side, in Q groups of four, of which the last is padded: vectors are Floats
+    (4 Q T,), of a texel all fields, then those of the next. A kernel then finds all that belongs to
+    a neighbour in one place.
 
     Attributes:
-        precision: (N T,) Float, the diagonal of D, positive.
-        values: (N T,) Float, x0.
+        fields: N.
         around: K columns (T,) UInt32: numbers of the neighbours of every texel, its own where it
             has fewer than K.
         strength, epsilon: opaque Floats, of the links.
-        diagonal: (N T,) Float, of D + K.
-        blind: (N T,) Bool, lanes of whose values links must not know: theirs are as strong as any;
+        own: vector, the diagonal of D, positive.
+        start: vector, x0.
+        diagonal: vector, of D + K.
+        blind: (T,) Bool, texels of whose values links must not know: theirs are as strong as any;
             None for none.
     """
 
-    precision: Any
-    values: Any
+    fields: int
     around: Sequence[Any]
     strength: Any
     epsilon: Any
+    own: Any
+    start: Any
     diagonal: Any
     blind: Any | None = None
 
@@ -65,9 +70,9 @@ class Smoother:
             strength: lambda.
             epsilon: differences far below it do not make a link any stronger.
         """
-        given, middle = lanes(precision), lanes(values)
+        own, start = _vector(precision, 1), _vector(values)
         links = dr.opaque(mi.Float, strength), dr.opaque(mi.Float, epsilon)
-        return Smoother(given, middle, tuple(around), *links, given)._completed()
+        return Smoother(len(values), tuple(around), *links, own, start, own)._completed()
 
     def with_precision(
         self, precision: np.ndarray, values: np.ndarray | None = None,
@@ -80,11 +85,9 @@ class Smoother:
             values: (N, T), that links depend on; by default, those that they do.
             blind: (T,) bool, texels whose values they must not know.
         """
-        given, hidden = lanes(precision), None
-        middle = self.values if values is None else lanes(values)
-        if blind is not None:
-            hidden = owned(mi.Bool, np.tile(blind, len(precision)))
-        return replace(self, precision=given, values=middle, blind=hidden)._completed()
+        start = self.start if values is None else _vector(values)
+        hidden = None if blind is None else owned(mi.Bool, blind)
+        return replace(self, own=_vector(precision, 1), start=start, blind=hidden)._completed()
 
     def halved(
         self, around: Sequence[Any], precision: np.ndarray, values: np.ndarray
@@ -102,62 +105,30 @@ class Smoother:
         links = replace(self, around=tuple(around), strength=strength, epsilon=epsilon, blind=None)
         return links.with_precision(precision, values)
 
-    def _completed(self) -> Smoother:
-        """Return the same with its diagonal."""
-        diagonal = self.precision + sum(weight for _, weight in self._links())
-        dr.eval(diagonal)
-        return replace(self, diagonal=diagonal)
+    @property
+    def precision(self) -> np.ndarray:
+        """The diagonal of D, (N, T) float64."""
+        return self._table(self.own)
 
-    def _others(self) -> Iterator[Any]:
-        """Yield the lane of a neighbour of every lane, its own for none."""
-        first = dr.arange(mi.UInt32, dr.width(self.values)) - self._texel
-        for column in self.around:
-            yield first + dr.gather(mi.UInt32, column, self._texel)
+    @property
+    def links(self) -> np.ndarray:
+        """The diagonal of K, the sum of every texel's links, (N, T) float64."""
+        return self._table(self.diagonal - self.own)
 
-    def _links(self) -> Iterator[tuple[Any, Any]]:
-        """Yield the lane of a neighbour of every lane, and the weight of the link, 0 for none."""
-        lane = dr.arange(mi.UInt32, dr.width(self.values))
-        for other in self._others():
-            yield other, dr.select(other == lane, 0, self._weight(other))
-
-    def _weight(self, other: Any) -> Any:
-        """Return the weight of the link from every lane to another."""
-        apart = self.values - dr.gather(mi.Float, self.values, other)
-        if self.blind is not None:
-            apart = dr.select(self.blind | dr.gather(mi.Bool, self.blind, other), 0, apart)
-        return self.strength * dr.rsqrt(dr.fma(apart, apart, dr.square(self.epsilon)))
-
-    @cached_property
-    def _texel(self) -> Any:
-        """(N T,) UInt32, which texel a lane is; kept, as divisions take as long as the rest."""
-        count = dr.opaque(mi.UInt32, dr.width(self.around[0])) if self.around else 1
-        texel = dr.arange(mi.UInt32, dr.width(self.values)) % count
-        dr.eval(texel)
-        return texel
-
-    def __matmul__(self, x: Any) -> Any:
-        """Return (D + K) x."""
-        lane, total = dr.arange(mi.UInt32, dr.width(self.values)), self.diagonal * x
-        for other in self._others():
-
-            def pulled(total: Any, other: Any = other) -> tuple[Any]:
-                return (dr.fma(-self._weight(other), dr.gather(mi.Float, x, other), total),)
-
-            # Only along seams are there more than four; whole packets skip the rest.
-            (total,) = dr.if_stmt(
-                args=(total,), cond=other != lane, true_fn=pulled, false_fn=lambda total: (total,)
-            )
-        return total
-
-    def solve(self, right: Any) -> Any:
+    def solve(self, right: np.ndarray) -> np.ndarray:
         """Return x with (D + K) x = right, by conjugate gradients [Hestenes and Stiefel 1952].
 
         Args:
-            right: (N T,) Float.
+            right: (N, T).
+
+        Returns:
+            (N, T) float64.
         """
-        x = right / self.diagonal
-        goal = TOLERANCE**2 * dr.sum(dr.square(right) / self.diagonal)
-        return self._descend(x, right - self @ x, mi.Float(1), goal, MOST)
+        wanted = _vector(right)
+        x = wanted / self.diagonal
+        goal = TOLERANCE**2 * dr.sum(dr.square(wanted) / self.diagonal)
+        dr.eval(x)
+        return self._table(self._descend(x, wanted - self @ x, mi.Float(1), goal, MOST))
 
     def fill(self, right: np.ndarray, start: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Return x with (D + K) x = right at some texels, and what it was at all others, (N, T).
@@ -167,11 +138,79 @@ class Smoother:
             start: (N, T), x to begin with.
             free: (T,) bool, where x is looked for.
         """
-        x, wanted = lanes(start), lanes(np.tile(free, (len(start), 1)))
-        rest = wanted * (lanes(right) - self @ x)
+        x, wanted = _vector(start), _vector(np.tile(free, (len(start), 1)))
+        rest = wanted * (_vector(right) - self @ x)
         goal = CLOSE**2 * dr.sum(dr.square(rest) / self.diagonal)
-        found = self._descend(x, rest, wanted, goal, LONG)
-        return np.array(found, np.float64).reshape(start.shape)
+        return self._table(self._descend(x, rest, wanted, goal, LONG))
+
+    def pulls(self, random: np.random.Generator) -> np.ndarray:
+        """Draw from a normal distribution of covariance K, (N, T) float64: every link pulls at both
+        of its ends with a force of its own."""
+        seed = dr.opaque(mi.UInt64, int(random.integers(2**63)))
+        texel, group, start = self._places()
+        count = dr.opaque(mi.UInt32, self._count)
+        total = mi.Vector4f(0)
+        for column in self.around:
+            other = dr.gather(mi.UInt32, column, texel)
+            weight = self._weight(start, (texel, other, group))
+            force = mi.Vector4f()
+            for k in range(QUAD):
+                field = (group * QUAD + k) * count
+                first, second = field + dr.minimum(texel, other), field + dr.maximum(texel, other)
+                force[k] = _normal(seed, (mi.UInt64(first) << 32) | mi.UInt64(second))
+            sign = dr.select(texel < other, mi.Float(1), mi.Float(-1))
+            pull = dr.sqrt(weight) * (sign * force)
+            total = dr.select(other != texel, total + pull, total)
+        return self._table(_written(total))
+
+    def __matmul__(self, x: Any) -> Any:
+        """Return (D + K) x of a vector that is evaluated."""
+        texel, group, start = self._places()
+        lane = texel * self._groups + group
+        total = dr.gather(mi.Vector4f, self.diagonal, lane) * dr.gather(mi.Vector4f, x, lane)
+
+        def pulled(other: Any, total: Any) -> Any:
+            there = dr.gather(mi.Vector4f, x, other * self._groups + group)
+            return dr.fma(-self._weight(start, (texel, other, group)), there, total)
+
+        total = over_neighbors(self.around, texel, pulled, total)
+        return _written(total)
+
+    def _completed(self) -> Smoother:
+        """Return the same with its diagonal."""
+        texel, group, start = self._places()
+        total = dr.gather(mi.Vector4f, self.own, texel * self._groups + group)
+        for column in self.around:
+            other = dr.gather(mi.UInt32, column, texel)
+            weight = self._weight(start, (texel, other, group))
+            total += dr.select(other != texel, weight, 0)
+        return replace(self, diagonal=_written(total))
+
+    @property
+    def _groups(self) -> int:
+        """Q."""
+        return -(-self.fields // QUAD)
+
+    @property
+    def _count(self) -> int:
+        """T."""
+        return int(dr.width(self.own)) // (QUAD * self._groups)
+
+    def _places(self) -> tuple[Any, Any, Any]:
+        """Return which texel and which group of fields lanes are of, UInt32; and x0 there."""
+        lane = dr.arange(mi.UInt32, self._count * self._groups)
+        texel = lane // self._groups
+        return texel, lane - texel * self._groups, dr.gather(mi.Vector4f, self.start, lane)
+
+    def _weight(self, start: Any, link: tuple[Any, Any, Any]) -> Any:
+        """Return the weights of links between texels whose x0 is known and others, of a group of
+        fields: a Vector4f of three UInt32."""
+        texel, other, group = link
+        apart = start - dr.gather(mi.Vector4f, self.start, other * self._groups + group)
+        if self.blind is not None:
+            hidden = dr.gather(mi.Bool, self.blind, texel) | dr.gather(mi.Bool, self.blind, other)
+            apart = dr.select(hidden, 0, apart)
+        return self.strength * dr.rsqrt(dr.fma(apart, apart, dr.square(self.epsilon)))
 
     def _descend(self, x: Any, rest: Any, free: Any, goal: Any, most: int) -> Any:
         step = rest / self.diagonal
@@ -196,24 +235,26 @@ class Smoother:
         dr.eval(step)
         return x, rest, step, new
 
-    def pulls(self, random: np.random.Generator) -> Any:
-        """Draw from a normal distribution of covariance K, (N T,) Float: every link pulls at both
-        of its ends with a force of its own."""
-        total = dr.zeros(mi.Float, dr.width(self.diagonal))
-        lane = dr.arange(mi.UInt32, dr.width(self.diagonal))
-        seed = dr.opaque(mi.UInt64, int(random.integers(2**63)))
-        for other, weight in self._links():
-            first, second = dr.minimum(lane, other), dr.maximum(lane, other)
-            force = _normal(seed, (mi.UInt64(first) << 32) | mi.UInt64(second))
-            sign = dr.select(lane < other, mi.Float(1), mi.Float(-1))
-            total = dr.fma(dr.sqrt(weight) * sign, force, total)
-        dr.eval(total)
-        return total
+    def _table(self, vector: Any) -> np.ndarray:
+        """Return a vector as (N, T) float64."""
+        rows = np.array(vector, np.float64).reshape(-1, QUAD * self._groups)
+        return np.ascontiguousarray(rows.T[: self.fields])
 
 
-def lanes(values: np.ndarray) -> Any:
-    """Return (N, T) values as (N T,) Float."""
-    return owned(mi.Float, values.ravel().astype(np.float32))
+def _vector(table: np.ndarray, beyond: float = 0) -> Any:
+    """Return values (N, T) as a vector, padded by others."""
+    padding = -len(table) % QUAD
+    rows = np.pad(table.astype(np.float32), ((0, padding), (0, 0)), constant_values=beyond)
+    return owned(mi.Float, rows.T.ravel())
+
+
+def _written(fours: Any) -> Any:
+    """Return groups of four as a vector, evaluated."""
+    vector = dr.empty(mi.Float, QUAD * dr.width(fours))
+    lane = dr.arange(mi.UInt32, dr.width(fours))
+    dr.scatter(vector, fours, lane, mode=dr.ReduceMode.NoConflicts)
+    dr.eval(vector)
+    return vector
 
 
 def _normal(seed: Any, number: Any) -> Any:
