@@ -1,4 +1,4 @@
-"""A second thread for Dr.Jit where a process may use one core only.
+"""Dr.Jit's workers: a second one where a process may use one core only, and work in even parts.
 
 Mitsuba has Dr.Jit's workers decode EXR files and load scenes, and waits for them: for ever where
 there are none, which is what Dr.Jit begins with on one core.
@@ -6,11 +6,16 @@ there are none, which is what Dr.Jit begins with on one core.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 from contextlib import suppress
+from pathlib import Path
 
 from svu_mi.limits import FEWEST_THREADS
+
+PART = 2**11  # lanes of a launch that a worker takes at a time; 2^14 are Dr.Jit's own
+SET_PART = "_Z23jit_llvm_set_block_sizej"  # a function of C++, which Python has no name for
 
 
 def bootstrap() -> None:
@@ -21,6 +26,18 @@ def bootstrap() -> None:
         import drjit as dr
 
         dr.set_thread_count(max(dr.thread_count(), FEWEST_THREADS))
+
+
+def take_small_parts() -> None:
+    """Let workers take small parts of a launch, so that all of them end at about the same time:
+    texels do not take equally long. A Dr.Jit that is not known here stays as it is."""
+    import drjit as dr
+
+    with suppress(OSError, AttributeError):  # no such library or function
+        core = ctypes.CDLL(str(Path(dr.__file__).with_name("libdrjit-core.so")))
+        change = getattr(core, SET_PART)
+        change.restype, change.argtypes = None, [ctypes.c_uint]
+        change(PART)
 
 
 def _cores() -> int:

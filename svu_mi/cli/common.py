@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from svu_mi import _llvm
+from svu_mi import _llvm, _workers
 from svu_mi.cli.process import importing
 from svu_mi.errors import OptionError, SvuEnvironmentError, excerpt
 from svu_mi.limits import FEWEST_THREADS
@@ -76,6 +76,7 @@ class Common:
         if self.threads == 1:
             log.warning(f"--threads 1: {FEWEST_THREADS} are used, which Mitsuba needs to read EXR.")
         dr.set_thread_count(max(wanted, FEWEST_THREADS))
+        _workers.take_small_parts()
         mi.set_log_level(mi.LogLevel.Info if self.verbose else mi.LogLevel.Error)
 
     def _set_variant(self) -> None:

@@ -67,10 +67,8 @@ def filter_light(
         environment = lighting.environment
         grid = resolved(environment) if disk else environment.radiance
         grid = grid.mean(axis=2, keepdims=True) if grey else grid
-        # NumPy lets go of the interpreter in what takes long; each thread holds copies of the map.
-        with ThreadPoolExecutor(max(1, dr.thread_count())) as pool:
-            maps = pool.map(lambda key: convolve(grid, key[0], partial(profile, key[0])), missing)
-            kept.update(zip(missing, map(lat_long_texture, maps), strict=True))
+        for key in missing:
+            kept[key] = lat_long_texture(convolve(grid, key[0], partial(profile, key[0])))
     return Levels(textures=tuple(kept[key] for key in keys), to_local=lighting.to_local)
 
 
@@ -120,7 +118,8 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
     spectrum = np.fft.rfft(flux, axis=1)
     reach = _reach(profile, rows)
     result = np.empty_like(flux)
-    for i in range((rows + 1) // 2):
+
+    def filter_rows(i: int) -> None:
         near = slice(max(i - reach, 0), i + reach + 1)
         cosine = np.cos(theta[i]) * np.cos(theta[near, None]) + (
             np.sin(theta[i]) * np.sin(theta[near, None]) * turn
@@ -134,6 +133,10 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
         for row, seen in ((i, spectrum), (rows - 1 - i, spectrum[::-1])):
             summed = np.einsum("jm,jmc->mc", wave, seen[near])
             result[row] = np.fft.irfft(summed, n=columns, axis=0)
+
+    # NumPy lets go of the interpreter in what takes long.
+    with ThreadPoolExecutor(max(1, dr.thread_count())) as pool:
+        list(pool.map(filter_rows, range((rows + 1) // 2)))
     # FFT rounding can leave black a hair below zero, a lobe that is negative somewhere more.
     return np.maximum(result if even else result[..., :-1] / result[..., -1:], 0)
 
