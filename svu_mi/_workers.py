@@ -14,7 +14,7 @@ from pathlib import Path
 
 from svu_mi.limits import FEWEST_THREADS
 
-PART = 2**11  # lanes of a launch that a worker takes at a time; 2^14 are Dr.Jit's own
+PART = 2**12  # lanes of a launch that a worker takes at a time; 2^14 are Dr.Jit's own
 SET_PART = "_Z23jit_llvm_set_block_sizej"  # a function of C++, which Python has no name for
 
 

@@ -86,7 +86,7 @@ class Samples:
 def _sees_sky(scene: Any, points: Points, mirror: np.ndarray, asked: np.ndarray) -> np.ndarray:
     """Return which of (V, N) samples mirror the light itself, not the object."""
     view, point = np.nonzero(asked)
-    surface = points.surface(point.astype(np.uint32))
+    surface = points.surface(owned(mi.UInt32, point.astype(np.uint32)))
     direction = owned(mi.Vector3f, mirror[view, point].T.astype(np.float32))
     above = dr.dot(surface.geometric_normal, direction) > 0
     free = np.zeros(asked.shape, bool)

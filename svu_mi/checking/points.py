@@ -39,14 +39,16 @@ class Points:
     uv: np.ndarray | None
     offset: float
 
-    def surface(self, index: np.ndarray) -> Surface:
-        """Return some of the points, (M,) by their numbers, as the lanes of a kernel."""
+    def surface(self, index: Any) -> Surface:
+        """Return some of the points, UInt32 (M,) by their numbers, as the lanes of a kernel."""
+
+        def of(kind: Any, values: np.ndarray) -> Any:
+            return dr.gather(kind, owned(mi.Float, values.astype(np.float32).ravel()), index)
+
         return Surface(
-            position=owned(mi.Point3f, self.position[index].T.astype(np.float32)),
-            normal=owned(mi.Normal3f, self.normal[index].T.astype(np.float32)),
-            geometric_normal=owned(mi.Normal3f, self.facing[index].T.astype(np.float32)),
-            offset=dr.opaque(mi.Float, self.offset),
-        )
+            position=of(mi.Point3f, self.position), normal=of(mi.Normal3f, self.normal),
+            geometric_normal=of(mi.Normal3f, self.facing), offset=dr.opaque(mi.Float, self.offset),
+        )  # fmt: skip
 
 
 def scatter_points(mesh: Any, count: int = COUNT) -> Points:
@@ -97,9 +99,9 @@ def look(points: Points, frames: Frames) -> Sightings:
         frames: V photographs; their poses are relative to the mesh as it is in the scene.
     """
     shape = frames.views.number, len(points.position)
-    view, point = np.indices(shape, np.uint32).reshape(2, -1)
+    view, point = _pairs(shape)
     surface = points.surface(point)
-    found = observe(frames.views, surface, owned(mi.UInt32, view))
+    found = observe(frames.views, surface, view)
     facing = dr.minimum(found.cosine, dr.dot(surface.geometric_normal, found.direction)) > FACING
     seen = found.seen & facing
     return Sightings(
@@ -121,10 +123,18 @@ def open_cosines(scene: Any, points: Points, directions: np.ndarray) -> np.ndarr
         (N, K) float32 cosines at which light arrives, 0 where hidden.
     """
     shape = len(points.position), len(directions)
-    point, cell = np.indices(shape, np.uint32).reshape(2, -1)
+    point, cell = _pairs(shape)
     surface = points.surface(point)
-    direction = owned(mi.Vector3f, directions[cell].T.astype(np.float32))
+    toward = owned(mi.Float, directions.astype(np.float32).ravel())
+    direction = dr.gather(mi.Vector3f, toward, cell)
     cosine = dr.dot(surface.normal, direction)
     above = (cosine > 0) & (dr.dot(surface.geometric_normal, direction) > 0)
     free = is_open(scene, surface, direction, above, coherent=False)
     return dr.select(free, cosine, 0).numpy().reshape(shape)
+
+
+def _pairs(shape: tuple[int, int]) -> tuple[Any, Any]:
+    """Return row and column of every place of a table, UInt32."""
+    place, width = dr.arange(mi.UInt32, shape[0] * shape[1]), dr.opaque(mi.UInt32, shape[1])
+    row = place // width
+    return row, place - row * width

@@ -11,9 +11,10 @@ import numpy as np
 
 from svu_mi.errors import OptionError
 from svu_mi.interop import owned
+from svu_mi.parameters import CHANNELS
 from svu_mi.regularization.gradients import Regularizer, sign
 from svu_mi.surface import Texels
-from svu_mi.surface.neighbors import Neighbors, over_neighbors
+from svu_mi.surface.neighbors import Neighbors, over_neighbors, spread
 
 EPSILON = 1e-2  # in units of the parameters, all in [0, 1]
 
@@ -51,7 +52,7 @@ class TotalVariation(Regularizer):
     texels: Texels
     mesh: Any | None = None
     epsilon: float = field(default=EPSILON, kw_only=True)
-    _around: tuple[Any, ...] = field(init=False, repr=False, compare=False)
+    _around: dict[int, tuple[Any, ...]] = field(init=False, repr=False, compare=False)
     _scale: Any = field(init=False, repr=False, compare=False)
     _epsilon: Any = field(init=False, repr=False, compare=False)
 
@@ -60,7 +61,8 @@ class TotalVariation(Regularizer):
             raise OptionError(f"TotalVariation: epsilon must be at least 0, got {self.epsilon}.")
         around, pairs = _table(self.texels, self._neighbors(self.mesh))
         columns = tuple(owned(mi.UInt32, column) for column in around)
-        object.__setattr__(self, "_around", columns)
+        of_channels = {number: spread(columns, number) for number in {1, *CHANNELS.values()}}
+        object.__setattr__(self, "_around", of_channels)
         object.__setattr__(self, "_scale", dr.opaque(mi.Float, 1 / max(pairs, 1)))
         object.__setattr__(self, "_epsilon", dr.opaque(mi.Float, self.epsilon))
 
@@ -69,17 +71,14 @@ class TotalVariation(Regularizer):
 
     def _of(self, values: Any, channels: int) -> tuple[Any, Any]:
         """Value and gradient; every lane, a texel's channel, only reads from its neighbours."""
-        lane = dr.arange(mi.UInt32, dr.width(values))
-        texel = lane // channels
-        channel = lane - texel * channels
 
         def add(other: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
-            there = dr.gather(mi.Float, values, other * channels + channel)
-            size, slope = self._absolute(values - there)
+            size, slope = self._absolute(values - dr.gather(mi.Float, values, other))
             return state[0] + size, state[1] + slope
 
         # A texel without a neighbour may hold anything, NaN included.
-        total, gradient = over_neighbors(self._around, texel, add, (mi.Float(0), mi.Float(0)))
+        around = self._around.get(channels) or spread(self._around[1], channels)
+        total, gradient = over_neighbors(around, add, (mi.Float(0), mi.Float(0)))
         gradient *= self._scale
         dr.eval(total, gradient)
         return dr.sum(total) * (0.5 * self._scale), gradient  # every pair was seen from both ends

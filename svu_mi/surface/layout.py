@@ -243,7 +243,7 @@ def _face_normals(source: MeshArrays) -> tuple[np.ndarray, np.ndarray]:
 def _morton(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Interleave the bits of x and y: neighbours in the order are neighbours in the map."""
     code = np.zeros(x.shape, np.int64)
-    for bit in range(MAX_RESOLUTION.bit_length()):
+    for bit in range(int(max(x.max(initial=0), y.max(initial=0))).bit_length()):
         code |= ((x >> bit) & 1) << (2 * bit) | ((y >> bit) & 1) << (2 * bit + 1)
     return code
 
@@ -330,9 +330,12 @@ def _interpolate(
         normal = np.where(length > 1e-6, smooth / np.maximum(length, 1e-6), geometric)
     side = np.sign(np.einsum("ti,ti->t", geometric, normal))
     edges = corner_uv[:, 1:] - corner_uv[:, :1]
-    uv_area = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]) / 2
+    (a, b), (c, d) = np.moveaxis(edges, 0, 2)
+    determinant = a * d - b * c
+    uv_area = np.abs(determinant) / 2
     # Position is linear in uv within a face: edges = sides of the unit square times uv edges.
-    along = np.linalg.solve(edges, corner[:, 1:] - corner[:, :1])  # (T, u or v, xyz)
+    inverse = np.array([[d, -b], [-c, a]]) / determinant
+    along = np.einsum("ijt,tjk->tik", inverse, corner[:, 1:] - corner[:, :1])  # u or v, xyz
     room.position[:] = np.einsum("tk,tki->ti", weights, corner).T
     room.normal[:] = normal.T
     room.geometric_normal[:] = (geometric * np.where(side == 0, 1, side)[:, None]).T

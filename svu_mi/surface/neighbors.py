@@ -73,28 +73,46 @@ def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
     return _gather(np.concatenate([inside, across]), texels.count, len(across))
 
 
-def over_neighbors(
-    around: Sequence[Any], texel: Any, add: Callable[[Any, Any], Any], state: Any
-) -> Any:
-    """Fold over the neighbours of texels, within a kernel.
+def spread(around: Sequence[Any], size: int) -> tuple[Any, ...]:
+    """Return the neighbours of lanes, of which every texel has some.
+
+    Args:
+        around: columns (T,) UInt32, of ``Neighbors``.
+        size: how many lanes a texel has, one after the other.
+
+    Returns:
+        Columns (T * size,) UInt32: the same lane of the neighbours.
+    """
+    if size == 1:
+        return tuple(around)
+    columns = []
+    for column in around:
+        lane = dr.arange(mi.UInt32, dr.width(column) * size)
+        texel = lane // size
+        columns.append(dr.gather(mi.UInt32, column, texel) * size + (lane - texel * size))
+    dr.eval(columns)
+    return tuple(columns)
+
+
+def over_neighbors(around: Sequence[Any], add: Callable[[Any, Any], Any], state: Any) -> Any:
+    """Fold over the neighbours of all texels, or lanes, within a kernel.
 
     Few texels have more than four, along seams: packets of which none has go no further.
 
     Args:
-        around: columns (T,) UInt32, of ``Neighbors``.
-        texel: UInt32, of the launch.
+        around: columns (T,) UInt32, of ``Neighbors``, or of ``spread``.
         add: ``add(other, state)`` returns the new state.
-        state: Dr.Jit arrays.
+        state: Dr.Jit arrays (T,).
     """
     if not around:
         return state
-    other = dr.gather(mi.UInt32, around[0], texel)
+    other, own = around[0], dr.arange(mi.UInt32, dr.width(around[0]))
 
-    def more(state: Any) -> tuple[Any]:
-        return (over_neighbors(around[1:], texel, add, add(other, state)),)
+    def more(state: Any, other: Any) -> tuple[Any]:
+        return (over_neighbors(around[1:], add, add(other, state)),)
 
     (found,) = dr.if_stmt(
-        args=(state,), cond=other != texel, true_fn=more, false_fn=lambda state: (state,)
+        args=(state, other), cond=other != own, true_fn=more, false_fn=lambda state, _: (state,)
     )
     return found
 

@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
-from svu_mi.surface.neighbors import over_neighbors
+from svu_mi.surface.neighbors import over_neighbors, spread
 
 TOLERANCE = 1e-3  # of the residual, relative to the right-hand side's
 LOOK = 8  # iterations between looks at it
@@ -37,8 +37,8 @@ class Smoother:
 
     Attributes:
         fields: N.
-        around: K columns (T,) UInt32: numbers of the neighbours of every texel, its own where it
-            has fewer than K.
+        around: K columns (T,) UInt32: numbers of the neighbours of every texel (``Neighbors``).
+        lanes: the same of lanes, which are groups of texels.
         strength, epsilon: opaque Floats, of the links.
         own: vector, the diagonal of D, positive.
         start: vector, x0.
@@ -49,6 +49,7 @@ class Smoother:
 
     fields: int
     around: Sequence[Any]
+    lanes: Sequence[Any]
     strength: Any
     epsilon: Any
     own: Any
@@ -72,7 +73,8 @@ class Smoother:
         """
         own, start = _vector(precision, 1), _vector(values)
         links = dr.opaque(mi.Float, strength), dr.opaque(mi.Float, epsilon)
-        return Smoother(len(values), tuple(around), *links, own, start, own)._completed()
+        lanes = spread(around, _groups(len(values)))
+        return Smoother(len(values), tuple(around), lanes, *links, own, start, own)._completed()
 
     def with_precision(
         self, precision: np.ndarray, values: np.ndarray | None = None,
@@ -102,7 +104,10 @@ class Smoother:
         """
         strength, epsilon = 2 * self.strength, 2 * self.epsilon
         dr.eval(strength, epsilon)
-        links = replace(self, around=tuple(around), strength=strength, epsilon=epsilon, blind=None)
+        links = replace(
+            self, around=tuple(around), lanes=spread(around, _groups(self.fields)),
+            strength=strength, epsilon=epsilon, blind=None,
+        )  # fmt: skip
         return links.with_precision(precision, values)
 
     @property
@@ -147,69 +152,50 @@ class Smoother:
         """Draw from a normal distribution of covariance K, (N, T) float64: every link pulls at both
         of its ends with a force of its own."""
         seed = dr.opaque(mi.UInt64, int(random.integers(2**63)))
-        texel, group, start = self._places()
-        count = dr.opaque(mi.UInt32, self._count)
-        total = mi.Vector4f(0)
-        for column in self.around:
-            other = dr.gather(mi.UInt32, column, texel)
-            weight = self._weight(start, (texel, other, group))
-            force = mi.Vector4f()
+        groups, count = _groups(self.fields), dr.opaque(mi.UInt32, dr.width(self.around[0]))
+        lane = dr.arange(mi.UInt32, dr.width(self.lanes[0]))
+        texel, total = lane // groups, mi.Vector4f(0)
+        for column in self.lanes:
+            other, force = column // groups, mi.Vector4f()
             for k in range(QUAD):
-                field = (group * QUAD + k) * count
+                field = ((lane - texel * groups) * QUAD + k) * count
                 first, second = field + dr.minimum(texel, other), field + dr.maximum(texel, other)
                 force[k] = _normal(seed, (mi.UInt64(first) << 32) | mi.UInt64(second))
             sign = dr.select(texel < other, mi.Float(1), mi.Float(-1))
-            pull = dr.sqrt(weight) * (sign * force)
+            pull = dr.sqrt(self._weight(column)) * (sign * force)
             total = dr.select(other != texel, total + pull, total)
         return self._table(_written(total))
 
     def __matmul__(self, x: Any) -> Any:
         """Return (D + K) x of a vector that is evaluated."""
-        texel, group, start = self._places()
-        lane = texel * self._groups + group
-        total = dr.gather(mi.Vector4f, self.diagonal, lane) * dr.gather(mi.Vector4f, x, lane)
 
         def pulled(other: Any, total: Any) -> Any:
-            there = dr.gather(mi.Vector4f, x, other * self._groups + group)
-            return dr.fma(-self._weight(start, (texel, other, group)), there, total)
+            return dr.fma(-self._weight(other), dr.gather(mi.Vector4f, x, other), total)
 
-        total = over_neighbors(self.around, texel, pulled, total)
-        return _written(total)
+        total = self._read(self.diagonal) * self._read(x)
+        return _written(over_neighbors(self.lanes, pulled, total))
 
     def _completed(self) -> Smoother:
         """Return the same with its diagonal."""
-        texel, group, start = self._places()
-        total = dr.gather(mi.Vector4f, self.own, texel * self._groups + group)
-        for column in self.around:
-            other = dr.gather(mi.UInt32, column, texel)
-            weight = self._weight(start, (texel, other, group))
-            total += dr.select(other != texel, weight, 0)
-        return replace(self, diagonal=_written(total))
 
-    @property
-    def _groups(self) -> int:
-        """Q."""
-        return -(-self.fields // QUAD)
+        def added(other: Any, total: Any) -> Any:
+            return total + self._weight(other)
 
-    @property
-    def _count(self) -> int:
-        """T."""
-        return int(dr.width(self.own)) // (QUAD * self._groups)
+        return replace(
+            self, diagonal=_written(over_neighbors(self.lanes, added, self._read(self.own)))
+        )
 
-    def _places(self) -> tuple[Any, Any, Any]:
-        """Return which texel and which group of fields lanes are of, UInt32; and x0 there."""
-        lane = dr.arange(mi.UInt32, self._count * self._groups)
-        texel = lane // self._groups
-        return texel, lane - texel * self._groups, dr.gather(mi.Vector4f, self.start, lane)
+    def _read(self, vector: Any) -> Any:
+        """Return the values of all lanes, Vector4f."""
+        return dr.gather(mi.Vector4f, vector, dr.arange(mi.UInt32, dr.width(self.own) // QUAD))
 
-    def _weight(self, start: Any, link: tuple[Any, Any, Any]) -> Any:
-        """Return the weights of links between texels whose x0 is known and others, of a group of
-        fields: a Vector4f of three UInt32."""
-        texel, other, group = link
-        apart = start - dr.gather(mi.Vector4f, self.start, other * self._groups + group)
+    def _weight(self, other: Any) -> Any:
+        """Return the weights of the links from all lanes to others, UInt32: Vector4f."""
+        apart = self._read(self.start) - dr.gather(mi.Vector4f, self.start, other)
         if self.blind is not None:
-            hidden = dr.gather(mi.Bool, self.blind, texel) | dr.gather(mi.Bool, self.blind, other)
-            apart = dr.select(hidden, 0, apart)
+            groups, own = _groups(self.fields), dr.arange(mi.UInt32, dr.width(other))
+            hidden = [dr.gather(mi.Bool, self.blind, lane // groups) for lane in (own, other)]
+            apart = dr.select(hidden[0] | hidden[1], 0, apart)
         return self.strength * dr.rsqrt(dr.fma(apart, apart, dr.square(self.epsilon)))
 
     def _descend(self, x: Any, rest: Any, free: Any, goal: Any, most: int) -> Any:
@@ -237,8 +223,13 @@ class Smoother:
 
     def _table(self, vector: Any) -> np.ndarray:
         """Return a vector as (N, T) float64."""
-        rows = np.array(vector, np.float64).reshape(-1, QUAD * self._groups)
+        rows = np.array(vector, np.float64).reshape(-1, QUAD * _groups(self.fields))
         return np.ascontiguousarray(rows.T[: self.fields])
+
+
+def _groups(fields: int) -> int:
+    """Return how many groups of four so many fields take."""
+    return -(-fields // QUAD)
 
 
 def _vector(table: np.ndarray, beyond: float = 0) -> Any:
