@@ -38,5 +38,7 @@ def carry(loss: Any, slopes: Values, values: Values, factor: Any) -> Any:
         factor: opaque Float.
     """
     total = dr.sum(loss) * factor
-    inner = [slope * value for slope, value in zip(flat(slopes), flat(values), strict=True)]
+    nothing = dr.zeros(mi.Float, dr.width(loss))  # of what is passed on, only derivatives count
+    inner = [slope * dr.replace_grad(nothing, value)
+             for slope, value in zip(flat(slopes), flat(values), strict=True)]  # fmt: skip
     return dr.replace_grad(total, dr.sum(sum(inner)) * factor)
