@@ -28,7 +28,7 @@ from svu_mi.guidance.growing import GrowingForecast
 from svu_mi.guidance.hypotheses import Hypotheses
 from svu_mi.guidance.measures import Entropy, Variance
 from svu_mi.guidance.prospect import Prospect
-from svu_mi.guidance.responses import BLOCK, Responses
+from svu_mi.guidance.responses import QUAD, Responses, groups
 from svu_mi.guidance.spectral import SpectrumForecast
 from svu_mi.guidance.strategies import STRATEGIES, TABLE
 from svu_mi.interop import owned
@@ -44,19 +44,12 @@ PAINT = {"type": "principled", "base_color": {"type": "rgb", "value": [0.5, 0.3,
 
 
 def responses_of(table: np.ndarray) -> Responses:
-    """Responses that hold a table (V, T, K), and NaN in what nobody may read."""
-    views, count, columns = table.shape
-    padded = np.zeros((views, -(-count // BLOCK) * BLOCK, columns), np.float32)
-    padded[:, :count] = table
-    padded[padded[..., 0] == 0, 1:] = np.nan
-    blocks = padded.reshape(views, -1, BLOCK, columns).transpose(1, 0, 3, 2)
-    first, rest = (
-        owned(mi.Float, x.ravel()) for x in np.split(blocks, [1], axis=2)
-    )
-    return Responses(
-        first=first, rest=rest, views=dr.opaque(mi.UInt32, views),
-        columns=columns, count=count, lane=dr.arange(mi.UInt32, count),
-    )  # fmt: skip
+    """Responses that hold a table (V, T, K)."""
+    _, count, columns = table.shape
+    made = Responses.of(owned(mi.Float, table[..., 0].ravel()), columns, count)
+    rest = np.zeros((int((table[..., 0] > 0).sum()), QUAD * groups(columns)), np.float32)
+    rest[:, : columns - 1] = table[table[..., 0] > 0, 1:]
+    return dataclasses.replace(made, rest=owned(mi.Float, rest.ravel()))
 
 
 def posteriors(rng: np.random.Generator, count: int, cells: int) -> np.ndarray:

@@ -190,8 +190,7 @@ class _Launch:
         """What a view shows of all rows of a level: the columns of every lobe."""
         found = []
         for lobe in range(self._lobes):
-            first = 1 + 4 * (level * self._lobes + lobe)
-            found.append(columns_of(*(self._responses.read(view, first + k) for k in range(4))))
+            found.append(columns_of(*self._responses.read(view, level * self._lobes + lobe)))
         return found
 
     def errors(self, lobes: Lobes, mixed: Any, shown: Shown) -> list[Any]:

@@ -45,7 +45,7 @@ class Forecast(ABC):
     @property
     def count(self) -> int:
         """T."""
-        return self.responses.count
+        return int(self.responses.count[0])
 
     def now(self, views: np.ndarray) -> np.ndarray:
         """Return E[H] (T,) of photographs from some views; where none of them sees a texel, H of

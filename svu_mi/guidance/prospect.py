@@ -16,7 +16,7 @@ from svu_mi.guidance.forecaster import forecast_of
 from svu_mi.guidance.greedy import Greedy
 from svu_mi.guidance.measures import Variance
 from svu_mi.guidance.options import GuidanceOptions
-from svu_mi.guidance.responses import collect
+from svu_mi.guidance.responses import cosines
 from svu_mi.observed import Observed
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import CalibratedPosterior
@@ -62,10 +62,9 @@ class Prospect:
         if "forecast" in self.__dict__:
             return self.forecast.seen
         seen = self.observed
-        return collect(
-            Surface.of(seen.texels, numbers(self.texels)), (seen.views, seen.found), self._packed,
-            lambda view: [view.cosine], 1,
-        ).seen  # fmt: skip
+        surface = Surface.of(seen.texels, numbers(self.texels))
+        found = cosines(surface, (seen.views, seen.found), self._packed)
+        return np.asarray(found.numpy() > 0).reshape(-1, len(self.texels))
 
     @cached_property
     def forecast(self) -> Forecast:

@@ -17,9 +17,9 @@ import numpy as np
 
 from svu_mi.errors import OptionError
 from svu_mi.visibility import Surface, Survey, Views, over_views
-from svu_mi.visibility.observe import Observation
+from svu_mi.visibility.observe import Observation, fold, look
 
-BLOCK = 16
+QUAD = 4  # values that a kernel reads at once
 
 Respond = Callable[[Observation], list[Any]]
 """One sample per lane -> its columns, Floats, of which the first is positive."""
@@ -27,44 +27,61 @@ Respond = Callable[[Observation], list[Any]]
 
 @dataclass(frozen=True)
 class Responses:
-    """K numbers of V views per texel; memory: up to 4 K V bytes per texel.
+    """K numbers of V views per texel; memory: 8 bytes per view and texel, and 4 K per pair that
+    sees each other: to touch memory for the others would take longer than all else.
 
     Attributes:
-        first: (ceil(T / 16) V 16,) Float: for every block of 16 texels and view, one value of the
-            first column per texel, 0 where the view does not see it. A packet of lanes finds all
-            views in a few pages.
-        rest: (ceil(T / 16) V (K - 1) 16,) Float, the same of all others; whatever there was in
-            memory where the view does not see the texel, which most do not: fresh memory that
-            nobody touches costs nothing.
-        views: V, an opaque UInt32.
+        first: (V T,) Float: the first column of every view and texel, 0 where the view does not see
+            the texel.
+        slot: (V T,) UInt32, the number of a pair among those that see each other.
+        rest: (pairs Q 4,) Float: their other columns, in Q groups of four that kernels read at
+            once.
         columns: K.
-        count: T.
+        count: T, an opaque UInt32.
         lane: (L,) UInt32, which of the T texels a launch is about.
     """
 
     first: Any
+    slot: Any
     rest: Any
-    views: Any
     columns: int
-    count: int
+    count: Any
     lane: Any
+
+    @staticmethod
+    def of(first: Any, columns: int, count: int) -> Responses:
+        """Make room for the other columns of all pairs that see each other.
+
+        Args:
+            first: (V T,) Float, evaluated.
+            columns: K.
+            count: T.
+        """
+        seen = dr.select(first > 0, mi.UInt32(1), 0)
+        slot, pairs = dr.prefix_sum(seen), int(dr.sum(seen)[0])  # of those before
+        rest = dr.empty(mi.Float, pairs * QUAD * groups(columns))
+        dr.eval(slot)
+        lane = dr.arange(mi.UInt32, count)
+        return Responses(first, slot, rest, columns, dr.opaque(mi.UInt32, count), lane)
 
     @property
     def seen(self) -> np.ndarray:
         """(V, T) bool, which view sees which texel."""
-        views, count = int(self.views[0]), dr.opaque(mi.UInt32, self.count)
-        place = dr.arange(mi.UInt32, views * self.count)
-        found = self.at(place % count).sees(place // count) > 0
-        return np.array(found).reshape(views, self.count)
+        return np.asarray(self.first.numpy() > 0).reshape(-1, int(self.count[0]))
+
+    @property
+    def groups(self) -> int:
+        """Q."""
+        return groups(self.columns)
 
     def table(self) -> np.ndarray:
         """Return (V, T, K) float32."""
-        views = int(self.views[0])
-        first, rest = (
-            np.transpose(x.numpy().reshape(-1, views, k, BLOCK), (1, 0, 3, 2)).reshape(views, -1, k)
-            for x, k in ((self.first, 1), (self.rest, self.columns - 1))
-        )
-        return np.concatenate([first, np.where(first > 0, rest, 0)], axis=2)[:, : self.count]
+        seen = self.seen
+        found = np.zeros((*seen.shape, self.columns), np.float32)
+        found[..., 0] = self.first.numpy().reshape(seen.shape)
+        rest = self.rest.numpy().reshape(-1, QUAD * self.groups)
+        found[seen, 1:] = rest[:, : self.columns - 1]
+        return found
 
     def at(self, lane: Any) -> Responses:
         """Return the same, for launches about some of the texels."""
@@ -72,26 +89,29 @@ class Responses:
 
     def sees(self, view: Any) -> Any:
         """Read the first column of a view, for the lanes of a launch: Float."""
-        return dr.gather(mi.Float, self.first, self._block(view) * BLOCK + self.lane % BLOCK)
+        return dr.gather(mi.Float, self.first, view * self.count + self.lane)
 
-    def read(self, view: Any, column: Any) -> Any:
-        """Read another column of a view, from 1 on: Float, 0 where it does not see the texel."""
-        return dr.gather(mi.Float, self.rest, self._place(view, column), self.sees(view) > 0)
+    def read(self, view: Any, group: Any) -> Any:
+        """Read four other columns of a view, those from 1 + 4 ``group`` on: Vector4f, 0 where it
+        does not see the texel."""
+        place = self._slot(view) * self.groups + group
+        return dr.gather(mi.Vector4f, self.rest, place, self.sees(view) > 0)
 
     def write(self, view: Any, columns: list[Any], active: Any) -> None:
-        """Write all columns of a view, within the kernel that computes them."""
-        place = self._block(view) * BLOCK + self.lane % BLOCK
-        dr.scatter(self.first, columns[0], place, active, dr.ReduceMode.NoConflicts)
-        for column, value in enumerate(columns[1:], 1):
-            place = self._place(view, column)
-            dr.scatter(self.rest, value, place, active, dr.ReduceMode.NoConflicts)
+        """Write all columns of a view but the first, within the kernel that computes them."""
+        slot, mode = self._slot(view) * self.groups, dr.ReduceMode.NoConflicts
+        rest = columns[1:] + [mi.Float(0)] * (1 + QUAD * self.groups - len(columns))
+        for group in range(self.groups):
+            four = mi.Vector4f(*rest[QUAD * group : QUAD * (group + 1)])
+            dr.scatter(self.rest, four, slot + group, active, mode)
 
-    def _place(self, view: Any, column: Any) -> Any:
-        row = self._block(view) * (self.columns - 1) + (column - 1)
-        return row * BLOCK + self.lane % BLOCK
+    def _slot(self, view: Any) -> Any:
+        return dr.gather(mi.UInt32, self.slot, view * self.count + self.lane)
 
-    def _block(self, view: Any) -> Any:
-        return (self.lane // BLOCK) * self.views + view
+
+def groups(columns: int) -> int:
+    """Return how many groups of four all columns but the first take."""
+    return -(-(columns - 1) // QUAD)
 
 
 def collect(
@@ -110,10 +130,8 @@ def collect(
     Raises:
         OptionError: more numbers than 32-bit indices reach.
     """
-    views, found = photographed
-    number, count = views.number + candidates.number, surface.count
-    pairs = -(-count // BLOCK) * BLOCK * number
-    room = pairs * columns
+    number, count = photographed[0].number + candidates.number, surface.count
+    room = count * number * QUAD * max(groups(columns), 1)
     if room >= 2**32:
         raise OptionError(
             f"next_best_view(): {count} texels are too many for {number} views; use "
@@ -121,11 +139,10 @@ def collect(
             shell=f"{count} texels are too many for {number} views; give --texels "
             f"{count * 2**32 // room}, or fewer.",
         )
-    responses = Responses(
-        first=dr.zeros(mi.Float, pairs), rest=dr.empty(mi.Float, room - pairs),
-        views=dr.opaque(mi.UInt32, number), columns=columns, count=count, lane=surface.lane,
-    )  # fmt: skip
-    dr.eval(responses.first)
+    first = cosines(surface, photographed, candidates)
+    responses = Responses.of(first, columns, count)
+    views, found = photographed
+    before = dr.opaque(mi.UInt32, views.number)
 
     def record(seen: Observation, view: Any) -> tuple[()]:
         def write() -> tuple[()]:
@@ -134,11 +151,39 @@ def collect(
 
         return dr.if_stmt(args=(), cond=seen.seen, true_fn=write, false_fn=lambda: ())
 
-    first = dr.opaque(mi.UInt32, views.number)
+    def of_candidate(view: Any) -> tuple[Any]:
+        known = responses.sees(before + view) > 0
+        record(look(candidates, surface, view, known), before + view)
+        return (view + 1,)
+
     found.over_views(
         views, surface, lambda seen, slot: record(seen, dr.gather(mi.UInt32, found.order, slot)), ()
     )
-    dr.eval(responses.first, responses.rest)
-    over_views(candidates, surface, lambda seen, view: record(seen, first + view), ())
-    dr.eval(responses.first, responses.rest)
+    dr.eval(responses.rest)
+    fold(mi.UInt32(0), candidates.count, of_candidate)
+    dr.eval(responses.rest)
     return responses
+
+
+def cosines(
+    surface: Surface, photographed: tuple[Views, Survey], candidates: Views
+) -> Any:
+    """Return the cosine at which every view sees every texel, 0 where it does not: (V T,) Float,
+    evaluated. Arguments are those of ``collect``."""
+    views, found = photographed
+    count, before = dr.opaque(mi.UInt32, surface.count), dr.opaque(mi.UInt32, views.number)
+    result = dr.zeros(mi.Float, surface.count * (views.number + candidates.number))
+    dr.eval(result)
+
+    def record(seen: Observation, view: Any) -> tuple[()]:
+        place, mode = view * count + surface.lane, dr.ReduceMode.NoConflicts
+        dr.scatter(result, seen.cosine, place, seen.seen, mode)
+        return ()
+
+    found.over_views(
+        views, surface, lambda seen, slot: record(seen, dr.gather(mi.UInt32, found.order, slot)), ()
+    )
+    dr.eval(result)
+    over_views(candidates, surface, lambda seen, view: record(seen, before + view), ())
+    dr.eval(result)
+    return result

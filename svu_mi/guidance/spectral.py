@@ -167,7 +167,8 @@ def _samples(rows: Responses, views: np.ndarray) -> Any:
 
     def sample(index: Any) -> tuple[Any, Any, list[Any]]:
         view = dr.gather(mi.UInt32, order, index)
-        x, y, z, *light = (rows.read(view, k) for k in range(1, rows.columns))
+        found = [value for k in range(rows.groups) for value in rows.read(view, k)]
+        x, y, z, *light = found[: rows.columns - 1]
         return mi.Vector3f(x, y, z), rows.sees(view), light
 
     return sample
