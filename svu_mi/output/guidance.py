@@ -73,7 +73,7 @@ def write_guidance(
             if pictures:
                 gains = Gains.of(capture, estimate, guidance, maps)
                 aside(overview.finish, gains, target / PAGE)
-                aside(_write_thumbnails, gains.pictures, prepare_folder(target / THUMBNAILS))
+                _write_thumbnails(gains.pictures, prepare_folder(target / THUMBNAILS))
             run.progress(3, 4)
             _write_maps(guidance, maps, target)
             record = guidance_record(capture, estimate, guidance)

@@ -217,48 +217,59 @@ def rows(problem: Problem, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         The masses of all N = R M cells of all but base colour, (t, N) float64, and the colour that
         stands for each (``cells.color_of_rows``), (t, N, C) float64.
     """
-    channels, of_color = problem.factors.channels, problem.shape[2]
-    number = problem.shape[0] * problem.shape[1]
-    masses, cells = _cell_masses(problem, chosen), dr.opaque(mi.UInt32, number)
+    (levels, of_column, of_color), channels = problem.shape, problem.factors.channels
+    masses, first = _walked(problem, chosen)
+    number = len(chosen) * levels * of_column
+    mass, colors = dr.empty(mi.Float64, number), dr.empty(mi.Float, number * channels)
+    end, mode = dr.opaque(mi.UInt32, of_column), dr.ReduceMode.NoConflicts
 
-    def p_of(place: Any) -> list[Any]:
-        return [dr.gather(mi.Float, masses, place * of_color + k) for k in range(of_color)]
+    def write(column: Any, masses: Any) -> tuple[Any, Any]:
+        row = first * of_column + column
+        for channel in range(channels):
+            place = (column * channels + channel) * of_color
+            p = [masses[place + k] for k in range(of_color)]
+            dr.scatter(colors, _standing(p, problem.edges), row * channels + channel, mode=mode)
+            if channel == 0:  # all channels have the same
+                dr.scatter(mass, sum(mi.Float64(one) for one in p), row, mode=mode)
+        return column + 1, masses
 
-    def add(row: Any, total: Any) -> tuple[Any, Any]:
-        place = (texel * cells + row) * channels + channel
-        return row + 1, total + sum(mi.Float64(p) for p in p_of(place))
-
-    lane = dr.arange(mi.UInt32, len(chosen) * channels)
-    texel, channel = lane // channels, lane % channels
-    start = mi.UInt32(0), dr.zeros(mi.Float64, len(chosen) * channels)
-    total = dr.while_loop(start, lambda row, _: row < cells, add)[1]
-    scale = mi.Float(1 / dr.select(total > 0, total, 1))
-    dr.eval(scale)
-    lane = dr.arange(mi.UInt32, len(chosen) * number * channels)
-    own = lane // (cells * channels) * channels + lane % channels
-    p = [dr.gather(mi.Float, scale, own) * mass for mass in p_of(lane)]
-    mass, color = sum(mi.Float64(one) for one in p), _standing(p, problem.edges)
-    dr.eval(mass, color)
-    shape = (len(chosen), number, channels)
-    return mass.numpy().reshape(shape)[..., 0], color.numpy().reshape(shape)
+    dr.while_loop((mi.UInt32(0), masses), lambda column, _: column < end, write)
+    dr.eval(mass, colors)
+    found = mass.numpy().reshape(len(chosen), -1)
+    total = found.sum(axis=1, keepdims=True)
+    shape = (*found.shape, channels)
+    return found / np.where(total > 0, total, 1), colors.numpy().reshape(shape).astype(np.float64)
 
 
 def _standing(p: list[Any], edges: np.ndarray) -> Any:
-    """Return what ``cells.color_of_rows`` does, of the K cells of a row and channel: Float64."""
+    """Return what ``cells.color_of_rows`` does, of the K cells of a row and channel: Float."""
     middle = ((edges[1:] + edges[:-1]) / 2).tolist()
-    mean = sum(mi.Float64(one) * c for one, c in zip(p, middle, strict=True))
-    mean /= mi.Float64(dr.maximum(sum(p), 1e-30))
-    there, most, best = p[0], p[0], mi.Float64(middle[0])
+    mean = sum(one * c for one, c in zip(p, middle, strict=True)) / dr.maximum(sum(p), 1e-30)
+    there, most, best = p[0], p[0], mi.Float(middle[0])
     for one, low, c in zip(p[1:], edges[1:-1].tolist(), middle[1:], strict=True):
         there = dr.select(mean >= low, one, there)
-        most, best = dr.maximum(most, one), dr.select(one > most, mi.Float64(c), best)
+        most, best = dr.maximum(most, one), dr.select(one > most, mi.Float(c), best)
     return dr.select(there > 0, mean, best)
 
 
 def _cell_masses(problem: Problem, chosen: np.ndarray) -> Any:
     """Return the masses of all cells of some texels, not normalised: (t R M C K,) Float."""
-    rows, of_column, of_color = problem.shape
-    nodes, size_of_row = problem.nodes, of_column * problem.factors.channels * of_color
+    masses, first = _walked(problem, chosen)
+    size_of_row = problem.shape[1] * problem.factors.channels * problem.shape[2]
+    result = dr.empty(mi.Float, len(chosen) * problem.shape[0] * size_of_row)  # all is written
+    result = _write(masses, mi.UInt32(0), size_of_row, None, result, first * size_of_row)
+    dr.eval(result)
+    return result
+
+
+def _walked(problem: Problem, chosen: np.ndarray) -> tuple[Any, Any]:
+    """Walk over the nodes of some texels, a lane for every cell of roughness.
+
+    Returns:
+        Masses of (column, channel, base colour) in local memory, and the number of every lane's
+        cell among those of all texels, UInt32.
+    """
+    (rows, of_column, of_color), nodes = problem.shape, problem.nodes
     launch = dr.arange(mi.UInt32, len(chosen) * rows)
     # A packet is about one cell of roughness of many texels, which leave out the same nodes.
     number = dr.opaque(mi.UInt32, len(chosen))
@@ -271,13 +282,10 @@ def _cell_masses(problem: Problem, chosen: np.ndarray) -> Any:
 
     (masses,) = walker.over_rows(
         dr.gather(mi.UInt32, nodes.first, cell), dr.gather(mi.UInt32, nodes.first, cell + 1),
-        visit, lambda _, masses: (masses,), (cleared(size_of_row),),
+        visit, lambda _, masses: (masses,),
+        (cleared(of_column * problem.factors.channels * of_color),),
     )  # fmt: skip
-    result = dr.empty(mi.Float, len(chosen) * rows * size_of_row)  # all of it is written
-    place = (texel * dr.opaque(mi.UInt32, rows) + cell) * size_of_row
-    result = _write(masses, mi.UInt32(0), size_of_row, None, result, place)
-    dr.eval(result)
-    return result
+    return masses, texel * dr.opaque(mi.UInt32, rows) + cell
 
 
 def color_masses(
