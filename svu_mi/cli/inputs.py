@@ -73,6 +73,8 @@ class Photographed(OfScene):
 
     work: ClassVar[str] = "entropy"
     """What the command does, by which its need of memory is known (``needs.COSTS``)."""
+    figures: ClassVar[bool] = True
+    """Whether its pictures are figures of matplotlib's."""
     fills: ClassVar[bool] = False
     """Whether it writes maps and textures into the output folder, where no scene may lie."""
     images: Folder = None
@@ -148,7 +150,7 @@ class Photographed(OfScene):
             capture = self._render(progress, again)
         else:
             capture = self._read(progress, self.images, missing or self.missing)
-        if self.draws and getattr(self, "pictures", True):
+        if self.draws and self.figures and getattr(self, "pictures", True):
             import_aside()
         with progress.stage("Laying out texels"):
             return capture, texels(capture.mesh, size)

@@ -87,10 +87,10 @@ def write_recovery(
         with drawing_aside() as aside:
             pages = Pages(capture, recovery, estimate, target, aside) if pictures else None
             run.progress(1, 4)
-            _write_known(recovery, estimate, field, target)
-            run.progress(2, 4)
             if pages is not None:
                 pages.finish(field)
+            run.progress(2, 4)
+            _write_known(recovery, estimate, field, target)
             write_losses(recovery.losses, target / LOSSES)
             record = recovery_record(capture, recovery, estimate)
         run.progress(3, 4)
