@@ -23,6 +23,7 @@ from svu_mi.recovery.regularized import Rule, each, regularized
 from svu_mi.recovery.relight import path_length
 from svu_mi.recovery.sh.angular import angular_objective
 from svu_mi.recovery.sh.objective import Likelihood, Pull
+from svu_mi.recovery.sh.smoothing import Smoothing
 from svu_mi.recovery.sh.spectral import spectral_objective
 from svu_mi.recovery.start import estimate_for_textures, known_values, posterior_means
 from svu_mi.recovery.textures import Textures, lay_out, scene_textures, uniform
@@ -169,13 +170,20 @@ class Run:
         options = self.options.sh
         if not options.tv:
             return start
-        pull = Pull.of(self.posterior, self.texels)
-        fixed = {name: tensor for name, tensor in start.items() if name not in self.names}
-        smooth = self._variation(options)
-        objective = regularized(pull, [(GENTLE * self._tv(options), smooth)], fixed)
+        variation = GENTLE * self._tv(options), options.tv_epsilon
+        smoothing = Smoothing.of(
+            self.posterior, self.texels, self.names, self._neighbors(options), variation
+        )
         with self.progress.stage("Smoothing the start", options.smoothing.steps) as stage:
-            found = descend(objective, self._free(start), options.smoothing, progress=stage)
-        return start.but(**found.values)
+            found = descend(
+                smoothing, smoothing.start(start), smoothing.options(options.smoothing),
+                progress=stage,
+            )  # fmt: skip
+        return smoothing.laid_out(start, found.values)
+
+    def _neighbors(self, options: ShOptions | PathOptions) -> Neighbors:
+        """Return the neighbours that total variation is taken between."""
+        return self.around if options.tv_space == "surface" else neighbors(self.texels)
 
     def _tv(self, options: ShOptions | PathOptions) -> float:
         """Return the weight of total variation: in nats, what edges cost does not depend on the
@@ -187,10 +195,10 @@ class Run:
         """Return total variation, which both parts of a recovery may have in common."""
         key = options.tv_space, options.tv_epsilon
         if key not in self._variations:
-            around = self.around if options.tv_space == "surface" else neighbors(self.texels)
-            self._variations[key] = each(
-                TotalVariation(self.texels, around, epsilon=options.tv_epsilon)
+            variation = TotalVariation(
+                self.texels, self._neighbors(options), epsilon=options.tv_epsilon
             )
+            self._variations[key] = each(variation)
         return self._variations[key]
 
     def _free(self, textures: Textures) -> dict[str, object]:

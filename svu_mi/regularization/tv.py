@@ -71,9 +71,10 @@ class TotalVariation(Regularizer):
 
     def _of(self, values: Any, channels: int) -> tuple[Any, Any]:
         """Value and gradient; every lane, a texel's channel, only reads from its neighbours."""
+        epsilon = self._epsilon if self.epsilon else None
 
         def add(other: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
-            size, slope = self._absolute(values - dr.gather(mi.Float, values, other))
+            size, slope = absolute(values - dr.gather(mi.Float, values, other), epsilon)
             return state[0] + size, state[1] + slope
 
         # A texel without a neighbour may hold anything, NaN included.
@@ -83,13 +84,19 @@ class TotalVariation(Regularizer):
         dr.eval(total, gradient)
         return dr.sum(total) * (0.5 * self._scale), gradient  # every pair was seen from both ends
 
-    def _absolute(self, difference: Any) -> tuple[Any, Any]:
-        """Return the size of differences, smoothed by epsilon, and its derivative."""
-        if self.epsilon == 0:
-            return dr.abs(difference), sign(difference)
-        smooth = dr.sqrt(dr.fma(difference, difference, dr.square(self._epsilon)))
-        # Without cancellation: sqrt(d^2 + e^2) - e = d^2 / (sqrt(d^2 + e^2) + e).
-        return dr.square(difference) / (smooth + self._epsilon), difference / smooth
+
+def absolute(difference: Any, epsilon: Any | None) -> tuple[Any, Any]:
+    """Return the size of differences, and its derivative.
+
+    Args:
+        difference: Float.
+        epsilon: opaque Float, see ``TotalVariation``; None for absolute values.
+    """
+    if epsilon is None:
+        return dr.abs(difference), sign(difference)
+    smooth = dr.sqrt(dr.fma(difference, difference, dr.square(epsilon)))
+    # Without cancellation: sqrt(d^2 + e^2) - e = d^2 / (sqrt(d^2 + e^2) + e).
+    return dr.square(difference) / (smooth + epsilon), difference / smooth
 
 
 def _table(texels: Texels, around: Neighbors) -> tuple[np.ndarray, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import drjit as dr
@@ -37,8 +37,12 @@ def carry(loss: Any, slopes: Values, values: Values, factor: Any) -> Any:
         values: what derivatives are passed on to.
         factor: opaque Float.
     """
-    total = dr.sum(loss) * factor
+    return carried(loss, flat(slopes), flat(values)) * factor
+
+
+def carried(loss: Any, slopes: Sequence[Any], values: Sequence[Any]) -> Any:
+    """The same of Floats that stand in order, without a factor."""
     nothing = dr.zeros(mi.Float, dr.width(loss))  # of what is passed on, only derivatives count
     inner = [slope * dr.replace_grad(nothing, value)
-             for slope, value in zip(flat(slopes), flat(values), strict=True)]  # fmt: skip
-    return dr.replace_grad(total, dr.sum(sum(inner)) * factor)
+             for slope, value in zip(slopes, values, strict=True)]  # fmt: skip
+    return dr.replace_grad(dr.sum(loss), dr.sum(sum(inner)))
