@@ -9,7 +9,8 @@ from concurrent.futures import wait
 import pytest
 
 from svu_mi.errors import OutputError
-from svu_mi.output.aside import drawing_aside
+from svu_mi.output import aside as module
+from svu_mi.output.aside import drawing_aside, import_aside
 
 
 def test_work_is_done_in_order_by_one_other_thread():
@@ -60,3 +61,16 @@ def test_where_the_block_fails_nothing_more_is_begun():
         threading.Timer(0.05, go.set).start()
         raise KeyboardInterrupt
     assert done == ["slow"]
+
+
+def test_what_cannot_be_imported_ahead_is_left_to_whoever_needs_it(monkeypatch, capfd):
+    name, interval = "email.mime.image", sys.getswitchinterval()
+    monkeypatch.setattr(module, "DRAWING", (name, "no.such.module", "email.mime.audio"))
+    for each in (name, "email.mime.audio"):
+        monkeypatch.delitem(sys.modules, each, raising=False)
+    before = threading.enumerate()
+    import_aside()
+    for thread in set(threading.enumerate()) - set(before):
+        thread.join(10)
+    assert name in sys.modules and "email.mime.audio" not in sys.modules
+    assert sys.getswitchinterval() == interval and capfd.readouterr().err == ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ from helpers import ball
 import svu_mi.scenes
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.surface import Neighbors, Texels, neighbors, texels
-from svu_mi.surface.neighbors import MOST, OPPOSITE, REACH
+from svu_mi.surface.neighbors import MOST, OPPOSITE, REACH, over_neighbors
+from svu_mi.surface.neighbors import spread as lanes_of
 
 
 def quad(origin, along_u, along_v, uv) -> MeshArrays:
@@ -171,3 +173,21 @@ def test_a_single_texel_has_no_neighbour():
         found = neighbors(texels(mesh, 1), given)
         assert links(found) == set()
         np.testing.assert_array_equal(found.table(), [[0]])
+
+
+@pytest.mark.parametrize("size", [1, 2, 3])
+def test_a_fold_finds_every_neighbour_of_every_lane_once(size):
+    """Up to five of a ball's texels along its seam, fewer at the poles."""
+    mesh = make("ball", ball(96, 48))
+    found = neighbors(texels(mesh, (48, 32)), mesh)
+    table, own = found.table(), np.arange(found.count)
+    assert ((table != own).sum(axis=0) > 4).any() and ((table != own).sum(axis=0) < 4).any()
+    values = np.random.default_rng(4).integers(1, 1000, (found.count, size))
+    numbers = mi.UInt32(values.ravel().astype(np.uint32))
+    around = lanes_of(found.around, size)
+    total = over_neighbors(
+        around, lambda other, sum: sum + dr.gather(mi.UInt32, numbers, other),
+        dr.zeros(mi.UInt32, dr.width(around[0])),
+    )  # fmt: skip
+    wanted = np.where((table != own)[..., None], values[table], 0).sum(axis=0)
+    np.testing.assert_array_equal(total.numpy().reshape(-1, size), wanted)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import sys
 
 import pytest
 from helpers import python
@@ -72,3 +73,25 @@ def test_other_processes_are_left_as_they_are():
     with importing():
         assert gc.isenabled()
     assert gc.isenabled() and gc.get_freeze_count() == before
+
+
+PARTS = """
+import ctypes, pathlib
+import drjit as dr
+import svu_mi
+from svu_mi import _workers
+core = ctypes.CDLL(str(pathlib.Path(dr.__file__).with_name("libdrjit-core.so")))
+size = core._Z19jit_llvm_block_sizev
+size.restype = ctypes.c_uint
+before = size()
+_workers.take_small_parts()
+print(before > _workers.PART == size())
+_workers.SET_PART = "of another Dr.Jit"
+_workers.take_small_parts()
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the function has another name there")
+def test_workers_take_small_parts_of_a_launch():
+    done = python("-c", PARTS)
+    assert (done.returncode, done.stdout) == (0, "True\n"), done.stderr

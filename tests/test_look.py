@@ -1,0 +1,67 @@
+"""Textures as pictures of the object alone: only what may show it is traced."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from svu_mi.capture import look as module
+from svu_mi.capture.look import Look, alone
+from svu_mi.capture.mesh import positions
+from svu_mi.capture.poses import film_size, make_sensor, projected
+from svu_mi.interop import owned
+
+
+def sensor(distance: float, *, aside: float = 0.0, **changes: Any) -> Any:
+    """A camera on the +Z axis that looks at a point beside the origin."""
+    pose = mi.ScalarTransform4f().look_at([0, 0.2, distance], [aside, 0.2, 0], [0.1, 1, 0])
+    return make_sensor({
+        "to_world": np.array(pose.matrix, np.float64), "x_fov": 40.0,
+        "principal_point_offset": [0.1, -0.05], "clip": [1e-3, 1e3], "film": [70, 50],
+        "crop_offset": [6, 4], "crop_size": [60, 40], **changes,
+    }, "look")  # fmt: skip
+
+
+@pytest.mark.parametrize(("distance", "aside", "covers"), [
+    (4.0, 0.0, True), (0.7, 0.0, True), (3.0, 1.2, True), (9.0, 8.0, False), (0.05, 0.0, True),
+])  # fmt: skip
+def test_nothing_of_the_object_lies_beyond_the_window(
+    vase: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, distance: float, aside: float,
+    covers: bool,
+) -> None:  # fmt: skip
+    """From afar, near, at the edge, beside it, and from within."""
+    place = sensor(distance, aside=aside)
+    scene, texture = alone(vase.capture), np.random.default_rng(5).random((9, 7, 3))
+    found = Look.of(scene, place)
+    width, height = film_size(place)
+    monkeypatch.setattr(module, "_window", lambda *_: (slice(0, height), slice(0, width)))
+    whole = Look.of(scene, place)
+    np.testing.assert_array_equal(found.covered, whole.covered)
+    np.testing.assert_array_equal(found.painted(texture), whole.painted(texture))
+    np.testing.assert_array_equal(found.values(texture), whole.values(texture))
+    assert bool(found.covered.any()) == covers
+    if distance > 2:
+        assert found.shade.numpy().size < whole.shade.numpy().size
+
+
+def test_points_are_where_mitsuba_shows_them(vase: SimpleNamespace) -> None:
+    points = positions(vase.capture.mesh)
+    for place in (sensor(4.0), sensor(2.5, aside=0.4), sensor(4.0, x_fov=70.0)):
+        interaction = mi.Interaction3f()
+        interaction.p = owned(mi.Point3f, points.T.astype(np.float32))
+        sample, _ = place.sample_direction(interaction, mi.Point2f(0.5))
+        pixels, depth = projected(place, points)
+        shown = np.array(sample.pdf) > 0
+        assert shown.any() and (depth > 0).all()
+        np.testing.assert_allclose(pixels[shown], np.array(sample.uv).T[shown], atol=2e-3)
+
+
+def test_what_is_behind_a_camera_is_told_by_its_depth(vase: SimpleNamespace) -> None:
+    place = sensor(4.0)
+    pixels, depth = projected(place, np.array([[0, 0.2, 9.0], [0, 0.2, 4.0], [0, 0.2, 1.0]]))
+    assert np.isfinite(pixels).all()
+    np.testing.assert_allclose(depth, [-5, 0, 3], atol=1e-5)

@@ -1,0 +1,99 @@
+"""Smoothing of a start, against the regularisers of textures; and how it is descended on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import svu_mi as svu
+from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.recovery.options import DescentOptions
+from svu_mi.recovery.recover import recover
+from svu_mi.recovery.sh.objective import Pull
+from svu_mi.recovery.sh.smoothing import Smoothing
+from svu_mi.recovery.start import posterior_means
+from svu_mi.recovery.textures import Textures
+from svu_mi.surface.neighbors import neighbors
+
+STRENGTH = 30.0
+
+
+def random_textures(texels: Any, seed: int = 3) -> Textures:
+    width, height = texels.resolution
+    rng = np.random.default_rng(seed)
+    return Textures.of({
+        name: rng.random((height, width, CHANNELS[name])).astype(np.float32) for name in NAMES
+    })  # fmt: skip
+
+
+def smoothing_of(vase: SimpleNamespace, names: tuple[str, ...], epsilon: float) -> Smoothing:
+    around = neighbors(vase.texels, vase.capture.mesh)
+    posterior = vase.estimate.posterior
+    return Smoothing.of(posterior, vase.texels, names, around, (STRENGTH, epsilon))
+
+
+@pytest.mark.parametrize("epsilon", [0.0, 1e-2])
+def test_it_is_the_pull_and_the_total_variation_of_textures(vase: SimpleNamespace, epsilon: float):
+    textures = random_textures(vase.texels)
+    smoothing = smoothing_of(vase, NAMES, epsilon)
+    channels = smoothing.start(textures)
+    dr.enable_grad(channels)
+    loss = smoothing(channels)
+    dr.backward(loss)
+
+    tensors = {name: mi.TensorXf(tensor) for name, tensor in textures.items()}
+    dr.enable_grad(tensors)
+    variation = svu.TotalVariation(vase.texels, vase.capture.mesh, epsilon=epsilon)
+    expected = Pull.of(vase.estimate.posterior, vase.texels)(tensors)
+    expected += STRENGTH * sum(variation(tensor) for tensor in tensors.values())
+    dr.backward(expected)
+
+    assert float(loss[0]) == pytest.approx(float(expected[0]), rel=1e-5)
+    found = smoothing.laid_out(textures, {key: dr.grad(x) for key, x in channels.items()})
+    wanted = Textures.of({name: np.array(dr.grad(x)) for name, x in tensors.items()})
+    for name in NAMES:
+        ours, theirs = (one.at(vase.texels, name) for one in (found, wanted))
+        np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-6 * np.abs(theirs).max())
+
+
+def test_only_what_is_recovered_is_smoothed(vase: SimpleNamespace):
+    textures = random_textures(vase.texels)
+    smoothing = smoothing_of(vase, ("roughness",), 1e-2)
+    channels = smoothing.start(textures)
+    assert len(channels) == 1
+    changed = smoothing.laid_out(textures, {key: 0 * x for key, x in channels.items()})
+    assert not changed.at(vase.texels, "roughness").any()
+    outside = ~vase.texels.inside()
+    for name in NAMES:
+        before, after = (np.array(one[name]) for one in (textures, changed))
+        np.testing.assert_array_equal(before[outside], after[outside])
+        if name != "roughness":
+            np.testing.assert_array_equal(before, after)
+
+
+def test_rates_of_parameters_are_those_of_their_channels(vase: SimpleNamespace):
+    smoothing = smoothing_of(vase, NAMES, 1e-2)
+    options = smoothing.options(DescentOptions(scales={"base_color": 0.5}))
+    assert len(options.scales) == len(smoothing.keys)
+    for (name, _), scale in zip(smoothing.keys, options.scales.values(), strict=True):
+        assert scale == (0.5 if name == "base_color" else 1.0)
+
+
+def test_a_start_of_rate_nothing_stays_what_it_is(vase: SimpleNamespace):
+    """The first step of the descent that follows is tiny."""
+    still = DescentOptions(steps=1, learning_rate=1e-9)
+    frozen = replace(svu.ShOptions(), descent=still, smoothing=replace(
+        still, learning_rate=1.0, steps=3, scales=dict.fromkeys(NAMES, 0.0)
+    ))  # fmt: skip
+    recovery = recover(vase.estimate, sh=frozen)
+    means = posterior_means(vase.estimate)
+    for name in NAMES:
+        np.testing.assert_allclose(
+            recovery.textures.at(vase.texels, name), means.at(vase.texels, name), atol=1e-6
+        )
