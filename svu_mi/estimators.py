@@ -12,7 +12,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
-from svu_mi.evidence import Evidence
+from svu_mi.evidence import Evidence, Wanted
 from svu_mi.frequency.gather import fit_spectra
 from svu_mi.interop import owned
 from svu_mi.limits import MAX_LANES
@@ -125,10 +125,10 @@ def _factors(
     run: Run, seen: Evidence, switches: AngularPreset, texels: np.ndarray | None
 ) -> Factors:
     """Gather the statistics of texels, by default of those of ``seen``, and factor them."""
-    return seen.statistics(
-        _levels(run, switches), switches, run.plan.channels,
+    return seen.factors(Wanted(
+        roughness=_levels(run, switches), switches=switches, channels=run.plan.channels,
         light_channels=run.plan.light_channels, weighting=_weighting(seen, switches), texels=texels,
-    ).factor()  # fmt: skip
+    ))  # fmt: skip
 
 
 def _weighting(seen: Evidence, switches: AngularPreset) -> Weighting:

@@ -20,7 +20,7 @@ from svu_mi.capture.scene import require_light
 from svu_mi.light import Lighting, light
 from svu_mi.options import AngularPreset
 from svu_mi.progress import Progress
-from svu_mi.statistics import Statistics
+from svu_mi.statistics import Factors, Statistics
 from svu_mi.statistics.censored import PASSES, best_models
 from svu_mi.statistics.gather import ALIKE, Weighting
 from svu_mi.surface import Texels
@@ -113,6 +113,10 @@ class Evidence(ABC):
     def _gather(self, wanted: Wanted) -> Statistics:
         """Sum over all photographs."""
 
+    def _factor(self, wanted: Wanted) -> Factors:
+        """Sum over all photographs, and factorise that."""
+        return self._gather(wanted).factor()
+
     @abstractmethod
     def _rounded(self, weighting: Weighting) -> np.ndarray | None:
         """Return (S,) the sum of ``statistics.rounding`` over all samples of the texels of
@@ -177,9 +181,18 @@ class Evidence(ABC):
             roughness=roughness, switches=switches, channels=channels,
             light_channels=light_channels or channels, weighting=weighting, texels=texels,
         )  # fmt: skip
+        return self._statistics(wanted)
+
+    def factors(self, wanted: Wanted) -> Factors:
+        """Return the square-root form of ``statistics``, without these wherever they need not be in
+        memory."""
+        if self._counts_clipped(wanted):
+            return self._statistics(wanted).factor()
+        return self._factor(wanted)
+
+    def _statistics(self, wanted: Wanted) -> Statistics:
         found, clipped = self._gather(wanted), self.clipped_coverage
-        stay_out = weighting.current is not None or not weighting.kappa < inf
-        if clipped is None or stay_out:
+        if clipped is None or not self._counts_clipped(wanted):
             return found
         number = found.texel.numpy()
         # A sample whose middle is not clipped may be so in part.
@@ -191,9 +204,14 @@ class Evidence(ABC):
         plain, texels = found.at(lanes), number[lanes].astype(np.int64)
         some = plain
         for _ in range(PASSES):
-            around = replace(weighting, models=best_models(some))
+            around = replace(wanted.weighting, models=best_models(some))
             some = plain + self._gather(replace(wanted, weighting=around, texels=texels))
         return found.replaced(lanes, some)
+
+    def _counts_clipped(self, wanted: Wanted) -> bool:
+        weighting = wanted.weighting
+        leave_out = weighting.current is not None or not weighting.kappa < inf
+        return self.clipped_coverage is not None and not leave_out
 
     def rounding(self, weighting: Weighting) -> np.ndarray | None:
         """Return the variance of a sample of weight 1 by rounding alone, of the texels of ``seen``:

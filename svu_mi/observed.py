@@ -24,9 +24,10 @@ from svu_mi.light import LightCells, light_cells
 from svu_mi.options import AngularPreset, Fit, Preset
 from svu_mi.progress import Progress
 from svu_mi.reflection.model import Arriving, Model
-from svu_mi.statistics import Statistics, gather
+from svu_mi.statistics import Factors, Statistics, gather
 from svu_mi.statistics.gather import Weighting, clipped_samples
 from svu_mi.statistics.rounding import rounding_sums
+from svu_mi.statistics.sums import Gathered
 from svu_mi.surface import Texels
 from svu_mi.visibility import Surface, Survey, Views, pack_views, survey
 from svu_mi.visibility.ahead import read_ahead
@@ -179,6 +180,12 @@ class Observed(Evidence):
         return known.at(lanes)
 
     def _gather(self, wanted: Wanted) -> Statistics:
+        return self._gathered(wanted).statistics()
+
+    def _factor(self, wanted: Wanted) -> Factors:
+        return self._gathered(wanted).factor()
+
+    def _gathered(self, wanted: Wanted) -> Gathered:
         model = self.model(
             wanted.roughness, wanted.switches, wanted.light_channels, wanted.texels
         )

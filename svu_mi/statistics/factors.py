@@ -24,7 +24,6 @@ import numpy as np
 from svu_mi.frequency.arrays import scatter_strided
 from svu_mi.interop import owned
 from svu_mi.reflection.principled import COLUMNS
-from svu_mi.statistics.blocks import Reader
 
 PAIRS = tuple((i, j) for i in range(COLUMNS) for j in range(i, COLUMNS))
 FLOOR = len(PAIRS) - 1  # the entry that is kept as a square
@@ -209,30 +208,36 @@ def combined(U: list[Any], x: Sequence[Any]) -> list[Any]:
 
 
 def factorize(
-    sums: Any, views: Any, texel: Any, roughness: np.ndarray, channels: int
+    columns: list[Any], weight: Any, views: Any, texel: Any, roughness: np.ndarray, channels: int
 ) -> Factors:
-    """Factorise sums, divided by their weight; arguments as ``Statistics`` has them."""
-    count, levels = int(dr.width(texel)), len(roughness)
-    last = levels * channels * len(PAIRS)
-    reader = Reader(sums, last + 1, count)
-    weight = reader.read(dr.opaque(mi.UInt32, last))
+    """Factorise sums, divided by their weight, within the kernel that computes them.
+
+    Args:
+        columns: Float64s (S,) of every level, channel and pair of columns.
+        weight: Float64 (S,).
+        views: of ``Factors``, as are all others.
+        texel: which of all texels each is.
+        roughness: of the levels.
+        channels: C.
+    """
+    levels, count = len(roughness), int(dr.width(texel))
     scale = dr.select(weight > 0, dr.rcp(dr.select(weight > 0, weight, 1)), 0)
     least = [mi.Float64(dr.inf)] * channels
     rows: list[list[list[Any]]] = [[] for _ in range(levels)]
     for level in range(levels):
         for channel in range(channels):
             row = (level * channels + channel) * len(PAIRS)
-            U = _cholesky([scale * reader.read(row + entry) for entry in range(len(PAIRS))])
+            U = _cholesky([scale * column for column in columns[row : row + len(PAIRS)]])
             least[channel] = dr.minimum(least[channel], U[-1])
             rows[level].append(U)
-    columns = []
+    written = []
     for of_level in rows:
-        columns += _filled([x for U, low in zip(of_level, least, strict=True)
+        written += _filled([x for U, low in zip(of_level, least, strict=True)
                             for x in (*U[:-1], U[-1] - low)])  # fmt: skip
-    columns += _filled([*least, weight])
+    written += _filled([*least, weight])
     values = dr.empty(mi.Float, stride(levels, channels) * count)
-    place = dr.arange(mi.UInt32, count) * len(columns)
-    values = scatter_strided(values, columns, place, mi.UInt32(1))
+    place = dr.arange(mi.UInt32, count) * len(written)
+    values = scatter_strided(values, written, place, mi.UInt32(1))
     dr.eval(values)
     return Factors(values, views, texel, roughness, channels)
 

@@ -14,10 +14,9 @@ from svu_mi.parameters import MIXED, NAMES
 from svu_mi.reflection.model import Model
 from svu_mi.reflection.principled import columns
 from svu_mi.reflection.shading import Parts, hats, interpolated, radiance
-from svu_mi.statistics.blocks import scattered
 from svu_mi.statistics.censored import CLIPPED_PART, Models, parabola
 from svu_mi.statistics.factors import PAIRS
-from svu_mi.statistics.sums import EDGES, Statistics, noise_weight
+from svu_mi.statistics.sums import EDGES, Gathered, noise_weight
 from svu_mi.visibility import Observation, Surface, Survey, Views
 from svu_mi.visibility.bits import Bits
 from svu_mi.visibility.pixels import as_channels
@@ -58,7 +57,7 @@ ALIKE = Weighting()
 def gather(
     views: Views, found: Survey, model: Model, mirrors: Mirrors | None,
     channels: int | None = None, weighting: Weighting = ALIKE,
-) -> Statistics:  # fmt: skip
+) -> Gathered:  # fmt: skip
     """Collect the statistics of the texels of a model.
 
     Args:
@@ -120,9 +119,9 @@ def gather(
     )
     counts = partly if clipped else mi.Float(dr.gather(mi.UInt32, found.coverage, surface.index))
     dr.eval(counts)
-    return Statistics(
-        scattered(mi.Float64, [*sums, weight], surface.count), counts, surface.index,
-        model.roughness, channels, kappa if current is None else nan, weighting.edges,
+    return Gathered(
+        sums, weight, counts, surface.index, model.roughness, channels,
+        kappa if current is None else nan, weighting.edges,
     )  # fmt: skip
 
 

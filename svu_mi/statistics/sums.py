@@ -28,7 +28,7 @@ from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.options import AngularPreset
 from svu_mi.reflection.principled import mixture
-from svu_mi.statistics.blocks import in_blocks, put, rows_of, taken
+from svu_mi.statistics.blocks import Reader, in_blocks, put, rows_of, scattered, taken
 from svu_mi.statistics.factors import PAIRS, Factors, factorize
 
 EDGES = AngularPreset.edges  # eta
@@ -41,6 +41,41 @@ def noise_weight(radiance: Any, kappa: Any, contrast: Any = 0.0, edges: Any = ED
     on an edge, a little beside is something else. Floats, NumPy and Dr.Jit arrays alike."""
     relative = radiance / kappa
     return 1 / (1 + relative * relative + edges * (contrast / kappa / kappa))
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """Statistics that only the kernel has which computes them; they can be asked for once.
+
+    Attributes:
+        columns: Float64s (S,), not evaluated: those of ``Statistics.sums``, but sum w.
+        weight: Float64 (S,), sum w.
+        counts, texel, roughness, channels, kappa, edges: see ``Statistics``.
+    """
+
+    columns: list[Any]
+    weight: Any
+    counts: Any
+    texel: Any
+    roughness: np.ndarray
+    channels: int
+    kappa: float
+    edges: float
+
+    def statistics(self) -> Statistics:
+        """Return them in memory, where they can be added to others."""
+        sums = scattered(mi.Float64, [*self.columns, self.weight], int(dr.width(self.texel)))
+        return Statistics(
+            sums, self.counts, self.texel, self.roughness, self.channels, self.kappa, self.edges
+        )
+
+    def factor(self) -> Factors:
+        """Return their square-root form alone, without half a kilobyte per texel and more of sums
+        in memory that nobody has touched."""
+        return factorize(
+            self.columns, self.weight, whole_views(self.counts), self.texel, self.roughness,
+            self.channels,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -114,12 +149,8 @@ class Statistics:
 
     @cached_property
     def views(self) -> Any:
-        """(S,) UInt32, how many views see each texel; those that count in part add up to whole
-        ones, and if any says something of a texel, that is seen."""
-        some = dr.select(self.counts > 0, mi.UInt32(1), 0)
-        views = dr.maximum(mi.UInt32(self.counts + PARTLY), some)
-        dr.eval(views)
-        return views
+        """(S,) UInt32, how many views see each texel (``whole_views``)."""
+        return whole_views(self.counts)
 
     def factor(self) -> Factors:
         """Return the square-root form, per unit of weight: what errors are taken from."""
@@ -127,7 +158,11 @@ class Statistics:
 
     @cached_property
     def _factors(self) -> Factors:
-        return factorize(self.sums, self.views, self.texel, self.roughness, self.channels)
+        reader = Reader(self.sums, self.rows, self.count)
+        *columns, weight = (reader.read(row) for row in range(self.rows))
+        return factorize(
+            columns, weight, self.views, self.texel, self.roughness, self.channels
+        )
 
     @property
     def weight(self) -> np.ndarray:
@@ -196,3 +231,12 @@ class Statistics:
             texel=dr.arange(mi.UInt32, count),
             roughness=np.asarray(roughness, np.float64), channels=channels, kappa=kappa,
         )  # fmt: skip
+
+
+def whole_views(counts: Any) -> Any:
+    """Return how many views see texels, UInt32: those that count in part add up to whole ones, and
+    if any says something of a texel, that is seen."""
+    some = dr.select(counts > 0, mi.UInt32(1), 0)
+    views = dr.maximum(mi.UInt32(counts + PARTLY), some)
+    dr.eval(views)
+    return views
