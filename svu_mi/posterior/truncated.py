@@ -24,6 +24,7 @@ TINIEST = 1e-290  # what is left of a cell in double precision
 IMPOSSIBLE = 1e9  # nats, of a cell that the prior excludes
 GENTLE = 1e-4  # density from which on a prior of colours excludes nothing
 DIM = 0.1  # sqrt(A / 2) below which a variance is not a difference of tails in single precision
+CLEAR, FAR_BELOW = 1.0, 1.5  # s, and -mu s, from and up to which single precision is enough
 FARTHEST = 64.0  # |mu|: photographs so many times brighter than any base colour makes them
 
 # (1 + 2 x) erfcx(x) as a polynomial in (x - 2.5) / (x + 2.5), the variable of Shepherd and
@@ -90,18 +91,30 @@ class Channel:
         Args:
             edges: (K + 1,) of the cells, from 0 to 1, the same from both ends.
         """
-        # With x = (y - mu) s, exp(-(E - least)) is exp(x_0^2 - x^2), x_0 where it is 1. Means
-        # and variances are small differences of the two ends' tails: in double precision.
+        # With x = (y - mu) s, exp(-(E - least)) is exp(x_0^2 - x^2), x_0 where it is 1.
         inner = [self._tail(mi.Float(y)).beyond for y in edges[1:-1]]
-        first, last = self._tail(mi.Float64(0)), self._tail(mi.Float64(1))
-        s, mu = mi.Float64(self.s), mi.Float64(self.mu)
-        whole = first.beyond - last.beyond
-        mean, variance = _moments(mu, s, whole, first, last)
-        inverse = mi.Float(dr.rcp(whole))
-        beyond = [mi.Float(first.beyond), *inner, mi.Float(last.beyond)]
+        ends = dr.if_stmt(
+            args=(self.mu, self.s), cond=(self.s < CLEAR) | (self.mu * self.s < -FAR_BELOW),
+            true_fn=lambda mu, s: Channel(self.least, self.mirrored, mu, s)._whole(mi.Float64),
+            false_fn=lambda mu, s: Channel(self.least, self.mirrored, mu, s)._whole(mi.Float),
+        )  # fmt: skip
+        first, last, whole, mean, variance = ends
+        inverse, beyond = dr.rcp(whole), [first, *inner, last]
         parts = [inverse * (a - b) for a, b in zip(beyond[:-1], beyond[1:], strict=True)]
-        mass = mi.Float(0.5 * sqrt(pi) * whole / s)
+        mass = 0.5 * sqrt(pi) * whole / self.s
         return self._integrals(mass, parts, mean, variance)
+
+    def _whole(self, kind: Any) -> tuple[Any, ...]:
+        """Integrate over [0, 1] in single or double precision: means and variances are small
+        differences of the two ends' tails.
+
+        Returns:
+            What lies beyond both ends, and between them; mean and variance of y: Floats.
+        """
+        first, last = self._tail(kind(0)), self._tail(kind(1))
+        whole = first.beyond - last.beyond
+        mean, variance = _moments(kind(self.mu), kind(self.s), whole, first, last)
+        return tuple(mi.Float(x) for x in (first.beyond, last.beyond, whole, mean, variance))
 
     def masses(self, edges: list[float]) -> tuple[Any, list[Any]]:
         """Integrate over cells as ``integrate`` does, in single precision, at half the cost where
