@@ -117,8 +117,19 @@ FAULTS = (
     Fault(
         "total variation without the lower neighbour", "wrong axis",
         "svu_mi/regularization/tv.py",
-        "for column in self._around:", "for column in self._around[:2]:",
+        "over_neighbors(around, add,", "over_neighbors(around[:2], add,",
         ("test_regularization.py",),
+    ),
+    Fault(
+        "smoothing that pulls neighbours apart", "sign", "svu_mi/recovery/sh/smoothing.py",
+        "x - m, self.strength * slope", "x - m, -self.strength * slope",
+        ("test_smoothing.py",),
+    ),
+    Fault(
+        "candidates that show the first level of roughness at all", "wrong axis",
+        "svu_mi/guidance/responses.py",
+        "place = self._slot(view) * self.groups + group", "place = self._slot(view) * self.groups",
+        ("test_guidance.py",),
     ),
     Fault(
         "the view of least gain first", "sign", "svu_mi/guidance/greedy.py",
