@@ -74,3 +74,23 @@ def test_what_cannot_be_imported_ahead_is_left_to_whoever_needs_it(monkeypatch, 
         thread.join(10)
     assert name in sys.modules and "email.mime.audio" not in sys.modules
     assert sys.getswitchinterval() == interval and capfd.readouterr().err == ""
+
+
+def test_turns_are_short_until_the_last_is_done(monkeypatch):
+    interval, go, begun = sys.getswitchinterval(), threading.Event(), threading.Event()
+
+    def slow(_):
+        begun.set()
+        go.wait(10)
+
+    monkeypatch.setattr(module, "import_module", slow)
+    before = threading.enumerate()
+    import_aside()
+    assert begun.wait(10)
+    with drawing_aside():
+        pass
+    assert sys.getswitchinterval() < interval
+    go.set()
+    for thread in set(threading.enumerate()) - set(before):
+        thread.join(10)
+    assert sys.getswitchinterval() == interval

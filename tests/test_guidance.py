@@ -52,6 +52,12 @@ def responses_of(table: np.ndarray) -> Responses:
     return dataclasses.replace(made, rest=owned(mi.Float, rest.ravel()))
 
 
+def test_responses_of_texels_that_no_view_sees():
+    found = Responses.of(owned(mi.Float, np.zeros(15, np.float32)), 7, 5)
+    assert not found.seen.any() and found.table().shape == (3, 5, 7) and not found.table().any()
+    assert not np.array(found.read(mi.UInt32(2), 1)).any()
+
+
 def posteriors(rng: np.random.Generator, count: int, cells: int) -> np.ndarray:
     """Peaked and flat distributions (T, N)."""
     p = rng.dirichlet(np.full(cells, 0.2), count)

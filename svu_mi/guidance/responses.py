@@ -59,7 +59,7 @@ class Responses:
         """
         seen = dr.select(first > 0, mi.UInt32(1), 0)
         slot, pairs = dr.prefix_sum(seen), int(dr.sum(seen)[0])  # of those before
-        rest = dr.empty(mi.Float, pairs * QUAD * groups(columns))
+        rest = dr.empty(mi.Float, max(pairs, 1) * QUAD * groups(columns))  # never nothing at all
         dr.eval(slot)
         lane = dr.arange(mi.UInt32, count)
         return Responses(first, slot, rest, columns, dr.opaque(mi.UInt32, count), lane)
@@ -79,7 +79,7 @@ class Responses:
         seen = self.seen
         found = np.zeros((*seen.shape, self.columns), np.float32)
         found[..., 0] = self.first.numpy().reshape(seen.shape)
-        rest = self.rest.numpy().reshape(-1, QUAD * self.groups)
+        rest = self.rest.numpy().reshape(-1, QUAD * self.groups)[: int(seen.sum())]
         found[seen, 1:] = rest[:, : self.columns - 1]
         return found
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from importlib import import_module
-from threading import Thread
+from threading import Lock, Thread
 from typing import Any
 
 # After so many seconds the thread lets the other one go on, which asks a hundred times a second
@@ -19,19 +19,39 @@ Aside = Callable[..., Future[Any]]
 """``aside(work, *arguments)`` has work done in the thread, after what it was given before."""
 
 
+@contextmanager
+def _short_turns() -> Iterator[None]:
+    """Let threads take turns of ``TURN`` until the last of those is done that have asked for it."""
+    with _turns.lock:
+        if not _turns.asked:
+            _turns.before = sys.getswitchinterval()
+            sys.setswitchinterval(TURN)
+        _turns.asked += 1
+    try:
+        yield
+    finally:
+        with _turns.lock:
+            _turns.asked -= 1
+            if not _turns.asked:
+                sys.setswitchinterval(_turns.before)
+
+
+class _Turns:
+    def __init__(self) -> None:
+        self.lock, self.asked, self.before = Lock(), 0, 0.0
+
+
+_turns = _Turns()
+
+
 def import_aside() -> None:
     """Import what pages are drawn with in a thread, a third of a second that nobody waits for while
     kernels run."""
 
     def imported() -> None:
-        before = sys.getswitchinterval()
-        sys.setswitchinterval(TURN)
-        try:
-            with suppress(ImportError):  # whoever needs it will say so
-                for name in DRAWING:
-                    import_module(name)
-        finally:
-            sys.setswitchinterval(before)
+        with _short_turns(), suppress(ImportError):  # whoever needs it will say so
+            for name in DRAWING:
+                import_module(name)
 
     Thread(target=imported).start()
 
@@ -45,8 +65,7 @@ def drawing_aside() -> Iterator[Aside]:
     begun is left out.
     """
     given: list[Future[Any]] = []
-    before = sys.getswitchinterval()
-    with ThreadPoolExecutor(1, "aside") as thread:
+    with _short_turns(), ThreadPoolExecutor(1, "aside") as thread:
 
         def aside(work: Callable[..., Any], *arguments: Any) -> Future[Any]:
             for one in given:
@@ -55,7 +74,6 @@ def drawing_aside() -> Iterator[Aside]:
             given.append(thread.submit(work, *arguments))
             return given[-1]
 
-        sys.setswitchinterval(TURN)
         try:
             yield aside
             for one in given:
@@ -63,5 +81,3 @@ def drawing_aside() -> Iterator[Aside]:
         except BaseException:
             thread.shutdown(wait=False, cancel_futures=True)
             raise
-        finally:
-            sys.setswitchinterval(before)
