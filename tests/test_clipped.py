@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from svu_mi.capture.fingerprint import capture_key, photographs_key
 from svu_mi.capture.images import SATURATED
 from svu_mi.capture.picture import decoded
 from svu_mi.errors import CaptureError
+from svu_mi.evidence import Wanted
 from svu_mi.exr import read_exr
 from svu_mi.illumination.equalize import equalized
 from svu_mi.illumination.found_gains import FoundGains
@@ -173,6 +175,24 @@ def statistics_of(capture, texels, **options):
     return observed, observed.statistics(
         np.linspace(0, 1, 5), SWITCHES, 3, weighting=weighting, **options
     )
+
+
+def test_views_are_gone_through_once(vase):
+    """What counts in part, and what is summed, come from one kernel."""
+    stored, _ = in_integers(vase.capture, vase.estimate.observed, 0.3)
+    observed = observe(stored, vase.texels)
+    weighting = Weighting(SWITCHES.kappa(observed.unit), SWITCHES.edges)
+    wanted = Wanted(
+        roughness=np.linspace(0, 1, 5), switches=SWITCHES, channels=3, light_channels=3,
+        weighting=weighting, texels=None,
+    )  # fmt: skip
+    for ask in (observed._gather, observed._factor):
+        ask(wanted)  # what is traced and filtered first stays
+        dr.kernel_history_clear()
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+            ask(wanted)
+            sizes = [one["size"] for one in dr.kernel_history([dr.KernelType.JIT])]
+        assert sizes.count(len(observed.seen)) == 2  # diffuse light is the other one
 
 
 def test_a_clipped_highlight_still_says_that_it_is_one(shiny):

@@ -265,6 +265,16 @@ def test_reduced_photographs_know_their_unit(vase):
     assert shown == pytest.approx(7 * vase.images[3].mean(), rel=1e-4)
 
 
+def test_of_photographs_that_show_nothing_no_gain_is_known(vase):
+    small = reduced(vase, 64)
+    points, emitter = scatter_points(small.shape), emitter_of(small)
+    seen = look(points, Frames.of(small))
+    seen = replace(seen, seen=np.zeros_like(seen.seen))
+    arriving = Arriving.of(small.scene, points, read_environment(emitter))
+    samples = Samples.of(small.scene, points, seen, (Sky.of(emitter, np.eye(3)), arriving))
+    assert np.isinf(relative_gains(samples).noise).all()
+
+
 def test_mirrors_look_the_light_up_where_it_is(vase):
     """The model explains most of the vase's samples, and fewer if the map is turned."""
     small = reduced(vase, 64)

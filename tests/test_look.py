@@ -26,14 +26,16 @@ def sensor(distance: float, *, aside: float = 0.0, **changes: Any) -> Any:
     }, "look")  # fmt: skip
 
 
+@pytest.mark.parametrize("many", [2**17, 0])
 @pytest.mark.parametrize(("distance", "aside", "covers"), [
     (4.0, 0.0, True), (0.7, 0.0, True), (3.0, 1.2, True), (9.0, 8.0, False), (0.05, 0.0, True),
 ])  # fmt: skip
 def test_nothing_of_the_object_lies_beyond_the_window(
     vase: SimpleNamespace, monkeypatch: pytest.MonkeyPatch, distance: float, aside: float,
-    covers: bool,
+    covers: bool, many: int,
 ) -> None:  # fmt: skip
-    """From afar, near, at the edge, beside it, and from within."""
+    """From afar, near, at the edge, beside it, and from within; of many vertices their box."""
+    monkeypatch.setattr(module, "MANY", many)
     place = sensor(distance, aside=aside)
     scene, texture = alone(vase.capture), np.random.default_rng(5).random((9, 7, 3))
     found = Look.of(scene, place)

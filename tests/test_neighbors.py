@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers import ball
 
+import svu_mi.errors
 import svu_mi.scenes
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.surface import Neighbors, Texels, neighbors, texels
@@ -191,3 +192,11 @@ def test_a_fold_finds_every_neighbour_of_every_lane_once(size):
     )  # fmt: skip
     wanted = np.where((table != own)[..., None], values[table], 0).sum(axis=0)
     np.testing.assert_array_equal(total.numpy().reshape(-1, size), wanted)
+
+
+def test_a_neighbour_behind_a_texels_own_number_is_refused():
+    columns = np.array([[1, 0, 2], [0, 2, 1]])
+    around = tuple(mi.UInt32(column.astype(np.uint32)) for column in columns)
+    pairs = mi.UInt32([0, 1]), mi.UInt32([1, 2])
+    with pytest.raises(svu_mi.errors.ShapeError, match="texel 2 has a neighbour behind its own"):
+        Neighbors(pairs=pairs, around=around, seams=0)

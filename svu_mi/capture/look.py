@@ -16,6 +16,7 @@ from svu_mi.interop import owned
 
 SIDE = 512  # pixels of the longer side of a picture
 SAMPLES = 3  # along each side of a pixel
+MANY = 2**17  # vertices that take longer to look at than the rays beside the object
 AMBIENT = 0.35  # brightness of a surface that is seen edge on
 
 
@@ -39,7 +40,7 @@ class Look:
     def of(scene: Any, sensor: Any) -> Look:
         """Trace the rays of a sensor, a few to a pixel, in a scene as of ``alone``."""
         width, height = film_size(sensor)
-        rows, columns = window = _window(meshes.positions(scene.shapes()[0]), sensor)
+        rows, columns = window = _window(_outline(scene.shapes()[0]), sensor)
         shape = rows.stop - rows.start, columns.stop - columns.start
         across, top, left = (dr.opaque(mi.UInt32, n) for n in (shape[1], rows.start, columns.start))
         pixel = dr.arange(mi.UInt32, shape[0] * shape[1])
@@ -100,6 +101,14 @@ class Look:
         inside = image[self.window]
         inside[...] = np.stack([channel.numpy() for channel in mean], -1).reshape(inside.shape)
         return image
+
+
+def _outline(shape: Any) -> np.ndarray:
+    """Return points (N, 3) that a mesh lies between: its vertices, or of many its box."""
+    if shape.vertex_count() <= MANY:
+        return meshes.positions(shape)
+    box = shape.bbox()
+    return np.array([box.corner(k) for k in range(8)], np.float64)
 
 
 def _window(points: np.ndarray, sensor: Any) -> tuple[slice, slice]:

@@ -85,6 +85,8 @@ class Samples:
 
 def _sees_sky(scene: Any, points: Points, mirror: np.ndarray, asked: np.ndarray) -> np.ndarray:
     """Return which of (V, N) samples mirror the light itself, not the object."""
+    if not asked.any():
+        return np.zeros(asked.shape, bool)
     view, point = np.nonzero(asked)
     surface = points.surface(owned(mi.UInt32, point.astype(np.uint32)))
     direction = owned(mi.Vector3f, mirror[view, point].T.astype(np.float32))

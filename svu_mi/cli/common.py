@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from svu_mi import _llvm, _workers
-from svu_mi.cli.process import importing
+from svu_mi.cli.process import importing, is_own
 from svu_mi.errors import OptionError, SvuEnvironmentError, excerpt
 from svu_mi.limits import FEWEST_THREADS
 from svu_mi.needs import Need, Sizes
@@ -76,7 +76,8 @@ class Common:
         if self.threads == 1:
             log.warning(f"--threads 1: {FEWEST_THREADS} are used, which Mitsuba needs to read EXR.")
         dr.set_thread_count(max(wanted, FEWEST_THREADS))
-        _workers.take_small_parts()
+        if is_own():
+            _workers.take_small_parts()
         mi.set_log_level(mi.LogLevel.Info if self.verbose else mi.LogLevel.Error)
 
     def _set_variant(self) -> None:

@@ -24,6 +24,11 @@ def run() -> NoReturn:
     leave(main())
 
 
+def is_own() -> bool:
+    """Return whether the process is there for the command alone."""
+    return _own
+
+
 @contextmanager
 def importing() -> Iterator[None]:
     """Look for no garbage meanwhile, nor among what is there by then: modules stay, and going

@@ -22,7 +22,7 @@ from svu_mi.visibility.observe import Observation, fold, look
 QUAD = 4  # values that a kernel reads at once
 
 Respond = Callable[[Observation], list[Any]]
-"""One sample per lane -> its columns, Floats, of which the first is positive."""
+"""One sample per lane -> its columns, Floats, of which the first is the cosine."""
 
 
 @dataclass(frozen=True)
@@ -130,17 +130,9 @@ def collect(
     Raises:
         OptionError: more numbers than 32-bit indices reach.
     """
-    number, count = photographed[0].number + candidates.number, surface.count
-    room = count * number * QUAD * max(groups(columns), 1)
-    if room >= 2**32:
-        raise OptionError(
-            f"next_best_view(): {count} texels are too many for {number} views; use "
-            f"at most {count * 2**32 // room} (texels=...).",
-            shell=f"{count} texels are too many for {number} views; give --texels "
-            f"{count * 2**32 // room}, or fewer.",
-        )
+    require_room(surface.count, photographed[0].number + candidates.number, columns)
     first = cosines(surface, photographed, candidates)
-    responses = Responses.of(first, columns, count)
+    responses = Responses.of(first, columns, surface.count)
     views, found = photographed
     before = dr.opaque(mi.UInt32, views.number)
 
@@ -169,8 +161,9 @@ def cosines(
     surface: Surface, photographed: tuple[Views, Survey], candidates: Views
 ) -> Any:
     """Return the cosine at which every view sees every texel, 0 where it does not: (V T,) Float,
-    evaluated. Arguments are those of ``collect``."""
+    evaluated. Arguments, and what is raised, are those of ``collect``."""
     views, found = photographed
+    require_room(surface.count, views.number + candidates.number, 1)
     count, before = dr.opaque(mi.UInt32, surface.count), dr.opaque(mi.UInt32, views.number)
     result = dr.zeros(mi.Float, surface.count * (views.number + candidates.number))
     dr.eval(result)
@@ -187,3 +180,25 @@ def cosines(
     over_views(candidates, surface, lambda seen, view: record(seen, before + view), ())
     dr.eval(result)
     return result
+
+
+def require_room(count: int, number: int, columns: int) -> None:
+    """Refuse more numbers than 32-bit indices reach.
+
+    Args:
+        count: of texels.
+        number: of views.
+        columns: K.
+
+    Raises:
+        OptionError: there are more.
+    """
+    room = count * number * QUAD * max(groups(columns), 1)
+    if room >= 2**32:
+        most = count * 2**32 // room
+        raise OptionError(
+            f"next_best_view(): {count} texels are too many for {number} views; use at most "
+            f"{most} (texels=...).",
+            shell=f"{count} texels are too many for {number} views; give --texels {most}, or "
+            "fewer.",
+        )

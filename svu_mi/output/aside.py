@@ -49,11 +49,12 @@ def import_aside() -> None:
     kernels run."""
 
     def imported() -> None:
-        with _short_turns(), suppress(ImportError):  # whoever needs it will say so
+        with _short_turns(), suppress(Exception):  # whoever needs it will say so
             for name in DRAWING:
                 import_module(name)
 
-    Thread(target=imported).start()
+    with suppress(RuntimeError):  # no more threads
+        Thread(target=imported).start()
 
 
 @contextmanager

@@ -183,7 +183,11 @@ class Run:
 
     def _neighbors(self, options: ShOptions | PathOptions) -> Neighbors:
         """Return the neighbours that total variation is taken between."""
-        return self.around if options.tv_space == "surface" else neighbors(self.texels)
+        return self.around if options.tv_space == "surface" else self._in_the_texture
+
+    @cached_property
+    def _in_the_texture(self) -> Neighbors:
+        return neighbors(self.texels)
 
     def _tv(self, options: ShOptions | PathOptions) -> float:
         """Return the weight of total variation: in nats, what edges cost does not depend on the

@@ -11,7 +11,6 @@ import numpy as np
 
 from svu_mi.errors import OptionError
 from svu_mi.interop import owned
-from svu_mi.parameters import CHANNELS
 from svu_mi.regularization.gradients import Regularizer, sign
 from svu_mi.surface import Texels
 from svu_mi.surface.neighbors import Neighbors, over_neighbors, spread
@@ -61,8 +60,7 @@ class TotalVariation(Regularizer):
             raise OptionError(f"TotalVariation: epsilon must be at least 0, got {self.epsilon}.")
         around, pairs = _table(self.texels, self._neighbors(self.mesh))
         columns = tuple(owned(mi.UInt32, column) for column in around)
-        of_channels = {number: spread(columns, number) for number in {1, *CHANNELS.values()}}
-        object.__setattr__(self, "_around", of_channels)
+        object.__setattr__(self, "_around", {1: columns})
         object.__setattr__(self, "_scale", dr.opaque(mi.Float, 1 / max(pairs, 1)))
         object.__setattr__(self, "_epsilon", dr.opaque(mi.Float, self.epsilon))
 
@@ -78,7 +76,9 @@ class TotalVariation(Regularizer):
             return state[0] + size, state[1] + slope
 
         # A texel without a neighbour may hold anything, NaN included.
-        around = self._around.get(channels) or spread(self._around[1], channels)
+        if channels not in self._around:  # kept, as every step needs it; but only if one does
+            self._around[channels] = spread(self._around[1], channels)
+        around = self._around[channels]
         total, gradient = over_neighbors(around, add, (mi.Float(0), mi.Float(0)))
         gradient *= self._scale
         dr.eval(total, gradient)

@@ -28,12 +28,13 @@ def start(lane: Any, rows: Any) -> Any:
     return (lane // BLOCK) * (rows * BLOCK) + lane % BLOCK
 
 
-def scattered(kind: Any, columns: list[Any], count: int) -> Any:
-    """Write the values of all lanes, in the kernel that computes them; returns them evaluated."""
+def scattered(kind: Any, columns: list[Any], count: int, beside: Any = ()) -> Any:
+    """Write the values of all lanes, in the kernel that computes them; returns them evaluated, as
+    are other arrays (S,) beside them, which may come from the same kernel."""
     target = cleared(kind, len(columns), count)
     place = start(dr.arange(mi.UInt32, count), len(columns))
     target = scatter_strided(target, columns, place, mi.UInt32(BLOCK))
-    dr.eval(target)
+    dr.eval(target, beside)
     return target
 
 

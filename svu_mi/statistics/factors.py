@@ -238,7 +238,7 @@ def factorize(
     values = dr.empty(mi.Float, stride(levels, channels) * count)
     place = dr.arange(mi.UInt32, count) * len(written)
     values = scatter_strided(values, written, place, mi.UInt32(1))
-    dr.eval(values)
+    dr.eval(values, views)
     return Factors(values, views, texel, roughness, channels)
 
 

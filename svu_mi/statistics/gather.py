@@ -118,7 +118,6 @@ def gather(
         views, surface, consume, zeros, clipped=clipped, among=among
     )
     counts = partly if clipped else mi.Float(dr.gather(mi.UInt32, found.coverage, surface.index))
-    dr.eval(counts)
     return Gathered(
         sums, weight, counts, surface.index, model.roughness, channels,
         kappa if current is None else nan, weighting.edges,

@@ -45,11 +45,12 @@ def noise_weight(radiance: Any, kappa: Any, contrast: Any = 0.0, edges: Any = ED
 
 @dataclass(frozen=True)
 class Gathered:
-    """Statistics that only the kernel has which computes them; they can be asked for once.
+    """Statistics that only the kernel has which computes them; whoever asks for them twice has all
+    of them computed twice.
 
     Attributes:
         columns: Float64s (S,), not evaluated: those of ``Statistics.sums``, but sum w.
-        weight: Float64 (S,), sum w.
+        weight: Float64 (S,), sum w, nor is that.
         counts, texel, roughness, channels, kappa, edges: see ``Statistics``.
     """
 
@@ -64,7 +65,8 @@ class Gathered:
 
     def statistics(self) -> Statistics:
         """Return them in memory, where they can be added to others."""
-        sums = scattered(mi.Float64, [*self.columns, self.weight], int(dr.width(self.texel)))
+        count, columns = int(dr.width(self.texel)), [*self.columns, self.weight]
+        sums = scattered(mi.Float64, columns, count, self.counts)
         return Statistics(
             sums, self.counts, self.texel, self.roughness, self.channels, self.kappa, self.edges
         )
@@ -150,7 +152,9 @@ class Statistics:
     @cached_property
     def views(self) -> Any:
         """(S,) UInt32, how many views see each texel (``whole_views``)."""
-        return whole_views(self.counts)
+        views = whole_views(self.counts)
+        dr.eval(views)
+        return views
 
     def factor(self) -> Factors:
         """Return the square-root form, per unit of weight: what errors are taken from."""
@@ -235,8 +239,6 @@ class Statistics:
 
 def whole_views(counts: Any) -> Any:
     """Return how many views see texels, UInt32: those that count in part add up to whole ones, and
-    if any says something of a texel, that is seen."""
+    if any says something of a texel, that is seen. Not evaluated."""
     some = dr.select(counts > 0, mi.UInt32(1), 0)
-    views = dr.maximum(mi.UInt32(counts + PARTLY), some)
-    dr.eval(views)
-    return views
+    return dr.maximum(mi.UInt32(counts + PARTLY), some)

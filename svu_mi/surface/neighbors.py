@@ -13,6 +13,7 @@ from scipy.sparse import csr_array, eye_array
 from scipy.spatial import cKDTree
 
 from svu_mi.capture.mesh import arrays
+from svu_mi.errors import ShapeError
 from svu_mi.interop import owned
 from svu_mi.surface.layout import Texels
 
@@ -37,6 +38,22 @@ class Neighbors:
     pairs: tuple[Any, Any]
     around: tuple[Any, ...]
     seams: int
+
+    def __post_init__(self) -> None:
+        """Refuse what a fold over neighbours would not find.
+
+        Raises:
+            ShapeError: a neighbour stands behind a texel's own number.
+        """
+        own, hidden = dr.arange(mi.UInt32, self.count), mi.Bool(False)
+        for column, after in zip(self.around, self.around[1:], strict=False):
+            hidden |= (column == own) & (after != own)
+        if dr.any(hidden):
+            texel = int(np.flatnonzero(np.array(hidden))[0])
+            raise ShapeError(
+                f"Neighbors: texel {texel} has a neighbour behind its own number; own numbers, "
+                "which stand for none, come last."
+            )
 
     @property
     def count(self) -> int:
