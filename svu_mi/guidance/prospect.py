@@ -62,9 +62,20 @@ class Prospect:
         if "forecast" in self.__dict__:
             return self.forecast.seen
         seen = self.observed
-        surface = Surface.of(seen.texels, numbers(self.texels))
-        found = cosines(surface, (seen.views, seen.found), self._packed)
+        found = cosines(self._surface, (seen.views, seen.found), self._packed)
         return np.asarray(found.numpy() > 0).reshape(-1, len(self.texels))
+
+    @property
+    def seen_by_candidates(self) -> np.ndarray:
+        """(C, t) bool, which candidate sees which texel."""
+        if {"seen", "forecast"} & set(self.__dict__):
+            return self.seen[self.photographs :]
+        found = cosines(self._surface, None, self._packed)
+        return np.asarray(found.numpy() > 0).reshape(-1, len(self.texels))
+
+    @property
+    def _surface(self) -> Surface:
+        return Surface.of(self.observed.texels, numbers(self.texels))
 
     @cached_property
     def forecast(self) -> Forecast:

@@ -158,14 +158,15 @@ def collect(
 
 
 def cosines(
-    surface: Surface, photographed: tuple[Views, Survey], candidates: Views
+    surface: Surface, photographed: tuple[Views, Survey] | None, candidates: Views
 ) -> Any:
     """Return the cosine at which every view sees every texel, 0 where it does not: (V T,) Float,
-    evaluated. Arguments, and what is raised, are those of ``collect``."""
-    views, found = photographed
-    require_room(surface.count, views.number + candidates.number, 1)
-    count, before = dr.opaque(mi.UInt32, surface.count), dr.opaque(mi.UInt32, views.number)
-    result = dr.zeros(mi.Float, surface.count * (views.number + candidates.number))
+    evaluated. Arguments, and what is raised, are those of ``collect``; None for the candidates
+    alone."""
+    photographs = photographed[0].number if photographed else 0
+    require_room(surface.count, photographs + candidates.number, 1)
+    count, before = dr.opaque(mi.UInt32, surface.count), dr.opaque(mi.UInt32, photographs)
+    result = dr.zeros(mi.Float, surface.count * (photographs + candidates.number))
     dr.eval(result)
 
     def record(seen: Observation, view: Any) -> tuple[()]:
@@ -173,10 +174,13 @@ def cosines(
         dr.scatter(result, seen.cosine, place, seen.seen, mode)
         return ()
 
-    found.over_views(
-        views, surface, lambda seen, slot: record(seen, dr.gather(mi.UInt32, found.order, slot)), ()
-    )
-    dr.eval(result)
+    if photographed:
+        views, found = photographed
+        found.over_views(
+            views, surface,
+            lambda seen, slot: record(seen, dr.gather(mi.UInt32, found.order, slot)), (),
+        )  # fmt: skip
+        dr.eval(result)
     over_views(candidates, surface, lambda seen, view: record(seen, before + view), ())
     dr.eval(result)
     return result
