@@ -126,7 +126,7 @@ FAULTS = (
         ("test_smoothing.py",),
     ),
     Fault(
-        "candidates that show the first level of roughness at all", "wrong axis",
+        "every level of roughness shows what the first does", "wrong axis",
         "svu_mi/guidance/responses.py",
         "place = self._slot(view) * self.groups + group", "place = self._slot(view) * self.groups",
         ("test_guidance.py",),
