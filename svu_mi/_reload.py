@@ -76,21 +76,19 @@ class _Core:
     """
 
     def __init__(self) -> None:
-        import drjit as dr
-
-        core = ctypes.CDLL(str(Path(dr.__file__).with_name("libdrjit-core.so")))
-        self._shutdown = _function(core, SHUTDOWN, None, ctypes.c_int)
-        self._init = _function(core, INIT, None, ctypes.c_uint)
-        self._whos = _function(core, WHOS, ctypes.c_char_p)
-        self._bound = _function(core, BOUND, ctypes.c_uint, ctypes.c_char_p, ctypes.c_char_p)
+        core = drjit_core()
+        self._shutdown = function(core, SHUTDOWN, None, ctypes.c_int)
+        self._init = function(core, INIT, None, ctypes.c_uint)
+        self._whos = function(core, WHOS, ctypes.c_char_p)
+        self._bound = function(core, BOUND, ctypes.c_uint, ctypes.c_char_p, ctypes.c_char_p)
         # A variant's tables of colours are made when its module is imported.
         self._variants = [name for name in sys.modules if name.startswith("mitsuba.llvm")]
         if self._variants:
             import mitsuba as mi
 
             library = ctypes.CDLL(str(Path(mi.__file__).with_name("libmitsuba.so")))
-            self._forget = _function(library, FORGET_COLORS, None)
-            self._make = _function(library, MAKE_COLORS, None, *[ctypes.c_bool] * 3)
+            self._forget = function(library, FORGET_COLORS, None)
+            self._make = function(library, MAKE_COLORS, None, *[ctypes.c_bool] * 3)
 
     def has_others(self) -> bool:
         """Return whether Dr.Jit runs on a GPU, too, which a restart would take arrays from."""
@@ -127,7 +125,23 @@ class _Core:
             self._make(False, True, False)  # for CUDA, LLVM, Metal
 
 
-def _function(library: Any, name: str, result: Any, *arguments: Any) -> Any:
+def drjit_core() -> Any:
+    """Load the library that Dr.Jit itself uses.
+
+    Raises:
+        OSError: it is not where it should be.
+    """
+    import drjit as dr
+
+    return ctypes.CDLL(str(Path(dr.__file__).with_name("libdrjit-core.so")))
+
+
+def function(library: Any, name: str, result: Any, *arguments: Any) -> Any:
+    """Return a function of a library, with the types of its result and its arguments.
+
+    Raises:
+        AttributeError: there is none of that name.
+    """
     found = getattr(library, name)
     found.restype, found.argtypes = result, arguments
     return found

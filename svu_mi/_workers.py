@@ -10,8 +10,8 @@ import ctypes
 import os
 import sys
 from contextlib import suppress
-from pathlib import Path
 
+from svu_mi._reload import drjit_core, function
 from svu_mi.limits import FEWEST_THREADS
 
 PART = 2**12  # lanes of a launch that a worker takes at a time; 2^14 are Dr.Jit's own
@@ -31,13 +31,8 @@ def bootstrap() -> None:
 def take_small_parts() -> None:
     """Let workers take small parts of a launch, so that all of them end at about the same time:
     texels do not take equally long. A Dr.Jit that is not known here stays as it is."""
-    import drjit as dr
-
     with suppress(OSError, AttributeError):  # no such library or function
-        core = ctypes.CDLL(str(Path(dr.__file__).with_name("libdrjit-core.so")))
-        change = getattr(core, SET_PART)
-        change.restype, change.argtypes = None, [ctypes.c_uint]
-        change(PART)
+        function(drjit_core(), SET_PART, None, ctypes.c_uint)(PART)
 
 
 def _cores() -> int:

@@ -16,6 +16,7 @@ from scipy import stats
 import svu_mi as svu
 from svu_mi.capture.poses import directions_of, sphere_sensors
 from svu_mi.capture.scene import to_world
+from svu_mi.fours import padded
 from svu_mi.frequency.extend import extend_lanes
 from svu_mi.frequency.system import System
 from svu_mi.guidance import baselines
@@ -28,7 +29,7 @@ from svu_mi.guidance.growing import GrowingForecast
 from svu_mi.guidance.hypotheses import Hypotheses
 from svu_mi.guidance.measures import Entropy, Variance
 from svu_mi.guidance.prospect import Prospect
-from svu_mi.guidance.responses import QUAD, Responses, groups
+from svu_mi.guidance.responses import Responses
 from svu_mi.guidance.spectral import SpectrumForecast
 from svu_mi.guidance.strategies import STRATEGIES, TABLE
 from svu_mi.interop import owned
@@ -47,7 +48,7 @@ def responses_of(table: np.ndarray) -> Responses:
     """Responses that hold a table (V, T, K)."""
     _, count, columns = table.shape
     made = Responses.of(owned(mi.Float, table[..., 0].ravel()), columns, count)
-    rest = np.zeros((int((table[..., 0] > 0).sum()), QUAD * groups(columns)), np.float32)
+    rest = np.zeros((int((table[..., 0] > 0).sum()), padded(columns - 1)), np.float32)
     rest[:, : columns - 1] = table[table[..., 0] > 0, 1:]
     return dataclasses.replace(made, rest=owned(mi.Float, rest.ravel()))
 

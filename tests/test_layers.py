@@ -8,12 +8,12 @@ from pathlib import Path
 
 LAYERS = (
     "errors", "names", "memory", "needs", "limits", "quiet", "interrupts", "_reload", "_llvm",
-    "_workers", "interop", "files", "npz", "exr", "results", "progress", "settings", "spacing",
-    "parameters", "switches", "options", "capture", "formats", "surface", "light", "visibility",
-    "frequency", "reflection", "statistics", "evidence", "observed", "posterior", "skipping",
-    "estimators", "pipeline", "prediction", "illumination", "guidance", "regularization",
-    "recovery", "inpaint", "reference", "metrics", "checking", "output", "export", "shards",
-    "batch", "bench", "cli",
+    "_workers", "fours", "interop", "files", "npz", "exr", "results", "progress", "settings",
+    "spacing", "parameters", "switches", "options", "capture", "formats", "surface", "light",
+    "visibility", "frequency", "reflection", "statistics", "evidence", "observed", "posterior",
+    "skipping", "estimators", "pipeline", "prediction", "illumination", "guidance",
+    "regularization", "recovery", "inpaint", "reference", "metrics", "checking", "output", "export",
+    "shards", "batch", "bench", "cli",
 )  # fmt: skip
 # Built on the stages; only what stands at the very top may use them.
 ABOVE = {"plugins": ("output", "cli"), "scenes": ("output", "bench", "cli")}

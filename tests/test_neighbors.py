@@ -12,8 +12,7 @@ import svu_mi.errors
 import svu_mi.scenes
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.surface import Neighbors, Texels, neighbors, texels
-from svu_mi.surface.neighbors import MOST, OPPOSITE, REACH, over_neighbors
-from svu_mi.surface.neighbors import spread as lanes_of
+from svu_mi.surface.neighbors import MOST, OPPOSITE, REACH, lanes_of, over_neighbors
 
 
 def quad(origin, along_u, along_v, uv) -> MeshArrays:

@@ -76,7 +76,6 @@ def has_uvs(mesh: Any) -> bool:
 
 def arrays(mesh: Any) -> MeshArrays:
     """Copy a mesh's buffers to NumPy (Dr.Jit's own views alias the mesh's memory)."""
-
     faces = np.array(mesh.faces_buffer().numpy(), np.int64).reshape(-1, 3)
     normals = _rows(mesh.vertex_normals_buffer(), 3) if mesh.has_vertex_normals() else None
     if mesh.has_flipped_normals():

@@ -21,7 +21,7 @@ from svu_mi.observed import Observed
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import CalibratedPosterior
 from svu_mi.posterior.cells import marginals_of
-from svu_mi.visibility import Surface, Views, pack_sensors
+from svu_mi.visibility import Surface, Survey, Views, pack_sensors
 
 LEAST = 1e-4  # of a parameter's variance that others are compared with
 
@@ -61,21 +61,20 @@ class Prospect:
         """(V, t) bool, which view sees which texel: rays, and nothing else."""
         if "forecast" in self.__dict__:
             return self.forecast.seen
-        seen = self.observed
-        found = cosines(self._surface, (seen.views, seen.found), self._packed)
-        return np.asarray(found.numpy() > 0).reshape(-1, len(self.texels))
+        return self._sees((self.observed.views, self.observed.found))
 
     @property
     def seen_by_candidates(self) -> np.ndarray:
         """(C, t) bool, which candidate sees which texel."""
         if {"seen", "forecast"} & set(self.__dict__):
             return self.seen[self.photographs :]
-        found = cosines(self._surface, None, self._packed)
-        return np.asarray(found.numpy() > 0).reshape(-1, len(self.texels))
+        return self._sees(None)
 
-    @property
-    def _surface(self) -> Surface:
-        return Surface.of(self.observed.texels, numbers(self.texels))
+    def _sees(self, photographed: tuple[Views, Survey] | None) -> np.ndarray:
+        """Which of these views and the candidates sees which texel."""
+        surface = Surface.of(self.observed.texels, numbers(self.texels))
+        found = cosines(surface, photographed, self._packed)
+        return np.asarray(found.numpy() > 0).reshape(-1, len(self.texels))
 
     @cached_property
     def forecast(self) -> Forecast:

@@ -16,10 +16,9 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError
+from svu_mi.fours import QUAD, fours, padded
 from svu_mi.visibility import Surface, Survey, Views, over_views
 from svu_mi.visibility.observe import Observation, fold, look
-
-QUAD = 4  # values that a kernel reads at once
 
 Respond = Callable[[Observation], list[Any]]
 """One sample per lane -> its columns, Floats, of which the first is the cosine."""
@@ -59,7 +58,7 @@ class Responses:
         """
         seen = dr.select(first > 0, mi.UInt32(1), 0)
         slot, pairs = dr.prefix_sum(seen), int(dr.sum(seen)[0])  # of those before
-        rest = dr.empty(mi.Float, max(pairs, 1) * QUAD * groups(columns))  # never nothing at all
+        rest = dr.empty(mi.Float, max(pairs, 1) * padded(columns - 1))  # never nothing at all
         dr.eval(slot)
         lane = dr.arange(mi.UInt32, count)
         return Responses(first, slot, rest, columns, dr.opaque(mi.UInt32, count), lane)
@@ -72,7 +71,7 @@ class Responses:
     @property
     def groups(self) -> int:
         """Q."""
-        return groups(self.columns)
+        return fours(self.columns - 1)
 
     def table(self) -> np.ndarray:
         """Return (V, T, K) float32."""
@@ -107,11 +106,6 @@ class Responses:
 
     def _slot(self, view: Any) -> Any:
         return dr.gather(mi.UInt32, self.slot, view * self.count + self.lane)
-
-
-def groups(columns: int) -> int:
-    """Return how many groups of four all columns but the first take."""
-    return -(-(columns - 1) // QUAD)
 
 
 def collect(
@@ -197,7 +191,7 @@ def require_room(count: int, number: int, columns: int) -> None:
     Raises:
         OptionError: there are more.
     """
-    room = count * number * QUAD * max(groups(columns), 1)
+    room = count * number * max(padded(columns - 1), QUAD)
     if room >= 2**32:
         most = count * 2**32 // room
         raise OptionError(

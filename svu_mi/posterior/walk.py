@@ -219,7 +219,7 @@ class Walker:
             return Node(row, column, weight, [one] * self.problem.factors.channels)
         edges = self.edges.tolist()
         if self._only is not None:
-            return self._node_of_one(row, column, weight, [Channel(*one) for one in parts])
+            return self._node_of_one(row, column, weight, parts)
         found = [Channel(*one).integrate(edges) for one in parts]
         for one in found:
             for _ in range(self.problem.copies):
@@ -227,15 +227,14 @@ class Walker:
         return Node(row, column, weight, found)
 
     def _node_of_one(
-        self, row: Any, column: Any, weight: Any, channels: list[Channel]
+        self, row: Any, column: Any, weight: Any, parts: list[Any]
     ) -> Node:
         """The same with the colours of one channel only, for intervals: in single precision."""
-        for channel in channels:
-            weight *= channel.masses([0.0, 1.0])[0] ** self.problem.copies
-        own, *others = [(c.least, c.mirrored, c.mu, c.s) for c in channels]
-        for number, other in enumerate(others, 1):
-            pairs = zip(other, own, strict=True)
-            own = tuple(dr.select(self._only == number, new, old) for new, old in pairs)
+        for one in parts:
+            weight *= Channel(*one).masses([0.0, 1.0])[0] ** self.problem.copies
+        own = parts[0]
+        for number, other in enumerate(parts[1:], 1):
+            own = dr.select(self._only == number, other, own)
         mass, cells = Channel(*own).masses(self.edges.tolist())
         return Node(row, column, weight, [Integrals(mass, cells, mi.Float(0), mi.Float(0))])
 

@@ -13,7 +13,7 @@ from svu_mi.errors import OptionError
 from svu_mi.interop import owned
 from svu_mi.regularization.gradients import Regularizer, sign
 from svu_mi.surface import Texels
-from svu_mi.surface.neighbors import Neighbors, over_neighbors, spread
+from svu_mi.surface.neighbors import Neighbors, lanes_of, over_neighbors
 
 EPSILON = 1e-2  # in units of the parameters, all in [0, 1]
 
@@ -77,7 +77,7 @@ class TotalVariation(Regularizer):
 
         # A texel without a neighbour may hold anything, NaN included.
         if channels not in self._around:  # kept, as every step needs it; but only if one does
-            self._around[channels] = spread(self._around[1], channels)
+            self._around[channels] = lanes_of(self._around[1], channels)
         around = self._around[channels]
         total, gradient = over_neighbors(around, add, (mi.Float(0), mi.Float(0)))
         gradient *= self._scale

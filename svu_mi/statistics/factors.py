@@ -21,6 +21,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.fours import QUAD, fours, padded
 from svu_mi.frequency.arrays import scatter_strided
 from svu_mi.interop import owned
 from svu_mi.reflection.principled import COLUMNS
@@ -28,7 +29,6 @@ from svu_mi.reflection.principled import COLUMNS
 PAIRS = tuple((i, j) for i in range(COLUMNS) for j in range(i, COLUMNS))
 FLOOR = len(PAIRS) - 1  # the entry that is kept as a square
 TINY = 1e-13  # part of its diagonal below which a pivot is nothing but rounding
-QUAD = 4  # values that a kernel reads at once
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class FactorReader:
     def __init__(self, factors: Factors, lane: Any) -> None:
         self._values, self._channels = factors.values, factors.channels
         self._first = lane * dr.opaque(mi.UInt32, factors.stride // QUAD)
-        self._row = padded(factors.channels * len(PAIRS)) // QUAD
+        self._row = fours(factors.channels * len(PAIRS))
         ends = self._first + dr.opaque(mi.UInt32, factors.levels * self._row)
         self._ends = self._read(ends, factors.channels + 1)
 
@@ -177,13 +177,8 @@ class FactorReader:
     def _read(self, first: Any, count: int) -> list[Any]:
         """Read so many values from a multiple of four on."""
         found = [dr.gather(mi.Vector4f, self._values, first + k)
-                 for k in range(padded(count) // QUAD)]  # fmt: skip
+                 for k in range(fours(count))]  # fmt: skip
         return [x for four in found for x in four][:count]
-
-
-def padded(count: int) -> int:
-    """Return how many values take the room of ``count``."""
-    return -(-count // QUAD) * QUAD
 
 
 def stride(levels: int, channels: int) -> int:

@@ -90,7 +90,7 @@ def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
     return _gather(np.concatenate([inside, across]), texels.count, len(across))
 
 
-def spread(around: Sequence[Any], size: int) -> tuple[Any, ...]:
+def lanes_of(around: Sequence[Any], size: int) -> tuple[Any, ...]:
     """Return the neighbours of lanes, of which every texel has some.
 
     Args:
@@ -117,7 +117,7 @@ def over_neighbors(around: Sequence[Any], add: Callable[[Any, Any], Any], state:
     Few texels have more than four, along seams: packets of which none has go no further.
 
     Args:
-        around: columns (T,) UInt32, of ``Neighbors``, or of ``spread``.
+        around: columns (T,) UInt32, of ``Neighbors``, or of ``lanes_of``.
         add: ``add(other, state)`` returns the new state.
         state: Dr.Jit arrays (T,).
     """

@@ -17,14 +17,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from svu_mi.fours import QUAD, fours, padded
 from svu_mi.interop import owned
-from svu_mi.surface.neighbors import over_neighbors, spread
+from svu_mi.surface.neighbors import lanes_of, over_neighbors
 
 TOLERANCE = 1e-3  # of the residual, relative to the right-hand side's
 LOOK = 8  # iterations between looks at it
 MOST = 400
 CLOSE, LONG = 5e-3, 1000  # the same of what is filled in, relative to the residual at first
-QUAD = 4  # values that a kernel reads and writes at once
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Smoother:
         """
         own, start = _vector(precision, 1), _vector(values)
         links = dr.opaque(mi.Float, strength), dr.opaque(mi.Float, epsilon)
-        lanes = spread(around, _groups(len(values)))
+        lanes = lanes_of(around, fours(len(values)))
         return Smoother(len(values), tuple(around), lanes, *links, own, start, own)._completed()
 
     def with_precision(
@@ -105,7 +105,7 @@ class Smoother:
         strength, epsilon = 2 * self.strength, 2 * self.epsilon
         dr.eval(strength, epsilon)
         links = replace(
-            self, around=tuple(around), lanes=spread(around, _groups(self.fields)),
+            self, around=tuple(around), lanes=lanes_of(around, fours(self.fields)),
             strength=strength, epsilon=epsilon, blind=None,
         )  # fmt: skip
         return links.with_precision(precision, values)
@@ -152,7 +152,7 @@ class Smoother:
         """Draw from a normal distribution of covariance K, (N, T) float64: every link pulls at both
         of its ends with a force of its own."""
         seed = dr.opaque(mi.UInt64, int(random.integers(2**63)))
-        groups, count = _groups(self.fields), dr.opaque(mi.UInt32, dr.width(self.around[0]))
+        groups, count = fours(self.fields), dr.opaque(mi.UInt32, dr.width(self.around[0]))
         lane = dr.arange(mi.UInt32, dr.width(self.lanes[0]))
         texel, total = lane // groups, mi.Vector4f(0)
         for column in self.lanes:
@@ -193,7 +193,7 @@ class Smoother:
         """Return the weights of the links from all lanes to others, UInt32: Vector4f."""
         apart = self._read(self.start) - dr.gather(mi.Vector4f, self.start, other)
         if self.blind is not None:
-            groups, own = _groups(self.fields), dr.arange(mi.UInt32, dr.width(other))
+            groups, own = fours(self.fields), dr.arange(mi.UInt32, dr.width(other))
             hidden = [dr.gather(mi.Bool, self.blind, lane // groups) for lane in (own, other)]
             apart = dr.select(hidden[0] | hidden[1], 0, apart)
         return self.strength * dr.rsqrt(dr.fma(apart, apart, dr.square(self.epsilon)))
@@ -223,18 +223,13 @@ class Smoother:
 
     def _table(self, vector: Any) -> np.ndarray:
         """Return a vector as (N, T) float64."""
-        rows = np.array(vector, np.float64).reshape(-1, QUAD * _groups(self.fields))
+        rows = np.array(vector, np.float64).reshape(-1, padded(self.fields))
         return np.ascontiguousarray(rows.T[: self.fields])
-
-
-def _groups(fields: int) -> int:
-    """Return how many groups of four so many fields take."""
-    return -(-fields // QUAD)
 
 
 def _vector(table: np.ndarray, beyond: float = 0) -> Any:
     """Return values (N, T) as a vector, padded by others."""
-    padding = -len(table) % QUAD
+    padding = padded(len(table)) - len(table)
     rows = np.pad(table.astype(np.float32), ((0, padding), (0, 0)), constant_values=beyond)
     return owned(mi.Float, rows.T.ravel())
 

@@ -19,6 +19,7 @@ from oracle.posterior import F0
 from studies.clock import compile_record, measure, per_texel
 from svu_mi.bench.fresh import in_new_process
 from svu_mi.bench.text import Bar
+from svu_mi.fours import padded
 from svu_mi.interop import owned
 from svu_mi.options import Preset, preset
 from svu_mi.posterior import (
@@ -28,7 +29,7 @@ from svu_mi.posterior import (
     spectrum_posterior,
 )
 from svu_mi.reflection.lobes import mean_albedo
-from svu_mi.statistics.factors import FLOOR, PAIRS, Factors, padded, stride
+from svu_mi.statistics.factors import FLOOR, PAIRS, Factors, stride
 
 DEGREE = 6
 CHECKED = 2000  # texels that are compared with double precision
