@@ -85,8 +85,7 @@ class Pull:
         A mean hedges where a likelihood has several valleys, and its neighbours decide.
         """
         means, sds = moments(posterior)
-        weights = {name: 0.5 / (sd**2 + SURE**2) for name, sd in sds.items()}
-        return Pull._to(posterior, texels, means, weights)
+        return Pull._to(posterior, texels, means, nats_of_squares(sds))
 
     @staticmethod
     def by_trust(posterior: CalibratedPosterior, texels: Texels) -> Pull:
@@ -129,6 +128,11 @@ def nats(posterior: CalibratedPosterior) -> Any:
 
 Table = dict[str, np.ndarray]
 """Values of texels, (C, T) by parameter."""
+
+
+def nats_of_squares(sds: Table) -> Table:
+    """Return what a squared distance to the mean costs under a normal distribution, in nats."""
+    return {name: 0.5 / (sd**2 + SURE**2) for name, sd in sds.items()}
 
 
 def moments(posterior: CalibratedPosterior) -> tuple[Table, Table]:

@@ -22,7 +22,7 @@ from svu_mi.parameters import CHANNELS
 from svu_mi.posterior import CalibratedPosterior
 from svu_mi.recovery.options import DescentOptions
 from svu_mi.recovery.sh.gradient import carried
-from svu_mi.recovery.sh.objective import SURE, moments
+from svu_mi.recovery.sh.objective import moments, nats_of_squares
 from svu_mi.recovery.textures import Textures
 from svu_mi.regularization.tv import absolute
 from svu_mi.surface import Texels
@@ -68,7 +68,7 @@ class Smoothing:
         (means, sds), seen = moments(posterior), posterior.problem.factors.texel.numpy()
         shown = np.zeros(texels.count)
         shown[seen] = 1 / max(len(seen), 1)
-        weights = {name: shown * 0.5 / (sd**2 + SURE**2) for name, sd in sds.items()}
+        weights = {name: shown * nats for name, nats in nats_of_squares(sds).items()}
         target, weight = (
             [owned(mi.Float, of[name][k].astype(np.float32)) for name, k in keys]
             for of in (means, weights)
