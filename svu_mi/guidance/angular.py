@@ -61,7 +61,7 @@ def respond(scene: Any, model: Model) -> Respond:
         if model.reads_mirrors:
             free = mirror_free(scene, surface, seen, seen.seen)
         found = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free)
-        return [seen.cosine, *(value for level in found for lobe in level for value in lobe)]
+        return [value for level in found for lobe in level for value in lobe]
 
     return evaluate
 

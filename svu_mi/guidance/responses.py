@@ -21,7 +21,7 @@ from svu_mi.visibility import Surface, Survey, Views, over_views
 from svu_mi.visibility.observe import Observation, fold, look
 
 Respond = Callable[[Observation], list[Any]]
-"""One sample per lane -> its columns, Floats, of which the first is the cosine."""
+"""One sample per lane -> its columns, Floats, but for the first, which is the cosine."""
 
 
 @dataclass(frozen=True)
@@ -97,9 +97,9 @@ class Responses:
         return dr.gather(mi.Vector4f, self.rest, place, self.sees(view) > 0)
 
     def write(self, view: Any, columns: list[Any], active: Any) -> None:
-        """Write all columns of a view but the first, within the kernel that computes them."""
+        """Write the columns of a view, all but the first, in the kernel that computes them."""
         slot, mode = self._slot(view) * self.groups, dr.ReduceMode.NoConflicts
-        rest = columns[1:] + [mi.Float(0)] * (1 + QUAD * self.groups - len(columns))
+        rest = columns + [mi.Float(0)] * (QUAD * self.groups - len(columns))
         for group in range(self.groups):
             four = mi.Vector4f(*rest[QUAD * group : QUAD * (group + 1)])
             dr.scatter(self.rest, four, slot + group, active, mode)
@@ -124,7 +124,7 @@ def collect(
     Raises:
         OptionError: more numbers than 32-bit indices reach.
     """
-    require_room(surface.count, photographed[0].number + candidates.number, columns)
+    _require_room(surface.count, photographed[0].number + candidates.number, columns)
     first = cosines(surface, photographed, candidates)
     responses = Responses.of(first, columns, surface.count)
     views, found = photographed
@@ -158,7 +158,7 @@ def cosines(
     evaluated. Arguments, and what is raised, are those of ``collect``; None for the candidates
     alone."""
     photographs = photographed[0].number if photographed else 0
-    require_room(surface.count, photographs + candidates.number, 1)
+    _require_room(surface.count, photographs + candidates.number, 1)
     count, before = dr.opaque(mi.UInt32, surface.count), dr.opaque(mi.UInt32, photographs)
     result = dr.zeros(mi.Float, surface.count * (photographs + candidates.number))
     dr.eval(result)
@@ -180,7 +180,7 @@ def cosines(
     return result
 
 
-def require_room(count: int, number: int, columns: int) -> None:
+def _require_room(count: int, number: int, columns: int) -> None:
     """Refuse more numbers than 32-bit indices reach.
 
     Args:
@@ -191,7 +191,7 @@ def require_room(count: int, number: int, columns: int) -> None:
     Raises:
         OptionError: there are more.
     """
-    room = count * number * max(padded(columns - 1), QUAD)
+    room = count * number * max(padded(columns - 1), 1)
     if room >= 2**32:
         most = count * 2**32 // room
         raise OptionError(

@@ -63,7 +63,7 @@ def respond(scene: Any, surface: Surface, lighting: Lighting, switches: Preset) 
             free = mirror_free(scene, surface, seen, seen.seen)
         mirrored = lighting.radiance(mirror_direction(surface.normal, seen.direction))
         light = [dr.select(free, x, 0) for x in as_channels(mirrored, switches.colors)]
-        return [seen.cosine, *seen.direction, *light]
+        return [*seen.direction, *light]
 
     return evaluate
 
