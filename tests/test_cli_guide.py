@@ -164,7 +164,7 @@ def test_the_sphere_of_candidates_is_where_it_is_asked_to_be(shot, tmp_path, no_
     "words",
     [
         ("--strategy", "d-optimal"),
-        ("--preset", "fixed", "--known", "metallic=0", "--lazy", "--hypotheses", "4"),
+        ("--preset", "fixed", "--known", "metallic=0", "--no-lazy", "--hypotheses", "4"),
         ("--method", "spectrum", "--preset", "paper", "--band-limit", "growing"),
     ],
     ids=" ".join,
@@ -198,15 +198,7 @@ EARLY = {  # refused before anything is loaded
         ["--method", "spectrum", "--preset", "paper", "--strategy", "d-optimal"], "--strategy",
     ),
     "SH model": (["--preset", "paper", "--strategy", "coverage"], "--preset paper is the SH model"),
-    "lazy paper": (
-        ["--method", "spectrum", "--preset", "paper", "--lazy"],
-        "--lazy does not work with --preset paper",
-    ),
     "growing": (["--band-limit", "growing"], "--band-limit growing needs --method spectrum"),
-    "lazy": (
-        ["--method", "spectrum", "--preset", "paper", "--band-limit", "growing", "--lazy"],
-        "omit one of them",
-    ),
     "texels": (["--texels", "0"], "texels"),
     "hypotheses": (["--hypotheses", "0"], "hypotheses"),
     "seed": (["--seed", "-1"], "seed"),

@@ -200,12 +200,6 @@ class Guide(WithPictures, Estimated):
                 f"--preset {self.preset} is the SH model, which knows light only where photographs "
                 "were taken; add --method spectrum for Eq. 13, or omit --preset."
             )
-        own = switches.band_limit if isinstance(switches, Preset) else "photographs"
-        if self.judging.lazy and self.judging.band_limit == "preset" and own == "growing":
-            raise OptionError(
-                f"--lazy does not work with --preset {self.preset}, whose light changes at every "
-                "step; add --band-limit photographs, or omit --lazy."
-            )
         if self.judging.band_limit == "growing" and self.method != "spectrum":
             raise OptionError("--band-limit growing needs --method spectrum.")
         strategy = self.judging.strategy

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from svu_mi.errors import OptionError
 from svu_mi.guidance.strategies import Name
 from svu_mi.options import AnyPreset, Preset
 from svu_mi.settings import require, require_types
@@ -42,32 +41,22 @@ class GuidanceOptions:
     gain then compares both numbers of views in the same light. All candidates are evaluated
     again at every step, which takes about four times as long."""
 
-    lazy: bool = False
-    """Evaluate candidates again only while their last gain is above the best: right if a gain never
-    grows when another view is added, which is usual but not guaranteed."""
+    lazy: bool = True
+    """Evaluate again only candidates that may be best: those whose last gain, and a tenth of it,
+    reaches the best. Right if no gain grows by more when another view is added, which is usual but
+    not guaranteed. Where the light changes at every step (growing), all are."""
 
     seed: int = 0
     """Seed of texels, hypotheses and random views."""
 
     def __post_init__(self) -> None:
         require_types(self)
-        if self.lazy and self.band_limit == "growing":
-            raise OptionError(
-                "GuidanceOptions: lazy uses gains as bounds, but with band_limit='growing' the "
-                "light changes at every step; omit one of them.",
-                shell="--lazy uses gains as bounds, but with --band-limit growing the light "
-                "changes at every step; omit one of them.",
-            )
         require(self, self.texels >= 1, "texels", "at least 1")
         require(self, 1 <= self.hypotheses <= 4096, "hypotheses", "in [1, 4096]")
         require(self, 0 <= self.seed < 2**32, "seed", "in [0, 2^32)")
 
     def resolved(self, preset: AnyPreset) -> GuidanceOptions:
-        """Return the options with the band limit of an estimate's preset, if they have none.
-
-        Raises:
-            OptionError: they are lazy, and the preset's light changes at every step.
-        """
+        """Return the options with the band limit of an estimate's preset, if they have none."""
         if self.band_limit != "preset":
             return self
         own = preset.band_limit if isinstance(preset, Preset) else "photographs"

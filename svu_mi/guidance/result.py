@@ -56,8 +56,7 @@ class Guidance:
         candidates: what there was to choose from.
         proposals: the best view, then the best one once that is taken, ...
         gains: (C,) float64, gain of every candidate as the next photograph, in the unit of the
-            strategy (mean change of E[H], if by entropy); NaN where not reachable. With
-            ``lazy``, an upper bound for candidates that were not looked at.
+            strategy (mean change of E[H], if by entropy); NaN where not reachable.
         entropy: of the photographs so far, as ``estimate`` has it: mean over all texels, of which
             unseen ones count as H of the prior (``Posterior.prior_entropy``).
         texels: the T texels.
