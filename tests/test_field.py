@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -14,11 +16,13 @@ import svu_mi as svu
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.field import clipped
+from svu_mi.recovery.field import clipped, nested
 from svu_mi.recovery.field import field as module
+from svu_mi.recovery.field import smoother as smoothers
 from svu_mi.recovery.field.coherent import Waves
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.field.make import texture_field
+from svu_mi.recovery.field.nested import Nested
 from svu_mi.recovery.field.smoother import Smoother
 from svu_mi.recovery.recover import recover
 from svu_mi.recovery.relit_draws import relight_draws
@@ -69,6 +73,41 @@ def test_smoothing_solves_the_equations_of_the_field(fields: int) -> None:
     found = smoother.solve(right)
     wanted = np.linalg.solve(matrix, right[..., None])[..., 0]
     np.testing.assert_allclose(found, wanted, atol=2e-3 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("few", [20, 600])
+def test_from_coarse_to_fine_the_same_is_found_sooner(monkeypatch, few: int) -> None:
+    """Where little is known of most texels, values come a long way."""
+    side, sizes = 48, []
+
+    def counted(smoother: Smoother, *state: Any) -> Any:
+        sizes.append(dr.width(smoother.around[0]))
+        return iterate(smoother, *state)
+
+    iterate = Smoother._iterate
+    monkeypatch.setattr(Smoother, "_iterate", counted)
+    monkeypatch.setattr(nested, "FEW", few)
+    squares = np.stack(np.divmod(np.arange(side * side), side), axis=1)
+    values = np.stack([np.sin(squares @ (0.1, 0.2)), squares[:, 0] > 20])
+    known = np.random.default_rng(2).random((2, side * side)) < 0.01
+    around = [owned(mi.UInt32, column.astype(np.uint32)) for column in square(side)]
+    smoother = Smoother.of(np.where(known, 100, 1e-2), values, around, 1.0, EPSILON)
+    right = np.where(known, 100 * values, 0)
+    found, fine = Nested.of(smoother, squares).solve(right), sizes.count(side * side)
+    assert fine < len(sizes)
+    sizes.clear()
+    smoother.solve(right)
+    taken = len(sizes)
+    monkeypatch.setattr(smoothers, "TOLERANCE", 1e-6)
+    np.testing.assert_allclose(found, smoother.solve(right), atol=0.01)
+    assert fine < 0.7 * taken
+
+
+def test_texels_that_stand_alone_are_not_grouped() -> None:
+    squares = 2 * np.stack(np.divmod(np.arange(2**15), 256), axis=1)
+    around = [dr.arange(mi.UInt32, len(squares))]
+    alone = np.ones((1, len(squares)))
+    assert Nested.of(Smoother.of(alone, alone, around, 1.0, EPSILON), squares).coarser is None
 
 
 def test_a_solution_of_nothing_is_nothing() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import os
 import shutil
@@ -297,12 +298,18 @@ def test_words_that_do_not_go_together(shot, tmp_path, capsys, monkeypatch, word
 def client():
     """Two worker processes of one thread."""
     distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(
+
+    def start():
+        return distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
+        )
+
+    try:
+        started = start()
+    except AssertionError:  # its thread has not begun after ten seconds, on a machine that stood
+        faulthandler.dump_traceback(sys.__stderr__)
+        started = start()
+    with started as cluster, distributed.Client(cluster) as client:
         yield client
 
 

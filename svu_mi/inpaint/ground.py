@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from svu_mi.inpaint.filling import SUREST
-from svu_mi.inpaint.pieces import Pieces, connected, sums
+from svu_mi.inpaint.pieces import Pieces, connected
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.field.smoother import Smoother
-from svu_mi.surface.neighbors import grouped
+from svu_mi.surface.groups import grouped, squares_of, sums
 
 ENOUGH = 2**16  # texels that guesses are tried on: of more, groups of neighbours
 FEWER = 0.7  # part of the texels from which on groups are no help: known ones here and there
@@ -46,8 +46,7 @@ class Ground:
     def of(field: TextureField, known: np.ndarray) -> Ground:
         """Take the texels of a field, of which some, (T,) bool, are known."""
         weights = 1 / np.maximum(field.deviation, SUREST) ** 2
-        width = field.texels.resolution[0]
-        square = np.stack(np.divmod(field.texels.index.numpy().astype(np.int64), width), axis=1)
+        square = squares_of(field.texels)
         pieces = Pieces.of(field.texels, field.smoother.around)
         return Ground(
             field.values, weights, field.values, known, np.ones(len(known)), square, pieces,

@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from svu_mi.capture.mesh import unit_vectors
 from svu_mi.surface import Texels
+from svu_mi.surface.groups import sums
 
 APART = 1e3  # distance between pieces that are not to be mixed up, in extents of the object
 
@@ -55,11 +56,6 @@ class Pieces:
     def apart(self, places: np.ndarray) -> np.ndarray:
         """Return places (T, d) with another column, by which pieces are far from each other."""
         return np.concatenate([places, APART * self.piece[:, None]], axis=1)
-
-
-def sums(values: np.ndarray, owner: np.ndarray) -> np.ndarray:
-    """Return sums of values (N, T) over groups, (N, G), by the group (T,) that each texel is of."""
-    return np.stack([np.bincount(owner, row) for row in values])
 
 
 def connected(around: Sequence[Any]) -> np.ndarray:

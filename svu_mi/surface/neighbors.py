@@ -55,6 +55,25 @@ class Neighbors:
                 "which stand for none, come last."
             )
 
+    @staticmethod
+    def of(pairs: np.ndarray, count: int, seams: int = 0) -> Neighbors:
+        """Turn unique pairs into a neighbourhood.
+
+        Args:
+            pairs: (P, 2) int64, in any order.
+            count: T.
+            seams: number of them that lie across a seam.
+        """
+        pairs = np.sort(pairs, axis=1)
+        pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+        owner, other = np.r_[pairs[:, 0], pairs[:, 1]], np.r_[pairs[:, 1], pairs[:, 0]]
+        place = _place(owner, other)
+        table = np.tile(np.arange(count), (int(place.max(initial=0)) + 1, 1))
+        table[place, owner] = other
+        first, second = (owned(mi.UInt32, column.astype(np.uint32)) for column in pairs.T)
+        around = tuple(owned(mi.UInt32, column.astype(np.uint32)) for column in table)
+        return Neighbors(pairs=(first, second), around=around, seams=seams)
+
     @property
     def count(self) -> int:
         """Number of texels T."""
@@ -81,13 +100,13 @@ def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
     """
     right, down = _in_the_map(texels)
     if mesh is None:
-        return _gather(np.concatenate([right, down]), texels.count, 0)
+        return Neighbors.of(np.concatenate([right, down]), texels.count)
     surface = _Surface.of(texels, mesh)
     right = right[surface.near(right, surface.steps[0])]
     down = down[surface.near(down, surface.steps[1])]
     inside = np.concatenate([right, down])
     across = _across_seams(surface, right, down)
-    return _gather(np.concatenate([inside, across]), texels.count, len(across))
+    return Neighbors.of(np.concatenate([inside, across]), texels.count, len(across))
 
 
 def lanes_of(around: Sequence[Any], size: int) -> tuple[Any, ...]:
@@ -132,19 +151,6 @@ def over_neighbors(around: Sequence[Any], add: Callable[[Any, Any], Any], state:
         args=(state, other), cond=other != own, true_fn=more, false_fn=lambda state, _: (state,)
     )
     return found
-
-
-def grouped(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[Any, ...]:
-    """Return which groups of texels are next to each other, as ``Neighbors.around`` has them.
-
-    Args:
-        around: columns (T,) of the texels' neighbours.
-        owner: (T,), which group each texel is of.
-    """
-    others = owner[np.stack(around)]
-    apart = others > owner  # each pair once
-    pairs = np.stack([np.broadcast_to(owner, others.shape)[apart], others[apart]], axis=1)
-    return _gather(np.unique(pairs, axis=0), int(owner.max()) + 1, 0).around
 
 
 @dataclass(frozen=True)
@@ -286,16 +292,3 @@ def _place(owner: np.ndarray, order: np.ndarray) -> np.ndarray:
     place = np.empty(len(owner), np.int64)
     place[by_owner] = np.arange(len(owner)) - first
     return place
-
-
-def _gather(pairs: np.ndarray, count: int, seams: int) -> Neighbors:
-    """Turn unique pairs (P, 2) into a neighbourhood."""
-    pairs = np.sort(pairs, axis=1)
-    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    owner, other = np.r_[pairs[:, 0], pairs[:, 1]], np.r_[pairs[:, 1], pairs[:, 0]]
-    place = _place(owner, other)
-    table = np.tile(np.arange(count), (int(place.max(initial=0)) + 1, 1))
-    table[place, owner] = other
-    first, second = (owned(mi.UInt32, column.astype(np.uint32)) for column in pairs.T)
-    around = tuple(owned(mi.UInt32, column.astype(np.uint32)) for column in table)
-    return Neighbors(pairs=(first, second), around=around, seams=seams)

@@ -32,10 +32,12 @@ from svu_mi.errors import OptionError
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field import clipped
 from svu_mi.recovery.field.coherent import Waves
+from svu_mi.recovery.field.nested import Nested
 from svu_mi.recovery.field.smoother import Smoother
 from svu_mi.recovery.textures import Textures, lay_out
 from svu_mi.settings import require_known
 from svu_mi.surface import Texels
+from svu_mi.surface.groups import squares_of
 
 # Chosen on our own scenes:
 # rho, part of a seen texel's variance that its neighbourhood has in common; and of parameters that
@@ -119,7 +121,7 @@ class TextureField:
         together = np.sqrt(self.common) * self._coherent * self._mixed(np.array(waves))
         forces = self._mixed(random.standard_normal(self.deviation.shape, np.float32))
         right = forces / self.deviation + self.smoother.pulls(random)
-        away = together + np.sqrt(1 - self.common) * self.smoother.solve(right)
+        away = together + np.sqrt(1 - self.common) * self._nested.solve(right)
         away *= self._raised / np.maximum(self._own_sd, TINY)
         values = self.values + away
         values[:3] += values[:3] * self.scale[:, None] * random.standard_normal((3, 1))
@@ -139,9 +141,14 @@ class TextureField:
         return np.concatenate(rows).astype(np.float64)
 
     @cached_property
+    def _nested(self) -> Nested:
+        """The smoother, from coarse to fine."""
+        return Nested.of(self.smoother, squares_of(self.texels))
+
+    @cached_property
     def _coherent(self) -> np.ndarray:
         """c, (N, T)."""
-        left = self.smoother.solve(1 / self.deviation)
+        left = self._nested.solve(1 / self.deviation)
         links = np.median(self.smoother.links, axis=1, keepdims=True)
         d = np.broadcast_to(np.maximum(NARROW * links, TINY), self.deviation.shape)
         apart = self.smoother.with_precision(d).solve(d * np.abs(self.values - self.own))

@@ -116,21 +116,27 @@ class Smoother:
         return self._table(self.own)
 
     @property
+    def values(self) -> np.ndarray:
+        """x0, (N, T) float64."""
+        return self._table(self.start)
+
+    @property
     def links(self) -> np.ndarray:
         """The diagonal of K, the sum of every texel's links, (N, T) float64."""
         return self._table(self.diagonal - self.own)
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
+    def solve(self, right: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
         """Return x with (D + K) x = right, by conjugate gradients [Hestenes and Stiefel 1952].
 
         Args:
             right: (N, T).
+            start: (N, T), near x, if something is known that is.
 
         Returns:
             (N, T) float64.
         """
         wanted = _vector(right)
-        x = wanted / self.diagonal
+        x = wanted / self.diagonal if start is None else _vector(start)
         goal = TOLERANCE**2 * dr.sum(dr.square(wanted) / self.diagonal)
         dr.eval(x)
         return self._table(self._descend(x, wanted - self @ x, mi.Float(1), goal, MOST))
