@@ -20,7 +20,7 @@ from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.result import Guidance
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.output.aside import drawing_aside
-from svu_mi.output.guidance_page import Gains, GuidanceOverview
+from svu_mi.output.guidance_page import GuidanceOverview, Sights
 from svu_mi.output.manifest import RECORD, Run, guidance_record, write_manifest, write_run
 from svu_mi.output.maps import GUTTER, header, padded
 from svu_mi.output.upright import UP
@@ -65,15 +65,17 @@ def write_guidance(
             if pictures:
                 overview = GuidanceOverview(capture, estimate, guidance, up)
                 aside(overview.begin)
+                sights = Sights.of(capture, guidance)
+                aside(overview.draw_entropy, sights.entropy(estimate))
             _write_poses(capture, guidance, target)
             write_manifest(target / PLAN, plan(capture, estimate, guidance))
             run.progress(1, 4)
             maps = guidance.gain_maps()
             run.progress(2, 4)
             if pictures:
-                gains = Gains.of(capture, estimate, guidance, maps)
-                aside(overview.finish, gains, target / PAGE)
-                _write_thumbnails(gains.pictures, prepare_folder(target / THUMBNAILS))
+                seen = sights.gains(maps)
+                aside(overview.finish, maps, seen, target / PAGE)
+                _write_thumbnails(seen, prepare_folder(target / THUMBNAILS))
             run.progress(3, 4)
             _write_maps(guidance, maps, target)
             record = guidance_record(capture, estimate, guidance)

@@ -38,36 +38,38 @@ CROWDED = 0.04  # part of the candidates within which two numbers would overlap
 
 
 @dataclass(frozen=True)
-class Gains:
-    """Where on the object the proposals gain.
+class Sights:
+    """What the proposed cameras will see of the object.
 
     Attributes:
-        maps: (proposals, T) of ``Guidance.gain_maps``.
-        pictures: what the proposals see of them, of ``gain_picture``.
-        entropy: what they see of the entropy so far, of those that the page shows.
+        guidance: the proposals.
+        looks: one of each.
     """
 
-    maps: np.ndarray
-    pictures: list[np.ndarray]
-    entropy: list[np.ndarray]
+    guidance: Guidance
+    looks: list[Look]
 
     @classmethod
-    def of(
-        cls, capture: Capture, estimate: Estimate, guidance: Guidance, maps: np.ndarray
-    ) -> Gains:
-        """Draw maps."""
-        scene, entropy = alone(capture), map_colors(estimate)
-        looks = [Look.at(scene, _large(one.sensor)) for one in guidance.proposals]
-        return cls(
-            maps, [_painted(look, guidance, k, maps) for k, look in enumerate(looks)],
-            [look.painted(entropy) for look in looks[:SHOWN]],
-        )  # fmt: skip
+    def of(cls, capture: Capture, guidance: Guidance) -> Sights:
+        """Look from the proposals."""
+        scene = alone(capture)
+        return cls(guidance, [Look.at(scene, _large(one.sensor)) for one in guidance.proposals])
+
+    def entropy(self, estimate: Estimate) -> list[np.ndarray]:
+        """Return pictures of the entropy so far, by the proposals that the page shows."""
+        colors = map_colors(estimate)
+        return [look.painted(colors) for look in self.looks[:SHOWN]]
+
+    def gains(self, maps: np.ndarray) -> list[np.ndarray]:
+        """Return pictures of ``Guidance.gain_maps``, as of ``gain_picture``."""
+        return [_painted(look, self.guidance, k, maps) for k, look in enumerate(self.looks)]
 
 
 class GuidanceOverview:
     """Where to go, what it is worth, and what is to be seen there: 1800 x 1120 pixels.
 
-    In two parts, each of which any thread may draw: gains of all texels take longer than the rest.
+    In three parts, each of which any thread may draw, in this order: gains of all texels take
+    longer than the rest.
 
     Args:
         capture: the ``Capture``.
@@ -86,7 +88,7 @@ class GuidanceOverview:
         self._everywhere = all_seen(guidance.texels)
 
     def begin(self) -> None:
-        """Draw all that gains of texels are not asked for."""
+        """Draw where to go, and what it is worth."""
         self._figure = figure = style.new_figure(*SIZE)
         style.heading(figure, HEADING, self._notes, (0.968, 0.936))
         places = [
@@ -100,25 +102,49 @@ class GuidanceOverview:
              partial(draw_expected, capture=self._capture, guidance=guidance)),
             ("All candidates as the next photograph", partial(draw_ranking, guidance=guidance)),
         ])  # fmt: skip
+        self._rows = figure.add_gridspec(
+            2, SHOWN + 1, left=LEFT + 0.012, right=RIGHT, top=0.42, bottom=0.01, hspace=0.2,
+            wspace=0.1,
+        )  # fmt: skip
 
-    def finish(self, gains: Gains, path: str | Path) -> None:
-        """Draw what the proposals see, and write the PNG file.
+    def draw_entropy(self, pictures: Sequence[np.ndarray]) -> None:
+        """Draw what is known (``Sights.entropy``)."""
+        names = [_short(one.name) for one in self._guidance.proposals]
+        for rank, axes in enumerate(self._row(0, "entropy so far", pictures, names), 1):
+            numbered(axes, 0.06, 0.93, rank, "white", 260, transform=axes.transAxes)
+        axes = self._figure.add_subplot(self._rows[0, len(pictures)])
+        _scaled(axes, draw_map(axes, self._estimate), "entropy of every texel")
+
+    def finish(self, maps: np.ndarray, pictures: Sequence[np.ndarray], path: str | Path) -> None:
+        """Draw gains (``Guidance.gain_maps``, ``Sights.gains``), and write the PNG file.
 
         Raises:
             OutputError: the file cannot be written.
         """
-        figure, shown = self._figure, self._guidance.proposals[:SHOWN]
-        rows = figure.add_gridspec(
-            2, SHOWN + 1, left=LEFT + 0.012, right=RIGHT, top=0.42, bottom=0.01, hspace=0.2,
-            wspace=0.1,
-        )  # fmt: skip
-        pictures = zip(shown, gains.entropy, gains.pictures, strict=False)
-        for column, (proposal, before, gain) in enumerate(pictures):
-            cells = [figure.add_subplot(rows[row, column]) for row in (0, 1)]
-            _proposal(cells, column + 1, proposal, (before, gain))
-        cells = [figure.add_subplot(rows[row, len(shown)]) for row in (0, 1)]
-        _maps(cells, self._estimate, self._everywhere, gains.maps)
-        style.save_figure(figure, path)
+        shown = pictures[:SHOWN]
+        self._row(1, "expected gain", shown, [_worth(one) for one in self._guidance.proposals])
+        axes = self._figure.add_subplot(self._rows[1, len(shown)])
+        first = maps[0] if len(maps) else np.zeros(self._everywhere.texels.count, np.float32)
+        scale: Any = {"limits": (0, gain_limit(maps)), "colormap": gain_colors()}
+        _scaled(axes, draw_map(axes, self._everywhere, first, **scale), "gain by proposal 1")
+        style.save_figure(self._figure, path)
+
+    def _row(
+        self, row: int, name: str, pictures: Sequence[np.ndarray], captions: Sequence[str]
+    ) -> list[Axes]:
+        """Draw what proposed cameras will see, cut to the object."""
+        drawn = []
+        for column, (image, caption) in enumerate(zip(pictures, captions, strict=False)):
+            axes = self._figure.add_subplot(self._rows[row, column])
+            window = views.object_window(image[..., 3] > 0)
+            style.draw_image(axes, views.crop(image[..., :3], window))
+            axes.set_anchor("N")
+            style.caption(axes, caption)
+            if column == 0:
+                axes.text(-0.03, 0.5, name, transform=axes.transAxes, rotation=90, size=11,
+                          color=INK, ha="right", va="center")  # fmt: skip
+            drawn.append(axes)
+        return drawn
 
 
 def _notes(capture: Capture, estimate: Estimate, guidance: Guidance) -> list[str]:
@@ -231,34 +257,11 @@ def gain_colors() -> Colormap:
     return LinearSegmentedColormap.from_list("gain", GAIN_COLORS)
 
 
-def _proposal(
-    cells: Sequence[Axes], rank: int, proposal: Proposal, pictures: Sequence[np.ndarray]
-) -> None:
-    """What a proposed camera will see: entropy so far, and what it is expected to change."""
-    window = views.object_window(pictures[0][..., 3] > 0)
-    captions, names = (_short(proposal.name), _worth(proposal)), ("entropy so far", "expected gain")
-    for axes, image, caption, name in zip(cells, pictures, captions, names, strict=True):
-        style.draw_image(axes, views.crop(image[..., :3], window))
-        axes.set_anchor("N")
-        style.caption(axes, caption)
-        if rank == 1:
-            axes.text(-0.03, 0.5, name, transform=axes.transAxes, rotation=90, size=11,
-                      color=INK, ha="right", va="center")  # fmt: skip
-    numbered(cells[0], 0.06, 0.93, rank, "white", 260, transform=cells[0].transAxes)
-
-
-def _maps(cells: Sequence[Axes], estimate: Any, everywhere: Any, maps: np.ndarray) -> None:
-    """Both in the layout of the texture, with the scales of the pictures beside them."""
-    above, below = cells
-    gains = maps[0] if len(maps) else np.zeros(everywhere.texels.count, np.float32)
-    scale: Any = {"limits": (0, gain_limit(maps)), "colormap": gain_colors()}
-    for axes, what, words in (
-        (above, draw_map(above, estimate), "entropy of every texel"),
-        (below, draw_map(below, everywhere, gains, **scale), "gain by proposal 1"),
-    ):
-        style.color_bar(axes, what, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
-        style.caption(axes, words)
-        axes.set_anchor("NW")
+def _scaled(axes: Axes, drawn: Any, words: str) -> None:
+    """Give a map, in the layout of the texture, the scale of the pictures beside it."""
+    style.color_bar(axes, drawn, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
+    style.caption(axes, words)
+    axes.set_anchor("NW")
 
 
 def _labels(
