@@ -275,7 +275,8 @@ def test_neighbours_in_draws_are_as_alike_as_the_field_says(recovered: SimpleNam
     assert len(i) > 50
     distance = np.linalg.norm(place[i] - place[j], axis=1) / (module.LENGTH * field.texels.extent)
     rho = module.COMMON
-    alike = (field.mixing[i, row] * field.mixing[j, row]).sum(axis=1)  # of their correlations
+    roots = field.correlations.roots
+    alike = (roots[i, row] * roots[j, row]).sum(axis=1)  # of their correlations
     covariance = rho * coherent[i] * coherent[j] * np.exp(-(distance**2) / 2) * alike
     covariance += (1 - rho) * inverse[i, j]
     share = [field.common[row, k] for k in (i, j)]

@@ -25,7 +25,7 @@ from svu_mi.output.maps import (
     write_maps,
     write_uncertainty,
 )
-from svu_mi.output.recovery_page import RecoveryOverview, maps_of
+from svu_mi.output.recovery_page import RecoveryOverview, deviations_of
 from svu_mi.output.relit import compare, write_relit
 from svu_mi.output.scene_xml import write_scene
 from svu_mi.pipeline import Estimate
@@ -119,9 +119,9 @@ class Pages:
         aside(self._overview.begin)
 
     def finish(self, field: TextureField | None) -> None:
-        """Draw what is known as well."""
-        maps = maps_of(self._recovery, self._estimate, field)
-        self._aside(self._overview.finish, maps, self._path)
+        """Draw how sure the textures are as well."""
+        deviations = deviations_of(self._estimate, field)
+        self._aside(self._overview.finish, deviations, self._path)
 
 
 def _write_known(

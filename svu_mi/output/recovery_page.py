@@ -45,7 +45,7 @@ SMOOTH = 50  # losses are averaged over this part of the steps
 class RecoveryOverview:
     """A page of 1800 x 1020 pixels: textures, what is known of them, losses and comparisons.
 
-    In two parts, each of which any thread may draw: what is known may take longer than the rest.
+    In two parts, each of which any thread may draw: how sure textures are takes longer to know.
 
     Args:
         capture: the ``Capture``.
@@ -60,12 +60,13 @@ class RecoveryOverview:
     ) -> None:  # fmt: skip
         self._notes, self._losses = _notes(capture, recovery, estimate), np.array(recovery.losses)
         self._objects, scene = [], alone(capture)
+        self._maps = _maps(recovery, estimate)
         for comparison, rest in zip(comparisons, (_parameters, _rest), strict=False):
             look = Look.at(scene, capture.sensors[comparison.view])
             self._objects.append((comparison, rest(look, recovery, comparison, estimate)))
 
     def begin(self) -> None:
-        """Draw all but the maps."""
+        """Draw all but how sure textures are."""
         self._figure = figure = style.new_figure(*SIZE)
         style.heading(figure, HEADING, self._notes, (0.962, 0.925))
         plot = figure.add_gridspec(1, 1, left=0.87, right=RIGHT, top=0.875, bottom=0.64)
@@ -73,21 +74,23 @@ class RecoveryOverview:
             2, 6, left=LEFT, right=RIGHT, top=0.545, bottom=0.015, hspace=0.13, wspace=0.1
         )
         style.draw_panels(figure, plot, [("Loss by step", partial(_losses, values=self._losses))])
+        self._cells = figure.add_gridspec(
+            1, 7, left=LEFT, right=0.83, top=0.875, bottom=0.63, wspace=0.12
+        )
+        style.draw_panels(figure, [self._cells[k] for k in (0, 1, 2, 6)], self._maps, "NW")
         objects: list[Panel] = []
         for comparison, rest in self._objects:
             objects += [*_compared(comparison), *rest]
         style.draw_panels(figure, rows, objects, "NW")
 
-    def finish(self, maps: Sequence[Panel], path: str | Path) -> None:
-        """Draw maps (``maps_of``), and write the PNG file.
+    def finish(self, deviations: Sequence[Panel], path: str | Path) -> None:
+        """Draw ``deviations_of`` textures, and write the PNG file.
 
         Raises:
             OutputError: the file cannot be written.
         """
-        cells = self._figure.add_gridspec(
-            1, 7, left=LEFT, right=0.83, top=0.875, bottom=0.63, wspace=0.12
-        )
-        style.draw_panels(self._figure, cells, maps, "NW")
+        cells = [self._cells[k] for k in (3, 4, 5)]
+        style.draw_panels(self._figure, cells, deviations, "NW")
         style.save_figure(self._figure, path)
 
 
@@ -115,7 +118,7 @@ def write_recovery_overview(
     """
     page = RecoveryOverview(capture, recovery, comparisons, estimate)
     page.begin()
-    page.finish(maps_of(recovery, estimate, field), path)
+    page.finish(deviations_of(estimate, field), path)
 
 
 def _notes(capture: Capture, recovery: Recovery, estimate: Estimate | None) -> list[str]:
@@ -132,23 +135,28 @@ def _notes(capture: Capture, recovery: Recovery, estimate: Estimate | None) -> l
     ]
 
 
-def maps_of(
-    recovery: Recovery, estimate: Estimate | None, field: TextureField | None
-) -> list[Panel]:
-    """Return the recovered textures, and what is known of each, in the layout of the texture."""
+def _maps(recovery: Recovery, estimate: Estimate | None) -> list[Panel]:
+    """Return the recovered textures and the entropy, in the layout of the texture."""
     inside, known = recovery.texels.inside(), None if estimate is None else still(estimate)
     color = srgb(np.clip(recovery.image("base_color"), 0, 1))
     values = partial(recovery.textures.at, recovery.texels)
-    sd = partial(_deviations, estimate=estimate, field=field)
     return [
         (TITLES[0], partial(_texture, image=np.where(inside[..., None], color, OUTSIDE))),
         *((title, partial(_scaled, estimate=all_seen(recovery.texels), values=values(name),
                           colormap=GREY))
           for title, name in zip(TITLES[1:], NAMES[1:], strict=True)),
-        *((f"{title}, sd", partial(_uncertainty, estimate=known, sd=sd(name)))
-          for title, name in zip(TITLES, NAMES, strict=True)),
         ("Entropy", partial(_scaled, estimate=known, label=GREYS)),
     ]  # fmt: skip
+
+
+def deviations_of(estimate: Estimate | None, field: TextureField | None) -> list[Panel]:
+    """Return how sure each of the textures is, in their layout."""
+    known = None if estimate is None else still(estimate)
+    sd = partial(_deviations, estimate=estimate, field=field)
+    return [
+        (f"{title}, sd", partial(_uncertainty, estimate=known, sd=sd(name)))
+        for title, name in zip(TITLES, NAMES, strict=True)
+    ]
 
 
 def _texture(axes: Axes, image: np.ndarray) -> None:

@@ -32,6 +32,7 @@ from svu_mi.errors import OptionError
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field import clipped
 from svu_mi.recovery.field.coherent import Waves
+from svu_mi.recovery.field.correlations import Correlations
 from svu_mi.recovery.field.nested import Nested
 from svu_mi.recovery.field.smoother import Smoother
 from svu_mi.recovery.textures import Textures, lay_out
@@ -61,7 +62,7 @@ class TextureField:
         own: (N, T), m of the N values of all parameters, base colour first.
         deviation: (N, T), b.
         common: (N, T), rho: 1 for texels that nobody saw, which are all as the prior has it.
-        mixing: (T, N, N), triangular, L of every texel: L L^T are the correlations of its values.
+        correlations: of the values of every texel.
         scale: standard deviation of the logarithm of a factor of base colour that all texels have
             in common, per channel.
         smoother: D + K.
@@ -75,7 +76,7 @@ class TextureField:
     own: np.ndarray
     deviation: np.ndarray
     common: np.ndarray
-    mixing: np.ndarray
+    correlations: Correlations
     scale: np.ndarray
     smoother: Smoother
     least: np.ndarray | None = None
@@ -118,9 +119,10 @@ class TextureField:
     def _drawn(self, random: np.random.Generator) -> Textures:
         length = dr.opaque(mi.Float, 1 / (LENGTH * self.texels.extent))
         waves = Waves.draw(len(self.deviation), random).at(self.texels.position * length)
-        together = np.sqrt(self.common) * self._coherent * self._mixed(np.array(waves))
-        forces = self._mixed(random.standard_normal(self.deviation.shape, np.float32))
-        right = forces / self.deviation + self.smoother.pulls(random)
+        forces = random.standard_normal(self.deviation.shape, np.float32)
+        wave, force = (self.correlations.given_to(x) for x in (np.array(waves), forces))
+        together = np.sqrt(self.common) * self._coherent * wave
+        right = force / self.deviation + self.smoother.pulls(random)
         away = together + np.sqrt(1 - self.common) * self._nested.solve(right)
         away *= self._raised / np.maximum(self._own_sd, TINY)
         values = self.values + away
@@ -128,10 +130,6 @@ class TextureField:
         values = np.clip(values, 0, 1)
         drawn = lay_out(self.texels, {name: values[self.rows(name)].T for name in NAMES})
         return self.textures.but(**{name: drawn[name] for name in self.names})
-
-    def _mixed(self, values: np.ndarray) -> np.ndarray:
-        """Give independent values (N, T) the correlations of each texel."""
-        return np.einsum("tij,jt->it", self.mixing, values)
 
     @cached_property
     def values(self) -> np.ndarray:

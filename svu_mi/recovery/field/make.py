@@ -13,18 +13,15 @@ from svu_mi.parameters import CHANNELS, MIXED, NAMES
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import CalibratedPosterior
 from svu_mi.progress import Progress
+from svu_mi.recovery.field.correlations import SUREST, Correlations, prior_sds
 from svu_mi.recovery.field.field import COMMON, COMMON_MIXED, TextureField
 from svu_mi.recovery.field.smoother import Smoother
 from svu_mi.recovery.options import ShOptions
 from svu_mi.recovery.recover import Recovery
 from svu_mi.recovery.run import HOLD
-from svu_mi.recovery.sh.energy import information
-from svu_mi.recovery.sh.objective import moments, nats, values_of
+from svu_mi.recovery.sh.objective import moments
 from svu_mi.recovery.textures import Textures
 from svu_mi.surface.neighbors import Neighbors, neighbors
-
-SUREST = 1e-3  # standard deviation that no texel is surer than
-CHUNK = 2**16  # texels whose matrices are inverted at a time
 
 
 def texture_field(
@@ -121,7 +118,7 @@ def field_around(
     )
     return TextureField(
         texels=texels, textures=textures, names=tuple(names), own=own, deviation=deviation,
-        common=_common(posterior), mixing=_mixing(posterior, values),
+        common=_common(posterior), correlations=Correlations(posterior, values),
         scale=np.asarray(posterior.common), smoother=smoother,
     )  # fmt: skip
 
@@ -138,33 +135,6 @@ def _own(posterior: CalibratedPosterior, x0: np.ndarray) -> tuple[np.ndarray, np
     """Return means and standard deviations of texels by themselves, (N, T) each; of those unseen,
     x0 and the prior's."""
     means, sds = (np.concatenate(list(table.values())) for table in moments(posterior))
-    prior = np.concatenate([_of_prior(posterior, name) for name in NAMES])
     seen = posterior.observed
-    deviation = np.maximum(np.where(seen, sds, prior[:, None]), SUREST)
+    deviation = np.maximum(np.where(seen, sds, prior_sds(posterior)[:, None]), SUREST)
     return np.where(seen, means, x0), deviation
-
-
-def _of_prior(posterior: CalibratedPosterior, name: str) -> np.ndarray:
-    """Return the standard deviation of the prior of every value of a parameter."""
-    return np.broadcast_to(np.ravel(posterior.prior_moments(name)[1]), CHANNELS[name])
-
-
-def _mixing(posterior: CalibratedPosterior, values: dict[str, np.ndarray]) -> np.ndarray:
-    """Return L of the correlations that photographs leave between values of a texel, (T, N, N)."""
-    factors = posterior.problem.factors
-    chosen = factors.texel.numpy()
-    weight = 2 * np.array(nats(posterior), np.float64)
-    matrix = information(factors, values_of(values, chosen))
-    dr.eval(matrix)
-    rows = [[np.array(x) for x in row] for row in matrix]
-    prior = np.concatenate([_of_prior(posterior, name) for name in NAMES])
-    least = np.diag(1 / np.maximum(prior, SUREST) ** 2)
-    mixing = np.tile(np.eye(len(rows), dtype=np.float32), (posterior.count, 1, 1))
-    for first in range(0, len(chosen), CHUNK):
-        span = slice(first, first + CHUNK)
-        some = np.array([[x[span] for x in row] for row in rows], np.float64) * weight[span]
-        covariance = np.linalg.inv(np.moveaxis(some, 2, 0) + least)
-        width = np.sqrt(np.einsum("tii->ti", covariance))
-        correlation = covariance / (width[:, :, None] * width[:, None, :])
-        mixing[chosen[span]] = np.linalg.cholesky(correlation)
-    return mixing
