@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from svu_mi.checking.frames import Frames
 from svu_mi.checking.points import Points, Sightings, look, open_cosines, scatter_points
@@ -67,7 +67,7 @@ class Arriving:
         whole = np.maximum(points.normal @ DIRECTIONS.T, 0)
         # A cell is hidden if the direction next to it is; what lies below the horizon hides none.
         free = (cosines > 0) | (whole <= 0)
-        nearest = cKDTree(DIRECTIONS).query(toward)[1]
+        nearest = scipy.spatial.cKDTree(DIRECTIONS).query(toward)[1]
         arriving = np.maximum(points.normal @ toward.T, 0) * free[:, nearest]
         return Arriving(arriving @ flux / np.pi, cosines.sum(axis=1) / whole.sum(axis=1))
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from svu_mi.checking.appearance import DARK, FEWEST, Texture, typical
 from svu_mi.checking.hypotheses import Hypothesis, light_hypotheses
@@ -142,7 +142,7 @@ class _Shading:
 def neighbors_of(position: np.ndarray) -> np.ndarray:
     """Return (P, 2) indices of points (N, 3), each with those nearest to it."""
     count = min(NEIGHBORS + 1, len(position))
-    near = cKDTree(position).query(position, k=count)[1][:, 1:]
+    near = scipy.spatial.cKDTree(position).query(position, k=count)[1][:, 1:]
     return np.stack([np.repeat(np.arange(len(position)), count - 1), near.ravel()], axis=-1)
 
 

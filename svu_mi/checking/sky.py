@@ -8,7 +8,7 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import find_environment
@@ -64,7 +64,7 @@ class Sky:
         Args:
             matrix: (3, 3), by which a hypothesis turns the map.
         """
-        cell = cKDTree(self._local(DIRECTIONS, matrix)).query(self.toward)[1]
+        cell = scipy.spatial.cKDTree(self._local(DIRECTIONS, matrix)).query(self.toward)[1]
         count = len(DIRECTIONS)
         return np.stack([np.bincount(cell, self.flux[:, c], count) for c in range(3)], axis=-1)
 

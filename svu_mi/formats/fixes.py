@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from svu_mi.capture.mesh import MeshArrays, flipped_v
 from svu_mi.capture.poses import affine
@@ -43,7 +43,7 @@ class Fix:
 
 def turned(axis: Literal["x", "y", "z"], degrees: float) -> np.ndarray:
     """Return the (3, 3) rotation about an axis; exact at multiples of 90 degrees."""
-    matrix = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+    matrix = scipy.spatial.transform.Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
     return matrix.round() if degrees % 90 == 0 else matrix
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import rq
+import scipy
 
 from svu_mi.capture.picture import open_picture
 from svu_mi.capture.poses import affine
@@ -182,7 +182,7 @@ def decomposed(matrix: np.ndarray, label: str) -> tuple[np.ndarray, np.ndarray]:
             f"{label}: is mirrored (determinant < 0), so it is no K [R | t] with a rotation R and "
             "positive focal lengths; write it again from a right-handed camera, or negate it."
         )
-    K, rotation = rq(left)
+    K, rotation = scipy.linalg.rq(left)
     signs = np.sign(np.diag(K))  # of RQ they are anyhow: K S and S R are the same product
     K, rotation = K * signs, signs[:, None] * rotation
     K = K / K[2, 2]

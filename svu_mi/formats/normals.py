@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import scipy
 import trimesh
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from svu_mi.capture.mesh import MeshArrays, crosses_of
 
@@ -78,8 +77,9 @@ def _shaded(mesh: MeshArrays, welded: trimesh.Trimesh) -> tuple[MeshArrays, bool
     is_noisy = _is_noisy(cosine[are_two & ~flat], len(welded.faces))
     is_smooth = flat | (cosine > np.cos(np.radians(CREASE))) | (is_noisy & are_two)
     smooth = pairs[:, is_smooth].reshape(2, -1)
-    links = coo_array((np.ones(smooth.shape[1], np.int8), smooth), shape=(count, count))
-    fan = connected_components(links, directed=False)[1]
+    ones = np.ones(smooth.shape[1], np.int8)
+    links = scipy.sparse.coo_array((ones, smooth), shape=(count, count))
+    fan = scipy.sparse.csgraph.connected_components(links, directed=False)[1]
     weighted = np.nan_to_num(welded.face_angles)[..., None] * normal[:, None]
     total = np.stack([np.bincount(fan, weighted[..., k].ravel()) for k in range(3)], axis=-1)
     is_real = np.linalg.norm(total, axis=1) > 0

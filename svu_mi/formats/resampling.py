@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import map_coordinates
+import scipy
 
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.formats.source import Frame
@@ -116,7 +116,7 @@ def unbent(planes: Sequence[np.ndarray], frame: Frame) -> Sequence[np.ndarray]:
         place = np.ascontiguousarray(pixels[..., ::-1].transpose(2, 0, 1))
         for plane, whole in zip(planes, found, strict=True):
             strip = whole[first : first + STRIP]
-            map_coordinates(plane, place, strip, order=1, mode="nearest")
+            scipy.ndimage.map_coordinates(plane, place, strip, order=1, mode="nearest")
     return found
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
-from scipy.linalg import solve_triangular
+import scipy
 
 from svu_mi.illumination.level import Level
 from svu_mi.illumination.materials import Moments, columns_of
@@ -48,7 +48,7 @@ def possible(fit: Fit, count: int, seed: int = 0) -> Possible:
     """
     number, root = len(fit.x), np.linalg.cholesky(fit.system.matrix)
     every = len(root)  # gains of photographs follow the cells of each channel
-    inverse = solve_triangular(root, np.eye(every), lower=True, check_finite=False)
+    inverse = scipy.linalg.solve_triangular(root, np.eye(every), lower=True, check_finite=False)
     noise = np.random.default_rng(seed).standard_normal((every, count))
     free = (inverse.T @ noise).T.reshape(count, 3, -1)[..., :number].transpose(0, 2, 1)
     mean = inverse.reshape(every, 3, -1)[..., :number].mean(axis=1)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from math import log
 
 import numpy as np
+import scipy
 
 from svu_mi.illumination.materials import Moments, materials_of, noise_of
 from svu_mi.illumination.prior import COLOR
@@ -96,10 +97,9 @@ def level_of(samples: Samples, columns: Columns, switches: AngularPreset) -> Lev
 
 def _common(worse: Callable[[np.ndarray], float]) -> tuple[float, float]:
     """Return the median and the standard deviation of the factor of all channels."""
-    from scipy.interpolate import PchipInterpolator  # takes long to import, and is rarely needed
 
     steps = np.linspace(-FURTHEST, FURTHEST, STEPS)
-    noise = PchipInterpolator(steps, [worse(np.full(3, step)) for step in steps])
+    noise = scipy.interpolate.PchipInterpolator(steps, [worse(np.full(3, step)) for step in steps])
     fine = np.linspace(-FURTHEST, FURTHEST, 601)
     energy = noise(fine) + COLORS * fine
     p = np.exp(energy.min() - energy)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from svu_mi.illumination.found_gains import FoundGains
 from svu_mi.illumination.prior import SD
@@ -136,7 +136,8 @@ class LightEstimate:
     @cached_property
     def _around(self) -> tuple[np.ndarray, np.ndarray]:
         """Distance to, and number of, the cells around every node: (129, 256, 4), nearest first."""
-        distance, near = cKDTree(fibonacci(self.cells)).query(directions(COLUMNS, ROWS), k=4)
+        tree = scipy.spatial.cKDTree(fibonacci(self.cells))
+        distance, near = tree.query(directions(COLUMNS, ROWS), k=4)
         return np.asarray(distance), np.asarray(near)
 
     @cached_property

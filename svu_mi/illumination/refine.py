@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+import scipy
 
 from svu_mi.errors import CaptureError
 from svu_mi.illumination.background import CellLooks
@@ -49,13 +49,13 @@ class System:
             CaptureError: the matrix is not positive definite.
         """
         try:
-            factor = cho_factor(self.matrix)
+            factor = scipy.linalg.cho_factor(self.matrix)
         except (np.linalg.LinAlgError, ValueError):
             raise CaptureError(
                 "No light explains the photographs: the search for it broke down; look at their "
                 "gains and masks with svu check."
             ) from None
-        found = -cho_solve(factor, self.gradient)
+        found = -scipy.linalg.cho_solve(factor, self.gradient)
         return np.clip(found.reshape(3, -1).T, -LARGEST, LARGEST)
 
 

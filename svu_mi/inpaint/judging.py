@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from svu_mi.inpaint.filling import SUREST
 from svu_mi.inpaint.ground import Ground
@@ -74,7 +74,8 @@ def distances(ground: Ground, texels: np.ndarray) -> np.ndarray:
     """Return how far texels are from what is known, (w,), of many of them those of some."""
     texels = intervals.spread(texels, MEASURED)
     point = ground.pieces.point
-    return np.asarray(cKDTree(point[ground.known]).query(point[texels], workers=-1)[0])
+    tree = scipy.spatial.cKDTree(point[ground.known])
+    return np.asarray(tree.query(point[texels], workers=-1)[0])
 
 
 def importance(meant: np.ndarray, given: np.ndarray) -> np.ndarray:

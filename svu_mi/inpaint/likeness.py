@@ -14,8 +14,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
+import scipy
 
 from svu_mi.inpaint.pieces import APART, Pieces
 
@@ -129,7 +128,7 @@ class Likeness:
         rule, places = RULES[self.kind], self._places(pieces)
         if not np.ptp(places[known.texels], axis=0).any():  # all as high: no tree tells them apart
             return np.repeat(known.mean, len(wanted), axis=1), np.ones(len(wanted), bool)
-        tree = cKDTree(places[known.texels])
+        tree = scipy.spatial.cKDTree(places[known.texels])
         for first in range(0, len(wanted), CHUNK):
             span = slice(first, first + CHUNK)
             found[:, span], alike[span] = self._nearest(
@@ -140,7 +139,7 @@ class Likeness:
         return found, alike
 
     def _nearest(
-        self, rule: Rule, tree: cKDTree, known: Examples, copies: Iterator[np.ndarray]
+        self, rule: Rule, tree: scipy.spatial.cKDTree, known: Examples, copies: Iterator[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return weighted means of what is nearest to copies of points, and where any is."""
         count = min(rule.nearest, len(known.texels))
@@ -182,7 +181,8 @@ class Likeness:
             yield points - 2 * (points @ axis)[:, None] * axis
         elif self.kind == "repeated":
             for step in range(1, self.count):
-                turn = Rotation.from_rotvec(2 * np.pi * step / self.count * axis)
+                angle = 2 * np.pi * step / self.count
+                turn = scipy.spatial.transform.Rotation.from_rotvec(angle * axis)
                 yield turn.apply(points)
         else:
             yield places[wanted]

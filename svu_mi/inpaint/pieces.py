@@ -8,8 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from svu_mi.capture.mesh import unit_vectors
 from svu_mi.surface import Texels
@@ -63,8 +62,9 @@ def connected(around: Sequence[Any]) -> np.ndarray:
     columns = [np.array(column, np.int64) for column in around]
     count = len(columns[0])
     rows = np.tile(np.arange(count), len(columns))
-    links = csr_array((np.ones(len(rows), bool), (rows, np.concatenate(columns))), (count, count))
-    return np.asarray(connected_components(links, directed=False)[1], np.int64)
+    places = rows, np.concatenate(columns)
+    links = scipy.sparse.csr_array((np.ones(len(rows), bool), places), (count, count))
+    return np.asarray(scipy.sparse.csgraph.connected_components(links, directed=False)[1], np.int64)
 
 
 def centred(points: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterator
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from svu_mi.inpaint.filling import SUREST
 from svu_mi.inpaint.ground import Ground
@@ -62,7 +62,7 @@ def _starts(
 def _nearest(pieces: Pieces, values: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Return values of which those that are not known are as what is near, (N, T)."""
     places, found = pieces.apart(pieces.point), values.copy()
-    tree = cKDTree(places[known])
+    tree = scipy.spatial.cKDTree(places[known])
     count = min(NEAREST, int(known.sum()))
     away, which = tree.query(places[~known], [*range(1, count + 1)], workers=-1)
     weights = 1 / np.maximum(away, 1e-9) ** 2

@@ -20,7 +20,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from svu_mi.errors import OptionError
 from svu_mi.interop import owned
@@ -287,7 +287,7 @@ def _ancestors(parent: np.ndarray, count: int) -> np.ndarray:
 
 def nearest_cells(directions: np.ndarray, count: int) -> np.ndarray:
     """Return which of ``fibonacci(count)`` is nearest to unit directions (N, 3): (N,) int64."""
-    return np.asarray(cKDTree(fibonacci(count)).query(directions, workers=-1)[1])
+    return np.asarray(scipy.spatial.cKDTree(fibonacci(count)).query(directions, workers=-1)[1])
 
 
 def fibonacci(count: int) -> np.ndarray:

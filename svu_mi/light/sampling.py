@@ -7,7 +7,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from scipy.sparse import csr_array
+import scipy
 
 from svu_mi.interop import owned
 
@@ -92,17 +92,17 @@ def quadrature(rows: int) -> np.ndarray:
     return np.where((j == 0) | (j == n), 1.0, 2.0) * series / n
 
 
-def rows_to(fewer: int, rows: int) -> csr_array:
+def rows_to(fewer: int, rows: int) -> scipy.sparse.csr_array:
     """(fewer, rows), sparse: what each row of nodes gives to the nearest of fewer."""
     return _shares(np.linspace(0, fewer - 1, rows), fewer, wrap=False)
 
 
-def columns_to(fewer: int, columns: int) -> csr_array:
+def columns_to(fewer: int, columns: int) -> scipy.sparse.csr_array:
     """(fewer, columns), sparse: what each column of nodes gives to the nearest of fewer."""
     return _shares((np.arange(columns) + 0.5) * fewer / columns - 0.5, fewer, wrap=True)
 
 
-def _shares(place: np.ndarray, count: int, wrap: bool) -> csr_array:
+def _shares(place: np.ndarray, count: int, wrap: bool) -> scipy.sparse.csr_array:
     """(count, N), sparse: what each of N points gives to its neighbours among ``count`` nodes."""
     first = np.floor(place).astype(int)
     part = place - first
@@ -113,4 +113,5 @@ def _shares(place: np.ndarray, count: int, wrap: bool) -> csr_array:
         second = np.minimum(second, count - 1)
     points = np.arange(len(place))
     nodes = (np.concatenate([first, second]), np.concatenate([points, points]))
-    return csr_array((np.concatenate([1 - part, part]), nodes), shape=(count, len(place)))
+    shares = np.concatenate([1 - part, part])
+    return scipy.sparse.csr_array((shares, nodes), shape=(count, len(place)))

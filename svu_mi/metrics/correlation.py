@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.metrics.checks import pair, vector
@@ -24,22 +25,20 @@ def pearson(x: Any, y: Any) -> float:
         ShapeError: the arrays are empty or their lengths differ.
         OptionError: NaN or infinite values.
     """
-    from scipy import stats  # takes half a second to import, which pages do without
 
     a, b = pair(x, y, ("x", "y"))
     if _constant(a) or _constant(b):
         return 0.0
-    return float(stats.pearsonr(a, b).statistic)
+    return float(scipy.stats.pearsonr(a, b).statistic)
 
 
 def spearman(x: Any, y: Any) -> float:
     """Return Spearman's rank correlation, ties sharing their mean rank (as ``pearson``)."""
-    from scipy import stats
 
     a, b = pair(x, y, ("x", "y"))
     if _constant(a) or _constant(b):
         return 0.0
-    return float(stats.spearmanr(a, b).statistic)
+    return float(scipy.stats.spearmanr(a, b).statistic)
 
 
 def _constant(values: np.ndarray) -> bool:
@@ -83,7 +82,6 @@ def mean_over_objects(
         ShapeError: the lengths differ or are 0.
         OptionError: a value is not finite, or the confidence not in (0, 1).
     """
-    from scipy import stats
 
     cells = vector(values, "values")
     if len(objects) != len(cells):
@@ -95,7 +93,7 @@ def mean_over_objects(
     if len(names) < MIN_OBJECTS:
         return Interval(mean, None, None, len(names))
     sums, counts = np.bincount(owner, cells), np.bincount(owner)
-    found = stats.bootstrap(
+    found = scipy.stats.bootstrap(
         (sums, counts),
         lambda s, c, axis: s.sum(axis=axis) / c.sum(axis=axis),
         paired=True,
@@ -106,6 +104,6 @@ def mean_over_objects(
         random_state=np.random.default_rng(seed),
     ).confidence_interval
     n, tail = len(names), (1 - confidence) / 2
-    wider = np.sqrt(n / (n - 1)) * stats.t.ppf(tail, n - 1) / stats.norm.ppf(tail)
+    wider = np.sqrt(n / (n - 1)) * scipy.stats.t.ppf(tail, n - 1) / scipy.stats.norm.ppf(tail)
     low, high = (mean + float(wider) * (float(end) - mean) for end in (found.low, found.high))
     return Interval(mean, low, high, n)

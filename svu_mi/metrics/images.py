@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+import scipy
 
 from svu_mi.capture.picture import srgb
 from svu_mi.errors import ShapeError
@@ -83,7 +83,7 @@ def ssim_map(
 
     def local(values: np.ndarray) -> np.ndarray:
         sigma = (WINDOW_SIGMA, WINDOW_SIGMA, 0)
-        return gaussian_filter(values, sigma, radius=(radius, radius, 0), mode=border)
+        return scipy.ndimage.gaussian_filter(values, sigma, radius=(radius, radius, 0), mode=border)
 
     c1, c2 = K1**2, K2**2
     mean_a, mean_b = local(found), local(truth)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.integrate import trapezoid
+import scipy
 
 from svu_mi.errors import OptionError
 from svu_mi.metrics.checks import pair
@@ -61,10 +61,10 @@ def sparsification(error: Any, uncertainty: Any) -> Sparsification:
     count = len(errors)
     removed = np.arange(count) / count
     curve, oracle = _remaining(_tied(errors, said)), _remaining(np.sort(errors))
-    area = float(trapezoid(curve - oracle, removed))
+    area = float(scipy.integrate.trapezoid(curve - oracle, removed))
     # Rounding of two equal orders, summed differently.
     area = area if abs(area) > 1e-12 else 0.0
-    chance = float(trapezoid(1 - oracle, removed))
+    chance = float(scipy.integrate.trapezoid(1 - oracle, removed))
     return Sparsification(removed, curve, oracle, area, area / chance if chance > 1e-12 else 0.0)
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from svu_mi.metrics import psnr
 from svu_mi.output.compare_surface import Surface
@@ -164,11 +164,12 @@ def _sums_around(surface: Surface, values: np.ndarray) -> np.ndarray:
     chart = surface.to_image(surface.chart + 1, 0)
     images = [surface.to_image(row, 0.0) for row in values]
     found = np.zeros((len(images), *chart.shape))
-    for number, box in enumerate(ndimage.find_objects(chart), 1):
+    for number, box in enumerate(scipy.ndimage.find_objects(chart), 1):
         if box is None:
             continue
         own = chart[box] == number
         for image, sums in zip(images, found, strict=True):
-            total = ndimage.uniform_filter(np.where(own, image[box], 0), AROUND, mode="constant")
+            inside = np.where(own, image[box], 0)
+            total = scipy.ndimage.uniform_filter(inside, AROUND, mode="constant")
             sums[box] += np.where(own, total * AROUND**2, 0)
     return found.reshape(len(images), -1)[:, surface.index]

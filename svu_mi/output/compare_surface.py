@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.errors import CaptureError
@@ -139,8 +138,8 @@ def charts_of(mesh: MeshArrays) -> np.ndarray:
     point = np.unique(steps, axis=0, return_inverse=True)[1].reshape(-1)[mesh.faces]
     count = int(point.max(initial=0)) + 1
     ends = point[:, :2].ravel(), point[:, 1:].ravel()
-    links = csr_array((np.ones(len(ends[0]), np.int8), ends), shape=(count, count))
-    label = connected_components(links, directed=False)[1][point[:, 0]]
+    links = scipy.sparse.csr_array((np.ones(len(ends[0]), np.int8), ends), shape=(count, count))
+    label = scipy.sparse.csgraph.connected_components(links, directed=False)[1][point[:, 0]]
     return np.asarray(np.unique(label, return_inverse=True)[1].reshape(-1), np.int64)
 
 

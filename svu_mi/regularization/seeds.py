@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import Posterior
@@ -110,8 +109,9 @@ def _plateaus(level: np.ndarray, table: np.ndarray) -> np.ndarray:
     count = len(level)
     here = np.broadcast_to(np.arange(count), table.shape)
     same = level[table] == level[here]
-    links = csr_array((np.ones(same.sum(), bool), (here[same], table[same])), shape=(count, count))
-    return connected_components(links, directed=False)[1]
+    places = here[same], table[same]
+    links = scipy.sparse.csr_array((np.ones(same.sum(), bool), places), shape=(count, count))
+    return scipy.sparse.csgraph.connected_components(links, directed=False)[1]
 
 
 def spread(points: np.ndarray, worth: np.ndarray, count: int) -> np.ndarray:

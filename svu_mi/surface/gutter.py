@@ -7,7 +7,7 @@ gives that texel the value of the nearest one inside, so that no seam shows.
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
+import scipy
 
 from svu_mi.errors import OptionError, ShapeError
 
@@ -38,7 +38,7 @@ def dilate(image: np.ndarray, valid: np.ndarray, texels: float) -> np.ndarray:
         raise OptionError(f"dilate(): the width must not be negative, got {texels}.")
     filled = image.copy()
     if valid.any() and not valid.all():  # without any, every distance would be to nowhere
-        distance, (row, column) = ndimage.distance_transform_edt(~valid, return_indices=True)
+        distance, (row, column) = scipy.ndimage.distance_transform_edt(~valid, return_indices=True)
         target = ~valid & (distance <= texels)
         filled[target] = image[row[target], column[target]]
     return filled

@@ -9,8 +9,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from scipy.sparse import csr_array, eye_array
-from scipy.spatial import cKDTree
+import scipy
 
 from svu_mi.capture.mesh import arrays
 from svu_mi.errors import ShapeError
@@ -224,7 +223,7 @@ def _across_seams(surface: _Surface, right: np.ndarray, down: np.ndarray) -> np.
     if len(border) < 2:
         return np.empty((0, 2), np.int64)
     target = surface.position[start] + way
-    tree = cKDTree(surface.position[border])
+    tree = scipy.spatial.cKDTree(surface.position[border])
     distance, found = tree.query(target, min(CANDIDATES, len(border)))
     other = border[found]
     here = np.broadcast_to(start[:, None], other.shape)
@@ -264,14 +263,15 @@ def _reached(
 ) -> np.ndarray:
     """Whether ``other`` is ``start`` or within a few steps of it without crossing a seam."""
     first, second = pairs.T
-    links = csr_array(
+    links = scipy.sparse.csr_array(
         (np.ones(2 * len(pairs), np.float32), (np.r_[first, second], np.r_[second, first])),
         shape=(count, count),
     )
-    links = csr_array(links + eye_array(count, dtype=np.float32, format="csr"))
+    own = scipy.sparse.eye_array(count, dtype=np.float32, format="csr")
+    links = scipy.sparse.csr_array(links + own)
     near = links[border]
     for _ in range(HOPS - 1):
-        near = csr_array(near @ links)
+        near = scipy.sparse.csr_array(near @ links)
     rows = np.searchsorted(border, start.ravel())
     return np.asarray(near[rows, other.ravel()]).reshape(other.shape) > 0
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from svu_mi.bench.experiment import Record
 from svu_mi.bench.sizes import GuidanceSizes
@@ -75,9 +75,10 @@ def compare(runs: list[Record], sizes: GuidanceSizes, name: str = "psnr") -> lis
         for other in (s for s in sizes.strategies if s not in sizes.judged):
             difference = gains[first] - gains[other]
             several = len(difference) > 1
+            p = float(scipy.stats.ttest_1samp(difference, 0).pvalue) if several else float("nan")
             found.append({
                 "strategy": first, "other": other, "difference": float(difference.mean()),
-                "p": float(stats.ttest_1samp(difference, 0).pvalue) if several else float("nan"),
+                "p": p,
                 "objects": len(difference), "better": int((difference > 0).sum()),
             })  # fmt: skip
     return found

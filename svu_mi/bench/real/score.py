@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import ndtr
+import scipy
 
 from svu_mi.bench.experiment import Record
 from svu_mi.metrics.images import WHITE, srgb
@@ -84,7 +84,7 @@ class Score:
         self.facing.append(cosine[~first] > FACING)
         if found.sd is not None:
             off = even - found.radiance[:, ~first]
-            self.place.append(ndtr(off / found.sd[:, ~first, None]).mean(axis=0))
+            self.place.append(scipy.special.ndtr(off / found.sd[:, ~first, None]).mean(axis=0))
 
     def record(self) -> Record:
         """Return R^2 of all samples, of those that face the camera and of others, and of each

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from svu_mi.capture.poses import affine
 from svu_mi.errors import CaptureError, excerpt
@@ -171,7 +171,7 @@ def _lens(camera: Camera, label: str) -> Lens:
 
 def _to_world(view: View) -> np.ndarray:
     w, x, y, z = view.rotation
-    rotation = Rotation.from_quat([x, y, z, w]).as_matrix()
+    rotation = scipy.spatial.transform.Rotation.from_quat([x, y, z, w]).as_matrix()
     return affine(rotation.T, -rotation.T @ view.translation) @ OPENCV
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+import scipy
 
 LEAST = 1e-9  # width below which a distribution is one value
 WIDEST = 2.0  # of x: most of it is beyond the ends
@@ -49,7 +49,7 @@ def width_of(place: np.ndarray, sd: np.ndarray) -> np.ndarray:
 def _moments(place: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return mean and variance, and the derivative of that by the standard deviation s of x."""
     low, high = -place / s, (1 - place) / s
-    below, above = ndtr(low), ndtr(-high)
+    below, above = scipy.special.ndtr(low), scipy.special.ndtr(-high)
     inside = np.clip(1 - below - above, 0, 1)
     first, last = (np.exp(-0.5 * z * z) / ROOT for z in (low, high))
     shift = first - last  # d mean / d s
@@ -64,5 +64,5 @@ def interval(
     place: np.ndarray, width: np.ndarray, level: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the ends of what holds this much, in the middle."""
-    half = ndtri((1 + level) / 2) * width
+    half = scipy.special.ndtri((1 + level) / 2) * width
     return np.clip(place - half, 0, 1), np.clip(place + half, 0, 1)

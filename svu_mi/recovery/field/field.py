@@ -26,7 +26,7 @@ from functools import cached_property
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from scipy.special import ellipk
+import scipy
 
 from svu_mi.errors import OptionError
 from svu_mi.parameters import CHANNELS, NAMES
@@ -193,7 +193,7 @@ class TextureField:
         a random walk on the square lattice that is killed at the rate of D [Economou 2006]."""
         links = self.smoother.links
         whole = self.smoother.precision + links
-        found: np.ndarray = 2 / np.pi * ellipk((links / whole) ** 2) / whole
+        found: np.ndarray = 2 / np.pi * scipy.special.ellipk((links / whole) ** 2) / whole
         return found
 
     @staticmethod

@@ -1,0 +1,65 @@
+"""How the values of a texel hang together: what is paint may be metal, if its colour is another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import drjit as dr
+import numpy as np
+
+from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.posterior import CalibratedPosterior
+from svu_mi.recovery.sh.energy import information
+from svu_mi.recovery.sh.objective import nats, values_of
+
+SUREST = 1e-3  # standard deviation that no texel is surer than
+CHUNK = 2**16  # texels whose matrices are inverted at a time
+
+
+@dataclass(frozen=True)
+class Correlations:
+    """Those that photographs leave between the N values of each of T texels, to second order.
+
+    Only draws ask for them, so they wait until they are asked for.
+
+    Attributes:
+        posterior: of the texels.
+        values: (C, T) by parameter, where they are looked for.
+    """
+
+    posterior: CalibratedPosterior
+    values: Mapping[str, np.ndarray]
+
+    @cached_property
+    def roots(self) -> np.ndarray:
+        """(T, N, N) float32, L of every texel, triangular: L L^T are its correlations."""
+        factors = self.posterior.problem.factors
+        chosen = factors.texel.numpy()
+        weight = 2 * np.array(nats(self.posterior), np.float64)
+        matrix = information(factors, values_of(dict(self.values), chosen))
+        dr.eval(matrix)
+        rows = [[np.array(x) for x in row] for row in matrix]
+        least = np.diag(1 / np.maximum(prior_sds(self.posterior), SUREST) ** 2)
+        roots = np.tile(np.eye(len(rows), dtype=np.float32), (self.posterior.count, 1, 1))
+        for first in range(0, len(chosen), CHUNK):
+            span = slice(first, first + CHUNK)
+            some = np.array([[x[span] for x in row] for row in rows], np.float64) * weight[span]
+            covariance = np.linalg.inv(np.moveaxis(some, 2, 0) + least)
+            width = np.sqrt(np.einsum("tii->ti", covariance))
+            correlation = covariance / (width[:, :, None] * width[:, None, :])
+            roots[chosen[span]] = np.linalg.cholesky(correlation)
+        return roots
+
+    def given_to(self, values: np.ndarray) -> np.ndarray:
+        """Return values (N, T) that were independent, with these correlations."""
+        return np.einsum("tij,jt->it", self.roots, values)
+
+
+def prior_sds(posterior: CalibratedPosterior) -> np.ndarray:
+    """Return the standard deviations of the prior of all values, (N,)."""
+    return np.concatenate([
+        np.broadcast_to(np.ravel(posterior.prior_moments(name)[1]), CHANNELS[name])
+        for name in NAMES
+    ])  # fmt: skip
