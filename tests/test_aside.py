@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import threading
 from concurrent.futures import wait
 
 import pytest
 
+from svu_mi import aside as module
+from svu_mi.aside import drawing_aside, import_aside
 from svu_mi.errors import OutputError
-from svu_mi.output import aside as module
-from svu_mi.output.aside import drawing_aside, import_aside
 
 
 def test_work_is_done_in_order_by_one_other_thread():
@@ -65,11 +66,10 @@ def test_where_the_block_fails_nothing_more_is_begun():
 
 def test_what_cannot_be_imported_ahead_is_left_to_whoever_needs_it(monkeypatch, capfd):
     name, interval = "email.mime.image", sys.getswitchinterval()
-    monkeypatch.setattr(module, "DRAWING", (name, "no.such.module", "email.mime.audio"))
     for each in (name, "email.mime.audio"):
         monkeypatch.delitem(sys.modules, each, raising=False)
     before = threading.enumerate()
-    import_aside()
+    import_aside(name, "no.such.module", "email.mime.audio")
     for thread in set(threading.enumerate()) - set(before):
         thread.join(10)
     assert name in sys.modules and "email.mime.audio" not in sys.modules
@@ -85,7 +85,7 @@ def test_turns_are_short_until_the_last_is_done(monkeypatch):
 
     monkeypatch.setattr(module, "import_module", slow)
     before = threading.enumerate()
-    import_aside()
+    import_aside("slow")
     assert begun.wait(10)
     with drawing_aside():
         pass
@@ -94,3 +94,15 @@ def test_turns_are_short_until_the_last_is_done(monkeypatch):
     for thread in set(threading.enumerate()) - set(before):
         thread.join(10)
     assert sys.getswitchinterval() == interval
+
+
+def test_what_is_imported_aside_is_imported_by_nothing_of_ours_before():
+    code = (
+        "import sys, mitsuba as mi\n"
+        "mi.set_variant('llvm_ad_rgb')\n"
+        "import svu_mi.cli.main, svu_mi.recovery.recover, svu_mi.output.recovery\n"
+        "from svu_mi.aside import DRAWING, SCIENCE\n"
+        "print(sorted({*SCIENCE, *DRAWING} & set(sys.modules)))\n"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout == "[]\n"

@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 LAYERS = (
-    "errors", "names", "memory", "needs", "limits", "quiet", "interrupts", "_reload", "_llvm",
-    "_workers", "fours", "interop", "files", "npz", "exr", "results", "progress", "settings",
-    "spacing", "parameters", "switches", "options", "capture", "formats", "surface", "light",
+    "errors", "names", "memory", "needs", "limits", "quiet", "interrupts", "aside", "_reload",
+    "_llvm", "_workers", "fours", "interop", "files", "npz", "exr", "results", "progress",
+    "settings", "spacing", "parameters", "switches", "options", "capture", "formats", "surface",
+    "light",
     "visibility", "frequency", "reflection", "statistics", "evidence", "observed", "posterior",
     "skipping", "estimators", "pipeline", "prediction", "illumination", "guidance",
     "regularization", "recovery", "inpaint", "reference", "metrics", "checking", "output", "export",

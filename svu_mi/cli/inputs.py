@@ -138,7 +138,6 @@ class Photographed(OfScene):
             OptionError: there are no photographs, and --render was not given.
             OutputError: the results would lie among the files of the scene.
         """
-        from svu_mi.output.aside import import_aside
         from svu_mi.surface import texels
 
         if self.fills:
@@ -150,10 +149,15 @@ class Photographed(OfScene):
             capture = self._render(progress, again)
         else:
             capture = self._read(progress, self.images, missing or self.missing)
-        if self.draws and self.figures and getattr(self, "pictures", True):
-            import_aside()
         with progress.stage("Laying out texels"):
             return capture, texels(capture.mesh, size)
+
+    def _import_aside(self) -> None:
+        """Import what comes after photographs while they are decoded."""
+        from svu_mi.aside import DRAWING, SCIENCE, import_aside
+
+        drawn = self.draws and self.figures and getattr(self, "pictures", True)
+        import_aside(*SCIENCE, *(DRAWING if drawn else ()))
 
     def detail(self) -> Detail:
         """Return what is needed of large photographs."""
@@ -177,6 +181,7 @@ class Photographed(OfScene):
         from svu_mi.capture.matching import NoPhotographsError, photographs_of
 
         _ = photographs_of(self.scene)  # refuses what is not there
+        self._import_aside()
         with progress.stage("Loading the capture"):
             try:
                 return load_capture(
@@ -203,6 +208,7 @@ class Photographed(OfScene):
             capture = self._read(progress, images, "refuse")
             require_rendered(capture, self.spp)
             return capture
+        self._import_aside()
         with progress.stage("Rendering photographs") as stage:
             return render_capture(
                 self.scene, self.spp, folder=images, shape=self.shape, defines=self.defines(),

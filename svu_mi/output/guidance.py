@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from svu_mi.aside import drawing_aside
 from svu_mi.capture import Capture, nodes
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.picture import quantized
@@ -19,7 +20,6 @@ from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.result import Guidance
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.output.aside import drawing_aside
 from svu_mi.output.guidance_page import GuidanceOverview, Sights
 from svu_mi.output.manifest import RECORD, Run, guidance_record, write_manifest, write_run
 from svu_mi.output.maps import GUTTER, header, padded

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from svu_mi.aside import Aside, drawing_aside
 from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.exr import write_exr
 from svu_mi.files import write_text
 from svu_mi.output import views
-from svu_mi.output.aside import Aside, drawing_aside
 from svu_mi.output.draws import SHEET, write_draws, write_sheet
 from svu_mi.output.manifest import RECORD, Run, recovery_record, write_run
 from svu_mi.output.maps import (

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 import svu_mi
+from svu_mi.aside import drawing_aside
 from svu_mi.capture import Capture
 from svu_mi.illumination.words import sentences
 from svu_mi.output import style
-from svu_mi.output.aside import drawing_aside
 from svu_mi.output.knowledge import Intervals, Knowledge
 from svu_mi.output.manifest import environment_record
 from svu_mi.output.page import NARROW_SPACE, grouped, page_of, percent

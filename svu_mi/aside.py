@@ -1,4 +1,4 @@
-"""Drawing beside other work: matplotlib, NumPy and Pillow in a thread, while kernels run."""
+"""Beside other work, in a thread: drawing, and importing what is needed later."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import Any
 # After so many seconds the thread lets the other one go on, which asks a hundred times a second
 # when it launches small kernels, and would wait for Python's own 5 ms each time.
 TURN = 5e-4
+SCIENCE = ("scipy.spatial", "scipy.special", "scipy.ndimage")  # which SciPy loads when it must
 DRAWING = ("matplotlib.figure", "matplotlib.backends.backend_agg", "PIL.PngImagePlugin")
 
 Aside = Callable[..., Future[Any]]
@@ -44,13 +45,13 @@ class _Turns:
 _turns = _Turns()
 
 
-def import_aside() -> None:
-    """Import what pages are drawn with in a thread, a third of a second that nobody waits for while
+def import_aside(*names: str) -> None:
+    """Import modules in a thread: half a second of one processor, while photographs are decoded and
     kernels run."""
 
     def imported() -> None:
         with _short_turns(), suppress(Exception):  # whoever needs it will say so
-            for name in DRAWING:
+            for name in names:
                 import_module(name)
 
     with suppress(RuntimeError):  # no more threads
