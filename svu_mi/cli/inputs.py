@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -152,13 +153,6 @@ class Photographed(OfScene):
         with progress.stage("Laying out texels"):
             return capture, texels(capture.mesh, size)
 
-    def _import_aside(self) -> None:
-        """Import what comes after photographs while they are decoded."""
-        from svu_mi.aside import DRAWING, SCIENCE, import_aside
-
-        drawn = self.draws and self.figures and getattr(self, "pictures", True)
-        import_aside(*SCIENCE, *(DRAWING if drawn else ()))
-
     def detail(self) -> Detail:
         """Return what is needed of large photographs."""
         from svu_mi.capture.window import Detail
@@ -181,13 +175,12 @@ class Photographed(OfScene):
         from svu_mi.capture.matching import NoPhotographsError, photographs_of
 
         _ = photographs_of(self.scene)  # refuses what is not there
-        self._import_aside()
         with progress.stage("Loading the capture"):
             try:
                 return load_capture(
                     self.scene, images, shape=self.shape, defines=self.defines(),
                     unwrap=self.unwrap, missing=missing, trust=self.trust, light="optional",
-                    preflight=announcing(progress, str(images or self.scene), self.announced),
+                    preflight=self._preflight(progress, str(images or self.scene), self.announced),
                     detail=self.detail(), memory=bytes_of(self.memory, "--memory"),
                 )  # fmt: skip
             except NoPhotographsError as error:
@@ -208,13 +201,29 @@ class Photographed(OfScene):
             capture = self._read(progress, images, "refuse")
             require_rendered(capture, self.spp)
             return capture
-        self._import_aside()
         with progress.stage("Rendering photographs") as stage:
             return render_capture(
                 self.scene, self.spp, folder=images, shape=self.shape, defines=self.defines(),
                 unwrap=self.unwrap, progress=stage.update, trust=self.trust,
-                preflight=announcing(progress, str(self.scene), self._need_rendered),
+                preflight=self._preflight(progress, str(self.scene), self._need_rendered),
             )  # fmt: skip
+
+    def _preflight(
+        self, progress: Progress, label: str, need: Callable[[Sizes], Need]
+    ) -> Callable[[Sizes], float]:
+        """Return ``announcing``, after which what comes later is imported: from then on others are
+        at work, who decode photographs or render them."""
+        from svu_mi.aside import DRAWING, SCIENCE, import_aside
+
+        announced = announcing(progress, label, need)
+        drawn = self.draws and self.figures and getattr(self, "pictures", True)
+
+        def preflight(sizes: Sizes) -> float:
+            room = announced(sizes)
+            import_aside(*SCIENCE, *(DRAWING if drawn else ()))
+            return room
+
+        return preflight
 
     def _need_rendered(self, sizes: Sizes) -> Need:
         """Return what takes more memory: to render the photographs, or what is done with them."""
