@@ -6,6 +6,8 @@ gives that texel the value of the nearest one inside, so that no seam shows.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import scipy
 
@@ -37,8 +39,25 @@ def dilate(image: np.ndarray, valid: np.ndarray, texels: float) -> np.ndarray:
     if texels < 0:
         raise OptionError(f"dilate(): the width must not be negative, got {texels}.")
     filled = image.copy()
-    if valid.any() and not valid.all():  # without any, every distance would be to nowhere
-        distance, (row, column) = scipy.ndimage.distance_transform_edt(~valid, return_indices=True)
-        target = ~valid & (distance <= texels)
-        filled[target] = image[row[target], column[target]]
+    place, source = _gutter(np.packbits(valid).tobytes(), valid.shape, texels)
+    flat = filled.reshape(valid.size, *image.shape[2:])  # a view: the copy is contiguous
+    flat[place] = flat[source]
     return filled
+
+
+@lru_cache(maxsize=4)  # one layout has many maps
+def _gutter(packed: bytes, shape: tuple[int, int], texels: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the places (G,) of a gutter in the flat image, and where each takes its value from.
+
+    Args:
+        packed: ``np.packbits`` of the mask.
+        shape: (H, W) of it.
+        texels: width of the gutter.
+    """
+    count = shape[0] * shape[1]
+    valid = np.unpackbits(np.frombuffer(packed, np.uint8), count=count).view(bool).reshape(shape)
+    if not valid.any() or valid.all():  # without any, every distance would be to nowhere
+        return np.empty(0, np.intp), np.empty(0, np.intp)
+    distance, (row, column) = scipy.ndimage.distance_transform_edt(~valid, return_indices=True)
+    place = np.flatnonzero(~valid & (distance <= texels))
+    return place, (row.ravel() * shape[1] + column.ravel())[place]
