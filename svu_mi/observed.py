@@ -103,16 +103,16 @@ class Observed(Evidence):
         key = (cells, occluded)
         if key not in self._reached:
             self._reached[key] = trace_reach(
-                self.views.scene, self.surface, self._tree(cells), occluded=occluded
+                self.views.scene, self.surface, self.cells(cells), occluded=occluded
             )
         return self._reached[key]
 
-    def _tree(self, cells: int) -> LightCells:
-        """Return the cells of the light, gathered when first asked for."""
-        if cells not in self._of_light:
-            coarse = min(max(cells // COARSE, 64), cells)
-            self._of_light[cells] = light_cells(self.lighting.environment, coarse, cells)
-        found: LightCells = self._of_light[cells]
+    def cells(self, fine: int) -> LightCells:
+        """Return the cells of the light, so many fine ones, gathered when first asked for."""
+        if fine not in self._of_light:
+            coarse = min(max(fine // COARSE, 64), fine)
+            self._of_light[fine] = light_cells(self.lighting.environment, coarse, fine)
+        found: LightCells = self._of_light[fine]
         return found
 
     def irradiance(self, switches: Preset, channels: int) -> list[Any]:

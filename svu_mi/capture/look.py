@@ -59,9 +59,9 @@ class Look:
         return Look(window, uv, shade, covered)
 
     @staticmethod
-    def at(scene: Any, sensor: Any) -> Look:
-        """Trace the rays of a sensor whose picture is made small, 512 pixels on its longer side."""
-        return Look.of(scene, scaled_sensor(sensor, SIDE))
+    def at(scene: Any, sensor: Any, side: int = SIDE) -> Look:
+        """Trace the rays of a sensor whose picture has at most so many pixels on a side."""
+        return Look.of(scene, scaled_sensor(sensor, side))
 
     def painted(self, texture: np.ndarray) -> np.ndarray:
         """Show a texture on the object, slightly shaded.

@@ -25,15 +25,17 @@ import scipy
 
 from svu_mi.checking.frames import Frames
 from svu_mi.checking.points import Points, Sightings, look, open_cosines, scatter_points
-from svu_mi.checking.sky import DIRECTIONS, cells_of
+from svu_mi.checking.sky import COARSE, DIRECTIONS, read_cells
 from svu_mi.errors import SvuWarning
+from svu_mi.light.cells import light_cells
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
+    from svu_mi.light.cells import Cells
     from svu_mi.light.environment import Environment
     from svu_mi.pipeline import Estimate
 
-CELLS = 512  # of the light, the smaller the brighter it is
+CELLS = 1024  # of the light, the smaller the brighter it is: as many as are traced by default
 FACING = 0.5  # cosine to the camera: towards the rim, gloss reflects more than it should
 LEAST = 3  # views that see a point
 NARROW = 0.95  # length of the mean of unit directions to them; of a cone of 50 degrees
@@ -60,9 +62,19 @@ class Arriving:
     free: np.ndarray
 
     @staticmethod
-    def of(scene: Any, points: Points, environment: Environment) -> Arriving:
-        """Sum the light's cells; what hides them is traced in a few even directions."""
-        flux, toward = cells_of(environment, CELLS)
+    def of(
+        scene: Any, points: Points, environment: Environment, cells: Cells | None = None
+    ) -> Arriving:
+        """Sum the light's cells; what hides them is traced in a few even directions.
+
+        Args:
+            scene: what hides.
+            points: N points.
+            environment: the light.
+            cells: of it, where they have been gathered.
+        """
+        cells = cells or light_cells(environment, COARSE, CELLS).fine
+        flux, toward = read_cells(cells)
         cosines = open_cosines(scene, points, DIRECTIONS)
         whole = np.maximum(points.normal @ DIRECTIONS.T, 0)
         # A cell is hidden if the direction next to it is; what lies below the horizon hides none.
@@ -155,7 +167,8 @@ def too_bright(estimate: Estimate) -> str | None:
         return None
     points = scatter_points(seen.capture.shape)
     sightings = look(points, Frames(seen.capture, seen.views, np.zeros((0, 4, 4))))
-    arriving = Arriving.of(seen.capture.scene, points, seen.lighting.environment)
+    light = seen.lighting.environment, seen.cells(CELLS).fine
+    arriving = Arriving.of(seen.capture.scene, points, *light)
     found = excess(sightings, points, arriving, 1.0)
     if found is None:
         return None

@@ -13,8 +13,8 @@ import scipy
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import find_environment
 from svu_mi.interop import owned
-from svu_mi.light.cells import fibonacci, light_cells
-from svu_mi.light.environment import Environment, read_environment
+from svu_mi.light.cells import Cells, fibonacci, light_cells
+from svu_mi.light.environment import read_environment
 from svu_mi.light.levels import Levels, filter_light
 from svu_mi.light.lighting import band_limit, look_up
 from svu_mi.reflection.lobes import zonal_profile
@@ -50,7 +50,7 @@ class Sky:
             mesh_turn: (3, 3), by which corrections turn the mesh before it is lit.
         """
         environment = read_environment(emitter)
-        flux, toward = cells_of(environment, CELLS)
+        flux, toward = read_cells(light_cells(environment, COARSE, CELLS).fine)
         return Sky(
             flux=flux,
             toward=toward @ environment.to_local.T,
@@ -78,9 +78,8 @@ class Sky:
         return directions @ (matrix.T @ self.to_local).T
 
 
-def cells_of(environment: Environment, count: int) -> tuple[np.ndarray, np.ndarray]:
+def read_cells(cells: Cells) -> tuple[np.ndarray, np.ndarray]:
     """Return the flux (M, 3) and the direction (M, 3), in world space, of M cells of the light."""
-    cells = light_cells(environment, COARSE, count).fine
     flux, toward = (a.numpy().reshape(-1, 4)[:, :3] for a in (cells.flux, cells.toward))
     return flux, toward
 

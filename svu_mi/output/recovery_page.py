@@ -21,7 +21,7 @@ from svu_mi.output.figures import (
     still,
 )
 from svu_mi.output.page import grouped
-from svu_mi.output.relit import Comparison
+from svu_mi.output.relit import SIDE, Comparison
 from svu_mi.output.result import is_seen, words
 from svu_mi.output.style import GREY, INK, LEFT, OUTSIDE, RIGHT, RULE, VIEWS_COLORMAP
 from svu_mi.parameters import NAMES
@@ -62,7 +62,7 @@ class RecoveryOverview:
         self._objects, scene = [], alone(capture)
         self._maps = _maps(recovery, estimate)
         for comparison, rest in zip(comparisons, (_parameters, _rest), strict=False):
-            look = Look.at(scene, capture.sensors[comparison.view])
+            look = Look.at(scene, capture.sensors[comparison.view], SIDE)
             self._objects.append((comparison, rest(look, recovery, comparison, estimate)))
 
     def begin(self) -> None:
