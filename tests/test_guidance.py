@@ -488,6 +488,28 @@ class TestHypotheses:
         assert Hypotheses.draw(p, 16, np.array([0.1, 0.9])).counts.numpy().tolist() == [1, 1]
 
 
+class GrowingGains:
+    """A forecast of one texel, that one photograph and four candidates see, some of which are worth
+    more with every view."""
+
+    first, growth = np.array([1, 0.9, 0.885, 0.8]), np.array([1, 1.08, 1, 1.08])
+
+    def __init__(self, lasting):
+        self.lasting, self.seen = lasting, np.ones((5, 1), bool)
+
+    def now(self, views):
+        chosen = enumerate(np.asarray(views)[1:] - 1)
+        return np.array([10 - sum(self.gain(number, step) for step, number in chosen)])
+
+    def expected(self, views, candidates, texels):
+        assert texels.tolist() == [0]
+        gains = [self.gain(number, len(views) - 1) for number in candidates - 1]
+        return self.now(views)[None] - np.array(gains)[:, None]
+
+    def gain(self, number, step):
+        return self.first[number] * self.growth[number] ** step
+
+
 class TestGreedy:
     def forecast(self, seed=4, views=14, count=60):
         rng = np.random.default_rng(seed)
@@ -524,6 +546,20 @@ class TestGreedy:
             evaluated.append(greedy.evaluated)
         assert chosen[0] == chosen[1]
         assert evaluated[1] < evaluated[0]
+
+    @pytest.mark.parametrize(("growth", "lasting", "third"), [
+        (0.1, True, 3), (0.0, True, 2), (0.0, False, 3),
+    ])  # fmt: skip
+    def test_gains_that_grow_with_every_view(self, monkeypatch, growth, lasting, third):
+        """Candidate 3 is the third best, but was below the second when it was last looked at."""
+        monkeypatch.setattr("svu_mi.guidance.greedy.BATCH", 1)
+        monkeypatch.setattr("svu_mi.guidance.greedy.GROWTH", growth)
+        greedy = Greedy(GrowingGains(lasting), 1, lazy=True)
+        order = []
+        for _ in range(3):
+            order.append(int(np.argmax(greedy.gains())))
+            greedy.choose(order[-1])
+        assert order == [0, 1, third]
 
     def test_a_candidate_that_sees_nothing_gains_nothing(self):
         forecast = self.forecast()

@@ -226,7 +226,7 @@ def test_a_single_candidate_that_gains_nothing_is_drawn(vase, tmp_path):
     assert read_exr(tmp_path / "gain_0.exr")["Y"].max() == 0
 
 
-@pytest.mark.parametrize("count", [5, 8])
+@pytest.mark.parametrize("count", [5, 20])
 def test_numbers_of_near_ties_stay_below_the_title(count):
     """All proposals among the best of 100 candidates, on a page as tall as it is."""
     gains = np.concatenate([np.linspace(1, 0.99, count), np.linspace(0.9, 0.1, 100 - count)])
@@ -241,5 +241,5 @@ def test_numbers_of_near_ties_stay_below_the_title(count):
     guidance_page.draw_ranking(axes, guidance)
     figure.draw_without_rendering()
     inside = axes.get_window_extent()
-    assert len(axes.texts) == count
+    assert len(axes.texts) == min(count, 9)
     assert all(text.get_window_extent().y1 <= inside.y1 + 1 for text in axes.texts)

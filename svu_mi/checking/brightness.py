@@ -11,7 +11,8 @@ the sun) 8 %. Twice as bright, our own textures reach 14 to 80 %, and 4 to 80 % 
 Whiter paint reaches more of the surface, 16 % at .95 and 40 % at 1, but is at most 1.14 and 1.15
 times as bright as white. Twice as bright in 24 views, our own textures reach 1.18 to 1.76, but for
 the knot by the window with 1.11, which nothing tells from paint. Polished metal is three times as
-bright as white where it mirrors a window: what is seen from one side only is not judged.
+bright as white where it mirrors a window: what is seen from one side only is not judged. All of
+that is of 512 cells of the light; with 1024, factors differ by .002 at most, and parts by .001.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from svu_mi.light.environment import Environment
     from svu_mi.pipeline import Estimate
 
-CELLS = 1024  # of the light, the smaller the brighter it is: as many as are traced by default
+CELLS = 1024  # of the light, as many as are traced by default; smaller where it is brighter
 FACING = 0.5  # cosine to the camera: towards the rim, gloss reflects more than it should
 LEAST = 3  # views that see a point
 NARROW = 0.95  # length of the mean of unit directions to them; of a cone of 50 degrees

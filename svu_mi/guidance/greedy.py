@@ -6,8 +6,8 @@ import numpy as np
 
 from svu_mi.guidance.forecast import Forecast
 
-# By so much, as a part of itself, a gain may grow when another view is added. It usually falls: the
-# most that was seen on our own objects is .08, for a candidate that was not chosen.
+# The part of itself that a gain may grow by when another view is added. It usually falls: the most
+# that was seen on our own objects is .05, for a candidate that was not chosen.
 GROWTH = 0.1
 BATCH = 8  # candidates of one launch, each of which may make others needless
 
@@ -17,8 +17,9 @@ class Greedy:
 
     A candidate's E[H] of a texel changes only when a view is added that sees the texel, too: only
     these are computed again; or all of them, if the forecast is not ``lasting``. With ``lazy``,
-    only of candidates that may be best [Minoux 1978], as their last gain, and ``GROWTH``, tells.
-    Candidates out of reach are never computed.
+    only candidates that may be best are brought up to date [Minoux 1978]: those whose last gain
+    reaches the best when it grows by ``GROWTH`` with every view. Candidates out of reach are never
+    computed.
 
     Attributes:
         forecast: of the texels.
@@ -38,11 +39,13 @@ class Greedy:
         self._expected = np.zeros(self._sees.shape)
         self._stale = self._sees.copy()
         self._gains = np.where(self._sees.any(axis=1), np.inf, 0.0)
+        self._bounds = self._gains.copy()
         self._free = np.ones(len(self._sees), bool) if reachable is None else reachable.copy()
 
     def gains(self) -> np.ndarray:
         """Mean over texels of E[H] without and with each candidate; -infinity for those taken or
-        out of reach. Of those that cannot be best, the last one, or just below the best."""
+        out of reach. Candidates that are not up to date, because they are hardly the best, have
+        their last gain, or one just below the best."""
         while len(candidates := self._next()):
             self._evaluate(candidates)
         below = np.nextafter(self._best(), -np.inf)
@@ -54,7 +57,7 @@ class Greedy:
         pending = np.flatnonzero(self._free & ~self._fresh)
         if not self._lazy:
             return pending
-        bounds = self._gains[pending] + GROWTH * np.abs(self._gains[pending])
+        bounds = self._bounds[pending]
         likely = np.argsort(-bounds, kind="stable")
         likely = likely[bounds[likely] >= self._best()]
         return pending[likely[: max(BATCH, np.isinf(bounds).sum())]]  # at first all of them
@@ -80,6 +83,8 @@ class Greedy:
         Unless the forecast is not ``lasting``: then all is computed again.
         """
         self.entropy = self.entropy - self.texel_gains(candidate)
+        touched = (self._sees & self._sees[candidate]).any(axis=1) & np.isfinite(self._bounds)
+        self._bounds[touched] += GROWTH * np.abs(self._bounds[touched])
         self._views = np.append(self._views, self.photographs + candidate)
         self._free[candidate] = False
         if self.forecast.lasting:
@@ -99,4 +104,4 @@ class Greedy:
         self._expected[np.ix_(candidates, texels)] = np.where(seen, found, 0)
         self._stale[candidates] = False
         change = np.where(self._sees[candidates], self.entropy - self._expected[candidates], 0)
-        self._gains[candidates] = change.mean(axis=1)
+        self._gains[candidates] = self._bounds[candidates] = change.mean(axis=1)

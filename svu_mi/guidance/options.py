@@ -42,9 +42,9 @@ class GuidanceOptions:
     again at every step, which takes about four times as long."""
 
     lazy: bool = True
-    """Evaluate again only candidates that may be best: those whose last gain, and a tenth of it,
-    reaches the best. Right if no gain grows by more when another view is added, which is usual but
-    not guaranteed. Where the light changes at every step (growing), all are."""
+    """By entropy, evaluate again only candidates that may be best: those whose last gain reaches
+    the best, if it grows by a tenth with every view. Right if no gain grows by more, which is usual
+    but not guaranteed. Where the light changes at every step (growing), all are evaluated."""
 
     seed: int = 0
     """Seed of texels, hypotheses and random views."""

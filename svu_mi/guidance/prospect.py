@@ -88,7 +88,7 @@ class Prospect:
     @cached_property
     def greedy(self) -> Greedy:
         """Candidates by expected entropy."""
-        return self._greedy(self.forecast)
+        return self._greedy(self.forecast, self.options.lazy)
 
     def by_error(self) -> Greedy:
         """Return candidates by the squared error to expect, relative to that of seen texels."""
@@ -105,7 +105,8 @@ class Prospect:
         forecast = self.forecast
         assert isinstance(forecast, AngularForecast)
         measure = Variance(tuple(present), tuple(prior), forecast.channels)
-        return self._greedy(replace(forecast, measure=measure))
+        # Errors to expect may well grow with a view, that of a truth with two explanations, say.
+        return self._greedy(replace(forecast, measure=measure), lazy=False)
 
     def jacobians(self) -> np.ndarray:
         """Return those of radiance over s sqrt(tau) at the most probable row, (V, t, C, P)."""
@@ -127,7 +128,5 @@ class Prospect:
         capture = self.observed.capture
         return pack_sensors(capture.scene, capture.shape, self.candidates.sensors, later=True)
 
-    def _greedy(self, forecast: Forecast) -> Greedy:
-        return Greedy(
-            forecast, self.photographs, self.candidates.reachable, lazy=self.options.lazy
-        )
+    def _greedy(self, forecast: Forecast, lazy: bool) -> Greedy:
+        return Greedy(forecast, self.photographs, self.candidates.reachable, lazy=lazy)

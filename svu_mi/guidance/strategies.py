@@ -23,7 +23,7 @@ class Judge(Protocol):
     """A strategy at work."""
 
     def gains(self) -> np.ndarray:
-        """What each candidate is worth now, (C,) float64; more is better."""
+        """What each candidate is worth now, (C,) float64; more is better, and the best is exact."""
 
     def choose(self, candidate: int) -> None:
         """Take a candidate as photographed from now on."""

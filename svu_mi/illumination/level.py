@@ -97,7 +97,6 @@ def level_of(samples: Samples, columns: Columns, switches: AngularPreset) -> Lev
 
 def _common(worse: Callable[[np.ndarray], float]) -> tuple[float, float]:
     """Return the median and the standard deviation of the factor of all channels."""
-
     steps = np.linspace(-FURTHEST, FURTHEST, STEPS)
     noise = scipy.interpolate.PchipInterpolator(steps, [worse(np.full(3, step)) for step in steps])
     fine = np.linspace(-FURTHEST, FURTHEST, 601)

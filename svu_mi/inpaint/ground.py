@@ -11,7 +11,7 @@ from svu_mi.inpaint.filling import SUREST
 from svu_mi.inpaint.pieces import Pieces, connected
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.field.smoother import Smoother
-from svu_mi.surface.groups import grouped, squares_of, sums
+from svu_mi.surface.groups import means, squares_of
 
 ENOUGH = 2**16  # texels that guesses are tried on: of more, groups of neighbours
 FEWER = 0.7  # part of the texels from which on groups are no help: known ones here and there
@@ -83,9 +83,8 @@ class Ground:
             np.where((alike[column] == alike).all(axis=1), column, own) for column in columns
         ])  # fmt: skip
         first = np.unique(owner, return_index=True)[1]
-        weights = sums(self.weights, owner)
-        values = sums(self.weights * self.values, owner) / weights
-        smoother = self.smoother.halved(grouped(columns, owner), weights, values)
+        values, weights = means(self.values, self.weights, owner)
+        smoother = self.smoother.halved(owner, weights, values)
         coarse = Ground(
             values, weights, self.single[:, first], self.known[first],
             np.bincount(owner, self.size), square[first], self.pieces.grouped(owner), smoother,

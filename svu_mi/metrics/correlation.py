@@ -25,7 +25,6 @@ def pearson(x: Any, y: Any) -> float:
         ShapeError: the arrays are empty or their lengths differ.
         OptionError: NaN or infinite values.
     """
-
     a, b = pair(x, y, ("x", "y"))
     if _constant(a) or _constant(b):
         return 0.0
@@ -34,7 +33,6 @@ def pearson(x: Any, y: Any) -> float:
 
 def spearman(x: Any, y: Any) -> float:
     """Return Spearman's rank correlation, ties sharing their mean rank (as ``pearson``)."""
-
     a, b = pair(x, y, ("x", "y"))
     if _constant(a) or _constant(b):
         return 0.0
@@ -82,7 +80,6 @@ def mean_over_objects(
         ShapeError: the lengths differ or are 0.
         OptionError: a value is not finite, or the confidence not in (0, 1).
     """
-
     cells = vector(values, "values")
     if len(objects) != len(cells):
         raise ShapeError(f"There are {len(cells)} values but {len(objects)} objects' names.")

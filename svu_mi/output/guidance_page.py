@@ -32,8 +32,7 @@ SIZE = (18.0, 11.2)  # inches
 HEADING = "Which photograph to take next"
 # Of the map of directions and the two plots: left, right, top and bottom, in parts of the page.
 PLACES = ((LEFT, 0.473, 0.865, 0.51), (0.535, 0.73, 0.875, 0.545), (0.79, RIGHT, 0.875, 0.545))
-TALL = 72 * SIZE[1] * (PLACES[2][2] - PLACES[2][3])  # points, height of the plot of candidates
-LINE = 12  # points, from one number to the next above it
+LINE, LINES = 12, 9  # points from one number to the next above it, and how many there are at most
 SHOWN = 5  # proposals that are drawn on the object
 WHITE = 0.99  # part of the positive gains of texels that colours do not clip
 CROWDED = 0.04  # part of the candidates within which two numbers would overlap
@@ -206,13 +205,14 @@ def draw_ranking(axes: Axes, guidance: Guidance) -> None:
     colors = style.colors(gains, color_range(gains))
     axes.bar(np.arange(1, len(order) + 1), gains, width=1 if len(order) > 60 else 0.9, color=colors)
     low, top = min(float(gains.min()), 0), 1.2 * float(max(gains.max(), 1e-9))
+    tall = axes.get_window_extent().height * 72 / axes.figure.dpi  # points
     for place, gain, rank, level in _labels(order, gains, guidance.proposals):
         above = 3 + LINE * level
         axes.annotate(
             str(rank), (place, gain), xytext=(0, above), ha="center", va="bottom",
             textcoords="offset points", size=9.5, weight="bold", color=INK,
         )  # fmt: skip
-        top = max(top, low + (gain - low) / (1 - min((above + LINE) / TALL, 0.5)))
+        top = max(top, low + (gain - low) / max(1 - (above + LINE) / tall, 0.5))
     axes.set(xlim=(0.25, len(order) + 0.75), ylim=(low, top))
     axes.axhline(0, color=RULE, lw=1)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
@@ -273,7 +273,8 @@ def _labels(
 ) -> Iterator[tuple[int, float, int, int]]:
     """Yield where a proposal's number stands: place, height, rank, and lines above that height.
 
-    Crowded numbers stand one above the other, over the highest bar among theirs.
+    Crowded numbers stand one above the other, over the highest bar among theirs; of more than
+    nine, only the first are given.
     """
     rank_of = {proposal.candidate: rank for rank, proposal in enumerate(proposals, 1)}
     last, level, height = -np.inf, 0, 0.0
@@ -282,7 +283,8 @@ def _labels(
             continue
         level = level + 1 if place - last < CROWDED * len(order) else 0
         height = height if level else max(float(gain), 0.0)
-        yield place, height, rank_of[int(candidate)], level
+        if level < LINES:
+            yield place, height, rank_of[int(candidate)], level
         last = place
 
 

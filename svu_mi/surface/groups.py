@@ -48,6 +48,15 @@ def grouped(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[Any, ...]:
     return Neighbors.of(np.stack(pairs, axis=1), count).around
 
 
+def means(
+    values: np.ndarray, weights: np.ndarray, owner: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return weighted means of values (N, T) over groups, and the sums of the weights (N, T), which
+    are positive: (N, G) each."""
+    total = sums(weights, owner)
+    return sums(weights * values, owner) / total, total
+
+
 def sums(values: np.ndarray, owner: np.ndarray) -> np.ndarray:
     """Return sums of values (N, T) over groups, (N, G), by the group (T,) that each texel is of."""
     return np.stack([np.bincount(owner, row) for row in values])

@@ -13,6 +13,8 @@ import scipy
 
 from svu_mi.errors import OptionError, ShapeError
 
+NARROW = 8  # texels: wider gutters may be most of the image, and are asked for once
+
 
 def dilate(image: np.ndarray, valid: np.ndarray, texels: float) -> np.ndarray:
     """Fill invalid texels near valid ones with the nearest valid value.
@@ -39,25 +41,30 @@ def dilate(image: np.ndarray, valid: np.ndarray, texels: float) -> np.ndarray:
     if texels < 0:
         raise OptionError(f"dilate(): the width must not be negative, got {texels}.")
     filled = image.copy()
-    place, source = _gutter(np.packbits(valid).tobytes(), valid.shape, texels)
+    narrow = texels <= NARROW
+    place, source = _of_layout(valid, texels) if narrow else _gutter(valid, texels)
     flat = filled.reshape(valid.size, *image.shape[2:])  # a view: the copy is contiguous
     flat[place] = flat[source]
     return filled
 
 
-@lru_cache(maxsize=4)  # one layout has many maps
-def _gutter(packed: bytes, shape: tuple[int, int], texels: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places (G,) of a gutter in the flat image, and where each takes its value from.
+def _of_layout(valid: np.ndarray, texels: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``_gutter``, found once for all maps of a layout, which is known by its content."""
+    return _of_mask(np.packbits(valid).tobytes(), valid.shape, texels)
 
-    Args:
-        packed: ``np.packbits`` of the mask.
-        shape: (H, W) of it.
-        texels: width of the gutter.
-    """
-    count = shape[0] * shape[1]
-    valid = np.unpackbits(np.frombuffer(packed, np.uint8), count=count).view(bool).reshape(shape)
+
+@lru_cache(maxsize=2)  # of maps that are written, and of pictures
+def _of_mask(
+    packed: bytes, shape: tuple[int, int], texels: float
+) -> tuple[np.ndarray, np.ndarray]:
+    bits = np.unpackbits(np.frombuffer(packed, np.uint8), count=shape[0] * shape[1])
+    return _gutter(bits.view(bool).reshape(shape), texels)
+
+
+def _gutter(valid: np.ndarray, texels: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the places (G,) of a gutter in the flat image, and where each takes its value from."""
     if not valid.any() or valid.all():  # without any, every distance would be to nowhere
         return np.empty(0, np.intp), np.empty(0, np.intp)
     distance, (row, column) = scipy.ndimage.distance_transform_edt(~valid, return_indices=True)
     place = np.flatnonzero(~valid & (distance <= texels))
-    return place, (row.ravel() * shape[1] + column.ravel())[place]
+    return place, (row.astype(np.intp) * valid.shape[1] + column).ravel()[place]

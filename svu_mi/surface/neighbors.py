@@ -267,7 +267,7 @@ def _reached(
         (np.ones(2 * len(pairs), np.float32), (np.r_[first, second], np.r_[second, first])),
         shape=(count, count),
     )
-    own = scipy.sparse.eye_array(count, dtype=np.float32, format="csr")
+    own = scipy.sparse.csr_array(scipy.sparse.eye(count, dtype=np.float32, format="csr"))
     links = scipy.sparse.csr_array(links + own)
     near = links[border]
     for _ in range(HOPS - 1):

@@ -1,4 +1,4 @@
-"""How the values of a texel hang together: what is paint may be metal, if its colour is another."""
+"""How the values of a texel are correlated: paint may be metal, if its colour is another."""
 
 from __future__ import annotations
 

@@ -147,6 +147,7 @@ class TextureField:
     def _coherent(self) -> np.ndarray:
         """c, (N, T)."""
         left = self._nested.solve(1 / self.deviation)
+        # Of a tenth of the links' strength: values do not go far, so it needs no coarse start.
         links = np.median(self.smoother.links, axis=1, keepdims=True)
         d = np.broadcast_to(np.maximum(NARROW * links, TINY), self.deviation.shape)
         apart = self.smoother.with_precision(d).solve(d * np.abs(self.values - self.own))

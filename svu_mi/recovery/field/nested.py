@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svu_mi.recovery.field.smoother import Smoother
-from svu_mi.surface.groups import grouped, owners_of, sums
+from svu_mi.surface.groups import means, owners_of, sums
 
 FEW = 2**14  # texels that are solved for at once
 FEWER = 0.7  # part of the texels from which on groups are no help
@@ -44,10 +44,8 @@ class Nested:
         wider, owner = owners_of(squares // 2)
         if len(wider) > FEWER * len(squares):
             return Nested(smoother)
-        around = grouped([np.array(column) for column in smoother.around], owner)
-        precision = sums(smoother.precision, owner)
-        values = sums(smoother.precision * smoother.values, owner) / precision
-        return Nested(smoother, Nested.of(smoother.halved(around, precision, values), wider), owner)
+        values, precision = means(smoother.values, smoother.precision, owner)
+        return Nested(smoother, Nested.of(smoother.halved(owner, precision, values), wider), owner)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Return x with (D + K) x = right, (N, T) float64 each (``Smoother.solve``)."""

@@ -19,6 +19,7 @@ import numpy as np
 
 from svu_mi.fours import QUAD, fours, padded
 from svu_mi.interop import owned
+from svu_mi.surface.groups import grouped
 from svu_mi.surface.neighbors import lanes_of, over_neighbors
 
 TOLERANCE = 1e-3  # of the residual, relative to the right-hand side's
@@ -91,17 +92,16 @@ class Smoother:
         hidden = None if blind is None else owned(mi.Bool, blind)
         return replace(self, own=_vector(precision, 1), start=start, blind=hidden)._completed()
 
-    def halved(
-        self, around: Sequence[Any], precision: np.ndarray, values: np.ndarray
-    ) -> Smoother:
+    def halved(self, owner: np.ndarray, precision: np.ndarray, values: np.ndarray) -> Smoother:
         """Return links between groups of 2 x 2 texels: two links of texels go from one group to
         the next, over twice the way.
 
         Args:
-            around: columns (G,) UInt32 of the groups' neighbours.
+            owner: (T,) int64, the group that each texel is of.
             precision: (N, G), positive.
             values: (N, G), that links depend on.
         """
+        around = grouped([np.array(column, np.int64) for column in self.around], owner)
         strength, epsilon = 2 * self.strength, 2 * self.epsilon
         dr.eval(strength, epsilon)
         links = replace(
