@@ -43,8 +43,8 @@ class GuidanceOptions:
 
     lazy: bool = True
     """By entropy, evaluate again only candidates that may be best: those whose last gain reaches
-    the best, if it grows by a tenth with every view. Right if no gain grows by more, which is usual
-    but not guaranteed. Where the light changes at every step (growing), all are evaluated."""
+    the best, if it grows by a twentieth with every view. Right if no gain grows by more, which is
+    usual but not guaranteed. Where the light changes at every step (growing), all are evaluated."""
 
     seed: int = 0
     """Seed of texels, hypotheses and random views."""
