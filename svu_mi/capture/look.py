@@ -15,7 +15,7 @@ from svu_mi.capture.rays import evenly, pixel_rays, table_of
 from svu_mi.interop import owned
 
 SIDE = 512  # pixels of the longer side of a picture
-SAMPLES = 3  # along each side of a pixel
+SAMPLES = 2  # along each side of a pixel
 MANY = 2**17  # vertices that take longer to look at than the rays beside the object
 AMBIENT = 0.35  # brightness of a surface that is seen edge on
 
