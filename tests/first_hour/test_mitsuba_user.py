@@ -141,7 +141,7 @@ def test_a_scene_without_cameras_is_rendered_from_all_sides(desk):
 
 @pytest.mark.slow
 def test_a_render_that_was_stopped_goes_on(desk):
-    line = "render scenes/vase/vase.xml -D light=window -D resolution=320 --spp 128 -o long"
+    line = "render scenes/vase/vase.xml -D light=window -D resolution=320 --spp 24 -o long"
     said = stopped(line, desk, "long/**/view_0001.exr")
     assert said.status == 130
     assert re.fullmatch(

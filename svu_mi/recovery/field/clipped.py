@@ -9,6 +9,7 @@ LEAST = 1e-9  # width below which a distribution is one value
 WIDEST = 2.0  # of x: most of it is beyond the ends
 FAR = 3.0  # standard deviations from an end: clipping takes at most 2.5e-3 of one there
 STEPS = 4  # of Newton's method: to 2e-5 on average, to 1e-3 where sd is close to the most there is
+PART = 2**18  # values that are worked on at a time
 ROOT = np.sqrt(2 * np.pi)
 
 
@@ -17,10 +18,14 @@ def moments(place: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
     Args:
         place: mean of x.
-        width: standard deviation of x, at least 0.
+        width: standard deviation of x, at least 0, of the same shape.
     """
-    mean, variance, _ = _moments(place, np.maximum(width, LEAST))
-    return mean, np.where(width > LEAST, np.sqrt(np.maximum(variance, 0)), 0.0)
+    mean, sd = np.empty(place.size), np.zeros(place.size)
+    places, widths = place.ravel(), width.ravel()
+    for part in _parts(place.size):
+        mean[part], variance, _ = _moments(places[part], np.maximum(widths[part], LEAST))
+        np.sqrt(np.maximum(variance, 0), out=sd[part], where=widths[part] > LEAST)
+    return mean.reshape(place.shape), sd.reshape(place.shape)
 
 
 def width_of(place: np.ndarray, sd: np.ndarray) -> np.ndarray:
@@ -31,9 +36,15 @@ def width_of(place: np.ndarray, sd: np.ndarray) -> np.ndarray:
         place: mean of x, in [0, 1].
         sd: at least 0, of the same shape.
     """
-    width = np.array(sd, np.float64)
-    near = (np.minimum(place, 1 - place) < FAR * sd) & (sd > LEAST)
-    mean, wanted = place[near], width[near]
+    width, places = np.array(sd, np.float64).ravel(), place.ravel()
+    for part in _parts(place.size):
+        mean, wanted = places[part], width[part]
+        near = (np.minimum(mean, 1 - mean) < FAR * wanted) & (wanted > LEAST)
+        wanted[near] = _newton(mean[near], wanted[near])
+    return width.reshape(place.shape)
+
+
+def _newton(mean: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     found = wanted.copy()
     for _ in range(STEPS):
         # The standard deviation is a concave function of the width and never above it: steps from
@@ -42,8 +53,12 @@ def width_of(place: np.ndarray, sd: np.ndarray) -> np.ndarray:
         now = np.sqrt(np.maximum(variance, LEAST**2))
         step = (wanted - now) * 2 * now / np.maximum(slope, LEAST)
         found = np.clip(found + step, found, WIDEST)
-    width[near] = found
-    return width
+    return found
+
+
+def _parts(count: int) -> list[slice]:
+    """Return parts of so many values: what is in between takes little memory."""
+    return [slice(first, first + PART) for first in range(0, count, PART)]
 
 
 def _moments(place: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -48,6 +48,7 @@ APART = 2.4  # a
 NARROW = 0.1  # d, as a part of the median of K's diagonal
 LENGTH = 0.1  # over which that varies, as a part of the object's extent
 LEVEL = 0.9
+MANY = 2**18  # texels whose vectors Dr.Jit must not keep for later
 TINY = 1e-9
 
 
@@ -151,6 +152,8 @@ class TextureField:
         links = np.median(self.smoother.links, axis=1, keepdims=True)
         d = np.broadcast_to(np.maximum(NARROW * links, TINY), self.deviation.shape)
         apart = self.smoother.with_precision(d).solve(d * np.abs(self.values - self.own))
+        if self.texels.count > MANY:
+            dr.flush_malloc_cache()  # what solving has taken
         return np.sqrt(left**2 + APART * np.maximum(apart, 0) ** 2)
 
     @cached_property
@@ -192,10 +195,10 @@ class TextureField:
     def _variance(self) -> np.ndarray:
         """The diagonal of (D + K)^-1, (N, T), as it is where all neighbours are alike: that of
         a random walk on the square lattice that is killed at the rate of D [Economou 2006]."""
-        links = self.smoother.links
-        whole = self.smoother.precision + links
-        found: np.ndarray = 2 / np.pi * scipy.special.ellipk((links / whole) ** 2) / whole
-        return found
+        links, whole = self.smoother.links, self.smoother.precision
+        whole += links
+        rows = zip(links, whole, strict=True)
+        return np.stack([2 / np.pi * scipy.special.ellipk((k / w) ** 2) / w for k, w in rows])
 
     @staticmethod
     def rows(name: str) -> slice:

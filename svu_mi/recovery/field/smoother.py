@@ -229,8 +229,8 @@ class Smoother:
 
     def _table(self, vector: Any) -> np.ndarray:
         """Return a vector as (N, T) float64."""
-        rows = np.array(vector, np.float64).reshape(-1, padded(self.fields))
-        return np.ascontiguousarray(rows.T[: self.fields])
+        rows = vector.numpy().reshape(-1, padded(self.fields))
+        return np.array(rows.T[: self.fields], np.float64, order="C")
 
 
 def _vector(table: np.ndarray, beyond: float = 0) -> Any:
