@@ -11,9 +11,11 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import CancelledError
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import mitsuba as mi
 import numpy as np
@@ -23,6 +25,7 @@ from PIL import Image
 
 import svu_mi as svu
 from svu_mi import estimators, scenes
+from svu_mi.errors import SvuError
 from svu_mi.exr import read_exr
 from svu_mi.npz import read_arrays
 from svu_mi.posterior.tiled import TiledPosterior
@@ -367,6 +370,18 @@ def test_the_command_works_on_a_cluster(client, shot, tmp_path):
     both = [read_exr(tmp_path / name / "entropy.exr") for name in ("here", "there")]
     for name, plane in both[0].items():
         np.testing.assert_array_equal(both[1][name], plane)
+
+
+@pytest.mark.parametrize("name", ["CommClosedError", "CancelledError"])
+def test_a_connection_that_is_lost_is_a_sentence(monkeypatch, name):
+    """Dask says it in two ways: of results on their way, and of work that is not done."""
+    distributed = pytest.importorskip("distributed")
+    from svu_mi.shards import cluster
+
+    known = {"CommClosedError": distributed.comm.CommClosedError, "CancelledError": CancelledError}
+    monkeypatch.setattr(cluster, "_client", MagicMock())
+    with pytest.raises(SvuError, match="connection was lost"), cluster.connected("tcp://there:1"):
+        raise known[name]("Stream is closed.")
 
 
 @pytest.mark.slow

@@ -32,9 +32,11 @@ def connected(address: str) -> Iterator[Any]:
         yield None
         return
     client = _client(address)
+    from distributed.comm import CommClosedError  # of a result that is on its way
+
     try:
         yield client
-    except CancelledError as error:
+    except (CancelledError, CommClosedError) as error:
         raise SvuError(
             f"--scheduler {excerpt(address, 80)}: the connection was lost; what is done is kept, "
             "and the same command goes on."
