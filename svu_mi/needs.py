@@ -65,7 +65,7 @@ GRID = 100  # bytes per texel of the grid that no chart covers
 # charts.
 TILE = 2**18
 ABOUT = 1.1  # times TILE, from which on it is certain that there are more: charts are told at most
-LAID_OUT = {"entropy": 230, "report": 230, "view": 230, "guide": 1500, "recover": 2400}
+LAID_OUT = {"entropy": 230, "report": 230, "view": 230, "guide": 1500, "recover": 2800}
 AT_WORK = 2**15  # whose statistics take 65 MB, several times at their peak
 STORED = 14  # bytes of a photograph's pixel that can lie in a file
 FLAGS = 4  # bytes of those that have to be in memory all the same

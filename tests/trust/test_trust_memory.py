@@ -55,7 +55,7 @@ def test_photographs_that_do_not_fit_are_to_be_shrunk(monkeypatch):
 def test_texels_that_do_not_fit_are_to_be_fewer(monkeypatch):
     machine(monkeypatch, 2e9)
     assert refused(Need("recover", [(512, 512)] * 10, (2048, 2048))) == (
-        "capture: needs 11 GB of memory, 2 are there; --resolution 512 needs 1.6."
+        "capture: needs 12 GB of memory, 2 are there; --resolution 512 needs 1.6."
     )
     assert refused(Need("entropy", [(512, 512)] * 10, (4096, 4096))) == (
         "capture: needs 4.5 GB of memory, 2 are there; --resolution 2048 needs 1.6."
