@@ -28,11 +28,10 @@ from svu_mi.checking.frames import Frames
 from svu_mi.checking.points import Points, Sightings, look, open_cosines, scatter_points
 from svu_mi.checking.sky import COARSE, DIRECTIONS, read_cells
 from svu_mi.errors import SvuWarning
-from svu_mi.light.cells import light_cells
+from svu_mi.light.cells import Cells, light_cells
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
-    from svu_mi.light.cells import Cells
     from svu_mi.light.environment import Environment
     from svu_mi.pipeline import Estimate
 

@@ -13,6 +13,7 @@ from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.prospect import Prospect
 from svu_mi.surface import Texels
+from svu_mi.surface.groups import squares_of
 
 CHUNK = 8192  # texels whose maps are computed at a time
 FINEST = 128  # values of a map along its longer side; finer ones would show their noise
@@ -129,7 +130,7 @@ class Guidance:
         of each one's block, (t,)."""
         width, height = self.texels.resolution
         side = -(-max(width, height) // FINEST)
-        row, column = np.divmod(self.texels.index.numpy()[chosen].astype(np.int64), width)
+        row, column = squares_of(self.texels)[chosen].T
         of_block = row // side * width + column // side
         _, first, block = np.unique(of_block, return_index=True, return_inverse=True)
         order = np.argsort(first)  # neighbours in order are near each other

@@ -18,6 +18,7 @@ from svu_mi.illumination.record import LightEstimate
 from svu_mi.observed import Observed
 from svu_mi.parameters import MIXED
 from svu_mi.pipeline import Estimate, estimate
+from svu_mi.surface.groups import squares_of
 
 SMALLEST, LARGEST = 0.01, 1.0  # base colours that are taken for one
 MOST_ROUNDS, DONE = 6, 0.02  # base colour is not quite proportional: gloss is beside it
@@ -97,7 +98,7 @@ def _spot(observed: Observed, uv: tuple[float, float]) -> np.ndarray:
         raise OptionError(f"The grey card: texture coordinates are in [0, 1], got {uv}.")
     layout = observed.texels
     width, height = layout.resolution
-    row, column = np.divmod(np.array(layout.index, np.int64), width)
+    row, column = squares_of(layout).T
     distance = np.hypot(column + 0.5 - uv[0] * width, row + 0.5 - uv[1] * height)
     near = np.argsort(distance, kind="stable")[:NEAR]
     near = near[(distance[near] <= np.sqrt(NEAR)) & (observed.coverage[near] > 0)]

@@ -10,11 +10,11 @@ import numpy as np
 from svu_mi.inpaint.filling import SUREST
 from svu_mi.inpaint.pieces import Pieces, connected
 from svu_mi.recovery.field.field import TextureField
+from svu_mi.recovery.field.nested import FEWER
 from svu_mi.recovery.field.smoother import Smoother
 from svu_mi.surface.groups import means, squares_of
 
 ENOUGH = 2**16  # texels that guesses are tried on: of more, groups of neighbours
-FEWER = 0.7  # part of the texels from which on groups are no help: known ones here and there
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,8 @@ class Ground:
 
     @property
     def many(self) -> bool:
-        """Whether there are more texels than it takes, and groups of them are fewer."""
+        """Whether there are more texels than it takes, and groups of them are fewer; they are not
+        where known ones lie here and there."""
         return self.count > ENOUGH and self.halved[0].count < FEWER * self.count
 
     @property

@@ -41,22 +41,20 @@ def dilate(image: np.ndarray, valid: np.ndarray, texels: float) -> np.ndarray:
     if texels < 0:
         raise OptionError(f"dilate(): the width must not be negative, got {texels}.")
     filled = image.copy()
-    narrow = texels <= NARROW
-    place, source = _of_layout(valid, texels) if narrow else _gutter(valid, texels)
+    if texels <= NARROW:
+        place, source = _of_mask(np.packbits(valid).tobytes(), valid.shape, texels)
+    else:
+        place, source = _gutter(valid, texels)
     flat = filled.reshape(valid.size, *image.shape[2:])  # a view: the copy is contiguous
     flat[place] = flat[source]
     return filled
-
-
-def _of_layout(valid: np.ndarray, texels: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``_gutter``, found once for all maps of a layout, which is known by its content."""
-    return _of_mask(np.packbits(valid).tobytes(), valid.shape, texels)
 
 
 @lru_cache(maxsize=2)  # of maps that are written, and of pictures
 def _of_mask(
     packed: bytes, shape: tuple[int, int], texels: float
 ) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``_gutter``, found once for all maps of a layout, which is known by its content."""
     bits = np.unpackbits(np.frombuffer(packed, np.uint8), count=shape[0] * shape[1])
     return _gutter(bits.view(bool).reshape(shape), texels)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -30,7 +29,7 @@ class Correlations:
     """
 
     posterior: CalibratedPosterior
-    values: Mapping[str, np.ndarray]
+    values: dict[str, np.ndarray]
 
     @cached_property
     def roots(self) -> np.ndarray:
@@ -38,7 +37,7 @@ class Correlations:
         factors = self.posterior.problem.factors
         chosen = factors.texel.numpy()
         weight = 2 * np.array(nats(self.posterior), np.float64)
-        matrix = information(factors, values_of(dict(self.values), chosen))
+        matrix = information(factors, values_of(self.values, chosen))
         dr.eval(matrix)
         rows = [[np.array(x) for x in row] for row in matrix]
         least = np.diag(1 / np.maximum(prior_sds(self.posterior), SUREST) ** 2)

@@ -29,6 +29,7 @@ import numpy as np
 import scipy
 
 from svu_mi.errors import OptionError
+from svu_mi.needs import TILE
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field import clipped
 from svu_mi.recovery.field.coherent import Waves
@@ -48,7 +49,6 @@ APART = 2.4  # a
 NARROW = 0.1  # d, as a part of the median of K's diagonal
 LENGTH = 0.1  # over which that varies, as a part of the object's extent
 LEVEL = 0.9
-MANY = 2**18  # texels whose vectors Dr.Jit must not keep for later
 TINY = 1e-9
 
 
@@ -152,8 +152,8 @@ class TextureField:
         links = np.median(self.smoother.links, axis=1, keepdims=True)
         d = np.broadcast_to(np.maximum(NARROW * links, TINY), self.deviation.shape)
         apart = self.smoother.with_precision(d).solve(d * np.abs(self.values - self.own))
-        if self.texels.count > MANY:
-            dr.flush_malloc_cache()  # what solving has taken
+        if self.texels.count > TILE:
+            dr.flush_malloc_cache()  # what solving has taken, and nobody needs any more
         return np.sqrt(left**2 + APART * np.maximum(apart, 0) ** 2)
 
     @cached_property

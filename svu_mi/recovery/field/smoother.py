@@ -105,7 +105,7 @@ class Smoother:
         strength, epsilon = 2 * self.strength, 2 * self.epsilon
         dr.eval(strength, epsilon)
         links = replace(
-            self, around=tuple(around), lanes=lanes_of(around, fours(self.fields)),
+            self, around=around, lanes=lanes_of(around, fours(self.fields)),
             strength=strength, epsilon=epsilon, blind=None,
         )  # fmt: skip
         return links.with_precision(precision, values)
