@@ -6,7 +6,6 @@ import faulthandler
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import threading
@@ -330,28 +329,42 @@ def test_two_processes_make_the_same_as_one(request, client, name, tmp_path):
         np.testing.assert_array_equal(found[name], wanted[name])
 
 
+def kill_before(begun: list[str], folder: Path) -> bool:
+    """Kill a process unless the sum that it has begun is there by now; return whether it was."""
+    psutil = pytest.importorskip("psutil")  # Dask comes with it
+    process = psutil.Process(int(begun[2]))
+    process.suspend()
+    while process.status() != psutil.STATUS_STOPPED:
+        time.sleep(0.001)
+    is_there = (folder / f"{begun[3]}.npz").exists()
+    (process.resume if is_there else process.kill)()
+    return not is_there
+
+
 @pytest.mark.slow
 def test_a_worker_that_is_killed_costs_the_shard_it_was_at(client, shot, tmp_path):
     """Killed while it makes one of its sums of statistics; nothing else is made twice."""
     wanted = svu.gather_shards(None, shot, 128, shards=8, folder=tmp_path / "one")
     maps = maps_of(svu.estimate(wanted))
     sums = svu.gather_shards(client, shot, 128, shards=8, folder=tmp_path / "two")
-    killed: list[int] = []
+    killed, over = [], threading.Event()
 
     def kill() -> None:
-        while not killed:
+        while not killed and not over.wait(0.002):
             lines = [words for words in log_of(sums) if words[3].startswith("statistics")]
             at_it = {words[2]: words for words in lines}  # the last line of each process
             busy = [words for words in at_it.values() if words[4] == "begins"]
-            if len(lines) >= 5 and busy:
-                os.kill(int(busy[0][2]), signal.SIGKILL)
-                killed.append(int(busy[0][2]))
-            time.sleep(0.002)
+            if len(lines) >= 5 and busy and kill_before(busy[0], sums.job.folder):
+                killed.append(busy[0])
 
     watcher = threading.Thread(target=kill)
     watcher.start()
-    found = maps_of(svu.estimate(sums))
-    watcher.join()
+    try:
+        found = maps_of(svu.estimate(sums))
+    finally:
+        over.set()
+        watcher.join()
+    assert killed
     for name in MAPS:
         np.testing.assert_array_equal(found[name], maps[name])
     begun = [words[3] for words in log_of(sums) if words[4] == "begins"]
