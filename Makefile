@@ -4,6 +4,8 @@
 PYTHON ?= python3
 PY := .venv/bin/python
 PIP := $(PY) -m pip --disable-pip-version-check
+# As pip does to what it copies; where PYTHONDONTWRITEBYTECODE is set, it would be done by every process.
+COMPILE := $(PY) -m compileall -q svu_mi plugins
 TOO_OLD := svu_mi needs Python 3.11 or newer; try: make PYTHON=python3.12
 NO_VENV := Python cannot make a virtual environment here; on Debian and Ubuntu: apt install python3-venv
 # Debian without python3-venv lacks only ensurepip; the system's pip, if any, can fill in.
@@ -32,16 +34,19 @@ docs: .venv/installed-docs
 .venv/installed: pyproject.toml .venv/here
 	@echo "Installing svu_mi and what it needs into .venv"
 	$(PIP) install --quiet -e .
+	@$(COMPILE)
 	@touch $@
 
 .venv/installed-test: pyproject.toml .venv/here
 	@echo "Installing svu_mi, what it needs, and its test tools into .venv"
 	$(PIP) install --quiet -e '.[test,docs]'
+	@$(COMPILE)
 	@touch .venv/installed .venv/installed-docs $@
 
 .venv/installed-docs: pyproject.toml .venv/here
 	@echo "Installing svu_mi, what it needs, and Sphinx into .venv"
 	$(PIP) install --quiet -e '.[docs]'
+	@$(COMPILE)
 	@touch .venv/installed $@
 
 # Checked every time, touched only when something changed: an environment whose interpreter or

@@ -106,10 +106,11 @@ class Commands:
 def _timed(words: list[str]) -> tuple[float, float]:
     """Run ``svu`` in a new process; returns seconds by the clock, start and imports included, and
     those of all processors, which other processes change less."""
-    path = {"PYTHONPATH": os.pathsep.join(sys.path)}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # modules that are installed are compiled
     start, before = time.perf_counter(), os.times()
     done = subprocess.run(
-        [sys.executable, "-m", "svu_mi", *words], env={**os.environ, **path},
+        [sys.executable, "-m", "svu_mi", *words], env=environment,
         capture_output=True, text=True, errors="replace",
     )  # fmt: skip
     if done.returncode != 0:
