@@ -1,11 +1,15 @@
-"""NumPy arrays as Dr.Jit arrays that own their memory."""
+"""NumPy arrays as Dr.Jit arrays that own their memory, and tensors of a shape that is checked."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
+
+from svu_mi.errors import ShapeError
 
 LARGE = 2**20  # bytes, from which a second copy costs more than waiting for Dr.Jit
 
@@ -33,3 +37,39 @@ def owned(kind: Any, values: np.ndarray) -> Any:
     found = dr.opaque(kind(plain))
     dr.sync_thread()
     return found
+
+
+def tensor(
+    values: Any, caller: str, name: str, axes: Sequence[str | int], *, copy: bool = False
+) -> Any:
+    """Return ``values`` as a detached single precision TensorXf.
+
+    Args:
+        values: a Dr.Jit tensor, or anything NumPy turns into numbers (any precision, any
+            memory layout).
+        caller: function named in the error, such as ``"fit_sh()"``.
+        name: argument named in the error.
+        axes: one entry per axis: the required length, or a name for "any".
+        copy: never alias NumPy memory. Without it, single precision in C order is aliased, and
+            the caller must evaluate what it builds on that before it returns.
+
+    Raises:
+        ShapeError: another number of axes, another length, or no numbers at all.
+    """
+    if dr.is_tensor_v(values):
+        out = dr.detach(mi.TensorXf(values))
+    else:
+        try:
+            plain = np.array(values, dtype=np.float32, order="C", copy=copy or None)
+        except (TypeError, ValueError) as error:
+            raise ShapeError(f"{caller}: {name} is not an array of numbers ({error}).") from error
+        # Dr.Jit tensors do not take NumPy arrays without elements.
+        out = mi.TensorXf(plain) if plain.size else dr.zeros(mi.TensorXf, plain.shape)
+    wanted = ", ".join(str(axis) for axis in axes)
+    fits = len(out.shape) == len(axes) and all(
+        isinstance(axis, str) or axis == length
+        for axis, length in zip(axes, out.shape, strict=True)
+    )
+    if not fits:
+        raise ShapeError(f"{caller}: {name} must have shape ({wanted}), got {tuple(out.shape)}.")
+    return out

@@ -8,7 +8,7 @@ from pathlib import Path
 
 LAYERS = (
     "errors", "names", "memory", "needs", "limits", "quiet", "interrupts", "aside", "_reload",
-    "_llvm", "_workers", "fours", "interop", "files", "npz", "exr", "results", "progress",
+    "_llvm", "_workers", "fours", "interop", "local", "files", "npz", "exr", "results", "progress",
     "settings", "spacing", "parameters", "switches", "options", "capture", "formats", "surface",
     "light",
     "visibility", "frequency", "reflection", "statistics", "evidence", "observed", "posterior",

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from svu_mi.frequency.arrays import scatter_rows
 from svu_mi.frequency.batch import fit_sh
 from svu_mi.frequency.fit import SolverGroup, fit_lanes, solver_groups
 from svu_mi.frequency.spectrum import power_lanes, power_spectrum
+from svu_mi.local import scatter_rows
 
 __all__ = [
     "SolverGroup",

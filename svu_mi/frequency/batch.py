@@ -12,9 +12,11 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError
-from svu_mi.frequency import arrays, harmonics
+from svu_mi.frequency import harmonics
 from svu_mi.frequency.fit import fit_lanes, solver_groups
 from svu_mi.frequency.system import System
+from svu_mi.interop import tensor
+from svu_mi.local import scatter_rows
 from svu_mi.options import Preset
 from svu_mi.options import preset as named_preset
 
@@ -88,10 +90,10 @@ def fit_sh(
             f"fit_sh(): regularizer must be a number in [1e-12, 1e12], got {regularizer!r}."
         )
     penalize_constant = named_preset(preset).penalize_constant
-    weight_tensor = arrays.tensor(weights, "fit_sh()", "weights", ("T", "V"))
+    weight_tensor = tensor(weights, "fit_sh()", "weights", ("T", "V"))
     texels, views = weight_tensor.shape
-    direction_tensor = arrays.tensor(directions, "fit_sh()", "directions", (texels, views, 3))
-    value_tensor = arrays.tensor(values, "fit_sh()", "values", (texels, views, "C"))
+    direction_tensor = tensor(directions, "fit_sh()", "directions", (texels, views, 3))
+    value_tensor = tensor(values, "fit_sh()", "values", (texels, views, "C"))
     channels = value_tensor.shape[2]
     shape = (texels, (lmax + 1) ** 2, channels)
     _check_size(texels * views * max(channels, 3), texels * shape[1] * channels)
@@ -112,7 +114,7 @@ def fit_sh(
     for group in solver_groups(visible, lmax, method):
         sample = partial(samples.at, group.selection)
         fitted = fit_lanes(sample, samples.views, system, group.capacity)
-        dr.eval(arrays.scatter_rows(coefficients, fitted, group.selection))
+        dr.eval(scatter_rows(coefficients, fitted, group.selection))
     return mi.TensorXf(coefficients, shape)
 
 

@@ -4,10 +4,6 @@ The matrix lives as square tiles of its lower triangle; a tile is held in regist
 is worked on, and the loops over tiles are symbolic: compile time does not depend on the
 size of the system, and the number of tiles may differ from lane to lane.
 
-``LowerTiles`` keeps one local array per position inside a tile. All positions of a tile are
-then read with the same index, so that the test whether the lanes agree on it (a plain load)
-or not (a gather) is made once per tile instead of once per number.
-
 Unrolled code sits in plain helpers that take and return lists: ``@dr.syntax`` would take a
 Python ``for`` inside a traced loop for loop state.
 """
@@ -20,8 +16,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-Tile = list[Any]
-"""Row-major entries of one tile (or of one block of right-hand sides): Dr.Jit arrays."""
+from svu_mi.local import Block, load, store
 
 
 def packed_count(blocks: Any) -> Any:
@@ -29,25 +24,7 @@ def packed_count(blocks: Any) -> Any:
     return (blocks * (blocks + 1)) >> 1
 
 
-def allocate(Float: type, entries: int, count: int) -> list[Any]:
-    """Return local memory for ``count`` tiles of ``entries`` numbers, not initialised."""
-    # No `value=`: a literal initial value becomes an inline memset, slow to compile and,
-    # above some size, a crash (Dr.Jit 1.5.0).
-    return [dr.alloc_local(Float, max(count, 1)) for _ in range(entries)]
-
-
-def load(memory: list[Any], index: Any) -> Tile:
-    """Read one tile."""
-    return [slot[index] for slot in memory]
-
-
-def store(memory: list[Any], index: Any, tile: Tile) -> None:
-    """Write one tile."""
-    for slot, value in zip(memory, tile, strict=True):
-        slot[index] = value
-
-
-def _subtract_outer(tile: Tile, a: Tile, b: Tile, size: int, lower: bool = False) -> Tile:
+def _subtract_outer(tile: Block, a: Block, b: Block, size: int, lower: bool = False) -> Block:
     """Return tile - a b^T, or only its lower triangle."""
     out = list(tile)
     for k in range(size):
@@ -58,7 +35,7 @@ def _subtract_outer(tile: Tile, a: Tile, b: Tile, size: int, lower: bool = False
     return out
 
 
-def _factor(tile: Tile, size: int) -> Tile:
+def _factor(tile: Block, size: int) -> Block:
     """Cholesky factor of a diagonal tile; its diagonal holds the reciprocals 1 / L_jj."""
     out = list(tile)
     for j in range(size):
@@ -73,7 +50,7 @@ def _factor(tile: Tile, size: int) -> Tile:
     return out
 
 
-def _divide_right(tile: Tile, lower: Tile, size: int) -> Tile:
+def _divide_right(tile: Block, lower: Block, size: int) -> Block:
     """Return X with X L^T = tile; the diagonal of ``lower`` holds reciprocals."""
     out = list(tile)
     for j in range(size):
@@ -85,7 +62,7 @@ def _divide_right(tile: Tile, lower: Tile, size: int) -> Tile:
     return out
 
 
-def _subtract_applied(right: Tile, tile: Tile, other: Tile, size: int, transpose: bool) -> Tile:
+def _subtract_applied(right: Block, tile: Block, other: Block, size: int, transpose: bool) -> Block:
     """Return right - tile @ other (or tile^T @ other) for a block of right-hand sides."""
     columns = len(right) // size
     out = list(right)
@@ -98,7 +75,7 @@ def _subtract_applied(right: Tile, tile: Tile, other: Tile, size: int, transpose
     return out
 
 
-def _substitute(right: Tile, lower: Tile, size: int, transpose: bool) -> Tile:
+def _substitute(right: Block, lower: Block, size: int, transpose: bool) -> Block:
     """Solve L x = right (or L^T x = right) within one diagonal tile."""
     columns = len(right) // size
     out = list(right)
@@ -118,8 +95,8 @@ def factor_and_forward(
     solution: list[Any],
     blocks: Any,
     size: int,
-    matrix: Callable[[Any, Any, bool], Tile] | None = None,
-    right: Callable[[Any], Tile] | None = None,
+    matrix: Callable[[Any, Any, bool], Block] | None = None,
+    right: Callable[[Any], Block] | None = None,
 ) -> tuple[list[Any], list[Any]]:
     """Factor M = L L^T and solve L z = b, tile row by tile row.
 
@@ -128,10 +105,10 @@ def factor_and_forward(
         solution: memory for z, one block of ``size`` rows per tile row.
         blocks: number of tile rows, a UInt32 that may vary from lane to lane.
         size: edge of a tile.
-        matrix: ``(i, j, diagonal) -> Tile`` of M, asked once for every block j <= i; rows past the
+        matrix: ``(i, j, diagonal) -> Block`` of M, asked once for every block j <= i; rows past the
             end of the system must be those of the identity, and only the lower triangle of
             a diagonal tile is read. None: ``lower`` holds M and is overwritten.
-        right: ``i -> Tile`` of the right-hand sides, zero past the end. None: ``solution``
+        right: ``i -> Block`` of the right-hand sides, zero past the end. None: ``solution``
             holds them and is overwritten.
 
     Returns:

@@ -20,6 +20,7 @@ import mitsuba as mi
 
 from svu_mi.frequency import cholesky, harmonics
 from svu_mi.frequency.system import Sample, System, unit
+from svu_mi.local import allocate, load, store
 
 TILE = 4
 """Edge of a tile: 16 double precision values, half of which stay in registers while it is
@@ -41,8 +42,8 @@ def fit_dual(sample: Sample, views: Any, system: System, capacity: int) -> list[
     blocks = (count + (TILE - 1)) // TILE
     _pad(samples, count, blocks)
 
-    lower = cholesky.allocate(mi.Float64, TILE * TILE, cholesky.packed_count(held))
-    solution = cholesky.allocate(mi.Float64, TILE * columns, held)
+    lower = allocate(mi.Float64, TILE * TILE, cholesky.packed_count(held))
+    solution = allocate(mi.Float64, TILE * columns, held)
     lower, solution = cholesky.factor_and_forward(
         lower, solution, blocks, TILE,
         matrix=lambda bi, bj, diagonal: _kernel_tile(samples, bi, bj, diagonal, system),
@@ -72,7 +73,7 @@ def _compact(sample: Sample, views: Any, samples: list, capacity: int) -> tuple[
         # for the same in all lanes; the select gives it the width of the lanes.
         slot = dr.select(held, count, 0)
         if held:
-            cholesky.store(samples, slot, [*unit(direction), mi.Float64(weight), *values])
+            store(samples, slot, [*unit(direction), mi.Float64(weight), *values])
             count += 1
         view += 1
     return samples, count
@@ -126,13 +127,13 @@ def _free_constant(solution: list, blocks: Any, products: list) -> tuple[list, l
     norm = type(products[0])(0)
     bi = mi.UInt32(0)
     while bi < blocks:
-        norm, products = _project(cholesky.load(solution, bi), norm, products)
+        norm, products = _project(load(solution, bi), norm, products)
         bi += 1
     constant = [dr.select(norm > 0, p / norm, 0) for p in products]
     bi = mi.UInt32(0)
     while bi < blocks:
-        z = cholesky.load(solution, bi)
-        cholesky.store(solution, bi, _remove_constant(z, constant))
+        z = load(solution, bi)
+        store(solution, bi, _remove_constant(z, constant))
         bi += 1
     return solution, constant
 
@@ -162,7 +163,7 @@ def _weigh(samples: list, solution: list, rows: list, blocks: Any) -> list:
     """Write W a sample by sample."""
     bi = mi.UInt32(0)
     while bi < blocks:
-        _weigh_block(samples[3], cholesky.load(solution, bi), rows, bi)
+        _weigh_block(samples[3], load(solution, bi), rows, bi)
         bi += 1
     return rows
 
@@ -185,8 +186,8 @@ def _sum_samples(
     """
     row = mi.UInt32(0)
     while row < count:
-        wa = cholesky.load(rows, row)
-        total = _add_outer(total, basis(cholesky.load(directions, row)), wa)
+        wa = load(rows, row)
+        total = _add_outer(total, basis(load(directions, row)), wa)
         row += 1
     return total
 

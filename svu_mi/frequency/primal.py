@@ -11,6 +11,7 @@ import mitsuba as mi
 
 from svu_mi.frequency import cholesky
 from svu_mi.frequency.system import Sample, System, unit
+from svu_mi.local import allocate, load, store
 
 
 def fit_primal(sample: Sample, views: Any, system: System) -> list[list[Any]]:
@@ -45,9 +46,9 @@ class Solved:
         """Accumulate the equations view by view, and solve them."""
         size = system.degree + 1  # tiles of this edge fill the matrix without padding
         blocks, memory = dr.opaque(mi.UInt32, size), cholesky.packed_count(size)
-        gram = cholesky.allocate(mi.Float64, size * size, memory)
-        right = cholesky.allocate(mi.Float64, size * system.channels, size)
-        rows = cholesky.allocate(mi.Float64, size, size)
+        gram = allocate(mi.Float64, size * size, memory)
+        right = allocate(mi.Float64, size * system.channels, size)
+        rows = allocate(mi.Float64, size, size)
         gram, right = _clear(gram, right, dr.opaque(mi.UInt32, memory), blocks)
         _add_ridge(gram, system, size)
         memory = gram, right, rows, blocks
@@ -75,11 +76,11 @@ def _clear(gram: list, right: list, tiles: Any, blocks: Any) -> tuple[list, list
     """Fill both with zeros."""
     i = mi.UInt32(0)
     while i < tiles:
-        cholesky.store(gram, i, [mi.Float64(0) for _ in gram])
+        store(gram, i, [mi.Float64(0) for _ in gram])
         i += 1
     i = mi.UInt32(0)
     while i < blocks:
-        cholesky.store(right, i, [mi.Float64(0) for _ in right])
+        store(right, i, [mi.Float64(0) for _ in right])
         i += 1
     return gram, right
 
@@ -106,14 +107,14 @@ def _accumulate(
             scaled = [mi.Float64(weight) * mi.Float64(value) for value in values]
             bi = mi.UInt32(0)
             while bi < blocks:
-                a = cholesky.load(rows, bi)
+                a = load(rows, bi)
                 bj = mi.UInt32(0)
                 while bj <= bi:
                     tile = cholesky.packed_count(bi) + bj
-                    b = cholesky.load(rows, bj)
-                    cholesky.store(gram, tile, _add_outer(cholesky.load(gram, tile), a, b))
+                    b = load(rows, bj)
+                    store(gram, tile, _add_outer(load(gram, tile), a, b))
                     bj += 1
-                cholesky.store(right, bi, _add_outer(cholesky.load(right, bi), a, scaled))
+                store(right, bi, _add_outer(load(right, bi), a, scaled))
                 bi += 1
             seen |= True
         view += 1

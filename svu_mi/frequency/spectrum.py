@@ -13,7 +13,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from svu_mi.frequency import arrays, harmonics
+from svu_mi.frequency import harmonics
+from svu_mi.interop import tensor
 
 
 def power_lanes(coefficients: list[list[Any]]) -> list[list[Any]]:
@@ -51,12 +52,12 @@ def power_spectrum(coefficients: Any) -> Any:
         ShapeError: not three axes, or a second axis that is not a square.
     """
     axes = ("T", "(lmax+1)^2", "C")
-    tensor = arrays.tensor(coefficients, "power_spectrum()", "coefficients", axes)
-    texels, count, channels = tensor.shape
+    given = tensor(coefficients, "power_spectrum()", "coefficients", axes)
+    texels, count, channels = given.shape
     degree = harmonics.degree_of(count)
     if texels * channels == 0:
         return dr.zeros(mi.TensorXf, (texels, degree + 1, channels))
-    square = dr.square(tensor)
+    square = dr.square(given)
     orders = [square[:, l * l : (l + 1) ** 2] for l in range(degree + 1)]  # m = -l ... l
     power = dr.stack([dr.sum(of_degree, axis=1) for of_degree in orders], axis=1)
     dr.eval(power)

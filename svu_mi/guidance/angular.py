@@ -24,11 +24,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.frequency.cholesky import store
 from svu_mi.guidance.colors import Colors, Parts
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.measures import FAR
 from svu_mi.guidance.responses import Respond
+from svu_mi.local import store
 from svu_mi.posterior import PrincipledGrid, streaming
 from svu_mi.reflection.model import Model
 from svu_mi.reflection.principled import columns as columns_of

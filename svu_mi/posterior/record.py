@@ -14,8 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.frequency import arrays
-from svu_mi.interop import owned
+from svu_mi.interop import owned, tensor
 from svu_mi.posterior.cells import draw_cells, marginals_of
 from svu_mi.posterior.grid import Grid
 from svu_mi.posterior.intervals import shortest
@@ -475,4 +474,4 @@ def _best_of_prior(prior: np.ndarray) -> np.ndarray:
 
 
 def _tensor(values: np.ndarray) -> Any:
-    return arrays.tensor(values, "Posterior", "a result", ["n"] * values.ndim)
+    return tensor(values, "Posterior", "a result", ["n"] * values.ndim)

@@ -10,8 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError, ShapeError
-from svu_mi.frequency import arrays
-from svu_mi.interop import owned
+from svu_mi.interop import owned, tensor
 from svu_mi.options import Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.posterior import spectrum_kernel as kernel
@@ -154,19 +153,19 @@ def _spectra(incoming: Any, outgoing: Any) -> tuple[Any, Any]:
 def _spectrum(name: str, values: Any) -> Any:
     """Check a spectrum and return it as an evaluated TensorXf."""
     axes = ("texels", "l* + 1", "channels")
-    tensor = arrays.tensor(values, "spectrum_posterior()", name, axes, copy=True)
-    if tensor.shape[1] < 2 or tensor.shape[2] < 1:
+    found = tensor(values, "spectrum_posterior()", name, axes, copy=True)
+    if found.shape[1] < 2 or found.shape[2] < 1:
         raise ShapeError(
             f"spectrum_posterior(): {name} needs l* >= 1 and a channel, got shape "
-            f"{tuple(tensor.shape)}."
+            f"{tuple(found.shape)}."
         )
-    if tensor.shape[0] and not dr.all((tensor.array >= 0) & dr.isfinite(tensor.array)):
-        bad = np.array(tensor)
+    if found.shape[0] and not dr.all((found.array >= 0) & dr.isfinite(found.array)):
+        bad = np.array(found)
         texel = int(np.argwhere(~(np.isfinite(bad) & (bad >= 0)))[0][0])
         raise OptionError(
             f"spectrum_posterior(): the {name} spectrum of texel {texel} is negative or not finite."
         )
-    return tensor
+    return found
 
 
 def _groups(switches: Preset, channels: int, copies: int) -> tuple[tuple[int, ...], ...]:
@@ -242,7 +241,7 @@ def _constant(
 ) -> kernel.Constant | None:
     if not isinstance(grid, PrincipledGrid):
         return None
-    known = arrays.tensor(irradiance, "spectrum_posterior()", "irradiance", shape, copy=True)
+    known = tensor(irradiance, "spectrum_posterior()", "irradiance", shape, copy=True)
     if not dr.all((known.array >= 0) & dr.isfinite(known.array)):
         raise OptionError("spectrum_posterior(): the irradiance is negative or not finite.")
     sigma = switches.constant_sigma * (1.0 if switches.noise == "fixed" else unit**0.5)

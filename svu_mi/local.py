@@ -1,0 +1,75 @@
+"""Local memory: numbers of a lane that loops look up, in blocks, and how they leave a kernel.
+
+A block has one local array per position in it. All of it is then read with the same index, so that
+the test whether the lanes agree on it (a plain load) or not (a gather) is made once per block
+instead of once per number.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+Block = list[Any]
+"""The numbers of one block: Dr.Jit arrays."""
+
+
+def allocate(Float: type, entries: int, count: int) -> list[Any]:
+    """Return local memory for ``count`` blocks of ``entries`` numbers, not initialised."""
+    # No `value=`: a literal initial value becomes an inline memset, slow to compile and,
+    # above some size, a crash (Dr.Jit 1.5.0).
+    return [dr.alloc_local(Float, max(count, 1)) for _ in range(entries)]
+
+
+def load(memory: list[Any], index: Any) -> Block:
+    """Read one block."""
+    return [slot[index] for slot in memory]
+
+
+def store(memory: list[Any], index: Any, block: Block) -> None:
+    """Write one block."""
+    for slot, value in zip(memory, block, strict=True):
+        slot[index] = value
+
+
+def scatter_rows(target: Any, rows: list[list[Any]], texel: Any) -> Any:
+    """Write lanes to texel-major memory, within the kernel that computes them.
+
+    Args:
+        target: flat array, (texel, row, channel).
+        rows: per row a list of channels, one value per lane.
+        texel: UInt32, where each lane goes.
+
+    Returns:
+        ``target``, to be evaluated.
+    """
+    values = [value for channels in rows for value in channels]
+    return scatter_strided(target, values, texel * len(values), 1)
+
+
+@dr.syntax
+def scatter_strided(target: Any, values: list[Any], start: Any, stride: Any) -> Any:
+    """Write value k of every lane to ``start + k * stride``, within the kernel that computes it.
+
+    Args:
+        target: flat array of Float or Float64.
+        values: one number per lane each, converted to that.
+        start: UInt32, per lane.
+        stride: UInt32.
+
+    Returns:
+        ``target``, to be evaluated.
+    """
+    # Scatters outside a symbolic loop would each become a kernel that computes all over
+    # again, and dr.concat one per number of lanes.
+    count, kind = len(values), type(target)
+    memory = dr.alloc_local(kind, count)
+    for k, value in enumerate(values):
+        memory[k] = kind(value)
+    k = mi.UInt32(0)
+    while k < dr.opaque(mi.UInt32, count):
+        dr.scatter(target, memory[k], start + k * stride)
+        k += 1
+    return target
