@@ -5,7 +5,6 @@ from __future__ import annotations
 from svu_mi.frequency.batch import fit_sh
 from svu_mi.frequency.fit import SolverGroup, fit_lanes, solver_groups
 from svu_mi.frequency.spectrum import power_lanes, power_spectrum
-from svu_mi.local import scatter_rows
 
 __all__ = [
     "SolverGroup",
@@ -13,6 +12,5 @@ __all__ = [
     "fit_sh",
     "power_lanes",
     "power_spectrum",
-    "scatter_rows",
     "solver_groups",
 ]

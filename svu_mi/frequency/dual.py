@@ -54,7 +54,7 @@ def fit_dual(sample: Sample, views: Any, system: System, capacity: int) -> list[
         solution, constant = _free_constant(solution, blocks, [mi.Float64(0)] * channels)
         solution = [s for q, s in enumerate(solution) if q % columns < channels]
     solution = cholesky.backward(lower, solution, blocks, TILE, held)
-    rows = [dr.alloc_local(mi.Float64, held * TILE) for _ in range(channels)]
+    rows = allocate(mi.Float64, channels, held * TILE)
     rows = _weigh(samples, solution, rows, blocks)
     zero = [[mi.Float64(0) for _ in range(channels)] for _ in system.degrees]
     total = _sum_samples(samples[:3], rows, count, zero, system.basis)

@@ -28,7 +28,7 @@ from svu_mi.guidance.colors import Colors, Parts
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.measures import FAR
 from svu_mi.guidance.responses import Respond
-from svu_mi.local import store
+from svu_mi.local import allocate, load, store
 from svu_mi.posterior import PrincipledGrid, streaming
 from svu_mi.reflection.model import Model
 from svu_mi.reflection.principled import columns as columns_of
@@ -255,7 +255,7 @@ def _expect(
         out: Float, zeros.
         keep: whether each candidate is one of the views so far for those after it.
     """
-    so_far = [dr.alloc_local(mi.Float, launch.rows) for _ in range(3 * launch.channels)]
+    so_far = allocate(mi.Float, 3 * launch.channels, launch.rows)
     # Literals: Dr.Jit 1.5 leaves the size of local memory out of what tells kernels apart.
     rows, levels, mixtures = (mi.UInt32(n) for n in (launch.rows, launch.levels, launch.mixtures))
     row = mi.UInt32(0)
@@ -312,4 +312,4 @@ def _expect(
 
 
 def _sums(memory: list[Any], row: Any, errors: list[Any]) -> list[Any]:
-    return [slot[row] + error for slot, error in zip(memory, errors, strict=True)]
+    return [so_far + error for so_far, error in zip(load(memory, row), errors, strict=True)]

@@ -20,9 +20,10 @@ from oracle import frequency
 from studies.clock import compile_record, measure, per_texel
 from svu_mi.bench.fresh import in_new_process
 from svu_mi.bench.text import Bar
-from svu_mi.frequency import fit_lanes, power_lanes, scatter_rows, solver_groups
+from svu_mi.frequency import fit_lanes, power_lanes, solver_groups
 from svu_mi.frequency.system import System
 from svu_mi.interop import owned
+from svu_mi.local import scatter_rows
 from svu_mi.options import Preset, preset
 
 SIDES = 6  # three colours of outgoing, three of incoming radiance
