@@ -17,7 +17,6 @@ from svu_mi.cli.reporting import Report
 from svu_mi.cli.viewing import View
 from svu_mi.guidance.forecast import Forecast
 from svu_mi.output.report import pictures
-from svu_mi.output.thinned import Thinned
 from svu_mi.posterior.part import PartOfPosterior
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import uniform
@@ -79,15 +78,6 @@ def test_a_report_takes_as_many_texels_as_its_maps_have_pixels():
     assert Report(scene=Path("a.xml")).sized()[0].resolution == (pictures.MAP_SIDE,)
     assert View(scene=Path("a.xml")).sized()[0].resolution == (512,)
     assert Report(scene=Path("a.xml"), resolution=(64,)).sized()[0].resolution == (64,)
-
-
-def test_a_picture_of_half_the_size_shows_a_quarter_of_the_texels(vase):
-    thin = Thinned.of(vase.estimate, 32)
-    assert thin.estimate.texels.resolution == (32, 24)
-    image = vase.texels.to_image(np.array(vase.estimate.entropy), -1)[1::2, 1::2]
-    shown = thin.estimate.texels.to_image(np.array(thin.estimate.entropy), -1)
-    np.testing.assert_array_equal(shown, image)
-    assert Thinned.of(vase.estimate, 64).estimate is vase.estimate
 
 
 def test_pixels_that_are_asked_for_are_those_of_the_picture(vase):

@@ -74,8 +74,6 @@ class Photographed(OfScene):
 
     work: ClassVar[str] = "entropy"
     """What the command does, by which its need of memory is known (``needs.COSTS``)."""
-    figures: ClassVar[bool] = True
-    """Whether its pictures are figures of matplotlib's."""
     fills: ClassVar[bool] = False
     """Whether it writes maps and textures into the output folder, where no scene may lie."""
     images: Folder = None
@@ -211,19 +209,7 @@ class Photographed(OfScene):
     def _preflight(
         self, progress: Progress, label: str, need: Callable[[Sizes], Need]
     ) -> Callable[[Sizes], float]:
-        """Return ``announcing``, after which what comes later is imported: from then on others are
-        at work, who decode photographs or render them."""
-        from svu_mi.aside import DRAWING, SCIENCE, import_aside
-
-        announced = announcing(progress, label, need)
-        drawn = self.draws and self.figures and getattr(self, "pictures", True)
-
-        def preflight(sizes: Sizes) -> float:
-            room = announced(sizes)
-            import_aside(*SCIENCE, *(DRAWING if drawn else ()))
-            return room
-
-        return preflight
+        return announcing(progress, label, need)
 
     def _need_rendered(self, sizes: Sizes) -> Need:
         """Return what takes more memory: to render the photographs, or what is done with them."""

@@ -35,7 +35,6 @@ class Report(Textured):
     """
 
     work = "report"
-    figures = False
     side: ClassVar[int] = 256  # of the maps on the page, in pixels: more texels are not shown
     resolution: Resolution = ()
     """Texels per side, or width and height; by default those of --recovered, else 256, as many as

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from svu_mi.aside import drawing_aside
 from svu_mi.capture import Capture, nodes
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.picture import quantized
@@ -61,26 +60,23 @@ def write_guidance(
     run = run or Run()
     with writing(folder, "guide", RECORD, capture=capture_key(capture)) as draft:
         target = draft.folder
-        with drawing_aside() as aside:
-            if pictures:
-                overview = GuidanceOverview(capture, estimate, guidance, up)
-                aside(overview.begin)
-                sights = Sights.of(capture, guidance)
-                aside(overview.draw_entropy, sights.entropy(estimate))
-            _write_poses(capture, guidance, target)
-            write_manifest(target / PLAN, plan(capture, estimate, guidance))
-            run.progress(1, 4)
-            maps = guidance.gain_maps()
-            run.progress(2, 4)
-            if pictures:
-                seen = sights.gains(maps)
-                aside(overview.finish, maps, seen, target / PAGE)
-                _write_thumbnails(seen, prepare_folder(target / THUMBNAILS))
-            run.progress(3, 4)
-            _write_maps(guidance, maps, target)
-            record = guidance_record(capture, estimate, guidance)
+        _write_poses(capture, guidance, target)
+        write_manifest(target / PLAN, plan(capture, estimate, guidance))
+        run.progress(1, 4)
+        maps = guidance.gain_maps()
+        run.progress(2, 4)
+        if pictures:
+            sights = Sights.of(capture, guidance)
+            seen = sights.gains(maps)
+            overview = GuidanceOverview(capture, estimate, guidance, up)
+            overview.begin()
+            overview.draw_entropy(sights.entropy(estimate))
+            overview.finish(maps, seen, target / PAGE)
+            _write_thumbnails(seen, prepare_folder(target / THUMBNAILS))
+        run.progress(3, 4)
+        _write_maps(guidance, maps, target)
         run.progress(4, 4)
-        write_run(draft, record, run)
+        write_run(draft, guidance_record(capture, estimate, guidance), run)
 
 
 def _write_poses(capture: Capture, guidance: Guidance, folder: Path) -> None:

@@ -69,9 +69,6 @@ class Sights:
 class GuidanceOverview:
     """Where to go, what it is worth, and what is to be seen there: 1800 x 1120 pixels.
 
-    In three parts, each of which any thread may draw, in this order: gains of all texels take
-    longer than the rest.
-
     Args:
         capture: the ``Capture``.
         estimate: what its photographs say.

@@ -24,7 +24,6 @@ from svu_mi.output.result import (
     words,
 )
 from svu_mi.output.style import LEFT, RIGHT, RULE
-from svu_mi.output.thinned import Thinned
 from svu_mi.pipeline import Estimate
 
 if TYPE_CHECKING:
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from svu_mi.output.style import Panel
 
 SIZE = (16.0, 9.4)  # inches
-MAP_SIDE = 1024  # texels of the longer side of a map, which is drawn in about 500 pixels
 HEADING = "What the photographs say about the reflectance"
 
 
@@ -51,11 +49,9 @@ def write_overview(
     Raises:
         OutputError: the file cannot be written.
     """
-    shown = Thinned.of(estimate, MAP_SIDE).estimate
     page = _Overview(
-        capture, estimate, Result.of(estimate), knowledge or Knowledge.of(estimate),
-        shown, Result.of(shown),
-    )  # fmt: skip
+        capture, estimate, Result.of(estimate), knowledge or Knowledge.of(estimate)
+    )
     figure = style.new_figure(*SIZE)
     style.heading(figure, HEADING, page.notes(), (0.962, 0.922))
     parameters = list(open_axes(estimate))
@@ -83,16 +79,12 @@ class _Overview:
         estimate: what they say.
         result: likewise.
         knowledge: likewise, in units.
-        shown: the estimate at the texels that maps show, of a large one.
-        drawn: what that says.
     """
 
     capture: Capture
     estimate: Estimate
     result: Result
     knowledge: Knowledge
-    shown: Estimate
-    drawn: Result
 
     def notes(self) -> list[str]:
         result, seen = self.result, int(self.result.seen.sum())
@@ -109,7 +101,7 @@ class _Overview:
 
     def objects(self) -> Iterator[Panel]:
         """Photograph and entropy side by side, for two views far apart."""
-        texture = map_colors(self.shown)
+        texture = map_colors(self.estimate)
         seen = getattr(self.estimate, "seen_per_view", None)
         for view in views.far_apart(self.capture, seen):
             shown = views.picture(self.capture, texture, self.capture.sensors[view])
@@ -120,19 +112,19 @@ class _Overview:
             yield "Entropy seen from there", partial(style.draw_image, image=entropy)
 
     def entropy_map(self, axes: Axes) -> None:
-        draw_scaled_map(axes, self.shown, label=style.ENTROPY_ENDS, interpolation="nearest")
-        _hatch(axes, self.drawn)
+        draw_scaled_map(axes, self.estimate, label=style.ENTROPY_ENDS, interpolation="nearest")
+        _hatch(axes, self.result)
 
     def coverage_map(self, axes: Axes) -> None:
         from matplotlib.ticker import MaxNLocator
 
         label = f"views that see the texel, of {sum(self.capture.used)}"
         bar = draw_scaled_map(
-            axes, self.shown, self.drawn.coverage, label, limits=(0, self.result.most_views),
+            axes, self.estimate, self.result.coverage, label, limits=(0, self.result.most_views),
             colormap=style.VIEWS_COLORMAP, interpolation="nearest",
         )  # fmt: skip
         bar.ax.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
-        _hatch(axes, self.drawn)
+        _hatch(axes, self.result)
 
     def histogram(self, axes: Axes) -> None:
         style.plain(axes)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from svu_mi.aside import Aside, drawing_aside
 from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.exr import write_exr
@@ -25,7 +24,7 @@ from svu_mi.output.maps import (
     write_maps,
     write_uncertainty,
 )
-from svu_mi.output.recovery_page import RecoveryOverview, deviations_of
+from svu_mi.output.recovery_page import write_recovery_overview
 from svu_mi.output.relit import compare, write_relit
 from svu_mi.output.scene_xml import write_scene
 from svu_mi.pipeline import Estimate
@@ -84,15 +83,13 @@ def write_recovery(
     with writing(folder, "recover", RECORD, capture=key, consumed=run.consumed) as draft:
         target = draft.folder
         write_scene(capture, recovery.textures, target, attributes=about)
-        with drawing_aside() as aside:
-            pages = Pages(capture, recovery, estimate, target, aside) if pictures else None
-            run.progress(1, 4)
-            if pages is not None:
-                pages.finish(field)
-            run.progress(2, 4)
-            _write_known(recovery, estimate, field, target)
-            write_losses(recovery.losses, target / LOSSES)
-            record = recovery_record(capture, recovery, estimate)
+        run.progress(1, 4)
+        if pictures:
+            _draw(capture, recovery, estimate, field, target)
+        run.progress(2, 4)
+        _write_known(recovery, estimate, field, target)
+        write_losses(recovery.losses, target / LOSSES)
+        record = recovery_record(capture, recovery, estimate)
         run.progress(3, 4)
         if field is not None and draws is not None:
             first = write_draws(field.draw(draws.count, draws.seed), target, about)
@@ -103,25 +100,15 @@ def write_recovery(
         write_run(draft, record, run)
 
 
-class Pages:
-    """``relit.png`` and ``recovery.png``: drawn aside, while it is computed what they show."""
-
-    def __init__(
-        self, capture: Capture, recovery: Recovery, estimate: Estimate | None, folder: Path,
-        aside: Aside,
-    ) -> None:  # fmt: skip
-        self._recovery, self._estimate = recovery, estimate
-        self._path, self._aside = folder / PAGE, aside
-        chosen = views.far_apart(capture, getattr(estimate, "seen_per_view", None), VIEWS)
-        comparisons = compare(capture, recovery.textures, chosen)
-        aside(write_relit, comparisons, folder / RELIT)
-        self._overview = RecoveryOverview(capture, recovery, comparisons, estimate)
-        aside(self._overview.begin)
-
-    def finish(self, field: TextureField | None) -> None:
-        """Draw how sure the textures are as well."""
-        deviations = deviations_of(self._estimate, field)
-        self._aside(self._overview.finish, deviations, self._path)
+def _draw(
+    capture: Capture, recovery: Recovery, estimate: Estimate | None, field: TextureField | None,
+    folder: Path,
+) -> None:  # fmt: skip
+    """Write ``relit.png`` and ``recovery.png``."""
+    chosen = views.far_apart(capture, getattr(estimate, "seen_per_view", None), VIEWS)
+    comparisons = compare(capture, recovery.textures, chosen)
+    write_relit(comparisons, folder / RELIT)
+    write_recovery_overview(capture, recovery, comparisons, folder / PAGE, estimate, field)
 
 
 def _write_known(

@@ -45,8 +45,6 @@ SMOOTH = 50  # losses are averaged over this part of the steps
 class RecoveryOverview:
     """A page of 1800 x 1020 pixels: textures, what is known of them, losses and comparisons.
 
-    In two parts, each of which any thread may draw: how sure textures are takes longer to know.
-
     Args:
         capture: the ``Capture``.
         recovery: its ``Recovery``.

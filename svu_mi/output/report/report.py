@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 import svu_mi
-from svu_mi.aside import drawing_aside
 from svu_mi.capture import Capture
 from svu_mi.illumination.words import sentences
 from svu_mi.output import style
@@ -23,7 +22,6 @@ from svu_mi.output.relit import WORST
 from svu_mi.output.report import errors, findings, pictures, plots
 from svu_mi.output.report.turntable import Turntable
 from svu_mi.output.result import Result, is_seen, known, open_axes, words
-from svu_mi.output.thinned import Thinned
 from svu_mi.output.upright import upright
 from svu_mi.pipeline import Estimate
 from svu_mi.progress import Stage
@@ -72,14 +70,11 @@ def write_report(
     today = datetime.date.today()
     warnings = [_within(capture.source, sentence) for sentence in capture.warnings]
     result, table = Result.of(estimate), Turntable.around(capture, FRAMES, SIDE)
-    shown = Thinned.of(estimate, pictures.MAP_SIDE)
-    intervals = Intervals(estimate.posterior, chosen=shown.chosen)
-    with drawing_aside() as aside:
-        made = aside(pictures.thumbnails, capture, estimate)
-        frames = list(pictures.turning(table, estimate))
-        report(1, 5)
-        maps = pictures.maps(table, shown.estimate, intervals)
-        thumbnails, left_out = made.result()
+    intervals = Intervals(estimate.posterior)
+    thumbnails, left_out = pictures.thumbnails(capture, estimate)
+    frames = list(pictures.turning(table, estimate))
+    report(1, 5)
+    maps = pictures.maps(table, estimate, intervals)
     report(2, 5)
     recovered = []
     if textures is not None:
@@ -89,7 +84,7 @@ def write_report(
     turned = [frame[0] for frame in frames]
     examples = list(plots.examples(table, estimate, result, intervals.level, turned))
     report(4, 5)
-    compared = _errors(capture, shown.estimate, textures)
+    compared = _errors(capture, estimate, textures)
     knowledge = Knowledge.of(estimate, intervals)
     page = page_of(
         TEMPLATE,
