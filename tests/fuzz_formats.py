@@ -20,9 +20,9 @@ import OpenEXR
 import trimesh
 from helpers import ball, sensor_xml, write_scene
 from PIL import Image
-from studies.conventions.colmap import write_colmap
-from studies.conventions.owl import write_owl
 from studies.orb.writer import OrbCapture, OrbPhotograph, write_orb
+from support.colmap import write_colmap
+from support.owl import write_owl
 
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture import loading

@@ -13,9 +13,9 @@ from functools import partial
 import mitsuba as mi
 import numpy as np
 import pytest
-from studies.conventions.cases import CASES, Case, outcome, same, spoil
-from studies.conventions.photographs import before_wall, eight_bit, without_masks
-from studies.conventions.written import write
+from support.axis_mistakes import CASES, Case, outcome, same, spoil
+from support.photographs import before_wall, eight_bit, without_masks
+from support.written import write
 
 import svu_mi as svu
 from svu_mi import scenes

@@ -11,7 +11,7 @@ import pytest
 from helpers import render_ball, run, sensor_xml, write_scene
 from PIL import Image
 from scipy.stats import norm
-from studies.clipped import in_integers
+from support.photographs import in_integers
 
 import svu_mi as svu
 from svu_mi import scenes

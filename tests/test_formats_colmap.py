@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers import foreign_source, projected
 from PIL import Image
-from studies.conventions.colmap import write_colmap
+from support.colmap import write_colmap
 
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 from svu_mi.formats.colmap import read_colmap, undistortion

@@ -16,7 +16,7 @@ import OpenEXR
 import pytest
 import trimesh
 from PIL import Image
-from studies.conventions.colmap import write_colmap
+from support.colmap import write_colmap
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 import svu_mi as svu

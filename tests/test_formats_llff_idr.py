@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from helpers import fails, projected, run
 from PIL import Image
-from studies.conventions.colmap import write_colmap
+from support.colmap import write_colmap
 
 from svu_mi import scenes
 from svu_mi.capture.loading import load_capture

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers import foreign_source, projected, write_ball
 from PIL import Image
-from studies.conventions.owl import write_owl
+from support.owl import write_owl
 
 from svu_mi.capture.picture import read_planes
 from svu_mi.errors import CaptureError

@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from scipy.interpolate import interp1d
-from studies.conventions.written import WRITERS, as_orb, write_glb
+from support.written import WRITERS, as_orb, write_glb
 
 import svu_mi as svu
 from svu_mi import scenes

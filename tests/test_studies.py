@@ -13,7 +13,7 @@ import pytest
 from oracle import batched
 from oracle import posterior as oracle
 from rich.console import Console
-from studies import clock, guidance_steps, paths, recovery_steps, sharing, switches
+from studies import clock, paths
 from studies.captures import FRONT, uneven_views
 from studies.clock import measure, run, spread
 from studies.kernels import entropy, fit, gather
@@ -22,25 +22,18 @@ from studies.kernels.end_to_end import run_once
 from studies.kernels.run import KernelSizes
 from studies.kernels.scaling import Range, line, repeated
 from studies.kernels.tables import kernel_tables
-from studies.sharing import TILES, drift, mosaic, own_object
-from studies.watching import Mark, describe_marks, step_seconds
 
 import svu_mi as svu
-from svu_mi import scenes
-from svu_mi.bench.captures import capture_of
-from svu_mi.bench.cells import Cell, own_cells
+from svu_mi.bench.cells import own_cells
 from svu_mi.bench.experiment import Bench, Experiment
 from svu_mi.bench.fresh import in_new_process
-from svu_mi.bench.recovery.judge import Judge
 from svu_mi.bench.sizes import RecoverySizes, Sizes
 from svu_mi.bench.store import code_now
 from svu_mi.bench.study import Asked
-from svu_mi.bench.variants import VARIANTS, Variant
+from svu_mi.bench.variants import Variant
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError, SvuEnvironmentError
-from svu_mi.needs import COSTS, MODELS
 from svu_mi.posterior import PrincipledGrid
-from svu_mi.progress import Progress
 from svu_mi.visibility import Surface, pack_views, survey
 
 FITS = (fit.Case(20, 8, 100.0, "default"), fit.Case(20, 8, None, "paper"))
@@ -301,17 +294,6 @@ def test_views_are_repeated_or_spread(shot):
     assert repeated(capture, 3).names == tuple(capture.names[i] for i in (0, 4, 7))
 
 
-def test_the_formula_of_memory_is_the_readme_s(root):
-    readme = (root / "README.md").read_text()
-    cost, of = COSTS["entropy"], MODELS
-    line = (
-        f"{cost.start / 1e6:.0f} MB + {cost.pixel} bytes per pixel of all photographs + "
-        f"{of['default']} bytes per texel"
-    )
-    others = f"({of['fixed']} with the preset fixed, {of['paper']} with the SH model, "
-    assert line in readme and f"{others}{of['spectrum']} with spectra)" in readme
-
-
 @pytest.mark.slow
 def test_a_failed_process_says_why(tmp_path):
     with pytest.raises(SvuEnvironmentError, match=r"run_once\(\) failed when cold: .*nowhere"):
@@ -319,34 +301,6 @@ def test_a_failed_process_says_why(tmp_path):
 
 
 # --- sharing, steps, paths ----------------------------------------------------------------
-
-
-def test_tiles_repeat_and_drift_does_not():
-    color, rough, metal = mosaic()
-    materials = np.unique(np.dstack([color, rough, metal]).reshape(-1, 5), axis=0)
-    assert len(materials) == len(TILES)
-    values = np.dstack([part.reshape(*rough.shape, -1) for part in drift()])
-    assert 0 <= values.min() < values.max() <= 1
-    assert len(np.unique(values.reshape(-1, 5), axis=0)) > 0.9 * rough.size
-
-
-@pytest.mark.slow
-def test_an_object_of_our_own_is_what_was_painted(tmp_path):
-    """Through the files that are written: 8 bits, so the truth is within half a step of 1/255."""
-    folder = own_object("mosaic", tmp_path)
-    image = scenes.FOLDER / "lights" / "window.exr"
-    defines = {"object": str(folder), "environment": str(image), "max_depth": "2"}
-    cell = Cell("mosaic", "window", scenes.path("object"), defines)
-    capture = capture_of(cell, SIZES, tmp_path / "capture", Progress())
-    grid = svu.texels(capture.mesh, 256)
-    judge = Judge.of(capture, grid, poor=2)
-    color, rough, metal = mosaic()
-    index = grid.index.numpy()
-    true = judge.truth.values
-    np.testing.assert_allclose(true["roughness"], rough.ravel()[index], atol=3e-3)
-    np.testing.assert_allclose(true["metallic"], metal.ravel()[index], atol=3e-3)
-    # Steps of sRGB are at most 2.5 times as wide near white.
-    np.testing.assert_allclose(true["base_color"], color.reshape(-1, 3)[index], atol=6e-3)
 
 
 def test_uneven_views_crowd_on_one_side(shot):
@@ -366,45 +320,20 @@ def test_uneven_views_crowd_on_one_side(shot):
         uneven_views(capture, 7, 2)
 
 
-def test_marks_show_kernels_memory_and_time_per_step():
-    marks = [Mark(10 * k, 2.0 + 0.1 * k, 7 + (k > 20), 100.0 + k) for k in range(1, 31)]
-    found = describe_marks(marks, 300)
-    assert found["steps"] == 300
-    assert found["compiled"] == 1
-    assert found["grown"] == pytest.approx(27)  # from step 30 to step 300
-    assert found["seconds"] == pytest.approx(0.01)
-    assert np.isnan(step_seconds(marks[:2]))
-
-
 def test_figures_of_a_study_depend_on_its_code(tmp_path, root):
     bench = paths.Paths(output=tmp_path).bench(Console())
     assert bench.code == (root / "tests" / "studies",)
     assert code_now(*bench.code) != code_now()
 
 
-def test_every_switch_is_another_estimator_than_its_base():
-    known = {variant.label: variant.preset for variant in (*VARIANTS, *switches.SWITCHES)}
-    assert len(known) == len(VARIANTS) + len(switches.SWITCHES)
-    for variant in switches.SWITCHES:
-        assert variant.preset != known[switches.base_of(variant.label, known)]
-    for label, base in (("angular fixed, looked up, Fresnel: none", "angular fixed, looked up"),
-                        ("angular fixed, Lambert", "angular fixed"),
-                        ("spectrum degree 4", "spectrum default")):  # fmt: skip
-        assert switches.base_of(label, known) == base
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("study", "rows"),
-    [(paths.STUDY, 1), (switches.STUDY, 2), (sharing.STUDY, 2), (recovery_steps.STUDY, 4),
-     (guidance_steps.STUDY, 4)],
-    ids=["paths", "switches", "sharing", "recovery_steps", "guidance_steps"],
+    [(paths.STUDY, 1)],
+    ids=["paths"],
 )  # fmt: skip
-def test_a_study_finds_figures_for_every_row(study, rows, tmp_path, monkeypatch):
-    monkeypatch.setattr(sharing, "QUICK", sharing.Views(dense=8, front=4, back=1))
+def test_a_study_finds_figures_for_every_row(study, rows, tmp_path):
     base = Variant("spectrum default", "spectrum", "default")
-    degree = Variant("spectrum degree 4", "spectrum", "default", {"degree": 4})
-    monkeypatch.setattr(switches, "SWITCHES", (degree,))
     asked = Asked(cells=own_cells(["vase"], ["window"]), variants=[base])
     record = study.run(Bench(tmp_path, SIZES, quick=True), asked)
     (cell,) = record["cells"]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from studies.clipped import in_integers
+from support.photographs import in_integers
 
 import svu_mi as svu
 from svu_mi import estimators

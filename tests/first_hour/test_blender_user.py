@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from hour import done, svu
-from studies.conventions.colmap import write_colmap
+from support.colmap import write_colmap
 
 from svu_mi import read_source
 from svu_mi.exr import read_exr, write_exr

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from helpers import names
-from studies.kills.run import COMMANDS, Place, killed, met, prepare
+from support.kills import COMMANDS, Place, killed, met, prepare
 from trust.letters import contents, write
 
 from svu_mi.files import write_text
@@ -109,7 +109,7 @@ def test_a_single_file_is_the_old_or_the_new_one_too(tmp_path):
     assert set(found) == {"old\n", "new\n"} and found == sorted(found, reverse=True)
 
 
-# --- whole commands, at random moments: a few of what ``studies.kills`` makes hundreds of ------
+# --- whole commands, at random moments: a few of what ``support.kills`` makes hundreds of ------
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from studies.conventions.copying import copy_file
+from support.photographs import copy_file
 from svu_mi.errors import OutputError
 from svu_mi.files import prepare_folder
 from svu_mi.formats.colmap.model import Camera, View, write_model

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 from PIL import Image
 
-from studies.conventions.copying import copy_file
+from support.photographs import copy_file
 from svu_mi.capture.images import IN_MASK, SATURATED
 from svu_mi.capture.picture import quantized, read_planes
 from svu_mi.capture.poses import affine

@@ -1,34 +1,23 @@
-"""The ways in which photographs of an object may come."""
+"""Photographs changed as cameras and file formats change them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from svu_mi.bench.captures import some_views
 from svu_mi.capture import Capture
+from svu_mi.capture.clipped import Clipped
 from svu_mi.capture.images import SATURATED
 from svu_mi.capture.picture import decoded, srgb
-from svu_mi.formats.reading import Format
+from svu_mi.capture.rounding import Rounding
+from svu_mi.observed import Observed
 
-FEW = 8  # views
 WHITE = 0.97  # of the object's pixels that an 8-bit photograph does not clip
 BRIGHT = 0.15  # by which a wall is brighter at the top than in the middle
-
-
-@dataclass(frozen=True)
-class Way:
-    """How photographs come.
-
-    Attributes:
-        format: that they are imported from.
-        changed: applied to the imported capture.
-    """
-
-    format: Format
-    changed: Callable[[Capture], Capture] = lambda capture: capture
 
 
 def eight_bit(capture: Capture) -> Capture:
@@ -69,14 +58,40 @@ def _pairs(capture: Capture) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         yield image, np.ones(image.shape[:2], bool) if mask is None else mask
 
 
-# By the heads of tables; the first ones are the importers, with all that each can hold.
-WAYS: dict[str, Way] = {
-    "transforms.json": Way("transforms"),
-    "COLMAP": Way("colmap"),
-    "Objects with Lighting (8 bits)": Way("owl"),
-    "Stanford-ORB": Way("stanford-orb"),
-    "transforms.json without masks": Way("transforms", without_masks),
-    "COLMAP with 8 bits before a wall": Way("colmap", lambda c: eight_bit(before_wall(c))),
-    f"transforms.json with {FEW} views": Way("transforms", lambda c: some_views(c, FEW)),
-}
-IMPORTERS = tuple(WAYS)[:4]
+def in_integers(
+    capture: Capture, observed: Observed, part: float, bits: int = 8
+) -> tuple[Capture, float]:
+    """Store photographs as sRGB integers, with one exposure for all.
+
+    Args:
+        capture: HDR photographs.
+        observed: what they show.
+        part: of the pixels that show the object, which is clipped in some channel.
+        bits: 8 or 16.
+
+    Returns:
+        The capture, and the part that is clipped.
+    """
+    colors = np.asarray(observed.views.pixels.numpy()).reshape(-1, 3)
+    most = colors[observed.views.usable.numpy()].max(axis=1)
+    limit, last = float(decoded(np.array(SATURATED[bits], np.float32))), 2**bits - 1
+    exposure = limit / max(float(np.quantile(most, 1 - part)), 1e-12)
+    if part == 0:
+        exposure *= 0.99
+    images, clipped = [], []
+    for image in capture.images:
+        encoded = np.round(last * srgb(np.nan_to_num(image) * exposure)) / last
+        found = Clipped.of(encoded > SATURATED[bits], limit / exposure)
+        linear = (decoded(encoded.astype(np.float32)) / exposure).astype(np.float32)
+        linear[found.flags] = np.nan
+        images.append(np.ascontiguousarray(linear))
+        clipped.append(found)
+    steps = (Rounding.of(bits).divided(exposure),) * len(images)
+    stored = replace(capture, images=tuple(images), clipped=tuple(clipped), rounding=steps)
+    return stored, float((most * exposure > limit).mean())
+
+
+def copy_file(source: Path, target: Path) -> None:
+    """Copy a file; the folder of the copy is made if missing."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(source, target)

@@ -1,1 +1,0 @@
-"""Commands that are killed, and commands that meet in one folder."""
