@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf, nan
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -62,7 +62,7 @@ def gather(
 
     Args:
         views: the packed capture.
-        found: which views see which texels, of all texels.
+        found: visibility of all texels.
         model: the reflection model of S texels.
         mirrors: what stands in the mirror direction of a sample; None if nothing does.
         channels: C of the photographs, 3 or 1; the model's by default. A model of one channel,
@@ -72,35 +72,28 @@ def gather(
     Raises:
         OptionError: ``current`` without a finite kappa, or in grey.
     """
-    surface, levels = model.surface, model.levels
-    kappa, current = weighting.kappa, weighting.current
-    channels = channels or model.channels
-    if current is not None and not (kappa < inf and channels == 3):
-        raise OptionError("gather(): current needs a finite kappa and 3 channels.")
-    knee, weighted = dr.opaque(mi.Float, kappa), kappa < inf
-    eta = dr.opaque(mi.Float, weighting.edges)
-    clipped = found.clipped is not None and current is None
+    surface, kappa, channels = model.surface, weighting.kappa, channels or model.channels
+    samples = _sample_model(weighting, channels)
+    saturated = found.clipped is not None and samples.reads_saturated
+    knee, eta = dr.opaque(mi.Float, kappa), dr.opaque(mi.Float, weighting.edges)
+    size = model.levels * channels * len(PAIRS)
 
     def consume(seen: Observation, slot: Any, *sums: Any) -> Any:
         free = mi.Bool(True) if mirrors is None else mirrors.test(slot, surface.index)
 
         def add(weight: Any, number: Any, *state: Any) -> tuple[Any, ...]:
             lobes = model.columns(seen.direction, dr.maximum(seen.cosine, GRAZING), free)
-            observed = as_channels(seen.radiance, channels)
-            w = dr.select(seen.seen, mi.Float(1), 0)
-            if weighted:
-                w *= noise_weight(sum(observed) / channels, knee, seen.contrast, eta)
-            if current is not None:
-                off = sum(_errors(lobes, observed, current)) / channels
-                w *= knee / dr.maximum(off, SMALLEST * knee)
-            shown: list[list[Shown]] = [[Shown(b) for b in observed]] * levels
+            radiance, w = as_channels(seen.radiance, channels), dr.select(seen.seen, mi.Float(1), 0)
+            if kappa < inf:
+                w *= noise_weight(sum(radiance) / channels, knee, seen.contrast, eta)
+            flags = _saturated(seen.clipped, channels) if saturated else None
+            found, w = samples.columns_and_weights(Sample(lobes, radiance, flags, w, surface.lane))
             part: Any = mi.Float(1)
-            if clipped:
-                shown = _clipped(lobes, observed, seen.clipped, w, surface.lane, weighting.models)
-                part = sum(one.part for of_level in shown for one in of_level) / (levels * channels)
+            if saturated:
+                part = sum(share for _, share in found) / len(found)
                 number = number + dr.select(seen.seen, part, 0)
             weight, w = weight + mi.Float64(part * w), mi.Float64(w)
-            added = [x for pair in zip(lobes, shown, strict=True) for x in _products(*pair)]
+            added = [product for one in found for product in _products(*one)]
             return weight, number, *(
                 dr.fma(w, new, old) for old, new in zip(state, added, strict=True)
             )
@@ -110,18 +103,114 @@ def gather(
             true_fn=add, false_fn=lambda *state: state,
         )  # fmt: skip
 
+    none = dr.zeros(mi.Float, surface.count if saturated else 1)
+    weight, *state = (dr.zeros(mi.Float64, surface.count) for _ in range(1 + size))
     among = weighting.models.samples if weighting.models is not None else None
-    count, size = surface.count, levels * channels * len(PAIRS)
-    none = dr.zeros(mi.Float, count if clipped else 1)
-    zeros = (dr.zeros(mi.Float64, count), none, *(dr.zeros(mi.Float64, count) for _ in range(size)))
-    weight, partly, *sums = found.over_views(
-        views, surface, consume, zeros, clipped=clipped, among=among
+    weight, counts, *sums = found.over_views(
+        views, surface, consume, (weight, none, *state), clipped=saturated, among=among
     )
-    counts = partly if clipped else mi.Float(dr.gather(mi.UInt32, found.coverage, surface.index))
+    if not saturated:
+        counts = mi.Float(dr.gather(mi.UInt32, found.coverage, surface.index))
     return Gathered(
         sums, weight, counts, surface.index, model.roughness, channels,
-        kappa if current is None else nan, weighting.edges,
+        kappa if weighting.current is None else nan, weighting.edges,
     )  # fmt: skip
+
+
+class Sample(NamedTuple):
+    """One view of every texel, C channels of radiance at R levels of roughness.
+
+    Attributes:
+        lobes: (R,) lists of the model's parts by channel of the light.
+        radiance: C Floats; lower bounds where the photograph is saturated.
+        saturated: C Bools; None if no photograph is.
+        weight: Float.
+        lane: UInt32, of the launch.
+    """
+
+    lobes: list[list[Parts]]
+    radiance: list[Any]
+    saturated: list[Any] | None
+    weight: Any
+    lane: Any
+
+
+Columns = tuple[tuple[Any, ...], Any]
+"""Columns of r - b, and the part of the sample's weight that they have; None: all of it."""
+
+
+class SampleModel(Protocol):
+    """A way samples enter the statistics."""
+
+    reads_saturated: bool
+
+    def columns_and_weights(self, sample: Sample) -> tuple[list[Columns], Any]:
+        """Return the columns of every level and channel, level by level, and the weight."""
+
+
+class Unsaturated:
+    """Saturated channels are left out; all others have the sample's weight."""
+
+    reads_saturated = True
+
+    def columns_and_weights(self, sample: Sample) -> tuple[list[Columns], Any]:
+        """See ``SampleModel``."""
+        parts: list[Any] = [None] * len(sample.radiance)
+        if sample.saturated is not None:
+            parts = [dr.select(flag, mi.Float(0), 1) for flag in sample.saturated]
+        shown = list(zip(sample.radiance, parts, strict=True))
+        return [one for level in sample.lobes for one in _columns(level, shown)], sample.weight
+
+
+class Reweighted:
+    """Samples also count less by the error of current parameters: absolute errors."""
+
+    reads_saturated = False
+
+    def __init__(self, current: Values, kappa: float) -> None:
+        self._current, self._knee = current, dr.opaque(mi.Float, kappa)
+
+    def columns_and_weights(self, sample: Sample) -> tuple[list[Columns], Any]:
+        """See ``SampleModel``."""
+        current = self._current
+        shares = hats(current["roughness"][0], len(sample.lobes))
+        r = interpolated(sample.lobes, shares, current["base_color"], mixed_of(current))
+        off = sum(dr.abs(x - b) for x, b in zip(r, sample.radiance, strict=True)) / len(r)
+        weight = sample.weight * (self._knee / dr.maximum(off, SMALLEST * self._knee))
+        shown = [(b, None) for b in sample.radiance]
+        return [one for level in sample.lobes for one in _columns(level, shown)], weight
+
+
+class Censored:
+    """Only saturated channels count, as parabolas around models that are known (``censored``)."""
+
+    reads_saturated = True
+
+    def __init__(self, models: Models) -> None:
+        self._models = models
+
+    def columns_and_weights(self, sample: Sample) -> tuple[list[Columns], Any]:
+        """See ``SampleModel``."""
+        assert sample.saturated is not None
+        noise = self._models.noise(sample.lane) * dr.rsqrt(dr.maximum(sample.weight, 1e-6))
+        found: list[Columns] = []
+        for number, level in enumerate(sample.lobes):
+            mixed, color = self._models.of_level(sample.lane, number, len(sample.lobes))
+            expected, shown = radiance(level, color, mixed), []
+            for b, flag, r in zip(sample.radiance, sample.saturated, expected, strict=True):
+                t, h = parabola(r, b, noise)
+                shown.append((t, dr.select(flag, h, 0)))
+            found += _columns(level, shown)
+        return found, sample.weight
+
+
+def _sample_model(weighting: Weighting, channels: int) -> SampleModel:
+    """Return how samples enter the statistics."""
+    if weighting.current is not None:
+        if not (weighting.kappa < inf and channels == 3):
+            raise OptionError("gather(): current needs a finite kappa and 3 channels.")
+        return Reweighted(weighting.current, weighting.kappa)
+    return Unsaturated() if weighting.models is None else Censored(weighting.models)
 
 
 def clipped_samples(views: Views, found: Survey, surface: Surface) -> Bits:
@@ -151,58 +240,19 @@ def mixed_of(values: Values) -> list[Any]:
     return [values[name][0] for name in MIXED]
 
 
-class Shown(NamedTuple):
-    """Radiance of a channel, and how much it counts; None if all channels count alike."""
-
-    radiance: Any
-    part: Any = None
-
-
-def _products(level: list[Parts], shown: list[Shown]) -> list[Any]:
-    """Products of the columns of every channel, in double precision."""
-    products = []
-    for c, (b, part) in enumerate(shown):
-        # Grey light has one channel for all.
-        u = [mi.Float64(column) for column in columns(*level[c % len(level)], b)]
-        counted = u if part is None else [mi.Float64(part) * column for column in u]
-        products += [counted[i] * u[j] for i, j in PAIRS]
-    return products
+def _saturated(over: Any, channels: int) -> list[Any]:
+    """Return which of C channels are saturated, by the part of their pixels that is."""
+    parts = list(over) if channels > 1 else [dr.max(over)]
+    return [part > CLIPPED_PART for part in parts]
 
 
-def _clipped(
-    lobes: list[list[Parts]], observed: list[Any], over: Any, weight: Any, lane: Any,
-    models: Models | None,
-) -> list[list[Shown]]:  # fmt: skip
-    """Return what channels show at every level.
-
-    Args:
-        lobes: of the levels.
-        observed: radiance of C channels; where they are clipped, at least.
-        over: Color3f, part of each that is clipped.
-        weight: of the sample.
-        lane: UInt32, of the launch.
-        models: what clipped channels are compared with.
-    """
-    parts = list(over) if len(observed) > 1 else [dr.max(over)]
-    flags = [part > CLIPPED_PART for part in parts]
-    if models is None:
-        dropped = [Shown(b, dr.select(flag, mi.Float(0), 1))
-                   for b, flag in zip(observed, flags, strict=True)]  # fmt: skip
-        return [dropped] * len(lobes)
-    noise, found = models.noise(lane) * dr.rsqrt(dr.maximum(weight, 1e-6)), []
-    for number, level in enumerate(lobes):
-        mixed, color = models.of_level(lane, number, len(lobes))
-        of_level = []
-        for b, flag, r in zip(observed, flags, radiance(level, color, mixed), strict=True):
-            t, h = parabola(r, b, noise)
-            of_level.append(Shown(t, dr.select(flag, h, 0)))
-        found.append(of_level)
-    return found
+def _columns(level: list[Parts], shown: list[tuple[Any, Any]]) -> list[Columns]:
+    """Return columns by channel, given its radiance and weight; grey light has one for all."""
+    return [(columns(*level[c % len(level)], b), part) for c, (b, part) in enumerate(shown)]
 
 
-def _errors(found: list[list[Parts]], observed: list[Any], current: Values) -> list[Any]:
-    """|r - b| of every channel."""
-    (roughness,) = current["roughness"]
-    shares = hats(roughness, len(found))
-    r = interpolated(found, shares, current["base_color"], mixed_of(current))
-    return [dr.abs(x - b) for x, b in zip(r, observed, strict=True)]
+def _products(columns: tuple[Any, ...], part: Any) -> list[Any]:
+    """Return the products of pairs of columns, in double precision."""
+    u = [mi.Float64(column) for column in columns]
+    counted = u if part is None else [mi.Float64(part) * column for column in u]
+    return [counted[i] * u[j] for i, j in PAIRS]
