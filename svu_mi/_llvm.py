@@ -5,10 +5,9 @@ minimum or maximum ("Cannot select ... fminimum"). ``bootstrap`` therefore point
 ``DRJIT_LIBLLVM_PATH`` at a library of version 17 or later, looked for in this order: the
 user's own variable, the system, conda, Homebrew, Windows, the karellen-llvm-core wheel.
 
-Where Dr.Jit was imported before, its library is exchanged (``svu_mi._reload``). If that cannot be
-done any more, and an LLVM variant is in use, ``import svu_mi`` says so. Nothing else is an error
-then, so that CUDA and Metal users are not bothered: ``require`` raises it, when an LLVM variant is
-about to be used.
+Dr.Jit loads its library on import. Where it was imported first and has a library that aborts,
+``import svu_mi`` raises an error if an LLVM variant is set. Otherwise ``require`` raises it, when
+an LLVM variant is about to be used, so that CUDA and Metal users are not bothered.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ import sys
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
-from svu_mi._reload import is_in_use, reload
 from svu_mi.errors import SvuEnvironmentError
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
@@ -63,7 +62,7 @@ def bootstrap() -> None:
     """Choose a library and tell Dr.Jit; runs once, on ``import svu_mi``.
 
     Raises:
-        SvuEnvironmentError: Dr.Jit has made something with a library that will abort the process.
+        SvuEnvironmentError: an LLVM variant is set, whose library will abort the process.
     """
     global _status
     if _status is None:
@@ -209,37 +208,22 @@ def make_loadable(library: str) -> None:
 
 
 def _early_drjit() -> LlvmStatus:
-    """Judge what Dr.Jit found by itself, because it was imported before svu_mi; exchange it.
+    """Judge the library that Dr.Jit found by itself, because it was imported before svu_mi.
 
     Raises:
-        SvuEnvironmentError: that is too late, or there is nothing better.
+        SvuEnvironmentError: an LLVM variant is set, and will abort the process.
     """
     given = _given()
     found = _judge_loaded(LlvmStatus(given or None, (), "drjit"))
-    if found.problem is None or not found.version:  # without any, it does not look again
+    if found.problem is None or not found.version:
         return found
     better = judge_given(given) if given else first_usable(find_candidates())
-    if better.problem is None:
-        assert better.path is not None
-        make_loadable(better.path)
-        cause = _cause(better.path)
-        if not cause and reload(VARIABLE, better.path):
-            return _judge_loaded(better)
-        if cause:
-            problem = f"{better.path} cannot be loaded{cause}; {remedy()}"
-            better = LlvmStatus(better.path, better.version, better.source, problem)
-    used = is_in_use()
+    what = ": restart Python (the kernel), and import svu_mi before drjit and mitsuba."
     if better.problem is not None:
         what = f". {better.problem}"
-    elif used:
-        what = (
-            ", and something made with it is alive: restart Python (the kernel), and import svu_mi "
-            "before the first scene is loaded."
-        )
-    else:
-        what = ": restart Python (the kernel), and import svu_mi before drjit and mitsuba."
     problem = f"Dr.Jit has loaded LLVM {dotted(found.version)}, {_reason(found.version)}{what}"
-    if used:
+    mitsuba: Any = sys.modules.get("mitsuba")
+    if mitsuba is not None and (mitsuba.variant() or "").startswith("llvm"):
         raise SvuEnvironmentError(problem)
     return LlvmStatus(found.path, found.version, found.source, problem)
 

@@ -10,12 +10,12 @@ import ctypes
 import os
 import sys
 from contextlib import suppress
+from pathlib import Path
 
-from svu_mi._reload import drjit_core, function
 from svu_mi.limits import FEWEST_THREADS
 
 PART = 2**12  # lanes of a launch that a worker takes at a time; 2^14 are Dr.Jit's own
-SET_PART = "_Z23jit_llvm_set_block_sizej"  # a function of C++, which Python has no name for
+SET_PART = "_Z23jit_llvm_set_block_sizej"  # of Dr.Jit's core in C++, without a Python name
 
 
 def bootstrap() -> None:
@@ -32,7 +32,10 @@ def take_small_parts() -> None:
     """Let workers take small parts of a launch, so that all of them end at about the same time:
     texels do not take equally long. A Dr.Jit that is not known here stays as it is."""
     with suppress(OSError, AttributeError):  # no such library or function
-        function(drjit_core(), SET_PART, None, ctypes.c_uint)(PART)
+        import drjit as dr
+
+        core = ctypes.CDLL(str(Path(dr.__file__).with_name("libdrjit-core.so")))
+        core[SET_PART](ctypes.c_uint(PART))
 
 
 def _cores() -> int:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 LAYERS = (
-    "errors", "names", "memory", "needs", "limits", "quiet", "interrupts", "_reload",
+    "errors", "names", "memory", "needs", "limits", "quiet", "interrupts",
     "_llvm", "_workers", "fours", "interop", "local", "files", "npz", "exr", "results", "progress",
     "settings", "spacing", "parameters", "switches", "options", "capture", "formats", "surface",
     "light",

@@ -207,13 +207,6 @@ def test_import_points_dr_jit_to_a_good_library():
     assert os.path.isfile(path) and problem is None and version >= 17
 
 
-def test_after_dr_jit_its_choice_is_exchanged_if_it_is_bad():
-    """Dr.Jit then has chosen by itself, perhaps well; see test_import_orders.py."""
-    path, problem, version = run_python("import drjit" + REPORT)
-    assert path is None or os.path.isfile(path)
-    assert problem is None and version >= 17
-
-
 def test_users_folder_does_not_break_the_import(tmp_path):
     _, problem, version = run_python("import svu_mi" + REPORT, **{_llvm.VARIABLE: str(tmp_path)})
     assert "is a folder" in problem and version == -1
