@@ -56,7 +56,6 @@ if TYPE_CHECKING:
     from svu_mi.recovery.recover import Recovery, recover
     from svu_mi.reference import Reference, reference_posterior
     from svu_mi.regularization import GlobalSharing, TotalVariation
-    from svu_mi.shards import Sharded, gather_shards
     from svu_mi.surface import Texels, texels
 
 __version__ = "0.1.0"
@@ -92,7 +91,6 @@ _HOME = {
     "RelitView": "recovery.relit_draws", "relight_draws": "recovery.relit_draws",
     "DescentOptions": "recovery.options", "PathOptions": "recovery.options",
     "ShOptions": "recovery.options",
-    "Sharded": "shards", "gather_shards": "shards",
     "GlobalSharing": "regularization", "TotalVariation": "regularization",
     "Asset": "export.asset", "ExportOptions": "export.options",
     "export_asset": "export.export", "load_asset": "export.reading",
@@ -104,10 +102,10 @@ __all__ = [  # noqa: PLE0604 - the names are loaded on first use
     "DiffusionOptions", "Estimate", "ExportOptions", "Filled", "Fit", "FoundGains", "GlobalSharing",
     "Guidance", "GuidanceOptions", "ImportOptions", "Light", "LightEstimate", "LightOptions",
     "ParameterGrid", "PathOptions", "Posterior", "Preset", "PrincipledGrid", "Recovery",
-    "Reference", "RelitView", "ShOptions", "Sharded", "Skip", "SvuError", "SvuWarning", "Texels",
+    "Reference", "RelitView", "ShOptions", "Skip", "SvuError", "SvuWarning", "Texels",
     "TextureField", "TotalVariation", "angular_posterior", "calibrated_posterior", "check",
     "compare", "equalized", "estimate", "estimate_gains", "estimate_light", "export_asset", "fill",
-    "fill_by_diffusion", "fit_sh", "gather_shards", "import_capture", "load_asset", "load_capture",
+    "fill_by_diffusion", "fit_sh", "import_capture", "load_asset", "load_capture",
     "load_light", "next_best_view", "power_spectrum", "preset", "read_source", "recover",
     "reference_posterior", "relight_draws", "render_capture", "save_light", "spectrum_posterior",
     "texels", "texture_field", "with_light", "write_report",

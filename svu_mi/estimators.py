@@ -12,7 +12,6 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.errors import OptionError
-from svu_mi.evidence import Evidence, Wanted
 from svu_mi.frequency.gather import fit_spectra
 from svu_mi.interop import owned
 from svu_mi.limits import MAX_LANES
@@ -47,7 +46,7 @@ class Run:
         whole: keep the statistics of all texels, however many there are.
     """
 
-    observed: Evidence
+    observed: Observed
     grid: Any
     prior: Any | None
     plan: Plan
@@ -74,7 +73,9 @@ def from_angles(run: Run, switches: AngularPreset) -> Posterior:
 
 def _of_all(run: Run, switches: AngularPreset) -> Posterior:
     seen = run.observed
-    seen.prepare(switches, run.progress)
+    if switches.traced:
+        with run.progress.stage("Tracing occlusion"):
+            seen.reach(switches.cells, occluded=switches.occluded)
     with run.progress.stage("Gathering statistics"):
         chosen = np.flatnonzero(seen.coverage) if _leaves_clipped_out(seen, switches) else None
         factors = _factors(run, seen, switches, chosen)
@@ -96,7 +97,7 @@ def _of_all_in_tiles(run: Run, switches: AngularPreset) -> Posterior:
 
     def of_tiles(stage: Stage) -> Iterator[Factors]:
         for first in range(0, len(texels), TiledPosterior.size):
-            part = seen.part(texels[first : first + TiledPosterior.size])
+            part = seen.subset(texels[first : first + TiledPosterior.size])
             yield _factors(run, part, switches, None)
             rounded.append(_rounding(part, switches))
             stage.update(first + len(part.seen), len(texels))
@@ -111,32 +112,32 @@ def _of_all_in_tiles(run: Run, switches: AngularPreset) -> Posterior:
 
 def _of_tile(run: Run, switches: AngularPreset, texels: np.ndarray) -> Posterior:
     """Return the posterior of some texels, which it numbers from 0."""
-    part = run.observed.part(texels)
+    part = run.observed.subset(texels)
     own = np.arange(len(texels))
     if _leaves_clipped_out(part, switches):
         own = np.flatnonzero(part.coverage[texels])
-        part = part.part(texels[own])
+        part = part.subset(texels[own])
     factors = _factors(run, part, switches, None)
     factors = replace(factors, texel=owned(mi.UInt32, own.astype(np.uint32)))
     return _posterior(run, switches, factors, _rounding(part, switches), len(texels))
 
 
 def _factors(
-    run: Run, seen: Evidence, switches: AngularPreset, texels: np.ndarray | None
+    run: Run, seen: Observed, switches: AngularPreset, texels: np.ndarray | None
 ) -> Factors:
     """Gather the statistics of texels, by default of those of ``seen``, and factor them."""
-    return seen.factors(Wanted(
-        roughness=_levels(run, switches), switches=switches, channels=run.plan.channels,
+    return seen.factors(
+        _levels(run, switches), switches, run.plan.channels,
         light_channels=run.plan.light_channels, weighting=_weighting(seen, switches), texels=texels,
-    ))  # fmt: skip
+    )  # fmt: skip
 
 
-def _weighting(seen: Evidence, switches: AngularPreset) -> Weighting:
+def _weighting(seen: Observed, switches: AngularPreset) -> Weighting:
     edges = switches.edges if switches.noise == "estimated" else 0.0
     return Weighting(switches.kappa(seen.unit), edges)
 
 
-def _rounding(seen: Evidence, switches: AngularPreset) -> np.ndarray | None:
+def _rounding(seen: Observed, switches: AngularPreset) -> np.ndarray | None:
     """Return what rounding does to the texels of ``seen``, where noise is estimated."""
     return seen.rounding(_weighting(seen, switches)) if switches.noise == "estimated" else None
 
@@ -156,11 +157,11 @@ def _posterior(
     )  # fmt: skip
 
 
-def _leaves_clipped_out(seen: Evidence, switches: AngularPreset) -> bool:
+def _leaves_clipped_out(seen: Observed, switches: AngularPreset) -> bool:
     return seen.clipped_coverage is not None and not takes_clipped(switches)
 
 
-def counted(seen: Evidence, switches: AnyPreset) -> np.ndarray:
+def counted(seen: Observed, switches: AnyPreset) -> np.ndarray:
     """Return the number of views that show each texel to an estimator, (T,) uint32."""
     if seen.clipped_coverage is None or not takes_clipped(switches):
         return seen.coverage
@@ -176,14 +177,8 @@ def _levels(run: Run, switches: AngularPreset) -> np.ndarray:
 
 
 def from_spectra(run: Run, switches: Preset) -> Posterior:
-    """Compare the power spectra of photographs and light (Sec. 3.3 of the paper).
-
-    Raises:
-        OptionError: the photographs are not in this process; only sums add.
-    """
+    """Compare the power spectra of photographs and light (Sec. 3.3 of the paper)."""
     plan, seen = run.plan, run.observed
-    if not isinstance(seen, Observed):
-        raise OptionError("Power spectra need all photographs in one place; omit the shards.")
     irradiance = None
     if isinstance(run.grid, PrincipledGrid):
         with run.progress.stage("Tracing occlusion"):

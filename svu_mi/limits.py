@@ -67,8 +67,8 @@ def require_files(more: int) -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (count, hard))
     except (OSError, ValueError) as error:
         raise CaptureError(
-            f"Photographs in files need {count} open files, ulimit -n allows {soft}; raise it, use "
-            "fewer shards, or give --memory more."
+            f"Photographs in files need {count} open files, ulimit -n allows {soft}; raise it, or "
+            "give --memory more."
         ) from error
 
 

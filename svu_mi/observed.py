@@ -1,8 +1,8 @@
-"""What the photographs of a capture show, and of what: made once, and passed on.
+"""Observed: a capture's photographs, light, texels and their visibility, each found once.
 
-Whatever looks at a capture goes on from here: silhouettes are found once, rays to the cameras
-and to the cells of the light are traced once, whichever estimate, recovery, forecast or
-reference asks first.
+Every consumer of a capture continues from here: silhouettes are found once, rays to the cameras
+and to the cells of the light are traced once, whichever estimate, recovery, forecast or reference
+needs them first.
 """
 
 from __future__ import annotations
@@ -10,54 +10,116 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from math import inf
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture
+from svu_mi.capture.scene import require_light
 from svu_mi.errors import CaptureError
-from svu_mi.evidence import Evidence, OfAllViews, Wanted
 from svu_mi.frequency.mirrored import MirroredLight
 from svu_mi.interop import owned
-from svu_mi.light import LightCells, light_cells
+from svu_mi.light import LightCells, Lighting, light, light_cells
 from svu_mi.options import AngularPreset, Fit, Preset
 from svu_mi.progress import Progress
 from svu_mi.reflection.model import Arriving, Model
 from svu_mi.statistics import Factors, Statistics, gather
-from svu_mi.statistics.gather import Weighting, clipped_samples
+from svu_mi.statistics.censored import PASSES, best_models
+from svu_mi.statistics.gather import ALIKE, Weighting, clipped_samples
 from svu_mi.statistics.rounding import rounding_sums
 from svu_mi.statistics.sums import Gathered
 from svu_mi.surface import Texels
 from svu_mi.visibility import Surface, Survey, Views, pack_views, survey
 from svu_mi.visibility.ahead import read_ahead
-from svu_mi.visibility.bits import Bits
 from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import Mirrors, Reach, trace_mirrors, trace_reach
 
 log = logging.getLogger(__name__)
 
-BRIGHTEST = 1e12  # mean radiance; what is in range loses nothing to exposure
+BRIGHTEST = 1e12  # mean radiance; exposure does not matter within the range
 COARSE = 8  # fine cells of the light per coarse one, on average
+DARK = 1e-2  # part of the light that is the unit of radiance if all photographs are black
 
 
 @dataclass(eq=False, kw_only=True)
-class Observed(Evidence):
+class Observed:
     """A capture's photographs, light, texels and their visibility; traced when first needed.
 
     Attributes:
+        capture: scene, photographs and light.
+        texels: the T texels.
         views: the photographs that are used, packed.
         found: which view sees which texel.
+        seen: (S,) int64, the texels to work on: those that a photograph shows, or all if nothing
+            may be skipped.
     """
 
+    capture: Capture
+    texels: Texels
     views: Views
     found: Survey
+    seen: np.ndarray
+    _of_light: dict[Any, Any] = field(default_factory=dict, repr=False)
     _reached: dict[Any, Reach] = field(default_factory=dict, repr=False)
-    _last: dict[str, Any] = field(default_factory=dict, repr=False)
 
-    def part(self, texels: np.ndarray) -> Observed:
-        """Return the same, of which only some texels are worth any work (see ``Evidence``)."""
-        return replace(self, seen=texels, _reached={}, _last={})
+    def subset(self, texels: np.ndarray) -> Observed:
+        """Return the same with fewer texels to work on; the light is read once for both.
+
+        Args:
+            texels: (t,) their numbers among all T.
+        """
+        return replace(self, seen=texels, _reached={})
+
+    @cached_property
+    def coverage(self) -> np.ndarray:
+        """(T,) uint32, number of photographs that show each texel with nothing clipped."""
+        return np.array(self.found.coverage)
+
+    @cached_property
+    def clipped_coverage(self) -> np.ndarray | None:
+        """(T,) uint32, number of photographs that show each texel with clipped channels; None if
+        none is clipped."""
+        return None if self.found.clipped is None else np.asarray(self.found.clipped_coverage)
+
+    @property
+    def shown(self) -> np.ndarray:
+        """(T,) uint32, number of photographs that show each texel, clipped or not."""
+        clipped = self.clipped_coverage
+        return self.coverage if clipped is None else np.asarray(self.coverage + clipped, np.uint32)
+
+    @property
+    def scale(self) -> float:
+        """Mean radiance of all samples; 0 if they are black."""
+        return self.found.scale
+
+    @cached_property
+    def unit(self) -> float:
+        """Radiance that noise is relative to: the photographs' mean, or, if they are black, a part
+        of the light's."""
+        return self.scale or DARK * float(self.lighting.environment.coefficients(0).mean())
+
+    @property
+    def lighting(self) -> Lighting:
+        """The light; read when first needed.
+
+        Raises:
+            SceneError: there is none, it cannot be read, or it is black.
+        """
+        if "lighting" not in self._of_light:
+            require_light(self.capture)
+            self._of_light["lighting"] = light(self.capture, sum(self.capture.used))
+        found: Lighting = self._of_light["lighting"]
+        return found
+
+    def cells(self, fine: int) -> LightCells:
+        """Return the light in ``fine`` cells, gathered when first needed."""
+        if fine not in self._of_light:
+            coarse = min(max(fine // COARSE, 64), fine)
+            self._of_light[fine] = light_cells(self.lighting.environment, coarse, fine)
+        found: LightCells = self._of_light[fine]
+        return found
 
     @cached_property
     def surface(self) -> Surface:
@@ -66,39 +128,24 @@ class Observed(Evidence):
 
     @cached_property
     def lane(self) -> np.ndarray:
-        """(T,) int64, the lane of ``surface`` that a texel is; -1 for all others."""
+        """(T,) int64, the lane of ``surface`` of each texel; -1 for all others."""
         lanes = np.full(self.texels.count, -1)
         lanes[self.seen] = np.arange(len(self.seen))
         return lanes
 
     @cached_property
-    def all_views(self) -> OfAllViews:
-        """What all photographs together show (see ``Evidence``)."""
-        found = self.found
-        return OfAllViews(
-            coverage=np.array(found.coverage),
-            clipped=None if found.clipped is None else np.asarray(found.clipped_coverage),
-            per_view=found.per_view, grey=self.views.grey, scale=found.scale,
-        )  # fmt: skip
-
-    def prepare(self, switches: AngularPreset, progress: Progress) -> None:
-        """Trace what light reaches the texels of ``seen``, if the model asks for that."""
-        if switches.traced:
-            with progress.stage("Tracing occlusion"):
-                self.reach(switches.cells, occluded=switches.occluded)
-
-    @cached_property
     def mirrors(self) -> Mirrors:
-        """Whether nothing stands in the mirror direction of a sample; traced when first asked."""
+        """Whether anything blocks the mirror direction of a sample; traced when first needed."""
         lane = owned(mi.UInt32, np.maximum(self.lane, 0).astype(np.uint32))
         return trace_mirrors(self.views, self.surface, self.found, lane)
 
     def reach(self, cells: int, *, occluded: bool = True) -> Reach:
-        """Return what the texels of ``seen`` see of the light; traced when first asked for.
+        """Return which of ``cells`` light cells the texels of ``seen`` see; traced when first
+        needed.
 
         Args:
             cells: number of fine cells.
-            occluded: whether anything hides light.
+            occluded: whether the object hides light.
         """
         key = (cells, occluded)
         if key not in self._reached:
@@ -107,19 +154,11 @@ class Observed(Evidence):
             )
         return self._reached[key]
 
-    def cells(self, fine: int) -> LightCells:
-        """Return the cells of the light, so many fine ones, gathered when first asked for."""
-        if fine not in self._of_light:
-            coarse = min(max(fine // COARSE, 64), fine)
-            self._of_light[fine] = light_cells(self.lighting.environment, coarse, fine)
-        found: LightCells = self._of_light[fine]
-        return found
-
     def irradiance(self, switches: Preset, channels: int) -> list[Any]:
         """Return the irradiance of the texels of ``seen``: a Float per channel.
 
         Args:
-            switches: how many cells are traced, and whether anything hides light.
+            switches: how many cells are traced, and whether the object hides light.
             channels: 3, or 1 for the mean of R, G and B.
         """
         if not switches.occluded:
@@ -149,10 +188,11 @@ class Observed(Evidence):
     def mirrored(
         self, fit: Fit | None, channels: int, texels: np.ndarray | None = None
     ) -> MirroredLight | None:
-        """Return the light that texels mirror into their photographs, to be fitted.
+        """Return the light that texels mirror into their photographs, to be fitted; None without
+        ``fit``.
 
         Args:
-            fit: how; None if it is not.
+            fit: of what degree.
             channels: 3, or 1 for the mean of R, G and B.
             texels: (t,) their numbers among all T; by default those of ``seen``.
         """
@@ -160,12 +200,83 @@ class Observed(Evidence):
             return None
         return MirroredLight(self, fit, channels, self.seen if texels is None else texels)
 
+    def statistics(
+        self, roughness: np.ndarray, switches: AngularPreset, channels: int, *,
+        light_channels: int | None = None, weighting: Weighting = ALIKE,
+        texels: np.ndarray | None = None,
+    ) -> Statistics:  # fmt: skip
+        """Gather the statistics of all photographs.
+
+        Args:
+            roughness: (R,) levels.
+            switches: the reflection model.
+            channels: of the photographs, 3, or 1 for their mean.
+            light_channels: of the light; 1 if it is grey.
+            weighting: of samples; equal by default. Clipped samples count as bounds
+                (``statistics.censored``) if it has a finite kappa and no ``current``; otherwise
+                they do not count.
+            texels: (t,) numbers of texels; by default those of ``seen``.
+        """
+        model = self.model(roughness, switches, light_channels or channels, texels)
+        return self._with_clipped(model, channels, weighting)
+
+    def factors(
+        self, roughness: np.ndarray, switches: AngularPreset, channels: int, *,
+        light_channels: int | None = None, weighting: Weighting = ALIKE,
+        texels: np.ndarray | None = None,
+    ) -> Factors:  # fmt: skip
+        """Return the square-root form of ``statistics``, which need not be in memory if no sample
+        is clipped."""
+        model = self.model(roughness, switches, light_channels or channels, texels)
+        if self._counts_clipped(weighting):
+            return self._with_clipped(model, channels, weighting).factor()
+        return self._gather(model, channels, weighting).factor()
+
+    def rounding(self, weighting: Weighting) -> np.ndarray | None:
+        """Return the variance by rounding of a sample of weight 1, of the texels of ``seen``: (S,)
+        float64, squared radiance, the mean over samples and channels; None if all photographs are
+        floating point."""
+        total = rounding_sums(self.views, self.found, self.surface, weighting)
+        return None if total is None else total / np.maximum(self.coverage[self.seen], 1)
+
+    def _with_clipped(self, model: Model, channels: int, weighting: Weighting) -> Statistics:
+        """Gather statistics, in which clipped samples count as bounds."""
+        found = self._gather(model, channels, weighting).statistics()
+        clipped = self.clipped_coverage
+        if clipped is None or not self._counts_clipped(weighting):
+            return found
+        number = found.texel.numpy()
+        # A sample whose middle is not clipped may be so in part.
+        partly = (clipped[number] > 0) | (self.coverage[number] != found.views.numpy())
+        lanes = np.flatnonzero(partly)
+        if not len(lanes):
+            return found
+        # What is not clipped stays; samples that are clipped are added to it.
+        plain, texels = found.at(lanes), number[lanes].astype(np.int64)
+        model = self.model(model.roughness, model.switches, model.channels, texels)
+        samples = clipped_samples(self.views, self.found, model.surface)
+        some = plain
+        for _ in range(PASSES):
+            models = replace(best_models(some), samples=samples)
+            around = replace(weighting, models=models)
+            some = plain + self._gather(model, channels, around).statistics()
+        return found.replaced(lanes, some)
+
+    def _gather(self, model: Model, channels: int, weighting: Weighting) -> Gathered:
+        if weighting.models is None:  # else the photographs have just been read
+            read_ahead(self.views, model.surface)
+        mirrors = self.mirrors if model.reads_mirrors else None
+        return gather(self.views, self.found, model, mirrors, channels, weighting)
+
+    def _counts_clipped(self, weighting: Weighting) -> bool:
+        counts = weighting.current is None and weighting.kappa < inf
+        return self.clipped_coverage is not None and counts
+
     def _lanes(self, texels: np.ndarray) -> Surface:
-        """Texels, by their numbers among all T, as a launch."""
         return Surface.of(self.texels, owned(mi.UInt32, texels.astype(np.uint32)))
 
     def _reach_of(self, texels: np.ndarray | None, switches: AngularPreset) -> Reach:
-        """What texels see of the light; those that are not worth other work are traced now."""
+        """Return the reach of texels; those that are not in ``seen`` are traced now."""
         known = self.reach(switches.cells, occluded=switches.occluded)
         if texels is None or np.array_equal(texels, self.seen):
             return known
@@ -178,36 +289,6 @@ class Observed(Evidence):
             )
             lanes[new] = len(self.seen) + np.arange(int(new.sum()))
         return known.at(lanes)
-
-    def _gather(self, wanted: Wanted) -> Statistics:
-        return self._gathered(wanted).statistics()
-
-    def _factor(self, wanted: Wanted) -> Factors:
-        return self._gathered(wanted).factor()
-
-    def _gathered(self, wanted: Wanted) -> Gathered:
-        model = self.model(
-            wanted.roughness, wanted.switches, wanted.light_channels, wanted.texels
-        )
-        mirrors, weighting = self.mirrors if model.reads_mirrors else None, wanted.weighting
-        if weighting.models is None:  # else they have just been read
-            read_ahead(self.views, model.surface)
-        else:
-            samples = self._clipped_samples(wanted.texels, model.surface)
-            weighting = replace(weighting, models=replace(weighting.models, samples=samples))
-        return gather(self.views, self.found, model, mirrors, wanted.channels, weighting)
-
-    def _clipped_samples(self, texels: np.ndarray | None, surface: Surface) -> Bits:
-        """Return which samples have clipped channels; several passes ask for those of the same
-        texels."""
-        chosen = self.seen if texels is None else texels
-        if "clipped" not in self._last or self._last["clipped"][0] is not chosen:
-            self._last["clipped"] = chosen, clipped_samples(self.views, self.found, surface)
-        found: Bits = self._last["clipped"][1]
-        return found
-
-    def _rounded(self, weighting: Weighting) -> np.ndarray | None:
-        return rounding_sums(self.views, self.found, self.surface, weighting)
 
 
 def observe(

@@ -24,7 +24,6 @@ from svu_mi.capture import Capture
 from svu_mi.capture.scene import require_light, require_variant
 from svu_mi.errors import OptionError
 from svu_mi.estimators import Run, counted, from_angles, from_spectra, widened
-from svu_mi.evidence import Evidence
 from svu_mi.interop import owned
 from svu_mi.observed import Observed, observe
 from svu_mi.options import AngularPreset, AnyPreset, Method, Skip
@@ -57,7 +56,7 @@ class Estimate:
         skipped: what was not computed, by reason, as counts.
         timings: seconds per stage, synchronised.
         observed: what it was made from, for those who go on from here; it keeps the photographs
-            in memory. None if they are in other processes.
+            in memory.
         prior: the weights of cells that it was asked with, None for the usual ones.
     """
 
@@ -140,11 +139,11 @@ class Estimate:
 
 
 def subject_of(
-    source: Capture | Evidence | Estimate, texels: Texels | None
+    source: Capture | Observed | Estimate, texels: Texels | None
 ) -> tuple[Capture, Texels]:
     """Return what a source is about, without any work; arguments and errors of ``observed_of``."""
     if not isinstance(source, Capture):
-        seen = _evidence_of(source, texels)
+        seen = _observed_by(source, texels)
         return seen.capture, seen.texels
     if texels is None:
         raise OptionError("A capture needs texels: svu.texels(capture.mesh, resolution).")
@@ -162,22 +161,16 @@ def observed_of(
         progress: shows what is going on.
 
     Raises:
-        OptionError: a capture without texels, other texels than those observed, an estimate that
-            was not made from a capture, or photographs that are in other processes.
+        OptionError: a capture without texels, other texels than those observed, or an estimate
+            that was not made from a capture.
         CaptureError: no texel is seen in any photograph, or radiance is out of range.
     """
     if isinstance(source, Capture):
         return observe(*subject_of(source, texels), progress)
-    found = _evidence_of(source, texels)
-    if not isinstance(found, Observed):
-        raise OptionError(
-            "The photographs are in shards, of which only estimates can be made; load the capture "
-            "with svu.load_capture(path)."
-        )
-    return found
+    return _observed_by(source, texels)
 
 
-def _evidence_of(source: Evidence | Estimate, texels: Texels | None) -> Evidence:
+def _observed_by(source: Observed | Estimate, texels: Texels | None) -> Observed:
     """Return what to go on from; errors of ``observed_of``."""
     if isinstance(source, Estimate):
         if source.observed is None:
@@ -185,7 +178,7 @@ def _evidence_of(source: Evidence | Estimate, texels: Texels | None) -> Evidence
                 "The estimate does not know its capture; use what svu.estimate() returns of one."
             )
         source = source.observed
-    if not isinstance(source, Evidence):
+    if not isinstance(source, Observed):
         raise OptionError(
             f"A capture or an estimate is needed, got {type(source).__name__}; read a capture with "
             "svu.load_capture(path)."
@@ -198,7 +191,7 @@ def _evidence_of(source: Evidence | Estimate, texels: Texels | None) -> Evidence
 
 
 def estimate(
-    source: Capture | Evidence | Estimate,
+    source: Capture | Observed | Estimate,
     texels: Texels | None = None,
     method: Method = "angular",
     preset: str | AnyPreset = "default",
@@ -214,7 +207,7 @@ def estimate(
 
     Args:
         source: a capture (scene, photographs and light); an estimate of one, whose rays need not
-            be traced again; or what ``gather_shards`` has gathered.
+            be traced again.
         texels: texels of ``capture.mesh``; those of the estimate if there is one.
         method: the estimator. ``angular`` compares photographs with what the reflection model
             predicts for them, by statistics of all views; ``spectrum`` compares their power
@@ -266,20 +259,20 @@ def estimate(
         result = Estimate(
             method=method, preset=switches, texels=seen.texels, posterior=posterior,
             coverage=owned(mi.UInt32, counted(seen, switches)),
-            seen_per_view=seen.all_views.per_view,
+            seen_per_view=seen.found.per_view,
             skipped=plan.skipped, timings=progress.timings,
-            observed=seen if isinstance(seen, Observed) else None, prior=prior,
+            observed=seen, prior=prior,
         )  # fmt: skip
         dr.eval(result.entropy)
     return result
 
 
 def _seen(
-    source: Capture | Evidence | Estimate, texels: Texels, skip: Skip, progress: Progress
-) -> Evidence:
+    source: Capture | Observed | Estimate, texels: Texels, skip: Skip, progress: Progress
+) -> Observed:
     """Trace what photographs show of texels, or go on from what was traced."""
     if not isinstance(source, Capture):
-        return _evidence_of(source, texels)
+        return _observed_by(source, texels)
     return observe(
         source, texels, progress,
         skip_unseen=skip.unseen, skip_blind=skip.blind, skip_pairs=skip.pairs,

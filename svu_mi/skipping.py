@@ -17,7 +17,7 @@ import numpy as np
 
 from svu_mi.capture.material import constant_parameters
 from svu_mi.errors import OptionError
-from svu_mi.evidence import Evidence
+from svu_mi.observed import Observed
 from svu_mi.options import AnyPreset, Skip
 from svu_mi.posterior import ParameterGrid, PrincipledGrid
 from svu_mi.posterior.streaming import IMPOSSIBLE
@@ -47,7 +47,7 @@ class Plan:
 def make_plan(
     skip: Skip,
     switches: AnyPreset,
-    observed: Evidence,
+    observed: Observed,
     grid: ParameterGrid | PrincipledGrid,
     prior: tuple[np.ndarray, np.ndarray] | None,
 ) -> Plan:
@@ -62,7 +62,7 @@ def make_plan(
     """
     grey_light = skip.channels and switches.colors == 3 and observed.lighting.environment.grey
     # Grey photographs of coloured light: no less work.
-    grey = grey_light and observed.all_views.grey
+    grey = grey_light and observed.views.grey
     levels = np.ones(grid.shape[0], bool)
     if skip.levels and prior is not None:
         levels = np.any(prior[0].reshape(grid.shape[0], -1) < IMPOSSIBLE, axis=1)
@@ -73,7 +73,7 @@ def make_plan(
         "texels on overlapping charts": texels.overlapping,
         "texels never seen": int((observed.shown == 0).sum()),
         "views left out": capture.count - sum(capture.used),
-        "views that show no texel": int((observed.all_views.per_view == 0).sum()),
+        "views that show no texel": int((observed.found.per_view == 0).sum()),
         "channels of the light equal to another": 2 if grey_light else 0,
         "channels of the photographs equal to another": 2 if grey else 0,
         "roughness levels that the prior excludes": int((~levels).sum()),

@@ -967,3 +967,12 @@ def test_tiny_meshes_are_unwrapped_like_large_ones():
     given = ball(24, 12)
     small = make("ball", replace(given, positions=given.positions * 1e-3, uvs=None))
     assert np.isfinite(arrays(unwrap(small)).uvs).all()
+
+
+def test_views_that_are_not_read_are_not_used(shot):
+    some, whole = load_capture(shot, views=[2, 5]), load_capture(shot)
+    assert some.used == tuple(view in (2, 5) for view in range(8))
+    assert some.names == whole.names and some.count == 8
+    np.testing.assert_array_equal(some.images[5], whole.images[5])
+    assert np.isnan(some.images[0]).all() and some.images[0].strides == (0, 0, 0)
+    assert not any(load_capture(shot, views=()).used)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import drjit as dr
 import mitsuba as mi
@@ -20,7 +21,6 @@ from svu_mi.capture.fingerprint import capture_key, photographs_key
 from svu_mi.capture.images import SATURATED
 from svu_mi.capture.picture import decoded
 from svu_mi.errors import CaptureError
-from svu_mi.evidence import Wanted
 from svu_mi.exr import read_exr
 from svu_mi.illumination.equalize import equalized
 from svu_mi.illumination.found_gains import FoundGains
@@ -30,7 +30,8 @@ from svu_mi.reflection.principled import mixture
 from svu_mi.statistics import Statistics
 from svu_mi.statistics.censored import Models, best_models, parabola
 from svu_mi.statistics.factors import PAIRS
-from svu_mi.statistics.gather import Weighting
+from svu_mi.statistics.gather import Weighting, gather
+from svu_mi.statistics.sums import Gathered
 
 SWITCHES = preset("default", method="angular")
 LIMIT = float(decoded(np.array(SATURATED[8], np.float32)))
@@ -182,17 +183,15 @@ def test_views_are_gone_through_once(vase):
     stored, _ = in_integers(vase.capture, vase.estimate.observed, 0.3)
     observed = observe(stored, vase.texels)
     weighting = Weighting(SWITCHES.kappa(observed.unit), SWITCHES.edges)
-    wanted = Wanted(
-        roughness=np.linspace(0, 1, 5), switches=SWITCHES, channels=3, light_channels=3,
-        weighting=weighting, texels=None,
-    )  # fmt: skip
-    for ask in (observed._gather, observed._factor):
-        ask(wanted)  # what is traced and filtered first stays
+    model = observed.model(np.linspace(0, 1, 5), SWITCHES, 3)
+    for result in (Gathered.statistics, Gathered.factor):
+        ask = partial(gather, observed.views, observed.found, model, observed.mirrors, 3, weighting)
+        result(ask())  # rays and lobes are kept
         dr.kernel_history_clear()
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
-            ask(wanted)
+            result(ask())
             sizes = [one["size"] for one in dr.kernel_history([dr.KernelType.JIT])]
-        assert sizes.count(len(observed.seen)) == 2  # diffuse light is the other one
+        assert sizes.count(len(observed.seen)) == 1
 
 
 def test_a_clipped_highlight_still_says_that_it_is_one(shiny):

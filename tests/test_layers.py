@@ -11,10 +11,10 @@ LAYERS = (
     "_llvm", "_workers", "fours", "interop", "local", "files", "npz", "exr", "results", "progress",
     "settings", "spacing", "parameters", "switches", "options", "capture", "formats", "surface",
     "light",
-    "visibility", "frequency", "reflection", "statistics", "evidence", "observed", "posterior",
+    "visibility", "frequency", "reflection", "statistics", "observed", "posterior",
     "skipping", "estimators", "pipeline", "prediction", "illumination", "guidance",
     "regularization", "recovery", "inpaint", "reference", "metrics", "checking", "output", "export",
-    "shards", "batch", "bench", "cli",
+    "batch", "bench", "cli",
 )  # fmt: skip
 # Built on the stages; only what stands at the very top may use them.
 ABOVE = {"plugins": ("output", "cli"), "scenes": ("output", "bench", "cli")}

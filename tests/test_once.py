@@ -12,7 +12,6 @@ from helpers import as_values, render_ball
 from test_reference import paint, sky
 
 import svu_mi as svu
-from svu_mi import evidence
 from svu_mi import observed as module
 from svu_mi.bench.captures import chosen_views
 from svu_mi.posterior import PrincipledGrid
@@ -51,8 +50,7 @@ def calls(monkeypatch) -> Counter[str]:
         return called
 
     for name in TRACERS:
-        place = evidence if name == "light" else module
-        monkeypatch.setattr(place, name, watch(place, name))
+        monkeypatch.setattr(module, name, watch(module, name))
     return counted
 
 

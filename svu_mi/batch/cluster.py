@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
@@ -11,11 +14,69 @@ from typing import Any
 from svu_mi.batch.listing import PATHS, Item
 from svu_mi.batch.record import Outcome
 from svu_mi.batch.shelf import Processes, Shelf
+from svu_mi.errors import OptionError, SvuEnvironmentError, SvuError, excerpt
 from svu_mi.limits import FEWEST_THREADS
-from svu_mi.shards.cluster import require_workers
 
 DAY = 86400.0  # seconds
+SECONDS = 30  # to reach a scheduler
 _one_at_a_time = Lock()  # a worker has as many tasks at once as it has threads
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Any]:
+    """Be connected to the Dask scheduler at an address, such as ``tcp://10.0.0.5:8786``.
+
+    Yields:
+        A ``distributed.Client``; None without an address.
+
+    Raises:
+        SvuEnvironmentError: Dask is not installed.
+        OptionError: nobody answers there.
+        SvuError: it was there, and is no more.
+    """
+    if not address:
+        yield None
+        return
+    client = _client(address)
+    from distributed.comm import CommClosedError  # of a result that is on its way
+
+    try:
+        yield client
+    except (CancelledError, CommClosedError) as error:
+        raise SvuError(
+            f"--scheduler {excerpt(address, 80)}: the connection was lost; what is done is kept, "
+            "and the same command goes on."
+        ) from error
+    finally:
+        with suppress(Exception):  # it may have gone
+            client.close()
+
+
+def _client(address: str) -> Any:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise SvuEnvironmentError(
+            "A scheduler needs Dask; install it with: pip install 'svu_mi[cluster]'."
+        ) from error
+    try:
+        logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # we say it ourselves
+        return Client(address, timeout=SECONDS)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise OptionError(
+            f"--scheduler {excerpt(address, 80)}: nobody answers there within {SECONDS} s "
+            f"({excerpt(error, 80)}); start one with: dask scheduler."
+        ) from error
+
+
+def require_workers(client: Any) -> None:
+    """Refuse a cluster that would wait for ever.
+
+    Raises:
+        OptionError: it has no workers.
+    """
+    if not client.scheduler_info().get("workers"):
+        raise OptionError("The cluster has no workers; start some with: dask worker ADDRESS.")
 
 
 def run_there(client: Any, shelf: Shelf, items: Sequence[Item]) -> Iterator[Outcome]:

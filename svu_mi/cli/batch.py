@@ -12,7 +12,6 @@ import tyro
 from rich.console import Console
 
 from svu_mi.cli.common import Common, Interrupted, Output
-from svu_mi.cli.sharding import Address
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import pair
 from svu_mi.errors import OptionError
@@ -23,6 +22,7 @@ from svu_mi.results.lock import locked
 if TYPE_CHECKING:
     from svu_mi.batch import Item, Outcome, Shelf
 
+Address = Annotated[str, tyro.conf.arg(metavar="ADDRESS")]
 FAILED = 1  # exit status if a capture failed
 Step = Literal["entropy", "recover", "report", "export"]
 
@@ -85,8 +85,7 @@ class Batch(Common):
         if not self.scheduler:
             yield from shelf.run(items)
             return
-        from svu_mi.batch.cluster import run_there
-        from svu_mi.shards.cluster import connected
+        from svu_mi.batch.cluster import connected, run_there
 
         with connected(self.scheduler) as client:
             yield from run_there(client, shelf, items)

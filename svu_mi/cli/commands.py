@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Literal
 from rich.console import Console
 
 from svu_mi.cli.common import Common, Interrupted, Output, announcing, was_interrupted
-from svu_mi.cli.inputs import OfScene, Resolution, Scene, WithPictures
-from svu_mi.cli.sharding import InShards
+from svu_mi.cli.inputs import Estimated, OfScene, Resolution, Scene, WithPictures
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import given, pair
 from svu_mi.limits import require_spp, require_views
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entropy(WithPictures, InShards):
+class Entropy(WithPictures, Estimated):
     """Compute how much photographs tell about every texel.
 
     Writes entropy.exr (1 = nothing known), coverage.exr (number of views), overview.png and
@@ -56,19 +55,15 @@ class Entropy(WithPictures, InShards):
         self.start()
         progress = Progress(console)
         skip = Skip() if self.skip else NOTHING
-        if self.shards:
-            capture, result = self.estimate_in_shards(progress, skip)
-        else:
-            capture, grid = self.load(progress)
-            result = self.estimate(progress, capture, grid, skip=skip)
-            warn_if_too_bright(result)
+        capture, grid = self.load(progress)
+        result = self.estimate(progress, capture, grid, skip=skip)
+        warn_if_too_bright(result)
         with progress.stage("Writing the results"):
             knowledge = Knowledge.of(result)
             run = Run(settings=given(self), kernels=progress.kernels)
             write_outputs(
                 capture, result, self.output, run, knowledge=knowledge, pictures=self.pictures
             )
-        self.clear_shards()
         return knowledge
 
 

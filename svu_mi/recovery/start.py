@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from svu_mi.errors import CaptureError
-from svu_mi.evidence import Wanted
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, preset
 from svu_mi.parameters import CHANNELS, NAMES
@@ -114,10 +113,7 @@ def _reweighted(found: Estimate, observed: Observed) -> CalibratedPosterior:
     weighting = Weighting(
         switches.kappa(observed.unit), switches.edges, values_of(means, texels)
     )
-    sums = observed.factors(Wanted(
-        roughness=factors.roughness, switches=switches, channels=3, light_channels=3,
-        weighting=weighting, texels=texels,
-    ))  # fmt: skip
+    sums = observed.factors(factors.roughness, switches, 3, weighting=weighting, texels=texels)
     return calibrated_posterior(
         sums, posterior.grid, observed.unit, switches, prior=found.prior,
         texels=posterior.count, doubt=observed.capture.doubt,
