@@ -15,6 +15,7 @@ from svu_mi.cli.common import Common, Output, announcing
 from svu_mi.cli.inputs import Memory, Resolution, with_search
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import bytes_of, given, pair
+from svu_mi.limits import require_texels
 from svu_mi.needs import MODELS, Need, Size, Sizes
 from svu_mi.progress import Progress
 from svu_mi.results.writing import claimed
@@ -54,6 +55,8 @@ class Compare(Common):
         from svu_mi.output.compare_page import write_comparison
 
         size = pair(self.resolution, "--resolution") if self.resolution else None
+        if size is not None:
+            require_texels(size, "--resolution")
         preset = self.preset[0] if len(self.preset) == 1 else self.preset
         with claimed(self.output, "svu compare"):
             self.start()

@@ -16,14 +16,13 @@ from svu_mi.capture.scene import last_sentence
 from svu_mi.capture.trust import pin_own_plugins
 from svu_mi.errors import CaptureError, MeshError, SvuWarning
 from svu_mi.export.asset import Asset, bad_values
-from svu_mi.exr import read_exr, read_header
+from svu_mi.exr import read_header
 from svu_mi.needs import Size
 from svu_mi.output.manifest import RECORD
-from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY
+from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY, read_deviations, read_map
 from svu_mi.output.scene_xml import MESH, SCENE
 from svu_mi.output.textures import FILES, read_textures
 from svu_mi.output.upright import nearest_axis, up_of
-from svu_mi.parameters import NAMES
 from svu_mi.results.reading import (
     are_of_one_capture,
     marks_of,
@@ -155,28 +154,19 @@ def _deviations(path: Path, textured: Path) -> dict[str, np.ndarray]:
     the file, or where it is of another run than the textures."""
     if not path.is_file() or marks_of(path)[0] != marks_of(textured)[0]:
         return {}
-    channels, found = read_exr(path), {}
-    for name in NAMES:
-        own = [image for key, image in channels.items() if key.startswith(f"{name}.sd")]
-        if own:
-            image = found[name] = np.max(own, axis=0)
-            if bad := bad_values(image, 1):
-                raise CaptureError(
-                    f"{path}: {bad} values of {name} are NaN or outside [0, 1]; run svu recover "
-                    "again."
-                )
+    found = {name: sd.max(axis=2) for name, sd in read_deviations(path.parent).items()}
+    for name, image in found.items():
+        if bad := bad_values(image, 1):
+            raise CaptureError(
+                f"{path}: {bad} values of {name} are NaN or outside [0, 1]; run svu recover again."
+            )
     return found
 
 
 def _map(path: Path, most: float) -> np.ndarray | None:
     """Return an (H, W) map, None if there is no such file."""
-    if not path.is_file():
-        return None
-    channels = read_exr(path)
-    if "Y" not in channels:
-        raise CaptureError(f"{path}: expected the channel Y, found {', '.join(channels)}.")
-    image = channels["Y"]
-    bad = bad_values(image, most)
+    image = read_map(path)
+    bad = 0 if image is None else bad_values(image, most)
     if bad:
         raise CaptureError(
             f"{path}: {bad} values are NaN or outside [0, {most:g}]; compute it again."

@@ -1,68 +1,133 @@
-"""Two results about one object, texel by texel: what differs, and of which one can be certain.
+"""Differences between two results about one object, as maps and numbers.
 
     svu.compare("before", "after")                      # captures: both are estimated
-    svu.compare("out/textures", "painted")              # a recovery, and anybody's textures
+    svu.compare("out/textures", "painted")              # a recovery, and other textures
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 
+from svu_mi.capture import Capture, load_capture
+from svu_mi.capture import folder as capture_folder
+from svu_mi.capture.fingerprint import mesh_key
 from svu_mi.capture.loading import Preflight
+from svu_mi.capture.mesh import make, read_ply
+from svu_mi.capture.window import Detail
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.output.compare_difference import Difference, difference
-from svu_mi.output.compare_options import require_tolerance, size_asked, two_presets
-from svu_mi.output.compare_sides import (
-    Side,
-    Source,
-    Work,
-    estimated,
-    is_capture,
-    of_estimate,
-    of_folder,
-    of_recovery,
-)
-from svu_mi.output.compare_surface import Surface
-from svu_mi.output.knowledge import part, plain_percent
+from svu_mi.files import read_json
+from svu_mi.illumination.finding import illuminated
+from svu_mi.limits import require_texels
+from svu_mi.metrics import psnr
+from svu_mi.options import preset as find_preset
+from svu_mi.output.knowledge import median, part, plain_percent
+from svu_mi.output.manifest import RECORD
+from svu_mi.output.maps import COVERAGE, ENTROPY, read_deviations, read_map
 from svu_mi.output.result import words
+from svu_mi.output.scene_xml import MESH
+from svu_mi.output.textures import find_textures, read_texture
 from svu_mi.parameters import NAMES
-from svu_mi.pipeline import Estimate
+from svu_mi.pipeline import Estimate, estimate
 from svu_mi.progress import Progress
 from svu_mi.recovery.recover import Recovery
+from svu_mi.results.reading import text_in
+from svu_mi.results.settling import settle
+from svu_mi.surface import texels
+from svu_mi.surface.layout import Places, size_of
 
-TOLERANCE = 0.05  # difference that counts where no standard deviation is known
-RESOLUTION = 512  # texels per side, where only captures are compared
-STRAY = 0.02  # part of what a photograph shows that may lie outside the charts of a mesh
+Source = str | Path | Capture | Estimate | Recovery
+
+TOLERANCE = 0.05  # relevant difference where no standard deviation is known
+RESOLUTION = 512  # texels per side if both sides are captures
+CERTAIN = 2.0  # standard deviations
+AROUND = 5  # texels, side of the square over which differences are averaged
+LEAST = 1e-3  # lower bound of standard deviations, and of the weight of a resampled texel
+
+
+@dataclass(frozen=True, kw_only=True)
+class Side:
+    """One side of a comparison.
+
+    Attributes:
+        name: such as the path of a folder.
+        about: its kind, in words.
+        maps: (H, W, C) by parameter, and ``entropy``, each of its own size; NaN where unknown.
+        sd: standard deviations of these, as far as they are known.
+        seen: (H, W) bool, texels that a photograph shows; None if not known.
+        mesh: the ``mi.Mesh`` that the maps belong to, None if not known.
+        key: digest of the mesh, empty if not known.
+        notes: sentences on how it was read.
+    """
+
+    name: str
+    about: str
+    maps: Mapping[str, np.ndarray]
+    sd: Mapping[str, np.ndarray]
+    seen: np.ndarray | None
+    mesh: Any | None
+    key: str
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """Difference of two maps, and its figures by area of the surface.
+
+    Attributes:
+        both: (T, C) float32, the first and the second; NaN where one of them has no value.
+        values: (T, C) float32, the second minus the first; NaN likewise.
+        deviations: (T,) float32, the same in standard deviations, averaged over the texels around,
+            of the channel where it is largest; None where no standard deviation is known.
+        figures: ``mean`` over channels; ``median`` of the size in the channel that differs most;
+            ``rms``; ``psnr`` in dB; ``beyond``, the part that differs by more than the tolerance;
+            ``certain``, the part that certainly differs, and ``certain_mean``, the mean there;
+            None where not known.
+    """
+
+    both: tuple[np.ndarray, np.ndarray]
+    values: np.ndarray
+    deviations: np.ndarray | None
+    figures: Mapping[str, float | None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """What differs between two sides; differences are the second minus the first.
+    """Differences between two sides: the second minus the first.
 
     Attributes:
-        sides: what was compared, each with its maps.
-        surface: the T texels that they have in common.
+        sides: both, each with its maps.
+        surface: resolution and index of the T texels that they have in common.
         seen: (T,) bool, those that both show.
-        differences: by parameter that both have.
-        entropy: difference of the entropies, None where one is not known.
-        tolerance: difference that counts where no standard deviation is known.
+        maps: differences by parameter, and of ``entropy``, as far as both have them.
+        tolerance: relevant difference where no standard deviation is known.
         seen_part: part of the surface that both show.
         notes: sentences on how it was compared.
     """
 
     sides: tuple[Side, Side]
-    surface: Surface
+    surface: Places
     seen: np.ndarray
-    differences: Mapping[str, Difference]
-    entropy: Difference | None
+    maps: Mapping[str, Difference]
     tolerance: float
     seen_part: float
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+
+    @property
+    def differences(self) -> dict[str, Difference]:
+        """Those of parameters."""
+        return {name: one for name, one in self.maps.items() if name != "entropy"}
+
+    @property
+    def entropy(self) -> Difference | None:
+        """That of the entropy, None where one is not known."""
+        return self.maps.get("entropy")
 
     def image(self, name: str) -> np.ndarray:
         """Return a map (H, W), or (H, W, 3) for base colour; NaN where not both have a value.
@@ -74,41 +139,26 @@ class Comparison:
         Raises:
             OptionError: there is no such map.
         """
-        key = name.removesuffix("_deviations")
-        found = self.entropy if key == "entropy" else self.differences.get(key)
-        values = None if found is None else found.values if key == name else found.deviations
+        found = self.maps.get(name.removesuffix("_deviations"))
+        values = None if found is None else found.values if name in self.maps else found.deviations
         if values is None:
             raise OptionError(f"Comparison.image(): there is no map {name!r}.")
         image = self.surface.to_image(values.reshape(self.surface.count, -1), np.nan)
         return image if image.shape[2] > 1 else image[..., 0]
 
     def sentence(self) -> str:
-        """Word it: "Of the surface that both show, roughness differs certainly on 12 %, ..."."""
-        text = "Of the surface that both show, "
-        if self.differences:
-            text += self._differing()
-        if self.entropy is not None:
-            text += "; " if self.differences else ""
-            text += f"the entropy differs by {self.entropy.figures.mean:+.3f} in the mean"
-        return f"{text}."
-
-    def _differing(self) -> str:
-        told, same, last = [], [], ""
+        """Return "Of the surface that both show, roughness differs certainly on 12 %, ..."."""
+        told = []
         for name, one in self.differences.items():
-            found = one.figures
-            verb = f"differs by more than {self.tolerance:g}"
-            if found.certain is not None:
-                verb = "differs certainly"
-            if found.differs == 0:
-                same.append(words(name))
-                continue
-            by = "" if found.certain_mean is None else f" (by {found.certain_mean:+.3f})"
-            said = "" if verb == last else f" {verb}"
-            told.append(f"{words(name)}{said} on {plain_percent(found.differs)}{by}")
-            last = verb
-        if not told:
-            return f"nothing {verb} ({', '.join(same)})"
-        return ", ".join([*told, *([f"{' and '.join(same)} nowhere"] if same else [])])
+            share, how = one.figures["certain"], "certainly"
+            if share is None:
+                share, how = one.figures["beyond"] or 0.0, f"by more than {self.tolerance:g}"
+            by = one.figures["certain_mean"]
+            by_mean = "" if by is None else f" (by {by:+.3f})"
+            told.append(f"{words(name)} differs {how} on {plain_percent(share)}{by_mean}")
+        if self.entropy is not None:
+            told.append(f"the entropy differs by {self.entropy.figures['mean']:+.3f} in the mean")
+        return f"Of the surface that both show, {', '.join(told)}."
 
 
 def compare(
@@ -127,10 +177,10 @@ def compare(
 
     Each side is a capture, which is estimated; an ``Estimate``; a ``Recovery``; or a folder: a
     capture's, a result of ``svu entropy`` or ``svu recover``, or any with textures ``base_color``,
-    ``roughness``, ``metallic`` (some of them, EXR or PNG, over the same UVs). Of an 8- or 16-bit
-    base colour sRGB is decoded. Maps of another size are resampled; what not both show is left out.
-    Where a side says how certain it is, a difference counts where it is more than twice as large
-    as both together may be off, in the mean over the texels around.
+    ``roughness``, ``metallic`` (some of them, EXR or PNG, over the same UVs). An 8- or 16-bit
+    base colour is decoded from sRGB. Maps of another size are resampled; texels that not both
+    show are left out. Where standard deviations are known, a difference is certain if its mean
+    over the texels around is more than twice the standard deviation of both together.
 
     Args:
         a: the first, such as before a change, or what was expected.
@@ -138,9 +188,9 @@ def compare(
         preset: of estimates of captures; one for both, or one for each.
         resolution: texels per side, or (width, height); by default that of the coarser textures,
             512 if there are none.
-        tolerance: difference that counts where no standard deviation is known.
+        tolerance: relevant difference where no standard deviation is known.
         trust: as of ``load_capture``.
-        progress: shows what is going on.
+        progress: shows the stages.
         preflight: by the path of a capture and the (width, height) of its maps, the
             ``preflight`` of ``load_capture``.
         memory: as of ``load_capture``.
@@ -151,138 +201,229 @@ def compare(
         OptionError: an option out of range, or an unknown preset.
         MeshError: a mesh cannot carry texels.
     """
-    presets, asked = two_presets(preset), size_asked(resolution)
-    require_tolerance(tolerance)
-    names = _names(a, b, presets)
-    sides: list[Side | None] = [
-        None if is_capture(source) else _side(source, name)
-        for source, name in zip((a, b), names, strict=True)
-    ]
-    size = asked or _size([side for side in sides if side is not None])
-    work = Work(
-        size=size, trust=trust, progress=progress or Progress(), preflight=preflight, memory=memory
-    )
-    first, second = (
-        side or estimated(source, name, chosen, work)
-        for side, source, name, chosen in zip(sides, (a, b), names, presets, strict=True)
-    )
-    _require_one_mesh(first, second)
-    meshes = [side.mesh for side in (first, second) if side.mesh is not None]
-    surface = Surface.of(meshes, size, (first.name, second.name))
-    return _compared((first, second), surface, tolerance)
-
-
-def _names(a: Source, b: Source, presets: tuple[str, str]) -> list[str]:
-    """Return what sides are called: their paths, and presets where these are the same."""
-    names = [
-        str(source) if isinstance(source, str | Path) else word
-        for source, word in zip((a, b), ("the first", "the second"), strict=True)
-    ]
+    presets, stages = _two_presets(preset), progress or Progress()
+    number = isinstance(tolerance, Real) and not isinstance(tolerance, bool)
+    if not (number and 0 <= tolerance < np.inf):
+        raise OptionError(
+            f"compare(): tolerance must be a number, 0 or more, got {tolerance!r}.",
+            shell=f"--tolerance must be 0 or more, got {tolerance:g}." if number else None,
+        )
+    size = None if resolution is None else size_of(resolution)
+    if size is not None:
+        require_texels(size, "compare(): resolution")
+    names = [str(source) if isinstance(source, str | Path) else word
+             for source, word in ((a, "the first"), (b, "the second"))]  # fmt: skip
     if names[0] == names[1]:
-        return [f"{name} ({chosen})" for name, chosen in zip(names, presets, strict=True)]
-    return names
+        names = [f"{name} ({chosen})" for name, chosen in zip(names, presets, strict=True)]
+    read = [_read(source, name) for source, name in zip((a, b), names, strict=True)]
+    if size is None:
+        maps = [list(side.maps.values()) for side in read if side is not None]
+        shapes = [max(image.shape[:2] for image in images) for images in maps]
+        size = min((w, h) for h, w in shapes) if shapes else (RESOLUTION, RESOLUTION)
+
+    def estimated(source: Any, name: str, chosen: str) -> Side:
+        if not isinstance(source, Capture):
+            with stages.stage("Loading the capture"):
+                source = load_capture(
+                    source, trust=trust, light="optional", detail=Detail(texels=size),
+                    preflight=preflight(str(source), size) if preflight else None, memory=memory,
+                )  # fmt: skip
+            source = illuminated(source, progress=stages)
+        found = estimate(source, texels(source.mesh, size), preset=chosen, progress=stages)
+        return _of_estimate(found, name, f"a capture, estimated with the preset {chosen}")
+
+    first, second = (
+        side or estimated(source, name, chosen)
+        for side, source, name, chosen in zip(read, (a, b), names, presets, strict=True)
+    )
+    return _compared((first, second), size, tolerance)
 
 
-def _side(source: Source, name: str) -> Side:
+def _two_presets(preset: Any) -> tuple[str, ...]:
+    both = (preset, preset) if isinstance(preset, str) else preset
+    pair = isinstance(both, tuple | list) and len(both) == 2
+    if not (pair and all(isinstance(name, str) for name in both)):
+        raise OptionError(
+            f"compare(): preset takes the name of one preset, or two for a and b, got {preset!r}.",
+            shell="--preset takes one preset, or two for A and B.",
+        )
+    return tuple(find_preset(name, method="angular").name for name in both)
+
+
+def _read(source: Source, name: str) -> Side | None:
+    """Return a side that is a result; None for a capture, which must be estimated."""
     if isinstance(source, Estimate):
-        return of_estimate(source, name)
+        return _of_estimate(source, name, "an estimate")
     if isinstance(source, Recovery):
-        return of_recovery(source, name)
+        textures = {key: np.array(tensor) for key, tensor in source.textures.items()}
+        known = None if source.estimate is None else _of_estimate(source.estimate, name, "")
+        return Side(
+            name=name, about="recovered textures", seen=source.image("coverage") > 0,
+            maps={**(known.maps if known else {}), **textures},
+            sd=known.sd if known else {}, mesh=known and known.mesh,
+            key=known.key if known else "",
+        )  # fmt: skip
+    if isinstance(source, Capture):
+        return None
     if not isinstance(source, str | Path):
         raise OptionError(
             "compare() takes captures, estimates, recoveries and folders, got a "
             f"{type(source).__name__}."
         )
-    return of_folder(Path(source), name)
+    path = Path(source)
+    if path.suffix.lower() == ".xml" or (path / capture_folder.FILE).is_file():
+        return None
+    return _of_folder(path, name)
 
 
-def _size(sides: list[Side]) -> tuple[int, int]:
-    """Return (W, H) that all is compared at where none is asked for: the smaller of the sides."""
-    if not sides:
-        return RESOLUTION, RESOLUTION
-    widths, heights = zip(*(side.size for side in sides), strict=True)
-    return min(widths), min(heights)
+def _of_estimate(found: Estimate, name: str, about: str) -> Side:
+    """Return means and standard deviations of an estimate's posterior."""
+    if found.observed is None:
+        raise OptionError(f"{name} does not know its capture; compare what estimate() returns.")
 
+    def laid_out(values: Any) -> np.ndarray:
+        flat = np.array(values, np.float32).reshape(found.texels.count, -1)
+        return found.texels.to_image(flat, np.nan)
 
-def _require_one_mesh(first: Side, second: Side) -> None:
-    """Refuse results of different meshes where only their records can tell."""
-    both = first.mesh is not None and second.mesh is not None
-    if not both and first.key and second.key and first.key != second.key:
-        raise CaptureError(
-            f"{first.name} and {second.name} are about different meshes; compare results of one "
-            "mesh with one layout of UVs."
-        )
-
-
-def _compared(sides: tuple[Side, Side], surface: Surface, tolerance: float) -> Comparison:
-    seen = np.ones(surface.count, bool)
-    for side in sides:
-        if side.seen is not None:
-            _require_inside(side, surface)
-            seen &= surface.read(side.seen[..., None].astype(np.float32))[:, 0] > 0.5
-    if not seen.any():
-        raise CaptureError(f"{sides[0].name} and {sides[1].name} show no part in common.")
-    names = [name for name in dict.fromkeys((*NAMES, *sides[0].values))
-             if all(name in side.values for side in sides)]  # fmt: skip
-    differences = {
-        name: difference(
-            surface, *(_read(side, side.values[name], surface, seen) for side in sides),
-            sd=_both_sd(sides, name, surface, seen), tolerance=tolerance,
-        )
-        for name in names
-    }  # fmt: skip
-    maps = [side.entropy for side in sides]
-    entropy = None
-    if all(image is not None for image in maps):
-        entropy = difference(surface, *(
-            _read(side, np.asarray(side.entropy)[..., None], surface, seen) for side in sides
-        ), tolerance=tolerance)  # fmt: skip
-    if not differences and entropy is None:
-        raise CaptureError(
-            f"{sides[0].name} has {_has(sides[0])}, and {sides[1].name} {_has(sides[1])}: nothing "
-            "to compare; give the capture itself, or a result of svu recover."
-        )
-    notes = [note for side in sides for note in side.notes]
-    notes += [f"{side.name}: taken to be laid out over the same UVs." for side in sides
-              if not side.key and surface.mesh is not None]  # fmt: skip
-    return Comparison(
-        sides=sides, surface=surface, seen=seen, differences=differences, entropy=entropy,
-        tolerance=tolerance, seen_part=part(surface.area, seen), notes=tuple(notes),
+    posterior, mesh = found.posterior, found.observed.capture.mesh
+    means = {parameter: laid_out(posterior.mean(parameter)) for parameter in posterior.axes}
+    return Side(
+        name=name, about=about, maps=means | {"entropy": laid_out(found.entropy)},
+        sd={parameter: laid_out(posterior.sd(parameter)) for parameter in posterior.axes},
+        seen=found.image("coverage") > 0, mesh=mesh, key=mesh_key(mesh),
     )  # fmt: skip
 
 
-def _require_inside(side: Side, surface: Surface) -> None:
-    """Refuse maps of which much lies where the mesh has no chart."""
-    if side.mesh is not None or surface.mesh is None or side.seen is None:
-        return
-    stray = side.seen & ~surface.near_charts(side.seen.shape)
-    if stray.sum() > STRAY * side.seen.sum():
+def _of_folder(path: Path, name: str) -> Side:
+    """Read a result of ``svu entropy`` or ``svu recover``, or any folder of textures."""
+    if not path.is_dir():
+        raise CaptureError(f"{path}: no such folder; give a capture, a result of svu, or textures.")
+    settle(path)
+    found = {key: read_texture(file, key) for key, file in find_textures(path).items()}
+    maps, entropy = {key: image for key, (image, _) in found.items()}, read_map(path / ENTROPY)
+    if not found and entropy is None:
         raise CaptureError(
-            f"{side.name}: its maps lie outside the charts of the other's mesh, so they are about "
-            "another object; compare results of one mesh."
+            f"{path}: holds neither a capture (capture.json), nor {ENTROPY}, nor textures "
+            f"({', '.join(NAMES)} as EXR or PNG); give a folder that does."
         )
+    coverage, file = read_map(path / COVERAGE), path / MESH
+    record = read_json(path / RECORD) if (path / RECORD).is_file() else {}
+    mesh = make("object", read_ply(file)) if file.is_file() else None
+    about = "a result of svu recover" if record else "textures"
+    return Side(
+        name=name, about=about if found else "a result of svu entropy",
+        maps=maps if entropy is None else {**maps, "entropy": entropy[..., None]},
+        sd=read_deviations(path) if found else {}, seen=None if coverage is None else coverage > 0,
+        mesh=mesh, key=mesh_key(mesh) if mesh else text_in(record, "inputs", "mesh"),
+        notes=tuple(note for _, note in found.values() if note),
+    )  # fmt: skip
 
 
-def _has(side: Side) -> str:
-    maps = [words(name) for name in side.values]
-    return " and ".join(maps + (["entropy"] if side.entropy is not None else []))
+def _compared(sides: tuple[Side, Side], size: tuple[int, int], tolerance: float) -> Comparison:
+    names, keys = [side.name for side in sides], [side.key for side in sides]
+    if all(keys) and keys[0] != keys[1]:
+        raise CaptureError(
+            f"{names[0]} and {names[1]} are about different meshes; compare results of one mesh "
+            "with one layout of UVs."
+        )
+    shared = [name for name in dict.fromkeys((*NAMES, *sides[0].maps))
+              if all(name in side.maps for side in sides)]  # fmt: skip
+    if not shared:
+        has = [" and ".join(map(words, side.maps)) for side in sides]
+        raise CaptureError(
+            f"{names[0]} has {has[0]}, and {names[1]} {has[1]}: nothing to compare; give the "
+            "capture itself, or a result of svu recover."
+        )
+    mesh = next((side.mesh for side in sides if side.mesh is not None), None)
+    surface, area = Places(size, np.arange(size[0] * size[1])), np.ones(size[0] * size[1])
+    if mesh is not None:
+        laid_out = texels(mesh, size)
+        surface, area = laid_out.places, np.array(laid_out.footprint, np.float64) ** 2
+
+    def read(side: Side, image: np.ndarray) -> np.ndarray:
+        """Return a map at the texels (T, C), NaN where nothing that was seen is near."""
+        weight = np.isfinite(image).all(axis=2)
+        if side.seen is not None and side.seen.shape == weight.shape:
+            weight &= side.seen
+        if weight.shape != size[::-1] and mesh is not None:
+            weight &= texels(mesh, weight.shape[::-1]).inside()
+        found = _resized(image, weight, size)
+        return found.reshape(-1, found.shape[2])[surface.index]
+
+    seen = np.ones(surface.count, bool)
+    for side in sides:
+        if side.seen is not None:
+            seen &= _resized(side.seen[..., None], np.ones(side.seen.shape), size)[..., 0].ravel()[
+                surface.index] > 0.5  # fmt: skip
+    if not seen.any():
+        raise CaptureError(f"{names[0]} and {names[1]} show no part in common.")
+    maps = {}
+    for name in shared:
+        both = [np.where(seen[:, None], read(side, side.maps[name]), np.nan) for side in sides]
+        known = [read(side, side.sd[name]) for side in sides if name in side.sd]
+        sd = np.sqrt(sum(each**2 for each in known)) if known else None
+        maps[name] = difference(surface, area, *both, sd=sd, tolerance=tolerance)
+    notes = [note for side in sides for note in side.notes]
+    notes += [f"{side.name}: taken to be laid out over the same UVs." for side in sides
+              if mesh is not None and not side.key]  # fmt: skip
+    return Comparison(
+        sides=sides, surface=surface, seen=seen, maps=maps, tolerance=tolerance,
+        seen_part=part(area, seen), notes=tuple(notes),
+    )  # fmt: skip
 
 
-def _read(side: Side, image: np.ndarray, surface: Surface, seen: np.ndarray) -> np.ndarray:
-    """Return a map at the texels (T, C), without what not both show."""
-    counts = None
-    if side.seen is not None and side.seen.shape == image.shape[:2]:
-        counts = side.seen
-    values = surface.read(image, counts)
-    values[~seen] = np.nan
-    return values
+def difference(
+    surface: Places, area: np.ndarray, first: np.ndarray, second: np.ndarray, *,
+    sd: np.ndarray | None = None, tolerance: float = 0.0,
+) -> Difference:  # fmt: skip
+    """Compare two maps (T, C); one with a single channel is compared with the other's mean.
+
+    ``area`` (T,) is that of the texels, and ``sd`` the standard deviation of the difference.
+    """
+    both = first, second
+    if first.shape[1] != second.shape[1]:
+        first, second = (x.mean(axis=1, keepdims=True) for x in both)
+        sd = None if sd is None else sd.mean(axis=1, keepdims=True)
+    values = (second - first).astype(np.float32)
+    compared = np.isfinite(values).all(axis=1)
+    values[~compared] = np.nan
+    deviations = None if sd is None else _deviations(surface, values, sd)
+    found, weights = values[compared], area[compared]
+    size, mean = np.abs(found).max(axis=1), found.mean(axis=1)
+    sure = None if deviations is None else np.abs(deviations[compared]) > CERTAIN
+    return Difference(both=both, values=values, deviations=deviations, figures={
+        "mean": float(np.average(mean, weights=weights)), "median": median(size, weights),
+        "rms": float(np.sqrt(np.average((found**2).mean(axis=1), weights=weights))),
+        "psnr": psnr(first[compared], second[compared]), "beyond": part(weights, size > tolerance),
+        "certain": None if sure is None else part(weights, sure),
+        "certain_mean": None if sure is None or not sure.any() else
+        float(np.average(mean[sure], weights=weights[sure])),
+    })  # fmt: skip
 
 
-def _both_sd(
-    sides: tuple[Side, Side], name: str, surface: Surface, seen: np.ndarray
-) -> np.ndarray | None:
-    """Return the standard deviation of a difference (T, C), of what is known of it."""
-    known: list[Any] = [
-        _read(side, side.sd[name], surface, seen) for side in sides if name in side.sd
-    ]
-    return np.sqrt(sum(sd**2 for sd in known)) if known else None
+def _deviations(surface: Places, values: np.ndarray, sd: np.ndarray) -> np.ndarray:
+    """Return differences (T,) in standard deviations, averaged over a square by 1 / sd^2.
+
+    Neighbours have errors in common, so the mean's variance is that of one texel.
+    """
+    known = np.isfinite(values) & np.isfinite(sd)
+    weight = np.where(known, 1 / np.maximum(sd, LEAST) ** 2, 0)
+    planes = np.stack([weight, weight * np.where(known, values, 0), known], axis=-1)
+    around = scipy.ndimage.uniform_filter(surface.to_image(planes), (AROUND, AROUND, 1, 1))
+    weights, sums, count = np.moveaxis(around.reshape(-1, *planes.shape[1:])[surface.index], -1, 0)
+    table = np.divide(sums, np.sqrt(weights * count), out=np.full(sums.shape, np.nan), where=known)
+    largest = np.abs(np.nan_to_num(table)).argmax(axis=1)
+    return np.take_along_axis(table, largest[:, None], axis=1)[:, 0].astype(np.float32)
+
+
+def _resized(image: np.ndarray, weight: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return a map (H, W, C) in another size, by weights (H, W) of its texels; NaN without any."""
+    from PIL import Image
+
+    smaller = size[0] <= image.shape[1] and size[1] <= image.shape[0]
+    kind = Image.Resampling.BOX if smaller else Image.Resampling.BILINEAR  # means of areas
+    planes = np.concatenate([np.where(weight[..., None] > 0, image, 0), weight[..., None]], axis=-1)
+    *sums, total = (np.asarray(Image.fromarray(np.float32(planes[..., k])).resize(size, kind))
+                    for k in range(planes.shape[2]))  # fmt: skip
+    near = np.where(total > LEAST, total, np.nan)
+    return np.stack([plane / near for plane in sums], axis=-1)

@@ -110,7 +110,7 @@ class Knowledge:
             mean_entropy=float(entropy.mean()) if len(entropy) else None,
             known_part={name: part(area[seen], yes) for name, yes in narrow.items()},
             all_known_part=part(area[seen], every) if narrow else 0.0,
-            median_half_width={name: _median(width, area[seen]) for name, width in half.items()},
+            median_half_width={name: median(width, area[seen]) for name, width in half.items()},
             cell_width={name: w for name, w in widest.items() if not within(w / 2, tolerance)},
         )
 
@@ -155,7 +155,7 @@ def plain_percent(value: float) -> str:
     return percent(value).replace(NARROW_SPACE, " ")
 
 
-def _median(values: np.ndarray, weights: np.ndarray) -> float:
+def median(values: np.ndarray, weights: np.ndarray) -> float:
     """Return the smallest value that half of the weight does not exceed."""
     order = np.argsort(values, kind="stable")
     below = np.cumsum(weights[order])

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 import svu_mi
-from svu_mi.exr import write_exr
+from svu_mi.errors import CaptureError
+from svu_mi.exr import read_exr, write_exr
+from svu_mi.parameters import CHANNELS
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.field.field import LEVEL, TextureField
 from svu_mi.surface.gutter import dilate
@@ -105,3 +107,30 @@ def padded(made: Any, values: np.ndarray, gutter: int = GUTTER, fill: float = 1)
     value and hands that one to its gutter: nothing seen may grow into what was not.
     """
     return dilate(made.texels.to_image(values, fill), made.texels.inside(), gutter)
+
+
+def read_map(path: Path) -> np.ndarray | None:
+    """Return the channel Y (H, W) of ``entropy.exr`` or ``coverage.exr``; None without the file.
+
+    Raises:
+        CaptureError: it is damaged, or has no such channel.
+    """
+    if not path.is_file():
+        return None
+    channels = read_exr(path)
+    if "Y" not in channels:
+        raise CaptureError(f"{path}: expected the channel Y, found {', '.join(channels)}.")
+    return channels["Y"]
+
+
+def read_deviations(folder: Path) -> dict[str, np.ndarray]:
+    """Return standard deviations (H, W, C) of ``uncertainty.exr`` by parameter, if it is there.
+
+    Raises:
+        CaptureError: it is damaged.
+    """
+    path = folder / UNCERTAINTY
+    channels = read_exr(path) if path.is_file() else {}
+    planes = {name: [channels[f"{name}.sd{letter}"] for letter in ("", ".R", ".G", ".B")
+                     if f"{name}.sd{letter}" in channels] for name in CHANNELS}  # fmt: skip
+    return {name: np.stack(found, axis=-1) for name, found in planes.items() if found}

@@ -116,8 +116,8 @@ def test_two_captures_are_compared(desk):
     said = done("compare capture again --resolution 64", desk)
     assert said.out[-2] == "Wrote out/compare/compare.html"
     assert said.out[-1].startswith(
-        "Of the surface that both show, nothing differs certainly (base colour, roughness, "
-        "metallic); the entropy differs by "
+        "Of the surface that both show, base colour differs certainly on 0 %, roughness differs "
+        "certainly on 0 %, metallic differs certainly on 0 %, the entropy differs by "
     )
     assert svu("compare capture scenes -o out/wrong", desk).refusal == (
         "scenes: holds neither a capture (capture.json), nor entropy.exr, nor textures "
