@@ -21,7 +21,7 @@ from PIL import Image
 from svu_mi.capture import load_capture, render_capture, rendering
 from svu_mi.capture.folder import Description
 from svu_mi.capture.ignored import ignored
-from svu_mi.capture.loading import read_capture
+from svu_mi.capture.loading import plan_photographs
 from svu_mi.capture.matching import NoPhotographsError
 from svu_mi.capture.mesh import arrays, make
 from svu_mi.capture.picture import open_picture
@@ -124,7 +124,7 @@ def test_the_first_exposure_out_of_range_is_named(scene, gain):
     message = rf"capture.json: the exposure of view 1 is {str(gain)[:40]}.*; it must be in \[1e-30"
     live = mi.load_file(str(scene), optimize=False)
     with pytest.raises(CaptureError, match=message):
-        read_capture(live, live.sensors(), folder, Description(exposures=gains))
+        plan_photographs(live, live.sensors(), folder, Description(exposures=gains))
     (folder / "capture.json").write_text(json.dumps({"format": "svu-capture", "exposure": gains}))
     with pytest.raises(CaptureError, match=message):
         load_capture(scene)
@@ -202,16 +202,16 @@ def test_an_interrupted_render_can_be_repeated(tmp_path):
 @pytest.fixture
 def stopping(monkeypatch):
     """Stops a render before view 2, once; keeps the numbers of the views that are rendered."""
-    shot, seen = rendering._shot, []
+    render, seen = rendering._radiance, []
 
-    def stop(scene, target, sensors, spp, seed, index):
-        if index == 2 and 2 not in seen:
+    def stop(scene, sensor, spp, seed):  # the seed of view k is k
+        if seed == 2 and 2 not in seen:
             seen.append(2)
             raise KeyboardInterrupt
-        seen.append(index)
-        return shot(scene, target, sensors, spp, seed, index)
+        seen.append(seed)
+        return render(scene, sensor, spp, seed)
 
-    monkeypatch.setattr(rendering, "_shot", stop)
+    monkeypatch.setattr(rendering, "_radiance", stop)
     return seen
 
 

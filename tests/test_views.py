@@ -12,7 +12,7 @@ from helpers import ball, ball_scene, memory_capture, write_scene
 
 from svu_mi import scenes
 from svu_mi.capture import load_capture, render_capture
-from svu_mi.capture.block import allocate, in_one_block
+from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.poses import describe, film_size, make_sensor, sphere_sensors
 from svu_mi.capture.scene import load_scene
 from svu_mi.errors import CaptureError
@@ -195,38 +195,40 @@ def test_photographs_that_were_read_are_not_copied(tmp_path):
     render_capture(write_scene(tmp_path), spp=1, folder=tmp_path / "shot", views=3,
                    resolution=(40, 24))  # fmt: skip
     capture = load_capture(tmp_path / "shot")
-    pixels, offset = in_one_block(capture.images)
-    assert offset.tolist() == [0, 960, 1920]
-    assert all(np.shares_memory(pixels, image) for image in capture.images)
     views = pack_views(capture)
+    assert views.offset.numpy().tolist() == [0, 960, 1920]
     assert np.shares_memory(views.pixels.numpy(), capture.images[0])
     later = pack_views(replace(capture, used=(False, True, True)))
-    assert later.offset.numpy().tolist() == [0, 960]
-    np.testing.assert_array_equal(later.usable.numpy(), views.usable.numpy()[960:])
+    assert later.offset.numpy().tolist() == [960, 1920]
+    assert np.shares_memory(later.pixels.numpy(), capture.images[1])
+    np.testing.assert_array_equal(later.usable.numpy()[960:], views.usable.numpy()[960:])
+    masks = capture.buffer.masks_at([0, 1, 2], capture.masks)
+    assert masks is capture.buffer.masked
+    some = capture.buffer.masks_at([0, 1, 2], (None, *capture.masks[1:]))
+    assert some[:960].all() and (some[960:] == masks[960:]).all()
 
 
 def test_photographs_in_any_order_are_found_and_shared_ones_are_copied():
-    a, b, c = allocate([(4, 2), (3, 5), (2, 2)])
-    for value, image in enumerate((a, b, c)):
-        image[:] = value
-    pixels, offset = in_one_block([c, a, b])
-    assert np.shares_memory(pixels, a)
-    assert offset.tolist() == [23, 0, 8]
+    buffer = PixelBuffer.allocate([(4, 2), (3, 5), (2, 2)])
+    a, b, c = buffer.images
+    assert buffer.offsets.tolist() == [0, 8, 23]
+    assert buffer.places([c, a, b]) == [2, 0, 1]
     for images in ([a, b, a], [a[:, ::-1], b], [a, np.ones((2, 2, 3), np.float32)], [a[0:1], b]):
-        pixels, offset = in_one_block(images)
-        for image, start in zip(images, offset, strict=True):
-            found = pixels[3 * start : 3 * start + image.size].reshape(image.shape)
-            np.testing.assert_array_equal(found, image)
-    assert [part.size for part in in_one_block([])] == [0, 0]
+        assert buffer.places(images) is None
+        copied = PixelBuffer.of(images)
+        for image, own in zip(images, copied.images, strict=True):
+            np.testing.assert_array_equal(own, image)
+    assert PixelBuffer.of([]).pixels.size == 0
 
 
 def test_one_photograph_for_two_cameras_is_judged_twice(tmp_path):
     scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
     sensors = sphere_sensors(scene.shapes()[0], 2, (32, 32))
-    (image,) = allocate([(32, 32)])
+    buffer = PixelBuffer.allocate([(32, 32)])
+    (image,) = buffer.images
     image[:] = 0.5
     left_out = np.zeros((32, 32), bool)
-    capture = memory_capture(scene, [image, image], sensors, masks=(left_out, None))
+    capture = memory_capture(scene, [image, image], sensors, masks=(left_out, None), buffer=buffer)
     np.testing.assert_array_equal(pack_views(capture).usable.numpy(), expected_usable(capture))
 
 
@@ -248,10 +250,9 @@ def test_memory_of_the_allocator(tmp_path):
     """One byte per pixel, and a launch's rays, however many photographs there are."""
     scene = ball_scene(tmp_path, {"type": "constant"}, WHITE)
     sensors = sphere_sensors(scene.shapes()[0], 24, (512, 512))
-    made = allocate([(512, 512)] * 24)
-    for image in made:
-        image[:] = 0.5
-    capture = memory_capture(scene, made, sensors)
+    buffer = PixelBuffer.allocate([(512, 512)] * 24)
+    buffer.pixels[:] = 0.5
+    capture = memory_capture(scene, list(buffer.images), sensors, buffer=buffer)
     pixels = 24 * 512 * 512
     pack_views(capture)  # kernels, and what Mitsuba keeps
     dr.sync_thread()

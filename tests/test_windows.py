@@ -19,8 +19,8 @@ from PIL import Image
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture import block, window
 from svu_mi.capture import folder as capture_folder
+from svu_mi.capture import pixel_buffer, window
 from svu_mi.capture.picture import decoded, quantized, srgb
 from svu_mi.capture.poses import film_size, make_sensor
 from svu_mi.capture.scene import to_world
@@ -156,24 +156,13 @@ def test_photographs_in_a_file_say_the_same_to_the_bit(kind, request, monkeypatc
     assert views.number == 8
 
 
-def test_values_beside_photographs_are_not_copied(integers):
-    capture = svu.load_capture(integers, memory=0.0)
-    sizes = np.cumsum([0] + [mask.size for mask in capture.masks])
-    found = block.laid_out(capture.masks, sizes[:-1], int(sizes[-1]), True)
-    assert found.base is capture.masks[0].base
-    some = (None, *capture.masks[1:])
-    copied = block.laid_out(some, sizes[:-1], int(sizes[-1]), True)
-    assert copied.base is not found.base and copied[: sizes[1]].all()
-    np.testing.assert_array_equal(copied[sizes[1] :], found[sizes[1] :])
-
-
 def test_a_disk_that_is_full_is_said_to_be(shot, monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
 
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(block.os, "posix_fallocate", full)
+    monkeypatch.setattr(pixel_buffer.os, "posix_fallocate", full)
     with pytest.raises(CaptureError, match=r"no room for 0.0 GB of photographs \(No space left on"):
         svu.load_capture(shot, memory=0.0)
 
@@ -181,16 +170,16 @@ def test_a_disk_that_is_full_is_said_to_be(shot, monkeypatch, tmp_path):
 MANY_FILES = """
 import resource
 import sys
-from svu_mi.capture import block
+from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.errors import CaptureError
 
 hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
 resource.setrlimit(resource.RLIMIT_NOFILE, (64, hard))
-kept = [block.allocate([(4, 4)], memory=0) for _ in range(80)]
-assert all(block.in_file(part) for (part,) in kept)
+kept = [PixelBuffer.allocate([(4, 4)], memory=0) for _ in range(30)]
+assert all(part.file for part in kept)
 resource.setrlimit(resource.RLIMIT_NOFILE, (resource.getrlimit(resource.RLIMIT_NOFILE)[0],) * 2)
 try:
-    kept += [block.allocate([(4, 4)], memory=0) for _ in range(2)]
+    kept += [PixelBuffer.allocate([(4, 4)], memory=0) for _ in range(2)]
 except CaptureError as error:
     sys.exit(str(error))
 """
@@ -292,7 +281,7 @@ def test_what_texels_look_up_is_read_ahead(shot, monkeypatch):
         inside = (column >= 0) & (column < width - 1) & (row >= 0) & (row < height - 1) & facing
         for across, down in ((0, 0), (1, 0), (0, 1), (1, 1)):
             place = (row + down) * width + column + across
-            first = views.file.first + 12 * (int(views.offset[view]) + place[inside])
+            first = 12 * (int(views.offset[view]) + place[inside])
             needed |= set((first // mmap.PAGESIZE).tolist())
             needed |= set(((first + 11) // mmap.PAGESIZE).tolist())
     found = ahead.pages_of(views, some)
@@ -307,9 +296,7 @@ def test_what_texels_look_up_is_read_ahead(shot, monkeypatch):
     assert pages <= {int(k) for first, last in runs for k in range(first, last)}
     monkeypatch.setattr(ahead, "GAP", 0)
     asked = []
-    recorder = SimpleNamespace(
-        memory=SimpleNamespace(madvise=lambda *words: asked.append(words)), first=0
-    )
+    recorder = SimpleNamespace(madvise=lambda *words: asked.append(words))
     monkeypatch.setattr(ahead, "pages_of", lambda *_: found)
     ahead.read_ahead(replace(views, file=recorder), some)
     assert [(start, length) for _, start, length in asked] == [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import inf
@@ -11,20 +11,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from svu_mi.capture.block import allocate
 from svu_mi.capture.clipped import Clipped
 from svu_mi.capture.matching import masks_of
 from svu_mi.capture.picture import SUFFIXES, Picture, decoded, open_picture, read_planes
+from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.rounding import Rounding
 from svu_mi.capture.window import Window
 from svu_mi.errors import CaptureError
 from svu_mi.limits import require_photographs
-from svu_mi.needs import Size, decoders
+from svu_mi.needs import STORED, Size, decoders
 from svu_mi.results.record import RUN
 
 # Of the encoded range, by bits; a clipped highlight is not a measurement. JPEG blurs it, too.
 SATURATED = {8: 0.98, 16: 0.995}
-STORED = 14  # bytes per pixel of a photograph: three floats, the mask, what is clipped
 UNUSABLE = -1.0  # radiance of a pixel that is not to be used, in all channels of an EXR
 CLIPPED = -2.0  # radiance of a channel that is clipped, in an EXR with the attribute SATURATION
 SATURATION = "svu:saturation"  # radiance from which the channels of a photograph were clipped
@@ -75,102 +74,77 @@ def not_taken(size: tuple[int, int]) -> Photograph:
     return Photograph(pixels, None, 0, 0, 0, 0, True)
 
 
-def read_photographs(
-    paths: Sequence[Path | None], windows: Sequence[Window], exposures: Sequence[float],
-    *, films: Sequence[Size] | None = None, memory: float = inf,
-    opened: Callable[[Sequence[int]], float | None] | None = None,
-) -> list[Photograph]:  # fmt: skip
-    """Read photographs and their masks, on as many threads as Dr.Jit has and memory allows.
-
-    A mask is the image's alpha channel, or a file beside it (``masks_of``). All pixels lie in one
-    block, one photograph after the other, where kernels can look them up.
+def open_photographs(
+    paths: Sequence[Path | None], films: Sequence[Size]
+) -> dict[int, Picture]:
+    """Read the headers of photographs, by view; views without a path are left out.
 
     Args:
-        paths: V EXR, HDR, PFM (linear), PNG or JPEG (sRGB of 8 or 16 bits) files; None for a
-            photograph that nobody has taken (``not_taken``).
-        windows: what to keep of each.
-        exposures: V gains of the photographs; pixels are divided by them.
-        films: V (width, height) of the sensors' films (their crop windows), which photographs must
-            have; by default the windows'.
-        memory: bytes that they may take, beyond which they lie in a file (``block.allocate``).
-        opened: called with the numbers of those that there are, when all headers have been read
-            and no pixel has; may return another ``memory``.
+        paths: V EXR, HDR, PFM (linear), PNG or JPEG (sRGB of 8 or 16 bits) files, or None.
+        films: V (width, height) that the photographs must have.
 
     Raises:
-        CaptureError: one is unreadable or of another size than its film, the first in order; or
-            there is not enough memory for all.
+        CaptureError: one is unreadable or of another size than its film, the first in order.
     """
     pictures: dict[int, Picture] = {}
-    films = films or [window.size for window in windows]
     for view, (path, film) in enumerate(zip(paths, films, strict=True)):
         if path is not None:
             pictures[view] = open_picture(path)
             _require_size(path, pictures[view].size, film)  # films may promise any size
-    if not pictures:
-        return [not_taken(film) for film in films]
-    if opened is not None:
-        chosen = opened(list(pictures))
-        memory = memory if chosen is None else chosen
-    rooms = _rooms([windows[view] for view in pictures], memory, pictures)
-    gains = [exposures[view] for view in pictures]
-    largest = max(width * height for width, height in (p.size for p in pictures.values()))
-    with ThreadPoolExecutor(decoders(largest)) as threads:
-        read = threads.map(_read_photograph, pictures.values(), rooms, gains)
-        found = dict(zip(pictures, read, strict=True))
-    return [found.get(view) or not_taken(film) for view, film in enumerate(films)]
+    return pictures
 
 
-@dataclass(frozen=True)
-class _Room:
-    """Where a photograph goes.
+def read_photographs(
+    pictures: Mapping[int, Picture], windows: Sequence[Window], exposures: Sequence[float],
+    memory: float = inf,
+) -> tuple[list[Photograph], PixelBuffer]:  # fmt: skip
+    """Read photographs and their masks, on as many threads as Dr.Jit has and memory allows.
 
-    Attributes:
-        window: what is kept of it.
-        pixels: (H, W, 3) float32.
-        mask: (H, W) bool.
-        channels: (H, W) uint8, see ``Clipped``.
+    A mask is the image's alpha channel, or a file beside it (``masks_of``).
+
+    Args:
+        pictures: files by view (``open_photographs``); other views get ``not_taken``.
+        windows: what to keep of each of the V photographs.
+        exposures: V gains of the photographs; pixels are divided by them.
+        memory: bytes that they may take, beyond which they lie in a file.
+
+    Raises:
+        CaptureError: one is unreadable, or there is not enough memory for all.
     """
-
-    window: Window
-    pixels: np.ndarray
-    mask: np.ndarray
-    channels: np.ndarray
-
-
-def _rooms(
-    windows: Sequence[Window], memory: float, pictures: Mapping[int, Picture]
-) -> list[_Room]:
-    """Make room for photographs; refuse what does not fit into the memory that there is."""
-    sizes = [window.size for window in windows]
-    stored = STORED * sum(width * height for width, height in sizes)
-    if stored <= memory:
+    sizes = [windows[view].size for view in pictures]
+    if pictures and STORED * sum(width * height for width, height in sizes) <= memory:
         require_photographs(sizes, str(next(iter(pictures.values())).path.parent))
-    most = inf if stored <= memory else 0.0  # all in memory, or none
-    pixels = allocate(sizes, memory=most)
-    masks, channels = (allocate(sizes, kind, 1, most) for kind in (bool, np.uint8))
-    return [
-        _Room(window, color, mask[..., 0], channel[..., 0])
-        for window, color, mask, channel in zip(windows, pixels, masks, channels, strict=True)
-    ]
+    buffer = PixelBuffer.allocate(sizes, memory)
+    largest = max((p.size[0] * p.size[1] for p in pictures.values()), default=1)
+    with ThreadPoolExecutor(decoders(largest)) as threads:
+        read = threads.map(
+            _read_photograph, pictures.values(), [windows[view] for view in pictures],
+            [exposures[view] for view in pictures], buffer.images, buffer.masks, buffer.channels,
+        )  # fmt: skip
+        found = dict(zip(pictures, read, strict=True))
+    return [found.get(k) or not_taken(window.size) for k, window in enumerate(windows)], buffer
 
 
-def _read_photograph(picture: Picture, room: _Room, exposure: float) -> Photograph:
-    """Read one photograph into its room."""
-    bits, window, stored = picture.bits, room.window, picture.stored()
+def _read_photograph(
+    picture: Picture, window: Window, exposure: float,
+    pixels: np.ndarray, masked: np.ndarray, channels: np.ndarray,
+) -> Photograph:  # fmt: skip
+    """Read one photograph into arrays (H, W, ...) of a buffer."""
+    bits, stored = picture.bits, picture.stored()
     _require_size(picture.path, stored[0].shape[::-1], picture.size)
     planes = [window.cut(plane) for plane in stored]
     del stored
-    found = (_read_integers if bits else _read_floats)(picture, planes, room, exposure)
+    read = _read_integers if bits else _read_floats
+    found = read(picture, planes, window, exposure, pixels, channels)
     mask = _mask_of(picture, planes, window)
-    if mask is not None:
-        room.mask[:] = mask if window.shrink == 1 else window.joined(mask, np.logical_and)
+    masked[:] = True if mask is None else window.joined(mask, np.logical_and)
     clipped = None
-    if room.channels.any():
-        clipped = Clipped(room.channels, np.full(3, found.least, np.float32))
+    if channels.any():
+        clipped = Clipped(channels, np.full(3, found.least, np.float32))
         clipped = clipped.divided(np.float32(exposure))
     rounding = Rounding.of(bits) if bits else _steps(picture)
     return Photograph(
-        pixels=room.pixels, mask=None if mask is None else room.mask, invalid=found.invalid,
+        pixels=pixels, mask=None if mask is None else masked, invalid=found.invalid,
         marked=found.marked, saturated=found.saturated, bits=bits, black=found.black,
         remarks=tuple(picture.remarks()), run=str(picture.header.attributes.get(RUN, "")),
         clipped=clipped, rounding=None if rounding is None else rounding.divided(exposure),
@@ -178,7 +152,7 @@ def _read_photograph(picture: Picture, room: _Room, exposure: float) -> Photogra
 
 
 class _Found(NamedTuple):
-    """What was found in pixels (see ``Photograph``), and what clipped channels are at least."""
+    """Counts of pixels (see ``Photograph``), and the least radiance of saturated channels."""
 
     invalid: int
     marked: int
@@ -188,36 +162,34 @@ class _Found(NamedTuple):
 
 
 def _read_integers(
-    picture: Picture, planes: Sequence[np.ndarray], room: _Room, exposure: float
-) -> _Found:
+    picture: Picture, planes: Sequence[np.ndarray], window: Window, exposure: float,
+    pixels: np.ndarray, channels: np.ndarray,
+) -> _Found:  # fmt: skip
     """Decode sRGB integers by a table. Channels that are clipped become NaN; of a block that is
     made one pixel, all must be to call it clipped, and any leaves it unusable."""
     codes = np.arange(2**picture.bits, dtype=planes[0].dtype)
-    encoded, window = picture.scaled(codes), room.window
+    encoded = picture.scaled(codes)
     over = encoded > SATURATED[picture.bits]
     table = np.where(over, np.float32(np.nan), decoded(encoded) / np.float32(exposure))
     first, some = codes[over][0], np.zeros(planes[0].shape, bool)
     for channel, plane in enumerate(planes[:3]):
         clipped = plane >= first
         some |= clipped
-        values = table[plane]
-        if window.shrink > 1:
-            values = window.joined(values, np.add) / np.float32(window.shrink**2)
-            clipped = window.joined(clipped, np.logical_and)
-        room.pixels[..., channel] = values
-        room.channels[:] |= clipped.astype(np.uint8) << channel
+        pixels[..., channel] = window.averaged(table[plane])
+        joined = window.joined(clipped, np.logical_and)
+        channels |= joined.astype(np.uint8) << channel
     least = float(decoded(np.array(SATURATED[picture.bits], np.float32)))
     black = not any(plane.any() for plane in planes[:3])
     return _Found(0, 0, int(some.sum()), black, least)
 
 
 def _read_floats(
-    picture: Picture, planes: Sequence[np.ndarray], room: _Room, exposure: float
-) -> _Found:
+    picture: Picture, planes: Sequence[np.ndarray], window: Window, exposure: float,
+    pixels: np.ndarray, channels: np.ndarray,
+) -> _Found:  # fmt: skip
     """Take linear values. What holds no radiance becomes NaN, and so does what an import has marked
     as clipped."""
-    window = room.window
-    color = room.pixels if window.shrink == 1 else np.empty((*planes[0].shape, 3), np.float32)
+    color = pixels if window.shrink == 1 else np.empty((*planes[0].shape, 3), np.float32)
     for channel in range(3):
         color[..., channel] = planes[channel]
     clipped, least = None, _positive(picture, SATURATION)
@@ -226,15 +198,14 @@ def _read_floats(
         color[over] = np.nan
         clipped = Clipped.of(over, least)
     invalid, marked, black = _mark(color, exposure, clipped)
-    channels = np.zeros(0, np.uint8) if clipped is None else clipped.channels
     if window.shrink > 1:
         for channel in range(3):
-            values = window.joined(color[..., channel], np.add)
-            room.pixels[..., channel] = values / np.float32(window.shrink**2)
+            pixels[..., channel] = window.averaged(color[..., channel])
+    saturated = 0
     if clipped is not None:
-        whole = channels if window.shrink == 1 else window.joined(channels, np.bitwise_and)
-        room.channels[:] = whole
-    return _Found(invalid - marked, marked, int((channels > 0).sum()), black, least or 0.0)
+        channels[:] = window.joined(clipped.channels, np.bitwise_and)
+        saturated = int((clipped.channels > 0).sum())
+    return _Found(invalid - marked, marked, saturated, black, least or 0.0)
 
 
 def _mask_of(picture: Picture, planes: Sequence[np.ndarray], window: Window) -> np.ndarray | None:

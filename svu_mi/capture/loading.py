@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
@@ -13,15 +13,16 @@ from typing import Any, Literal, TypeVar, get_args
 import mitsuba as mi
 
 from svu_mi.capture import folder as capture_folder
-from svu_mi.capture.block import room_for_photographs
 from svu_mi.capture.folder import Description
 from svu_mi.capture.ignored import ignored
-from svu_mi.capture.images import read_photographs
+from svu_mi.capture.images import open_photographs, read_photographs
 from svu_mi.capture.judging import judged
 from svu_mi.capture.matching import Match, Missing, match_photographs, photographs_of
 from svu_mi.capture.mesh import covered_by_charts, has_uvs
+from svu_mi.capture.picture import Picture
+from svu_mi.capture.pixel_buffer import room_for_photographs
 from svu_mi.capture.poses import film_size
-from svu_mi.capture.record import Capture, Recipe
+from svu_mi.capture.record import Capture
 from svu_mi.capture.scene import (
     find_environment,
     find_sensors,
@@ -32,13 +33,12 @@ from svu_mi.capture.scene import (
 from svu_mi.capture.sensor_record import LARGEST
 from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
 from svu_mi.capture.winding import seen_from_behind
-from svu_mi.capture.window import WHOLE, Detail
+from svu_mi.capture.window import WHOLE, Detail, Window
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuWarning, excerpt
 from svu_mi.needs import Size, Sizes
 from svu_mi.results.reading import require_no_result
 
 Light = Literal["required", "optional"]
-Preflight = Callable[[Sizes], float | None]
 Value = TypeVar("Value")
 
 
@@ -52,7 +52,6 @@ def load_capture(
     missing: Missing = "refuse",
     light: Light = "required",
     trust: bool = False,
-    preflight: Preflight | None = None,
     detail: Detail = WHOLE,
     memory: float | None = None,
     views: Iterable[int] | None = None,
@@ -79,8 +78,6 @@ def load_capture(
         trust: let the scene load libraries as Mitsuba plugins, from ``plugins`` beside it or in
             the working directory; only for scenes of people you know. A library never replaces
             a plugin of Mitsuba's own.
-        preflight: called before any pixel is read with how large everything is; it may refuse, and
-            may return another ``memory``.
         detail: what is needed of photographs of 4 megapixels and more: those of
             ``Detail(texels=(2048, 2048))`` are cropped to the object, and made smaller as far as
             texels keep about one pixel across. By default they are kept as they are.
@@ -96,20 +93,42 @@ def load_capture(
         SceneError: the scene cannot be loaded or lacks something.
         CaptureError: photographs are missing, unreadable or do not fit.
     """
+    plan = plan_capture(
+        path, images, shape=shape, defines=defines, unwrap=unwrap, missing=missing, light=light,
+        trust=trust, detail=detail, views=views,
+    )  # fmt: skip
+    return plan.read(memory)
+
+
+def plan_capture(
+    path: str | Path,
+    images: str | Path | None = None,
+    *,
+    shape: str | None = None,
+    defines: Mapping[str, str] | None = None,
+    unwrap: bool = False,
+    missing: Missing = "refuse",
+    light: Light = "required",
+    trust: bool = False,
+    detail: Detail = WHOLE,
+    views: Iterable[int] | None = None,
+) -> CapturePlan:
+    """Load a scene, match photographs with its sensors, and read their headers, but no pixel.
+
+    Arguments and errors are those of ``load_capture``.
+    """
     require_variant()
     if not isinstance(path, str | os.PathLike):
         raise OptionError(
             f"load_capture(): the path of a scene or a capture is needed, got a "
             f"{type(path).__name__}."
         )
-    reading = Reading(
-        unwrap=unwrap, missing=missing, light=light, preflight=preflight, detail=detail,
-        memory=memory, views=None if views is None else frozenset(views),
-    )  # fmt: skip
-    recipe = Recipe(
-        path=path, images=images, shape=shape, defines=tuple((defines or {}).items()),
-        unwrap=unwrap, missing=missing, trust=trust, detail=detail,
-    )  # fmt: skip
+    for name, word, known in (("missing", missing, Missing), ("light", light, Light)):
+        if word not in get_args(known):
+            raise OptionError(
+                f"load_capture(): {name} must be one of {', '.join(map(repr, get_args(known)))}, "
+                f"got {word!r}."
+            )
     path = Path(path)
     folder = Path(images) if images is not None else photographs_of(path)
     xml, remembered = _described(path, folder)
@@ -121,8 +140,10 @@ def load_capture(
     sensors = description.make_sensors(folder) or find_sensors(scene, str(xml))
     if images is None:
         folder = photographs_of(path, [sensor.id() for sensor in sensors])
-    found = read_capture(scene, sensors, folder, description, reading)
-    return dataclasses.replace(found, recipe=recipe)
+    return plan_photographs(
+        scene, sensors, folder, description, unwrap=unwrap, missing=missing, light=light,
+        detail=detail, views=views,
+    )  # fmt: skip
 
 
 def _described(path: Path, folder: Path) -> tuple[Path, Description]:
@@ -150,91 +171,120 @@ def _described(path: Path, folder: Path) -> tuple[Path, Description]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reading:
-    """How a capture is read; see ``load_capture``."""
+class CapturePlan:
+    """A capture of which no pixel was read yet.
 
-    unwrap: bool = False
-    missing: Missing = "refuse"
-    light: Light = "required"
-    preflight: Preflight | None = None
-    detail: Detail = WHOLE
-    memory: float | None = None
-    views: frozenset[int] | None = None
+    Attributes:
+        scene: the ``mi.Scene``.
+        light: its environment emitter; None without one.
+        target: the object.
+        sensors: V sensors, with the films of whole photographs.
+        folder: of the photographs.
+        description: of the capture.
+        match: the files of the photographs.
+        paths: V files to read; None for views without one, and for those not asked for.
+        pictures: their headers, by view.
+        windows: what is kept of each photograph.
+        exposures: V gains.
+        unwrap: whether to lay out new UVs.
+        partial: whether only some views are read.
+    """
 
-    def __post_init__(self) -> None:
-        words = {"missing": get_args(Missing), "light": get_args(Light)}
-        for name, known in words.items():
-            if getattr(self, name) not in known:
-                raise OptionError(
-                    f"load_capture(): {name} must be one of {', '.join(map(repr, known))}, "
-                    f"got {getattr(self, name)!r}."
-                )
+    scene: Any
+    light: Any
+    target: Any
+    sensors: Sequence[Any]
+    folder: Path
+    description: Description
+    match: Match
+    paths: Sequence[Path | None]
+    pictures: Mapping[int, Picture]
+    windows: Sequence[Window]
+    exposures: Sequence[float]
+    unwrap: bool
+    partial: bool
+
+    def sizes(self, memory: float | None = None) -> Sizes:
+        """Return how large everything is, with photographs in ``memory`` bytes (``read``)."""
+        room = room_for_photographs([film_size(each) for each in self.sensors])
+        return Sizes(
+            [self.windows[view].size for view in self.pictures], map_size(self.light),
+            1.0 if self.unwrap else covered_by_charts(self.target), self.light is not None,
+            stored=[picture.size for picture in self.pictures.values()],
+            memory=room if memory is None else memory, asked=memory is not None,
+        )  # fmt: skip
+
+    def read(self, memory: float | None = None) -> Capture:
+        """Read the photographs.
+
+        Args:
+            memory: bytes that they may take, by default half of what is free.
+
+        Raises:
+            CaptureError: one is unreadable, or they do not fit into memory.
+            MeshError: UVs cannot be laid out.
+        """
+        if memory is None:
+            memory = room_for_photographs([film_size(each) for each in self.sensors])
+        photographs, buffer = read_photographs(
+            self.pictures, self.windows, self.exposures, memory
+        )
+        runs = {picture.path: photographs[k].run for k, picture in self.pictures.items()}
+        capture_folder.require_one_run(self.folder, runs, self.description.run)
+        names = self.match.names
+        if len(self.description.photographs) == len(names):  # else capture.json was edited
+            names = [excerpt(name) for name in self.description.photographs]
+        sensors = [w.seen_by(each) for w, each in zip(self.windows, self.sensors, strict=True)]
+        notes, used = judged(photographs, self.paths, names, some=self.partial)
+        mesh, unwrapping = _texel_mesh(self.target, self.unwrap, self.folder)
+        notes = [*self.match.notes, *notes, *unwrapping, *ignored(self.scene, self.target)]
+        notes += seen_from_behind(self.scene, self.target, sensors)
+        for sentence in notes:
+            warnings.warn(sentence, SvuWarning, stacklevel=3)
+        return Capture(
+            scene=self.scene, shape=self.target, mesh=mesh, sensors=tuple(sensors),
+            images=tuple(photograph.pixels for photograph in photographs),
+            masks=tuple(photograph.mask for photograph in photographs),
+            exposures=tuple(self.exposures), names=tuple(names), files=tuple(self.match.names),
+            unusable=tuple(p.invalid + p.marked + p.saturated for p in photographs),
+            used=used, source=self.folder, warnings=tuple(notes),
+            clipped=_any(photograph.clipped for photograph in photographs),
+            rounding=_any(photograph.rounding for photograph in photographs), buffer=buffer,
+        )  # fmt: skip
 
 
-def read_capture(
+def plan_photographs(
     scene: Any,
     sensors: Sequence[Any],
     folder: Path,
     description: Description,
-    reading: Reading | None = None,
-) -> Capture:
-    """Read the photographs of a folder for a live scene (see ``load_capture``)."""
-    reading = reading or Reading()
+    *,
+    unwrap: bool = False,
+    missing: Missing = "refuse",
+    light: Light = "required",
+    detail: Detail = WHOLE,
+    views: Iterable[int] | None = None,
+) -> CapturePlan:
+    """Match the photographs of a folder with sensors of a live scene (see ``plan_capture``)."""
     label = str(description.scene or folder)
-    light = _light(scene, description, reading, folder)
+    environment = _light(scene, description, light, folder)
     target = find_shape(scene, description.shape, label)
-    found = _match(sensors, folder, description, reading)
-    paths = _chosen(found.paths, reading.views)
+    # Beside a scene's file, not every picture is a photograph.
+    own = description.scene is None or description.scene.resolve().parent != folder.resolve()
+    match = match_photographs(folder, [s.id() for s in sensors], missing, any_name=own)
+    paths = _chosen(match.paths, views)
     exposures = _exposures(description.exposures, len(sensors), folder)
-    windows = reading.detail.windows(target, sensors)
     films = [film_size(sensor) for sensor in sensors]
-    memory = room_for_photographs(films) if reading.memory is None else reading.memory
-
-    def opened(taken: Sequence[int]) -> float | None:
-        if reading.preflight is None:
-            return None
-        charts = 1.0 if reading.unwrap else covered_by_charts(target)
-        return reading.preflight(Sizes(
-            [windows[view].size for view in taken], map_size(light), charts, light is not None,
-            stored=[films[view] for view in taken], memory=memory,
-            asked=reading.memory is not None,
-        ))  # fmt: skip
-
-    photographs = read_photographs(
-        paths, windows, exposures, films=films, memory=memory, opened=opened
-    )
-    sensors = [
-        sensor if path is None else window.seen_by(sensor)
-        for sensor, window, path in zip(sensors, windows, paths, strict=True)
+    windows = [
+        Window.whole(film) if path is None else window
+        for film, path, window in zip(films, paths, detail.windows(target, sensors), strict=True)
     ]
-    runs = {p: each.run for p, each in zip(paths, photographs, strict=True) if p is not None}
-    capture_folder.require_one_run(folder, runs, description.run)
-    names = found.names
-    if len(description.photographs) == len(names):  # else somebody has changed capture.json
-        names = [excerpt(name) for name in description.photographs]
-    notes, used = judged(photographs, paths, names, some=reading.views is not None)
-    mesh, note = _texel_mesh(target, reading.unwrap, folder)
-    notes = [*found.notes, *notes, *note, *ignored(scene, target)]
-    notes += seen_from_behind(scene, target, sensors)
-    for sentence in notes:
-        warnings.warn(sentence, SvuWarning, stacklevel=3)
-    return Capture(
-        scene=scene,
-        shape=target,
-        mesh=mesh,
-        sensors=tuple(sensors),
-        images=tuple(photograph.pixels for photograph in photographs),
-        masks=tuple(photograph.mask for photograph in photographs),
-        exposures=tuple(exposures),
-        names=tuple(names),
-        files=tuple(found.names),
-        unusable=tuple(p.invalid + p.marked + p.saturated for p in photographs),
-        used=used,
-        source=folder,
-        warnings=tuple(notes),
-        clipped=_any(photograph.clipped for photograph in photographs),
-        rounding=_any(photograph.rounding for photograph in photographs),
-    )
+    return CapturePlan(
+        scene=scene, light=environment, target=target, sensors=sensors, folder=folder,
+        description=description, match=match, paths=paths,
+        pictures=open_photographs(paths, films), windows=windows, exposures=exposures,
+        unwrap=unwrap, partial=views is not None,
+    )  # fmt: skip
 
 
 def _any(values: Iterable[Value | None]) -> tuple[Value | None, ...]:
@@ -256,10 +306,10 @@ def _exposures(given: Sequence[float], count: int, folder: Path) -> list[float]:
     return [float(gain) for gain in given] or [1.0] * count
 
 
-def _light(scene: Any, description: Description, reading: Reading, folder: Path) -> Any:
+def _light(scene: Any, description: Description, light: Light, folder: Path) -> Any:
     """Return the light; None without one, where that is optional."""
     if not scene.emitters():
-        if reading.light == "optional":
+        if light == "optional":
             return None
         if description.imported:
             raise SceneError(
@@ -281,26 +331,17 @@ def map_size(light: Any) -> Size:
     return width - 2, height  # a column on each side is the other end's
 
 
-def _match(
-    sensors: Sequence[Any], folder: Path, description: Description, reading: Reading
-) -> Match:
-    """Find the photographs; beside a scene's file, not every picture is one."""
-    scene = description.scene
-    own = scene is None or scene.resolve().parent != folder.resolve()
-    ids = [sensor.id() for sensor in sensors]
-    return match_photographs(folder, ids, reading.missing, any_name=own)
-
-
-def _chosen(paths: Sequence[Path | None], views: frozenset[int] | None) -> list[Path | None]:
+def _chosen(paths: Sequence[Path | None], views: Iterable[int] | None) -> list[Path | None]:
     """Return the files of the views that are to be read; None for all others."""
     if views is None:
         return list(paths)
-    for view in sorted(views):
+    chosen = frozenset(views)
+    for view in sorted(chosen):
         if not 0 <= view < len(paths):
             raise OptionError(
                 f"load_capture(): there is no view {view}; there are {len(paths)}, from 0 on."
             )
-    return [path if view in views else None for view, path in enumerate(paths)]
+    return [path if view in chosen else None for view, path in enumerate(paths)]
 
 
 def _texel_mesh(shape: Any, unwrap: bool, folder: Path | None) -> tuple[Any, list[str]]:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from svu_mi.capture.clipped import Clipped
+from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.rounding import Rounding
 
 
@@ -24,20 +25,6 @@ class Doubt:
 
     widening: float = 1.0
     scale: tuple[float, ...] = (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Recipe:
-    """How a capture was loaded: arguments of ``load_capture``, to load it again elsewhere."""
-
-    path: str | Path
-    images: str | Path | None
-    shape: str | None
-    defines: tuple[tuple[str, str], ...]
-    unwrap: bool
-    missing: Literal["refuse", "leave-out"]
-    trust: bool
-    detail: Any
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -66,7 +53,8 @@ class Capture:
         files: V names of their files in ``source``; empty when it was made in memory.
         doubt: how uncertain the light is; None if it was given.
         found_light: the ``LightEstimate`` that is its light (``with_light``); None if it was given.
-        recipe: how it was loaded; None when it was made in memory.
+        buffer: that the pixels of ``images`` lie in, where kernels read them in place; None, or
+            other images than its own, if they were made in memory.
     """
 
     scene: Any
@@ -86,7 +74,7 @@ class Capture:
     files: tuple[str, ...] = ()
     doubt: Doubt | None = None
     found_light: Any | None = None
-    recipe: Recipe | None = None
+    buffer: PixelBuffer | None = None
 
     def __repr__(self) -> str:
         sizes = sorted({image.shape[1::-1] for image in self.images})

@@ -6,8 +6,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import numpy as np
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.fingerprint import Key, integrator_key, scene_key
 from svu_mi.capture.folder import Description
-from svu_mi.capture.loading import Preflight, Reading, map_size, read_capture
+from svu_mi.capture.loading import map_size, plan_photographs
 from svu_mi.capture.mesh import covered_by_charts
 from svu_mi.capture.poses import describe, film_size, sphere_sensors
 from svu_mi.capture.record import Capture
@@ -55,7 +54,6 @@ def render_capture(
     unwrap: bool = False,
     trust: bool = False,
     progress: Callable[[int, int], None] | None = None,
-    preflight: Preflight | None = None,
     resume: bool | None = None,
 ) -> Capture:
     """Render one photograph per sensor and read them back as a capture.
@@ -76,7 +74,6 @@ def render_capture(
         unwrap: lay out new UVs even if the mesh has some (see ``load_capture``).
         trust: let the scene load libraries, when it is a path (see ``load_capture``).
         progress: called with (views done, views in all).
-        preflight: called before any view is rendered (see ``load_capture``).
         resume: keep the views in the folder if it is interrupted, and go on (True) with those that
             such a run has kept, or start again (False). By default nothing is kept.
 
@@ -87,6 +84,101 @@ def render_capture(
         OutputError: the folder cannot be written, holds what was not rendered there, or nothing to
             go on with.
     """
+    plan = plan_render(
+        scene, spp, seed, shape=shape, views=views, resolution=resolution, defines=defines,
+        unwrap=unwrap, trust=trust,
+    )  # fmt: skip
+    return plan.render(folder, progress=progress, resume=resume)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderPlan:
+    """Views of a scene that are not rendered yet; attributes as for ``render_capture``.
+
+    Attributes:
+        light: the environment emitter.
+        target: the object.
+        sensors: V perspective sensors.
+        description: of the capture.
+    """
+
+    scene: Any
+    light: Any
+    target: Any
+    sensors: Sequence[Any]
+    spp: int
+    seed: int
+    unwrap: bool
+    description: Description
+
+    @property
+    def sizes(self) -> Sizes:
+        """How large everything is."""
+        charts = 1.0 if self.unwrap else covered_by_charts(self.target)
+        return Sizes([film_size(sensor) for sensor in self.sensors], map_size(self.light), charts)
+
+    def render(
+        self, folder: str | Path | None = None, *,
+        progress: Callable[[int, int], None] | None = None, resume: bool | None = None,
+    ) -> Capture:  # fmt: skip
+        """Render the views and read them back; arguments and errors as for ``render_capture``."""
+        if folder is None:
+            with tempfile.TemporaryDirectory(prefix="svu-capture-") as temporary:
+                self._write(Path(temporary), progress)
+                return replace(self._read(Path(temporary)), source=None)
+        key = "" if resume is None else self._key()
+        with exchanging(
+            folder, "render", capture_folder.FILE, [UNWRAPPED], key=key, resume=bool(resume)
+        ) as draft:
+            _keep_views(draft.folder, [film_size(sensor) for sensor in self.sensors], draft.run)
+            self._write(draft.folder, progress)
+            capture_folder.write(draft, self.description, self.sensors)
+        return self._read(Path(folder))
+
+    def _read(self, folder: Path) -> Capture:
+        plan = plan_photographs(
+            self.scene, self.sensors, folder, self.description, unwrap=self.unwrap
+        )
+        return plan.read()
+
+    def _write(self, folder: Path, progress: Callable[[int, int], None] | None) -> None:
+        """Render the views that are not there yet, and write them."""
+        with between_steps() as stop_if_asked:
+            for index, sensor in enumerate(self.sensors):
+                path = folder / _view(index)
+                if not path.exists():
+                    # Mitsuba decorrelates neighbouring seeds of the independent sampler.
+                    seed = (self.seed + index) % 2**32
+                    image = _radiance(self.scene, sensor, self.spp, seed)
+                    mask = object_mask(self.scene, self.target, sensor)
+                    write_exr(path, {"RGB": image, "A": mask})
+                if progress is not None:
+                    progress(index + 1, len(self.sensors))
+                stop_if_asked()
+
+    def _key(self) -> str:
+        """Return 16 hexadecimal digits that depend on everything that is rendered."""
+        cameras = [
+            [describe(each), str(each.film()), each.sampler().class_name()]
+            for each in self.sensors
+        ]
+        what = scene_key(self.scene, self.target), integrator_key(self.scene)
+        return Key(*what, cameras, self.spp, self.seed).digest()[:KEY]
+
+
+def plan_render(
+    scene: Any,
+    spp: int = 64,
+    seed: int = 0,
+    *,
+    shape: str | None = None,
+    views: int | None = None,
+    resolution: tuple[int, int] = (512, 512),
+    defines: Mapping[str, str] | None = None,
+    unwrap: bool = False,
+    trust: bool = False,
+) -> RenderPlan:
+    """Load a scene and place its sensors; arguments and errors as for ``render_capture``."""
     require_variant()
     require_spp(spp)
     if seed < 0:
@@ -100,28 +192,15 @@ def render_capture(
         sensors = find_sensors(scene, label, "pass --views N to place some")
     else:
         sensors = sphere_sensors(target, views, resolution)
-    films = [film_size(sensor) for sensor in sensors]
-    require_render(films, spp, label)
-    if preflight is not None:
-        preflight(Sizes(films, map_size(light), 1.0 if unwrap else covered_by_charts(target)))
+    require_render([film_size(sensor) for sensor in sensors], spp, label)
     description = Description(
         scene=path, defines=defines or {}, shape=target.id() or None,
         rendered={"spp": spp, "seed": seed},
     )  # fmt: skip
-    shots = partial(_shot, scene, target, sensors, spp, seed)
-    if folder is not None:
-        key = "" if resume is None else _key(scene, target, sensors, spp, seed)
-        with exchanging(
-            folder, "render", capture_folder.FILE, [UNWRAPPED], key=key, resume=bool(resume)
-        ) as draft:
-            _keep_views(draft.folder, films, draft.run)
-            _write(shots, len(sensors), draft.folder, progress)
-            capture_folder.write(draft, description, sensors)
-        return read_capture(scene, sensors, Path(folder), description, Reading(unwrap=unwrap))
-    with tempfile.TemporaryDirectory(prefix="svu-capture-") as temporary:
-        _write(shots, len(sensors), Path(temporary), progress)
-        capture = read_capture(scene, sensors, Path(temporary), description, Reading(unwrap=unwrap))
-        return replace(capture, source=None)
+    return RenderPlan(
+        scene=scene, light=light, target=target, sensors=sensors, spp=spp, seed=seed,
+        unwrap=unwrap, description=description,
+    )  # fmt: skip
 
 
 def require_rendered(capture: Capture, spp: int) -> None:
@@ -145,15 +224,6 @@ def require_rendered(capture: Capture, spp: int) -> None:
     raise OptionError(
         f"{capture.source}: was rendered {changed}; restore that, or omit --resume to start again."
     )
-
-
-def _key(scene: Any, target: Any, sensors: Sequence[Any], spp: int, seed: int) -> str:
-    """Return 16 hexadecimal digits that say what is rendered."""
-    cameras = [
-        [describe(sensor), str(sensor.film()), sensor.sampler().class_name()] for sensor in sensors
-    ]
-    what = scene_key(scene, target), integrator_key(scene)
-    return Key(*what, cameras, spp, seed).digest()[:KEY]
 
 
 def _keep_views(folder: Path, films: Sequence[Size], run: str) -> None:
@@ -185,31 +255,6 @@ def _is_whole(path: Path, film: Size, run: str) -> bool:
 
 def _view(index: int) -> str:
     return f"view_{index:04d}.exr"
-
-
-def _shot(
-    scene: Any, target: Any, sensors: Sequence[Any], spp: int, seed: int, index: int
-) -> dict[str, np.ndarray]:
-    """Render a view; return its channels."""
-    sensor = sensors[index]
-    # Neighbouring seeds of the independent sampler are decorrelated by Mitsuba itself.
-    image = _radiance(scene, sensor, spp, (seed + index) % 2**32)
-    return {"RGB": image, "A": object_mask(scene, target, sensor)}
-
-
-def _write(
-    shot: Callable[[int], dict[str, np.ndarray]], count: int, folder: Path,
-    progress: Callable[[int, int], None] | None,
-) -> None:  # fmt: skip
-    """Render the views that are not there yet, and write them."""
-    with between_steps() as stop_if_asked:
-        for index in range(count):
-            path = folder / _view(index)
-            if not path.exists():
-                write_exr(path, shot(index))
-            if progress is not None:
-                progress(index + 1, count)
-            stop_if_asked()
 
 
 def _radiance(scene: Any, sensor: Any, spp: int, seed: int) -> np.ndarray:

@@ -67,11 +67,19 @@ class Window:
         """Join all pixels of each block of what is cut out, (h shrink, w shrink), by a function
         such as ``np.add``: (h, w)."""
         k = self.shrink
+        if k == 1:
+            return plane
         rows = join.reduce(plane.reshape(self.height, k, -1), axis=1)
         result = rows[:, ::k].copy()
         for column in range(1, k):
             join(result, rows[:, column::k], out=result)
         return np.asarray(result)
+
+    def averaged(self, plane: np.ndarray) -> np.ndarray:
+        """Return the means (h, w) of the blocks of (h shrink, w shrink)."""
+        if self.shrink == 1:
+            return plane
+        return self.joined(plane, np.add) / np.float32(self.shrink**2)
 
     def seen_by(self, sensor: Any) -> Any:
         """Return the sensor whose whole film is the result; the same one if that is the film."""

@@ -116,7 +116,7 @@ def reduced(capture: Capture, side: int) -> Capture:
         exposures[index] = exposures[index] * float(unit)
     return replace(
         capture, sensors=tuple(sensors), images=tuple(images), masks=tuple(masks),
-        exposures=tuple(exposures), clipped=(), rounding=(),
+        exposures=tuple(exposures), clipped=(), rounding=(), buffer=None,
     )  # fmt: skip
 
 

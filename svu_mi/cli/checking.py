@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from svu_mi.cli.common import Output, announcing
+from svu_mi.cli.common import Output, announce_sizes
 from svu_mi.cli.inputs import Folder, Gained, Memory, Missing, OfScene, with_search
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import bytes_of, given
@@ -64,7 +64,7 @@ class CheckCapture(OfScene):
 
     def run(self, console: Console) -> int:
         """Check, print what was found, and write the page."""
-        from svu_mi.capture import load_capture
+        from svu_mi.capture.loading import plan_capture
         from svu_mi.capture.window import Detail
         from svu_mi.checking.run import check
         from svu_mi.output.check_page import write_check
@@ -74,12 +74,13 @@ class CheckCapture(OfScene):
             self.start()
             progress = Progress(console)
             with progress.stage("Loading the capture"):
-                capture = load_capture(
+                plan = plan_capture(
                     self.scene, self.images, shape=self.shape, defines=defines, trust=self.trust,
-                    missing=self.missing, light="optional", memory=memory,
+                    missing=self.missing, light="optional",
                     detail=Detail(side=SIDE),  # nothing is cropped: poses may be wrong
-                    preflight=announcing(progress, str(self.images or self.scene), self.need),
                 )  # fmt: skip
+                label, sizes = str(self.images or self.scene), plan.sizes(memory)
+                capture = plan.read(announce_sizes(progress, label, self.need, sizes))
             find = partial(self._gains, capture, progress) if self.gains == "estimate" else None
             found = check(capture, gains=find, progress=progress)
             with progress.stage("Writing the page"):

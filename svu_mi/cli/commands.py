@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Interrupted, Output, announcing, was_interrupted
+from svu_mi.cli.common import Common, Interrupted, Output, announce_sizes, was_interrupted
 from svu_mi.cli.inputs import Estimated, OfScene, Resolution, Scene, WithPictures
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import given, pair
@@ -90,7 +90,7 @@ class Render(OfScene):
 
     def run(self, console: Console) -> int:
         """Render the views."""
-        from svu_mi.capture import render_capture
+        from svu_mi.capture.rendering import plan_render
 
         self.check()
         with claimed(self.output, "svu render", tidy=True):
@@ -98,13 +98,13 @@ class Render(OfScene):
             try:
                 progress = Progress(console)
                 with progress.stage("Rendering photographs") as stage:
-                    capture = render_capture(
-                        self.scene, self.spp, self.seed, folder=self.output, shape=self.shape,
-                        views=self.views, resolution=pair(self.resolution, "--resolution"),
-                        defines=self.defines(), progress=stage.update, trust=self.trust,
-                        preflight=announcing(progress, str(self.scene), self.need),
-                        resume=self.resume,
+                    plan = plan_render(
+                        self.scene, self.spp, self.seed, shape=self.shape, views=self.views,
+                        resolution=pair(self.resolution, "--resolution"), defines=self.defines(),
+                        trust=self.trust,
                     )  # fmt: skip
+                    announce_sizes(progress, str(self.scene), self.need, plan.sizes)
+                    capture = plan.render(self.output, progress=stage.update, resume=self.resume)
             except BaseException as error:
                 if was_interrupted(error):
                     raise Interrupted(self._advice()) from None

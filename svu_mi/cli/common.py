@@ -104,31 +104,30 @@ class Common:
             ) from error
 
 
-def announcing(
-    progress: Progress, label: str, need: Callable[[Sizes], Need]
-) -> Callable[[Sizes], float]:
-    """Return what refuses sizes that need too much memory, announces the others, and returns
-    bytes of memory that photographs may take: none where all else needs their room, and nobody has
-    asked for another.
+def announce_sizes(
+    progress: Progress, label: str, need: Callable[[Sizes], Need], sizes: Sizes
+) -> float:
+    """Refuse sizes that need too much memory, and announce others.
 
     Args:
-        progress: says so.
+        progress: shows the sentence.
         label: begins the refusal: the scene, or the folder of the photographs.
-        need: of how large everything is.
+        need: memory of a command by sizes.
+        sizes: of the capture.
+
+    Returns:
+        Bytes that photographs may take: 0 where all else needs the memory, unless a size was asked
+        for.
     """
-
-    def preflight(sizes: Sizes) -> float:
-        found = need(sizes)
-        if not (found.fits or sizes.asked):
-            found = need(replace(sizes, memory=0.0))
-        announce(progress, label, found)
-        return found.memory
-
-    return preflight
+    found = need(sizes)
+    if not (found.fits or sizes.asked):
+        found = need(replace(sizes, memory=0.0))
+    announce(progress, label, found)
+    return found.memory
 
 
 def announce(progress: Progress, label: str, need: Need) -> None:
-    """Refuse what needs too much memory, and announce what does not (see ``announcing``)."""
+    """Refuse what needs too much memory, and announce what does not (see ``announce_sizes``)."""
     need.require(label)
     progress.say(need.sentence())
 

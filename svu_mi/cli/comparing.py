@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Output, announcing
+from svu_mi.cli.common import Common, Output, announce_sizes
 from svu_mi.cli.inputs import Memory, Resolution, with_search
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import bytes_of, given, pair
@@ -63,7 +63,7 @@ class Compare(Common):
             progress = Progress(console)
 
             def preflight(path: str, texels: Size) -> Callable[[Sizes], float]:
-                return announcing(progress, path, partial(self._need, texels))
+                return partial(announce_sizes, progress, path, partial(self._need, texels))
 
             found = compare(
                 self.a, self.b, preset=preset, resolution=size, tolerance=self.tolerance,

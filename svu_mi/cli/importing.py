@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Output, announcing
+from svu_mi.cli.common import Common, Output, announce_sizes
 from svu_mi.cli.terminal import say
 from svu_mi.formats.options import ENVIRONMENT_AXES, ImportOptions, Light
 from svu_mi.formats.reading import ReadOptions, read_source
@@ -116,7 +117,7 @@ class Import(Common):
             with progress.stage("Converting photographs") as stage:
                 return import_capture(
                     source, self.output, self.conversion, words=self.words, progress=stage.update,
-                    preflight=announcing(progress, str(self.source), self.need),
+                    preflight=partial(announce_sizes, progress, str(self.source), self.need),
                 )  # fmt: skip
 
     def need(self, sizes: Sizes) -> Need:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from svu_mi.cli.common import Common, Output, announcing
+from svu_mi.cli.common import Common, Output, announce_sizes
 from svu_mi.cli.words import bytes_of, pair, parse_known
 from svu_mi.errors import OptionError
 from svu_mi.limits import require_spp, require_texels
@@ -169,18 +168,21 @@ class Photographed(OfScene):
         return self.need(sizes)
 
     def _read(self, progress: Progress, images: Path | None, missing: Missing) -> Capture:
-        from svu_mi.capture import load_capture
+        from svu_mi.capture.loading import plan_capture
         from svu_mi.capture.matching import NoPhotographsError, photographs_of
 
         _ = photographs_of(self.scene)  # refuses what is not there
         with progress.stage("Loading the capture"):
             try:
-                return load_capture(
+                plan = plan_capture(
                     self.scene, images, shape=self.shape, defines=self.defines(),
                     unwrap=self.unwrap, missing=missing, trust=self.trust, light="optional",
-                    preflight=self._preflight(progress, str(images or self.scene), self.announced),
-                    detail=self.detail(), memory=bytes_of(self.memory, "--memory"),
+                    detail=self.detail(),
                 )  # fmt: skip
+                sizes = plan.sizes(bytes_of(self.memory, "--memory"))
+                return plan.read(
+                    announce_sizes(progress, str(images or self.scene), self.announced, sizes)
+                )
             except NoPhotographsError as error:
                 if images is not None or self.scene.suffix.lower() != ".xml":
                     raise
@@ -190,9 +192,8 @@ class Photographed(OfScene):
                 ) from error
 
     def _render(self, progress: Progress, again: bool) -> Capture:
-        from svu_mi.capture import render_capture
         from svu_mi.capture.matching import has_photographs
-        from svu_mi.capture.rendering import require_rendered
+        from svu_mi.capture.rendering import plan_render, require_rendered
 
         images = self.rendered
         if again and has_photographs(images):
@@ -200,16 +201,12 @@ class Photographed(OfScene):
             require_rendered(capture, self.spp)
             return capture
         with progress.stage("Rendering photographs") as stage:
-            return render_capture(
-                self.scene, self.spp, folder=images, shape=self.shape, defines=self.defines(),
-                unwrap=self.unwrap, progress=stage.update, trust=self.trust,
-                preflight=self._preflight(progress, str(self.scene), self._need_rendered),
+            plan = plan_render(
+                self.scene, self.spp, shape=self.shape, defines=self.defines(),
+                unwrap=self.unwrap, trust=self.trust,
             )  # fmt: skip
-
-    def _preflight(
-        self, progress: Progress, label: str, need: Callable[[Sizes], Need]
-    ) -> Callable[[Sizes], float]:
-        return announcing(progress, label, need)
+            announce_sizes(progress, str(self.scene), self._need_rendered, plan.sizes)
+            return plan.render(images, progress=stage.update)
 
     def _need_rendered(self, sizes: Sizes) -> Need:
         """Return what takes more memory: to render the photographs, or what is done with them."""

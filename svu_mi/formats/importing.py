@@ -16,7 +16,6 @@ from svu_mi.capture import folder as capture_folder
 from svu_mi.capture import mesh as capture_mesh
 from svu_mi.capture import nodes
 from svu_mi.capture.folder import Description
-from svu_mi.capture.loading import Preflight
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.capture.picture import open_picture
 from svu_mi.capture.repaint import scene_of
@@ -55,7 +54,7 @@ def import_capture(
     *,
     words: Sequence[str] = (),
     progress: Callable[[int, int], None] | None = None,
-    preflight: Preflight | None = None,
+    preflight: Callable[[Sizes], float | None] | None = None,
 ) -> list[str]:
     """Write a capture folder: ``scene.xml`` with all it refers to, photographs, ``capture.json``.
 

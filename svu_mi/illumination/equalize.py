@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.capture.block import allocate
+from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.scene import require_light
 from svu_mi.errors import CaptureError
 from svu_mi.illumination.estimate import COOLING, HEAT, without_gains
@@ -103,16 +103,16 @@ def equalized(capture: Capture, gains: FoundGains) -> Capture:
     images, used = list(capture.images), list(capture.used)
     clipped: list[Any] = list(capture.clipped) or [None] * capture.count
     rounding: list[Any] = list(capture.rounding) or [None] * capture.count
+    buffer = PixelBuffer.allocate([capture.images[view].shape[1::-1] for view in kept])
     for room, view, factor, odd in zip(
-        allocate([capture.images[view].shape[1::-1] for view in kept]), kept, gains.factor,
-        gains.odd, strict=True,
-    ):  # fmt: skip
+        buffer.images, kept, gains.factor, gains.odd, strict=True
+    ):
         np.divide(capture.images[view], factor.astype(np.float32), out=room)
         images[view], used[view] = room, not odd
         clipped[view] = None if clipped[view] is None else clipped[view].divided(factor)
         rounding[view] = None if rounding[view] is None else rounding[view].divided(factor)
     return replace(
-        capture, images=tuple(images), used=tuple(used),
+        capture, images=tuple(images), used=tuple(used), buffer=buffer,
         clipped=tuple(clipped) if capture.clipped else (),
         rounding=tuple(rounding) if capture.rounding else (),
     )  # fmt: skip

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 import scipy
 
-from svu_mi.capture import Capture, load_capture
+from svu_mi.capture import Capture
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.fingerprint import mesh_key
-from svu_mi.capture.loading import Preflight
 from svu_mi.capture.mesh import make, read_ply
 from svu_mi.capture.window import Detail
 from svu_mi.errors import CaptureError, OptionError
@@ -26,6 +25,7 @@ from svu_mi.files import read_json
 from svu_mi.illumination.finding import illuminated
 from svu_mi.limits import require_texels
 from svu_mi.metrics import psnr
+from svu_mi.needs import Sizes
 from svu_mi.options import preset as find_preset
 from svu_mi.output.knowledge import median, part, plain_percent
 from svu_mi.output.manifest import RECORD
@@ -170,7 +170,7 @@ def compare(
     tolerance: float = TOLERANCE,
     trust: bool = False,
     progress: Progress | None = None,
-    preflight: Callable[[str, tuple[int, int]], Preflight] | None = None,
+    preflight: Callable[[str, tuple[int, int]], Callable[[Sizes], float]] | None = None,
     memory: float | None = None,
 ) -> Comparison:
     """Compare two results about one object.
@@ -191,8 +191,8 @@ def compare(
         tolerance: relevant difference where no standard deviation is known.
         trust: as of ``load_capture``.
         progress: shows the stages.
-        preflight: by the path of a capture and the (width, height) of its maps, the
-            ``preflight`` of ``load_capture``.
+        preflight: by the path of a capture and the (width, height) of its maps, a
+            function of its ``Sizes`` that returns bytes for its photographs.
         memory: as of ``load_capture``.
 
     Raises:
@@ -224,10 +224,13 @@ def compare(
     def estimated(source: Any, name: str, chosen: str) -> Side:
         if not isinstance(source, Capture):
             with stages.stage("Loading the capture"):
-                source = load_capture(
-                    source, trust=trust, light="optional", detail=Detail(texels=size),
-                    preflight=preflight(str(source), size) if preflight else None, memory=memory,
-                )  # fmt: skip
+                plan = plan_capture(
+                    source, trust=trust, light="optional", detail=Detail(texels=size)
+                )
+                room = memory
+                if preflight is not None:
+                    room = preflight(str(source), size)(plan.sizes(memory))
+                source = plan.read(room)
             source = illuminated(source, progress=stages)
         found = estimate(source, texels(source.mesh, size), preset=chosen, progress=stages)
         return _of_estimate(found, name, f"a capture, estimated with the preset {chosen}")

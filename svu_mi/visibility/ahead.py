@@ -76,7 +76,7 @@ def read_ahead(views: Views, surface: Surface) -> None:
         return
     page = mmap.PAGESIZE
     for first, count in zip(pages.first.tolist(), pages.count.tolist(), strict=True):
-        views.file.memory.madvise(mmap.MADV_WILLNEED, first * page, count * page)
+        views.file.madvise(mmap.MADV_WILLNEED, first * page, count * page)
 
 
 def portions(views: Views, surface: Surface) -> Iterator[Surface]:
@@ -95,10 +95,9 @@ def portions(views: Views, surface: Surface) -> Iterator[Surface]:
 def pages_of(views: Views, surface: Surface) -> Pages:
     """Return the pages that hold the pixels around texels in all photographs they face."""
     assert views.file is not None
-    size = -(-len(views.file.memory) // mmap.PAGESIZE)
+    size = -(-len(views.file) // mmap.PAGESIZE)
     wanted = dr.zeros(mi.Bool, size)
     dr.eval(wanted)
-    begin = dr.opaque(mi.UInt64, views.file.first)
 
     def mark(view: Any) -> Any:
         camera = read_camera(views, view)
@@ -107,7 +106,7 @@ def pages_of(views: Views, surface: Surface) -> Pages:
         needed = taps.on_film & (dr.dot(surface.normal, direction) > MIN_COSINE)
         for pixel in taps.pixels:
             for byte in (0, PIXEL - 1):
-                place = (mi.UInt64(pixel) * PIXEL + begin + byte) // mmap.PAGESIZE
+                place = (mi.UInt64(pixel) * PIXEL + byte) // mmap.PAGESIZE
                 dr.scatter(wanted, mi.Bool(True), mi.UInt32(place), needed)
         return view + 1
 

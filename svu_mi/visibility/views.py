@@ -10,6 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from mmap import mmap
 from typing import Any
 
 import drjit as dr
@@ -17,13 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.capture import Capture, scene
-from svu_mi.capture.block import (
-    InFile,
-    in_file,
-    in_one_block,
-    laid_out,
-    look_up_here_and_there,
-)
+from svu_mi.capture.pixel_buffer import PixelBuffer
 from svu_mi.capture.poses import describe, film_size, scaled_sensor
 from svu_mi.capture.rays import ray_floats
 from svu_mi.errors import CaptureError, SvuWarning
@@ -60,7 +55,7 @@ class Views:
         clipped: pixels of which some channels are clipped; None where there are none.
         rounding: (3 V,) Float twice, the first step and the slope of each channel (``Rounding``);
             0 for photographs of floats. None where all are.
-        file: that the photographs lie in; None for those in memory.
+        file: that ``pixels`` are mapped from; None for those in memory.
         outline: of the object, of sensors whose pixels are judged when they are looked at.
     """
 
@@ -77,7 +72,7 @@ class Views:
     grey: bool
     clipped: ClippedPixels | None = None
     rounding: tuple[Any, Any] | None = None
-    file: InFile | None = None
+    file: mmap | None = None
     outline: Outline | None = None
 
 
@@ -115,21 +110,25 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
         )
     for index in kept:
         _require_size(capture, index)
-    block, offset = in_one_block([capture.images[index] for index in kept])
-    if block.size >= 2**32:
+    buffer, places = _buffer(capture, kept)
+    offset, count = buffer.offsets[places], len(buffer.masked)
+    if 3 * count >= 2**32:
         raise CaptureError(
-            f"The photographs have {block.size // 3} pixels in all, but 32-bit indices reach only "
+            f"The photographs have {count} pixels in all, but 32-bit indices reach only "
             f"{2**32 // 3}; reduce their resolution."
         )
     poses = [_Pose.of(capture.sensors[index]) for index in kept]
     films = _films(poses, offset)
     # The photographs stay where they are; they are only looked up, never streamed.
     pixels = _Pixels(
-        mi.Float(block), _allowed(capture, kept, offset, block.size // 3),
-        _flags(capture, kept, offset, block.size // 3),
+        mi.Float(buffer.pixels),
+        mi.Bool(buffer.masks_at(places, [capture.masks[index] for index in kept])),
+        _flags(capture, kept, buffer, places),
     )  # fmt: skip
     if silhouettes:
-        pixels.judge(dr.arange(mi.UInt32, block.size // 3), mi.Bool(True))
+        for start, pose in zip(offset.tolist(), poses, strict=True):
+            index = dr.arange(mi.UInt32, pose.size[0] * pose.size[1])
+            pixels.judge(index + dr.opaque(mi.UInt32, start), mi.Bool(True))
     else:
         masks = [capture.masks[index] for index in kept]
         tiles = _tiles(capture.shape, poses, masks)
@@ -142,13 +141,13 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
             "median of the object; left out.",
             SvuWarning, stacklevel=3,
         )  # fmt: skip
-    look_up_here_and_there(block)
+    buffer.advise_random_access()
     packed = _views(
         capture.scene, poses, films, pixels.usable, pixels.radiance, grey=not pixels.coloured[0]
     )
     return replace(
         packed, clipped=pixels.clipped_pixels(capture, kept), rounding=_rounding(capture, kept),
-        file=in_file(block),
+        file=buffer.file,
     )
 
 
@@ -271,7 +270,8 @@ class _Pixels:
         self.usable &= ~hot
         dr.eval(self.usable)
         found = []
-        owner = np.searchsorted(offset, pixels, side="right") - 1
+        order = np.argsort(offset)
+        owner = order[np.searchsorted(offset[order], pixels, side="right") - 1]
         for view in np.unique(owner):
             own = colors[pixels[owner == view]].max()
             found.append((int(view), int((owner == view).sum()), float(own / most * HOT)))
@@ -382,18 +382,21 @@ def _rounding(capture: Capture, kept: Sequence[int]) -> tuple[Any, Any] | None:
     return owned(mi.Float, first.ravel()), owned(mi.Float, slope.ravel())
 
 
-def _allowed(capture: Capture, kept: Sequence[int], offset: np.ndarray, count: int) -> Any:
-    """Return (P,) Bool, False off the masks."""
-    masks = [capture.masks[index] for index in kept]
-    return mi.Bool(laid_out(masks, offset, count, True))
+def _buffer(capture: Capture, kept: Sequence[int]) -> tuple[PixelBuffer, list[int]]:
+    """Return a buffer that photographs lie in, and their numbers in it; a copy if need be."""
+    images = [capture.images[index] for index in kept]
+    places = None if capture.buffer is None else capture.buffer.places(images)
+    if capture.buffer is None or places is None:
+        return PixelBuffer.of(images), list(range(len(images)))
+    return capture.buffer, places
 
 
 def _flags(
-    capture: Capture, kept: Sequence[int], offset: np.ndarray, count: int
+    capture: Capture, kept: Sequence[int], buffer: PixelBuffer, places: Sequence[int]
 ) -> Any | None:
     """Return (P,) UInt8, the bits of channels that are clipped; None where no photograph is."""
     found = [capture.clipped[index] for index in kept if capture.clipped]
     if not any(each is not None for each in found):
         return None
     channels = [None if each is None else each.channels for each in found]
-    return dr.uint8_array_t(mi.Float)(laid_out(channels, offset, count, 0))
+    return dr.uint8_array_t(mi.Float)(buffer.channels_at(places, channels))

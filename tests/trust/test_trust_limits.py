@@ -13,7 +13,7 @@ from helpers import fails, sensor_xml, write_scene
 
 from svu_mi import limits, scenes
 from svu_mi.capture import render_capture
-from svu_mi.capture.images import read_photographs
+from svu_mi.capture.images import open_photographs, read_photographs
 from svu_mi.capture.scene import load_scene
 from svu_mi.capture.window import Window
 from svu_mi.errors import CaptureError, OptionError, SceneError
@@ -107,13 +107,14 @@ def test_photographs_that_do_not_fit_into_memory_are_not_read(monkeypatch, tmp_p
     write_exr(tmp_path / "view_0000.exr", {"RGB": np.ones((20, 30, 3))})
     free(monkeypatch, 20_000)
     with pytest.raises(CaptureError, match="3 photographs of up to 30 x 20 pixels take at least"):
-        read_photographs([tmp_path / "view_0000.exr"] * 3, [Window(0, 0, 30, 20)] * 3, [1.0] * 3)
+        pictures = open_photographs([tmp_path / "view_0000.exr"] * 3, [(30, 20)] * 3)
+        read_photographs(pictures, [Window(0, 0, 30, 20)] * 3, [1.0] * 3)
 
 
 def test_a_wrong_film_is_told_before_memory_is_taken(tmp_path):
     write_exr(tmp_path / "view_0000.exr", {"RGB": np.ones((20, 30, 3))})
     with pytest.raises(CaptureError, match="has 30 x 20 pixels but its sensor's film has 60000 x"):
-        read_photographs([tmp_path / "view_0000.exr"], [Window(0, 0, 60_000, 60_000)], [1.0])
+        open_photographs([tmp_path / "view_0000.exr"], [(60_000, 60_000)])
 
 
 def map_of(width: int, height: int):

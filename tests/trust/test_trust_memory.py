@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,9 +15,9 @@ from helpers import ball, fails, lettered, python, recovered_folder, write_ball
 import svu_mi as svu
 from svu_mi import limits, memory, needs, scenes
 from svu_mi.capture import mesh
-from svu_mi.capture.block import in_file
+from svu_mi.capture.loading import plan_capture
 from svu_mi.capture.poses import sphere_sensors
-from svu_mi.cli.common import announcing
+from svu_mi.cli.common import announce_sizes
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 from svu_mi.exr import write_exr
 from svu_mi.formats.source import frame_of
@@ -72,16 +73,15 @@ def test_photographs_make_room_for_texels_where_nobody_asks_for_them_in_memory(
     def need(sizes: Sizes) -> Need:
         return Need("recover", sizes.photographs, (1024, 1024), memory=sizes.memory)
 
-    preflight = announcing(Progress(), "capture", need)
+    preflight = partial(announce_sizes, Progress(), "capture", need)
     many = Sizes([(1000, 1000)] * 90, memory=2e9, asked=False)
     assert preflight(many) == 0
     with pytest.raises(CaptureError, match=r"^capture: needs [\d.]+ GB of memory, 4 are there"):
         preflight(replace(many, asked=True))
     few = replace(many, photographs=many.photographs[:10])
     assert preflight(few) == few.memory
-    capture = svu.load_capture(shot, preflight=lambda _: 0.0)
-    assert in_file(capture.images[0]) is not None
-    assert in_file(svu.load_capture(shot, preflight=lambda _: None).images[0]) is None
+    assert plan_capture(shot).read(0.0).buffer.file is not None
+    assert svu.load_capture(shot).buffer.file is None
 
 
 def test_what_cannot_be_made_small_enough_says_so(monkeypatch):
