@@ -18,6 +18,7 @@ import scipy
 from svu_mi.capture import Capture
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.fingerprint import mesh_key
+from svu_mi.capture.loading import plan_capture
 from svu_mi.capture.mesh import make, read_ply
 from svu_mi.capture.window import Detail
 from svu_mi.errors import CaptureError, OptionError
