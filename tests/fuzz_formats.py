@@ -20,10 +20,10 @@ import OpenEXR
 import trimesh
 from helpers import ball, sensor_xml, write_scene
 from PIL import Image
-from studies.orb.writer import OrbCapture, OrbPhotograph, write_orb
 from support.colmap import write_colmap
 from support.owl import write_owl
 
+from svu_mi.bench.orb.writer import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture import loading
 from svu_mi.capture import mesh as capture_mesh

@@ -16,19 +16,17 @@ from PIL import Image
 
 from svu_mi import scenes
 from svu_mi.bench import BENCHMARKS, captures, experiment, recovery
-from svu_mi.bench.accuracy.judge import judge_posterior
+from svu_mi.bench.accuracy.scores import judge_posterior
 from svu_mi.bench.captures import capture_of, some_views
-from svu_mi.bench.cells import data_cells, own_cells
+from svu_mi.bench.cases import convert_glb, data_cells, own_cells
+from svu_mi.bench.estimators import VARIANTS
 from svu_mi.bench.experiment import Bench, Experiment, file_name
-from svu_mi.bench.glb import convert_glb
-from svu_mi.bench.recovery.measure import Recovered
-from svu_mi.bench.recovery.rows import PATH, ROWS, SH, choose_rows, find_row
-from svu_mi.bench.run import run_bench
-from svu_mi.bench.sizes import Sizes
-from svu_mi.bench.store import Store, key_of
-from svu_mi.bench.study import Asked, Study
-from svu_mi.bench.text import Bar, Column, bar_table, columns, seconds, table
-from svu_mi.bench.variants import VARIANTS
+from svu_mi.bench.markdown import Bar, Column, bar_table, columns, seconds, table
+from svu_mi.bench.problem_sizes import Sizes
+from svu_mi.bench.recovery import Recovered
+from svu_mi.bench.recovery.methods import PATH, ROWS, SH, choose_rows, find_row
+from svu_mi.bench.result_cache import Store, key_of
+from svu_mi.bench.study import Asked, Study, run_bench
 from svu_mi.capture.scene import load_scene
 from svu_mi.cli.bench import names
 from svu_mi.cli.main import main
@@ -118,7 +116,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped(bench):
 
 def test_results_of_another_version_are_taken_up_only_if_asked_for(bench, monkeypatch):
     run_words(bench, "abba")
-    monkeypatch.setattr(experiment, "code_now", lambda *_: "other")
+    monkeypatch.setattr(experiment, "code_now", lambda: "other")
     for how in ({"keep": True}, {"stored": True}):
         record, asked = run_words(replace(bench, **how), "abba", letters="ab")
         assert asked == [[]] and len(record["cells"]) == 1
@@ -127,17 +125,6 @@ def test_results_of_another_version_are_taken_up_only_if_asked_for(bench, monkey
     assert run_words(bench, "abba")[1] == [["head", "a", "b"]]
     record, asked = run_words(replace(bench, stored=True), "abba", "bar", letters="abd")
     assert asked == [[], []] and list(record["cells"][0]["rows"]) == ["a", "b"]
-
-
-def test_what_other_code_has_measured_is_measured_anew(bench, tmp_path):
-    """Code of our own beside svu_mi's counts, such as that of a study."""
-    for constant in (1, 2):
-        folder = tmp_path / f"study{constant}"
-        folder.mkdir()
-        (folder / "words.py").write_text(f"CONSTANT = {constant}")
-        ours = replace(bench, code=(folder,))
-        assert run_words(ours, "abba")[1] == [["head", "a", "b"]]
-        assert run_words(ours, "abba")[1] == [[]]
 
 
 def test_what_cannot_be_measured_is_told_and_left_out(bench):
@@ -238,18 +225,6 @@ def test_what_run_bench_refuses(bench):
         run_bench(bench, ["power"], Asked(cells=CELLS))
     with pytest.raises(OptionError, match="no object and light"):
         run_bench(bench, ["speed"], Asked())
-
-
-@pytest.mark.parametrize(
-    ("what", "where"),
-    [("kernels", "studies.kernels"), ("checks", "studies.paths"), ("stability", "extremes")],
-)
-def test_what_left_the_package_is_told_where_it_is(what, where, tmp_path, capsys, variant):
-    assert main(["bench", what, "-o", str(tmp_path / "o")]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert f"svu bench {what} is no longer part of svu" in line
-    assert line.endswith(f"run PYTHONPATH=tests python -m {where}.")
-    assert not (tmp_path / "o").exists()
 
 
 def test_an_unknown_benchmark_is_one_line(tmp_path, capsys, variant):

@@ -16,13 +16,12 @@ from PIL import Image
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.bench.cells import own_cells
+from svu_mi.bench.cases import own_cells
 from svu_mi.bench.experiment import Bench
 from svu_mi.bench.real import find_bars
-from svu_mi.bench.real.score import Score, Shown, gain_of, r_squared
-from svu_mi.bench.real.ways import WAYS
-from svu_mi.bench.run import run_bench
-from svu_mi.bench.study import Asked
+from svu_mi.bench.real.predictors import WAYS
+from svu_mi.bench.real.scores import Score, Shown, gain_of, r_squared
+from svu_mi.bench.study import Asked, run_bench
 from svu_mi.capture.picture import quantized, srgb
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError

@@ -12,20 +12,18 @@ import pytest
 from PIL import Image
 from scipy import stats
 
-from svu_mi.bench.cells import own_cells
+from svu_mi.bench import speed
+from svu_mi.bench.cases import own_cells
+from svu_mi.bench.estimators import Variant
 from svu_mi.bench.experiment import Bench
-from svu_mi.bench.guidance import few_lights
-from svu_mi.bench.guidance.curves import Shoot
-from svu_mi.bench.guidance.verdict import compare, mean_gain, times_as_many, views_needed
-from svu_mi.bench.recovery.bars import find_bars
-from svu_mi.bench.recovery.judge import Judge, Relit
-from svu_mi.bench.recovery.measure import under_another_light
-from svu_mi.bench.recovery.rows import PATH, SH, SH_PAPER, SH_PATH
-from svu_mi.bench.run import run_bench
-from svu_mi.bench.sizes import GuidanceSizes, RecoverySizes, Sizes
-from svu_mi.bench.speed import measure as speed
-from svu_mi.bench.study import Asked
-from svu_mi.bench.variants import Variant
+from svu_mi.bench.guidance import Shoot, few_lights
+from svu_mi.bench.guidance.tables import compare, mean_gain, times_as_many, views_needed
+from svu_mi.bench.problem_sizes import GuidanceSizes, RecoverySizes, Sizes
+from svu_mi.bench.recovery import under_another_light
+from svu_mi.bench.recovery.methods import PATH, SH, SH_PAPER, SH_PATH
+from svu_mi.bench.recovery.scores import Judge, Relit
+from svu_mi.bench.recovery.tables import find_bars
+from svu_mi.bench.study import Asked, run_bench
 from svu_mi.capture.poses import bounding_sphere, directions_of
 from svu_mi.metrics.textures import CEILING_DB
 from svu_mi.recovery.textures import lay_out, uniform

@@ -8,30 +8,25 @@ import shutil
 import sys
 import types
 from dataclasses import replace
-from functools import partial
 
 import mitsuba as mi
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from studies.command import main
-from studies.orb import dataset
-from studies.orb import lpips as lpips_module
-from studies.orb.__main__ import Orb
-from studies.orb.dataset import DatasetSizes, find_captures, render_dataset
-from studies.orb.metrics import orb_albedo_error, orb_error
-from studies.orb.options import ROWS, Options, OrbSizes
-from studies.orb.run import orb_study
-from studies.orb.setting import Setting
-from studies.orb.tables import GREY, orb_lines
-from studies.orb.targets import Target, judge_pictures
-from studies.orb.writer import OrbCapture, OrbPhotograph, write_orb
 
 from svu_mi import scenes
-from svu_mi.bench.cells import own_cells
+from svu_mi.bench import orb
+from svu_mi.bench.cases import own_cells
 from svu_mi.bench.experiment import Bench
-from svu_mi.bench.sizes import RecoverySizes
-from svu_mi.bench.study import Asked
+from svu_mi.bench.orb import ROWS, STUDY, OrbSizes, Setting, chosen_captures, chosen_rows, dataset
+from svu_mi.bench.orb import metrics as orb_metrics
+from svu_mi.bench.orb.dataset import DatasetSizes, find_captures, render_dataset
+from svu_mi.bench.orb.metrics import orb_albedo_error, orb_error
+from svu_mi.bench.orb.tables import GREY, orb_lines
+from svu_mi.bench.orb.targets import Target, judge_pictures
+from svu_mi.bench.orb.writer import OrbCapture, OrbPhotograph, write_orb
+from svu_mi.bench.problem_sizes import RecoverySizes
+from svu_mi.bench.study import Asked, run_bench
 from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.picture import read_planes
 from svu_mi.capture.scene import find_environment, load_scene
@@ -302,10 +297,10 @@ def network(monkeypatch):
         missing = kind == "missing"
         monkeypatch.setitem(sys.modules, "lpips", None if missing else package)
         monkeypatch.setitem(sys.modules, "torch", torch)
-        lpips_module._network.cache_clear()
+        orb_metrics._network.cache_clear()
 
     yield use
-    lpips_module._network.cache_clear()
+    orb_metrics._network.cache_clear()
 
 
 def test_lpips_is_asked_where_it_is_installed(network):
@@ -341,26 +336,27 @@ def bench_in(folder, **changes):
     return Bench(folder, quick=True, **changes)
 
 
-def some(data, **changes):
-    fields = {"captures": [FIRST], "rows": ["SH (ours)"], "sizes": TINY, **changes}
-    return Options(data=data, **fields)
+@pytest.fixture(scope="module", autouse=True)
+def _tiny():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(orb, "QUICK", TINY)
+        yield
 
 
 @pytest.fixture(scope="module")
 def setting(data, folder):
-    return Setting(bench_in(folder), data / "blender_HDR" / FIRST, some(data), TINY)
+    rows = chosen_rows(["SH (ours)"])
+    return Setting(bench_in(folder), data / "blender_HDR" / FIRST, rows, None, False)
 
 
-def run(folder, options, **changes):
-    """Run the study, and write what is known after each capture."""
-    study, command = orb_study(options), Orb(output=folder)
-    told = partial(command.write, study)
-    return study.run(bench_in(folder, **changes), Asked(), told)
+def run(folder, data, captures=(FIRST,), **changes):
+    asked = Asked(data=data, objects=captures, rows=["SH (ours)"])
+    return run_bench(bench_in(folder, **changes), ["orb"], asked)["orb"]
 
 
 @pytest.fixture(scope="module")
 def record(data, folder):
-    return run(folder, some(data))
+    return run(folder, data)
 
 
 def true_textures():
@@ -440,13 +436,13 @@ def test_recovered_textures_are_far_better_than_grey(record):
 
 
 def test_everything_is_written(record, folder):
-    stored = json.loads((folder / "orb.json").read_text())
+    stored = json.loads((folder / "bench.json").read_text())["orb"]
     assert stored["cells"][0]["name"] == FIRST
     with (folder / "orb.csv").open(encoding="utf-8") as stream:
         lines = list(csv.DictReader(stream))
     assert len(lines) == 2 * 3 * PHOTOGRAPHS.test  # grey and SH, three tasks
     assert {line["row"] for line in lines} == {GREY, "SH (ours)"}
-    text = (folder / "orb.md").read_text()
+    text = (folder / "bench.md").read_text()
     assert "26.918" in text and "| SH (ours) |" in text
     grey, found = orb_lines(record)
     assert grey.startswith(f"{GREY}: PSNR-H ") and found.startswith("SH (ours): PSNR-H ")
@@ -455,7 +451,7 @@ def test_everything_is_written(record, folder):
 
 
 def test_what_is_finished_is_kept(record, data, folder):
-    assert run(folder, some(data), stored=True)["cells"] == record["cells"]
+    assert run(folder, data, stored=True)["cells"] == record["cells"]
 
 
 def test_a_capture_that_cannot_be_read_is_left_out(record, data, folder, monkeypatch):
@@ -468,7 +464,7 @@ def test_a_capture_that_cannot_be_read_is_left_out(record, data, folder, monkeyp
 
     monkeypatch.setattr(Setting, "head", torn)
     with pytest.warns(SvuWarning, match="vase_scene002 is left out: torn"):
-        found = run(folder, some(data, captures=()))
+        found = run(folder, data, ())
     assert [capture["name"] for capture in found["cells"]] == [FIRST]
     assert found["failed"] == [{"cell": SECOND, "reason": "torn"}]
 
@@ -490,18 +486,18 @@ def test_a_test_needs_its_light_and_its_mask(data):
 
 def test_names_are_looked_up_before_anything_is_run(data):
     found = find_captures(data)
-    assert some(data, captures=["vase"]).chosen_captures(found) == found
+    assert chosen_captures(found, ["vase"]) == chosen_captures(found, []) == found
+    assert [path.name for path in chosen_captures(found, [SECOND])] == [SECOND]
     with pytest.raises(OptionError, match="no capture or object 'cup'"):
-        some(data, captures=["cup"]).chosen_captures(found)
+        chosen_captures(found, ["cup"])
     with pytest.raises(OptionError, match="no row 'best'"):
-        some(data, rows=["best"]).chosen_rows()
-    assert [row.label for row in Options(data=data).chosen_rows()] == [
-        "SH (ours)", "SH (paper)", "spectrum (paper)",
-    ]  # fmt: skip
+        chosen_rows(["best"])
+    labels = [row.label for row in chosen_rows([])]
+    assert labels == ["SH (ours)", "SH (paper)", "spectrum (paper)"]
     assert all(row.options()[1].max_depth is None for row in ROWS)
 
 
-def test_without_the_data_set_our_own_scenes_are_rendered_once(tmp_path, monkeypatch, capsys):
+def test_without_the_data_set_our_own_scenes_are_rendered_once(tmp_path, monkeypatch):
     rendered = []
 
     def note(root, cells, sizes, progress):
@@ -512,5 +508,5 @@ def test_without_the_data_set_our_own_scenes_are_rendered_once(tmp_path, monkeyp
         folder = dataset.own_dataset(bench_in(tmp_path))
     assert folder == tmp_path / "orb" / "data" and len(rendered) == 1
     assert rendered[0][:2] == ["vase__window", "vase__overcast"]
-    assert main(Orb, ["--quick", "-o", str(tmp_path)]) == 2  # there is nothing
-    assert "holds no capture" in capsys.readouterr().err
+    with pytest.raises(OptionError, match="holds no capture"):
+        STUDY.run(bench_in(tmp_path), Asked())

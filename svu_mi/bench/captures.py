@@ -1,20 +1,28 @@
-"""Photographs of a cell: rendered once, read again afterwards."""
+"""Photographs of a case, subsets of them, and its true textures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from svu_mi.bench.cells import Cell
-from svu_mi.bench.sizes import Sizes
-from svu_mi.bench.store import Store, key_of
+import numpy as np
+
+from svu_mi import metrics
+from svu_mi.bench.cases import Cell
+from svu_mi.bench.problem_sizes import Sizes
+from svu_mi.bench.result_cache import Store, key_of
 from svu_mi.capture import Capture, load_capture, render_capture
 from svu_mi.capture import folder as capture_folder
+from svu_mi.capture.scene import to_world
+from svu_mi.errors import OptionError
+from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
+from svu_mi.recovery.textures import Textures
 from svu_mi.results.record import digest_of, is_as_written
 from svu_mi.spacing import evenly_spaced
+from svu_mi.surface import Texels
 
 MARK = "bench"  # bench.json in the capture's folder: the key it was rendered under
 
@@ -72,3 +80,88 @@ def chosen_views(capture: Capture, indices: Iterable[int]) -> Capture:
         name: tuple(getattr(capture, name)[i] for i in chosen) for name in names
     }
     return replace(capture, **views)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the scene's own material is at every texel.
+
+    Attributes:
+        grid: T texels.
+        values: (T, C) or (T,) by parameter.
+    """
+
+    grid: Texels
+    values: dict[str, np.ndarray]
+
+    @classmethod
+    def of(cls, capture: Capture, grid: Texels) -> Truth:
+        """Look it up.
+
+        Raises:
+            SceneError: the scene does not know the true parameters.
+        """
+        known = metrics.ground_truth(capture, grid)
+        return cls(grid, {name: getattr(known, name) for name in NAMES})
+
+    def psnr(self, textures: Textures, where: np.ndarray) -> dict[str, float]:
+        """Return the PSNR of textures, by parameter and ``average``, where (T,) bool says."""
+        return metrics.texture_psnr(*self._both(textures, where))
+
+    def error(self, textures: Textures, where: np.ndarray) -> np.ndarray:
+        """Return the mean absolute error of every texel where (T,) bool says."""
+        return metrics.texel_error(*self._both(textures, where))
+
+    def _both(self, textures: Textures, where: np.ndarray) -> list[dict[str, np.ndarray]]:
+        found = {name: textures.at(self.grid, name) for name in NAMES}
+        return [{name: x[where] for name, x in one.items()} for one in (found, self.values)]
+
+
+FRONT = (0.0, 0.3, 1.0)  # direction from the object to the middle of the crowded side
+
+
+def in_memory(scene: Any, shape: Any, sensors: Sequence[Any], images: Any) -> Capture:
+    """Return a capture without masks, whose every pixel is used.
+
+    Args:
+        scene: with the light.
+        shape: its target, which has UVs.
+        sensors: V of them.
+        images: V photographs (H, W, 3).
+    """
+    count = len(sensors)
+    return Capture(
+        scene=scene, shape=shape, mesh=shape, sensors=tuple(sensors),
+        images=tuple(np.ascontiguousarray(image, np.float32) for image in images),
+        masks=(None,) * count, exposures=(1.0,) * count,
+        names=tuple(f"view_{view:04d}.exr" for view in range(count)),
+        unusable=(0,) * count, used=(True,) * count,
+    )  # fmt: skip
+
+
+def uneven_views(capture: Capture, front: int, back: int) -> Capture:
+    """Return the capture with most of its views from one side.
+
+    Args:
+        capture: views all around the object.
+        front: so many with the smallest angle to the front direction.
+        back: so many of the others, evenly spread over the order of that angle.
+
+    Raises:
+        OptionError: there are fewer views than that.
+    """
+    if front + back > capture.count:
+        raise OptionError(f"There are {capture.count} views; {front} + {back} are too many.")
+    order = nearest_to_front(capture)
+    rest = order[front:]
+    others = rest[np.linspace(0, len(rest) - 1, back + 2).round().astype(int)[1:-1]]
+    return chosen_views(capture, np.sort(np.concatenate([order[:front], others])))
+
+
+def nearest_to_front(capture: Capture) -> np.ndarray:
+    """Return the numbers of all views, by their angle to the front direction."""
+    origins = np.array([to_world(sensor)[:3, 3] for sensor in capture.sensors])
+    directions = origins - origins.mean(axis=0)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    axis = np.array(FRONT) / np.linalg.norm(FRONT)
+    return np.argsort(-(directions @ axis), kind="stable")

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from svu_mi.bench.captures import capture_of
-from svu_mi.bench.cells import Cell
-from svu_mi.bench.sizes import Sizes
-from svu_mi.bench.store import Store, code_now, key_of
+from svu_mi.bench.cases import Cell
+from svu_mi.bench.problem_sizes import Sizes
+from svu_mi.bench.result_cache import Store, code_now, key_of
 from svu_mi.capture import Capture
 from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.progress import Progress
@@ -72,7 +72,6 @@ class Bench:
         fresh: measure again what is finished.
         keep: take up results that another version of the code found.
         stored: measure nothing; only gather what is there, of any version.
-        code: folders of code beside svu_mi's own that results depend on.
     """
 
     folder: Path
@@ -82,7 +81,6 @@ class Bench:
     fresh: bool = False
     keep: bool = False
     stored: bool = False
-    code: tuple[Path, ...] = ()
 
     def capture(self, cell: Cell, name: str = "capture", **sizes: Any) -> Capture:
         """Return the photographs of a cell, rendered once.
@@ -111,7 +109,7 @@ class Bench:
             settings: that it depends on, beside the code.
             measure: what is done.
         """
-        key, code = key_of(settings), code_now(*self.code)
+        key, code = key_of(settings), code_now()
         record = None if self.fresh else store.load(name, key)
         if record is not None and (self.keep or self.stored or record["code"] == code):
             return record

@@ -1,18 +1,24 @@
-"""A benchmark, and how it is run and written."""
+"""A benchmark: what it measures and shows; and how benchmarks are run and written."""
 
 from __future__ import annotations
 
 import datetime
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
-from svu_mi.bench.cells import Cell
+from svu_mi.bench import BENCHMARKS
+from svu_mi.bench.cases import Cell
+from svu_mi.bench.estimators import VARIANTS, Variant
 from svu_mi.bench.experiment import Bench, Experiment, Record
-from svu_mi.bench.text import Bar, bar_table, left_out
-from svu_mi.bench.variants import VARIANTS, Variant
-from svu_mi.output import environment_record
+from svu_mi.bench.markdown import Bar, bar_table, left_out
+from svu_mi.bench.plots import save
+from svu_mi.errors import OptionError
+from svu_mi.files import prepare_folder, write_text
+from svu_mi.output import environment_record, write_manifest
+from svu_mi.settings import require_known
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,21 +32,24 @@ class Asked:
         cells: objects x lights.
         variants: estimators; all by default.
         rows: labels of the ways of recovery; the usual ones by default.
-        data: folder the cells come from, None for the scenes of svu_mi.
+        data: folder of the data, None for the scenes of svu_mi.
+        objects: names of objects in ``data``, for what finds them there by itself.
         capture: folder of the photographs, for what runs on a real capture instead of cells.
         every: of these, each so many-th is left out.
+        environment_view: of Stanford-ORB, the test photograph whose environment map is the light.
     """
 
     cells: Sequence[Cell] = ()
     variants: Sequence[Variant] = VARIANTS
     rows: Sequence[str] = ()
     data: Path | None = None
+    objects: Sequence[str] = ()
     capture: Path | None = None
     every: int = 5
+    environment_view: str | None = None
 
 
-def no_bars(record: Record) -> list[Bar]:
-    """Return the bars of a benchmark that has none."""
+def _none(record: Record) -> list[Any]:
     del record
     return []
 
@@ -58,17 +67,23 @@ class Study:
         note: how the bars were measured.
         plots: pictures by the name of their file, each drawn from the records of all benchmarks
             by name; None where there is nothing to show.
-        on_cells: whether it runs on objects under lights, rather than on a real capture.
+        lines: what matters most of a record, for the terminal.
+        files: written beside the tables, by name; each takes its path and the record.
+        runs_on: objects under lights, a real capture, or a data set of its own layout.
+        own_sizes: whether it has sizes of photographs of its own, which its tables tell.
     """
 
     title: str
     experiment: Callable[[Bench, Asked], Experiment]
     tables: Callable[[Record], list[str]]
     summary: Callable[[Record], Record] = dict
-    bars: Callable[[Record], list[Bar]] = no_bars
+    bars: Callable[[Record], list[Bar]] = _none
     note: str = ""
     plots: Mapping[str, Callable[[Record], Figure | None]] = field(default_factory=dict)
-    on_cells: bool = True
+    lines: Callable[[Record], list[str]] = _none
+    files: Mapping[str, Callable[[Path, Record], None]] = field(default_factory=dict)
+    runs_on: Literal["cells", "capture", "data"] = "cells"
+    own_sizes: bool = False
 
     def run(
         self, bench: Bench, asked: Asked, told: Callable[[Record], None] | None = None
@@ -126,4 +141,85 @@ def told_how(record: Record) -> str:
         f"`{record['command']}`, {record['date']}; svu_mi {versions['svu_mi']}, Mitsuba "
         f"{versions['mitsuba']}, Dr.Jit {versions['drjit']}, {place['variant']}, "
         f"{place['threads']} threads, {place['platform']}."
+    )
+
+
+def study_of(name: str) -> Study:
+    """Return the study of one of ``BENCHMARKS``."""
+    return import_module(f"svu_mi.bench.{name}").STUDY
+
+
+def run_bench(
+    bench: Bench, names: Sequence[str], asked: Asked, command: str = ""
+) -> dict[str, Any]:
+    """Run benchmarks, one after another, and write bench.json, bench.md and the plots.
+
+    Tables of all that is known so far are written after each cell.
+
+    Args:
+        bench: where and how.
+        names: of ``BENCHMARKS``.
+        asked: what of them is run.
+        command: as the user gave it, for the record.
+
+    Returns:
+        What bench.json holds: how it was run, ``settings``, and a record by name
+        (``Study.run``).
+
+    Raises:
+        OptionError: an unknown benchmark, or no cell.
+        SvuError: that of the first cell of a benchmark, if all its cells failed.
+        OutputError: the folder cannot be written.
+    """
+    require_known(names, BENCHMARKS, "benchmark")
+    wanted = {name: study_of(name) for name in names}
+    places = {study.runs_on for study in wanted.values()}
+    if not asked.cells and "cells" in places:
+        raise OptionError("There is no object and light to run; change --objects or --lights.")
+    if asked.capture is None and "capture" in places:
+        raise OptionError("There is no capture to run on; give its folder.")
+    prepare_folder(bench.folder)
+    record = {**how_it_was_run(command), "settings": bench.sizes}
+    studies: dict[str, Study] = {}
+    for name, study in wanted.items():
+        studies[name] = study
+
+        def told(found: Record, name: str = name) -> None:
+            record[name] = found
+            write(bench, record, studies)
+
+        told(study.run(bench, asked, told))
+        draw(bench, record, studies)
+    return record
+
+
+def write(bench: Bench, record: Record, studies: dict[str, Study]) -> None:
+    """Write bench.json and bench.md with what is known so far."""
+    write_manifest(bench.folder / "bench.json", record)
+    shared = any(s.runs_on == "cells" and not s.own_sizes for s in studies.values())
+    sizes = [_sizes(bench)] if shared else []
+    parts = ["# Benchmark", told_how(record), *sizes]
+    parts += [study.markdown(record[name]) for name, study in studies.items() if name in record]
+    write_text(bench.folder / "bench.md", "\n\n".join(parts))
+    for name, study in studies.items():
+        for file, write_file in study.files.items() if name in record else ():
+            write_file(bench.folder / file, record[name])
+
+
+def draw(bench: Bench, record: Record, studies: dict[str, Study]) -> None:
+    """Draw the plots of all benchmarks that found anything: some show several of them."""
+    found = {name: record[name] for name in studies if record[name]["cells"]}
+    with bench.progress.stage("Drawing plots"):
+        for name in found:
+            for file, plot in studies[name].plots.items():
+                if (figure := plot(found)) is not None:
+                    save(figure, bench.folder, file)
+
+
+def _sizes(bench: Bench) -> str:
+    size = bench.sizes
+    return (
+        f"{size.views} photographs of {size.film} x {size.film} with {size.spp} samples per "
+        f"pixel, {size.texels} x {size.texels} texels, reference on {size.reference_texels} "
+        f"texels with {size.reference_spp} samples."
     )

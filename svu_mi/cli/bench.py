@@ -1,4 +1,4 @@
-"""``svu bench``: accuracy and speed of the estimators."""
+"""``svu bench``: accuracy and speed of svu_mi."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from svu_mi.errors import CaptureError, OptionError
 from svu_mi.progress import Progress
 
 if TYPE_CHECKING:
-    from svu_mi.bench.cells import Cell
+    from svu_mi.bench.cases import Cell
     from svu_mi.bench.experiment import Bench as Where
+    from svu_mi.bench.study import Asked
 
 What = Annotated[
     str,
@@ -30,20 +31,20 @@ What = Annotated[
         f"{' and '.join(ALL)}.",
     ),
 ]
-# Developers run these, in a clone of the sources.
-MOVED = {"kernels": "studies.kernels", "conventions": "studies.conventions", "orb": "studies.orb",
-         "checks": "studies.paths", "stability": "extremes"}  # fmt: skip
 Photographs = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[CAPTURE]")]
 Names = Annotated[str, tyro.conf.arg(metavar="A,B,...")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured(Common):
-    """Options of all benchmarks: what is run, how large, and where results go."""
+class Bench(Common):
+    """Compare the estimators with a path-traced posterior, and time them.
+
+    Writes bench.json, bench.md and plots. The same command continues an interrupted run.
+    """
 
     output: Output = Path("out/bench")
     data: Path | None = None
-    """Folder with objects/ and envmaps/; without it, the scenes of svu_mi."""
+    """Folder with objects/ and envmaps/, or of Stanford-ORB; without it, the scenes of svu_mi."""
     objects: Names = ""
     """Objects to run; without it all (of svu_mi's: vase, knot and spheres)."""
     lights: Names = ""
@@ -57,78 +58,68 @@ class Measured(Common):
     """Reuse finished results of other versions of svu_mi, too."""
     stored: bool = False
     """Measure nothing; make tables and plots of existing results."""
+    what: What = "all"
+    capture: Photographs = None
+    """real: the capture's folder, or its scene."""
+    rows: Names = ""
+    """recovery, orb, paper: rows to run; without it the usual ones."""
+    every: int = 5
+    """real: of the photographs, each so many-th is left out."""
+    environment_view: str | None = None
+    """orb: test photograph whose environment map is the light of recovery; without it the first."""
 
-    def bench(self, console: Console) -> Where:
+    def run(self, console: Console) -> int:
+        """Run the benchmarks."""
+        from svu_mi.bench.study import run_bench, study_of
+        from svu_mi.files import prepare_folder
+        from svu_mi.settings import require_known
+
+        require_known([self.what], (*BENCHMARKS, "all"), "benchmark")
+        self._check_capture()
+        prepare_folder(self.output)
+        self.start()
+        chosen = ALL if self.what == "all" else (self.what,)
+        studies = {name: study_of(name) for name in chosen}
+        on_cells = any(study.runs_on == "cells" for study in studies.values())
+        command = shlex.join(["svu", *sys.argv[1:]])
+        record = run_bench(self._bench(console), chosen, self._asked(on_cells), command)
+        for name, study in studies.items():
+            for line in (*study.lines(record[name]), *self._missed(record[name])):
+                say(console, line)
+        say(console, f"Wrote {self.output}")
+        return 0
+
+    def _bench(self, console: Console) -> Where:
         """Return where and how the benchmark runs, once the variant is set."""
         from svu_mi.bench.experiment import Bench as Where
-        from svu_mi.bench.sizes import FULL, QUICK
+        from svu_mi.bench.problem_sizes import FULL, QUICK
 
         return Where(
             self.output, QUICK if self.quick else FULL, Progress(console), quick=self.quick,
             fresh=self.fresh, keep=self.keep, stored=self.stored,
         )  # fmt: skip
 
-    def cells(self) -> tuple[Cell, ...]:
-        """Return the objects under the lights that are asked for."""
-        from svu_mi.bench.cells import chosen_cells
+    def _asked(self, on_cells: bool) -> Asked:
+        """Return what is run; cells only where they are objects under lights."""
+        from svu_mi.bench.cases import chosen_cells
+        from svu_mi.bench.study import Asked
 
         objects, lights = names(self.objects, "--objects"), names(self.lights, "--lights")
-        return chosen_cells(self.data, self.output, objects, lights, quick=self.quick)
+        cells: tuple[Cell, ...] = ()
+        if on_cells:
+            cells = chosen_cells(self.data, self.output, objects, lights, quick=self.quick)
+        return Asked(
+            cells=cells, data=self.data, objects=objects, rows=names(self.rows, "--rows"),
+            capture=self.capture, every=self.every, environment_view=self.environment_view,
+        )  # fmt: skip
 
-    def missed(self, record: dict[str, Any]) -> list[str]:
+    def _missed(self, record: dict[str, Any]) -> list[str]:
         """Return a line for each bar of a record that is not met; quick sizes have none to meet."""
         return [
             f"Missed: {bar['what']}: {bar['value']:.3g} {bar['unit']}"
             for bar in record["bars"]
             if not (bar["holds"] or self.quick)
         ]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bench(Measured):
-    """Compare the estimators with a path-traced posterior, and time them.
-
-    Writes bench.json, bench.md and plots. The same command continues an interrupted run.
-    """
-
-    what: What = "all"
-    capture: Photographs = None
-    """real: the capture's folder, or its scene."""
-    rows: Names = ""
-    """recovery: ways of recovery to run; without it the usual ones."""
-    every: int = 5
-    """real: of the photographs, each so many-th is left out."""
-
-    def run(self, console: Console) -> int:
-        """Run the benchmarks."""
-        from svu_mi.bench.run import run_bench
-        from svu_mi.bench.study import Asked
-        from svu_mi.files import prepare_folder
-        from svu_mi.settings import require_known
-
-        if self.what in MOVED:
-            raise OptionError(
-                f"svu bench {self.what} is no longer part of svu; in a clone of its sources, run "
-                f"PYTHONPATH=tests python -m {MOVED[self.what]}."
-            )
-        require_known([self.what], (*BENCHMARKS, "all"), "benchmark")
-        self._check_capture()
-        prepare_folder(self.output)
-        self.start()
-        asked = Asked(
-            cells=() if self.capture else self.cells(), data=self.data,
-            rows=names(self.rows, "--rows"), capture=self.capture, every=self.every,
-        )  # fmt: skip
-        chosen = ALL if self.what == "all" else (self.what,)
-        record = run_bench(self.bench(console), chosen, asked, shlex.join(["svu", *sys.argv[1:]]))
-        for row in record.get("accuracy", {}).get("summary", ()):
-            if row["pearson"] is not None:
-                say(console, f"{row['label']}: Pearson {row['pearson']['mean']:.2f}")
-        for line in (line for name in chosen for line in self.missed(record[name])):
-            say(console, line)
-        say(console, f"Wrote {self.output}")
-        return 0
-
 
     def _check_capture(self) -> None:
         """Refuse a real capture where none is looked at, and none where one is."""

@@ -14,9 +14,9 @@ import numpy as np
 from oracle import frequency
 from oracle.rounded_integrals import calibrated_entropies
 from oracle.rounding import SPECTRUM, Exact, angular_entropy, spectrum_entropy
-from studies.captures import in_memory
 
 from extremes.spectra import albedo_of
+from svu_mi.bench.captures import in_memory
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.poses import make_sensor

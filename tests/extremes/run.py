@@ -19,7 +19,7 @@ import numpy as np
 
 from extremes import angular, fits, meshes, scenes, spectra
 from extremes.cases import Axis, Found
-from svu_mi.bench.text import table
+from svu_mi.bench.markdown import table
 from svu_mi.errors import SvuWarning
 from svu_mi.files import prepare_folder
 from svu_mi.progress import Progress

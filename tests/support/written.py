@@ -11,12 +11,12 @@ import mitsuba as mi
 import numpy as np
 import trimesh
 from PIL import Image
-from studies.orb.writer import OrbCapture, OrbPhotograph, write_orb
 from trimesh.visual.material import PBRMaterial
 
 from support.colmap import write_colmap
 from support.owl import write_owl
 from support.photographs import white_of
+from svu_mi.bench.orb.writer import OrbCapture, OrbPhotograph, write_orb
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, arrays, flipped_v
 from svu_mi.capture.picture import quantized, srgb

@@ -1,18 +1,163 @@
-"""``svu bench accuracy``: how well every estimator agrees with a path-traced posterior and with
-the truth.
-
-``measure`` says what is measured on a cell, ``judge`` compares one posterior with the truth,
-``summary`` has means over cells, ``tables`` and ``plots`` show them.
-"""
+"""``svu bench accuracy``: estimators against a path-traced posterior and the truth."""
 
 from __future__ import annotations
 
-from svu_mi.bench.accuracy.measure import Compared
-from svu_mi.bench.accuracy.plots import curves, scatter, time_error
-from svu_mi.bench.accuracy.summary import summarize
-from svu_mi.bench.accuracy.tables import accuracy_tables
-from svu_mi.bench.experiment import Bench, Experiment
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from svu_mi import metrics
+from svu_mi.bench.accuracy.scores import agreement, judge_posterior
+from svu_mi.bench.accuracy.tables import (
+    accuracy_tables,
+    agreement_lines,
+    curves,
+    scatter,
+    summarize,
+    time_error,
+)
+from svu_mi.bench.estimators import Variant
+from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
 from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.timing import Timed, warm
+from svu_mi.capture import Capture
+from svu_mi.reference import reference_posterior
+from svu_mi.surface import Texels
+
+DIGITS = 4  # of the entropies that are kept for scatter plots
+
+
+def reference_of(bench: Bench, capture: Capture, layout: Texels, **changes: Any) -> Any:
+    """Return the path-traced posterior of a few texels, from the cache if it is there."""
+    asked: dict[str, Any] = {
+        "subset": bench.sizes.reference_texels,
+        "spp": bench.sizes.reference_spp,
+        "seed": bench.sizes.seed,
+        "cache": bench.folder / "cache",
+        **changes,
+    }
+    return reference_posterior(capture, layout, **asked)
+
+
+@dataclass(frozen=True)
+class Compared(OnCell):
+    """A cell whose estimators are compared with the reference and with the truth.
+
+    Attributes:
+        rows: the estimators.
+    """
+
+    rows: Sequence[Variant]
+
+    def settings(self, row: Variant | None) -> Any:
+        how = None if row is None else (row.method, asdict(row.preset))
+        return super().settings(row), how
+
+    def head(self) -> Record:
+        """Return what the reference says of itself, and how the two simple maps agree with it.
+
+        Returns:
+            ``object``, ``light``, ``texels``, ``reference`` (its figures) and ``sanity``.
+        """
+        return {
+            "object": self.cell.object, "light": self.cell.light, "texels": self.layout.count,
+            **self._traced.figures(),
+        }  # fmt: skip
+
+    def measure(self, row: Variant) -> Record:
+        """Estimate, and compare."""
+        timed = warm(partial(row.estimate, self.capture, self.layout))
+        return self._traced.judge(timed)
+
+    @cached_property
+    def _traced(self) -> Traced:
+        with self.bench.progress.stage(f"Tracing the reference of {self.title}"):
+            reference = reference_of(self.bench, self.capture, self.layout)
+            return Traced.of(reference, self.capture, self.layout)
+
+
+@dataclass(frozen=True)
+class Traced:
+    """The path-traced reference of a cell, and what is needed to compare an estimate with it.
+
+    Attributes:
+        reference: as ``reference_posterior`` gives it.
+        kept: (n,) indices of the texels that the reference observed.
+        entropy: (n,) its entropy there.
+        truth: of all T texels.
+    """
+
+    reference: Any
+    kept: np.ndarray
+    entropy: np.ndarray
+    truth: metrics.GroundTruth
+
+    @classmethod
+    def of(cls, reference: Any, capture: Capture, grid: Texels) -> Traced:
+        """Leave out what nobody saw: there, every estimator is trivially right."""
+        seen = np.array(reference.coverage) > 0
+        return cls(
+            reference=reference,
+            kept=np.array(reference.subset)[seen],
+            entropy=np.array(reference.entropy, np.float64)[seen],
+            truth=metrics.ground_truth(capture, grid),
+        )
+
+    def figures(self) -> dict[str, Any]:
+        """Return what the reference says of itself, and how the two simple maps agree with it."""
+        found = self.reference
+        seen = np.array(found.coverage) > 0
+        maps = {
+            "brightness": -np.array(found.brightness, np.float64)[seen],
+            "number of views": -np.array(found.coverage, np.float64)[seen],
+        }
+        posterior = np.array(found.posterior.probabilities)[seen]
+        judged = judge_posterior(
+            posterior, found.posterior.axes, self.truth, self.entropy, self.kept
+        )
+        return {
+            "reference": {
+                "texels": len(self.kept),
+                "seconds": found.seconds,
+                "rays": found.rays,
+                "spp": found.spp,
+                "split_half": found.split_half().correlation,
+                "half_overlap": _overlap(found.halves, seen),
+                "mean_entropy": float(self.entropy.mean()),
+                "entropy": self.entropy.round(DIGITS),
+                **judged,
+            },
+            "sanity": {name: agreement(values, self.entropy) for name, values in maps.items()},
+        }
+
+    def judge(self, timed: Timed) -> dict[str, Any]:
+        """Return the figures of one estimate."""
+        result = timed.result
+        everywhere = np.array(result.entropy, np.float64)
+        entropy = everywhere[self.kept]
+        posterior = np.array(result.posterior.probabilities_of(self.kept))
+        judged = judge_posterior(posterior, result.posterior.axes, self.truth, entropy, self.kept)
+        return {
+            **agreement(entropy, self.entropy),
+            "mean_entropy": float(everywhere[np.array(result.coverage) > 0].mean()),
+            "seconds": timed.seconds,
+            "timings": timed.timings,
+            "entropy": entropy.round(DIGITS),
+            **judged,
+        }
+
+
+def _overlap(halves: Any, seen: np.ndarray) -> float:
+    """Return the mass that two posteriors share, mean over texels: 1 if equal, 0 if apart.
+
+    Noise that makes both halves of the reference certain, but of different parameters, shows
+    here and not in the correlation of their entropies.
+    """
+    p, q = (np.array(half.probabilities, np.float64)[seen] for half in halves)
+    return float(np.minimum(p, q).reshape(len(p), -1).sum(axis=1).mean())
 
 
 def _experiment(bench: Bench, asked: Asked) -> Experiment:
@@ -25,5 +170,6 @@ STUDY = Study(
     experiment=_experiment,
     summary=lambda record: {**record, "summary": summarize(record["cells"])},
     tables=accuracy_tables,
+    lines=agreement_lines,
     plots={"time_error": time_error, "scatter": scatter, "sparsification": curves},
 )  # fmt: skip

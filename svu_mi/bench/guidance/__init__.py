@@ -1,21 +1,199 @@
-"""``svu bench guidance``: which views to photograph, and what each of them is worth.
-
-``curves`` adds views to a start, one by one, by every strategy, and recovers textures from them;
-``verdict`` says how many views each needs, and whether that is luck.
-"""
+"""``svu bench guidance``: views added by every strategy, and textures recovered from them."""
 
 from __future__ import annotations
 
 import itertools
+import zlib
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
 
-from svu_mi.bench.cells import Cell
-from svu_mi.bench.experiment import Bench, Experiment
-from svu_mi.bench.guidance.curves import Shoot
-from svu_mi.bench.guidance.plots import draw_guidance
-from svu_mi.bench.guidance.tables import guidance_tables
-from svu_mi.bench.guidance.verdict import find_bars
+import numpy as np
+
+from svu_mi.bench.captures import Truth, chosen_views
+from svu_mi.bench.cases import Cell
+from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
+from svu_mi.bench.guidance.tables import draw_guidance, find_bars, guidance_tables
+from svu_mi.bench.problem_sizes import GuidanceSizes
 from svu_mi.bench.study import Asked, Study
+from svu_mi.capture.poses import bounding_sphere, directions_of
+from svu_mi.guidance.baselines import farthest
+from svu_mi.guidance.candidates import Candidates
+from svu_mi.guidance.next_view import next_best_view
+from svu_mi.guidance.strategies import TABLE
+from svu_mi.parameters import NAMES
+from svu_mi.pipeline import Estimate, estimate
+from svu_mi.recovery.recover import recover
+from svu_mi.surface import Texels, texels
+
+
+@dataclass(frozen=True)
+class Strategy:
+    """A way of choosing views, by its name in the table of strategies."""
+
+    label: str
+
+
+@dataclass(frozen=True)
+class Shoot(OnCell):
+    """A photographer who has photographed everything, and lets strategies choose.
+
+    Attributes:
+        number: of the start; each has random views of its own.
+        kind: of the start, see ``GuidanceSizes``.
+    """
+
+    number: int
+    kind: str = "even"
+
+    @property
+    def name(self) -> str:
+        return f"{self.cell.name}/{self.kind}_{self.number}"
+
+    @property
+    def title(self) -> str:
+        return f"{self.cell.title}, {self.kind} start {self.number}"
+
+    @property
+    def rows(self) -> Sequence[Strategy]:
+        return [Strategy(name) for name in self.sizes.strategies]
+
+    @property
+    def sizes(self) -> GuidanceSizes:
+        """How large everything is, beside the photographs."""
+        return self.bench.sizes.guidance
+
+    @property
+    def seed(self) -> int:
+        """Of the start, and of the random strategy: no two cells share their luck."""
+        return zlib.crc32(f"{self.cell.name} {self.number}".encode())
+
+    def settings(self, row: Strategy | None) -> Any:
+        size = self.bench.sizes
+        return (
+            str(self.cell.scene), self.cell.defines, self.kind, self.number,
+            (size.views, size.film, size.spp, size.seed), asdict(self.sizes),
+            row and row.label,
+        )  # fmt: skip
+
+    def head(self) -> Record:
+        """Return ``cell``, ``object``, ``kind``, ``start``, ``first``: what ``judge`` says of it,
+        and ``agreement`` of forecasts."""
+        return {
+            "cell": self.cell.title, "object": self.cell.object, "kind": self.kind,
+            "start": self.start, "first": self.first, "agreement": self.agreement(),
+        }  # fmt: skip
+
+    def measure(self, row: Strategy) -> Record:
+        """Return the ``order`` of a strategy, and per mark what ``judge`` says, as lists."""
+        order = self.order(row.label)
+        marks = self.sizes.marks
+        points = [self.first, *(self.judge(self.start + order[:mark]) for mark in marks)]
+        return {
+            "order": order,
+            "psnr": [point["psnr"]["average"] for point in points],
+            "entropy": [point["entropy"] for point in points],
+            "parameters": {name: [point["psnr"][name] for point in points] for name in NAMES},
+        }
+
+    @cached_property
+    def grid(self) -> Texels:
+        """Texels of the textures."""
+        return texels(self.capture.mesh, self.sizes.texels)
+
+    @cached_property
+    def first(self) -> Record:
+        """What ``judge`` says of the start."""
+        return self.judge(self.start)
+
+    @cached_property
+    def start(self) -> list[int]:
+        """Views of the start: one drawn at random, and the farthest from those before; or the
+        nearest to it."""
+        rng = np.random.default_rng(self.seed)
+        first = int(rng.integers(self.capture.count))
+        if self.kind == "even":
+            return self._farthest([first], self.sizes.start - 1)
+        nearness = self._directions @ self._directions[first]
+        return [int(view) for view in np.argsort(-nearness)[: self.sizes.start]]
+
+    @cached_property
+    def truth(self) -> Truth:
+        """True textures."""
+        return Truth.of(self.capture, self.grid)
+
+    @cached_property
+    def visible(self) -> np.ndarray:
+        """(T,) bool, texels that any view sees: whoever does not look there has to guess."""
+        return np.array(estimate(self.capture, self.grid, preset="fast").coverage) > 0
+
+    def order(self, strategy: str) -> list[int]:
+        """Return the views that a strategy adds to the start, in order.
+
+        After each, it has the photograph: what it forecasts from is estimated again. Others know
+        their order at once.
+        """
+        count = max(self.sizes.marks)
+        if strategy == "farthest":
+            return self._farthest(self.start, count)[len(self.start) :]
+        chosen = list(self.start)
+        ahead = 1 if TABLE[strategy].forecasts else count
+        while len(chosen) < len(self.start) + count:
+            left = [v for v in range(self.capture.count) if v not in chosen]
+            guidance = next_best_view(
+                estimate(chosen_views(self.capture, chosen), self.grid),
+                Candidates.of([self.capture.sensors[v] for v in left]), ahead,
+                strategy=strategy, seed=self.seed, texels=self.sizes.looked_at,
+            )  # fmt: skip
+            chosen += [left[p.candidate] for p in guidance.proposals]
+        return chosen[len(self.start) :]
+
+    def judge(self, views: list[int]) -> Record:
+        """Return ``psnr`` of recovered textures over all visible texels, by parameter and
+        ``average``, and ``entropy``, the mean over these texels, unseen ones counting as 1."""
+        taken = chosen_views(self.capture, views)
+        textures = recover(taken, self.grid, "sh").textures
+        entropy = np.array(estimate(taken, self.grid).entropy, np.float64)
+        return {
+            "psnr": self.truth.psnr(textures, self.visible),
+            "entropy": float(entropy[self.visible].mean()),
+        }
+
+    def agreement(self) -> Record:
+        """Compare the forecast at the start with what photographs then change.
+
+        Returns:
+            Per candidate asked ``gains``, expected changes of the mean entropy, and ``changes``,
+            those of ``estimate`` once its photograph is there; and their ``correlation``.
+        """
+        left = [view for view in range(self.capture.count) if view not in self.start]
+        asked = left[:: max(1, len(left) // self.sizes.asked)][: self.sizes.asked]
+        known = estimate(chosen_views(self.capture, self.start), self.grid)
+        gains = next_best_view(known, Candidates.at(self.capture, asked)).gains
+        changes = [
+            _mean_entropy(known) - _mean_entropy(
+                estimate(chosen_views(self.capture, [*self.start, view]), self.grid)
+            )
+            for view in asked
+        ]  # fmt: skip
+        return {
+            "gains": gains.tolist(), "changes": changes,
+            "correlation": float(np.corrcoef(gains, changes)[0, 1]),
+        }  # fmt: skip
+
+    def _farthest(self, views: list[int], count: int) -> list[int]:
+        """Return views, and ``count`` more by farthest-point sampling."""
+        return farthest(self._directions, views, count)
+
+    @cached_property
+    def _directions(self) -> np.ndarray:
+        center, _ = bounding_sphere(self.capture.shape)
+        return directions_of(self.capture.sensors, center)
+
+
+def _mean_entropy(found: Estimate) -> float:
+    return float(np.mean(np.array(found.entropy, np.float64)))
 
 
 def _experiment(bench: Bench, asked: Asked) -> Experiment:

@@ -1,19 +1,221 @@
-"""``svu bench real``: photographs that were left out, predicted from the others.
-
-A real capture has no true textures to compare with; but it has photographs. ``left_out`` finds
-light, gains and textures from some of them, ``ways`` say what the others should show, and
-``score`` how far that holds.
-"""
+"""``svu bench real``: photographs that are left out of a capture, predicted from the others."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
 from svu_mi.bench.experiment import Bench, Experiment, Record
-from svu_mi.bench.real.left_out import LeftOut
-from svu_mi.bench.real.plots import draw_real
-from svu_mi.bench.real.tables import real_tables
-from svu_mi.bench.real.ways import MEANS, POSTERIOR
+from svu_mi.bench.markdown import Bar
+from svu_mi.bench.real.predictors import MEANS, POSTERIOR, WAYS, Way
+from svu_mi.bench.real.scores import Score
+from svu_mi.bench.real.tables import draw_real, real_tables
 from svu_mi.bench.study import Asked, Study
-from svu_mi.bench.text import Bar
+from svu_mi.capture import Capture, load_capture
+from svu_mi.capture.fingerprint import capture_key
+from svu_mi.capture.scene import to_world
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.illumination.equalize import equalized, estimate_gains
+from svu_mi.illumination.estimate import estimate_light
+from svu_mi.illumination.found_gains import FoundGains
+from svu_mi.illumination.lit import with_light
+from svu_mi.illumination.options import LightOptions
+from svu_mi.illumination.samples import Samples
+from svu_mi.observed import Observed, observe
+from svu_mi.options import AngularPreset
+from svu_mi.options import preset as find_preset
+from svu_mi.pipeline import Estimate, estimate
+from svu_mi.surface import Texels, texels
+
+RESOLUTION, TEXELS = 128, 6000  # per side; of these, that predictions are made for
+QUICK, QUICK_SEARCH = (64, 600), LightOptions(gains=True, texels=300, depths=((64, 4), (256, 2)))
+FEWEST = 4  # photographs that remain of a texel whose others are predicted
+WELL_SEEN = 10  # photographs of a texel that is asked what it is made of
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A capture without some of its photographs.
+
+    Attributes:
+        bench: where and how.
+        source: the capture's folder, or its scene.
+        every: of the photographs that are used, each so many-th is left out, the first of all.
+    """
+
+    bench: Bench
+    source: Path
+    every: int
+    rows = WAYS
+
+    @property
+    def name(self) -> str:
+        """Folder of its records."""
+        return self.source.resolve().stem
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return self.name
+
+    def settings(self, row: Way | None) -> Any:
+        """Return what figures depend on beside the code."""
+        return self._key, self.every, self._size, row and row.label
+
+    @cached_property
+    def _key(self) -> str:
+        return capture_key(self.capture)
+
+    @property
+    def _size(self) -> tuple[int, int]:
+        return QUICK if self.bench.quick else (RESOLUTION, TEXELS)
+
+    @cached_property
+    def capture(self) -> Capture:
+        """All photographs, under the light they come with, if any."""
+        with self.bench.progress.stage("Loading the capture"):
+            return load_capture(self.source, light="optional")
+
+    @cached_property
+    def layout(self) -> Texels:
+        """Texels of its object."""
+        return texels(self.capture.mesh, self._size[0])
+
+    @cached_property
+    def used(self) -> np.ndarray:
+        """(V,) the photographs that are used at all."""
+        return np.flatnonzero(self.capture.used)
+
+    @cached_property
+    def held(self) -> np.ndarray:
+        """(V,) bool, of those: which are left out."""
+        held = np.arange(len(self.used)) % self.every == 0
+        if held.all() or (~held).sum() < FEWEST:
+            raise OptionError(
+                f"Of {len(held)} photographs, --every {self.every} leaves {int((~held).sum())} to "
+                f"estimate from; at least {FEWEST} are needed."
+            )
+        return held
+
+    @cached_property
+    def rest(self) -> Capture:
+        """The capture without them."""
+        used = np.zeros(self.capture.count, bool)
+        used[self.used[~self.held]] = True
+        return replace(self.capture, used=tuple(used.tolist()))
+
+    @cached_property
+    def lit(self) -> tuple[Capture, FoundGains]:
+        """The rest without gains, under the capture's light or one that is found; and gains."""
+        options = QUICK_SEARCH if self.bench.quick else LightOptions(gains=True)
+        progress = self.bench.progress
+        if self.rest.environment is not None:
+            gains = estimate_gains(self.rest, self.layout, options, progress)
+            return equalized(self.rest, gains), gains
+        light = estimate_light(self.rest, self.layout, options, progress)
+        assert light.gains is not None
+        return with_light(equalized(self.rest, light.gains), light), light.gains
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """What the rest says."""
+        return estimate(self.lit[0], self.layout, progress=self.bench.progress)
+
+    @property
+    def observed(self) -> Observed:
+        """What that was made from."""
+        assert self.estimate.observed is not None
+        return self.estimate.observed
+
+    @cached_property
+    def switches(self) -> AngularPreset:
+        """Of the estimate."""
+        switches = self.estimate.switches
+        assert isinstance(switches, AngularPreset)
+        return switches
+
+    @cached_property
+    def samples(self) -> Samples:
+        """What some texels show in all photographs, as photographed."""
+        everything = observe(self.capture, self.layout, self.bench.progress)
+        return Samples.of(everything, find_preset("default", method="angular"), self._size[1])
+
+    @cached_property
+    def texels(self) -> np.ndarray:
+        """(n,) int64, numbers of these texels."""
+        return self.samples.surface.index.numpy().astype(np.int64)
+
+    @cached_property
+    def kept(self) -> np.ndarray:
+        """(S,) bool, the samples of photographs that were estimated from, and fit."""
+        fits = ~self.held
+        fits[np.flatnonzero(fits)[self.lit[1].odd]] = False
+        return fits[self.samples.view]
+
+    @cached_property
+    def enough(self) -> np.ndarray:
+        """(n,) bool, which texels so many photographs remain of that they say something."""
+        rest = np.bincount(self.samples.owner[self.kept], minlength=len(self.texels))
+        enough = (rest >= FEWEST) & self.estimate.posterior.observed[self.texels]
+        if not enough.any():
+            raise CaptureError(
+                f"{self.source}: no texel is seen in {FEWEST} of the photographs that remain; "
+                "leave fewer out (--every)."
+            )
+        return enough
+
+    def eye(self, view: int) -> np.ndarray:
+        """Return where the camera of a photograph that is used stands."""
+        return np.asarray(to_world(self.capture.sensors[self.used[view]])[:3, 3])
+
+    def head(self) -> Record:
+        """Estimate; return what was found of the photographs and of the object."""
+        start = perf_counter()
+        names = [self.capture.names[view] for view in self.used]
+        gains = self.lit[1]
+        rest, factor = np.flatnonzero(~self.held), gains.factor[~gains.odd]
+        return {
+            "cell": self.title, "photographs": len(names), "left_out": int(self.held.sum()),
+            "odd": [names[view] for view in rest[gains.odd]],
+            "gains": [float(factor.mean(axis=1).min()), float(factor.mean(axis=1).max())],
+            "texels": int(self.enough.sum()), "metallic": self._metallic(),
+            "seconds": perf_counter() - start,
+        }  # fmt: skip
+
+    def _metallic(self) -> Record:
+        """Return which parts of what is well seen are metallic, open, or not, by 90 % intervals."""
+        seen = np.flatnonzero(np.array(self.estimate.coverage) >= WELL_SEEN)
+        ends = self.estimate.posterior.interval("metallic", chosen=seen)
+        low, high = (np.array(end, np.float64) for end in ends)
+        return {
+            "seen": len(seen), "metallic": _part(low >= 0.5), "dielectric": _part(high <= 0.5),
+            "open": _part((low < 0.5) & (high > 0.5)), "reaches 1": _part(high > 0.9),
+        }  # fmt: skip
+
+    def measure(self, row: Way) -> Record:
+        """Predict the photographs that were left out, in one way."""
+        start, predict, samples = perf_counter(), row.of(self), self.samples
+        score = Score.start(len(self.texels))
+        with self.bench.progress.stage(row.label, int(self.held.sum())) as stage:
+            for done, view in enumerate(np.flatnonzero(self.held), 1):
+                mine = np.flatnonzero((samples.view == view) & self.enough[samples.owner])
+                own = samples.owner[mine]
+                if len(mine):
+                    shown = predict(int(view)).some(own)
+                    score.add(own, samples.radiance[mine], samples.cosine[mine], shown)
+                stage.update(done, int(self.held.sum()))
+        scored = {"scored": len(score.shown), "seconds": perf_counter() - start}
+        return {**score.record(), **scored}
+
+
+def _part(chosen: np.ndarray) -> float:
+    return float(chosen.mean()) if len(chosen) else 0.0
+
 
 MARGIN = 0.05  # of R^2 over texel means
 HOLDS = (0.80, 0.97)  # part of the 90 % intervals that may hold
@@ -43,5 +245,5 @@ def find_bars(record: Record) -> list[Bar]:
 
 STUDY = Study(
     title="Photographs that were left out", experiment=_experiment, tables=real_tables,
-    bars=find_bars, plots={"real": draw_real}, on_cells=False,
+    bars=find_bars, plots={"real": draw_real}, runs_on="capture",
 )  # fmt: skip

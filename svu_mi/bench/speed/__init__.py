@@ -1,16 +1,332 @@
-"""``svu bench speed``: run times, and how they trade against agreement with the reference."""
+"""``svu bench speed``: run times, warm and cold, of the estimators and of their kernels."""
 
 from __future__ import annotations
 
-from svu_mi.bench.experiment import Bench, Experiment
-from svu_mi.bench.speed.measure import Timing
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property, partial
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from svu_mi import metrics
+from svu_mi.bench.accuracy import reference_of
+from svu_mi.bench.captures import some_views
+from svu_mi.bench.cases import Cell
+from svu_mi.bench.estimators import VARIANTS, Variant
+from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
+from svu_mi.bench.markdown import Bar
+from svu_mi.bench.speed.kernels import (
+    MIN_TRIANGLES,
+    RATIO_BAR,
+    fine_capture,
+    kernels_of,
+    measure_gather,
+)
 from svu_mi.bench.speed.tables import scaling, speed_tables
 from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.timing import WARM_UP, in_new_process, once, spread, warm
+from svu_mi.capture import Capture, load_capture
+from svu_mi.needs import Need
+from svu_mi.observed import observe
+from svu_mi.output import write_maps
+from svu_mi.pipeline import estimate
+from svu_mi.posterior import PrincipledGrid
+from svu_mi.progress import Progress
+from svu_mi.surface import Texels, texels
+
+DEGREES = (2, 3, 4, 5, 6, 8)
+NODES = (4, 6, 8, 12, 16, 24, 32)
+MAX_CELLS = 5000  # of a grid in the scaling curve
+VIEWS = (10, 20, 40, 60)
+SAMPLES = (2, 4, 8, 16, 32, 64, 128)
+WARM_BAR_S, COLD_BAR_S, MEMORY_BAR = 3.0, 25.0, 1.1  # from files to entropy.exr
+PLAIN_PSI, LINEAR_PSI = 512, 32  # of the path-traced posterior that is timed
+
+
+@dataclass(frozen=True)
+class Timing(OnCell):
+    """The cell that run times are measured on.
+
+    Attributes:
+        variants: are timed; ``default`` and ``fixed`` of each method are scaled.
+    """
+
+    variants: Sequence[Variant]
+
+    @property
+    def rows(self) -> Sequence[Part]:
+        return PARTS
+
+    def settings(self, row: Part | None) -> Any:
+        timed = [(v.label, v.method, asdict(v.preset)) for v in self.variants]
+        return super().settings(row), timed
+
+    def head(self) -> Record:
+        """Return the ``cell``, and how large what is timed is."""
+        capture, layout = self.timed
+        sizes = self.bench.sizes
+        return {
+            "cell": self.title, "views": capture.count, "film": sizes.speed_film,
+            "texels": layout.count, "resolution": sizes.speed_texels,
+        }  # fmt: skip
+
+    @cached_property
+    def reference(self) -> Any:
+        """The path-traced posterior of some of the texels, which agreement is measured with."""
+        return reference_of(self.bench, self.capture, self.layout)
+
+    @cached_property
+    def timed(self) -> tuple[Capture, Texels]:
+        """The capture and the texels that run times are measured on."""
+        return timed_setting(self.bench, self.cell)
+
+    def curves(self, curve: Callable[[Timing, Variant], list[Record]]) -> Record:
+        """Return a curve of every variant that is scaled, by its label."""
+        scaled = [v for v in self.variants if v.label.endswith((" default", " fixed"))]
+        return {variant.label: curve(self, variant) for variant in scaled}
+
+    def point(
+        self, value: int, run: Callable[[], Any], reference: Any = None
+    ) -> Record:
+        """Return a point of a scaling curve: ``value``, ``seconds`` and ``pearson``."""
+        reference = reference or self.reference
+        # Half as many as for the table of run times: there are many points.
+        timed = warm(run, (self.bench.sizes.repeats + 1) // 2)
+        seen = np.array(reference.coverage) > 0
+        entropy = np.array(timed.result.entropy)[np.array(reference.subset)[seen]]
+        rho = metrics.pearson(entropy, np.array(reference.entropy)[seen])
+        return {"value": value, "seconds": timed.seconds, "pearson": rho}
+
+    def points(self, values: Sequence[int]) -> Sequence[int]:
+        """Return those values of a curve that are measured."""
+        return values[:: self.bench.sizes.stride]
+
+
+def timed_setting(bench: Bench, cell: Cell) -> tuple[Capture, Texels]:
+    """Return the capture and the texels that run times are measured on."""
+    capture = bench.capture(cell, _timed_name(bench), film=bench.sizes.speed_film)
+    return capture, texels(capture.mesh, bench.sizes.speed_texels)
+
+
+def _timed_name(bench: Bench) -> str:
+    size = bench.sizes.speed_film
+    return "capture" if size == bench.sizes.film else f"capture_{size}"
+
+
+def estimate_once(folder: str, resolution: int, label: str) -> Record:
+    """Estimate as a user's first run does, in a new process (see ``fresh.in_new_process``).
+
+    Args:
+        folder: of the capture.
+        resolution: texels per side.
+        label: of the variant.
+
+    Returns:
+        ``timings`` by stage in seconds, ``seconds`` of all, ``kernels`` compiled.
+    """
+    variant = next(v for v in VARIANTS if v.label == label)
+    capture = load_capture(folder)
+    timed = once(partial(variant.estimate, capture, texels(capture.mesh, resolution)))
+    return {"timings": timed.timings, "seconds": timed.seconds, "kernels": timed.compiled}
+
+
+def time_estimators(timing: Timing) -> Record:
+    """Return, by label, seconds per stage, warm (median of several) and cold (one fresh process),
+    and those in kernels."""
+    bench, found = timing.bench, {}
+    capture, layout = timing.timed
+    folder = bench.folder / "cells" / timing.name / _timed_name(bench)
+    for variant in timing.variants:
+        with bench.progress.stage(f"Timing {variant.label}, warm"):
+            timed = warm(partial(variant.estimate, capture, layout), bench.sizes.repeats)
+        with bench.progress.stage(f"Timing {variant.label}, cold"):
+            cold = in_new_process(
+                estimate_once, folder=str(folder), resolution=bench.sizes.speed_texels,
+                label=variant.label,
+            )  # fmt: skip
+        found[variant.label] = {
+            "warm": timed.timings, "warm_seconds": timed.seconds, "repeats": timed.runs,
+            "cold": cold,
+            "kernels": kernels_of(partial(variant.estimate, capture, layout)),
+        }  # fmt: skip
+    return found
+
+
+def by_degree(timing: Timing, variant: Variant) -> list[Record]:
+    """Time and agreement by highest degree l*; empty for an estimator without degrees."""
+    if variant.method != "spectrum":
+        return []
+    return [
+        timing.point(degree, partial(
+            replace(variant, switches={**variant.switches, "degree": degree}).estimate,
+            timing.capture, timing.layout))
+        for degree in timing.points(DEGREES)
+    ]  # fmt: skip
+
+
+def by_grid(timing: Timing, variant: Variant) -> list[Record]:
+    """Time and agreement by number of nodes per axis of the posterior's grid."""
+    run = partial(variant.estimate, timing.capture, timing.layout)
+    shape: Any = run().posterior.grid
+    sizes = [n for n in timing.points(NODES) if n ** len(shape.axes) <= MAX_CELLS]
+    grids = {n: replace(shape, **dict.fromkeys(shape.axes, n)) for n in sizes}
+    return [timing.point(n, partial(run, grid=grid)) for n, grid in grids.items()]
+
+
+def by_views(timing: Timing, variant: Variant) -> list[Record]:
+    """Time and agreement by number of views, each with the reference of the same views."""
+    whole, rows = timing.capture, []
+    for count in sorted({min(count, whole.count) for count in VIEWS}):
+        capture = some_views(whole, count)
+        reference = reference_of(timing.bench, capture, timing.layout)
+        run = partial(variant.estimate, capture, timing.layout)
+        rows.append(timing.point(count, run, reference))
+    return rows
+
+
+def by_samples(timing: Timing) -> Record:
+    """Time of the reference by samples per ray, and agreement with its largest number."""
+    most = timing.bench.sizes.reference_spp
+    counts = [spp for spp in timing.points(SAMPLES) if spp < most] + [most]
+    found = list(_references(timing, counts))
+    best = np.array(found[-1].entropy)
+    return {"reference": [
+        {
+            "value": spp,
+            "seconds": reference.seconds,
+            # The largest agrees with itself; what noise it has is seen in its two halves.
+            "pearson": metrics.pearson(reference.entropy, best) if spp < most else None,
+        }
+        for spp, reference in zip(counts, found, strict=True)
+    ]}  # fmt: skip
+
+
+def _references(timing: Timing, counts: Sequence[int]) -> Iterable[Any]:
+    for spp in counts:
+        with timing.bench.progress.stage(f"Reference with {spp} samples"):
+            yield reference_of(timing.bench, timing.capture, timing.layout, spp=spp)
+
+
+def brute_force(timing: Timing) -> Record:
+    """Extrapolate the time of the path-traced posterior of all texels from a sample.
+
+    seconds = (texel, view) pairs x psi x spp / (rays per second), where a ray is one camera
+    path, the pairs are those visible, and psi are the 512 of the grid, or the 32 that are
+    enough for direct light. The rate is that of the reference's texels with the full number of
+    samples, 8 psi, kernels compiled before: larger batches are not faster.
+    """
+    capture, layout = timing.timed
+    few, spp = PrincipledGrid(2, 2, 2), timing.bench.sizes.reference_spp
+    for seed in range(2):  # the first compiles
+        sample = reference_of(
+            timing.bench, capture, layout, method="brute", spp=spp, grid=few, seed=seed, cache=None
+        )
+    pairs = int(observe(capture, layout).coverage.sum(dtype=np.int64))
+    rate = sample.rays / sample.seconds
+    return {
+        "sample_rays": sample.rays,
+        "sample_seconds": sample.seconds,
+        "rays_per_second": rate,
+        "pairs": pairs,
+        "psi": PLAIN_PSI,
+        "spp": spp,
+        "seconds": pairs * PLAIN_PSI * spp / rate,
+        "linear_seconds": pairs * LINEAR_PSI * spp / rate,
+    }
+
+
+def time_gather(timing: Timing) -> Record:
+    """Compare the gather with bare visibility rays, on a fine mesh."""
+    sizes, (capture, _) = timing.bench.sizes, timing.timed
+    if int(capture.mesh.face_count()) < MIN_TRIANGLES:
+        capture = fine_capture(capture.count, sizes.speed_film)
+    return measure_gather(capture, sizes.speed_texels, sizes.repeats)
+
+
+def time_whole_way(timing: Timing) -> Record:
+    """Time the way from the files of a capture to entropy.exr.
+
+    Returns:
+        By method ``warm``, ``stages`` and ``seconds`` as spreads; ``cold``, what ``go_all_the_way``
+        returns in a new process without compiled kernels, beside ``formula_mib``, the memory that
+        ``svu entropy`` announces.
+    """
+    bench, found = timing.bench, {}
+    capture, layout = timing.timed
+    assert capture.source is not None
+    for method, model in (("angular", "default"), ("spectrum", "spectrum")):
+        asked: dict[str, Any] = {"source": str(capture.source), "method": method,
+                                 "resolution": bench.sizes.speed_texels}  # fmt: skip
+        runs = [go_all_the_way(**asked) for _ in range(WARM_UP + bench.sizes.repeats)][WARM_UP:]
+        cold = in_new_process(go_all_the_way, **asked)
+        pixels = sum(image.shape[0] * image.shape[1] for image in capture.images)
+        need = Need("entropy", [(pixels, 1)], (layout.count, 1), model=model)
+        found[method] = {
+            "warm": {
+                "stages": {stage: spread([run["stages"][stage] for run in runs])
+                           for stage in runs[0]["stages"]},
+                "seconds": spread([run["seconds"] for run in runs]),
+            },
+            "cold": {**cold, "formula_mib": need.bytes / 2**20},
+        }  # fmt: skip
+    return found
+
+
+def go_all_the_way(source: str, resolution: int, method: Any) -> Record:
+    """Return ``stages`` in seconds, ``seconds`` of all and ``kernels`` compiled, of one run from
+    the files of a capture to entropy.exr."""
+    progress = Progress()
+    dr.sync_thread()
+    start = time.perf_counter()
+    with tempfile.TemporaryDirectory(prefix="svu-maps-") as target:
+        with progress.stage("Loading photographs"):
+            capture = load_capture(source)
+        with progress.stage("Laying out texels"):
+            layout = texels(capture.mesh, resolution)
+        found = estimate(capture, layout, method, progress=progress)
+        with progress.stage("Writing entropy.exr"):
+            write_maps(found, target)
+        taken = time.perf_counter() - start
+    compiled = sum(progress.kernels.values())
+    return {"stages": dict(progress.timings), "seconds": taken, "kernels": compiled}
+
+
+def find_bars(record: Record) -> list[Bar]:
+    """Return the bars of run times."""
+    bars = []
+    for cell in record["cells"]:
+        bars.append(Bar("gather over bare ray_test", cell["rows"]["gather"]["ratio"], RATIO_BAR,
+                        least=True))  # fmt: skip
+        for method, found in cell["rows"]["whole_way"].items():
+            name, cold = f"files to entropy.exr, {method}", found["cold"]
+            memory = (cold["peak_mib"] or 0.0) / cold["formula_mib"]
+            bars += [
+                Bar(f"{name}, warm", found["warm"]["seconds"]["median"], WARM_BAR_S, "s"),
+                Bar(f"{name}, cold, with imports", cold["process_seconds"], COLD_BAR_S, "s"),
+                Bar(f"{name}: resident memory over the formula", memory, MEMORY_BAR),
+            ]
+    return bars
+
+
+PARTS = (
+    Part("estimators", time_estimators),
+    Part("degree", lambda timing: timing.curves(by_degree)),
+    Part("grid", lambda timing: timing.curves(by_grid)),
+    Part("views", lambda timing: timing.curves(by_views)),
+    Part("reference_spp", by_samples),
+    Part("brute", brute_force),
+    Part("gather", time_gather),
+    Part("whole_way", time_whole_way),
+)
 
 
 def _experiment(bench: Bench, asked: Asked) -> Experiment:
     return Experiment("speed", [Timing(bench, asked.cells[0], asked.variants)], whole=True)
 
 
-STUDY = Study(title="Run times", experiment=_experiment, tables=speed_tables,
+STUDY = Study(title="Run times", experiment=_experiment, tables=speed_tables, bars=find_bars,
               plots={"scaling": scaling})  # fmt: skip

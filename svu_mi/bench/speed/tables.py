@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from svu_mi.bench.experiment import Record
+from svu_mi.bench.markdown import Column, columns, digits, number, seconds, table
 from svu_mi.bench.plots import COLORS, INK, page, tidy
-from svu_mi.bench.text import Column, columns, digits, seconds, table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,6 +26,23 @@ CURVES = (
     Column("value", lambda row: row[2]["value"]),
     Column("time", lambda row: row[2]["seconds"], seconds),
     Column("Pearson", lambda row: row[2]["pearson"], digits(3)),
+)
+
+
+KERNELS = (
+    Column("estimator", lambda line: line[0]),
+    Column("stage", lambda line: line[1]),
+    Column("in kernels", lambda line: line[2]["seconds"], seconds),
+    Column("us per texel", lambda line: 1e6 * line[2]["seconds"] / line[3], digits(3)),
+    Column("kernels", lambda line: line[2]["launched"]),
+    Column("operations", lambda line: line[2]["operations"]),
+)
+GATHER = (
+    Column("way", lambda line: line[0]),
+    Column("million rays per second", lambda line: line[1]["rays_per_second"] / 1e6, digits(1)),
+    Column("in kernels", lambda line: line[1]["kernel"]["median"], seconds),
+    Column("by the clock", lambda line: line[1]["wall"]["median"], seconds),
+    Column("free rays", lambda line: line[1]["free"], lambda value: f"{value:,}"),
 )
 
 
@@ -47,6 +64,9 @@ def speed_tables(record: Record) -> list[str]:
         "reference itself, with its largest number of samples.",
         columns(CURVES, points),
         *_brute(cell["rows"]["brute"]),
+        *_kernels(cell),
+        *_gather(cell["rows"]["gather"]),
+        *_whole_way(cell),
     ]
 
 
@@ -81,6 +101,50 @@ def _brute(brute: Record) -> list[str]:
         f"that are enough for direct light. The rate is measured, warm: "
         f"{brute['sample_rays']:,} rays in {seconds(brute['sample_seconds'])}.",
     ]
+
+
+def _kernels(cell: Record) -> list[str]:
+    lines = [
+        (label, stage, found, cell["texels"])
+        for label, variant in cell["rows"]["estimators"].items()
+        for stage, found in variant["kernels"].items() if found["operations"]
+    ]  # fmt: skip
+    return ["## Kernels", "Seconds in kernels, warm, those of an inner stage not counted.",
+            columns(KERNELS, lines)]  # fmt: skip
+
+
+def _gather(found: Record) -> list[str]:
+    return [
+        f"## Gather: {found['texels']:,} texels, {found['views']} views, "
+        f"{found['triangles']:,} triangles",
+        f"The {found['rays']:,} visibility rays that are left after all cheaper tests, traced by "
+        f"the survey and by themselves; it reaches {found['ratio']:.0%} of the faster of both.",
+        columns(GATHER, list(found["ways"].items())),
+    ]
+
+
+def _whole_way(cell: Record) -> list[str]:
+    methods = cell["rows"]["whole_way"]
+    stages = dict.fromkeys(stage for found in methods.values() for stage in found["warm"]["stages"])
+    rows = [
+        [stage, *(seconds(value) for found in methods.values() for value in (
+            found["warm"]["stages"].get(stage, {}).get("median"),
+            found["cold"]["stages"].get(stage)))]
+        for stage in stages
+    ]  # fmt: skip
+    rows.append(["all", *(seconds(value) for found in methods.values() for value in (
+        found["warm"]["seconds"]["median"], found["cold"]["seconds"]))])  # fmt: skip
+    for name, key, show in (("with start and imports", "process_seconds", seconds),
+                            ("resident memory (MiB)", "peak_mib", _whole),
+                            ("announced (MiB)", "formula_mib", _whole)):  # fmt: skip
+        rows.append([name, *(text for found in methods.values()
+                             for text in ("", show(found["cold"][key])))])  # fmt: skip
+    heads = [f"{name}, {how}" for name in methods for how in ("warm", "cold")]
+    return ["## From files to entropy.exr", table(("stage", *heads), rows)]
+
+
+def _whole(value: float | None) -> str:
+    return number(value, 0)
 
 
 def scaling(found: Record) -> Figure:

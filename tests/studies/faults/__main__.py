@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import tyro
 from rich.console import Console
-
 from studies.faults.faults import FAULTS
 from studies.faults.run import source, table, try_out
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from studies.faults.faults import Fault
+
 from svu_mi.errors import OptionError
 
 ROOT = Path(__file__).parents[3]

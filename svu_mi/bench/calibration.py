@@ -1,0 +1,244 @@
+"""``svu bench calibration``: how often intervals and sets of the posterior hold the truth.
+
+The preset ``default`` is compared with the true textures, over 1500 texels that some view sees
+(seed 0), the truth being the mean of the texture over the texel:
+
+* how often sets of 90 and 50 % hold the truth: by mass, on the cells of the grid, the last cell
+  counted by the part of it that reaches the level; and intervals as ``interval`` returns them;
+* how well predicted errors go with true ones: root of the summed variances against root of the
+  summed squared errors of the three parameters; area under the sparsification error, relative
+  (0 perfect, 1 chance);
+* CRPS of every parameter, from draws, over that of a fixed overdispersion of 3; PSNR of the means;
+* of the texels whose 90 % interval is at most .05 to either side, how many hold the truth;
+* correlation of the entropy with path-traced texels of the same likelihood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from svu_mi import metrics
+from svu_mi.bench.accuracy import reference_of
+from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
+from svu_mi.bench.markdown import Column, columns, digits, table
+from svu_mi.bench.study import Asked, Study
+from svu_mi.options import preset
+from svu_mi.parameters import NAMES
+from svu_mi.pipeline import estimate
+from svu_mi.surface import texels
+from svu_mi.surface.material import parameters_at
+
+JUDGED, TRACED, SPP = 1500, 100, 256  # texels; those that are path traced, and paths of each
+QUICK_TRACED, QUICK_SPP = 30, 16
+FINER = 4  # samples of the true textures per side of a texel
+DRAWS = 64
+SETTLED = 0.05
+NODES = np.arange(8) / 7
+SHOWN = {
+    "90 r": "90 % sets: r", "90 m": "m", "90 c": "c", "90 rm": "r, m", "50 r": "50 %: r",
+    "50 m": "m", "50 c": "c", "50 rm": "r, m", "pearson": "Pearson", "spearman": "Spearman",
+    "ause r": "AUSE r", "ause m": "m", "ause c": "c", "psnr r": "PSNR r", "psnr m": "m",
+    "psnr c": "c",
+}  # fmt: skip
+
+Truths = Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Calibrated(OnCell):
+    """A case whose posterior is compared with the true textures."""
+
+    @property
+    def rows(self) -> tuple[Part, ...]:
+        return PARTS
+
+    @cached_property
+    def chosen(self) -> np.ndarray:
+        """(t,) texels that are judged."""
+        seen = np.flatnonzero(np.array(estimate(self.capture, self.layout).coverage))
+        count = min(JUDGED, len(seen))
+        return np.sort(np.random.default_rng(0).choice(seen, count, replace=False))
+
+    @cached_property
+    def truth(self) -> dict[str, np.ndarray]:
+        """True means over these texels, (t,) or (t, 3) by parameter."""
+        return {name: values[self.chosen] for name, values in self._true_means().items()}
+
+    def _true_means(self) -> dict[str, np.ndarray]:
+        """Return the true textures' means over all texels, (T,) or (T, 3) by parameter."""
+        layout, width = self.layout, self.layout.resolution[0]
+        fine = texels(self.capture.mesh, width * FINER)
+        x, y = fine.index.numpy() % (width * FINER), fine.index.numpy() // (width * FINER)
+        place = np.full(width * width, -1)
+        place[layout.index.numpy()] = np.arange(layout.count)
+        parent = place[(y // FINER) * width + x // FINER]
+        inside = parent >= 0
+        count = np.bincount(parent[inside], minlength=layout.count)
+        own, result = parameters_at(self.capture, layout), {}
+        for name, values in parameters_at(self.capture, fine).items():
+            of_fine = np.atleast_2d(np.asarray(values, np.float64).T)[:, inside]
+            sums = [np.bincount(parent[inside], column, layout.count) for column in of_fine]
+            middle = np.atleast_2d(np.asarray(own[name], np.float64).T)
+            mean = np.where(count > 0, np.array(sums) / np.maximum(count, 1), middle).T
+            result[name] = mean if mean.shape[1] > 1 else mean[:, 0]
+        return result
+
+    def calibration(self, **switches: Any) -> Record:
+        """Return all figures of the preset ``default``, with some of its switches changed."""
+        chosen = preset("default", method="angular", **switches)
+        found = estimate(self.capture, self.layout, preset=chosen, method="angular")
+        return figures(found.posterior, self.truth, self.chosen)
+
+    def traced(self) -> Record:
+        """Correlate the entropy with that of path-traced texels."""
+        count, spp = (QUICK_TRACED, QUICK_SPP) if self.bench.quick else (TRACED, SPP)
+        reference = reference_of(
+            self.bench, self.capture, self.layout, subset=count, spp=spp, noise="estimated"
+        )
+        seen = reference.coverage > 0
+        entropy = np.array(estimate(self.capture, self.layout).entropy, np.float64)
+        return {
+            "rho": metrics.pearson(entropy[reference.subset][seen], reference.entropy[seen]),
+            "halves": reference.split_half().correlation,
+        }
+
+
+PARTS = (
+    Part("default", Calibrated.calibration),
+    Part("tau 3", lambda subject: subject.calibration(overdispersion=3.0)),
+    Part("traced", Calibrated.traced),
+)
+
+
+# --- figures --------------------------------------------------------------------------------
+
+
+def figures(posterior: Any, truth: Truths, chosen: np.ndarray) -> Record:
+    """Return everything that is measured of a posterior.
+
+    Args:
+        posterior: of T texels.
+        truth: (t,) or (t, 3) by parameter.
+        chosen: (t,) texels.
+    """
+    true = {name: _columns(np.asarray(truth[name], np.float64)) for name in NAMES}
+    if posterior.groups == 1:
+        true["base_color"] = true["base_color"].mean(axis=1, keepdims=True)
+    result = sets(np.array(posterior.probabilities_of(chosen), np.float64), true)
+    draws = posterior.draw(DRAWS, seed=1)
+    errors, variances = [], []
+    for name in NAMES:
+        key, mine = name.replace("base_", "")[0], true[name]
+        mean, sd = (_columns(np.array(x(name), np.float64)[chosen])
+                    for x in (posterior.mean, posterior.sd))  # fmt: skip
+        low, high = (_columns(np.array(end)) for end in posterior.interval(name, 0.9, chosen))
+        inside = (mine >= low - 1e-6) & (mine <= high + 1e-6)
+        settled = (high - low) / 2 <= SETTLED
+        error, variance = ((mean - mine) ** 2).mean(axis=1), (sd**2).mean(axis=1)
+        errors.append(error)
+        variances.append(variance)
+        drawn = np.array(draws[name])[:, chosen].astype(np.float64)
+        result |= {
+            f"interval {key}": float(inside.mean()), f"settled {key}": float(settled.mean()),
+            f"settled {key} holds": float(inside[settled].mean()) if settled.any() else 1.0,
+            f"psnr {key}": float(-10 * np.log10(np.mean((mean - mine) ** 2))),
+            f"ause {key}": metrics.sparsification(np.sqrt(error), np.sqrt(variance)).relative,
+            f"crps {key}": crps(drawn.reshape(DRAWS, *mine.shape), mine),
+        }  # fmt: skip
+    error, said = np.sqrt(np.sum(errors, axis=0)), np.sqrt(np.sum(variances, axis=0))
+    return result | {"pearson": metrics.pearson(error, said),
+                     "spearman": metrics.spearman(error, said)}  # fmt: skip
+
+
+def _columns(values: np.ndarray) -> np.ndarray:
+    """(t,) or (t, g) as (t, g)."""
+    return values if values.ndim == 2 else values[:, None]
+
+
+def sets(p: np.ndarray, truth: Truths) -> Record:
+    """Return how often sets by mass hold the truth, the last cell counted in part.
+
+    Args:
+        p: probabilities (t, roughness, metallic, base colour) or with channels at the end.
+        truth: (t, g) by parameter.
+    """
+    p = p if p.ndim == 5 else p[..., None]
+    cells = {
+        name: np.stack(
+            [metrics.nearest_cells({name: NODES}, {name: x}) for x in truth[name].T], axis=1
+        )
+        for name in NAMES
+    }
+    r, m = cells["roughness"][:, 0], cells["metallic"][:, 0]
+    of = {
+        "r": (p[..., 0].sum(axis=(2, 3)), r),
+        "m": (p[..., 0].sum(axis=(1, 3)), m),
+        "rm": (p[..., 0].sum(axis=3).reshape(len(p), -1), len(NODES) * r + m),
+    }
+    colors = list(zip(np.moveaxis(p.sum(axis=(1, 2)), 2, 0), cells["base_color"].T, strict=True))
+    result = {}
+    for level in (0.9, 0.5):
+        key = f"{100 * level:.0f}"
+        for name, (q, own) in of.items():
+            result[f"{key} {name}"] = metrics.credible_coverage(q, own, level).fractional
+        found = [metrics.credible_coverage(q, own, level).fractional for q, own in colors]
+        result[f"{key} c"] = float(np.mean(found))
+    return result
+
+
+def crps(drawn: np.ndarray, true: np.ndarray) -> float:
+    """Return the mean CRPS, E|x - truth| - E|x - x'| / 2, of draws (n, t, g)."""
+    n = len(drawn)
+    ordered = np.sort(drawn, axis=0)
+    weights = (2 * np.arange(n) - n + 1)[:, None, None]
+    apart = 2 * (weights * ordered).sum(axis=0) / (n * (n - 1))
+    return float((np.abs(drawn - true).mean(axis=0) - apart / 2).mean())
+
+
+# --- tables ---------------------------------------------------------------------------------
+
+
+def _tables(record: Record) -> list[str]:
+    cells = record["cells"]
+    if not cells:
+        return []
+    found = [cell["rows"]["default"] for cell in cells]
+    values = {key: [one[key] for one in found] for key in found[0]}
+    means = {key: float(np.mean(x)) for key, x in values.items()}
+    lowest = {key: float(np.min(x)) for key, x in values.items()}
+    lines = [(f"**mean of {len(cells)}**", means), ("lowest", lowest)]
+    lines += [(cell["cell"], cell["rows"]["default"]) for cell in cells]
+    shown = [Column("object / light", lambda line: line[0])] + [
+        Column(title, lambda line, key=key: line[1][key],  # type: ignore[misc]
+               digits(1 if key.startswith("psnr") else 2))
+        for key, title in SHOWN.items()
+    ]  # fmt: skip
+    three = {key: np.mean([cell["rows"]["tau 3"][key] for cell in cells]) for key in means}
+    by_parameter = [
+        [name, f"{means[f'crps {key}']:.4f}", f"{means[f'crps {key}'] / three[f'crps {key}']:.3f}",
+         *(f"{means[what]:.2f}" for what in
+           (f"interval {key}", f"settled {key}", f"settled {key} holds"))]
+        for name, key in (("roughness", "r"), ("metallic", "m"), ("base colour", "c"))
+    ]  # fmt: skip
+    traced = [[cell["cell"], *(f"{cell['rows']['traced'][key]:.2f}" for key in ("rho", "halves"))]
+              for cell in cells]  # fmt: skip
+    return [
+        f"{JUDGED} texels of each case at most; r, m and c are roughness, metallic, base colour.",
+        columns(shown, lines),
+        table(("parameter", "CRPS", "part of that of tau = 3", "90 % intervals hold",
+               "intervals within .05", "of these hold"), by_parameter),
+        "Correlation of the entropy with path-traced texels, and of these texels' halves.",
+        table(("object / light", "entropy", "halves"), traced),
+    ]  # fmt: skip
+
+
+def _experiment(bench: Bench, asked: Asked) -> Experiment:
+    return Experiment("calibration", (Calibrated(bench, cell) for cell in asked.cells), True)
+
+
+STUDY = Study(title="Calibration of the posterior", experiment=_experiment, tables=_tables)

@@ -1,0 +1,198 @@
+"""Cases of benchmarks: objects under lights, of svu_mi or of a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from svu_mi import scenes
+from svu_mi.capture.mesh import write_ply
+from svu_mi.errors import MeshError, OptionError
+from svu_mi.files import prepare_folder
+from svu_mi.formats.geometry import read_geometry
+from svu_mi.formats.textures import write_pictures
+from svu_mi.parameters import NAMES
+from svu_mi.settings import require_known
+
+MESH_FILES = ("mesh.ply", "base_color.png", "roughness.png", "metallic.png")
+IMAGES = (".exr", ".hdr")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One object under one light.
+
+    Attributes:
+        object: its name.
+        light: its name.
+        scene: Mitsuba XML file.
+        defines: values for its parameters.
+    """
+
+    object: str
+    light: str
+    scene: Path
+    defines: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Folder of the cell's files."""
+        return f"{self.object}__{self.light}"
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return f"{self.object} / {self.light}"
+
+
+DIRECT = {"max_depth": "2"}  # what the reference simulates
+
+OWN_OBJECTS = ("vase", "knot", "spheres")
+QUICK_OBJECTS, QUICK_LIGHTS = ("vase", "knot"), ("window", "overcast")
+
+
+def chosen_cells(
+    data: Path | None,
+    workspace: Path,
+    objects: Sequence[str] = (),
+    lights: Sequence[str] = (),
+    *,
+    quick: bool = False,
+) -> tuple[Cell, ...]:
+    """Return ``data_cells`` of a folder, ``own_cells`` without one."""
+    if data is None:
+        return own_cells(objects, lights, quick=quick)
+    return data_cells(data, workspace, objects, lights)
+
+
+def own_cells(
+    objects: Sequence[str] = (), lights: Sequence[str] = (), *, quick: bool = False
+) -> tuple[Cell, ...]:
+    """Return cells of the scenes that come with svu_mi.
+
+    Args:
+        objects: names among ``svu_mi.scenes.names()``; vase, knot and spheres by default.
+        lights: names among ``svu_mi.scenes.LIGHTS``; all by default.
+        quick: vase and knot under window and overcast by default.
+
+    Raises:
+        OptionError: an unknown name.
+    """
+    shapes = _chosen(objects, scenes.names(), QUICK_OBJECTS if quick else OWN_OBJECTS, "object")
+    skies = _chosen(lights, scenes.LIGHTS, QUICK_LIGHTS if quick else scenes.LIGHTS, "light")
+    return tuple(
+        Cell(shape, sky, scenes.path(shape), {"light": sky, **DIRECT})
+        for shape in shapes
+        for sky in skies
+    )
+
+
+def data_cells(
+    data: Path, workspace: Path, objects: Sequence[str] = (), lights: Sequence[str] = ()
+) -> tuple[Cell, ...]:
+    """Return cells of a folder of objects and environments.
+
+    Args:
+        data: holds objects/NAME with mesh.ply, base_color.png, roughness.png and
+            metallic.png, or objects/NAME.glb; and envmaps/NAME.exr or NAME.hdr.
+        workspace: GLB objects are converted into its ``objects``.
+        objects: names; all by default.
+        lights: names; all by default.
+
+    Raises:
+        OptionError: a folder is missing or empty, or there is no such name.
+        MeshError: a GLB file cannot be converted.
+    """
+    found, skies = _objects(data / "objects"), _environments(data / "envmaps")
+    chosen = _chosen(objects, found, tuple(found), f"object in {data / 'objects'}")
+    under = _chosen(lights, skies, tuple(skies), f"light in {data / 'envmaps'}")
+    folders = {name: _folder(found[name], workspace / "objects" / name) for name in chosen}
+    return tuple(
+        Cell(
+            name, sky, scenes.path("object"),
+            {"object": str(folders[name]), "environment": str(skies[sky]), **DIRECT},
+        )
+        for name in chosen
+        for sky in under
+    )  # fmt: skip
+
+
+def _objects(folder: Path) -> dict[str, Path]:
+    """Return folders and GLB files by name; a folder wins."""
+    _require_folder(folder, "with objects: folders with mesh.ply and textures, or .glb files")
+    found = {path.stem: path.resolve() for path in sorted(folder.glob("*.glb"))}
+    for path in sorted(folder.iterdir()):
+        if path.is_dir() and not path.name.startswith("."):
+            missing = [name for name in MESH_FILES if not (path / name).is_file()]
+            if missing:
+                raise OptionError(
+                    f"{path}: an object's folder needs {', '.join(MESH_FILES)}; add {missing[0]}."
+                )
+            found[path.name] = path.resolve()
+    found = dict(sorted(found.items()))
+    if not found:
+        raise OptionError(
+            f"{folder}: has no object; add folders with {', '.join(MESH_FILES)}, or .glb files."
+        )
+    return found
+
+
+def _environments(folder: Path) -> dict[str, Path]:
+    """Return lat-long images by name; OpenEXR before Radiance."""
+    _require_folder(folder, "with lat-long images, .exr or .hdr")
+    images = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in IMAGES]
+    images.sort(key=lambda path: path.suffix.lower(), reverse=True)
+    found = {path.stem: path.resolve() for path in images}
+    if not found:
+        raise OptionError(f"{folder}: has no lat-long image; add an .exr or .hdr file.")
+    return dict(sorted(found.items()))
+
+
+def _require_folder(folder: Path, what: str) -> None:
+    if not folder.is_dir():
+        raise OptionError(f"{folder}: no such folder; --data needs one {what}.")
+
+
+def _folder(path: Path, converted: Path) -> Path:
+    return path if path.is_dir() else convert_glb(path, converted.resolve())
+
+
+def _chosen(
+    given: Sequence[str], known: Sequence[str] | dict[str, Path], default: Sequence[str], what: str
+) -> tuple[str, ...]:
+    require_known(given, known, what)
+    return tuple(dict.fromkeys(given)) or tuple(default)
+
+
+def convert_glb(path: Path, folder: Path) -> Path:
+    """Write mesh.ply, base_color.png, roughness.png and metallic.png of a GLB file.
+
+    The mesh is centred and scaled to a bounding radius of 1.
+
+    Args:
+        path: the GLB file, with one material.
+        folder: made if missing; returned.
+
+    Raises:
+        MeshError: unreadable, no mesh, no UVs, or several materials.
+        OutputError: the folder cannot be written.
+    """
+    geometry = read_geometry(path)
+    if geometry.mesh.uvs is None:
+        raise MeshError(f"{path}: the mesh has no UVs for its textures; unwrap it.")
+    if set(geometry.textures) != set(NAMES):
+        raise MeshError(
+            f"{path}: needs exactly one material with base colour, roughness and metallic; bake "
+            "its materials into one."
+        )
+    prepare_folder(folder)
+    points = geometry.mesh.positions
+    points = points - (points.min(axis=0) + points.max(axis=0)) / 2
+    points /= np.linalg.norm(points, axis=1).max()
+    mesh = replace(geometry.mesh, positions=points)
+    write_ply(folder / "mesh.ply", path.stem, mesh)
+    write_pictures(geometry.textures, folder)
+    return folder

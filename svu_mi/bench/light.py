@@ -1,0 +1,203 @@
+"""``svu bench light``: light found in photographs against the light that they were taken under.
+
+Nothing but pixels of the object is looked at. Textures are posterior means, of 160 x 160 texels
+and 60 photographs of 192 x 192, under the found light and under the given one.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from svu_mi.bench.captures import Truth
+from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
+from svu_mi.bench.markdown import Bar, Column, columns, digits
+from svu_mi.bench.study import Asked, Study
+from svu_mi.capture import Capture
+from svu_mi.illumination.estimate import estimate_light
+from svu_mi.illumination.likeness import blurred, likeness
+from svu_mi.illumination.lit import with_light
+from svu_mi.illumination.options import LightOptions
+from svu_mi.illumination.record import LightEstimate
+from svu_mi.light.cells import fibonacci
+from svu_mi.light.environment import read_environment
+from svu_mi.metrics.textures import psnr
+from svu_mi.observed import Observed, observe
+from svu_mi.parameters import NAMES
+from svu_mi.pipeline import Estimate, estimate
+from svu_mi.surface import texels
+
+GLOSSY, SOME = 0.4, 0.05  # roughness below which a texel is glossy; part of texels that counts
+FEW_DIELECTRICS = 0.2  # part of texels from which they fix the scale of the light
+ALONE, FAR = 0.8, 30.0  # light has a brightest direction if none so far off is so bright [deg]
+POINTS = 2048
+PHOTOGRAPHS: dict[str, Any] = {"views": 60, "film": 192, "spp": 32}
+QUICK: dict[str, Any] = {"views": 16, "film": 64, "spp": 8}
+TEXELS, QUICK_TEXELS = 160, 64  # per side
+
+
+@dataclass(frozen=True)
+class UnderFoundLight(OnCell):
+    """An object under a light that is known, and not: 160 x 160 texels."""
+
+    rows = (Part("found", lambda self: self.compared()),)
+
+    @cached_property
+    def capture(self) -> Capture:
+        """The photographs."""
+        return self.bench.capture(self.cell, **(QUICK if self.bench.quick else PHOTOGRAPHS))
+
+    @cached_property
+    def observed(self) -> Observed:
+        """What they show."""
+        resolution = QUICK_TEXELS if self.bench.quick else TEXELS
+        return observe(self.capture, texels(self.capture.mesh, resolution))
+
+    def head(self) -> Record:
+        return {"cell": self.title, **self._kind()}
+
+    @cached_property
+    def truth(self) -> Truth:
+        """Its true textures."""
+        return Truth.of(self.capture, self.observed.texels)
+
+    def _kind(self) -> Record:
+        seen = self.observed.coverage > 0
+        roughness, metallic = (self.truth.values[name][seen] for name in ("roughness", "metallic"))
+        world = fibonacci(POINTS)
+        grey = blurred(read_environment(self.capture.environment), world).mean(axis=1)
+        angle = np.degrees(np.arccos(np.clip(world @ world[grey.argmax()], -1, 1)))
+        return {
+            "glossy": bool((roughness < GLOSSY).mean() >= SOME),
+            "dielectric": bool((metallic < 0.5).mean() >= FEW_DIELECTRICS),
+            "has_brightest": bool(grey[angle > FAR].max() < ALONE * grey.max()),
+        }
+
+    def compared(self) -> Record:
+        """Find the light, and compare textures under it with those under the given one."""
+        options = LightOptions(depths=((64, 3), (128, 2))) if self.bench.quick else LightOptions()
+        start = time.perf_counter()
+        light = estimate_light(self.observed, options=options)
+        took = time.perf_counter() - start
+        known = estimate(self.observed)
+        found = estimate(with_light(self.capture, light), self.observed.texels)
+        seen = self.observed.coverage > 0
+        first, second = (np.array(one.entropy, np.float64)[seen] for one in (known, found))
+        return {
+            **_light(self.capture, light), "seconds": took,
+            "entropy": float(np.corrcoef(first, second)[0, 1]),
+            "known": self._textures(known, seen), "unknown": self._textures(found, seen),
+        }  # fmt: skip
+
+    def _textures(self, found: Estimate, seen: np.ndarray) -> Record:
+        quality: Record = {}
+        for name in NAMES:
+            truth = self.truth.values[name][seen].astype(np.float64).reshape(seen.sum(), -1)
+            mean, low, high = (
+                np.array(values, np.float64).reshape(len(seen), -1)[seen]
+                for values in (found.posterior.mean(name), *found.posterior.interval(name))
+            )
+            if name == "base_color":  # after one factor per channel
+                factor = (mean * truth).sum(axis=0) / np.maximum((mean * mean).sum(axis=0), 1e-12)
+                mean = np.clip(mean * factor, 0, 1)
+            quality[name] = {
+                "psnr": float(psnr(mean, truth)),
+                "holds": float(((low <= truth + 1e-6) & (truth <= high + 1e-6)).mean()),
+            }
+        return quality
+
+
+def _light(capture: Capture, light: LightEstimate) -> Record:
+    against = likeness(light, capture.environment)
+    low, high = light.scale_interval
+    scale = float(against.scale.mean())
+    return {
+        "correlation": against.correlation, "angle": against.angle, "scale": scale,
+        "inside": bool(low.mean() <= scale <= high.mean()), "wide": float((high / low).mean()),
+        "misfit": list(light.misfit), "moves": light.moves, "widening": light.widening,
+        "known_part": float(light.known.mean()),
+    }  # fmt: skip
+
+
+def _mean(values: Iterable[float]) -> float:
+    """Return the mean; NaN, which meets no bar, of nothing."""
+    found = list(values)
+    return float(np.mean(found)) if found else float("nan")
+
+
+def _lost(name: str) -> Any:
+    return lambda cell: cell["known"][name]["psnr"] - cell["unknown"][name]["psnr"]
+
+
+def _both(name: str) -> Any:
+    return lambda row: " -> ".join(
+        f"{row[one][name]['psnr']:.1f}" for one in ("known", "unknown")
+    )
+
+
+def _holds(cell: Record) -> float:
+    return float(np.mean([cell["unknown"][name]["holds"] for name in NAMES]))
+
+
+def rows_of(record: Record) -> list[Record]:
+    """Return what was measured on each cell."""
+    return [{**cell, **cell["rows"]["found"]} for cell in record["cells"]]
+
+
+SHOWN = (
+    Column("cell", lambda row: row["cell"]),
+    Column("light: correlation", lambda row: row["correlation"], digits(3)),
+    Column("brightest off by", lambda row: row["angle"] if row["has_brightest"] else None,
+           lambda value: f"{value:.0f} deg"),
+    Column("true / found scale", lambda row: row["scale"], digits(2)),
+    Column("90 % interval", lambda row: f"x{row['wide']:.2f}" + ("" if row["inside"] else ", out")),
+    *(Column(f"{name}: known -> found (dB)", _both(name)) for name in NAMES),
+    Column("entropy", lambda row: row["entropy"], digits(2)),
+    Column("90 % hold: colour / roughness / metallic", lambda row: " / ".join(
+        f"{row['unknown'][name]['holds']:.2f}" for name in NAMES)),
+    Column("time", lambda row: row["seconds"], lambda value: f"{value:.0f} s"),
+)  # fmt: skip
+
+
+def bars(record: Record) -> list[Bar]:
+    """Return what light from photographs has to reach."""
+    rows = rows_of(record)
+    glossy = [row["correlation"] for row in rows if row["glossy"]]
+    angles = [row["angle"] <= 15 for row in rows if row["has_brightest"]]
+    scales = [row for row in rows if row["dielectric"]]
+    entropies = [row["entropy"] for row in rows]
+    holds = _mean(_holds(row) for row in rows)
+    at_least = {
+        "light: mean correlation": (_mean(row["correlation"] for row in rows), 0.88),
+        "light: correlation in the worst glossy cell": (min(glossy, default=1.0), 0.7),
+        "brightest direction within 15 degrees": (_mean(angles), 0.7),
+        "entropy: mean correlation": (_mean(entropies), 0.8),
+        "entropy: correlation in the worst cell": (min(entropies), 0.55),
+        "scale is in its 90 % interval": (_mean(row["inside"] for row in scales), 0.8),
+        "90 % intervals hold the truth, at least": (holds, 0.78),
+    }
+    at_most = {
+        **{f"{name}: dB lost on average": (_mean(_lost(name)(row) for row in rows), most)
+           for name, most in (("roughness", 1.5), ("metallic", 1.5), ("base_color", 3.0))},
+        "median width of the scale's interval":
+            (float(np.median([row["wide"] for row in scales])), 2.0),
+        "90 % intervals hold the truth, at most": (holds, 0.95),
+    }  # fmt: skip
+    return [
+        *(Bar(what, value, limit, least=True) for what, (value, limit) in at_least.items()),
+        *(Bar(what, value, limit) for what, (value, limit) in at_most.items()),
+    ]
+
+
+def experiment(bench: Bench, asked: Asked) -> Experiment:
+    """Return what is measured: every cell under both lights."""
+    return Experiment("light", (UnderFoundLight(bench, cell) for cell in asked.cells), True)
+
+
+STUDY = Study(title="Light from the photographs themselves", experiment=experiment, bars=bars,
+              own_sizes=True, tables=lambda record: [columns(SHOWN, rows_of(record))])  # fmt: skip

@@ -1,0 +1,250 @@
+"""``svu bench orb``: Stanford-ORB, by its own rules.
+
+Textures are recovered from every capture, and pictures of them compared with its photographs.
+``targets`` are these photographs, ``metrics`` the rules; ``dataset`` renders a small set of
+svu_mi's own scenes in the same layout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from svu_mi.bench.experiment import Bench, Experiment, Record, file_name
+from svu_mi.bench.orb.dataset import find_captures, own_dataset
+from svu_mi.bench.orb.tables import draw_pictures, orb_lines, orb_tables, write_csv
+from svu_mi.bench.orb.targets import Target, judge_albedo, judge_pictures
+from svu_mi.bench.problem_sizes import RecoverySizes
+from svu_mi.bench.recovery import figures, run_warm
+from svu_mi.bench.recovery import methods as ways
+from svu_mi.bench.recovery.methods import Row
+from svu_mi.bench.result_cache import Store
+from svu_mi.bench.study import Asked, Study
+from svu_mi.capture import Capture, load_capture
+from svu_mi.files import prepare_folder
+from svu_mi.formats.importing import ImportOptions, import_capture
+from svu_mi.formats.stanford_orb import Split, read_orb, read_views
+from svu_mi.pipeline import estimate
+from svu_mi.recovery.options import PathOptions, ShOptions
+from svu_mi.recovery.textures import Textures, uniform
+from svu_mi.settings import require_known
+from svu_mi.surface import Texels, texels
+
+PLACE = "orb"  # folder of finished results
+
+
+@dataclass(frozen=True)
+class OrbRow(Row):
+    """A way of recovery for real photographs: paths have all the bounces of the scene."""
+
+    def options(self, scale: float = 1.0) -> tuple[ShOptions, PathOptions]:
+        """Return the presets' options (see ``Row``)."""
+        sh, path = super().options(scale)
+        return sh, replace(path, max_depth=None)
+
+
+# Those of the paper's Table 1: SH model, power spectrum, SH and one epoch of paths, Mitsuba.
+ROWS = tuple(
+    OrbRow(row.label, row.method, row.sh, row.path, row.sharing)
+    for row in (ways.SH, ways.SH_PATH, ways.PATH, ways.SH_PAPER, ways.SPECTRUM,
+                ways.SH_PAPER_PATH, ways.PATH_PAPER)
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrbSizes:
+    """How large everything is; part of every result's key.
+
+    Attributes:
+        film: pixels of the longer side that photographs are reduced to, before anything else;
+            512 is that of the data set's own evaluation.
+        texels: texels per side.
+        spp: samples per pixel of the pictures.
+        recovery: whether runs are warm, and how often they are timed (``bench.sizes``).
+    """
+
+    film: int = 512
+    texels: int = 512
+    spp: int = 128
+    recovery: RecoverySizes = field(default_factory=RecoverySizes)
+
+
+FULL = OrbSizes()
+QUICK = OrbSizes(film=128, texels=128, spp=64, recovery=RecoverySizes(warm=False, repeats=1))
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A capture, loaded only when a result is missing.
+
+    Attributes:
+        bench: where and how.
+        path: folder of the capture in the data set.
+        rows: ways of recovery.
+        environment_view: test photograph whose environment map is the light of recovery; by
+            default the first.
+        rendered: whether the data set is one of svu_mi's own scenes.
+    """
+
+    bench: Bench
+    path: Path
+    rows: Sequence[OrbRow]
+    environment_view: str | None
+    rendered: bool
+
+    @property
+    def sizes(self) -> OrbSizes:
+        """How large everything is."""
+        return QUICK if self.bench.quick else FULL
+
+    @property
+    def name(self) -> str:
+        return self.path.name
+
+    @property
+    def title(self) -> str:
+        return self.path.name
+
+    def settings(self, row: OrbRow | None) -> Any:
+        return self._source, asdict(self.sizes), row and asdict(row)
+
+    def measure(self, row: OrbRow) -> Record:
+        """Recover textures, and compare pictures of them with photographs."""
+        timed = run_warm(row, self.capture, self.grid, self.sizes.recovery)
+        return {**figures(timed), **self.judge(timed.result.textures, row.label)}
+
+    def judge(self, textures: Textures, label: str) -> Record:
+        """Return the figures of textures: ``light``, ``view`` and ``albedo``.
+
+        Args:
+            textures: of the object.
+            label: for the pictures.
+        """
+        spp = self.sizes.spp
+        relit, seen = (
+            [target.picture(self.capture, textures, spp) for target in targets]
+            for targets in (self.novel, self.test)
+        )
+        light = judge_pictures(self.novel, relit, scaled=True)
+        view = judge_pictures(self.test, seen, scaled=False)
+        shown = [("another light", self.novel[0], relit[0], light, True),
+                 ("another view", self.test[0], seen[0], view, False)]  # fmt: skip
+        draw_pictures(self._folder / f"{file_name(label)}.png", label, shown)
+        albedo = judge_albedo(self.test, self.capture, textures)
+        return {"light": light, "view": view, "albedo": albedo}
+
+    @cached_property
+    def capture(self) -> Capture:
+        """Photographs of the split ``train``, imported once."""
+        folder = self._folder / "capture"
+        store = Store(self._folder)
+
+        def imported() -> Record:
+            source = read_orb(self.path, environment_view=self.environment_view)
+            shrink = max(1.0, max(source.frames[0].size) / self.sizes.film)
+            return {"notes": import_capture(source, folder, ImportOptions(shrink=shrink))}
+
+        settings = self._source, self.sizes.film
+        self.bench.recall(store, "import", f"Importing {self.name}", settings, imported)
+        return load_capture(folder)
+
+    @cached_property
+    def grid(self) -> Texels:
+        return texels(self.capture.mesh, self.sizes.texels)
+
+    @cached_property
+    def novel(self) -> Sequence[Target]:
+        """The object in other places."""
+        return self._targets("novel")
+
+    @cached_property
+    def test(self) -> Sequence[Target]:
+        """The object in this place, from other sides."""
+        return self._targets("test")
+
+    def head(self) -> Record:
+        """What holds for all rows: counts, entropy, and what a grey object reaches."""
+        counts = {"novel": len(self.novel), "test": len(self.test)}
+        with self.bench.progress.stage(f"{self.path.name}: entropy"):
+            found = estimate(self.capture, self.grid)
+        seen = np.array(found.coverage) > 0
+        entropy = np.array(found.entropy)[seen]
+        grey = uniform(self.grid, 0.5).but(metallic=uniform(self.grid, 0.0).metallic)
+        return {
+            "name": self.path.name,
+            "film": self.sizes.film,
+            "resolution": self.sizes.texels,
+            "rendered": self.rendered,
+            "object": object_of(self.path.name),
+            "photographs": self.capture.count,
+            **counts,
+            "texels": self.grid.count,
+            "seen": int(seen.sum()),
+            "entropy": float(entropy.mean()),
+            "entropy_seconds": sum(found.timings.values()),
+            "grey": self.judge(grey, "grey"),
+        }
+
+    @property
+    def _folder(self) -> Path:
+        return prepare_folder(self.bench.folder / PLACE / self.name)
+
+    @property
+    def _source(self) -> tuple[str, str | None]:
+        return str(self.path.resolve()), self.environment_view
+
+    def _targets(self, split: Split) -> Sequence[Target]:
+        views = read_views(self.path, split)
+        with self.bench.progress.stage(f"{self.path.name}: reading {split}", len(views)) as stage:
+            found = []
+            for view in views:
+                found.append(Target.of(view, self.sizes.film))
+                stage.update(len(found), len(views))
+        return found
+
+
+def chosen_rows(labels: Sequence[str]) -> tuple[OrbRow, ...]:
+    """Return the rows of these labels, in the order of the table; if there are no labels, those
+    that trace no paths.
+
+    Raises:
+        OptionError: there is none of a label.
+    """
+    require_known(labels, [row.label for row in ROWS], "row")
+    return tuple(row for row in ROWS if row.label in labels or not (labels or row.traced))
+
+
+def chosen_captures(found: Sequence[Path], names: Sequence[str]) -> tuple[Path, ...]:
+    """Return the captures of these names (``teapot_scene001``, or ``teapot``); all without any.
+
+    Raises:
+        OptionError: there is none of a name.
+    """
+    both = {path: {path.name, object_of(path.name)} for path in found}
+    require_known(names, sorted(set[str]().union(*both.values())), "capture or object")
+    return tuple(path for path in found if not names or both[path] & set(names))
+
+
+def object_of(capture: str) -> str:
+    """Return the object of a capture: ``teapot`` of ``teapot_scene001``."""
+    return capture.rpartition("_")[0] or capture
+
+
+def _experiment(bench: Bench, asked: Asked) -> Experiment:
+    rows = chosen_rows(asked.rows)
+    data = own_dataset(bench) if asked.data is None else asked.data
+    captures = chosen_captures(find_captures(data), asked.objects)
+    own = asked.data is None
+    settings = (Setting(bench, path, rows, asked.environment_view, own) for path in captures)
+    return Experiment(PLACE, settings, whole=True)
+
+
+STUDY = Study(
+    title="Stanford-ORB", experiment=_experiment, tables=orb_tables, lines=orb_lines,
+    files={"orb.csv": write_csv}, runs_on="data",
+)  # fmt: skip

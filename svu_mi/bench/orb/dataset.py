@@ -1,0 +1,195 @@
+"""A data set in the layout of Stanford-ORB, rendered: the real one does not come with svu_mi.
+
+Like there, each capture has a world of its own, cameras are rolled, and each test photograph has
+the light in the frame of its own camera. Unlike there, textures and light are known exactly.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from svu_mi.bench.captures import contents
+from svu_mi.bench.cases import Cell, own_cells
+from svu_mi.bench.experiment import Bench
+from svu_mi.bench.orb.targets import albedo_pictures
+from svu_mi.bench.orb.writer import OrbCapture, OrbPhotograph, write_orb
+from svu_mi.bench.result_cache import Store
+from svu_mi.capture.mesh import arrays
+from svu_mi.capture.poses import affine, describe, make_sensor, sphere_sensors
+from svu_mi.capture.rendering import object_mask
+from svu_mi.capture.scene import find_environment, find_shape, load_scene, to_world
+from svu_mi.errors import OptionError
+from svu_mi.formats.stanford_orb import SUFFIXES, TRUTH
+from svu_mi.light.environment import directions, radiance_from
+from svu_mi.progress import Progress
+
+LOWEST = -0.4  # sine of the elevation of the lowest camera
+ROLL = 20.0  # degrees, standard deviation
+SHIFT = 0.3  # of the origin of each world, in radii of the object
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetSizes:
+    """How large a rendered data set is.
+
+    Attributes:
+        train: photographs per capture that textures are recovered from.
+        test: photographs that results are compared with.
+        film: pixels per side.
+        spp: samples per pixel of the former.
+        test_spp: samples per pixel of the latter: their noise limits every result.
+        environment: rows of the environment maps; they have twice as many columns.
+    """
+
+    train: int = 40
+    test: int = 6
+    film: int = 128
+    spp: int = 128
+    test_spp: int = 1024
+    environment: int = 256
+
+
+OWN = DatasetSizes()
+OWN_QUICK = DatasetSizes(train=16, test=2, film=64, spp=32, test_spp=256, environment=128)
+
+
+def own_dataset(bench: Bench) -> Path:
+    """Return the folder of a set of svu_mi's own scenes, rendered the first time.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    sizes = OWN_QUICK if bench.quick else OWN
+    store, cells = Store(bench.folder / "orb"), own_cells(quick=True)
+    folder = store.folder / "data"
+
+    def render() -> dict[str, Any]:
+        render_dataset(folder, cells, sizes, bench.progress)
+        return {"sizes": sizes}
+
+    settings = sizes, [(cell.name, contents(cell)) for cell in cells]
+    bench.recall(store, "data", "Rendering a data set", settings, render)
+    return folder
+
+
+def render_dataset(
+    root: str | Path, cells: Sequence[Cell], sizes: DatasetSizes, progress: Progress | None = None
+) -> None:
+    """Render objects under lights, with all bounces, into ``root``.
+
+    Captures are called ``OBJECT_scene001``, ..., by the order of the lights. The same arguments
+    give the same files.
+
+    Args:
+        root: folder of the data set.
+        cells: objects x lights.
+        sizes: how large.
+        progress: shows what is going on.
+
+    Raises:
+        OptionError: fewer than one photograph to train with, or to test.
+        SceneError: a scene cannot be loaded.
+        OutputError: the folder cannot be written.
+    """
+    if min(sizes.train, sizes.test) < 1:
+        raise OptionError("A data set needs a photograph to train with, and one to test.")
+    progress = progress or Progress()
+    # The colours of the data set's objects are those of paths, not of direct light.
+    ordered = sorted(cells, key=lambda cell: cell.object)
+    for name, lights in groupby(ordered, key=lambda cell: cell.object):
+        captures, mesh = [], None
+        for number, cell in enumerate(lights, 1):
+            with progress.stage(f"Rendering {cell.title}"):
+                scene = load_scene(cell.scene, {**cell.defines, "max_depth": "6"})
+                shape = find_shape(scene, None, str(cell.scene))
+                mesh = arrays(shape)
+                captures.append(_capture(f"{name}_scene{number:03d}", scene, shape, sizes))
+        if mesh is not None:
+            write_orb(root, mesh, captures)
+
+
+def _capture(name: str, scene: Any, shape: Any, sizes: DatasetSizes) -> OrbCapture:
+    seed = zlib.crc32(name.encode())
+    rng = np.random.default_rng(seed)
+    rotation = Rotation.random(random_state=rng).as_matrix()
+    world = affine(rotation, SHIFT * rng.normal(size=3))
+    film = (sizes.film, sizes.film)
+    placed = sphere_sensors(shape, sizes.train + sizes.test, film, lowest=LOWEST)
+    sensors = [_rolled(sensor, rng.normal(scale=ROLL)) for sensor in placed]
+    tested = [int((k + 0.5) * len(sensors) / sizes.test) for k in range(sizes.test)]
+    shots = [
+        _photograph(scene, shape, sensor, world, sizes, seed + k, tested=k in tested)
+        for k, sensor in enumerate(sensors)
+    ]
+    return OrbCapture(
+        name=name,
+        x_fov=describe(sensors[0])["x_fov"],
+        world=world,
+        train=[shot for k, shot in enumerate(shots) if k not in tested],
+        test=[shots[k] for k in tested],
+    )
+
+
+def _rolled(sensor: Any, degrees: float) -> Any:
+    record = describe(sensor)
+    roll = affine(Rotation.from_euler("z", degrees, degrees=True).as_matrix())
+    return make_sensor({**record, "to_world": np.array(record["to_world"]) @ roll}, sensor.id())
+
+
+def _photograph(
+    scene: Any,
+    shape: Any,
+    sensor: Any,
+    world: np.ndarray,
+    sizes: DatasetSizes,
+    seed: int,
+    *,
+    tested: bool,
+) -> OrbPhotograph:
+    spp = sizes.test_spp if tested else sizes.spp
+    image = np.array(mi.render(scene, sensor=sensor, spp=spp, seed=seed % 2**32))[..., :3]
+    pose = to_world(sensor)
+    environment = albedo = None
+    if tested:
+        # Rows of pixels, as in the data set: half a row away from the poles.
+        grid = directions(2 * sizes.environment, 2 * sizes.environment + 1)[1::2]
+        emitter = find_environment(scene, "The scene")
+        light = radiance_from(emitter, grid.reshape(-1, 3) @ pose[:3, :3].T)
+        environment = light.reshape(grid.shape)
+        (albedo,) = albedo_pictures(scene, [sensor])
+    return OrbPhotograph(
+        image=image,
+        mask=object_mask(scene, shape, sensor),
+        to_world=world @ pose,
+        environment=environment,
+        albedo=albedo,
+    )
+
+
+def find_captures(data: str | Path) -> tuple[Path, ...]:
+    """Return the folders of all captures of a data set, by name.
+
+    Args:
+        data: its folder.
+
+    Raises:
+        OptionError: there is none.
+    """
+    kind = next(iter(SUFFIXES))  # with high range
+    folder = Path(data) / kind
+    found = sorted(path.parent for path in folder.glob("*/transforms_train.json"))
+    if not found:
+        raise OptionError(
+            f"{folder}: holds no capture (a folder with transforms_train.json); give the folder "
+            f"that Stanford-ORB's {kind} and {TRUTH} were unpacked into."
+        )
+    return tuple(found)

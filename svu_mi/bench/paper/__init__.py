@@ -1,0 +1,56 @@
+"""``svu bench paper``: Tables 2 and 3 and Figure 9 of the paper, as printed and by svu_mi.
+
+Table 1 is ``svu bench orb``. Figures 2 to 8 are of single texels and of Table 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from svu_mi.bench.cases import Cell
+from svu_mi.bench.experiment import Bench, Experiment, Record, Subject
+from svu_mi.bench.guidance import few_lights
+from svu_mi.bench.paper.figure9 import Figure9, draw_figure9, figure9_tables
+from svu_mi.bench.paper.table2 import Table2, table2_tables
+from svu_mi.bench.paper.table3 import Table3, table3_tables
+from svu_mi.bench.study import Asked, Study
+from svu_mi.settings import require_known
+
+PARTS: dict[str, tuple[Callable[[Bench, Cell], Subject], Callable[[list[Record]], list[str]]]] = {
+    "table3": (Table3, table3_tables),
+    "table2": (Table2, table2_tables),
+    "figure9": (Figure9, figure9_tables),
+}
+# Lights of svu_mi's own scenes; of a folder with data, as many of each object.
+LIGHTS = {"table2": ("window", "studio", "overcast"), "figure9": ("window", "studio")}
+
+
+def _experiment(bench: Bench, asked: Asked) -> Experiment:
+    require_known(asked.rows, PARTS, "part of the paper")
+    return Experiment("paper", _subjects(bench, asked), whole=True)
+
+
+def _subjects(bench: Bench, asked: Asked) -> Iterator[Subject]:
+    for part, (subject, _) in PARTS.items():
+        if asked.rows and part not in asked.rows:
+            continue
+        cells = list(asked.cells)
+        if part in LIGHTS and asked.data is None:
+            cells = [cell for cell in cells if cell.light in LIGHTS[part]]
+        elif part in LIGHTS:
+            cells = few_lights(cells, len(LIGHTS[part]))
+        yield from (subject(bench, cell) for cell in cells)
+
+
+def _tables(record: Record) -> list[str]:
+    found = []
+    for part, (_, tables) in PARTS.items():
+        cells = [cell for cell in record["cells"] if cell["part"] == part]
+        found += tables(cells) if cells else []
+    return found
+
+
+STUDY = Study(
+    title="The paper as printed", experiment=_experiment, tables=_tables, own_sizes=True,
+    plots={"figure9": draw_figure9},
+)  # fmt: skip

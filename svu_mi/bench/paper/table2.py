@@ -1,0 +1,139 @@
+"""Table 2 of the paper: textures from photographs mostly from one side, and their entropy.
+
+24 photographs of 96 x 96 with 32 samples, 20 of them from one side, 96 x 96 texels, direct light.
+Rows are the paper's as printed (presets ``paper`` and ``spectrum``) and ours. Beside the PSNR of
+textures over texels that a photograph shows:
+
+* Pearson's correlation of a texel's mean absolute error with its entropy: the paper's textures
+  with the paper's entropy (power spectra), ours with ours;
+* Fig. 8: the mean absolute error of the most and of the least certain texels, by the paper's
+  entropy, for masks of 10 to 90 % of the surface.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from svu_mi import metrics
+from svu_mi.bench.captures import Truth, uneven_views
+from svu_mi.bench.experiment import OnCell, Record
+from svu_mi.bench.markdown import Column, columns, digits, table
+from svu_mi.bench.recovery.methods import OURS, PAPER, PATH_SHARING, Row
+from svu_mi.capture import Capture
+from svu_mi.pipeline import estimate
+from svu_mi.surface import Texels, texels
+
+FILM, DENSE, FRONT, BACK, TEXELS, SPP = 96, 48, 20, 4, 96, 32
+QUICK_FILM, QUICK_TEXELS, QUICK_SPP = 48, 48, 8
+PARTS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+ROWS = tuple(row for row in (*PAPER, *OURS) if row is not PATH_SHARING)
+
+
+@dataclass(frozen=True)
+class Table2(OnCell):
+    """A case whose textures are recovered from photographs mostly from one side."""
+
+    @property
+    def name(self) -> str:
+        return f"table2/{self.cell.name}"
+
+    @property
+    def rows(self) -> Sequence[Row]:
+        """All ways of recovery; with quick sizes, those that trace no paths."""
+        return [row for row in ROWS if not (row.traced and self.bench.quick)]
+
+    def settings(self, row: Row | None) -> Any:
+        return str(self.cell.scene), self.cell.defines, self.bench.quick, row and asdict(row)
+
+    def head(self) -> Record:
+        return {"part": "table2", "cell": self.title}
+
+    @cached_property
+    def capture(self) -> Capture:
+        """Photographs mostly from one side."""
+        film, spp = (QUICK_FILM, QUICK_SPP) if self.bench.quick else (FILM, SPP)
+        every = self.bench.capture(self.cell, "table2", views=DENSE, film=film, spp=spp)
+        return uneven_views(every, FRONT, BACK)
+
+    @cached_property
+    def layout(self) -> Texels:
+        """Texels of the textures."""
+        return texels(self.capture.mesh, QUICK_TEXELS if self.bench.quick else TEXELS)
+
+    @cached_property
+    def truth(self) -> Truth:
+        """True textures."""
+        return Truth.of(self.capture, self.layout)
+
+    @cached_property
+    def entropy(self) -> dict[str, np.ndarray]:
+        """Entropy of all texels, of the paper's spectra and ours; and which are seen."""
+        ours = estimate(self.capture, self.layout)
+        paper = estimate(ours, method="spectrum", preset="paper")
+        return {
+            "paper": np.array(paper.entropy, np.float64),
+            "ours": np.array(ours.entropy, np.float64),
+            "seen": np.array(ours.coverage) > 0,
+        }
+
+    def measure(self, row: Row) -> Record:
+        """Recover textures in one way, and compare them with the true ones."""
+        seen = self.entropy["seen"]
+        dr.sync_thread()
+        start = time.perf_counter()
+        textures = row.recover(self.capture, self.layout).textures
+        dr.sync_thread()
+        seconds = time.perf_counter() - start
+        error, paper = self.truth.error(textures, seen), self.entropy["paper"][seen]
+        own = self.entropy["paper" if "(paper)" in row.label else "ours"][seen]
+        return {
+            "seconds": seconds, "psnr": self.truth.psnr(textures, seen),
+            "correlation": metrics.pearson(error, own),
+            "certain": masked(error, np.argsort(paper, kind="stable")),
+            "uncertain": masked(error, np.argsort(-paper, kind="stable")),
+        }  # fmt: skip
+
+
+def masked(error: np.ndarray, order: np.ndarray) -> list[float]:
+    """Return mean errors over the first of the texels, by part of their number."""
+    return [float(error[order[: max(int(part * len(order)), 1)]].mean()) for part in PARTS]
+
+
+SHOWN = (
+    Column("recovery", lambda line: line[0]),
+    *(Column(title, lambda line, name=name: _mean(line[1], name), digits(2))  # type: ignore[misc]
+      for title, name in (("base colour", "base_color"), ("roughness", "roughness"),
+                          ("metallic", "metallic"), ("average", "average"))),
+    Column("error with entropy", lambda line: np.mean([x["correlation"] for x in line[1]]),
+           digits(2)),
+    Column("seconds", lambda line: np.median([x["seconds"] for x in line[1]]), digits(1)),
+)  # fmt: skip
+
+
+def _mean(found: list[Record], name: str) -> float:
+    return float(np.mean([one["psnr"][name] for one in found]))
+
+
+def table2_tables(cells: list[Record]) -> list[str]:
+    """Return Table 2, and the errors of Fig. 8."""
+    lines = [(label, [cell["rows"][label] for cell in cells]) for label in cells[0]["rows"]]
+    errors = [
+        [f"{label}, most {kind}",
+         *(f"{value:.3f}" for value in np.mean([one[kind] for one in found], axis=0))]
+        for label, found in lines for kind in ("certain", "uncertain")
+    ]  # fmt: skip
+    return [
+        "## Table 2: textures, photographs mostly from one side",
+        f"PSNR (dB), means over {len(cells)} cells: {', '.join(cell['cell'] for cell in cells)}.",
+        columns(SHOWN, lines),
+        "Mean absolute error of the most and the least certain texels, by the paper's entropy "
+        "(Fig. 8).",
+        table(("part of the texels", *(f"{part:.0%}" for part in PARTS)), errors),
+    ]

@@ -1,0 +1,185 @@
+"""Table 3 of the paper: does the entropy agree with that of a path tracer?
+
+Pearson's correlation of entropies over 400 texels (64 paths per ray, direct light, 8 x 8 x 8
+parameters), 60 photographs of 256 x 256:
+
+* the rows of the paper: the SH model (Eq. 6), evaluated in angle, and power spectra (Eq. 11), both
+  as printed; the reference's d is the *sum* over views as well (sigma .4 of the mean radiance);
+* the same over open texels alone, which lose less than 3 % of their irradiance to the object;
+* what other readings change, and what is between the SH model and ours: light that is known in all
+  directions, GGX lobes with their own Fresnel term, cells of the light, occlusion;
+* ours, whose reference has the mean over views (sigma .08).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from svu_mi import metrics
+from svu_mi.bench.accuracy import reference_of
+from svu_mi.bench.experiment import OnCell, Record
+from svu_mi.bench.markdown import Column, columns, digits
+from svu_mi.options import Fit, Method, preset
+from svu_mi.pipeline import Estimate, estimate
+from svu_mi.posterior import TabulatedPosterior
+
+FULL, QUICK = (400, 64), (60, 8)  # texels and paths of the reference
+SUM, MEAN = 0.4, 0.08  # sigma, as parts of the mean radiance
+LOSES = 0.97  # part of the irradiance that reaches an open texel at least
+
+
+@dataclass(frozen=True)
+class Way:
+    """A map whose correlation with a reference is a row of the table.
+
+    Attributes:
+        label: of the row.
+        method, preset: of ``estimate``.
+        reference: whose errors are the ``sum`` or the ``mean`` over views.
+        open: whether open texels are compared on their own, too.
+    """
+
+    label: str
+    method: Method
+    preset: Any
+    reference: str
+    open: bool = False
+
+
+def _ways() -> tuple[Way, ...]:
+    def paper(label: str, *, open: bool = False, **switches: Any) -> Way:
+        which = "mean" if switches.get("errors") == "mean" else "sum"
+        return Way(label, "angular", preset("paper", method="angular", **switches), which, open)
+
+    def ours(label: str, *, open: bool = False, **switches: Any) -> Way:
+        chosen = preset("fixed", method="angular", errors="sum", sigma=SUM, **switches)
+        return Way(label, "angular", chosen, "sum", open)
+
+    relative = preset("paper", noise="relative", sigma=0.02)
+    return (
+        paper("SH model (paper)", open=True),
+        Way("spectrum (paper)", "spectrum", preset("paper"), "sum", True),
+        Way("spectrum (paper), relative noise", "spectrum", relative, "sum"),
+        paper("SH model, mean over views", errors="mean", sigma=MEAN),
+        paper("SH model, band-limit undone", fit=Fit(undo_prefilter=True)),
+        paper("SH model, degree 5", fit=Fit(degree=5)),
+        paper("SH model, degree 9", fit=Fit(degree=9)),
+        paper("SH model, lambda 1e-2", fit=Fit(regularizer=1e-2)),
+        paper("SH model, constant free", fit=Fit(penalize_constant=False)),
+        paper("its lobes, light known everywhere", fit=None),
+        ours("GGX lobes, light known everywhere", cells=0),
+        ours("cells of the light, nothing occluded", occluded=False),
+        ours("fixed, sum over views", open=True),
+        Way("fixed", "angular", preset("fixed", method="angular"), "mean"),
+        Way("spectrum (ours)", "spectrum", preset("default"), "mean"),
+    )
+
+
+@dataclass(frozen=True)
+class Table3(OnCell):
+    """A case whose entropies are compared with path-traced ones."""
+
+    @property
+    def name(self) -> str:
+        return f"table3/{self.cell.name}"
+
+    @property
+    def rows(self) -> Sequence[Way]:
+        return _ways()
+
+    def settings(self, row: Way | None) -> Any:
+        return super().settings(None), self.bench.quick, row and asdict(row)
+
+    @cached_property
+    def observed(self) -> Estimate:
+        """Estimate of the paper's spectra, which others continue from."""
+        return estimate(self.capture, self.layout, "spectrum", "paper")
+
+    @cached_property
+    def reference(self) -> Any:
+        """The path-traced posterior, errors summed over views."""
+        texels, spp = QUICK if self.bench.quick else FULL
+        return reference_of(
+            self.bench, self.capture, self.layout, subset=texels, spp=spp, sigma=SUM, errors="sum"
+        )
+
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """(n,) bool, texels of the reference that a photograph shows."""
+        return self.reference.coverage > 0
+
+    @cached_property
+    def entropies(self) -> dict[str, list[np.ndarray]]:
+        """Of errors summed and averaged over views: entropies of the reference and its halves."""
+        found, result = self.reference, {}
+        views = found.coverage[:, None, None, None]
+        for name, factor in (("sum", views), ("mean", (SUM / MEAN) ** 2)):
+            result[name] = [
+                np.array(
+                    TabulatedPosterior(
+                        energies=table * factor, grid=found.posterior.grid, observed=self.seen
+                    ).entropy(), np.float64,
+                )[self.seen]
+                for table in found.traced.tables
+            ]  # fmt: skip
+        return result
+
+    @cached_property
+    def open(self) -> np.ndarray:
+        """(n,) bool: texels that lose little of their irradiance to the object itself."""
+        observed, result = self.observed.observed, np.zeros(self.layout.count, bool)
+        assert observed is not None
+        rules = (preset("default", occluded=on) for on in (True, False))
+        arrives, whole = (observed.irradiance(rule, 1)[0].numpy() for rule in rules)
+        result[observed.seen] = arrives > LOSES * whole
+        return result[self.reference.subset][self.seen]
+
+    def head(self) -> Record:
+        """Return what the references say of themselves, and how simple maps agree with them."""
+        simple: Record = {}
+        for which, (whole, *halves) in self.entropies.items():
+            simple[f"reference's halves ({which})"] = correlation(*halves)
+            for name in ("coverage", "brightness"):
+                values = getattr(self.reference, name)[self.seen]
+                simple[f"{name} ({which})"] = correlation(-values, whole)
+            simple[f"mean entropy of the reference ({which})"] = float(whole.mean())
+        return {"part": "table3", "cell": self.title, "simple": simple,
+                "open texels, part": float(self.open.mean())}  # fmt: skip
+
+    def measure(self, row: Way) -> Record:
+        """Return the correlation of a map with the reference, of all texels and of open ones."""
+        found = estimate(self.observed, method=row.method, preset=row.preset)
+        own = np.array(found.entropy, np.float64)[self.reference.subset][self.seen]
+        truth = self.entropies[row.reference][0]
+        record = {"rho": correlation(own, truth)}
+        if row.open:
+            record["open"] = correlation(own[self.open], truth[self.open])
+        return record
+
+
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Return Pearson's correlation; NaN if either is constant."""
+    varied = np.ptp(a) > 0 and np.ptp(b) > 0
+    return metrics.pearson(a, b) if varied else float("nan")
+
+
+def table3_tables(cells: list[Record]) -> list[str]:
+    """Return means over the cells, and the lowest of each row."""
+    lines = []
+    for label, first in cells[0]["rows"].items():
+        lines.append((label, [cell["rows"][label]["rho"] for cell in cells]))
+        if "open" in first:
+            values = [cell["rows"][label]["open"] for cell in cells]
+            lines.append((f"{label}, open texels", values))
+    lines += [(name, [cell["simple"][name] for cell in cells]) for name in cells[0]["simple"]]
+    shown = (
+        Column("row", lambda line: line[0]),
+        Column(f"mean of {len(cells)} cells", lambda line: np.mean(line[1]), digits(3)),
+        Column("lowest", lambda line: np.min(line[1]), digits(3)),
+    )
+    return ["## Table 3: entropy against path tracing", columns(shown, lines)]

@@ -1,0 +1,139 @@
+"""``svu bench paths``: how agreement with path tracing changes with indirect light and the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from svu_mi import metrics
+from svu_mi.bench.accuracy import reference_of
+from svu_mi.bench.estimators import Variant
+from svu_mi.bench.experiment import Bench, Experiment, OnCell, Record
+from svu_mi.bench.markdown import Column, columns, digits
+from svu_mi.bench.study import Asked, Study
+from svu_mi.capture import Capture
+from svu_mi.surface import Texels, texels
+
+DEPTH = 4  # of the reference with light between parts of the object
+PHOTOGRAPHS = 6  # depth of the photographs it is compared on
+# Every psi has to be rendered where light goes between parts of the object: for a few texels.
+TEXELS, SAMPLES, OBJECTS = 150, 32, 4
+QUICK = (40, 8, 1)
+CASES = {
+    "direct": "direct light",
+    "photographs": "all light in the photographs",
+    "both": "all light in both",
+    "heteroscedastic": "noise grows with radiance",
+    "estimated": "noise is estimated",
+}
+
+
+@dataclass(frozen=True)
+class Lit(OnCell):
+    """A cell, photographed with direct light and with all light.
+
+    Attributes:
+        rows: estimators.
+        texels, samples: of the references.
+    """
+
+    rows: Sequence[Variant]
+    texels: int = TEXELS
+    samples: int = SAMPLES
+
+    def settings(self, row: Variant | None) -> Any:
+        how = None if row is None else (row.method, asdict(row.preset))
+        return super().settings(row), self.texels, self.samples, how
+
+    def head(self) -> Record:
+        """Return ``cell``, ``texels``, and ``references``: the correlation of those of direct and
+        of all light."""
+        one, other = self.references["photographs"], self.references["both"]
+        kept = one.posterior.observed & other.posterior.observed
+        rho = metrics.pearson(one.entropy[kept], other.entropy[kept])
+        return {"cell": self.title, "texels": int(kept.sum()), "references": rho}
+
+    def measure(self, row: Variant) -> Record:
+        """Return Pearson's rho of an estimator with each of ``references``."""
+        entropies = {id(capture): np.array(row.estimate(capture, self.layout).entropy, float)
+                     for capture in self.captures}  # fmt: skip
+        found = {}
+        for case, reference in self.references.items():
+            seen = reference.posterior.observed
+            entropy = entropies[id(self.capture_of(case))][reference.subset[seen]]
+            found[case] = metrics.pearson(entropy, reference.entropy[seen])
+        return found
+
+    @cached_property
+    def captures(self) -> tuple[Capture, Capture]:
+        """Photographs of direct light, and of all light."""
+        lit = replace(self.cell, defines={**self.cell.defines, "max_depth": str(PHOTOGRAPHS)})
+        return self.bench.capture(self.cell), self.bench.capture(lit, "capture_all_light")
+
+    def capture_of(self, case: str) -> Capture:
+        """Return the photographs of one of ``CASES``."""
+        return self.captures[case in ("photographs", "both")]
+
+    @cached_property
+    def layout(self) -> Texels:
+        """Texels that are estimated."""
+        return texels(self.captures[0].mesh, self.bench.sizes.texels)
+
+    @cached_property
+    def references(self) -> dict[str, Any]:
+        """Path-traced posteriors of the same texels, by case."""
+
+        def traced(case: str, **changes: Any) -> Any:
+            return reference_of(
+                self.bench, self.capture_of(case), self.layout, spp=self.samples, **changes
+            )
+
+        plain = traced("direct", subset=self.texels)
+        how: dict[str, dict[str, Any]] = {
+            "photographs": {},
+            "both": {"method": "brute", "max_depth": DEPTH},
+            "heteroscedastic": {"noise": "heteroscedastic"},
+            "estimated": {"noise": "estimated"},
+        }
+        others = {case: traced(case, subset=plain.subset, **one) for case, one in how.items()}
+        return {"direct": plain, **others}
+
+
+def _experiment(bench: Bench, asked: Asked) -> Experiment:
+    first = {cell.object: cell for cell in reversed(asked.cells)}
+    count, samples, objects = QUICK if bench.quick else (TEXELS, SAMPLES, OBJECTS)
+    chosen = list(first.values())[::-1][:objects]
+    subjects = (Lit(bench, cell, asked.variants, count, samples) for cell in chosen)
+    return Experiment("paths", subjects)
+
+
+def tables(record: Record) -> list[str]:
+    """Return a line per cell and estimator."""
+    shown = (
+        Column("object / light", lambda line: line[0]["cell"]),
+        Column("map", lambda line: line[1]),
+        *(Column(title, lambda line, case=case: line[2][case], digits(2))  # type: ignore[misc]
+          for case, title in CASES.items()),
+        Column("both references", lambda line: line[0]["references"], digits(2)),
+    )  # fmt: skip
+    lines = [(cell, label, row) for cell in record["cells"] for label, row in cell["rows"].items()]
+    most = max((cell["texels"] for cell in record["cells"]), default=0)
+    return [
+        f"Pearson correlation with references in which every psi is rendered, on up to {most} "
+        "texels: of direct light; with photographs of up to "
+        "5 bounces against the reference of direct light; with the same photographs against a "
+        "reference of up to 3 bounces, in which all of the object has the psi in question; and "
+        "of direct light, with noise that grows with radiance, and with noise that is estimated, "
+        "as `default` and `fast` do. Last, the references of direct and of all light with each "
+        "other.",
+        columns(shown, lines),
+    ]
+
+
+STUDY = Study(title="Light between parts of the object, and other noise", experiment=_experiment,
+              tables=tables)  # fmt: skip

@@ -1,0 +1,82 @@
+"""Finished results on disk: one JSON per cell, valid as long as its key is."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+import svu_mi
+from svu_mi.files import prepare_folder
+from svu_mi.output import write_manifest
+
+AROUND = ("bench", "cli", "output")  # parts of svu_mi that no figure depends on
+
+
+def key_of(*parts: Any) -> str:
+    """Return a short digest of settings (any mix of JSON values) and of svu_mi's version.
+
+    A result is taken up again only under the same key, so a result of another version or
+    with other settings is computed again.
+    """
+    text = json.dumps([svu_mi.__version__, *parts], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@cache
+def code_now() -> str:
+    """Return a digest of what a result depends on beside its input: code, libraries, device."""
+    digest, root = hashlib.sha256(), Path(svu_mi.__file__).parent
+    for path in sorted(root.rglob("*.py")):
+        if path.relative_to(root).parts[0] not in AROUND:
+            digest.update(path.read_bytes())
+    versions = (mi.__version__, dr.__version__, mi.variant() or "", str(dr.thread_count()))
+    return key_of(digest.hexdigest(), versions)
+
+
+class Store:
+    """JSON records by name in a folder.
+
+    Args:
+        folder: made if missing.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = prepare_folder(folder)
+
+    def path(self, name: str) -> Path:
+        """Return the file of a record."""
+        return self.folder / f"{name}.json"
+
+    def load(self, name: str, key: str) -> dict[str, Any] | None:
+        """Return a finished record, None if there is none with this key.
+
+        A file that is no JSON counts as missing: whatever broke it, the remedy is to compute
+        again.
+        """
+        try:
+            record = json.loads(self.path(name).read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError):
+            return None
+        matches = isinstance(record, dict) and record.get("key") == key
+        return record if matches else None
+
+    def save(self, name: str, key: str, record: Mapping[str, Any]) -> dict[str, Any]:
+        """Write a record in one step, and return it as it will be read again.
+
+        Raises:
+            OutputError: the file cannot be written, or a value is no JSON.
+        """
+        write_manifest(self.path(name), {**record, "key": key})
+        loaded = self.load(name, key)
+        assert loaded is not None
+        return loaded

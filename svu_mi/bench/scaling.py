@@ -1,0 +1,201 @@
+"""``svu bench scaling``: how run time and memory of an estimate grow with texels and with views.
+
+A line a + b n is fitted to the times. Its R^2 says whether they are linear with a constant
+overhead; the slope of the upper half on logarithmic axes says with which power they grow where
+the overhead counts least. Both take the least time of several runs, as other load on a machine
+only ever adds to it; and all sizes take turns, so that a slow spell does not bend the line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from svu_mi.bench.captures import chosen_views
+from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
+from svu_mi.bench.markdown import Bar, Column, columns, digits, seconds
+from svu_mi.bench.study import Asked, Study
+from svu_mi.bench.timing import allocated_mib, run, spread
+from svu_mi.capture import Capture
+from svu_mi.needs import MODELS
+from svu_mi.pipeline import estimate
+from svu_mi.surface import Texels, texels
+
+STEEPEST, LEAST_R2 = 1.1, 0.95
+MODEL_OF = {"angular": "default", "spectrum": "spectrum"}  # with their default presets
+
+
+@dataclass(frozen=True, kw_only=True)
+class Range:
+    """What is varied.
+
+    Attributes:
+        resolutions: texels per side, with all views of the capture.
+        views: numbers of views; those of the capture are used again and again.
+        resolution: texels per side while views vary.
+        photographs: views and pixels per side of the capture; it is in memory many times.
+        repeats: warm runs of each point.
+    """
+
+    resolutions: tuple[int, ...] = (128, 192, 256, 384, 512)
+    views: tuple[int, ...] = (15, 30, 60, 120, 240)
+    resolution: int = 256
+    photographs: tuple[int, int] = (60, 128)
+    repeats: int = 5
+
+
+FULL = Range()
+QUICK = Range(resolutions=(64, 128, 256), views=(15, 60, 240), resolution=96,
+              photographs=(24, 128), repeats=3)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Scaled(OnCell):
+    """A case that is estimated at several sizes."""
+
+    @property
+    def rows(self) -> tuple[Part, ...]:
+        return PARTS
+
+    @property
+    def sizes(self) -> Range:
+        """What is varied."""
+        return QUICK if self.bench.quick else FULL
+
+    def settings(self, row: Part | None) -> Any:
+        return str(self.cell.scene), self.cell.defines, asdict(self.sizes), row and row.label
+
+    def head(self) -> Record:
+        return {"cell": self.title, "views": self.sizes.photographs[0],
+                "resolution": self.sizes.resolution}  # fmt: skip
+
+    def curve(self, method: Any, what: str) -> Record:
+        """Return ``method``, ``what``, the ``points`` (``n``; ``seconds``, a spread;
+        ``allocated_mib``) and the ``line`` of a curve (see ``line``)."""
+        views, film = self.sizes.photographs
+        capture = self.bench.capture(self.cell, "scaling", views=views, film=film, spp=8)
+        layout = texels(capture.mesh, self.sizes.resolution)
+        if what == "texels":
+            layouts = [texels(capture.mesh, resolution) for resolution in self.sizes.resolutions]
+            cases = [(layout.count, capture, layout) for layout in layouts]
+        else:
+            cases = [(n, repeated(capture, n), layout) for n in self.sizes.views]
+        found = _measured(cases, method, self.sizes.repeats)
+        return {"method": method, "what": what, **found}
+
+
+def _part(method: str, what: str) -> Part:
+    return Part(f"{method}, {what}", lambda subject: subject.curve(method, what))
+
+
+PARTS = tuple(_part(method, what) for method in MODEL_OF for what in ("texels", "views"))
+
+
+def _curves(record: Record) -> list[Record]:
+    return [curve for cell in record["cells"] for curve in cell["rows"].values()]
+
+
+def find_bars(record: Record) -> list[Bar]:
+    """Return the bars: no curve is steeper than linear, and a line explains it."""
+    bars = []
+    for curve in _curves(record):
+        name, found = f"{curve['method']}, seconds by {curve['what']}", curve["line"]
+        bars += [
+            Bar(f"{name}: exponent of the upper half", found["slope"], STEEPEST),
+            Bar(f"{name}: R^2 of a + b n", found["r2"], LEAST_R2, least=True),
+        ]
+    return bars
+
+
+def repeated(capture: Capture, count: int) -> Capture:
+    """Return a capture of ``count`` views: spread over the given ones, or these repeated."""
+    chosen = np.arange(count) % capture.count
+    if count < capture.count:
+        chosen = np.linspace(0, capture.count - 1, count).round().astype(int)
+    return chosen_views(capture, chosen)
+
+
+def line(n: Sequence[float], seconds: Sequence[float]) -> dict[str, float]:
+    """Fit a + b n by least squares.
+
+    Args:
+        n: at least three sizes, ascending.
+        seconds: their times.
+
+    Returns:
+        ``a`` in seconds, ``b`` in seconds per n, ``r2``, and ``slope``: the exponent p of
+        n^p that fits the upper half of the sizes, at least two.
+    """
+    x, y = np.array(n, np.float64), np.array(seconds, np.float64)
+    b, a = np.polyfit(x, y, 1)
+    rest = ((y - a - b * x) ** 2).sum() / ((y - y.mean()) ** 2).sum()
+    upper = slice(min(len(x) // 2, len(x) - 2), None)
+    slope, _ = np.polyfit(np.log(x[upper]), np.log(y[upper]), 1)
+    return {"a": float(a), "b": float(b), "r2": float(1 - rest), "slope": float(slope)}
+
+
+def _measured(
+    cases: Sequence[tuple[int, Capture, Texels]], method: Any, repeats: int
+) -> dict[str, Any]:
+    """Measure the sizes in turns, after each was run once (the first twice) for its memory."""
+
+    def function(case: tuple[int, Capture, Texels]) -> Callable[[], Any]:
+        return lambda: estimate(*case[1:], method).entropy
+
+    runs = [function(case) for case in cases]
+    run(runs[0])
+    memory = [allocated_mib(partial(run, one)) for one in runs]
+    rounds = [[run(one).wall for one in runs] for _ in range(repeats)]
+    times = [spread(of_case) for of_case in zip(*rounds, strict=True)]
+    n = [case[0] for case in cases]
+    points = [
+        {"n": size, "seconds": seconds, "allocated_mib": peak}
+        for size, seconds, peak in zip(n, times, memory, strict=True)
+    ]
+    return {"points": points, "line": line(n, [seconds["low"] for seconds in times])}
+
+
+SHOWN = (
+    Column("estimator", lambda curve: curve["method"]),
+    Column("n", lambda curve: curve["what"]),
+    Column("seconds of n", lambda curve: ", ".join(
+        f"{p['n']:,}: {p['seconds']['low']:.3g}" for p in curve["points"])),
+    Column("a", lambda curve: curve["line"]["a"], seconds),
+    Column("b", lambda curve: curve["line"]["b"], lambda value: f"{1e6 * value:.3g} us"),
+    Column("R^2", lambda curve: curve["line"]["r2"], digits(3)),
+    Column("exponent, upper half", lambda curve: curve["line"]["slope"], digits(2)),
+)  # fmt: skip
+MEMORY = (
+    Column("estimator", lambda curve: curve["method"]),
+    Column("bytes per texel, allocator", lambda curve: 2**20 * np.polyfit(
+        [p["n"] for p in curve["points"]], [p["allocated_mib"] for p in curve["points"]], 1)[0],
+        digits(0)),
+    Column("formula of resident memory", lambda curve: MODELS[MODEL_OF[curve["method"]]]),
+)  # fmt: skip
+
+
+def _tables(record: Record) -> list[str]:
+    if not record["cells"]:
+        return []
+    cell, curves = record["cells"][0], _curves(record)
+    of_texels = [curve for curve in curves if curve["what"] == "texels"]
+    return [
+        f"Least seconds of several runs by the clock, and a + b n; texels with {cell['views']} "
+        f"views, views with {cell['resolution']} x {cell['resolution']} texels.",
+        columns(SHOWN, curves),
+        "How the peak of Dr.Jit's allocator grows with texels; the formula counts all that is "
+        "resident.",
+        columns(MEMORY, of_texels),
+    ]
+
+
+def _experiment(bench: Bench, asked: Asked) -> Experiment:
+    return Experiment("scaling", [Scaled(bench, asked.cells[0])])
+
+
+STUDY = Study(title="Scaling of an estimate", experiment=_experiment, tables=_tables,
+              bars=find_bars, own_sizes=True)  # fmt: skip

@@ -1,0 +1,226 @@
+"""Time in kernels by stage of an estimate, and the gather against bare visibility rays.
+
+``survey`` projects texels, tests which way they face and whether their pixels may be used, and
+then traces. The rays that are left are recorded, and traced again without all the rest: in the
+same loop over views, and as one flat wavefront.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import trimesh
+
+from svu_mi.bench.captures import in_memory
+from svu_mi.bench.experiment import Record
+from svu_mi.bench.timing import MILLISECOND, measure_in_turns
+from svu_mi.capture import Capture
+from svu_mi.capture import mesh as capture_mesh
+from svu_mi.capture.poses import sphere_sensors
+from svu_mi.interop import owned
+from svu_mi.progress import Progress, Stage
+from svu_mi.scenes import meshes
+from svu_mi.surface import texels
+from svu_mi.visibility import Surface, Views, observe, pack_views, survey
+
+MIN_TRIANGLES = 70_000
+RATIO_BAR = 0.6
+NO_RAY = 2**32 - 1
+SEED = 4711
+
+
+class KernelProgress(Progress):
+    """Progress that records the kernels of every stage; those of an inner stage are its own.
+
+    Attributes:
+        launches: per stage ``seconds`` in kernels, ``launched`` kernels and their ``operations``.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.launches: dict[str, Record] = {}
+        self._running: list[str] = []
+
+    @contextmanager
+    def stage(self, name: str, total: int | None = None) -> Iterator[Stage]:
+        """Run a stage, as ``Progress.stage`` does; needs the kernel history of Dr.Jit."""
+        self._collect()
+        self._running.append(name)
+        try:
+            with super().stage(name, total) as stage:
+                yield stage
+        finally:
+            self._collect()
+            self._running.pop()
+
+    def _collect(self) -> None:
+        """Add the kernels since the last call to the innermost stage."""
+        dr.sync_thread()
+        history = dr.kernel_history()
+        dr.kernel_history_clear()
+        if self._running:
+            empty = {"seconds": 0.0, "launched": 0, "operations": 0}
+            found = self.launches.setdefault(self._running[-1], empty)
+            found["seconds"] += MILLISECOND * sum(kernel["execution_time"] for kernel in history)
+            found["launched"] += len(history)
+            found["operations"] += sum(
+                kernel["operation_count"]
+                for kernel in history if kernel["type"] == dr.KernelType.JIT
+            )  # fmt: skip
+
+
+def kernels_of(function: Callable[..., Any]) -> dict[str, Record]:
+    """Return ``KernelProgress.launches`` of a function that takes ``progress``."""
+    progress = KernelProgress()
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        function(progress=progress)
+    return progress.launches
+
+
+# --- the gather ------------------------------------------------------------------------------
+
+
+def measure_gather(capture: Capture, resolution: int, repeats: int) -> Record:
+    """Compare ``survey`` with bare ``ray_test``.
+
+    Args:
+        capture: what to gather from.
+        resolution: texels per side.
+        repeats: warm runs.
+
+    Returns:
+        ``triangles``, ``texels``, ``views`` and ``rays``: how many; ``ways``: for ``survey``,
+        ``ray_test, loop over views`` and ``ray_test, flat`` the times (see ``timing.summary``),
+        ``rays_per_second`` and ``free``, the number of rays that hit nothing, which is the same
+        for all; and the ``ratio`` of the survey's rate to the better one of the two.
+    """
+    layout, views = texels(capture.mesh, resolution), pack_views(capture)
+    surface = Surface.of(layout)
+    rays = record_rays(views, surface)
+    functions: dict[str, Callable[[], Any]] = {
+        "survey": lambda: survey(views, surface).coverage,
+        "ray_test, loop over views": lambda: _trace_in_loop(views, rays, surface.count),
+        "ray_test, flat": lambda: _trace_flat(views, rays),
+    }
+    ways = measure_in_turns(functions, repeats)
+    for name, function in functions.items():
+        ways[name]["rays_per_second"] = rays.count / ways[name]["kernel"]["median"]
+        ways[name]["free"] = int(np.array(function()).sum(dtype=np.int64))
+    bare = max(ways[name]["rays_per_second"] for name in list(ways)[1:])
+    ratio = ways["survey"]["rays_per_second"] / bare
+    return {
+        "triangles": int(capture.mesh.face_count()), "texels": surface.count,
+        "views": views.number, "rays": rays.count, "ways": ways, "ratio": ratio,
+    }  # fmt: skip
+
+
+def fine_capture(views: int, film: int) -> Capture:
+    """Return a vase of more than MIN_TRIANGLES triangles, in photographs of noise.
+
+    Args:
+        views: number of photographs, on a sphere around it.
+        film: pixels per side of each.
+    """
+    points, faces, uvs = meshes.vase()
+    while len(faces) < MIN_TRIANGLES:
+        points, faces, found = trimesh.remesh.subdivide(
+            points, faces, vertex_attributes={"uv": uvs}
+        )
+        uvs = found["uv"]
+    mesh = capture_mesh.make("vase", capture_mesh.MeshArrays(points, faces, None, uvs))
+    scene = mi.load_dict(
+        {"type": "scene", "light": {"type": "constant"}, "vase": mesh}, optimize=False
+    )
+    rng = np.random.default_rng(SEED)
+    noise = (rng.random((film, film, 3), np.float32) for _ in range(views))
+    return in_memory(scene, mesh, sphere_sensors(mesh, views, (film, film)), noise)
+
+
+@dataclass(frozen=True)
+class Rays:
+    """The visibility rays of a survey, those of one view after the other.
+
+    Attributes:
+        origin, direction, reach: (N,) Point3f, Vector3f, Float.
+        slot: (V * T,) UInt32, which ray a view's texel has; NO_RAY for none.
+    """
+
+    origin: Any
+    direction: Any
+    reach: Any
+    slot: Any
+
+    @property
+    def count(self) -> int:
+        """Number N of rays."""
+        return int(dr.width(self.reach))
+
+    def at(self, index: Any, active: Any) -> Any:
+        """Read one ray per lane."""
+        origin = dr.gather(mi.Point3f, self.origin, index, active)
+        direction = dr.gather(mi.Vector3f, self.direction, index, active)
+        return mi.Ray3f(origin, direction, dr.gather(mi.Float, self.reach, index, active), 0.0, [])
+
+
+class _Recorder:
+    """Stands for a scene in which nothing is in the way, and remembers what it was asked."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[Any, Any]] = []
+
+    def ray_test(self, ray: Any, active: Any = True, **_: Any) -> Any:
+        self.asked.append((ray, mi.Bool(active)))
+        return mi.Bool(False)
+
+
+def record_rays(views: Views, surface: Surface) -> Rays:
+    """Find out which rays ``survey`` traces, by letting it ask."""
+    parts, slots, first = [], [], 0
+    for view in range(views.number):
+        recorder = _Recorder()
+        # In a symbolic branch there would be no values to record.
+        with dr.scoped_set_flag(dr.JitFlag.SymbolicConditionals, False):
+            observe(replace(views, scene=recorder), surface, dr.opaque(mi.UInt32, view))
+        (ray, active), = recorder.asked  # fmt: skip
+        kept = np.flatnonzero(np.broadcast_to(np.array(active), surface.count))
+        slot = np.full(surface.count, NO_RAY, np.uint32)
+        slot[kept] = first + np.arange(len(kept))
+        first += len(kept)
+        slots.append(slot)
+        fields = [*ray.o, *ray.d, ray.maxt]
+        parts.append(np.stack([np.array(field)[kept] for field in fields]))
+    columns = np.concatenate(parts, axis=1)
+    return Rays(
+        origin=owned(mi.Point3f, columns[:3]),
+        direction=owned(mi.Vector3f, columns[3:6]),
+        reach=owned(mi.Float, columns[6]),
+        slot=owned(mi.UInt32, np.concatenate(slots)),
+    )
+
+
+def _trace_in_loop(views: Views, rays: Rays, count: int) -> Any:
+    lane, stride = dr.arange(mi.UInt32, count), dr.opaque(mi.UInt32, count)
+
+    def body(view: Any, free: Any) -> tuple[Any, Any]:
+        index = dr.gather(mi.UInt32, rays.slot, view * stride + lane)
+        active = index != NO_RAY
+        ray = rays.at(index, active)
+        reached = active & ~views.scene.ray_test(ray, coherent=True, active=active)
+        return view + 1, free + dr.select(reached, mi.UInt32(1), mi.UInt32(0))
+
+    return dr.while_loop(
+        state=(mi.UInt32(0), dr.zeros(mi.UInt32, count)),
+        cond=lambda view, _: view < views.count,
+        body=body,
+    )[1]
+
+
+def _trace_flat(views: Views, rays: Rays) -> Any:
+    ray = mi.Ray3f(rays.origin, rays.direction, rays.reach, 0.0, [])
+    return ~views.scene.ray_test(ray)

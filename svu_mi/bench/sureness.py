@@ -1,0 +1,313 @@
+"""``svu bench sureness``: coverage of the intervals of recovered textures and of pictures of them.
+Intervals of textures of every cell, recovered by SH; with a prior in common from photographs mostly
+from one side; of what was filled where a third of the surface is in no photograph; and pictures
+under two lights that nothing was recovered from, of some cells.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from svu_mi import metrics
+from svu_mi.bench.captures import Truth, chosen_views, nearest_to_front, some_views, uneven_views
+from svu_mi.bench.cases import Cell, chosen_cells
+from svu_mi.bench.experiment import Bench, Experiment, OnCell, Part, Record
+from svu_mi.bench.markdown import Bar, Column, columns, digits, seconds
+from svu_mi.bench.study import Asked, Study
+from svu_mi.capture import Capture
+from svu_mi.capture.scene import find_shape, load_scene
+from svu_mi.capture.traced import Pictures
+from svu_mi.inpaint.fill import fill
+from svu_mi.observed import observe
+from svu_mi.parameters import NAMES
+from svu_mi.recovery.field.field import LEVEL, TextureField
+from svu_mi.recovery.field.make import texture_field
+from svu_mi.recovery.recover import Recovery, recover
+from svu_mi.recovery.relight import path_length
+from svu_mi.recovery.relit_draws import relight_draws
+from svu_mi.surface import Texels
+
+RELIT_CELLS, LIGHTS, VIEWS, SPP, DRAWS = 6, 2, 3, 36, 16
+FRONT_VIEWS, BACK_VIEWS = 18, 4
+LOWEST, HIGHEST = 0.82, 0.96  # of the means over cells; of pictures .80 and .97
+WORST = 0.65
+HIDDEN = 1 / 3  # part of the surface
+# Objects that are turned, or put together from pieces of one material; others show on one side what
+# they do not on another.
+REPEATING = ("vase", "spheres", "barrel", "chess_king_black", "chess_rook_white")
+WIDTH = 1.645  # standard deviations of a normal distribution that 90 % lie within
+
+
+@dataclass(frozen=True)
+class Sure(OnCell):
+    """A cell whose textures are recovered, with how sure they are.
+
+    Attributes:
+        others: the same object under lights that it was not photographed under; none where no
+            pictures are judged.
+    """
+
+    others: Sequence[Cell]
+
+    @property
+    def rows(self) -> tuple[Part, ...]:
+        return PARTS if self.others else PARTS[:-1]
+
+    def settings(self, row: Part | None) -> Any:
+        lights = [(str(one.scene), one.defines) for one in self.others]
+        return super().settings(row), lights, RELIT_CELLS, LIGHTS, VIEWS, SPP, DRAWS
+
+    @cached_property
+    def found(self) -> tuple[Recovery, TextureField]:
+        """Textures from photographs all around, and the field around them."""
+        return _recovered(self._some(self.capture), self.layout)
+
+    def textures(self) -> Record:
+        """Return what ``held`` says of all texels that a photograph shows."""
+        return held(*self.found, Truth.of(self.capture, self.layout))
+
+    def shared(self) -> Record:
+        """Return the same with a prior in common, from photographs mostly from one side."""
+        scale = 1.0 if self.capture.count >= FRONT_VIEWS + BACK_VIEWS else 0.25
+        front, back = (max(int(scale * count), 1) for count in (FRONT_VIEWS, BACK_VIEWS))
+        uneven = uneven_views(self.capture, front, back)
+        found = _recovered(uneven, self.layout, sharing=True)
+        return held(*found, Truth.of(self.capture, self.layout))
+
+    def filled(self) -> Record:
+        """Return what filling gains where a third of the surface is never seen: ``psnr_before``,
+        ``psnr`` (dB, average texture PSNR of these texels), ``held`` by parameter, ``likeness``."""
+        layout, truth = self.layout, Truth.of(self.capture, self.layout)
+        recovery, field = _recovered(_hiding(self.capture, layout), layout)
+        seen = recovery.coverage > 0
+        found = fill(field, seen)
+        held = {}
+        for name in NAMES:
+            low, high = (end[~seen] for end in found.field.interval(name, LEVEL))
+            true = np.asarray(truth.values[name], np.float64)[~seen]
+            held[name] = float(((low - 1e-6 <= true) & (true <= high + 1e-6)).mean())
+        return {
+            "hidden": float((~seen).mean()), "held": held, "repeats": self.cell.object in REPEATING,
+            "likeness": {name: words.split(",")[0] for name, words in found.likeness.items()},
+            "psnr_before": truth.psnr(recovery.textures, ~seen)["average"],
+            "psnr": truth.psnr(found.textures, ~seen)["average"],
+        }  # fmt: skip
+
+    def pictures(self) -> Record:
+        """Return ``held``, the part of pixel channels whose truth is within 1.64 sd; ``spearman``
+        of sd and error; ``psnr_gain`` of the mean of draws over the picture; and ``seconds``."""
+        recovery, field = self.found
+        draws, records = list(field.draw(DRAWS)), []
+        for other in self.others:
+            scene = load_scene(other.scene, other.defines)
+            shape = find_shape(scene, self.capture.shape.id(), str(other.scene))
+            lit = replace(some_views(self.capture, VIEWS), scene=scene, shape=shape, mesh=shape)
+            start = time.perf_counter()
+            relit = relight_draws(lit, recovery.textures, draws, spp=SPP)
+            taken = time.perf_counter() - start
+            records.append({"seconds": taken, **pixels_held(relit, _truth(lit))})
+        return {name: float(np.mean([one[name] for one in records])) for name in records[0]}
+
+    def _some(self, capture: Capture) -> Capture:
+        return some_views(capture, min(self.bench.sizes.recovery.even_views, capture.count))
+
+
+PARTS = (Part("textures", Sure.textures), Part("shared", Sure.shared),
+         Part("filled", Sure.filled), Part("pictures", Sure.pictures))  # fmt: skip
+
+
+def _hiding(capture: Capture, layout: Texels) -> Capture:
+    """Return the photographs from one side that leave about a third of the surface unseen."""
+    seen = observe(capture, layout)
+    lane = dr.arange(mi.UInt32, layout.count)
+    shows = np.stack([
+        np.array(seen.found.bits.test(dr.opaque(mi.UInt32, view), lane))
+        for view in range(capture.count)
+    ])  # fmt: skip
+    order = nearest_to_front(capture)
+    unseen = 1 - np.logical_or.accumulate(shows[order]).mean(axis=1)
+    count = max(int((unseen >= HIDDEN).sum()), 1)
+    return chosen_views(capture, np.sort(order[:count]))
+
+
+def _recovered(
+    capture: Capture, layout: Texels, *, sharing: bool = False
+) -> tuple[Recovery, TextureField]:
+    recovery = recover(capture, layout, sharing=sharing)
+    return recovery, texture_field(recovery, mesh=capture.mesh)
+
+
+def held(recovery: Recovery, field: TextureField, truth: Truth) -> Record:
+    """Return ``held``, the part of texels whose interval holds the truth, by parameter, and
+    ``spearman`` of standard deviations and errors of all values together."""
+    seen = recovery.coverage > 0
+    found, sds, errors = {}, [], []
+    for name in NAMES:
+        low, high = (end[seen] for end in field.interval(name, LEVEL))
+        true = np.asarray(truth.values[name], np.float64)[seen]
+        found[name] = float(((low - 1e-6 <= true) & (true <= high + 1e-6)).mean())
+        value = np.asarray(recovery.textures.at(field.texels, name), np.float64)[seen]
+        errors.append(np.abs(value - true).ravel())
+        sds.append(field.sd(name)[seen].ravel())
+    pooled = metrics.spearman(np.concatenate(sds), np.concatenate(errors))
+    return {"held": found, "spearman": pooled}
+
+
+def _truth(capture: Capture) -> list[np.ndarray]:
+    """Render the true object as ``relight_draws`` renders others, with the same random numbers."""
+    pictures = Pictures(capture.sensors)
+    integrator = mi.load_dict({"type": "path", "max_depth": path_length(capture.scene)})
+    everything = [np.ones((height, width), bool) for width, height in pictures.sizes]
+    return pictures.traced(capture.scene, integrator, everything, SPP)
+
+
+def pixels_held(found: Sequence[Any], truth: Sequence[np.ndarray]) -> Record:
+    """Compare pictures with the truth, pixels of the object only."""
+    sds, errors, inside = [], [], []
+    squares = np.zeros(2)
+    for view, true in zip(found, truth, strict=True):
+        mask = view.inside
+        error = np.abs(view.mean - true)[mask]
+        sds.append(view.sd[mask].ravel())
+        errors.append(error.ravel())
+        inside.append((error <= WIDTH * view.sd[mask]).ravel())
+        squares += [(error**2).sum(), ((view.picture - true)[mask] ** 2).sum()]
+    return {
+        "held": float(np.concatenate(inside).mean()),
+        "spearman": metrics.spearman(np.concatenate(sds), np.concatenate(errors)),
+        "psnr_gain": float(10 * np.log10(squares[1] / squares[0])),
+    }
+
+
+def find_bars(record: Record) -> list[Bar]:
+    """Return the bars that a record has figures for."""
+    bars, rows = [], [cell["rows"] for cell in record["cells"]]
+    for part, least in (("textures", LOWEST), ("shared", 0.78)):
+        found = [row[part] for row in rows if part in row]
+        for name in NAMES if found else ():
+            values = [one["held"][name] for one in found]
+            bars.append(Bar(f"{part}: {name}, mean over cells", float(np.mean(values)), least,
+                            least=True))  # fmt: skip
+            if part == "textures":
+                bars += [
+                    Bar(f"{part}: {name}, mean over cells", float(np.mean(values)), HIGHEST),
+                    Bar(f"{part}: {name}, worst cell", min(values), WORST, least=True),
+                ]
+        if part == "textures" and found:
+            mean = float(np.mean([one["spearman"] for one in found]))
+            bars.append(Bar("textures: Spearman of sd and error", mean, 0.68, least=True))
+    filled = [row["filled"] for row in rows if "filled" in row]
+    bars += _bars_of_filling(filled) if filled else []
+    pictures = [row["pictures"] for row in rows if "pictures" in row]
+    if pictures:
+        value = {name: float(np.mean([one[name] for one in pictures]))
+                 for name in ("held", "spearman")}  # fmt: skip
+        bars += [
+            Bar("pictures: Spearman of sd and error", value["spearman"], 0.6, least=True),
+            Bar("pictures: within 1.64 sd", value["held"], 0.80, least=True),
+            Bar("pictures: within 1.64 sd", value["held"], 0.97),
+        ]
+    return bars
+
+
+def _bars_of_filling(filled: Sequence[Record]) -> list[Bar]:
+    gains = [one["psnr"] - one["psnr_before"] for one in filled]
+    repeating = [gain for gain, one in zip(gains, filled, strict=True) if one["repeats"]]
+    held = float(np.mean([list(one["held"].values()) for one in filled]))
+    bars = [
+        Bar("filled: texture PSNR over spreading, worst cell", min(gains), -0.1, "dB", True),
+        Bar("filled: intervals hold", held, 0.80, least=True),
+        Bar("filled: intervals hold", held, 0.97),
+    ]
+    if repeating:
+        title = "filled: texture PSNR over spreading, mean of objects that repeat"
+        bars.insert(0, Bar(title, float(np.mean(repeating)), 2.0, "dB", True))
+    return bars
+
+
+def tables(record: Record) -> list[str]:
+    """Return the tables of a record."""
+    lines = [(cell["cell"], cell["rows"]) for cell in record["cells"]]
+    count = len(lines)
+    mean = {
+        part: {name: _mean([row[part]["held"][name] for _, row in lines if part in row])
+               for name in NAMES}
+        for part in ("textures", "shared")
+    }  # fmt: skip
+    shown = [Column("cell", lambda line: line[0])]
+    for part, title in (("textures", ""), ("shared", ", shared, one-sided")):
+        shown += [
+            Column(f"{name}{title}", partial(_held, part=part, name=name), digits(2))
+            for name in NAMES
+        ]
+        shown.append(Column(f"Spearman{title}", partial(_value, part=part, name="spearman"),
+                            digits(2)))  # fmt: skip
+    shown += [
+        Column("filled, hidden", partial(_value, part="filled", name="hidden"), digits(2)),
+        Column("before", partial(_value, part="filled", name="psnr_before"), digits(2)),
+        Column("PSNR", partial(_value, part="filled", name="psnr"), digits(2)),
+        Column("held", lambda line: _whole(line[1]["filled"]["held"]), digits(2)),
+        Column("by", lambda line: ", ".join(dict.fromkeys(line[1]["filled"]["likeness"].values()))),
+        Column("pixels", partial(_value, part="pictures", name="held"), digits(2)),
+        Column("Spearman, pixels", partial(_value, part="pictures", name="spearman"), digits(2)),
+        Column("draws' mean", partial(_value, part="pictures", name="psnr_gain"),
+               lambda value: f"{value:+.1f} dB"),
+        Column("time", partial(_value, part="pictures", name="seconds"), seconds),
+    ]  # fmt: skip
+    words = "; ".join(
+        f"{part}: " + ", ".join(f"{name} {value:.3f}" for name, value in of.items() if value)
+        for part, of in mean.items() if any(of.values())
+    )  # fmt: skip
+    return [
+        "The part of texels that a photograph shows whose 90 % interval holds the truth; and of "
+        f"the object's pixels under other lights. Means over {count} cells: {words}.",
+        columns(shown, lines),
+    ]
+
+
+def _whole(held: dict[str, float]) -> float:
+    return float(np.mean(list(held.values())))
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None
+
+
+def _held(line: tuple[str, Record], part: str, name: str) -> float | None:
+    found: float | None = line[1][part]["held"][name] if part in line[1] else None
+    return found
+
+
+def _value(line: tuple[str, Record], part: str, name: str) -> float | None:
+    found: float | None = line[1][part][name] if part in line[1] else None
+    return found
+
+
+def _experiment(bench: Bench, asked: Asked) -> Experiment:
+    subjects = []
+    for number, cell in enumerate(asked.cells):
+        others: list[Cell] = []
+        if number % max(len(asked.cells) // RELIT_CELLS, 1) == 0:
+            others = _others(cell, asked.data, bench.folder)
+        subjects.append(Sure(bench, cell, others))
+    return Experiment("sureness", subjects)
+
+
+def _others(cell: Cell, data: Path | None, workspace: Path) -> list[Cell]:
+    """Return the same object under the next lights."""
+    around = chosen_cells(data, workspace, [cell.object])
+    first = [one.light for one in around].index(cell.light)
+    return [around[(first + k) % len(around)] for k in range(1, min(LIGHTS, len(around) - 1) + 1)]
+
+
+STUDY = Study(title="How sure recovered textures are", experiment=_experiment, tables=tables,
+              bars=find_bars)  # fmt: skip
