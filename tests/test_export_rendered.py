@@ -19,7 +19,7 @@ from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.metrics import psnr
 from svu_mi.metrics.images import srgb
-from svu_mi.output.scene_xml import MESH
+from svu_mi.output.textures import MESH
 
 SPP = 16
 BETTER_THAN = 35.0  # dB, of 8-bit textures against single precision

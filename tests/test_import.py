@@ -14,7 +14,7 @@ from support.written import WRITERS, as_orb, write_glb
 
 import svu_mi as svu
 from svu_mi import scenes
-from svu_mi.capture import nodes
+from svu_mi.capture import scene_xml
 from svu_mi.capture.poses import affine, describe, make_sensor
 from svu_mi.capture.scene import to_world
 from svu_mi.exr import read_exr, write_exr
@@ -63,16 +63,16 @@ def photographed(folder: Path, shift: tuple[float, float]) -> Original:
     write_exr(folder / "lights" / "window.exr", {"RGB": for_mitsuba(folder / "probe.exr")})
     scene = mi.load_file(str(folder / "knot" / "knot.xml"), optimize=False)
     changes = {"film": SIZE, "crop_size": SIZE, "principal_point_offset": shift}
-    light = nodes.plugin("emitter", "envmap", id="light")
-    nodes.put(light, filename="../lights/window.exr", to_world=affine(LIGHT))
-    root = nodes.scene()
+    light = scene_xml.plugin("emitter", "envmap", id="light")
+    scene_xml.put(light, filename="../lights/window.exr", to_world=affine(LIGHT))
+    root = scene_xml.scene()
     root.append(light)
-    nodes.write_document(root, folder / "lights" / "window.xml")
-    root = nodes.scene()
+    scene_xml.write_document(root, folder / "lights" / "window.xml")
+    root = scene_xml.scene()
     for k, sensor in enumerate(scene.sensors()[::3][:VIEWS]):
         changed = make_sensor({**describe(sensor), **changes}, "changed")
-        root.append(nodes.sensor(changed, f"view_{k:04d}"))
-    nodes.write_document(root, folder / "knot" / "sensors.xml")
+        root.append(scene_xml.sensor(changed, f"view_{k:04d}"))
+    scene_xml.write_document(root, folder / "knot" / "sensors.xml")
     capture = svu.render_capture(folder / "knot" / "knot.xml", spp=16, folder=folder / "capture")
     frames = [
         frame_of(sensor, folder / "capture" / name)

@@ -19,17 +19,18 @@ from helpers import ball, memory_capture, sensor_xml, write_older, write_scene
 import svu_mi as svu
 from svu_mi import metrics
 from svu_mi.capture import mesh as meshes
+from svu_mi.capture import scene_xml
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.poses import describe, make_sensor, sphere_sensors
 from svu_mi.capture.repaint import scene_of
 from svu_mi.errors import CaptureError, OptionError, OutputError, SvuWarning
 from svu_mi.exr import read_exr, read_header, write_exr
 from svu_mi.light.environment import read_environment
-from svu_mi.output import Run, scene_nodes
+from svu_mi.output import Run
 from svu_mi.output.recovery import write_recovery
 from svu_mi.output.relit import Comparison, compare, write_relit
-from svu_mi.output.scene_xml import write_scene as write_recovered
 from svu_mi.output.textures import read_textures, write_textures
+from svu_mi.output.textures import write_scene as write_recovered
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.relight import novel_light, path_length, relight
 from svu_mi.recovery.textures import Textures, lay_out, scene_textures
@@ -294,7 +295,7 @@ def test_a_texture_that_is_written_otherwise_is_said(tmp_path, texture, sentence
         texture["bitmap"] = mi.Bitmap(np.ones((4, 4, 3), np.float32))
         texture["to_uv"] = mi.ScalarTransform3f().scale(texture["to_uv"])
     with pytest.warns(SvuWarning, match=f"reflectance .* {sentence}"):
-        scene_nodes.material(
+        scene_xml.material(
             mi.load_dict({"type": "diffuse", "reflectance": texture}), tmp_path, "floor"
         )
 

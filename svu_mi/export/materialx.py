@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
-from svu_mi.capture.nodes import write_document
+from svu_mi.capture.scene_xml import write_document
 from svu_mi.export.asset import TEXTURES, Asset, Written
 from svu_mi.export.mesh import as_trimesh, upward_uvs
 from svu_mi.files import write_text

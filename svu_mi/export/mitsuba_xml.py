@@ -10,12 +10,11 @@ import mitsuba as mi
 import numpy as np
 
 import svu_mi
-from svu_mi.capture import nodes
+from svu_mi.capture import scene_xml
 from svu_mi.capture.mesh import make
 from svu_mi.capture.poses import bounding_sphere, sphere_sensors
 from svu_mi.export.asset import TEXTURES, Asset, Written
-from svu_mi.output.scene_xml import object_node
-from svu_mi.output.textures import FILES
+from svu_mi.output.textures import FILES, object_node
 from svu_mi.output.upright import DIRECTION, Axis
 
 OBJECT, PREVIEW, MESH = "object.xml", "preview.xml", "mesh.ply"
@@ -58,23 +57,26 @@ def _preview(asset: Asset, up: Axis) -> list[Element]:
     pose = np.array(camera.world_transform().matrix, np.float64).reshape(4, 4)
     center, radius = bounding_sphere(shape)
     left, above, forward = pose[:3, :3].T
-    samples = Element("default", name="spp", value=str(nodes.SAMPLES))
-    # The object may itself be called lamp, or camera.
-    room, lamp, view = (f"{asset.name}_{what}" for what in ("room", "lamp", "camera"))
-    around = nodes.put(nodes.plugin("emitter", "constant", id=room), radiance=[ROOM] * 3)
-    square = nodes.plugin("shape", "rectangle", id=lamp)
     place = center + 3 * radius * (0.8 * left + above - 0.8 * forward)
     turn = mi.ScalarTransform4f().look_at(
         list(map(float, place)), list(map(float, center)), list(map(float, above))
     ).scale(float(radius))  # fmt: skip
-    nodes.put(square, to_world=np.array(turn.matrix, np.float64))
-    square.append(nodes.put(nodes.plugin("emitter", "area"), radiance=[LAMP] * 3))
-    include = Element("include", filename=OBJECT)
-    integrator = nodes.put(nodes.plugin("integrator", "path"), max_depth=8)
-    return [samples, integrator, nodes.sensor(camera, view), around, square, include]
+    # The object may itself be called lamp, or camera.
+    room, lamp, view = (f"{asset.name}_{what}" for what in ("room", "lamp", "camera"))
+    matrix = np.array(turn.matrix, np.float64)
+    square = scene_xml.plugin("shape", "rectangle", id=lamp, to_world=matrix)
+    square.append(scene_xml.plugin("emitter", "area", radiance=[LAMP] * 3))
+    return [
+        Element("default", name="spp", value=str(scene_xml.SAMPLES)),
+        scene_xml.plugin("integrator", "path", max_depth=8),
+        scene_xml.sensor(camera, view),
+        scene_xml.plugin("emitter", "constant", id=room, radiance=[ROOM] * 3),
+        square,
+        Element("include", filename=OBJECT),
+    ]
 
 
 def _write(path: Path, children: list[Any]) -> None:
     root = Element("scene", version="3.0.0")
     root.extend(children)
-    nodes.write_document(root, path)
+    scene_xml.write_document(root, path)

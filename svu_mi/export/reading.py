@@ -20,8 +20,7 @@ from svu_mi.exr import read_header
 from svu_mi.needs import Size
 from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY, read_deviations, read_map
-from svu_mi.output.scene_xml import MESH, SCENE
-from svu_mi.output.textures import FILES, read_textures
+from svu_mi.output.textures import FILES, MESH, SCENE, read_textures
 from svu_mi.output.upright import nearest_axis, up_of
 from svu_mi.results.reading import (
     are_of_one_capture,

@@ -14,7 +14,7 @@ import numpy as np
 
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture import mesh as capture_mesh
-from svu_mi.capture import nodes
+from svu_mi.capture import scene_xml
 from svu_mi.capture.folder import Description
 from svu_mi.capture.mesh import MeshArrays
 from svu_mi.capture.picture import open_picture
@@ -266,20 +266,21 @@ def _write_scene(
     """Write the scene and what it refers to; return sentences about the light."""
     capture_mesh.write_ply(folder / MESH, OBJECT, geometry.mesh)
     write_pictures(geometry.textures, folder)
-    root = nodes.scene()
-    root.append(nodes.put(nodes.plugin("integrator", "path"), max_depth=MAX_DEPTH))
+    root = scene_xml.scene()
+    root.append(scene_xml.plugin("integrator", "path", max_depth=MAX_DEPTH))
     notes = [NO_LIGHT]
     if light is not None:
         pose, notes = write_environment(light, folder / ENVIRONMENT)
-        emitter = nodes.plugin("emitter", "envmap", id="environment")
-        root.append(nodes.put(emitter, filename=ENVIRONMENT, to_world=pose))
-    shape = nodes.put(nodes.plugin("shape", "ply", id=OBJECT), filename=MESH)
-    material = nodes.plugin("bsdf", "principled", id=f"{OBJECT}_material")
+        root.append(scene_xml.plugin(
+            "emitter", "envmap", id="environment", filename=ENVIRONMENT, to_world=pose
+        ))  # fmt: skip
+    shape = scene_xml.plugin("shape", "ply", id=OBJECT, filename=MESH)
+    material = scene_xml.plugin("bsdf", "principled", id=f"{OBJECT}_material")
     for name in geometry.textures:
         raw = name != "base_color"  # that one is sRGB
-        material.append(nodes.bitmap(name, f"{name}.png", raw=raw, id=name))
+        material.append(scene_xml.bitmap(name, f"{name}.png", raw=raw, id=name))
     shape.append(material)
     root.append(shape)
-    root.extend(nodes.sensor(sensor, f"view_{k:04d}") for k, sensor in enumerate(sensors))
-    nodes.write_document(root, folder / SCENE)
+    root.extend(scene_xml.sensor(sensor, f"view_{k:04d}") for k, sensor in enumerate(sensors))
+    scene_xml.write_document(root, folder / SCENE)
     return notes

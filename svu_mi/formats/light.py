@@ -9,6 +9,7 @@ import numpy as np
 from svu_mi.capture.picture import open_picture
 from svu_mi.capture.poses import affine
 from svu_mi.capture.radiance import positive
+from svu_mi.capture.scene_xml import POLES, ROWS
 from svu_mi.errors import CaptureError
 from svu_mi.exr import write_exr
 from svu_mi.formats.source import Light
@@ -17,7 +18,6 @@ SUFFIXES = (".exr", ".hdr", ".pfm")
 FINE = 512  # rows; of a map with more, Mitsuba's rows lie between those of the file
 ASPECT, OFF = 2, 0.05  # width over height of a lat-long map, and what it may be off by
 MIRROR = np.diag([-1.0, 1.0, 1.0])  # of the envmap's frame: u becomes 1 - u
-ROWS, POLES = "svu:rows", "poles"  # what an EXR says whose first and last rows are the poles
 
 
 def write_environment(light: Light, path: Path) -> tuple[np.ndarray, list[str]]:

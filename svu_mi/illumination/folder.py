@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 import svu_mi
+from svu_mi.capture.scene_xml import POLES, ROWS
 from svu_mi.errors import CaptureError
 from svu_mi.exr import write_exr
 from svu_mi.files import write_json
-from svu_mi.formats.light import POLES, ROWS
 from svu_mi.illumination.found_gains import FoundGains
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.npz import read_arrays, write_arrays

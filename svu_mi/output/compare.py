@@ -32,8 +32,7 @@ from svu_mi.output.knowledge import median, part, plain_percent
 from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import COVERAGE, ENTROPY, read_deviations, read_map
 from svu_mi.output.result import words
-from svu_mi.output.scene_xml import MESH
-from svu_mi.output.textures import find_textures, read_texture
+from svu_mi.output.textures import MESH, find_textures, read_texture
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.progress import Progress
@@ -190,11 +189,11 @@ def compare(
         resolution: texels per side, or (width, height); by default that of the coarser textures,
             512 if there are none.
         tolerance: relevant difference where no standard deviation is known.
-        trust: as of ``load_capture``.
+        trust: as of ``load_capture``, like ``memory``.
         progress: shows the stages.
         preflight: by the path of a capture and the (width, height) of its maps, a
             function of its ``Sizes`` that returns bytes for its photographs.
-        memory: as of ``load_capture``.
+        memory: bytes that photographs may take.
 
     Raises:
         CaptureError: they are not of one object, or have nothing in common; or as
@@ -202,7 +201,55 @@ def compare(
         OptionError: an option out of range, or an unknown preset.
         MeshError: a mesh cannot carry texels.
     """
-    presets, stages = _two_presets(preset), progress or Progress()
+    presets, size = _options(preset, resolution, tolerance)
+    names = _names(a, b, presets)
+    results = [_read(source, name) for source, name in zip((a, b), names, strict=True)]
+    size = size or _size([side for side in results if side is not None])
+    stages = progress or Progress()
+    first, second = (
+        side or _estimated(
+            _loaded(source, size, stages, trust, memory, preflight), name, chosen, size, stages
+        )
+        for side, source, name, chosen in zip(results, (a, b), names, presets, strict=True)
+    )  # fmt: skip
+    return _compared((first, second), size, tolerance)
+
+
+def _names(a: Any, b: Any, presets: tuple[str, ...]) -> list[str]:
+    """Return what sides are called: their paths, and presets where these are the same."""
+    names = [str(source) if isinstance(source, str | Path) else word
+             for source, word in ((a, "the first"), (b, "the second"))]  # fmt: skip
+    if names[0] == names[1]:
+        return [f"{name} ({chosen})" for name, chosen in zip(names, presets, strict=True)]
+    return names
+
+
+def _loaded(
+    source: Any, size: tuple[int, int], stages: Progress, trust: bool, memory: float | None,
+    preflight: Callable[[str, tuple[int, int]], Callable[[Sizes], float]] | None,
+) -> Capture:  # fmt: skip
+    """Return a capture with its light, which is found if one on disk has none."""
+    if isinstance(source, Capture):
+        return source
+    with stages.stage("Loading the capture"):
+        plan = plan_capture(source, trust=trust, light="optional", detail=Detail(texels=size))
+        if preflight is not None:
+            memory = preflight(str(source), size)(plan.sizes(memory))
+        found = plan.read(memory)
+    return illuminated(found, progress=stages)
+
+
+def _options(
+    preset: Any, resolution: Any, tolerance: Any
+) -> tuple[tuple[str, ...], tuple[int, int] | None]:
+    """Return a preset for each side and the size that is asked for; refuse what is invalid."""
+    both = (preset, preset) if isinstance(preset, str) else preset
+    pair = isinstance(both, tuple | list) and len(both) == 2
+    if not (pair and all(isinstance(name, str) for name in both)):
+        raise OptionError(
+            f"compare(): preset takes the name of one preset, or two for a and b, got {preset!r}.",
+            shell="--preset takes one preset, or two for A and B.",
+        )
     number = isinstance(tolerance, Real) and not isinstance(tolerance, bool)
     if not (number and 0 <= tolerance < np.inf):
         raise OptionError(
@@ -212,46 +259,20 @@ def compare(
     size = None if resolution is None else size_of(resolution)
     if size is not None:
         require_texels(size, "compare(): resolution")
-    names = [str(source) if isinstance(source, str | Path) else word
-             for source, word in ((a, "the first"), (b, "the second"))]  # fmt: skip
-    if names[0] == names[1]:
-        names = [f"{name} ({chosen})" for name, chosen in zip(names, presets, strict=True)]
-    read = [_read(source, name) for source, name in zip((a, b), names, strict=True)]
-    if size is None:
-        maps = [list(side.maps.values()) for side in read if side is not None]
-        shapes = [max(image.shape[:2] for image in images) for images in maps]
-        size = min((w, h) for h, w in shapes) if shapes else (RESOLUTION, RESOLUTION)
-
-    def estimated(source: Any, name: str, chosen: str) -> Side:
-        if not isinstance(source, Capture):
-            with stages.stage("Loading the capture"):
-                plan = plan_capture(
-                    source, trust=trust, light="optional", detail=Detail(texels=size)
-                )
-                room = memory
-                if preflight is not None:
-                    room = preflight(str(source), size)(plan.sizes(memory))
-                source = plan.read(room)
-            source = illuminated(source, progress=stages)
-        found = estimate(source, texels(source.mesh, size), preset=chosen, progress=stages)
-        return _of_estimate(found, name, f"a capture, estimated with the preset {chosen}")
-
-    first, second = (
-        side or estimated(source, name, chosen)
-        for side, source, name, chosen in zip(read, (a, b), names, presets, strict=True)
-    )
-    return _compared((first, second), size, tolerance)
+    return tuple(find_preset(name, method="angular").name for name in both), size
 
 
-def _two_presets(preset: Any) -> tuple[str, ...]:
-    both = (preset, preset) if isinstance(preset, str) else preset
-    pair = isinstance(both, tuple | list) and len(both) == 2
-    if not (pair and all(isinstance(name, str) for name in both)):
-        raise OptionError(
-            f"compare(): preset takes the name of one preset, or two for a and b, got {preset!r}.",
-            shell="--preset takes one preset, or two for A and B.",
-        )
-    return tuple(find_preset(name, method="angular").name for name in both)
+def _size(sides: list[Side]) -> tuple[int, int]:
+    """Return the (W, H) of the side with the coarser maps."""
+    shapes = [max(image.shape[:2] for image in side.maps.values()) for side in sides]
+    return min(((w, h) for h, w in shapes), default=(RESOLUTION, RESOLUTION))
+
+
+def _estimated(
+    capture: Capture, name: str, preset: str, size: tuple[int, int], stages: Progress
+) -> Side:
+    found = estimate(capture, texels(capture.mesh, size), preset=preset, progress=stages)
+    return _of_estimate(found, name, f"a capture, estimated with the preset {preset}")
 
 
 def _read(source: Source, name: str) -> Side | None:
@@ -324,49 +345,39 @@ def _of_folder(path: Path, name: str) -> Side:
 
 
 def _compared(sides: tuple[Side, Side], size: tuple[int, int], tolerance: float) -> Comparison:
-    names, keys = [side.name for side in sides], [side.key for side in sides]
-    if all(keys) and keys[0] != keys[1]:
-        raise CaptureError(
-            f"{names[0]} and {names[1]} are about different meshes; compare results of one mesh "
-            "with one layout of UVs."
-        )
-    shared = [name for name in dict.fromkeys((*NAMES, *sides[0].maps))
-              if all(name in side.maps for side in sides)]  # fmt: skip
-    if not shared:
-        has = [" and ".join(map(words, side.maps)) for side in sides]
-        raise CaptureError(
-            f"{names[0]} has {has[0]}, and {names[1]} {has[1]}: nothing to compare; give the "
-            "capture itself, or a result of svu recover."
-        )
+    shared = _shared(sides)
     mesh = next((side.mesh for side in sides if side.mesh is not None), None)
     surface, area = Places(size, np.arange(size[0] * size[1])), np.ones(size[0] * size[1])
     if mesh is not None:
         laid_out = texels(mesh, size)
         surface, area = laid_out.places, np.array(laid_out.footprint, np.float64) ** 2
 
-    def read(side: Side, image: np.ndarray) -> np.ndarray:
-        """Return a map at the texels (T, C), NaN where nothing that was seen is near."""
+    def read(image: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """Return a map at the texels (T, C), NaN where nothing of any weight is near."""
+        if weight.shape != size[::-1] and mesh is not None:
+            weight = weight & texels(mesh, weight.shape[::-1]).inside()
+        found = _resized(image, weight, size)
+        return found.reshape(-1, found.shape[2])[surface.index]
+
+    def values(side: Side, image: np.ndarray) -> np.ndarray:
         weight = np.isfinite(image).all(axis=2)
         if side.seen is not None and side.seen.shape == weight.shape:
             weight &= side.seen
-        if weight.shape != size[::-1] and mesh is not None:
-            weight &= texels(mesh, weight.shape[::-1]).inside()
-        found = _resized(image, weight, size)
-        return found.reshape(-1, found.shape[2])[surface.index]
+        return np.where(seen[:, None], read(image, weight), np.float32(np.nan))
 
     seen = np.ones(surface.count, bool)
     for side in sides:
         if side.seen is not None:
-            seen &= _resized(side.seen[..., None], np.ones(side.seen.shape), size)[..., 0].ravel()[
-                surface.index] > 0.5  # fmt: skip
+            seen &= read(side.seen[..., None], np.ones_like(side.seen))[:, 0] > 0.5
     if not seen.any():
-        raise CaptureError(f"{names[0]} and {names[1]} show no part in common.")
+        raise CaptureError(f"{sides[0].name} and {sides[1].name} show no part in common.")
     maps = {}
     for name in shared:
-        both = [np.where(seen[:, None], read(side, side.maps[name]), np.nan) for side in sides]
-        known = [read(side, side.sd[name]) for side in sides if name in side.sd]
-        sd = np.sqrt(sum(each**2 for each in known)) if known else None
-        maps[name] = difference(surface, area, *both, sd=sd, tolerance=tolerance)
+        known = [values(side, side.sd[name]) for side in sides if name in side.sd]
+        maps[name] = difference(
+            surface, area, *(values(side, side.maps[name]) for side in sides),
+            sd=np.sqrt(sum(each**2 for each in known)) if known else None, tolerance=tolerance,
+        )  # fmt: skip
     notes = [note for side in sides for note in side.notes]
     notes += [f"{side.name}: taken to be laid out over the same UVs." for side in sides
               if mesh is not None and not side.key]  # fmt: skip
@@ -374,6 +385,25 @@ def _compared(sides: tuple[Side, Side], size: tuple[int, int], tolerance: float)
         sides=sides, surface=surface, seen=seen, maps=maps, tolerance=tolerance,
         seen_part=part(area, seen), notes=tuple(notes),
     )  # fmt: skip
+
+
+def _shared(sides: tuple[Side, Side]) -> list[str]:
+    """Return the maps that both have; refuse sides of different meshes, or without any."""
+    first, second = sides
+    if first.key and second.key and first.key != second.key:
+        raise CaptureError(
+            f"{first.name} and {second.name} are about different meshes; compare results of one "
+            "mesh with one layout of UVs."
+        )
+    shared = [name for name in dict.fromkeys((*NAMES, *first.maps))
+              if name in first.maps and name in second.maps]  # fmt: skip
+    if not shared:
+        has = [" and ".join(map(words, side.maps)) for side in sides]
+        raise CaptureError(
+            f"{first.name} has {has[0]}, and {second.name} {has[1]}: nothing to compare; give the "
+            "capture itself, or a result of svu recover."
+        )
+    return shared
 
 
 def difference(

@@ -23,7 +23,7 @@ from svu_mi.output.manifest import RECORD, Run, inputs_record, write_run
 from svu_mi.output.maps import padded, write_field
 from svu_mi.output.page import percent
 from svu_mi.output.result import words
-from svu_mi.output.scene_xml import write_scene
+from svu_mi.output.textures import write_scene
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.results.writing import writing

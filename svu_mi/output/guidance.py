@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from svu_mi.capture import Capture, nodes
+from svu_mi.capture import Capture, scene_xml
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.picture import quantized
 from svu_mi.capture.poses import describe
@@ -135,9 +135,9 @@ def write_sensors(path: str | Path, sensors: Sequence[Any], names: Sequence[str]
     Raises:
         OutputError: the file cannot be written.
     """
-    root = nodes.scene()
-    root.extend(nodes.sensor(s, name) for s, name in zip(sensors, names, strict=True))
-    nodes.write_document(root, Path(path))
+    root = scene_xml.scene()
+    root.extend(scene_xml.sensor(s, name) for s, name in zip(sensors, names, strict=True))
+    scene_xml.write_document(root, Path(path))
 
 
 def _ranked(guidance: Guidance) -> list[dict[str, Any]]:

@@ -26,7 +26,7 @@ from svu_mi.output.maps import (
 )
 from svu_mi.output.recovery_page import write_recovery_overview
 from svu_mi.output.relit import compare, write_relit
-from svu_mi.output.scene_xml import write_scene
+from svu_mi.output.textures import write_scene
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.recover import Recovery

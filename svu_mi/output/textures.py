@@ -1,4 +1,4 @@
-"""Recovered textures as EXR files, and back."""
+"""Recovered textures as EXR files and in ``recovered.xml``, and back."""
 
 from __future__ import annotations
 
@@ -10,20 +10,25 @@ from typing import Any
 import numpy as np
 
 import svu_mi
-from svu_mi.capture import Capture
+from svu_mi.capture import Capture, scene_xml
 from svu_mi.capture.fingerprint import capture_key, mesh_key
+from svu_mi.capture.mesh import MeshArrays, arrays
 from svu_mi.capture.picture import decoded, open_picture
+from svu_mi.capture.repaint import is_same, is_two_sided
 from svu_mi.errors import CaptureError, SvuError, SvuWarning, excerpt
 from svu_mi.exr import read_exr, write_exr
-from svu_mi.files import read_json
+from svu_mi.files import prepare_folder, read_json
 from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import ENTROPY
 from svu_mi.parameters import CHANNELS, NAMES
+from svu_mi.recovery.relight import path_length
 from svu_mi.recovery.textures import Textures
 from svu_mi.results.reading import marks_of, mesh_of, require_one_run, require_recovery
 from svu_mi.results.settling import settle
 
 FILES = {name: f"{name}.exr" for name in NAMES}
+SCENE, ASSETS = "recovered.xml", "assets"
+MESH = f"{ASSETS}/mesh.ply"
 KINDS = (".exr", ".png")  # of textures of others
 
 
@@ -53,6 +58,60 @@ def write_textures(
         channels = "RGB" if CHANNELS[name] == 3 else "Y"
         image = np.array(tensor, np.float32)
         write_exr(Path(folder) / FILES[name], {channels: image}, header, half=half)
+
+
+def write_scene(
+    capture: Capture,
+    textures: Textures,
+    folder: str | Path,
+    *,
+    attributes: Mapping[str, str | int | float] | None = None,
+) -> Path:
+    """Write the capture's scene with the object in recovered textures.
+
+    The file loads with ``mitsuba.load_file`` alone and has the object with the UVs of its
+    texels, all other shapes, the light, and one sensor per photograph (``view_0000``, ...).
+    Beside it lie the textures, and in ``assets`` the meshes and the map of the light; all
+    file names are relative, so the folder can be moved. ``-D spp=N`` sets samples per pixel.
+
+    Args:
+        capture: the ``Capture``.
+        textures: over the UVs of ``capture.mesh``.
+        folder: made if missing.
+        attributes: header entries of the textures, such as the settings of the run.
+
+    Returns:
+        The path of the scene file.
+
+    Raises:
+        OutputError: the folder or a file cannot be written.
+    """
+    folder = prepare_folder(folder)
+    prepare_folder(folder / ASSETS)
+    write_textures(textures, folder, attributes)
+    scene, target = capture.scene, capture.shape
+    light = next(e for e in scene.emitters() if e.is_environment())
+    root = scene_xml.scene()
+    root.append(scene_xml.plugin("integrator", "path", max_depth=path_length(scene)))
+    root.append(scene_xml.environment(light, folder, ASSETS))
+    root.append(object_node(
+        target.id(), arrays(capture.mesh), folder, two_sided=is_two_sided(target.bsdf())
+    ))  # fmt: skip
+    others = [shape for shape in scene.shapes() if not is_same(shape, target)]
+    root.extend(scene_xml.shape(s, folder, f"{ASSETS}/other_{k}") for k, s in enumerate(others))
+    root.extend(scene_xml.sensor(s, f"view_{k:04d}") for k, s in enumerate(capture.sensors))
+    scene_xml.write_document(root, folder / SCENE)
+    return folder / SCENE
+
+
+def object_node(
+    name: str, mesh: MeshArrays, folder: Path, *, file: str = MESH,
+    textures: Mapping[str, str] = FILES, two_sided: bool = False,
+) -> Any:  # fmt: skip
+    """Return an object in textures as a node of a scene in ``folder``, and write its mesh there."""
+    node = scene_xml.mesh(mesh, folder, file, name)
+    node.append(scene_xml.principled(name, textures, two_sided=two_sided))
+    return node
 
 
 def settings_of(folder: str | Path) -> dict[str, Any]:

@@ -1,0 +1,292 @@
+"""Writer of Mitsuba scene files: plugins with their properties, and parts of live scenes.
+
+``mi.parser.write_file`` writes what a scene was parsed from; a live scene has none of that, and
+may never have been a file. Its ids, which that function leaves out, are written here.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Comment, Element, SubElement
+
+import mitsuba as mi
+import numpy as np
+
+import svu_mi
+from svu_mi.capture.mesh import MeshArrays, arrays, write_ply
+from svu_mi.capture.poses import describe
+from svu_mi.capture.repaint import is_two_sided
+from svu_mi.capture.scene import to_world
+from svu_mi.errors import SvuWarning
+from svu_mi.exr import write_exr
+from svu_mi.files import mark_text, stamp, write_text
+from svu_mi.names import xml_id
+
+FILTERS = {
+    "BoxFilter": "box", "TentFilter": "tent", "GaussianFilter": "gaussian",
+    "MitchellNetravaliFilter": "mitchell", "CatmullRomFilter": "catmullrom",
+    "LanczosSincFilter": "lanczos",
+}  # fmt: skip
+ANALYTIC = {"Sphere": "sphere", "Disk": "disk", "Cylinder": "cylinder"}
+MATERIALS = {"Principled": "principled", "SmoothDiffuse": "diffuse"}
+GREY = 0.5  # reflectance of a shape whose material cannot be written
+SAMPLES = 64  # per pixel, unless -D spp=N
+ROWS, POLES = "svu:rows", "poles"  # header of an EXR whose first and last rows are the poles
+
+
+def scene() -> Element:
+    """Return an empty scene with the parameter ``spp``, which ``sensor`` refers to."""
+    root = Element("scene", version="3.0.0")
+    root.append(Comment(f" Written by svu_mi {svu_mi.__version__}; needs nothing but Mitsuba. "))
+    if stamp():
+        root.append(Comment(f" {mark_text()} "))
+    SubElement(root, "default", name="spp", value=str(SAMPLES))
+    return root
+
+
+def plugin(
+    tag: str, kind: str, name: str | None = None, *, id: str | None = None, **properties: Any
+) -> Element:
+    """Return ``<tag type="kind" name="name" id="id"/>`` with properties (see ``put``)."""
+    attributes = {"type": kind, "name": name, "id": None if id is None else xml_id(id)}
+    node = Element(tag, {key: value for key, value in attributes.items() if value is not None})
+    return put(node, **properties)
+
+
+def put(parent: Element, **properties: Any) -> Element:
+    """Add properties by name: text, bool, int, float, three floats (rgb), or a 4 x 4 matrix.
+
+    Returns:
+        ``parent``.
+    """
+    for name, value in properties.items():
+        if np.ndim(value) == 2:
+            transform = SubElement(parent, "transform", name=name)
+            SubElement(transform, "matrix", value=_text(np.ravel(value)))
+        else:
+            tag, text = _property(value)
+            SubElement(parent, tag, name=name, value=text)
+    return parent
+
+
+def _property(value: Any) -> tuple[str, str]:
+    if isinstance(value, bool):
+        return "boolean", "true" if value else "false"
+    if isinstance(value, int):
+        return "integer", str(value)
+    if isinstance(value, str):
+        return "string", value
+    if isinstance(value, Sequence):
+        return "rgb", _text(value)
+    return "float", repr(float(value))
+
+
+def _text(values: Any) -> str:
+    """Return numbers as text that reads back as they were."""
+    return " ".join(repr(float(value)) for value in values)
+
+
+def write_document(root: Element, path: Path) -> None:
+    """Write a scene file, indented, atomically; an id that is taken gets a number.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    taken: set[str] = set()
+    for node in sorted(root.iterfind(".//*[@id]"), key=lambda node: node.tag != "shape"):
+        name, number = node.attrib["id"], 1  # the first shape keeps its id
+        while node.attrib["id"] in taken:
+            number += 1
+            node.set("id", f"{name}_{number}")
+        taken.add(node.attrib["id"])
+    ElementTree.indent(root)
+    write_text(path, ElementTree.tostring(root, "unicode"))
+
+
+def sensor(camera: Any, name: str) -> Element:
+    """Return a perspective sensor, in floats that read back as they are."""
+    record = describe(camera)
+    near, far = record["clip"]
+    shift_x, shift_y = record["principal_point_offset"]
+    (width, height), (left, top) = record["film"], record["crop_offset"]
+    node = plugin(
+        "sensor", "perspective", id=name, to_world=np.array(record["to_world"]),
+        fov=record["x_fov"], fov_axis="x", near_clip=near, far_clip=far,
+        principal_point_offset_x=shift_x, principal_point_offset_y=shift_y,
+    )  # fmt: skip
+    film = plugin(
+        "film", "hdrfilm", width=width, height=height, crop_offset_x=left, crop_offset_y=top,
+        crop_width=record["crop_size"][0], crop_height=record["crop_size"][1], pixel_format="rgb",
+        component_format="float32",
+    )  # fmt: skip
+    film.append(plugin("rfilter", FILTERS.get(camera.film().rfilter().class_name(), "box")))
+    sampler = plugin("sampler", "independent")
+    SubElement(sampler, "integer", name="sample_count", value="$spp")
+    node.extend([film, sampler])
+    return node
+
+
+def bitmap(name: str, file: str, *, id: str | None = None, raw: bool = True) -> Element:
+    """Return a texture of values that are taken as they are, or of sRGB colours."""
+    # Repeated, a chart that goes around closes without a seam.
+    return plugin(
+        "texture", "bitmap", name, id=id, filename=file, raw=raw, filter_type="bilinear",
+        wrap_mode="repeat",
+    )  # fmt: skip
+
+
+def mesh(source: MeshArrays, folder: Path, file: str, name: str) -> Element:
+    """Return a mesh, and write it as PLY; ``file`` is relative to the scene file's ``folder``.
+
+    Raises:
+        OutputError: the mesh cannot be written.
+    """
+    write_ply(folder / file, name, source)
+    node = plugin("shape", "ply", id=name, filename=file)
+    # Mitsuba would compute smooth normals where the file has none.
+    return node if source.normals is not None else put(node, face_normals=True)
+
+
+def principled(name: str, textures: Mapping[str, str], *, two_sided: bool = False) -> Element:
+    """Return the material of an object in textures; specular is 0.5, as recovery takes it to be.
+
+    Args:
+        name: of the object.
+        textures: files of base_color, roughness and metallic, relative to the scene file.
+        two_sided: whether the object reflects on the back of its surface, too.
+    """
+    node = plugin("bsdf", "principled", id=f"{name}_material", specular=0.5)
+    for texture, path in textures.items():
+        node.append(bitmap(texture, path, id=f"{name}_{texture}"))
+    if not two_sided:
+        return node
+    sides = plugin("bsdf", "twosided", id=f"{name}_sides")
+    sides.append(node)
+    return sides
+
+
+def environment(emitter: Any, folder: Path, assets: str) -> Element:
+    """Return an ``envmap``, ``constant`` or ``sunsky``; the map of the first is written as EXR.
+
+    The others are written as parameters: sampled on a map, the sun's disk would be smaller than a
+    texel. ``assets`` is the folder of the map, relative to the scene file's ``folder``.
+    """
+    params, kind = mi.traverse(emitter), emitter.class_name()
+    name = emitter.id() or "light"
+
+    def number(key: str) -> Any:  # of one channel or three
+        return _plain(params[key] if key in params else params[f"{key}.value"])
+
+    if kind == "ConstantBackgroundEmitter":
+        return plugin("emitter", "constant", id=name, radiance=number("radiance"))
+    if kind != "SunskyEmitter":
+        file = f"{assets}/environment.exr"
+        # Mitsuba 3.9 keeps one halo column on each side.
+        pixels = np.array(params["data"], np.float32)[:, 1:-1, :3]
+        write_exr(folder / file, {"RGB": pixels}, {ROWS: POLES})
+        scale = float(np.array(params["scale"]).ravel()[0])
+        return plugin(
+            "emitter", "envmap", id=name, filename=file, to_world=to_world(emitter), scale=scale
+        )
+    node = plugin("emitter", "sunsky", id=name, to_world=to_world(emitter))
+    put(node, **{key: number(key) for key in ("turbidity", "albedo", "sun_scale", "sky_scale")})
+    # In world space, whatever to_world is, here and in the file.
+    sun = np.array(params["sun_direction"], np.float64).ravel()
+    SubElement(node, "vector", name="sun_direction", value=_text(sun))
+    for key, label in (("sun_aperture", "Sun aperture"), ("complex_sun", "Complex sun model")):
+        found = re.search(rf"{label} = (\S+)", str(emitter))  # not among its parameters
+        if found is not None:
+            value = found[1] == "true" if found[1] in ("true", "false") else float(found[1])
+            put(node, **{key: value})
+    return node
+
+
+def shape(source: Any, folder: Path, stem: str) -> Any:
+    """Return a shape with its material; a comment and a warning for one that cannot be written.
+
+    ``stem`` begins the names of its files, relative to the scene file's ``folder``.
+    """
+    kind = ANALYTIC.get(source.class_name())
+    if source.is_mesh():
+        node = mesh(arrays(source), folder, f"{stem}.ply", source.id())
+    elif kind is not None:
+        matrix = np.array(mi.traverse(source)["to_world"].matrix, np.float64).reshape(4, 4)
+        # A disk has no flipped normals: its matrix is mirrored instead.
+        flipped = bool(source.has_flipped_normals())
+        node = plugin("shape", kind, id=source.id(), to_world=matrix, flip_normals=flipped)
+    else:
+        _warn(
+            f"{stem}: shape '{source.id()}' ({source.class_name()}) cannot be written and is left "
+            "out; add it to the written scene, or make it a mesh."
+        )
+        return Comment(f" Left out: {source.class_name()} ")
+    node.append(material(source.bsdf(), folder, stem))
+    return node
+
+
+def material(bsdf: Any, folder: Path, stem: str) -> Element:
+    """Return the BSDF of a shape that is not the object; its textures are written as EXR.
+
+    ``principled`` and ``diffuse``, also within ``twosided``, are written as they are. Any other is
+    replaced by a diffuse grey one, with a warning. ``stem`` is as of ``shape``.
+    """
+    if not is_two_sided(bsdf):
+        return _one_sided(bsdf, "", folder, stem)
+    node = plugin("bsdf", "twosided")
+    prefixes = {key.partition(".")[0] for key, _ in mi.traverse(bsdf) if "brdf_" in key}
+    for prefix in sorted(prefixes):  # two, if the back has a BSDF of its own
+        node.append(_one_sided(bsdf, f"{prefix}.", folder, f"{stem}_{prefix}"))
+    return node
+
+
+def _one_sided(bsdf: Any, prefix: str, folder: Path, stem: str) -> Element:
+    params = mi.traverse(bsdf)
+    inner = {key[len(prefix) :]: value for key, value in params if key.startswith(prefix)}
+    names = {key.partition(".")[0] for key in inner}
+    kind = MATERIALS.get(bsdf.class_name())
+    if prefix:
+        principled_too = {"base_color", "spec_tint"} <= names
+        kind = "diffuse" if names == {"reflectance"} else "principled" if principled_too else None
+    if kind is None:
+        _warn(
+            f"{stem}: a material of type {bsdf.class_name()} cannot be written and becomes a "
+            f"diffuse one of reflectance {GREY}; edit the written scene if that matters."
+        )
+        return plugin("bsdf", "diffuse", reflectance=[GREY] * 3)
+    node, written = plugin("bsdf", kind), set()
+    for key, value in inner.items():
+        name, _, part = key.partition(".")
+        if part == "data":
+            file, pixels = f"{stem}_{name}.exr", np.array(value, np.float32)
+            write_exr(folder / file, {"Y" if pixels.shape[2] == 1 else "RGB": pixels})
+            node.append(bitmap(name, file))
+            written.add(name)
+        elif part in ("", "value") and not name.endswith("_sampling_rate"):
+            put(node, **{name: _plain(value)})
+            written.add(name)
+    lost = {name for name in names if not name.endswith("_sampling_rate")} - written
+    turned = {
+        key.partition(".")[0] for key, value in inner.items()
+        if key.endswith(".to_uv") and not np.allclose(np.array(value.matrix).squeeze(), np.eye(3))
+    }  # fmt: skip
+    for changed, what in ((lost, "is left at its default"), (turned - lost, "loses its to_uv")):
+        if changed:
+            _warn(
+                f"{stem}: {', '.join(sorted(changed))} of another shape's material {what}; edit "
+                "the written scene if it matters."
+            )
+    return node
+
+
+def _warn(sentence: str) -> None:
+    warnings.warn(sentence, SvuWarning, stacklevel=3)
+
+
+def _plain(value: Any) -> Any:
+    flat = [float(v) for v in np.array(value, np.float64).ravel()]
+    return flat[0] if len(flat) == 1 else flat
