@@ -31,7 +31,7 @@ SIZES = Sizes(
 CELLS = own_cells(["vase"], ["window"])
 BASE = Variant("spectrum default", "spectrum", "default")
 TINY = {
-    light: {"QUICK": {"views": 8, "film": 32, "spp": 2}, "QUICK_TEXELS": 24},
+    light: {"QUICK": {"views": 16, "film": 48, "spp": 4}, "QUICK_TEXELS": 32},
     calibration: {"QUICK_TRACED": 10, "QUICK_SPP": 4},
     scaling: {"QUICK": scaling.Range(resolutions=(16, 32, 48), views=(3, 6, 12), resolution=24,
                                      photographs=(6, 32), repeats=1)},

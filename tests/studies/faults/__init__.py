@@ -1,1 +1,0 @@
-"""Whether the tests notice faults: twenty are planted, one at a time."""
