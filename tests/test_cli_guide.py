@@ -163,7 +163,7 @@ def test_the_sphere_of_candidates_is_where_it_is_asked_to_be(shot, tmp_path, no_
 @pytest.mark.parametrize(
     "words",
     [
-        ("--strategy", "d-optimal"),
+        ("--strategy", "error"),
         ("--preset", "fixed", "--known", "metallic=0", "--no-lazy", "--hypotheses", "4"),
         ("--method", "spectrum", "--preset", "paper", "--band-limit", "growing"),
     ],
@@ -194,8 +194,8 @@ EARLY = {  # refused before anything is loaded
     "flags": (["--reachable", "{flags}"], "flags.json: 2 flags for 100 candidates"),
     "spectrum": (["--method", "spectrum"], "--preset paper"),
     "fixed": (["--method", "spectrum", "--preset", "fixed"], "Unknown preset"),
-    "d-optimal": (
-        ["--method", "spectrum", "--preset", "paper", "--strategy", "d-optimal"], "--strategy",
+    "error": (
+        ["--method", "spectrum", "--preset", "paper", "--strategy", "error"], "--strategy",
     ),
     "SH model": (["--preset", "paper", "--strategy", "coverage"], "--preset paper is the SH model"),
     "growing": (["--band-limit", "growing"], "--band-limit growing needs --method spectrum"),

@@ -8,7 +8,7 @@ would have the energy
 over views and channels; or the mean over views, if the estimate takes that. The weights are the
 estimator's: less where r_i(psi_0) is large. A candidate v adds its own term, however many views
 there are, and whatever the base colour three numbers per row and channel hold the sum
-(``colors.py``).
+(``objectives.py``).
 
 No photograph takes part: e, p, q, d of every roughness level and channel, which parameters mix
 (``reflection/principled.py``), are what ``Responses`` hold.
@@ -16,7 +16,9 @@ No photograph takes part: e, p, q, d of every roughness level and channel, which
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from math import prod
 from typing import Any
 
@@ -24,9 +26,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.guidance.colors import Colors, Parts
 from svu_mi.guidance.forecast import Forecast, numbers
-from svu_mi.guidance.measures import FAR
+from svu_mi.guidance.objectives import FAR, Colors, Parts
 from svu_mi.guidance.responses import Respond
 from svu_mi.local import allocate, load, store
 from svu_mi.posterior import PrincipledGrid, streaming
@@ -91,39 +92,29 @@ class AngularForecast(Forecast):
         self, views: np.ndarray, candidates: np.ndarray | None, texels: np.ndarray
     ) -> np.ndarray:
         if candidates is None:
-            return self._expect(views, np.zeros(1, np.int64), texels, first=0, keep=False)
-        return self._expect(views, candidates, texels, first=1, keep=False)
+            return self._expect(texels, 1, partial(_in_turn, views=_Order(views), known=len(views)))
+        each = partial(_each, known=_Order(views), candidates=_Order(candidates))
+        return self._expect(texels, len(candidates), each)
 
     def one_by_one(self, views: np.ndarray, candidates: np.ndarray) -> np.ndarray:
         # Products of the views so far are summed up once, not once for every candidate.
-        asked = np.concatenate([[0], candidates])
-        steps = self._expect(views, asked, np.arange(self.count), first=0, keep=True)
+        order = _Order(np.concatenate([views, candidates]))
+        in_turn = partial(_in_turn, views=order, known=len(views))
+        steps = self._expect(np.arange(self.count), 1 + len(candidates), in_turn)
         steps[0, ~self.seen[views].any(axis=0)] = self.measure.unseen
         for before, after, seen in zip(steps[:-1], steps[1:], self.seen[candidates], strict=True):
             after[~seen] = before[~seen]
         return steps
 
-    def _expect(
-        self, views: np.ndarray, asked: np.ndarray, texels: np.ndarray, *, first: int, keep: bool
-    ) -> np.ndarray:
-        """Expected measures (A, L): see the kernel; 0 where a view that is asked for sees nothing.
-
-        Args:
-            views: numbers of those so far.
-            asked: A numbers.
-            texels: (L,) of the T.
-            first: whether the first of ``asked`` is added (1), or stands for none (0).
-            keep: whether each one counts among the views so far for those after it.
-        """
-        place, number = self.hypotheses.of_texels(texels)
-        out = dr.zeros(mi.Float, len(asked) * len(place))
+    def _expect(self, texels: np.ndarray, number: int, kernel: Callable[..., Any]) -> np.ndarray:
+        """Return expected measures (number, L) of texels (L,), 0 where a view sees nothing."""
+        place, hypothesis = self.hypotheses.of_texels(texels)
+        out = dr.zeros(mi.Float, number * len(place))
         dr.eval(out)
-        launch = _Launch(self, numbers(texels[place]), numbers(number))
-        add = dr.opaque(mi.Float, first)
-        _expect(launch, _Order(views), _Order(asked), add, out, keep)
+        out = kernel(_Launch(self, numbers(texels[place]), numbers(hypothesis)), out=out)
         dr.eval(out)
-        each = out.numpy().reshape(len(asked), len(place))
-        return np.add.reduceat(each, np.flatnonzero(number == 0), axis=1)
+        each = out.numpy().reshape(number, len(place))
+        return np.add.reduceat(each, np.flatnonzero(hypothesis == 0), axis=1)
 
 
 class _Order:
@@ -193,21 +184,72 @@ class _Launch:
             found.append(columns_of(*self._responses.read(view, level * self._lobes + lobe)))
         return found
 
-    def errors(self, lobes: Lobes, mixed: Any, shown: Shown) -> list[Any]:
-        """Products w slope^2, w slope rest, w rest^2 of every channel, in a view of a row."""
+    def products(
+        self, sums: list[Any], lobes: Lobes, mixed: Any, shown: Shown | None
+    ) -> list[Any]:
+        """Add w slope^2, w slope rest, w rest^2 of every channel, in a view (or None) of a row."""
+        if shown is None:
+            return sums
         weight, radiance = shown
-        found = []
+        found: list[Any] = []
         for (slope, base), c, r in zip(
             self._lines(lobes, mixed), self.truth[1], radiance, strict=True
         ):
             rest = r - dr.fma(c, slope, base)
             scaled = weight * slope
             found += [scaled * slope, scaled * rest, weight * rest * rest]
-        return found
+        return [old + new for old, new in zip(sums, found, strict=True)]
 
-    def share(self, views: Any) -> Any:
-        """What the sum over so many views is multiplied by."""
-        return dr.select(self._averaged, dr.rcp(views), 1)
+    @dr.syntax
+    def empty(self) -> list[Any]:
+        """Return local memory for the products of every row, all 0."""
+        sums = allocate(mi.Float, 3 * self.channels, self.rows)
+        row = mi.UInt32(0)
+        while row < mi.UInt32(self.rows):
+            store(sums, row, [mi.Float(0) for _ in sums])
+            row += 1
+        return sums
+
+    @dr.syntax
+    def accumulate(self, sums: list[Any], view: Any) -> Any:
+        """Add the products of a view to those of every row; return 1 if it sees the texel."""
+        sees = mi.Float(0)
+        if self.sees(view) > 0:
+            sees = mi.Float(1)
+            shown = self.shown(view)
+            level = mi.UInt32(0)
+            # Literals: Dr.Jit 1.5 leaves the size of local memory out of what tells kernels apart.
+            while level < mi.UInt32(self.levels):
+                lobes = self.lobes(view, level)
+                mixed = mi.UInt32(0)
+                while mixed < mi.UInt32(self.mixtures):
+                    row = level * self.mixtures + mixed
+                    store(sums, row, self.products(load(sums, row), lobes, mixed, shown))
+                    mixed += 1
+                level += 1
+        return sees
+
+    @dr.syntax
+    def evaluate(self, sums: list[Any], views: Any, candidate: Any | None) -> Any:
+        """Return the measure, a Float, by sums of views, and of a candidate that sees the texel or
+        None; ``views`` is the number of both."""
+        share = dr.select(self._averaged, dr.rcp(views), 1)
+        shown = None if candidate is None else self.shown(candidate)
+        total = self.measure.start()
+        level = mi.UInt32(0)
+        while level < mi.UInt32(self.levels):
+            lobes = [] if candidate is None else self.lobes(candidate, level)
+            mixed = mi.UInt32(0)
+            while mixed < mi.UInt32(self.mixtures):
+                row = level * self.mixtures + mixed
+                here = load(sums, row)
+                here = [share * x for x in self.products(here, lobes, mixed, shown)]
+                energy, channels = self.row(here, row)
+                if energy < HOPELESS:
+                    total = self.add(total, row, energy, channels)
+                mixed += 1
+            level += 1
+        return self.measure.value(total)
 
     def row(self, sums: list[Any], row: Any) -> tuple[Any, Any]:
         """Energy of a row relative to the truth's, which no colour is below, and what sums up."""
@@ -223,9 +265,9 @@ class _Launch:
         energy = dr.maximum(energy, -FAR)
         return self.measure.add(sums, self._forecast.colors.row(energy, channels, row), shared)
 
-    def write(self, out: Any, place: Any, sums: list[Any]) -> None:
+    def write(self, out: Any, place: Any, measure: Any) -> None:
         """Write p(psi_0) times the measure to a row of ``out``."""
-        value = self.truth[2] * self.measure.value(sums)
+        value = self.truth[2] * measure
         dr.scatter(out, value, place * self._size + self._own, mode=dr.ReduceMode.NoConflicts)
 
     def _prior(self, row: Any) -> Any:
@@ -239,77 +281,38 @@ class _Launch:
 
 
 @dr.syntax
-def _expect(
-    launch: _Launch, known: _Order, asked: _Order, first: Any, out: Any, keep: bool
-) -> Any:
-    """Write p(psi_0) times the measure, for every psi_0, to ``out`` (views asked for, lanes).
+def _each(launch: _Launch, known: _Order, candidates: _Order, out: Any) -> Any:
+    """Write p(psi_0) times the measure, for every psi_0, with each candidate (candidates, lanes).
 
-    The products of the views so far, per row, are summed up once and kept in local memory, where
+    The products of the known views, per row, are summed up once and kept in local memory, where
     all candidates find them.
-
-    Args:
-        launch: hypotheses and rows.
-        known: the views so far.
-        asked: the candidates.
-        first: 1 to add the first candidate; 0 for the views so far alone, whatever it is.
-        out: Float, zeros.
-        keep: whether each candidate is one of the views so far for those after it.
     """
-    so_far = allocate(mi.Float, 3 * launch.channels, launch.rows)
-    # Literals: Dr.Jit 1.5 leaves the size of local memory out of what tells kernels apart.
-    rows, levels, mixtures = (mi.UInt32(n) for n in (launch.rows, launch.levels, launch.mixtures))
-    row = mi.UInt32(0)
-    while row < rows:
-        store(so_far, row, [mi.Float(0) for _ in so_far])
-        row += 1
+    sums = launch.empty()
     n = mi.Float(0)
     i = mi.UInt32(0)
     while i < known.count:
-        view = known.at(i)
-        if launch.sees(view) > 0:
-            shown = launch.shown(view)
-            level = mi.UInt32(0)
-            while level < levels:
-                lobes = launch.lobes(view, level)
-                mixed = mi.UInt32(0)
-                while mixed < mixtures:
-                    row = level * mixtures + mixed
-                    errors = launch.errors(lobes, mixed, shown)
-                    store(so_far, row, _sums(so_far, row, errors))
-                    mixed += 1
-                level += 1
-            n += 1
+        n += launch.accumulate(sums, known.at(i))
         i += 1
     j = mi.UInt32(0)
-    while j < asked.count:
-        view = asked.at(j)
-        add = dr.select(j > 0, mi.Float(1), first)
-        if dr.select(add > 0, launch.sees(view), n) > 0:
-            shown = launch.shown(view)
-            share = launch.share(n + add)
-            sums = launch.measure.start()
-            level = mi.UInt32(0)
-            while level < levels:
-                lobes = launch.lobes(view, level)
-                mixed = mi.UInt32(0)
-                while mixed < mixtures:
-                    row = level * mixtures + mixed
-                    errors = launch.errors(lobes, mixed, shown)
-                    total = _sums(so_far, row, [add * x for x in errors])
-                    if keep:
-                        store(so_far, row, total)
-                    total = [share * x for x in total]
-                    energy, channels = launch.row(total, row)
-                    if energy < HOPELESS:
-                        sums = launch.add(sums, row, energy, channels)
-                    mixed += 1
-                level += 1
-            launch.write(out, j, sums)
-            if keep:
-                n += add
+    while j < candidates.count:
+        view = candidates.at(j)
+        if launch.sees(view) > 0:
+            launch.write(out, j, launch.evaluate(sums, n + 1, view))
         j += 1
     return out
 
 
-def _sums(memory: list[Any], row: Any, errors: list[Any]) -> list[Any]:
-    return [so_far + error for so_far, error in zip(load(memory, row), errors, strict=True)]
+@dr.syntax
+def _in_turn(launch: _Launch, views: _Order, known: int, out: Any) -> Any:
+    """Write the same with the known views, the first, then with every other view as well."""
+    sums, last = launch.empty(), dr.opaque(mi.UInt32, known - 1)
+    n = mi.Float(0)
+    i = mi.UInt32(0)
+    while i < views.count:
+        view = views.at(i)
+        sees = launch.accumulate(sums, view)
+        n += sees
+        if (n > 0) & ((i == last) | ((i > last) & (sees > 0))):
+            launch.write(out, i - last, launch.evaluate(sums, n, None))
+        i += 1
+    return out

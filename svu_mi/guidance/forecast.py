@@ -1,4 +1,11 @@
-"""What photographs that nobody has taken would say: the interface of both methods."""
+"""Expected entropy of texels with photographs not yet taken: the interface of both methods.
+
+Eq. 13 averages over truths drawn from the posterior of each texel: cells of a grid, or its rows, a
+roughness and a metallic of the colour that the photographs so far then give (``objectives.py``).
+All of a small grid are taken, each with its probability. Of a large one, K are drawn by systematic
+sampling: their number per cell differs from K p by less than one, so a certain texel has few
+different ones, and costs less. Every candidate is judged by the same draw.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +14,93 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.guidance.hypotheses import Hypotheses
-from svu_mi.guidance.measures import Measure
+from svu_mi.guidance.objectives import Measure
 from svu_mi.guidance.responses import Responses
 from svu_mi.interop import owned
 from svu_mi.posterior.grid import Grid
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """Cells psi_0 and their probabilities, for T texels.
+
+    Attributes:
+        cells: (K T,) UInt32, cell k of texel t at k T + t.
+        weights: (K T,) Float, of sum 1 per texel.
+        counts: (T,) UInt32, how many of the K a texel has.
+    """
+
+    cells: Any
+    weights: Any
+    counts: Any
+
+    def at(self, number: Any, texel: Any) -> tuple[Any, Any]:
+        """Read cell and probability of a hypothesis of texels, by its number."""
+        place = number * self._stride + texel
+        return dr.gather(mi.UInt32, self.cells, place), dr.gather(mi.Float, self.weights, place)
+
+    def of_texels(self, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return all hypotheses of some texels, those of one after the other.
+
+        Args:
+            texels: (L,) of the T.
+
+        Returns:
+            Which of the L each is of, and its number among those, from 0: (N,) int64 each.
+        """
+        counts = self.counts.numpy()[texels].astype(np.int64)
+        place = np.repeat(np.arange(len(texels)), counts)
+        return place, np.arange(len(place)) - (np.cumsum(counts) - counts)[place]
+
+    @cached_property
+    def _stride(self) -> Any:
+        return dr.opaque(mi.UInt32, dr.width(self.counts))
+
+    @staticmethod
+    def draw(
+        probabilities: np.ndarray, most: int, starts: np.ndarray, possible: int | None = None
+    ) -> Hypotheses:
+        """Draw cells.
+
+        Args:
+            probabilities: (T, N) of the posterior.
+            most: K; if there are no more cells, every one of positive probability is taken.
+            starts: (T,) random numbers in [0, 1).
+            possible: how many cells the prior does not exclude; all N by default.
+        """
+        total = probabilities.sum(axis=1, keepdims=True, dtype=np.float64)
+        if most >= (probabilities.shape[1] if possible is None else possible):
+            weights = probabilities / total
+        else:
+            weights = _drawn(np.cumsum(probabilities / total, axis=1), most, starts)
+        return Hypotheses.of(weights)
+
+    @staticmethod
+    def of(weights: np.ndarray) -> Hypotheses:
+        """Take the cells of positive weight (T, N), the heaviest first."""
+        counts = (weights > 0).sum(axis=1)
+        most = max(int(counts.max(initial=0)), 1)
+        cells = np.argpartition(-weights, min(most, weights.shape[1] - 1), axis=1)[:, :most]
+        part = np.take_along_axis(weights, cells, axis=1)
+        order = np.argsort(-part, axis=1, kind="stable")
+        cells, part = (np.take_along_axis(x, order, axis=1) for x in (cells, part))
+        return Hypotheses(
+            cells=owned(mi.UInt32, cells.T.astype(np.uint32).ravel()),
+            weights=owned(mi.Float, part.T.astype(np.float32).ravel()),
+            counts=owned(mi.UInt32, counts.astype(np.uint32)),
+        )
+
+
+def _drawn(cumulative: np.ndarray, most: int, starts: np.ndarray) -> np.ndarray:
+    """Return (T, N) shares k / K of cells drawn at equal steps of probability."""
+    # How many of the points (i + start) / K lie below the end of every cell.
+    below = np.clip(np.ceil(cumulative * most - starts[:, None]), 0, most)
+    below[cumulative >= cumulative[:, -1:]] = most  # the last cell that is possible, and others
+    return np.diff(below, axis=1, prepend=0) / most
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,9 @@ import numpy as np
 from svu_mi.errors import OptionError
 from svu_mi.guidance import angular, spectral
 from svu_mi.guidance.angular import AngularForecast
-from svu_mi.guidance.colors import Colors, prior_tables
-from svu_mi.guidance.forecast import Forecast, numbers
+from svu_mi.guidance.forecast import Forecast, Hypotheses, numbers
 from svu_mi.guidance.growing import GrowingForecast
-from svu_mi.guidance.hypotheses import Hypotheses
-from svu_mi.guidance.measures import Entropy
+from svu_mi.guidance.objectives import Colors, Entropy, prior_tables
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.responses import Respond, Responses, collect
 from svu_mi.guidance.spectral import SpectrumForecast

@@ -19,8 +19,7 @@ class GuidanceOptions:
     strategy: Name = "entropy"
     """entropy: lowest expected entropy (Eq. 13); error: lowest expected squared error of
     the parameters, relative to the present one, which determines the PSNR of textures. Baselines:
-    d-optimal: most information on the most probable parameters, linearised; coverage:
-    most texels that few views see; farthest: the direction farthest from all so far;
+    coverage: most texels that few views see; farthest: the direction farthest from all so far;
     random."""
 
     texels: int = 4096

@@ -8,15 +8,15 @@ from functools import cached_property
 import numpy as np
 
 from svu_mi.capture.poses import bounding_sphere, directions_of
-from svu_mi.guidance import baselines
 from svu_mi.guidance.angular import AngularForecast
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.forecaster import forecast_of
 from svu_mi.guidance.greedy import Greedy
-from svu_mi.guidance.measures import Variance
+from svu_mi.guidance.objectives import Variance
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.responses import cosines
+from svu_mi.guidance.strategies import TABLE
 from svu_mi.observed import Observed
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import CalibratedPosterior
@@ -58,20 +58,17 @@ class Prospect:
 
     @cached_property
     def seen(self) -> np.ndarray:
-        """(V, t) bool, which view sees which texel: rays, and nothing else."""
-        if "forecast" in self.__dict__:
+        """(V, t) bool, which view sees which texel."""
+        if TABLE[self.options.strategy].forecasts:
             return self.forecast.seen
         return self._sees((self.observed.views, self.observed.found))
 
-    @property
     def seen_by_candidates(self) -> np.ndarray:
-        """(C, t) bool, which candidate sees which texel."""
-        if {"seen", "forecast"} & set(self.__dict__):
-            return self.seen[self.photographs :]
+        """Return which candidate sees which texel, (C, t) bool, by rays alone."""
         return self._sees(None)
 
     def _sees(self, photographed: tuple[Views, Survey] | None) -> np.ndarray:
-        """Which of these views and the candidates sees which texel."""
+        """Return which of these views and the candidates sees which texel."""
         surface = Surface.of(self.observed.texels, numbers(self.texels))
         found = cosines(surface, photographed, self._packed)
         return np.asarray(found.numpy() > 0).reshape(-1, len(self.texels))
@@ -107,21 +104,6 @@ class Prospect:
         measure = Variance(tuple(present), tuple(prior), forecast.channels)
         # Errors to expect may well grow with a view, that of a truth with two explanations, say.
         return self._greedy(replace(forecast, measure=measure), lazy=False)
-
-    def jacobians(self) -> np.ndarray:
-        """Return those of radiance over s sqrt(tau) at the most probable row, (V, t, C, P)."""
-        forecast = self.forecast
-        assert isinstance(forecast, AngularForecast)
-        count, channels = len(self.texels), forecast.channels
-        nodes = [forecast.grid.roughness_nodes, *forecast.grid.mixed_nodes]
-        lobes = forecast.responses.table()[..., 1:]
-        rows = np.array(forecast.hypotheses.at(0, numbers(np.arange(count)))[0]).astype(np.int64)
-        truths = forecast.truths.numpy().reshape(count, -1, channels)
-        found = baselines.jacobians(
-            lobes.reshape(*lobes.shape[:2], len(nodes[0]), -1, 4), nodes, rows,
-            truths[np.arange(count), rows],
-        )  # fmt: skip
-        return np.sqrt(2 * forecast.precision.numpy())[:, None, None] * found
 
     @cached_property
     def _packed(self) -> Views:

@@ -114,7 +114,7 @@ class Guidance:
             self._prospect, candidates=proposed, texels=np.arange(self.texels.count)
         )
         # Where none of them sees anything, there is nothing to gain.
-        seen = everywhere.seen_by_candidates
+        seen = everywhere.seen_by_candidates()
         shown = np.flatnonzero(seen.any(axis=0))
         first, block = self._blocks(shown)
         gains = [

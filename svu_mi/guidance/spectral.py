@@ -22,7 +22,7 @@ import numpy as np
 from svu_mi.frequency.extend import extend_lanes
 from svu_mi.frequency.system import System
 from svu_mi.guidance.forecast import Forecast, numbers
-from svu_mi.guidance.measures import FAR, row_of
+from svu_mi.guidance.objectives import FAR, row_of
 from svu_mi.guidance.responses import Respond, Responses
 from svu_mi.interop import owned
 from svu_mi.light import Lighting

@@ -1,17 +1,15 @@
-"""All strategies: what each is worth in, what it needs to know, how it is made.
+"""Strategies of guidance, and simple baselines that expected entropy has to beat.
 
-This is the one place to add another. It is read before Mitsuba is loaded, by the command line.
+``TABLE`` is the one place to add another. The command line reads it before Mitsuba is loaded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
-
-from svu_mi.guidance.baselines import Coverage, DOptimal, Farthest, Random
 
 if TYPE_CHECKING:
     from svu_mi.guidance.prospect import Prospect
@@ -35,16 +33,91 @@ class Strategy:
 
     Attributes:
         unit: of gains.
-        make: out of a prospect, of which it asks for no more than it needs.
-        forecasts: whether it needs a forecast (Eq. 13) and so sees how entropy changes; others
-            cost nothing but rays.
-        method: that of the estimates it can work with; all by default.
+        make: prospect -> judge.
+        forecasts: whether it needs a forecast (Eq. 13); others cost nothing but rays.
+        method: of the estimates it works with; None for all.
     """
 
     unit: str
     make: Callable[[Prospect], Judge]
     forecasts: bool = False
     method: str | None = None
+
+
+class Farthest:
+    """Farthest-point sampling: the direction farthest from all views so far."""
+
+    def __init__(self, directions: np.ndarray, views: int) -> None:
+        """Make it of unit directions (V, 3) from the object; the first ``views`` are taken."""
+        self._candidates, taken = directions[views:], directions[:views]
+        self._angles = _angles(self._candidates, taken).min(axis=1, initial=np.pi)
+
+    def gains(self) -> np.ndarray:
+        """Angle to the nearest view so far, in radians."""
+        return self._angles
+
+    def choose(self, candidate: int) -> None:
+        """Add a candidate."""
+        own = _angles(self._candidates, self._candidates[[candidate]])[:, 0]
+        self._angles = np.minimum(self._angles, own)
+
+
+def farthest(directions: np.ndarray, taken: Sequence[int], count: int) -> list[int]:
+    """Add directions by farthest-point sampling.
+
+    Args:
+        directions: (V, 3), of unit length.
+        taken: indices of those to start from.
+        count: how many to add.
+
+    Returns:
+        ``taken``, and ``count`` more, or fewer if there are fewer.
+    """
+    chosen = list(taken)
+    strategy = Farthest(np.concatenate([directions[chosen], directions]), len(chosen))
+    free = np.ones(len(directions), bool)
+    free[chosen] = False
+    for _ in range(min(count, int(free.sum()))):
+        best = int(np.argmax(np.where(free, strategy.gains(), -np.inf)))
+        strategy.choose(best)
+        free[best] = False
+        chosen.append(best)
+    return chosen
+
+
+def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.arccos(np.clip(a @ b.T, -1, 1))
+
+
+class Random:
+    """Any order, each as likely."""
+
+    def __init__(self, candidates: int, seed: int) -> None:
+        self._gains = np.random.default_rng(seed).permutation(candidates).astype(np.float64)
+
+    def gains(self) -> np.ndarray:
+        """Ranks."""
+        return self._gains
+
+    def choose(self, candidate: int) -> None:
+        """Add a candidate: others keep their rank."""
+
+
+class Coverage:
+    """Most texels that few views see: each is worth 2^-n, seen by n views so far."""
+
+    def __init__(self, seen: np.ndarray, views: int) -> None:
+        """Make it of ``seen`` (V, T) bool; the first ``views`` are taken."""
+        self._sees = seen[views:]
+        self._worth = 0.5 ** seen[:views].sum(axis=0)
+
+    def gains(self) -> np.ndarray:
+        """Mean worth over texels."""
+        return np.where(self._sees, self._worth, 0).mean(axis=1)
+
+    def choose(self, candidate: int) -> None:
+        """Add a candidate."""
+        self._worth = self._worth * np.where(self._sees[candidate], 0.5, 1)
 
 
 TABLE: dict[str, Strategy] = {
@@ -54,11 +127,6 @@ TABLE: dict[str, Strategy] = {
     "error": Strategy(
         "expected fall of the mean squared error, relative to the present one",
         lambda known: known.by_error(), forecasts=True, method="angular",
-    ),
-    "d-optimal": Strategy(
-        "mean change of log det of the information",
-        lambda known: DOptimal(known.jacobians(), known.photographs),
-        forecasts=True, method="angular",
     ),
     "coverage": Strategy(
         "mean worth of the texels seen", lambda known: Coverage(known.seen, known.photographs)

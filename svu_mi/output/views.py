@@ -9,7 +9,7 @@ import numpy as np
 
 from svu_mi.capture.look import Look, alone
 from svu_mi.capture.poses import bounding_sphere, directions_of
-from svu_mi.guidance.baselines import farthest
+from svu_mi.guidance.strategies import farthest
 
 MARGIN = 0.06  # around the object, in parts of its size
 Window = tuple[float, float, float, float]  # left, right, top, bottom, in parts of a picture

@@ -18,10 +18,9 @@ from svu_mi.bench.guidance.tables import draw_guidance, find_bars, guidance_tabl
 from svu_mi.bench.problem_sizes import GuidanceSizes
 from svu_mi.bench.study import Asked, Study
 from svu_mi.capture.poses import bounding_sphere, directions_of
-from svu_mi.guidance.baselines import farthest
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.next_view import next_best_view
-from svu_mi.guidance.strategies import TABLE
+from svu_mi.guidance.strategies import TABLE, farthest
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.recovery.recover import recover

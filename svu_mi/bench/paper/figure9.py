@@ -35,9 +35,9 @@ from svu_mi.bench.markdown import table
 from svu_mi.bench.plots import COLORS, INK, MARKS, page, tidy
 from svu_mi.capture import Capture
 from svu_mi.capture.poses import bounding_sphere, directions_of
-from svu_mi.guidance.baselines import farthest
 from svu_mi.guidance.candidates import Candidates
 from svu_mi.guidance.next_view import next_best_view
+from svu_mi.guidance.strategies import farthest
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.recovery.recover import recover
 from svu_mi.surface import Texels, texels
