@@ -29,13 +29,12 @@ if TYPE_CHECKING:
     from svu_mi.guidance.next_view import next_best_view
     from svu_mi.guidance.options import GuidanceOptions
     from svu_mi.guidance.result import Guidance
-    from svu_mi.illumination.equalize import equalized, estimate_gains
     from svu_mi.illumination.estimate import estimate_light
+    from svu_mi.illumination.exposure import equalized, estimate_gains
     from svu_mi.illumination.folder import load_light, save_light
-    from svu_mi.illumination.found_gains import FoundGains
-    from svu_mi.illumination.lit import with_light
     from svu_mi.illumination.options import LightOptions
-    from svu_mi.illumination.record import LightEstimate
+    from svu_mi.illumination.record import FoundGains, LightEstimate
+    from svu_mi.illumination.resolve_light import with_light
     from svu_mi.inpaint.diffusion.fill import fill_by_diffusion
     from svu_mi.inpaint.diffusion.options import DiffusionOptions
     from svu_mi.inpaint.fill import fill
@@ -76,9 +75,9 @@ _HOME = {
     "GuidanceOptions": "guidance.options", "next_best_view": "guidance.next_view",
     "Estimate": "pipeline", "estimate": "pipeline",
     "LightEstimate": "illumination.record", "LightOptions": "illumination.options",
-    "FoundGains": "illumination.found_gains", "estimate_gains": "illumination.equalize",
-    "equalized": "illumination.equalize",
-    "estimate_light": "illumination.estimate", "with_light": "illumination.lit",
+    "FoundGains": "illumination.record", "estimate_gains": "illumination.exposure",
+    "equalized": "illumination.exposure",
+    "estimate_light": "illumination.estimate", "with_light": "illumination.resolve_light",
     "load_light": "illumination.folder", "save_light": "illumination.folder",
     "Comparison": "output.compare", "compare": "output.compare",
     "write_report": "output.report.report",

@@ -19,7 +19,7 @@ from svu_mi.errors import CaptureError, SvuWarning
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
-from svu_mi.illumination import finding
+from svu_mi.illumination import resolve_light
 from svu_mi.recovery import descent
 
 pytestmark = pytest.mark.usefixtures("variant")  # svu chooses one
@@ -32,8 +32,8 @@ FILES = ["light.exr", "light.json", "light.npz"]
 def _small(monkeypatch):
     """What commands look for is small, too."""
     options = svu.LightOptions(texels=100, depths=((64, 6),), draws=2)
-    monkeypatch.setattr(finding, "OPTIONS", options)
-    monkeypatch.setattr(finding, "RESOLUTION", 48)
+    monkeypatch.setattr(resolve_light, "OPTIONS", options)
+    monkeypatch.setattr(resolve_light, "RESOLUTION", 48)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def made_up(monkeypatch):
         asked.append(capture)
         return made_up_light()
 
-    monkeypatch.setattr(finding, "estimate_light", found)
+    monkeypatch.setattr(resolve_light, "estimate_light", found)
     return asked
 
 
@@ -68,9 +68,8 @@ def lit(folder: Path, given: Path | None = None, elsewhere: Path | None = None) 
     """Return the capture of a folder with a light, and what was said."""
     progress = Said()
     capture = svu.load_capture(folder, light="optional")
-    return finding.illuminated(capture, given, elsewhere=elsewhere, progress=progress), "\n".join(
-        progress.lines
-    )
+    lit = resolve_light.illuminated(capture, given, elsewhere=elsewhere, progress=progress)
+    return lit, "\n".join(progress.lines)
 
 
 def entropy(capture: Path, out: Path, *words: object) -> int:

@@ -22,8 +22,8 @@ from svu_mi.capture.images import SATURATED
 from svu_mi.capture.picture import decoded
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr
-from svu_mi.illumination.equalize import equalized
-from svu_mi.illumination.found_gains import FoundGains
+from svu_mi.illumination.exposure import equalized
+from svu_mi.illumination.record import FoundGains
 from svu_mi.observed import observe
 from svu_mi.options import preset
 from svu_mi.reflection.principled import mixture

@@ -15,22 +15,23 @@ from scipy.ndimage import gaussian_filter
 import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.illumination.equalize import equalized, estimate_gains
-from svu_mi.illumination.estimate import World, without_gains
-from svu_mi.illumination.finding import illuminated
-from svu_mi.illumination.found_gains import BALANCE, EXPOSURE, FoundGains
+from svu_mi.illumination.estimate import World
+from svu_mi.illumination.exposure import equalized, estimate_gains, updated, without_gains
+from svu_mi.illumination.light_summary import gain_sentences
 from svu_mi.illumination.materials import Moments, columns_of, materials_of
 from svu_mi.illumination.prior import prior_of
+from svu_mi.illumination.record import FoundGains
 from svu_mi.illumination.refine import (
     ALIKE,
+    BALANCE,
+    EXPOSURE,
     FREEDOM,
     Known,
     _slopes_and_samples,
-    gains_system,
     system_of,
 )
+from svu_mi.illumination.resolve_light import illuminated
 from svu_mi.illumination.transport import Transport
-from svu_mi.illumination.words import gain_sentences
 from svu_mi.npz import read_arrays, write_arrays
 from svu_mi.observed import observe
 from svu_mi.posterior.object_prior import shared
@@ -59,7 +60,7 @@ def test_gains_are_unknowns_beside_the_light_as_in_the_whole_normal_equations():
     transport, tau = Transport.of(samples, 64), SWITCHES.overdispersion
     posterior = Moments.of(samples, columns_of(transport, np.exp(x), SWITCHES)).posterior(SWITCHES)
     gains = random_gains(6)
-    found = gains_system(transport, np.exp(x), posterior, tau, gains)
+    found = system_of(transport, np.exp(x), posterior, tau, gains=gains)
 
     materials = materials_of(shared(posterior))
     slopes, r = _slopes_and_samples(transport, np.exp(x), materials)
@@ -85,8 +86,8 @@ def test_gains_are_unknowns_beside_the_light_as_in_the_whole_normal_equations():
     np.testing.assert_allclose(found.gradient, gradient, atol=2e-4 * np.abs(gradient).max())
 
     # The same beside cells of the light, whose own part is what it is without gains.
-    both = system_of(transport, x, posterior, tau, Known(prior_of(64), gains=gains))
-    alone = system_of(transport, x, posterior, tau, Known(prior_of(64)))
+    both = system_of(transport, np.exp(x), posterior, tau, Known(prior_of(64)), gains)
+    alone = system_of(transport, np.exp(x), posterior, tau, Known(prior_of(64)))
     of_light = np.concatenate([np.arange(64) + c * 70 for c in range(3)])
     of_gains = np.concatenate([np.arange(64, 70) + c * 70 for c in range(3)])
     atol = 1e-5 * np.abs(alone.matrix).max()
@@ -99,7 +100,7 @@ def test_gains_are_unknowns_beside_the_light_as_in_the_whole_normal_equations():
 def test_what_gains_have_in_common_is_the_lights():
     gains = FoundGains(np.zeros((4, 3)), np.zeros(4), np.array([False, False, True, False]))
     change = np.arange(12.0).reshape(4, 3)
-    stepped, common = gains.stepped(change, np.zeros(4, bool))
+    stepped, common = updated(gains, None, None, change, None)
     np.testing.assert_allclose(common, change[[0, 1, 3]].mean(axis=0))
     np.testing.assert_allclose(stepped.logarithm[[0, 1, 3]].mean(axis=0), 0, atol=1e-12)
     np.testing.assert_allclose(stepped.logarithm[2], -common)  # it took no part
@@ -107,12 +108,17 @@ def test_what_gains_have_in_common_is_the_lights():
 
 
 def test_a_photograph_that_is_taken_back_keeps_the_gain_that_was_found():
-    before = FoundGains(np.full((5, 3), 0.8), np.ones(5), np.arange(5) == 1)
-    change = np.full((5, 3), -0.8)  # of the second, which took no part, the prior alone
-    after, _ = FoundGains(before.logarithm, before.noise, np.zeros(5, bool)).stepped(
-        change, before.odd
-    )
-    np.testing.assert_allclose(after.logarithm[1] - after.logarithm[0], 0.8)
+    """An outlier takes no part in a step; once it fits again, its gain is that of its samples."""
+    samples, _ = photographed(40, 6, 64, noise=0)
+    gains = FoundGains(np.zeros((6, 3)), np.zeros(6), np.arange(6) == 1)
+    bright = np.where(samples.view == 1, 2.0, 1.0)[:, None].astype(np.float32)
+    shown = replace(samples, radiance=samples.radiance * bright)
+    off = 1 + 0.02 * np.random.default_rng(1).normal(size=samples.radiance.shape)
+    system = SimpleNamespace(found=samples.radiance * off)
+    change = np.full((6, 3), -0.8)  # of the second, the prior alone
+    after, _ = updated(gains, shown, system, change, np.full(40, 0.1))
+    assert not after.odd.any()
+    np.testing.assert_allclose(after.logarithm[1] - after.logarithm[0], np.log(2) + 0.8, atol=0.02)
 
 
 def test_samples_without_gains_are_those_before():
@@ -257,10 +263,10 @@ def test_they_exclude_looks_at_the_background():
 
 @pytest.mark.slow
 def test_light_found_together_with_gains_is_kept_beside_the_other(vase, tmp_path, monkeypatch):
-    from svu_mi.illumination import finding
+    from svu_mi.illumination import resolve_light
 
-    monkeypatch.setattr(finding, "OPTIONS", replace(OPTIONS, depths=((64, 8),), draws=2))
-    monkeypatch.setattr(finding, "RESOLUTION", 48)
+    monkeypatch.setattr(resolve_light, "OPTIONS", replace(OPTIONS, depths=((64, 8),), draws=2))
+    monkeypatch.setattr(resolve_light, "RESOLUTION", 48)
     dark = write_dark(vase, tmp_path / "dark")
     capture = multiplied(svu.load_capture(dark, light="optional"), random_gains(24))
     plain, first, second = Said(), Said(), Said()

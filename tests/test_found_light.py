@@ -18,12 +18,16 @@ from svu_mi.capture.record import Doubt
 from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError
 from svu_mi.exr import read_exr, write_exr
 from svu_mi.illumination import scale
-from svu_mi.illumination.finding import illuminated
 from svu_mi.illumination.folder import photographs_of
-from svu_mi.illumination.likeness import brightest, likeness
-from svu_mi.illumination.lit import with_map
+from svu_mi.illumination.light_summary import (
+    brightest,
+    likeness,
+    likeness_sentence,
+    scale_sentence,
+    sentences,
+)
 from svu_mi.illumination.record import UNANCHORED
-from svu_mi.illumination.words import likeness_sentence, scale_sentence, sentences
+from svu_mi.illumination.resolve_light import illuminated, with_map
 from svu_mi.npz import read_arrays, write_arrays
 from svu_mi.observed import observe
 

@@ -14,15 +14,21 @@ from oracle.cells import gains
 
 import svu_mi as svu
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.illumination.background import Looks
-from svu_mi.illumination.doubt import possible, widening_of
-from svu_mi.illumination.level import COLORS, FURTHEST, _common, _tint, level_of
-from svu_mi.illumination.likeness import likeness
+from svu_mi.illumination.light_summary import likeness
 from svu_mi.illumination.materials import Moments, columns_of, materials_of
-from svu_mi.illumination.prior import SD, prior_of, refined
+from svu_mi.illumination.prior import SD, Looks, prior_of, refined
 from svu_mi.illumination.refine import ALIKE, FREEDOM, LARGEST, STEP, Fit, Known, system_of
 from svu_mi.illumination.samples import FACING, FEWEST, Samples
 from svu_mi.illumination.transport import WIDENED, Columns, Materials, Transport
+from svu_mi.illumination.uncertainty import (
+    COLORS,
+    FURTHEST,
+    _common,
+    _tint,
+    level_of,
+    sample_lights,
+    widening_of,
+)
 from svu_mi.interop import owned
 from svu_mi.light.cells import fibonacci
 from svu_mi.posterior.object_prior import shared
@@ -157,7 +163,9 @@ def fit_of(samples: Samples, x: np.ndarray) -> Fit:
     transport = Transport.of(samples, len(x))
     found = Moments.of(samples, columns_of(transport, np.exp(x), SWITCHES))
     posterior = found.posterior(SWITCHES)
-    system = system_of(transport, x, posterior, SWITCHES.overdispersion, Known(prior_of(len(x))))
+    system = system_of(
+        transport, np.exp(x), posterior, SWITCHES.overdispersion, Known(prior_of(len(x)))
+    )
     return Fit(transport, x, system, 0.1)
 
 
@@ -223,7 +231,7 @@ def test_materials_are_eliminated_as_from_the_whole_normal_equations():
     found = Moments.of(samples, columns_of(transport, np.exp(x), SWITCHES))
     posterior = found.posterior(SWITCHES)
     tau = SWITCHES.overdispersion
-    found = system_of(transport, x, posterior, tau, Known(prior_of(64)))
+    found = system_of(transport, np.exp(x), posterior, tau, Known(prior_of(64)))
     w = samples.weight / (posterior.noise[samples.owner] ** 2 * tau)
     joint = Joint(samples, x, materials_of(shared(posterior)), w)
     H, g = joint.normal()
@@ -317,11 +325,11 @@ def test_dark_and_bright_objects_are_as_likely_in_dim_and_bright_light():
 def test_other_lights_are_as_bright_and_textures_less_certain():
     samples, x = photographed(24, 8, 64, noise=0.05)
     fit = fit_of(samples, x)
-    found = possible(fit, 6)
+    found = sample_lights(fit, 6)
     level = np.exp(found.draws).mean(axis=1)
     np.testing.assert_allclose(level, np.tile(np.exp(x).mean(axis=0), (6, 1)), rtol=1e-9)
-    np.testing.assert_array_equal(found.draws, possible(fit, 6).draws)
-    assert not np.array_equal(found.draws, possible(fit, 6, seed=1).draws)
+    np.testing.assert_array_equal(found.draws, sample_lights(fit, 6).draws)
+    assert not np.array_equal(found.draws, sample_lights(fit, 6, seed=1).draws)
     mean = np.kron(np.full((1, 3), 1 / 3), np.eye(64))
     share = np.exp(x).mean(axis=1) / np.exp(x).mean(axis=1).sum()
     mean = (np.eye(64) - share) @ mean  # at a given level

@@ -13,7 +13,7 @@ import svu_mi as svu
 from svu_mi import scenes
 from svu_mi.capture.record import Doubt
 from svu_mi.errors import SceneError
-from svu_mi.illumination.likeness import likeness
+from svu_mi.illumination.light_summary import likeness
 from svu_mi.illumination.prior import SD, prior_of
 from svu_mi.illumination.record import NINETY
 from svu_mi.light.cells import fibonacci

@@ -19,8 +19,8 @@ from svu_mi.capture.rounding import Rounding, variance
 from svu_mi.formats.response import Response, steps
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
-from svu_mi.illumination.equalize import equalized
-from svu_mi.illumination.found_gains import FoundGains
+from svu_mi.illumination.exposure import equalized
+from svu_mi.illumination.record import FoundGains
 from svu_mi.interop import owned
 from svu_mi.observed import observe
 from svu_mi.statistics.gather import Weighting

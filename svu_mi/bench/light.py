@@ -20,10 +20,10 @@ from svu_mi.bench.markdown import Bar, Column, columns, digits
 from svu_mi.bench.study import Asked, Study
 from svu_mi.capture import Capture
 from svu_mi.illumination.estimate import estimate_light
-from svu_mi.illumination.likeness import blurred, likeness
-from svu_mi.illumination.lit import with_light
+from svu_mi.illumination.light_summary import blurred, likeness
 from svu_mi.illumination.options import LightOptions
 from svu_mi.illumination.record import LightEstimate
+from svu_mi.illumination.resolve_light import with_light
 from svu_mi.light.cells import fibonacci
 from svu_mi.light.environment import read_environment
 from svu_mi.metrics.textures import psnr

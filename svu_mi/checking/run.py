@@ -31,8 +31,8 @@ from svu_mi.checking.views import check_views
 from svu_mi.errors import OptionError, SvuError
 from svu_mi.formats.fixes import fixes_named, turn_of
 from svu_mi.formats.geometry import LEFT_OUT
-from svu_mi.illumination.found_gains import FoundGains
-from svu_mi.illumination.words import gain_sentences
+from svu_mi.illumination.light_summary import gain_sentences
+from svu_mi.illumination.record import FoundGains
 from svu_mi.light.environment import read_environment
 from svu_mi.progress import Progress
 

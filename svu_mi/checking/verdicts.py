@@ -15,7 +15,7 @@ from svu_mi.checking.light import LightScore, indistinguishable
 from svu_mi.checking.poses import PoseScore, certain, simplest
 from svu_mi.checking.record import Finding, Hypothesis, Verdict
 from svu_mi.formats.fixes import FIXES
-from svu_mi.illumination.found_gains import FoundGains
+from svu_mi.illumination.record import FoundGains
 
 INSIDE_OUT = "mesh-inside-out"
 POOR_OVERLAP = 0.7  # silhouettes that fit worse explain no masks

@@ -20,7 +20,7 @@ from svu_mi.results.writing import claimed
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
     from svu_mi.checking.record import Check
-    from svu_mi.illumination.found_gains import FoundGains
+    from svu_mi.illumination.record import FoundGains
 
 SIDE = 1024  # pixels of large photographs, which are compared in far fewer
 SHOWN = 5  # views that fit worst, in the table
@@ -91,7 +91,7 @@ class CheckCapture(OfScene):
 
     def _gains(self, capture: Capture, progress: Progress) -> FoundGains:
         """Find gains, and light if there is none."""
-        from svu_mi.illumination.finding import found_gains
+        from svu_mi.illumination.resolve_light import found_gains
 
         return found_gains(capture, self.output / "light", progress)
 

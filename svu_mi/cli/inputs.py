@@ -232,7 +232,7 @@ class FromPhotographs(Photographed):
             CaptureError: the light that is given is none, or the photographs do not tell it.
             SceneError: it moves with the cameras.
         """
-        from svu_mi.illumination.finding import illuminated
+        from svu_mi.illumination.resolve_light import illuminated
 
         capture, grid = super().load(progress, again=again, missing=missing)
         lit = illuminated(
@@ -313,7 +313,7 @@ def to_find_light(sizes: Sizes, resolution: tuple[int, int], options: LightOptio
 
 def with_search(need: Need, sizes: Sizes) -> Need:
     """Return what memory a command takes at most, that finds the light first if there is none."""
-    from svu_mi.illumination.finding import OPTIONS, RESOLUTION
+    from svu_mi.illumination.resolve_light import OPTIONS, RESOLUTION
 
     if sizes.lit:
         return need

@@ -22,7 +22,7 @@ from svu_mi.results.writing import claimed
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
     from svu_mi.capture.window import Detail
-    from svu_mi.illumination.likeness import Likeness
+    from svu_mi.illumination.light_summary import Likeness
     from svu_mi.illumination.record import LightEstimate
 
 Depths = Annotated[tuple[tuple[int, int], ...], tyro.conf.arg(metavar="CELLS ROUNDS ...")]
@@ -67,7 +67,7 @@ class FindLight(WithPictures, Photographed):
 
     def run(self, console: Console) -> int:
         """Find the light, write it, and say what is known of it."""
-        from svu_mi.illumination.words import gain_sentences, likeness_sentence, sentences
+        from svu_mi.illumination.light_summary import gain_sentences, likeness_sentence, sentences
         from svu_mi.output.upright import upright
 
         self.check()
@@ -133,7 +133,7 @@ class FindLight(WithPictures, Photographed):
 
     def _run(self, progress: Progress) -> tuple[Capture, LightEstimate, Likeness | None]:
         from svu_mi.illumination.estimate import estimate_light
-        from svu_mi.illumination.likeness import likeness
+        from svu_mi.illumination.light_summary import likeness
         from svu_mi.output import Run
         from svu_mi.output.light import write_light
 
@@ -162,7 +162,7 @@ class FindLight(WithPictures, Photographed):
         self, progress: Progress, capture: Capture, found: LightEstimate
     ) -> LightEstimate:
         """Return the light as bright as is known otherwise."""
-        from svu_mi.illumination.equalize import equalized
+        from svu_mi.illumination.exposure import equalized
         from svu_mi.illumination.scale import scaled_by_card, scaled_by_mean
         from svu_mi.observed import observe
         from svu_mi.surface import texels

@@ -89,7 +89,7 @@ class Relight(WithPictures, Photographed):
         return replace(super().need(sizes), model="")
 
     def _run(self, progress: Progress) -> list[RelitView]:
-        from svu_mi.illumination.lit import with_map
+        from svu_mi.illumination.resolve_light import with_map
         from svu_mi.output.draws import find_draws, read_draws
         from svu_mi.output.manifest import Run
         from svu_mi.output.relit_page import write_relighting

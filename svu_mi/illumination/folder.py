@@ -14,8 +14,7 @@ from svu_mi.capture.scene_xml import POLES, ROWS
 from svu_mi.errors import CaptureError
 from svu_mi.exr import write_exr
 from svu_mi.files import write_json
-from svu_mi.illumination.found_gains import FoundGains
-from svu_mi.illumination.record import LightEstimate
+from svu_mi.illumination.record import FoundGains, LightEstimate
 from svu_mi.npz import read_arrays, write_arrays
 from svu_mi.results.reading import require_one_run
 from svu_mi.results.record import LIGHT, LIGHT_RECORD, entries

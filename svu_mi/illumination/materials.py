@@ -15,6 +15,8 @@ from svu_mi.reflection.principled import columns
 from svu_mi.statistics import Statistics
 from svu_mi.statistics.factors import PAIRS
 
+HEAT, COOLING = 12.0, 0.6  # factor of the first round's overdispersion, and its decay
+
 
 def columns_of(transport: Transport, light: np.ndarray, switches: AngularPreset) -> Columns:
     """Return what light (N, 3) makes of the samples at the levels that statistics have."""
@@ -72,6 +74,7 @@ class Moments:
 
 def materials_of(posterior: CalibratedPosterior) -> Materials:
     """Return the means of a posterior."""
+
     def mean(name: str) -> np.ndarray:
         return np.array(posterior.mean(name), np.float64)
 

@@ -1,6 +1,7 @@
-"""What light is like before any photograph: the logarithm of its radiance is a Gaussian field.
+"""Prior of the light, and background pixels that show it.
 
-Positive, of unknown level, and smooth at two scales [log-Gaussian Cox fields, Moller et al. 1998]:
+The logarithm of radiance is a Gaussian field, smooth at two scales [log-Gaussian Cox fields,
+Moller et al. 1998]:
 
     log L_c(w) = u(w) + v_c(w),    cov u(w) u(w') = l^2 + b^2 k(angle / 40 deg)
                                                     + n^2 k(angle / 12 deg) + o^2 [w = w'],
@@ -15,9 +16,17 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
-from svu_mi.light.cells import fibonacci
+from svu_mi.capture import Capture
+from svu_mi.capture.poses import film_size
+from svu_mi.capture.rays import evenly, pixel_rays, table_of
+from svu_mi.capture.scene import to_world
+from svu_mi.errors import CaptureError
+from svu_mi.interop import owned
+from svu_mi.light.cells import fibonacci, nearest_cells
 
 BROAD, NARROW = np.radians(40), np.radians(12)
 
@@ -34,6 +43,9 @@ class Amplitudes(NamedTuple):
 BRIGHTNESS = Amplitudes(level=3.0, broad=0.9, narrow=0.8, own=0.35)
 SD = float(np.linalg.norm(BRIGHTNESS[1:]))  # of a cell at a given level, the channels' mean
 COLOR = Amplitudes(level=0.5, broad=0.25, narrow=0.15, own=0.05)
+PIXELS = 4000  # sampled in each photograph, about
+BACKGROUND_SD = 0.1  # of a cell's mean log radiance: parallax, and pixels that are not sampled
+DARK = 1e-4  # part of the mean radiance that counts as black
 
 
 @dataclass(frozen=True)
@@ -63,9 +75,7 @@ class Prior:
 def prior_of(number: int) -> Prior:
     """Return the prior of N even cells."""
     cells = fibonacci(number)
-    brightness, color = (
-        np.linalg.inv(_covariance(cells, cells, a)) for a in (BRIGHTNESS, COLOR)
-    )
+    brightness, color = (np.linalg.inv(_covariance(cells, cells, a)) for a in (BRIGHTNESS, COLOR))
     return Prior(brightness, color)
 
 
@@ -87,3 +97,78 @@ def _covariance(a: np.ndarray, b: np.ndarray, of: Amplitudes, own: bool = True) 
     covariance = of.level**2 + of.broad**2 * np.exp(-0.5 * (angle / BROAD) ** 2)
     covariance += of.narrow**2 * np.exp(-0.5 * (angle / NARROW) ** 2)
     return covariance + of.own**2 * np.eye(len(a)) if own else covariance
+
+
+class CellLooks(NamedTuple):
+    """Log of the mean radiance (N, 3) of N cells, and its precision (N,); 0 where not seen."""
+
+    precision: np.ndarray
+    logarithm: np.ndarray
+
+
+@dataclass(frozen=True)
+class Looks:
+    """Radiance (P, 3) of background pixels, and unit directions (P, 3) in the light's frame."""
+
+    direction: np.ndarray
+    radiance: np.ndarray
+
+    def at(self, number: int) -> CellLooks:
+        """Average over N even cells."""
+        cells = nearest_cells(self.direction, number)
+        count = np.bincount(cells, minlength=number)
+        sums = [np.bincount(cells, channel, number) for channel in self.radiance.T]
+        mean = np.stack(sums, axis=1) / np.maximum(count, 1)[:, None]
+        logarithm = np.log(np.maximum(mean, DARK * self.radiance.mean()))
+        return CellLooks((count > 0) / BACKGROUND_SD**2, np.where(count[:, None] > 0, logarithm, 0))
+
+    @staticmethod
+    def of(capture: Capture, *, moves: bool = False) -> Looks:
+        """Sample pixels that show no shape; ``moves``: the light turns with the cameras.
+
+        Raises:
+            CaptureError: no pixel shows any background, or all of it is black.
+        """
+        used = [k for k in range(capture.count) if capture.used[k]]
+        pixels = [_grid(capture, k) for k in used]
+        view = np.repeat(np.arange(len(used)), [len(rows) for rows, _ in pixels])
+        rows, columns = (np.concatenate(part) for part in zip(*pixels, strict=True))
+        numbers = (owned(mi.UInt32, part) for part in (view, rows, columns))
+        rays = pixel_rays(
+            table_of([capture.sensors[k] for k in used]), tuple(numbers), 1, evenly(1)
+        )
+        hit, towards = capture.scene.ray_test(rays), mi.Vector3f(rays.d)
+        dr.eval(hit, towards)
+        colors = np.concatenate([
+            np.where(_beyond(capture, k)[..., None], capture.images[k], np.nan)[at]
+            for k, at in zip(used, pixels, strict=True)
+        ]).astype(np.float64)  # fmt: skip
+        kept = ~hit.numpy() & np.isfinite(colors).all(axis=1)
+        if not kept.any():
+            raise CaptureError(
+                "No photograph shows anything beyond the object, so there is no background to take "
+                "light from; leave --background out."
+            )
+        if not colors[kept].mean() > 0:
+            raise CaptureError(
+                "All that the photographs show beyond the object is black: it was cut out, and is "
+                "no light; leave --background out."
+            )
+        direction = towards.numpy().T.astype(np.float64)
+        if moves:
+            turned = np.stack([to_world(capture.sensors[k])[:3, :3] for k in used])
+            direction = np.einsum("pi,pij->pj", direction, turned[view])
+        return Looks(direction[kept], colors[kept])
+
+
+def _grid(capture: Capture, view: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows and columns of evenly spaced pixels of a photograph."""
+    width, height = film_size(capture.sensors[view])
+    step = max(int(np.sqrt(width * height / PIXELS)), 1)
+    rows, columns = np.mgrid[step // 2 : height : step, step // 2 : width : step]
+    return rows.ravel(), columns.ravel()
+
+
+def _beyond(capture: Capture, view: int) -> np.ndarray:
+    mask = capture.masks[view]
+    return np.ones(capture.images[view].shape[:2], bool) if mask is None else ~mask

@@ -1,14 +1,14 @@
-"""Light that was found in photographs: its radiance, what is known of it, and possible others."""
+"""Light and exposure gains that were estimated from photographs."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy
 
-from svu_mi.illumination.found_gains import FoundGains
 from svu_mi.illumination.prior import SD
 from svu_mi.light.cells import fibonacci
 from svu_mi.light.sampling import directions
@@ -19,6 +19,33 @@ UNANCHORED = (
     "light on darker metal looks the same; --grey-card or --mean-albedo fix it."
 )
 NINETY = 1.6449  # standard deviations that 90 % of a normal distribution lie within
+
+
+@dataclass(frozen=True)
+class FoundGains:
+    """Factors that V photographs were multiplied with.
+
+    Attributes:
+        logarithm: (V, 3), with a mean of 0 over the photographs that are no outliers.
+        noise: (V,) residual, in units of the texels' noise; 0 where nothing is seen.
+        odd: (V,) bool, outliers, which are not used.
+    """
+
+    logarithm: np.ndarray
+    noise: np.ndarray
+    odd: np.ndarray
+
+    @property
+    def factor(self) -> np.ndarray:
+        """(V, 3) the gains."""
+        return np.asarray(np.exp(self.logarithm))
+
+    def record(self) -> dict[str, Any]:
+        """Return plain values for a file."""
+        return {
+            "factor": self.factor.tolist(), "noise": self.noise.tolist(),
+            "left_out": np.flatnonzero(self.odd).tolist(),
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -106,7 +133,10 @@ class LightEstimate:
         """Return the same light, a factor (or one per channel) brighter and known to be so."""
         added = np.broadcast_to(np.log(factor), 3)
         return replace(
-            self, logarithm=self.logarithm + added, draws=self.draws + added, scale_sd=np.zeros(3),
+            self,
+            logarithm=self.logarithm + added,
+            draws=self.draws + added,
+            scale_sd=np.zeros(3),
             remarks=tuple(remark for remark in self.remarks if remark != UNANCHORED),
         )
 

@@ -1,4 +1,4 @@
-"""Light and materials together: Gauss-Newton with the parameters of every texel eliminated."""
+"""Gauss-Newton on light, gains and materials, with the materials of each texel eliminated."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ import numpy as np
 import scipy
 
 from svu_mi.errors import CaptureError
-from svu_mi.illumination.background import CellLooks
-from svu_mi.illumination.found_gains import FoundGains, of_gains, with_gains
 from svu_mi.illumination.materials import materials_of
-from svu_mi.illumination.prior import Prior
+from svu_mi.illumination.prior import CellLooks, Prior
+from svu_mi.illumination.record import FoundGains
 from svu_mi.illumination.samples import Samples
 from svu_mi.illumination.transport import Materials, Transport
 from svu_mi.posterior import CalibratedPosterior
 from svu_mi.posterior.object_prior import shared
 from svu_mi.reflection.principled import slope
 
-STEP = 0.04  # of roughness, between which slopes are taken
+STEP = 0.04  # of roughness, for finite differences
 LARGEST = 2.0  # change of log radiance in a step
-FREEDOM = (0.3, 0.5)  # prior sd of roughness and what mixes
-ALIKE = 0.35  # sd of base colours over the surface: no paint knows where the light comes from
+FREEDOM = (0.3, 0.5)  # prior sd of roughness and of the parameters that mix the columns
+ALIKE = 0.35  # prior sd of base colour over the surface
+EXPOSURE, BALANCE = 0.5, 0.2  # prior sd of log gains: common to the channels, and of each
 
 
 @dataclass(frozen=True)
 class System:
-    """Normal equations of logarithms of light and gains, materials eliminated.
+    """Normal equations of log radiance and log gains, materials eliminated.
 
     Attributes:
-        matrix: (3 M, 3 M) float64, channel by channel: the posterior's precision. M is the number
-            of cells, and of views if their gains are unknown.
-        gradient: (3 M,) float64, of half the weighted sum of squared errors and of the prior.
-        found: (S, 3) float64, what the samples should be.
+        matrix: (3 M, 3 M) float64 precision, channel by channel. M is the number of cells, of
+            views if gains are unknown, or their sum.
+        gradient: (3 M,) float64, of half the weighted sum of squared residuals and of the prior.
+        found: (S, 3) float64, predicted samples.
     """
 
     matrix: np.ndarray
@@ -61,15 +61,15 @@ class System:
 
 @dataclass(frozen=True)
 class Fit:
-    """Light of N cells, and how well it explains the samples.
+    """State of the search: the light of N cells.
 
     Attributes:
         transport: samples and cells.
         x: (N, 3) logarithms of radiance.
         system: normal equations before the last step.
         misfit: noise of the median texel there, as a part of the mean radiance.
-        seen: whether the photographs show the light itself, too.
-        gains: of the photographs, which samples were divided by; None if they are as given.
+        seen: whether the photographs show the light itself.
+        gains: that samples were divided by; None if they are known.
     """
 
     transport: Transport
@@ -80,20 +80,11 @@ class Fit:
     gains: FoundGains | None = None
 
 
-@dataclass(frozen=True)
-class Known:
-    """What is known of the light without samples, and what beside it is not known.
-
-    Attributes:
-        prior: of the light.
-        seen: what the photographs show of the light itself.
-        gains: (V, 3) logarithms of gains that samples were divided by; if given, they are
-            unknowns, too, and follow the cells of each channel.
-    """
+class Known(NamedTuple):
+    """Prior of the light, and background pixels that show it."""
 
     prior: Prior
     seen: CellLooks | None = None
-    gains: np.ndarray | None = None
 
     def start(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the precision (3 N, 3 N) and the gradient (3, N) of the light at x (N, 3)."""
@@ -105,51 +96,61 @@ class Known:
 
 
 def system_of(
-    transport: Transport, x: np.ndarray, posterior: CalibratedPosterior, overdispersion: float,
-    known: Known,
+    transport: Transport, light: np.ndarray, posterior: CalibratedPosterior,
+    overdispersion: float, known: Known | None = None, gains: np.ndarray | None = None,
 ) -> System:  # fmt: skip
-    """Linearise the samples around a light and the materials that are most likely under it.
+    """Linearise the samples around a light, gains, and the most likely materials.
 
     Args:
         transport: samples and N cells.
-        x: (N, 3) logarithms of radiance.
+        light: (N, 3) radiance.
         posterior: of the parameters of the n texels.
-        overdispersion: tau, how many samples say what one would alone.
-        known: what is known beside the samples.
+        overdispersion: tau (effective sample size N / tau).
+        known: prior of the light; None if the light is given.
+        gains: (V, 3) logarithms that samples were divided by, which are unknowns, too.
     """
-    # Texels that are uncertain are like others: as one by one they would pull the light along.
-    materials, light = materials_of(shared(posterior)), np.exp(x)
-    J = transport.matrix(materials)
-    J *= light.T[:, None].astype(np.float32)
-    found = J.sum(axis=2).T.astype(np.float64)  # (S, 3)
-    matrix, gradient = known.start(x)
-    if known.gains is not None:
-        J = np.concatenate([J, of_gains(transport.samples, found, len(known.gains))], axis=2)
-        matrix, gradient = with_gains(matrix, gradient, known.gains)
-    start = System(matrix, gradient.ravel(), found)
-    slopes, _ = _slopes_and_samples(transport, light, materials)
-    return _eliminated(
-        start, transport.samples, J, _Texels(posterior, materials, slopes), overdispersion
-    )
-
-
-def gains_system(
-    transport: Transport, light: np.ndarray, posterior: CalibratedPosterior,
-    overdispersion: float, gains: np.ndarray,
-) -> System:  # fmt: skip
-    """Linearise the samples around gains alone (see ``system_of``), under a light (N, 3)."""
+    # With the shared prior: independent uncertain texels would bias the light.
     materials = materials_of(shared(posterior))
     slopes, found = _slopes_and_samples(transport, light, materials)
-    matrix, gradient = with_gains(np.zeros((0, 0)), np.zeros((3, 0)), gains)
-    J = of_gains(transport.samples, found, len(gains))
-    start = System(matrix, gradient.ravel(), found)
-    return _eliminated(
-        start, transport.samples, J, _Texels(posterior, materials, slopes), overdispersion
-    )
+    if known is None:
+        J = np.zeros((3, transport.samples.count, 0), np.float32)
+        matrix, gradient = np.zeros((0, 0)), np.zeros((3, 0))
+    else:
+        J = transport.matrix(materials)
+        J *= light.T[:, None].astype(np.float32)
+        found = J.sum(axis=2).T.astype(np.float64)
+        matrix, gradient = known.start(np.log(light))
+    if gains is not None:
+        J = np.concatenate([J, _of_gains(transport.samples, found, len(gains))], axis=2)
+        matrix, gradient = _with_gains(matrix, gradient, gains)
+    texels = _Texels(posterior, materials, slopes)
+    prior = System(matrix, gradient.ravel(), found)
+    return _eliminated(prior, transport.samples, J, texels, overdispersion)
+
+
+def _of_gains(samples: Samples, found: np.ndarray, views: int) -> np.ndarray:
+    """Return the derivatives (3, S, V) by log gains, given the predicted samples (S, 3)."""
+    J = np.zeros((3, samples.count, views), np.float32)
+    J[:, np.arange(samples.count), samples.view] = found.T
+    return J
+
+
+def _with_gains(
+    matrix: np.ndarray, gradient: np.ndarray, gains: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Append log gains (V, 3) and their prior to a system of (3 N, 3 N) and (3, N)."""
+    number, views = gradient.shape[1], len(gains)
+    own = np.linalg.inv(EXPOSURE**2 + BALANCE**2 * np.eye(3))
+    whole = np.zeros((3, number + views, 3, number + views))
+    whole[:, :number, :, :number] = matrix.reshape(3, number, 3, number)
+    place = number + np.arange(views)
+    whole[:, place, :, place] = own
+    size = 3 * (number + views)
+    return whole.reshape(size, size), np.concatenate([gradient, own @ gains.T], axis=1)
 
 
 class _Texels(NamedTuple):
-    """What the texels of samples are made of, and how their samples (S, 3, P) change with it."""
+    """Posterior and materials of n texels, and derivatives (S, 3, P) of samples by these."""
 
     posterior: CalibratedPosterior
     materials: Materials
@@ -159,15 +160,7 @@ class _Texels(NamedTuple):
 def _eliminated(
     prior: System, samples: Samples, J: np.ndarray, texels: _Texels, overdispersion: float
 ) -> System:
-    """Return normal equations of unknowns, M per channel, whatever the texels are made of.
-
-    Args:
-        prior: what is known of the unknowns before.
-        samples: S of them.
-        J: (3, S, M) float32, their derivatives; it is overwritten.
-        texels: n of them.
-        overdispersion: tau.
-    """
+    """Add samples with derivatives J (3, S, M), which are overwritten, and eliminate materials."""
     w = samples.weight / (texels.posterior.noise[samples.owner] ** 2 * overdispersion)
     root, off = np.sqrt(w), samples.radiance - prior.found
     J *= root.astype(np.float32)[:, None]
@@ -183,13 +176,10 @@ def _eliminated(
     return System(matrix, flat, prior.found)
 
 
-def _taken(
-    samples: Samples, J: np.ndarray, slopes: np.ndarray, inverse: np.ndarray
-) -> np.ndarray:
-    """Return L^-1 H_(theta x), (n P, 3 M) float32: its square is the part of the precision of
-    the unknowns that materials can take over.
+def _taken(samples: Samples, J: np.ndarray, slopes: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+    """Return L^-1 H_(theta x), (n P, 3 M) float32, whose square is what elimination subtracts.
 
-    A texel at a time: J is large, and is read once.
+    One texel at a time: J is large, and is read once.
     """
     count, size = inverse.shape[:2]
     taken = np.empty((count, size, 3 * J.shape[2]), np.float32)
@@ -202,17 +192,16 @@ def _taken(
 
 
 def _channels(number: int) -> list[slice]:
-    """Where the M unknowns of each channel are among all 3 M."""
+    """Return the places of the M unknowns of each channel among all 3 M."""
     return [slice(c * number, (c + 1) * number) for c in range(3)]
 
 
 def _of_materials(
     materials: Materials, samples: Samples, slopes: np.ndarray, off: np.ndarray, w: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Normal equations of the materials: (n, P, P), and (n, P); ``off`` is weighted.
+    """Return normal equations of the materials: (n, P, P), and (n, P); ``off`` is weighted.
 
-    Base colours are like each other: else those of the lit side could be bright and those of the
-    other dark, instead of the light.
+    Base colours have a prior around their mean: otherwise they could follow the light.
     """
     own = samples.sum(np.einsum("s,sci,scj->sij", w, slopes, slopes, optimize=True))
     roughness, mixed = FREEDOM
@@ -226,7 +215,7 @@ def _of_materials(
 def _slopes_and_samples(
     transport: Transport, light: np.ndarray, materials: Materials
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives (S, 3, P) for roughness, what mixes, and the three colours; samples (S, 3)."""
+    """Return derivatives (S, 3, P) by roughness, mixing, and base colour, and samples (S, 3)."""
     r, owner = materials.roughness, transport.samples.owner
     low, high = np.clip(r - STEP, 0, 1), np.clip(r + STEP, 0, 1)
     found = transport.columns(light, np.stack([low, r, high], axis=1))

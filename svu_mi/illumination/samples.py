@@ -165,4 +165,3 @@ class Samples:
             kappa=kappa,
             edges=switches.edges,
         )
-

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.illumination.lit import with_light
 from svu_mi.illumination.record import LightEstimate
+from svu_mi.illumination.resolve_light import with_light
 from svu_mi.observed import Observed
 from svu_mi.parameters import MIXED
 from svu_mi.pipeline import Estimate, estimate

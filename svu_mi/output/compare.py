@@ -23,7 +23,7 @@ from svu_mi.capture.mesh import make, read_ply
 from svu_mi.capture.window import Detail
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.files import read_json
-from svu_mi.illumination.finding import illuminated
+from svu_mi.illumination.resolve_light import illuminated
 from svu_mi.limits import require_texels
 from svu_mi.metrics import psnr
 from svu_mi.needs import Sizes

@@ -9,7 +9,7 @@ from typing import Any
 from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import photographs_key
 from svu_mi.illumination.folder import COMMAND, RECORD, light_record, write_arrays_of
-from svu_mi.illumination.likeness import Likeness
+from svu_mi.illumination.light_summary import Likeness
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.output.light_page import write_light_page
 from svu_mi.output.manifest import Run, environment_record, inputs_record, write_manifest

@@ -11,7 +11,7 @@ import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.capture.shown import srgb
-from svu_mi.illumination.likeness import Likeness
+from svu_mi.illumination.light_summary import Likeness
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.light.environment import directions, radiance_from
 from svu_mi.output import style

@@ -20,11 +20,11 @@ from svu_mi.capture import Capture, load_capture
 from svu_mi.capture.fingerprint import capture_key
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.illumination.equalize import equalized, estimate_gains
 from svu_mi.illumination.estimate import estimate_light
-from svu_mi.illumination.found_gains import FoundGains
-from svu_mi.illumination.lit import with_light
+from svu_mi.illumination.exposure import equalized, estimate_gains
 from svu_mi.illumination.options import LightOptions
+from svu_mi.illumination.record import FoundGains
+from svu_mi.illumination.resolve_light import with_light
 from svu_mi.illumination.samples import Samples
 from svu_mi.observed import Observed, observe
 from svu_mi.options import AngularPreset

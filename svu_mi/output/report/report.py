@@ -13,7 +13,7 @@ import numpy as np
 
 import svu_mi
 from svu_mi.capture import Capture
-from svu_mi.illumination.words import sentences
+from svu_mi.illumination.light_summary import sentences
 from svu_mi.output import style
 from svu_mi.output.knowledge import Intervals, Knowledge
 from svu_mi.output.manifest import environment_record

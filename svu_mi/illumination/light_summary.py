@@ -1,32 +1,104 @@
-"""What is known of light that was found, in sentences."""
+"""Summaries of estimated light and gains: sentences, and a comparison with a known light."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from svu_mi.capture import Capture
-from svu_mi.illumination.found_gains import FoundGains
-from svu_mi.illumination.likeness import Likeness, brightest
-from svu_mi.illumination.record import LightEstimate
+from svu_mi.illumination.record import FoundGains, LightEstimate
+from svu_mi.light.cells import fibonacci
+from svu_mi.light.environment import (
+    Environment,
+    basis_at,
+    polar_from_local,
+    read_environment,
+)
+from svu_mi.light.lighting import degrees
 from svu_mi.parameters import CHANNELS
 
+BLUR = 15.0  # degrees, full width at half maximum, at which light is compared
+DEGREE = 48  # beyond which that leaves nothing
+POINTS = 2048  # even directions
+STANDS_OUT = 2.0  # times the mean, from which a direction is called bright
 UP = (0.0, 1.0, 0.0)
-NOTED = 0.08  # of the logarithms of gains: twice what they are off by, if there are few photographs
-FEWEST = 3  # photographs in each quarter that drift is told by
+NOTED = 0.08  # log gain: twice the error with few photographs
+FEWEST = 3  # photographs in each quarter, to detect drift
 OF_MEDIAN = 1.25 * 1.48  # standard error of a median, by the median deviation of one value
-CERTAIN = 4.5  # standard errors from which photographs drift
+CERTAIN = 4.5  # standard errors of a drift
 LETTERS = "RGB"[: CHANNELS["base_color"]]
 
 
-def sentences(estimate: LightEstimate, up: np.ndarray | None = None) -> Iterator[str]:
-    """Yield what there is to say, one sentence at a time.
+@dataclass(frozen=True, kw_only=True)
+class Likeness:
+    """Comparison of estimated light with the light that a capture has.
 
-    Args:
-        estimate: what was found.
-        up: (3,) unit, what elevations count from; +Y by default.
+    Attributes:
+        correlation: of both, blurred to 15 degrees, over all directions.
+        scale: (3,) factor per channel, by which the true light is brighter.
+        inside: whether that factor is in the 90 % interval of the estimate, in all channels;
+            None where the scale was given.
+        angle: degrees between their brightest directions.
     """
+
+    correlation: float
+    scale: np.ndarray
+    inside: bool | None
+    angle: float
+
+
+def blurred(environment: Environment, world: np.ndarray, width: float = BLUR) -> np.ndarray:
+    """Return the radiance (N, 3) from unit directions (N, 3), blurred to ``width`` degrees."""
+    sd = np.radians(width) / np.sqrt(8 * np.log(2))
+    degree = degrees(DEGREE)
+    smooth = np.exp(-degree * (degree + 1) * sd**2 / 2)
+    polar = polar_from_local(world @ environment.to_local.T)
+    found = basis_at(polar, DEGREE) @ (environment.coefficients(DEGREE) * smooth[:, None])
+    return np.asarray(np.maximum(found, 0))
+
+
+def environment_of(estimate: LightEstimate) -> Environment:
+    """Return an estimate as an environment."""
+    none = np.zeros((0, 3))
+    radiance = estimate.radiance.astype(np.float64)
+    return Environment(radiance, none, np.zeros(0), none, to_local=np.eye(3))
+
+
+def brightest(estimate: LightEstimate) -> np.ndarray | None:
+    """Return the brightest unit direction (3,); None if none stands out."""
+    world = fibonacci(POINTS)
+    grey = blurred(environment_of(estimate), world).mean(axis=1)
+    if grey.max() < STANDS_OUT * grey.mean():
+        return None
+    return np.asarray(world[int(np.argmax(grey))])
+
+
+def likeness(estimate: LightEstimate, emitter: Any) -> Likeness:
+    """Compare an estimate with the ``environment`` of a capture.
+
+    Raises:
+        SceneError: as ``read_environment``.
+    """
+    world = fibonacci(POINTS)
+    truth, found = (blurred(one, world)
+                    for one in (read_environment(emitter), environment_of(estimate)))  # fmt: skip
+    scale = truth.mean(axis=0) / np.maximum(found.mean(axis=0), 1e-30)
+    low, high = estimate.scale_interval
+    grey = truth.mean(axis=1), found.mean(axis=1)
+    flat = min(float(np.ptp(one) / one.mean()) for one in grey) < 1e-6
+    first, second = (world[int(np.argmax(one))] for one in grey)
+    return Likeness(
+        correlation=0.0 if flat else float(np.corrcoef(*grey)[0, 1]), scale=scale,
+        inside=bool(((low <= scale) & (scale <= high)).all()) if estimate.scale_sd.any() else None,
+        angle=float(np.degrees(np.arccos(np.clip(first @ second, -1, 1)))),
+    )  # fmt: skip
+
+
+def sentences(estimate: LightEstimate, up: np.ndarray | None = None) -> Iterator[str]:
+    """Yield sentences about an estimate; elevations count from ``up`` (3,), +Y by default."""
     yield f"Of the light from all directions, photographs tell {100 * estimate.known_part:.0f} %."
     yield direction_sentence(estimate, np.array(UP) if up is None else up)
     yield scale_sentence(estimate)
@@ -36,7 +108,7 @@ def sentences(estimate: LightEstimate, up: np.ndarray | None = None) -> Iterator
 
 
 def direction_sentence(estimate: LightEstimate, up: np.ndarray) -> str:
-    """Say where the light is brightest."""
+    """Return a sentence about the brightest direction."""
     found = brightest(estimate)
     if found is None:
         return "It comes from all around: no direction stands out."
@@ -53,7 +125,7 @@ def direction_sentence(estimate: LightEstimate, up: np.ndarray) -> str:
 
 
 def scale_sentence(estimate: LightEstimate) -> str:
-    """Say how far base colour is known but for one factor."""
+    """Return a sentence about the scale of the light."""
     low, high = estimate.scale_interval
     if not estimate.scale_sd.any():
         return "Its brightness was given, so base colours are in true units."
@@ -64,7 +136,7 @@ def scale_sentence(estimate: LightEstimate) -> str:
 
 
 def gain_sentences(gains: FoundGains, capture: Capture) -> Iterator[str]:
-    """Yield what gains photographs have, and which of them do not fit the others."""
+    """Yield sentences about the gains of photographs, and about outliers."""
     names = [name for name, used in zip(capture.names, capture.used, strict=True) if used]
     factor = gains.factor[~gains.odd]
     if len(factor):
@@ -81,8 +153,7 @@ def gain_sentences(gains: FoundGains, capture: Capture) -> Iterator[str]:
 
 
 def _balance(gains: FoundGains) -> Iterator[str]:
-    """Say how white balance differs, and how gains drift from the first photographs to the last,
-    if that is more than gains are known to."""
+    """Yield sentences about significant differences of white balance and drift of gains."""
     logarithm = gains.logarithm[~gains.odd]
     if not len(logarithm):
         return
@@ -98,7 +169,7 @@ def _balance(gains: FoundGains) -> Iterator[str]:
     ends = logarithm[:part], logarithm[-part:]
     first, last = (np.median(some, axis=0) for some in ends)
     away = [np.abs(some - middle) for some, middle in zip(ends, (first, last), strict=True)]
-    # Of the difference of two medians, by the median of what photographs are away from theirs.
+    # Standard error of the difference of two medians, by the median absolute deviation.
     error = OF_MEDIAN * np.median(np.concatenate(away), axis=0) * np.sqrt(2 / part)
     if (np.abs(last - first) > np.maximum(NOTED, CERTAIN * error)).any():
         changes = np.exp(last - first)
@@ -110,7 +181,7 @@ def _balance(gains: FoundGains) -> Iterator[str]:
 
 
 def likeness_sentence(found: Likeness) -> str:
-    """Say how like the light is to the one that the capture has."""
+    """Return a sentence that compares the light with the capture's own."""
     factors = ", ".join(
         f"{value:.2f} ({letter})" for letter, value in zip(LETTERS, found.scale, strict=True)
     )

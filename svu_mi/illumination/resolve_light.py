@@ -1,33 +1,82 @@
-"""A capture with a light: its own, a given one, or one that is found in its photographs once.
+"""The light of a capture: its own, a given one, or one estimated from the photographs and kept.
 
-What is found is kept in the capture's folder, under ``light`` (``light-gains`` together with
-gains), and used again as long as the
-photographs are the same, with whatever options and by whichever version it was found.
+An estimate is kept in the capture's folder, under ``light`` (``light-gains`` together with gains),
+and reused as long as the photographs are the same, whatever its options and version were.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
 
 from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import photographs_key
-from svu_mi.errors import CaptureError, OutputError
-from svu_mi.illumination.equalize import equalized, estimate_gains
+from svu_mi.capture.record import Doubt
+from svu_mi.capture.repaint import scene_of
+from svu_mi.errors import CaptureError, OutputError, SceneError
+from svu_mi.formats.light import read_environment_map
+from svu_mi.formats.options import Light
 from svu_mi.illumination.estimate import estimate_light
+from svu_mi.illumination.exposure import equalized, estimate_gains
 from svu_mi.illumination.folder import RECORD, load_light, photographs_of, save_light
-from svu_mi.illumination.found_gains import FoundGains
-from svu_mi.illumination.lit import with_light, with_map
+from svu_mi.illumination.light_summary import gain_sentences, sentences
 from svu_mi.illumination.options import LightOptions
-from svu_mi.illumination.record import LightEstimate
-from svu_mi.illumination.words import gain_sentences, sentences
+from svu_mi.illumination.record import FoundGains, LightEstimate
 from svu_mi.progress import Progress
 from svu_mi.surface import texels
 
+ID = "found_light"  # of the emitter
 FOLDER = "light"  # in the capture's folder
 WITH_GAINS = "-gains"  # at the end of its name, for light that was found together with gains
-RESOLUTION = 256  # texels per side that it is found on, whatever is estimated afterwards
+RESOLUTION = 256  # texels per side for the estimate of the light
 OPTIONS = LightOptions()
+
+
+def with_light(capture: Capture, light: LightEstimate) -> Capture:
+    """Return the capture in a scene that has this light, and no other.
+
+    The uncertainty of the light inflates the noise of later estimates, if noise is estimated from
+    the photographs (angular ``default`` and ``fast``); what assumes its noise takes light as given.
+
+    Args:
+        capture: with or without a light; it is not modified.
+        light: of ``estimate_light``.
+
+    Raises:
+        SceneError: the light moves with the cameras, which scenes cannot represent.
+    """
+    if light.moves:
+        raise SceneError(
+            "The light turns with the camera (a turntable, or a lamp on the camera), and nothing "
+            "goes on from such a light yet; photograph an object that stands still."
+        )
+    doubt = Doubt(light.widening, tuple(float(sd) for sd in light.scale_sd))
+    scene = _under(capture, light.radiance)
+    return replace(capture, scene=scene, doubt=doubt, found_light=light)
+
+
+def with_map(capture: Capture, path: str | Path) -> tuple[Capture, list[str]]:
+    """Return the capture under a lat-long map in the frame of Mitsuba's ``envmap``, and remarks.
+
+    Raises:
+        CaptureError: it is missing, or no such map (``formats.light.read_environment_map``).
+    """
+    pixels, _, notes = read_environment_map(Light(path=Path(path)))
+    return replace(capture, scene=_under(capture, pixels), doubt=None, found_light=None), notes
+
+
+def _under(capture: Capture, radiance: np.ndarray) -> Any:
+    """Return a scene of the capture's shapes under a map (H, W, 3)."""
+    emitter = mi.load_dict({
+        "type": "envmap", "id": ID, "bitmap": mi.Bitmap(np.ascontiguousarray(radiance, np.float32)),
+    })  # fmt: skip
+    integrator = capture.scene.integrator()  # None in a scene that has none
+    others = [] if integrator is None else [integrator]
+    return scene_of([*capture.scene.shapes(), *others, emitter])
 
 
 def illuminated(
@@ -38,20 +87,19 @@ def illuminated(
     gains: bool = False,
     progress: Progress | None = None,
 ) -> Capture:
-    """Return a capture with a light; as it is, if it has one and no other is given.
+    """Return a capture with a light; unchanged if it has one and no other is given.
 
     Args:
         capture: loaded with ``light="optional"``.
         given: a folder that ``svu light`` wrote, or a lat-long map in the frame of Mitsuba's
             ``envmap``; it replaces the light of the scene.
-        elsewhere: folder to keep what is found in, if the capture's cannot be written.
-        gains: whether the photographs have gains that are not known. They are found, too, and
-            divided by; photographs that do not fit are not used. Where ``given`` was found
-            together with gains, those are taken.
-        progress: shows what is going on.
+        elsewhere: folder for the estimate, if the capture's cannot be written.
+        gains: whether the photographs have unknown gains. They are estimated and divided out, and
+            outliers are not used. Gains that were estimated together with ``given`` are reused.
+        progress: displays the progress.
 
     Raises:
-        CaptureError: what is given is neither, or the photographs do not tell the light.
+        CaptureError: ``given`` is neither, or the photographs do not determine the light.
         SceneError: the light moves with the cameras.
     """
     progress = progress or Progress()
@@ -66,16 +114,9 @@ def illuminated(
 def found_gains(
     capture: Capture, elsewhere: Path | None = None, progress: Progress | None = None
 ) -> FoundGains:
-    """Return the gains of photographs, under the light that they have or together with it.
+    """Return the gains of photographs under the light of the capture, or estimated with it.
 
-    Args:
-        capture: loaded with ``light="optional"``.
-        elsewhere: folder to keep light in that is found, if the capture's cannot be written.
-        progress: shows what is going on.
-
-    Raises:
-        CaptureError: the photographs do not tell them.
-        SceneError: the light moves with the cameras.
+    Arguments and errors are those of ``illuminated``.
     """
     _, gains = _lit(capture, None, elsewhere, True, progress or Progress())
     assert gains is not None
@@ -85,7 +126,7 @@ def found_gains(
 def _lit(
     capture: Capture, given: Path | None, elsewhere: Path | None, gains: bool, progress: Progress
 ) -> tuple[Capture, FoundGains | None]:
-    """Return the capture under a light, with the gains that it was found or is asked for with."""
+    """Return the capture under a light, and gains estimated with the light or on request."""
     lit, known = capture, None
     if given is not None:
         lit, known = _under_given(capture, given, progress)
@@ -100,7 +141,7 @@ def _lit(
 def _searched(
     capture: Capture, elsewhere: Path | None, gains: bool, progress: Progress
 ) -> LightEstimate:
-    """Return the light of photographs, found now or before."""
+    """Return the light of photographs, estimated now or before."""
     places = [capture.source / FOLDER] if capture.source and capture.source.is_dir() else []
     places += [elsewhere] if elsewhere is not None else []
     if gains:
@@ -120,10 +161,11 @@ def _searched(
 def _under_given(
     capture: Capture, given: Path, progress: Progress
 ) -> tuple[Capture, FoundGains | None]:
-    """Return a capture under the light that is given, and gains that were found with it."""
+    """Return a capture under a given light, and gains that were estimated with it."""
     if given.is_dir():
-        found, is_same = load_light(given), photographs_of(given) == photographs_key(capture)
-        if not is_same and photographs_of(given):
+        found, key = load_light(given), photographs_of(given)
+        is_same = key == photographs_key(capture)
+        if not is_same and key:
             progress.say(f"{given}: the light was found in other photographs; it is used as it is.")
         if found.gains is not None and not is_same:
             progress.say(
@@ -143,7 +185,7 @@ def _under_given(
 
 
 def _found_before(places: list[Path], key: str, progress: Progress) -> LightEstimate | None:
-    """Return light that was kept and is of these photographs; None if there is none."""
+    """Return a kept light of photographs with this key, None if there is none."""
     for place in places:
         if not (place / RECORD).is_file():
             continue
@@ -163,7 +205,7 @@ def _found_before(places: list[Path], key: str, progress: Progress) -> LightEsti
 def _keep(
     found: LightEstimate, places: list[Path], made: tuple[str, LightOptions], progress: Progress
 ) -> None:
-    """Keep light that was made of photographs with a key and with options."""
+    """Keep light in the first folder that can be written, with its key and options."""
     key, options = made
     about = {"settings": {"used": asdict(options), "resolution": [RESOLUTION, RESOLUTION]}}
     for place in places:

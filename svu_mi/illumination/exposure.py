@@ -1,0 +1,201 @@
+"""Exposure gains of photographs: estimated under a known light, and divided out.
+
+A gain g multiplies a channel of one photograph: b = g r. The logarithms of gains are unknowns of
+the normal equations (``refine``), alone or beside the light. Their mean is part of the light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.capture.pixel_buffer import PixelBuffer
+from svu_mi.capture.scene import require_light
+from svu_mi.errors import CaptureError
+from svu_mi.illumination.materials import COOLING, HEAT, Moments, columns_of, tempered
+from svu_mi.illumination.options import LightOptions
+from svu_mi.illumination.record import NINETY, FoundGains
+from svu_mi.illumination.refine import System, system_of
+from svu_mi.illumination.samples import Samples
+from svu_mi.illumination.transport import Transport
+from svu_mi.illumination.uncertainty import level_of
+from svu_mi.light.cells import even_radiance
+from svu_mi.observed import Observed
+from svu_mi.options import AngularPreset
+from svu_mi.options import preset as find_preset
+from svu_mi.pipeline import Estimate, observed_of
+from svu_mi.progress import Progress
+from svu_mi.surface import Texels
+
+CELLS, ROUNDS = 1024, 12
+FAR = np.log(2)  # log gain from which the search starts at the estimate instead of at 0
+FEWEST = 4  # photographs from which outliers are flagged
+ODD_GAIN = np.log(2.5)  # log gain of an outlier, relative to the median photograph
+ODD_NOISE = 1.7  # residual of an outlier, relative to the median photograph
+SPREADS = 3.0  # standard deviations over all photographs that an outlier exceeds as well
+
+
+def estimate_gains(
+    source: Capture | Observed | Estimate,
+    texels: Texels | None = None,
+    options: LightOptions | None = None,
+    progress: Progress | None = None,
+) -> FoundGains:
+    """Estimate the exposure gains of photographs under the light of the capture.
+
+    Args:
+        source: photographs and their light.
+        texels: of the object, a subset of which is used; those of ``source`` by default.
+        options: only ``texels``, the size of that subset, is used.
+        progress: displays the progress.
+
+    Returns:
+        Gains of the photographs that are used, in their order.
+
+    Raises:
+        SceneError: there is no light, or it cannot be read.
+        OptionError: no texels, or others than the source's.
+        CaptureError: no texel is seen in enough photographs, or all of them are black.
+    """
+    options, progress = options or LightOptions(), progress or Progress()
+    switches: AngularPreset = find_preset("default", method="angular")
+    observed = observed_of(source, texels, progress)
+    require_light(observed.capture)
+    with progress.stage("Choosing texels"):
+        samples = Samples.of(observed, switches, options.texels)
+    with progress.stage("Finding gains", ROUNDS) as stage:
+        light = even_radiance(observed.lighting.environment, CELLS)
+        everything, gains = Transport.of(samples, CELLS), starting_gains(samples)
+        columns, heat = columns_of(everything, light, switches), HEAT
+        level = level_of(samples, columns, switches)
+        if (np.abs(level.best) > NINETY * level.sd).any():  # probably in other units
+            light = light * np.exp(level.best)
+            columns = columns_of(everything, light, switches)
+        for done in range(ROUNDS):
+            now, transport = tempered(switches, heat), without_gains(everything, gains)
+            posterior = Moments.of(transport.samples, columns).posterior(now)
+            tau = now.overdispersion
+            system = system_of(transport, light, posterior, tau, gains=gains.logarithm)
+            noise = posterior.noise if heat == 1 else None
+            gains, _ = updated(gains, samples, system, system.step(), noise)
+            heat = max(heat * COOLING, 1.0)
+            stage.update(done + 1, ROUNDS)
+    return gains
+
+
+def equalized(capture: Capture, gains: FoundGains) -> Capture:
+    """Divide photographs by their gains, and stop using those that are outliers.
+
+    Args:
+        capture: it is not modified.
+        gains: of the photographs that it uses.
+
+    Raises:
+        CaptureError: gains of another number of photographs, or all of them are outliers.
+    """
+    kept = np.flatnonzero(capture.used)
+    if len(kept) != len(gains.odd):
+        raise CaptureError(
+            f"There are gains of {len(gains.odd)} photographs, but {len(kept)} are used; estimate "
+            "them again."
+        )
+    if gains.odd.all():
+        raise CaptureError("No photograph fits the others; look at them with svu check.")
+    images, used = list(capture.images), list(capture.used)
+    clipped: list[Any] = list(capture.clipped) or [None] * capture.count
+    rounding: list[Any] = list(capture.rounding) or [None] * capture.count
+    buffer = PixelBuffer.allocate([capture.images[view].shape[1::-1] for view in kept])
+    for room, view, factor, odd in zip(buffer.images, kept, gains.factor, gains.odd, strict=True):
+        np.divide(capture.images[view], factor.astype(np.float32), out=room)
+        images[view], used[view] = room, not odd
+        clipped[view] = None if clipped[view] is None else clipped[view].divided(factor)
+        rounding[view] = None if rounding[view] is None else rounding[view].divided(factor)
+    return replace(
+        capture, images=tuple(images), used=tuple(used), buffer=buffer,
+        clipped=tuple(clipped) if capture.clipped else (),
+        rounding=tuple(rounding) if capture.rounding else (),
+    )  # fmt: skip
+
+
+def starting_gains(samples: Samples) -> FoundGains:
+    """Return gains of 1, except for photographs far brighter or darker than the others."""
+    views = len(samples.cameras)
+    grey = np.log(np.maximum(samples.radiance.mean(axis=1), 1e-6 * samples.unit))
+    relative = grey - _medians(grey, samples.owner, samples.texels)[samples.owner]
+    logarithm = _medians(relative, samples.view, views)
+    logarithm = np.where(np.abs(logarithm) > FAR, logarithm, 0)
+    return FoundGains(
+        np.repeat(logarithm[:, None], 3, axis=1), np.zeros(views), np.zeros(views, bool)
+    )
+
+
+def without_gains(transport: Transport, gains: FoundGains | None) -> Transport:
+    """Divide samples by gains and give those of outliers no weight."""
+    if gains is None:
+        return transport
+    return replace(transport, samples=transport.samples.without(gains.odd).divided(gains.factor))
+
+
+def updated(
+    gains: FoundGains, samples: Samples, system: System, change: np.ndarray,
+    noise: np.ndarray | None,
+) -> tuple[FoundGains, np.ndarray]:  # fmt: skip
+    """Apply one step to gains, after flagging outliers anew.
+
+    Args:
+        gains: before the step.
+        samples: as photographed.
+        system: normal equations, with the predicted samples.
+        change: (V, 3) of the log gains; of outliers it is the prior's, and not applied.
+        noise: (n,) of the texels; None leaves the flags as they are.
+
+    Returns:
+        New gains, and the common part (3,) of their logarithms, which is the light's.
+    """
+    left_out = gains.odd
+    if noise is not None:
+        gains = _with_outliers_flagged(gains, samples, system.found, noise)
+    logarithm = gains.logarithm + np.where((gains.odd | left_out)[:, None], 0, change)
+    common = np.asarray(logarithm[~gains.odd].mean(axis=0))
+    return replace(gains, logarithm=logarithm - common), common
+
+
+def _with_outliers_flagged(
+    gains: FoundGains, samples: Samples, found: np.ndarray, noise: np.ndarray
+) -> FoundGains:
+    """Flag photographs that differ from predicted samples (S, 3) by more than others do."""
+    logarithm, views = gains.logarithm, len(gains.odd)
+    if gains.odd.any():  # these took no part in the last step
+        least = 1e-6 * samples.unit
+        ratio = np.log(np.maximum(samples.radiance, least) / np.maximum(found, least))
+        own = [_medians(of_channel, samples.view, views) for of_channel in ratio.T]
+        logarithm = np.where(gains.odd[:, None], np.stack(own, axis=1), logarithm)
+    samples = samples.divided(np.exp(logarithm))
+    off = np.square(samples.radiance - found).mean(axis=1)
+    squares = samples.weight * off / noise[samples.owner] ** 2
+    left = np.sqrt(_medians(squares, samples.view, views))
+    seen = left > 0
+    if seen.sum() < FEWEST:
+        return FoundGains(logarithm, left, gains.odd)
+    grey, worse = logarithm.mean(axis=1), np.log(np.maximum(left, 1e-30))
+    grey, worse = (values - np.median(values[seen]) for values in (grey, worse))
+    odd = _beyond(np.abs(grey), seen, ODD_GAIN) | _beyond(worse, seen, np.log(ODD_NOISE))
+    return FoundGains(logarithm, left, odd)
+
+
+def _beyond(values: np.ndarray, seen: np.ndarray, limit: float) -> np.ndarray:
+    """Return which of ``seen`` exceed a limit and the usual spread among them."""
+    spread = 1.48 * float(np.median(np.abs(values[seen])))
+    return seen & (values > max(limit, SPREADS * spread))
+
+
+def _medians(values: np.ndarray, group: np.ndarray, count: int) -> np.ndarray:
+    """Return the median of each group, 0 of an empty one."""
+    order = np.lexsort((values, group))
+    size = np.bincount(group, minlength=count)
+    middle = np.cumsum(size) - size + size // 2
+    sorted_values = np.append(values[order], 0.0)
+    return np.where(size > 0, sorted_values[np.minimum(middle, len(values))], 0)
