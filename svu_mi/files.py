@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import functools
-import hashlib
 import json
 import os
-import re
 import secrets
 import shutil
-import socket
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextvars import ContextVar
@@ -19,8 +15,13 @@ from typing import Any
 
 from svu_mi.errors import CaptureError, OutputError, excerpt
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 MAX_RATIO, FREE = 2000, 2**26  # no codec packs more; bytes that are harmless anyway
-TEMPORARY = re.compile(r"\..*\.([0-9a-f]{8})-(\d+)-[0-9a-f]{8}\.tmp(\..*)?", re.DOTALL)
+OURS = ".svu-"  # in the names of temporary files and folders, which are hidden
 STEM = 100  # letters of a name that its temporary name has, too: names have an end
 
 _stamp: ContextVar[Mapping[str, str] | None] = ContextVar("stamp", default=None)
@@ -67,11 +68,13 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     # The suffix stays last: writers such as matplotlib go by it.
-    unique = f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}"
-    temporary = path.with_name(f".{path.stem[:STEM]}.{unique}.tmp{path.suffix[:STEM]}")
+    unique = f"{secrets.token_hex(4)}{OURS}tmp"
+    temporary = path.with_name(f".{path.stem[:STEM]}.{unique}{path.suffix[:STEM]}")
+    descriptor = None
     try:
         # Opened here because the operating system's reason is clearer than OpenEXR's.
-        temporary.open("xb").close()
+        descriptor = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        _lock(descriptor)
         yield temporary
         if path.is_dir():
             raise OutputError(f"{path}: is a folder; remove it, or choose another name.")
@@ -79,42 +82,41 @@ def replacing(path: str | Path) -> Iterator[Path]:
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({_reason(path, error)}).") from error
     finally:
+        if descriptor is not None:
+            os.close(descriptor)
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
 
 
 def clear_temporaries(folder: Path) -> None:
     """Remove the temporary files that killed processes have left in a folder."""
-    with contextlib.suppress(OSError):
-        for path in list(folder.iterdir()):
-            if is_temporary_of_dead(path):
-                path.unlink(missing_ok=True)
+    for path in folder.glob(f".*{OURS}tmp*"):
+        with contextlib.suppress(OSError):
+            _remove_if_unlocked(path)
 
 
-def is_temporary_of_dead(path: Path) -> bool:
-    """Return whether a file is a temporary one of ``replacing`` whose process is no more.
+def is_temporary(name: str) -> bool:
+    """Return whether a file or folder is a hidden one of svu."""
+    return name.startswith(".") and OURS in name
 
-    Of processes on other machines, or in other containers, nothing is known: theirs are left.
-    """
-    found = TEMPORARY.fullmatch(path.name)
-    if found is None or found.group(1) != _machine() or os.name == "nt":  # there, asking kills
-        return False
+
+def _lock(descriptor: int) -> bool:
+    """Lock an open file until its process ends; return whether no other one holds it."""
     try:
-        os.kill(int(found.group(2)), 0)
-    except ProcessLookupError:
-        return True
-    except (OSError, OverflowError):
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (OSError, AttributeError):  # or there are no locks
         return False
-    return False
+    return True
 
 
-@functools.cache
-def _machine() -> str:
-    """Return 8 letters for where numbers of processes mean the same: host and container."""
-    words = [socket.gethostname()]
-    with contextlib.suppress(OSError):
-        words.append(os.readlink("/proc/self/ns/pid"))
-    return hashlib.blake2b(" ".join(words).encode(), digest_size=4).hexdigest()
+def _remove_if_unlocked(path: Path) -> None:
+    # A stranger's link is not followed, and a pipe not waited for.
+    descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+    try:
+        if _lock(descriptor):
+            path.unlink(missing_ok=True)
+    finally:
+        os.close(descriptor)
 
 
 @contextlib.contextmanager

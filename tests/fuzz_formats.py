@@ -45,7 +45,7 @@ from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Light, Source
 from svu_mi.formats.textures import write_pictures
 from svu_mi.formats.transforms import write_transforms
-from svu_mi.results.writing import writing
+from svu_mi.results.transaction import writing
 
 WIDTH, HEIGHT = 16, 8  # of all pictures, so that each may be a lat-long map
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import os
 import random
 import shutil
 import tempfile
@@ -27,8 +28,8 @@ from svu_mi.recovery.checkpoint import Checkpoint, State
 from svu_mi.reference import cache
 from svu_mi.reference.options import Options
 from svu_mi.reference.record import Reference, Traced
-from svu_mi.results.record import entries
-from svu_mi.results.writing import writing
+from svu_mi.results.provenance import entry_of
+from svu_mi.results.transaction import claimed, writing
 
 SETTINGS = {"seed": 3, "sh": {"descent": {"steps": 9, "rate": 0.01}, "name": "ball"}, "tv": None}
 CONTENT = {"shapes": "ab" * 16, "light": "cd" * 16, "photographs": "ef" * 16}
@@ -79,7 +80,7 @@ def read_reference(folder: Path, out: Path) -> None:
     assert found is None or found.entropy.shape == found.subset.shape
 
 
-def write_result(folder: Path) -> None:
+def write_result(folder: str | os.PathLike[str]) -> None:
     """Write a result with files in it, as ``svu`` does."""
     with writing(folder, "recover", "run.json", capture="ab" * 16) as draft:
         (draft.folder / "assets").mkdir()
@@ -89,18 +90,21 @@ def write_result(folder: Path) -> None:
 
 
 def read_result(folder: Path, out: Path) -> None:
-    """Write another result over one; of the files that a record names, none outside is touched."""
-    found = entries(folder / "run.json")
+    """Write another result over one; no file that it does not own is lost."""
+    found = entry_of(folder / "run.json")
     target = out / "result"
-    shutil.rmtree(target, ignore_errors=True)
+    for name in ("result", "result.before"):
+        shutil.rmtree(out / name, ignore_errors=True)
     if (folder / "run.json").is_file():
         (target / "assets").mkdir(parents=True)
         for name in ("losses.csv", "assets/mesh.ply", "run.json"):
             shutil.copy(folder / name, target / name)
         (target / "others.txt").write_text("")
-        write_result(target)
-        assert (target / "others.txt").is_file()
-    if not found:
+        with warnings.catch_warnings(), claimed(target, "recover", overwrite=True) as place:
+            warnings.simplefilter("ignore", SvuWarning)
+            write_result(place)
+        assert (out / "result.before" / "others.txt").is_file()
+    if found is None:
         raise SvuError(f"{folder}: there is no result.")
 
 

@@ -37,7 +37,7 @@ from svu_mi.output.textures import write_scene as write_recovered
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
 from svu_mi.recovery.textures import Textures, lay_out
-from svu_mi.results.writing import writing
+from svu_mi.results.transaction import writing
 from svu_mi.scenes import meshes
 from svu_mi.statistics.gather import Values
 from svu_mi.surface import texels

@@ -253,7 +253,7 @@ def test_a_command_that_is_killed_is_tried_again_one_that_fails_is_not(shelf_of,
 def test_a_command_that_left_a_checkpoint_goes_on_from_it(shelf_of, tmp_path):
     item = Item("a", shelf_of("a") / "a")
     shelf = Shelf(output=tmp_path / "out", steps=["recover"], words=("-t", "2"))
-    left = shelf.output / "a" / "recovered" / "checkpoint.npz"
+    left = STEPS["recover"].left_in(shelf.output / "a")
 
     class Killed(Made):
         def run(self, words):
@@ -273,7 +273,7 @@ def test_a_command_that_left_a_checkpoint_goes_on_from_it(shelf_of, tmp_path):
     other = Made()
     assert shelf.work(item, other).made == 1 and "--resume" not in other.lines[0]
     assert not left.exists()
-    (left.parent / "run.json").unlink()
+    (shelf.output / "a" / "recovered" / "run.json").unlink()
     left.touch()
     assert shelf.work(item, Made()).made == 1 and not left.exists()
 
@@ -281,7 +281,7 @@ def test_a_command_that_left_a_checkpoint_goes_on_from_it(shelf_of, tmp_path):
 def test_a_checkpoint_that_cannot_be_gone_on_from_is_removed(shelf_of, tmp_path):
     item = Item("a", shelf_of("a") / "a")
     shelf = Shelf(output=tmp_path / "out", steps=["recover"])
-    left = shelf.output / "a" / "recovered" / "checkpoint.npz"
+    left = STEPS["recover"].left_in(shelf.output / "a")
 
     def tried(*statuses):
         commands = Made(statuses)

@@ -24,6 +24,8 @@ from svu_mi.output.textures import read_textures, write_textures
 from svu_mi.parameters import NAMES
 from svu_mi.recovery import descent
 from svu_mi.recovery.textures import Textures
+from svu_mi.results.exchange import DRAFT, beside
+from svu_mi.results.transaction import CHECKPOINT
 
 PICTURES = ["recovery.png", "relit.png"]
 NUMBERS = [
@@ -186,7 +188,7 @@ def test_an_interrupted_run_goes_on_to_the_same_textures_and_is_no_other_run(
         interrupt_after(patch, 11)
         assert recover(shot, tmp_path / "out") == 130
     line = last_line(capsys)
-    assert "checkpoint.npz" in line and "--resume" in line
+    assert "a checkpoint is kept" in line and "--resume" in line
     other = brighter(shot, tmp_path_factory.mktemp("other"))
     for capture, words, said in (
         (shot, ("--resume", "--tv", 0.5), "another run"), (shot, (), "--resume"),
@@ -194,7 +196,7 @@ def test_an_interrupted_run_goes_on_to_the_same_textures_and_is_no_other_run(
     ):  # fmt: skip
         assert recover(capture, tmp_path / "out", *words) == 2
         assert said in last_line(capsys)
-    assert names(tmp_path / "out") == ["checkpoint.npz"]
+    assert names(beside(tmp_path / "out", DRAFT)) == [CHECKPOINT]
     assert recover(shot, tmp_path / "out", "--resume") == 0
     assert names(tmp_path / "out") == NUMBERS
     whole, resumed = maps(tmp_path / "whole"), maps(tmp_path / "out")
@@ -214,7 +216,7 @@ def test_ctrl_c_at_a_process_is_one_line_that_says_how_to_go_on(shot, tmp_path, 
         # Elsewhere than at a terminal, Ctrl-C may be off.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509
     )  # fmt: skip
-    wait_for(tmp_path / "out" / "checkpoint.npz", process)
+    wait_for(beside(tmp_path / "out", DRAFT) / CHECKPOINT, process)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=120)
     assert process.returncode == 130, said

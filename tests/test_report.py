@@ -404,12 +404,13 @@ def test_the_command_writes_a_page(scene, tmp_path, capsys):
     words = ["report", str(scene), "-o", str(page), "--resolution", "16", "-t", "2"]
     page.parent.mkdir()
     page.write_text("mine")
-    assert main(words) == 0
+    assert main(words) == 2 and "--overwrite, which keeps this" in capsys.readouterr().err
+    assert main([*words, "--overwrite"]) == 0
     said = capsys.readouterr().err
-    assert "no UVs" in said and "page.html, not written by this version of svu" in said
+    assert "no UVs" in said and "what was there is kept as page.html.before" in said
     text = page.read_text(encoding="utf-8")
     assert "laid out" in section(text, "skipped")  # the warning of the mesh
-    assert page.with_name("page.before.html").read_text() == "mine"
+    assert page.with_name("page.html.before").read_text() == "mine"
     page.unlink()
     assert main([*words, "-o", str(tmp_path)]) == 2
     assert "is a folder; -o takes a file" in capsys.readouterr().err

@@ -24,7 +24,7 @@ from svu_mi.batch.steps import STEPS, inputs_key, key_of, words_of
 from svu_mi.errors import SvuError, excerpt
 from svu_mi.files import prepare_folder
 from svu_mi.memory import free_memory
-from svu_mi.results.lock import locked
+from svu_mi.results.exchange import locked
 
 TRIES = 3  # of a command that is killed from outside
 INTERRUPTED = 130  # exit status after Ctrl-C, which reaches the commands, too
@@ -85,7 +85,7 @@ class Shelf:
         done, outcome = Done(folder), Outcome(item.name, folder)
         try:
             prepare_folder(folder)
-            with locked(folder, "svu batch", wait=self.patience):
+            with locked(folder.resolve(), wait=self.patience):
                 done = Done.read(folder)
                 for reached in self._taken(item, done, processes):
                     outcome = reached

@@ -13,6 +13,8 @@ from typing import Any
 from svu_mi import __version__
 from svu_mi.batch.listing import OPTIONS, Item, places_of, real
 from svu_mi.capture.folder import FILE, read, stamps
+from svu_mi.results.exchange import DRAFT
+from svu_mi.results.transaction import CHECKPOINT
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ STEPS = {
     "recover": Step(
         "recover", "recovered", "recovered/run.json",
         tuple(name for name in OPTIONS if name != "preset"),
-        unfinished="recovered/checkpoint.npz",
+        unfinished=f".recovered{DRAFT}/{CHECKPOINT}",
     ),
     "report": Step(
         "report", "report.html", "report.html",

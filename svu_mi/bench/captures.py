@@ -17,10 +17,11 @@ from svu_mi.capture import Capture, load_capture, render_capture
 from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
+from svu_mi.hashing import digest_of_file
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
 from svu_mi.recovery.textures import Textures
-from svu_mi.results.record import digest_of, is_as_written
+from svu_mi.results.provenance import is_as_written
 from svu_mi.spacing import evenly_spaced
 from svu_mi.surface import Texels
 
@@ -63,7 +64,7 @@ def contents(cell: Cell) -> list[tuple[str, str]]:
     folders = (cell.scene.parent, cell.scene.parent.parent / "lights")
     beside = sorted(path for folder in folders for path in folder.rglob("*"))
     given = map(Path, cell.defines.values())
-    return [(path.name, digest_of(path)) for path in (*beside, *given) if path.is_file()]
+    return [(path.name, digest_of_file(path)) for path in (*beside, *given) if path.is_file()]
 
 
 def some_views(capture: Capture, count: int) -> Capture:

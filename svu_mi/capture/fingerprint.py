@@ -10,10 +10,8 @@ lie, and whatever the photographs are called.
 
 from __future__ import annotations
 
-import dataclasses
-import hashlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -26,8 +24,8 @@ from svu_mi.capture.mesh import crosses_of, unit_vectors
 from svu_mi.capture.poses import describe
 from svu_mi.capture.record import Capture, Doubt
 from svu_mi.capture.repaint import is_same
+from svu_mi.hashing import Key
 
-LETTERS = 32  # of a digest
 ALIKE = 1e-4  # between normals of a file and of the faces around a vertex, beyond rounding
 # Words and single numbers of what Mitsuba prints; arrays are parameters, which are added whole.
 PRINTED = re.compile(r"^\s*([\w ]+) = ([A-Za-z]\w*\[?|[-+.\de]+),?$", re.MULTILINE)
@@ -35,57 +33,6 @@ PRINTED = re.compile(r"^\s*([\w ]+) = ([A-Za-z]\w*\[?|[-+.\de]+),?$", re.MULTILI
 NOT_ITS_OWN = ("name", "filename", "radius")
 UNWRAPPED = ("faces", "vertex_positions", "vertex_texcoords")
 ADDRESS = re.compile(r"0x[0-9a-f]+|object_\d+")
-
-
-class Key:
-    """A digest (SHA-256) over a sequence of values; arrays with their type and shape."""
-
-    def __init__(self, *values: Any) -> None:
-        self._hash = hashlib.sha256()  # processors have instructions for it
-        self.add(*values)
-
-    def add(self, *values: Any) -> None:
-        """Add arrays, numbers, text, None, and lists, dictionaries and dataclasses of these.
-
-        Raises:
-            TypeError: a value of another type, whose text might be its address.
-        """
-        for value in values:
-            self._add(value)
-
-    def add_node(self, node: Any) -> None:
-        """Add a Mitsuba object: its classes, parameters and settings, nested objects included."""
-        self.add("node", node.class_name(), _settings(node))
-        for name, value in mi.traverse(node):
-            # Objects without an id are named by their address.
-            self.add(ADDRESS.sub("", name), np.asarray(getattr(value, "matrix", value)))
-
-    def digest(self) -> str:
-        """Return the key as a hexadecimal string."""
-        return self._hash.hexdigest()[:LETTERS]
-
-    def _add(self, value: Any) -> None:
-        if isinstance(value, np.ndarray):
-            self._text(f"{value.dtype}{value.shape}")
-            self._hash.update(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
-        elif isinstance(value, np.generic):
-            self._add(value.item())
-        elif value is None or isinstance(value, bool | int | float | str):
-            self._text(repr(value))
-        elif isinstance(value, list | tuple):
-            self._text(f"list {len(value)}")
-            self.add(*value)
-        elif isinstance(value, Mapping):
-            self._text(f"dict {len(value)}")
-            self.add(*sorted(value.items()))
-        elif dataclasses.is_dataclass(value):
-            self._text(type(value).__name__)
-            self.add({f.name: getattr(value, f.name) for f in dataclasses.fields(value)})
-        else:
-            raise TypeError(f"Key: a {type(value).__name__} has no digest.")
-
-    def _text(self, text: str) -> None:
-        self._hash.update(text.encode("utf-8", "surrogatepass") + b"\0")
 
 
 def capture_key(capture: Capture) -> str:
@@ -203,7 +150,10 @@ def _add_shape(key: Key, shape: Any, material: bool = True) -> None:
 def _light(scene: Any, doubt: Doubt | None = None) -> Key:
     key = Key()
     for emitter in scene.emitters():
-        key.add_node(emitter)
+        key.add("node", emitter.class_name(), _settings(emitter))
+        for name, value in mi.traverse(emitter):
+            # Objects without an id are named by their address.
+            key.add(ADDRESS.sub("", name), np.asarray(getattr(value, "matrix", value)))
     if doubt is not None:  # posteriors are others
         key.add(doubt)
     return key

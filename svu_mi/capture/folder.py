@@ -11,16 +11,14 @@ from typing import Any
 from svu_mi.capture.poses import describe, make_sensor
 from svu_mi.capture.scene import check_sensor
 from svu_mi.capture.sensor_record import LARGEST
-from svu_mi.errors import CaptureError, OutputError, excerpt
-from svu_mi.files import read_json, write_json
+from svu_mi.errors import CaptureError, excerpt
+from svu_mi.files import is_temporary, read_json, write_json
 from svu_mi.limits import MAX_VIEWS
-from svu_mi.results.record import RESULT, Entry, entries
-from svu_mi.results.settling import settle
-from svu_mi.results.writing import Draft
+from svu_mi.results.exchange import restore
+from svu_mi.results.provenance import RESULT, Entry, entry_of
+from svu_mi.results.transaction import KEPT, Draft
 
 FILE = "capture.json"
-KEPT = ("unwrapped.ply", ".svu-lock")  # what commands keep beside photographs, and
-KEPT_FOLDERS = ("light", "light-gains")
 FORMAT = "svu-capture"
 VERSION = 1
 MAX_BYTES = 2**26  # of capture.json; ten times what as many sensors as possible take
@@ -83,7 +81,7 @@ def read(folder: Path) -> Description | None:
     Raises:
         CaptureError: the file is not JSON or not a capture.
     """
-    settle(folder)
+    restore(folder)
     path = folder / FILE
     if not path.is_file():
         return None
@@ -118,27 +116,6 @@ def read(folder: Path) -> Description | None:
         rendered=record.get("rendered", {}),
         run=written.run if written else "",
     )
-
-
-def require_apart(output: Path, given: Path) -> None:
-    """Refuse to write results where a capture's scene lies, whose textures they might replace.
-
-    Args:
-        output: where results are going to be written.
-        given: the scene, or the capture folder.
-
-    Raises:
-        OutputError: the scene's file is in that folder.
-        CaptureError: what the capture folder says cannot be read.
-    """
-    scene: Path | None = given
-    if given.suffix.lower() != ".xml":
-        scene = (read(given) or Description()).scene if given.is_dir() else None
-    if scene is not None and scene.resolve().parent == output.resolve():
-        raise OutputError(
-            f"{output}: holds the capture's own scene, {excerpt(scene.name)}, whose textures could "
-            "be replaced; choose another folder with -o."
-        )
 
 
 def _is_number(value: Any) -> bool:
@@ -181,7 +158,7 @@ def require_one_run(folder: Path, found: Mapping[Path, str], run: str) -> None:
     Raises:
         CaptureError: there is one, or the capture is another one now.
     """
-    if run and [entry.run for entry in entries(folder / FILE)][:1] != [run]:
+    if run and ((entry := entry_of(folder / FILE)) is None or entry.run != run):
         raise CaptureError(f"{folder}: changed while it was being read; load it again.")
     for path, other in found.items():
         if run and other and other != run:
@@ -230,9 +207,8 @@ def stamps(
     found = []
     for place in places:
         for path in [place] if place.is_file() else _files_in(place, apart):
-            own = path.relative_to(place).parts
-            kept = path.name in KEPT or (own and own[0] in KEPT_FOLDERS)
-            if path.is_file() and not kept:
+            parts = path.relative_to(place).parts
+            if path.is_file() and not any(is_temporary(n) or n in KEPT for n in parts):
                 status = path.stat()
                 found.append((str(path), status.st_size, status.st_mtime_ns))
     return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import shutil
+import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,8 +13,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+import svu_mi
 from svu_mi.capture import folder as capture_folder
-from svu_mi.capture.fingerprint import Key, integrator_key, scene_key
+from svu_mi.capture.fingerprint import integrator_key, scene_key
 from svu_mi.capture.folder import Description
 from svu_mi.capture.loading import map_size, plan_photographs
 from svu_mi.capture.mesh import covered_by_charts
@@ -29,16 +30,17 @@ from svu_mi.capture.scene import (
     require_variant,
 )
 from svu_mi.capture.traced import Pictures
-from svu_mi.capture.unwrap import UNWRAPPED
-from svu_mi.errors import CaptureError, OptionError, SceneError, excerpt
+from svu_mi.errors import CaptureError, OptionError, OutputError, SceneError, excerpt
 from svu_mi.exr import read_header, read_pixels, write_exr
+from svu_mi.hashing import Key
 from svu_mi.interrupts import between_steps
 from svu_mi.limits import require_render, require_spp
 from svu_mi.needs import Size, Sizes
-from svu_mi.results.record import RUN
-from svu_mi.results.settling import is_folder
-from svu_mi.results.unfinished import KEY
-from svu_mi.results.writing import exchanging
+from svu_mi.results.provenance import RUN
+from svu_mi.results.transaction import Claim, claimed, writing
+
+VIEWS = "view_*.exr"  # what an interrupted run leaves to resume
+KEY = 16  # letters of the id of a run
 
 
 def render_capture(
@@ -46,7 +48,7 @@ def render_capture(
     spp: int = 64,
     seed: int = 0,
     *,
-    folder: str | Path | None = None,
+    folder: str | os.PathLike[str] | None = None,
     shape: str | None = None,
     views: int | None = None,
     resolution: tuple[int, int] = (512, 512),
@@ -118,7 +120,7 @@ class RenderPlan:
         return Sizes([film_size(sensor) for sensor in self.sensors], map_size(self.light), charts)
 
     def render(
-        self, folder: str | Path | None = None, *,
+        self, folder: str | os.PathLike[str] | None = None, *,
         progress: Callable[[int, int], None] | None = None, resume: bool | None = None,
     ) -> Capture:  # fmt: skip
         """Render the views and read them back; arguments and errors as for ``render_capture``."""
@@ -127,12 +129,15 @@ class RenderPlan:
                 self._write(Path(temporary), progress)
                 return replace(self._read(Path(temporary)), source=None)
         key = "" if resume is None else self._key()
-        with exchanging(
-            folder, "render", capture_folder.FILE, [UNWRAPPED], key=key, resume=bool(resume)
-        ) as draft:
-            _keep_views(draft.folder, [film_size(sensor) for sensor in self.sensors], draft.run)
-            self._write(draft.folder, progress)
-            capture_folder.write(draft, self.description, self.sensors)
+        with claimed(folder, "render", keep=VIEWS if key else "") as claim:
+            if resume:
+                _require_views(claim, [film_size(sensor) for sensor in self.sensors], key)
+            else:
+                claim.clear()
+            # Views of a run that may be resumed are marked with what they show.
+            with writing(claim, "render", capture_folder.FILE, run=key) as draft:
+                self._write(draft.folder, progress)
+                capture_folder.write(draft, self.description, self.sensors)
         return self._read(Path(folder))
 
     def _read(self, folder: Path) -> Capture:
@@ -163,7 +168,8 @@ class RenderPlan:
             for each in self.sensors
         ]
         what = scene_key(self.scene, self.target), integrator_key(self.scene)
-        return Key(*what, cameras, self.spp, self.seed).digest()[:KEY]
+        version = svu_mi.__version__, mi.__version__, mi.variant()
+        return Key(*what, cameras, self.spp, self.seed, version).digest()[:KEY]
 
 
 def plan_render(
@@ -226,21 +232,29 @@ def require_rendered(capture: Capture, spp: int) -> None:
     )
 
 
-def _keep_views(folder: Path, films: Sequence[Size], run: str) -> None:
-    """Remove whatever a kept draft has beside whole views of its own run.
+def _require_views(claim: Claim, films: Sequence[Size], run: str) -> None:
+    """Remove all but the complete views of a run from what an interrupted one has left.
 
-    Others may have changed it since, and nothing but views is needed to go on.
+    Raises:
+        OutputError: there is nothing left to resume.
     """
+    left = list(claim.draft.glob(VIEWS))
+    if not left:
+        raise OutputError(
+            f"{claim.folder}: there is nothing of an interrupted run to resume; omit --resume."
+        )
     expected = {_view(index): film for index, film in enumerate(films)}
-    for path in folder.iterdir():
-        if is_folder(path):
-            shutil.rmtree(path)
-        elif path.name not in expected or not _is_whole(path, expected[path.name], run):
-            path.unlink()
+    whole = {path.name for path in left if _is_whole(path, expected.get(path.name), run)}
+    if not whole:
+        raise OutputError(
+            f"{claim.folder}: what an interrupted run has left was made with other options, or of "
+            "something else; restore these, or omit --resume to start again."
+        )
+    claim.clear(lambda path: path.name in whole)
 
 
-def _is_whole(path: Path, film: Size, run: str) -> bool:
-    """Return whether a file, and no link to one, is a view that a run has finished."""
+def _is_whole(path: Path, film: Size | None, run: str) -> bool:
+    """Return whether a file, not a link to one, is a view that a run has finished."""
     if path.is_symlink() or not path.is_file():
         return False
     try:

@@ -17,7 +17,7 @@ from svu_mi.cli.words import pair
 from svu_mi.errors import OptionError
 from svu_mi.limits import FEWEST_THREADS
 from svu_mi.progress import Progress
-from svu_mi.results.lock import locked
+from svu_mi.results.exchange import locked
 
 if TYPE_CHECKING:
     from svu_mi.batch import Item, Outcome, Shelf
@@ -61,7 +61,7 @@ class Batch(Common):
         require_apart(self.output, items)
         self.output.mkdir(parents=True, exist_ok=True)
         outcomes: list[Outcome] = []
-        with locked(self.output, "svu batch"):
+        with locked(self.output.resolve()):
             try:
                 with Progress(console).stage("Working on captures", len(items)) as stage:
                     for outcome in self._outcomes(shelf, items):

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from svu_mi.cli.common import Output, announce_sizes
+from svu_mi.cli.common import Output, Overwriting, announce_sizes
 from svu_mi.cli.inputs import Folder, Gained, Memory, Missing, OfScene, with_search
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import bytes_of, given
 from svu_mi.needs import Need, Sizes
 from svu_mi.progress import Progress
-from svu_mi.results.writing import claimed
+from svu_mi.results.transaction import claimed
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
@@ -31,7 +31,7 @@ MARKS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckCapture(OfScene):
+class CheckCapture(Overwriting, OfScene):
     """Compare photographs with mesh, poses and light, and name the fix if axes are wrong.
 
     Tries every known mistake: axes of cameras and mesh, inverse poses, how the environment map
@@ -70,7 +70,7 @@ class CheckCapture(OfScene):
         from svu_mi.output.check_page import write_check
 
         defines, memory = self.defines(), bytes_of(self.memory, "--memory")
-        with claimed(self.output, "svu check"):
+        with claimed(self.output, "check", overwrite=self.overwrite) as place:
             self.start()
             progress = Progress(console)
             with progress.stage("Loading the capture"):
@@ -84,7 +84,7 @@ class CheckCapture(OfScene):
             find = partial(self._gains, capture, progress) if self.gains == "estimate" else None
             found = check(capture, gains=find, progress=progress)
             with progress.stage("Writing the page"):
-                write_check(capture, found, self.output, settings=given(self))
+                write_check(capture, found, place, settings=given(self))
         _print(console, found, capture)
         say(console, f"Wrote {self.output / 'check.html'}")
         return WRONG if self.strict and not found.fits else 0

@@ -10,29 +10,34 @@ from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Interrupted, Output, announce_sizes, was_interrupted
+from svu_mi.cli.common import (
+    Common,
+    Interrupted,
+    Output,
+    Overwriting,
+    announce_sizes,
+    was_interrupted,
+)
 from svu_mi.cli.inputs import Estimated, OfScene, Resolution, Scene, WithPictures
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import given, pair
 from svu_mi.limits import require_spp, require_views
 from svu_mi.needs import Need, Sizes
 from svu_mi.progress import Progress
-from svu_mi.results.unfinished import unfinished
-from svu_mi.results.writing import claimed
+from svu_mi.results.transaction import Claim, claimed
 
 if TYPE_CHECKING:
     from svu_mi.output import Knowledge
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entropy(WithPictures, Estimated):
+class Entropy(Overwriting, WithPictures, Estimated):
     """Compute how much photographs tell about every texel.
 
     Writes entropy.exr (1 = nothing known), coverage.exr (number of views), overview.png and
     run.json.
     """
 
-    fills = True
     output: Output = Path("out/entropy")
     skip: bool = True
     """Skip work that changes no result (unseen texels, blind views, equal channels, ...)."""
@@ -41,13 +46,13 @@ class Entropy(WithPictures, Estimated):
         """Run the pipeline, write the four files, and say what is known."""
 
         self.check()
-        with claimed(self.output, "svu entropy"):
-            knowledge = self._run(console)
+        with claimed(self.output, "entropy", overwrite=self.overwrite) as place:
+            knowledge = self._run(console, place)
         say(console, f"Wrote {self.output}")
         say(console, knowledge.summary())
         return 0
 
-    def _run(self, console: Console) -> Knowledge:
+    def _run(self, console: Console, place: Claim) -> Knowledge:
         from svu_mi.checking.brightness import warn_if_too_bright
         from svu_mi.options import NOTHING, Skip
         from svu_mi.output import Knowledge, Run, write_outputs
@@ -62,13 +67,13 @@ class Entropy(WithPictures, Estimated):
             knowledge = Knowledge.of(result)
             run = Run(settings=given(self), kernels=progress.kernels)
             write_outputs(
-                capture, result, self.output, run, knowledge=knowledge, pictures=self.pictures
+                capture, result, place, run, knowledge=knowledge, pictures=self.pictures
             )
         return knowledge
 
 
 @dataclass(frozen=True, kw_only=True)
-class Render(OfScene):
+class Render(Overwriting, OfScene):
     """Render every sensor of a scene into a capture folder.
 
     Unlike the mitsuba program, it knows the plugins of svu_mi.
@@ -90,10 +95,10 @@ class Render(OfScene):
 
     def run(self, console: Console) -> int:
         """Render the views."""
-        from svu_mi.capture.rendering import plan_render
+        from svu_mi.capture.rendering import VIEWS, plan_render
 
         self.check()
-        with claimed(self.output, "svu render", tidy=True):
+        with claimed(self.output, "render", overwrite=self.overwrite, keep=VIEWS) as place:
             self.start()
             try:
                 progress = Progress(console)
@@ -104,10 +109,10 @@ class Render(OfScene):
                         trust=self.trust,
                     )  # fmt: skip
                     announce_sizes(progress, str(self.scene), self.need, plan.sizes)
-                    capture = plan.render(self.output, progress=stage.update, resume=self.resume)
+                    capture = plan.render(place, progress=stage.update, resume=self.resume)
             except BaseException as error:
                 if was_interrupted(error):
-                    raise Interrupted(self._advice()) from None
+                    raise Interrupted(self._advice(len(list(place.draft.glob(VIEWS))))) from None
                 raise
         say(console, f"Wrote {capture.count} photographs to {self.output}")
         return 0
@@ -116,12 +121,11 @@ class Render(OfScene):
         """Return what memory the command takes."""
         return Need("render", sizes.photographs, light=sizes.light, model="")
 
-    def _advice(self) -> str:
-        count = sum(one.files for one in unfinished(self.output))
-        if count:
+    def _advice(self, views: int) -> str:
+        if views:
             return (
-                f"interrupted; {count} views are kept in {self.output}: continue with the same "
-                "command and --resume"
+                f"interrupted; {views} views are kept: continue with the same command and "
+                "--resume"
             )
         return "interrupted before the first view; run the same command again"
 
@@ -138,7 +142,7 @@ class Render(OfScene):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Demo(Common):
+class Demo(Overwriting, Common):
     """Render the vase that comes with svu_mi and compute its entropy."""
 
     output: Output = Path("out/demo")
@@ -152,22 +156,23 @@ class Demo(Common):
         """Run ``entropy`` on the vase."""
         from svu_mi import scenes
 
-        with (
-            claimed(self.output, "svu demo"),
-            tempfile.TemporaryDirectory(prefix="svu-demo-") as folder,
-        ):
+        with claimed(self.output, "entropy", overwrite=self.overwrite):
+            pass  # refused before any work
+        with tempfile.TemporaryDirectory(prefix="svu-demo-") as folder:
+            capture = Path(folder) / "capture"
             common = {f.name: getattr(self, f.name) for f in dataclasses.fields(Common)}
             define = (f"light={self.light}",)
             try:
                 status = Render(
-                    scene=scenes.path("vase"), output=Path(folder), define=define, spp=self.spp,
+                    scene=scenes.path("vase"), output=capture, define=define, spp=self.spp,
                     **common,
                 ).run(console)  # fmt: skip
             except Interrupted:  # what it has kept goes with the folder
                 raise KeyboardInterrupt from None
             return status or Entropy(
-                scene=Path(folder), output=self.output, resolution=self.resolution, **common
-            ).run(console)
+                scene=capture, output=self.output, overwrite=self.overwrite,
+                resolution=self.resolution, **common,
+            ).run(console)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

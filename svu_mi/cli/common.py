@@ -104,6 +104,14 @@ class Common:
             ) from error
 
 
+@dataclass(frozen=True, kw_only=True)
+class Overwriting:
+    """The option of commands that write a result."""
+
+    overwrite: bool = False
+    """Write where anything else lies, which is kept as NAME.before."""
+
+
 def announce_sizes(
     progress: Progress, label: str, need: Callable[[Sizes], Need], sizes: Sizes
 ) -> float:

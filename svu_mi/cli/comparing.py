@@ -11,14 +11,14 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Output, announce_sizes
+from svu_mi.cli.common import Common, Output, Overwriting, announce_sizes
 from svu_mi.cli.inputs import Memory, Resolution, with_search
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import bytes_of, given, pair
 from svu_mi.limits import require_texels
 from svu_mi.needs import MODELS, Need, Size, Sizes
 from svu_mi.progress import Progress
-from svu_mi.results.writing import claimed
+from svu_mi.results.transaction import claimed
 
 Result = Annotated[Path, tyro.conf.Positional]
 Preset = Literal["default", "fixed", "fast", "paper"]
@@ -26,7 +26,7 @@ Presets = Annotated[tuple[Preset, ...], tyro.conf.arg(metavar="PRESET [PRESET]")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Compare(Common):
+class Compare(Overwriting, Common):
     """Compare two captures, results or folders of textures of one object.
 
     Each of A and B is a capture (which is estimated), a folder that svu entropy or svu recover
@@ -58,7 +58,7 @@ class Compare(Common):
         if size is not None:
             require_texels(size, "--resolution")
         preset = self.preset[0] if len(self.preset) == 1 else self.preset
-        with claimed(self.output, "svu compare"):
+        with claimed(self.output, "compare", overwrite=self.overwrite) as place:
             self.start()
             progress = Progress(console)
 
@@ -71,7 +71,7 @@ class Compare(Common):
                 memory=bytes_of(self.memory, "--memory"),
             )  # fmt: skip
             with progress.stage("Writing the page"):
-                write_comparison(found, self.output, settings=given(self))
+                write_comparison(found, place, settings=given(self))
         say(console, f"Wrote {self.output / 'compare.html'}")
         say(console, found.sentence())
         return 0

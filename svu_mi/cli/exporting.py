@@ -9,11 +9,11 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Output, announce
+from svu_mi.cli.common import Common, Output, Overwriting, announce
 from svu_mi.cli.terminal import say
 from svu_mi.needs import Need, Size
 from svu_mi.progress import Progress
-from svu_mi.results.writing import claimed
+from svu_mi.results.transaction import claimed
 
 Result = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")]
 Format = Literal["exr", "png", "glb", "xml", "materialx"]
@@ -23,7 +23,7 @@ Gutter = Annotated[int | None, tyro.conf.arg(metavar="TEXELS")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export(Common):
+class Export(Overwriting, Common):
     """Write recovered textures for Blender, Mitsuba, MaterialX and the web.
 
     Writes textures/*.exr and *.png (base_color, roughness, metallic, their standard deviations,
@@ -51,16 +51,14 @@ class Export(Common):
 
     def run(self, console: Console) -> int:
         """Read the result, and write the asset."""
-        from svu_mi.capture.folder import require_apart
         from svu_mi.export.export import export_asset
         from svu_mi.export.options import ExportOptions
         from svu_mi.export.reading import load_asset
-        from svu_mi.results.reading import RUN_RECORD, scene_of
 
         options = ExportOptions(
             formats=self.formats, bits=self.bits, half=self.half, gutter=self.gutter, up=self.up
         )  # refused before any work
-        with claimed(self.output, "svu export", tidy=True):
+        with claimed(self.output, "export", overwrite=self.overwrite) as place:
             self.start()
             progress = Progress(console)
 
@@ -68,10 +66,8 @@ class Export(Common):
                 announce(progress, str(self.result), Need("export", (), size, model=""))
 
             with progress.stage("Reading the result"):
-                if (scene := scene_of(self.result / RUN_RECORD)) is not None:
-                    require_apart(self.output, scene)
                 asset = load_asset(self.result, self.entropy, preflight=preflight)
             with progress.stage("Writing the asset"):
-                export_asset(asset, self.output, options)
+                export_asset(asset, place, options)
         say(console, f"Wrote {self.output}")
         return 0

@@ -11,7 +11,7 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Output
+from svu_mi.cli.common import Output, Overwriting
 from svu_mi.cli.inputs import Estimated, Missing, WithPictures
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import given
@@ -23,7 +23,7 @@ from svu_mi.needs import Need, Sizes
 from svu_mi.options import AngularPreset, Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.progress import Progress
-from svu_mi.results.writing import claimed
+from svu_mi.results.transaction import claimed
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
@@ -38,7 +38,7 @@ Up = Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Guide(WithPictures, Estimated):
+class Guide(Overwriting, WithPictures, Estimated):
     """Propose where to take the next photographs from.
 
     Writes guidance.json and guidance.png, the poses as transforms.json and sensors.xml, maps
@@ -47,7 +47,6 @@ class Guide(WithPictures, Estimated):
     """
 
     work = "guide"
-    fills = True
     output: Output = Path("out/next")
     candidates: From = "100"
     """Where photographs can be taken from: a number of views on a sphere around the object; the
@@ -76,7 +75,7 @@ class Guide(WithPictures, Estimated):
         from svu_mi.output.guidance import write_guidance
 
         self.check()
-        with claimed(self.output, "svu guide"):
+        with claimed(self.output, "guide", overwrite=self.overwrite) as place:
             self.start()
             progress = Progress(console)
             capture, estimate, guidance = self._guide(progress)
@@ -85,7 +84,7 @@ class Guide(WithPictures, Estimated):
                     settings=given(self), kernels=progress.kernels, progress=stage.update
                 )
                 write_guidance(
-                    capture, estimate, guidance, self.output, run, up=self.up,
+                    capture, estimate, guidance, place, run, up=self.up,
                     pictures=self.pictures,
                 )  # fmt: skip
         _print(console, estimate, guidance)

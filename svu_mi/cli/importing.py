@@ -11,13 +11,13 @@ from typing import Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Output, announce_sizes
+from svu_mi.cli.common import Common, Output, Overwriting, announce_sizes
 from svu_mi.cli.terminal import say
 from svu_mi.formats.options import ENVIRONMENT_AXES, ImportOptions, Light
 from svu_mi.formats.reading import ReadOptions, read_source
 from svu_mi.needs import Need, Sizes
 from svu_mi.progress import Progress
-from svu_mi.results.writing import claimed
+from svu_mi.results.transaction import Claim, claimed
 
 From = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]
 Gains = Annotated[str | Path | None, tyro.conf.arg(metavar="FILE | exif")]
@@ -56,7 +56,7 @@ class Conversion(ImportOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Import(Common):
+class Import(Overwriting, Common):
     """Turn the capture of another tool into a capture folder.
 
     Reads transforms.json (NeRF, Blender, nerfstudio), COLMAP, poses_bounds.npy (LLFF),
@@ -88,9 +88,9 @@ class Import(Common):
         """Import the capture and say what was found."""
         from svu_mi.formats.importing import NO_LIGHT
 
-        with claimed(self.output, "svu import", tidy=True):
+        with claimed(self.output, "import", overwrite=self.overwrite) as place:
             self.start()
-            notes = self._import(Progress(console))
+            notes = self._import(Progress(console), place)
         for note in notes:
             say(console, note)
         say(console, f"Wrote {self.output}; look at it with: svu check {self.output}")
@@ -98,7 +98,7 @@ class Import(Common):
             say(console, f"Then find its light with: svu light {self.output}")
         return 0
 
-    def _import(self, progress: Progress) -> list[str]:
+    def _import(self, progress: Progress, place: Claim) -> list[str]:
         from svu_mi.formats.colmap.undistortion import undistort
         from svu_mi.formats.importing import import_capture
 
@@ -116,7 +116,7 @@ class Import(Common):
                     source = replace(source, root=self.source)
             with progress.stage("Converting photographs") as stage:
                 return import_capture(
-                    source, self.output, self.conversion, words=self.words, progress=stage.update,
+                    source, place, self.conversion, words=self.words, progress=stage.update,
                     preflight=partial(announce_sizes, progress, str(self.source), self.need),
                 )  # fmt: skip
 

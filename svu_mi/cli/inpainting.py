@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Output
+from svu_mi.cli.common import Output, Overwriting
 from svu_mi.cli.inputs import FromPhotographs, Resolution, WithPictures
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import given
 from svu_mi.errors import OptionError
 from svu_mi.inpaint.diffusion.options import DiffusionOptions
 from svu_mi.progress import Progress
-from svu_mi.results.writing import claimed
+from svu_mi.results.transaction import Claim, claimed
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,7 +32,7 @@ Weights = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inpaint(WithPictures, FromPhotographs):
+class Inpaint(Overwriting, WithPictures, FromPhotographs):
     """Fill texels of recovered textures that no photograph shows, by what they are like.
 
     In their piece of the object, as high, around an axis, or on the other side of a mirror: how
@@ -42,7 +42,6 @@ class Inpaint(WithPictures, FromPhotographs):
     """
 
     work = "recover"
-    fills = True
     output: Output = Path("out/filled")
     recovered: From
     """Folder that svu recover wrote."""
@@ -62,9 +61,9 @@ class Inpaint(WithPictures, FromPhotographs):
         from svu_mi.output.filled import fill_sentences
 
         self.check()
-        with claimed(self.output, "svu inpaint"):
+        with claimed(self.output, "inpaint", overwrite=self.overwrite) as place:
             self.start()
-            found = self._run(Progress(console))
+            found = self._run(Progress(console), place)
         say(console, f"Wrote {self.output}")
         for sentence in fill_sentences(found):
             say(console, sentence)
@@ -75,11 +74,6 @@ class Inpaint(WithPictures, FromPhotographs):
         super().check()
         if not self.above > 0:
             raise OptionError(f"--above must be positive, got {self.above}.")
-        if self.output.resolve() == self.recovered.resolve():
-            raise OptionError(
-                f"{self.output}: holds the textures that are to be filled, which would be "
-                "replaced; choose another folder with -o."
-            )
         if self.model is not None:
             from svu_mi.inpaint.diffusion.loading import require_model
 
@@ -87,7 +81,7 @@ class Inpaint(WithPictures, FromPhotographs):
         elif self.diffusion != DiffusionOptions():
             raise OptionError("How a diffusion model is asked has no effect without --model.")
 
-    def _run(self, progress: Progress) -> Filled:
+    def _run(self, progress: Progress, place: Claim) -> Filled:
         from svu_mi.output.filled import write_filled
         from svu_mi.output.manifest import Run
         from svu_mi.output.textures import read_textures, require_textures_of, settings_of
@@ -108,7 +102,7 @@ class Inpaint(WithPictures, FromPhotographs):
         found = self._fill(progress, model, capture, field, known.posterior.observed)
         with progress.stage("Writing the results"):
             run = Run(settings=given(self), kernels=progress.kernels)
-            write_filled(capture, field, found, self.output, run, pictures=self.pictures)
+            write_filled(capture, field, found, place, run, pictures=self.pictures)
         return found
 
     def _model(self, progress: Progress) -> Model | None:

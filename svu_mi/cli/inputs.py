@@ -73,8 +73,6 @@ class Photographed(OfScene):
 
     work: ClassVar[str] = "entropy"
     """What the command does, by which its need of memory is known (``needs.COSTS``)."""
-    fills: ClassVar[bool] = False
-    """Whether it writes maps and textures into the output folder, where no scene may lie."""
     images: Folder = None
     """Folder with the photographs: view_0000.exr, ... or named by the ids of their sensors, or as
     many as there are sensors, in the order of their names."""
@@ -138,10 +136,6 @@ class Photographed(OfScene):
         """
         from svu_mi.surface import texels
 
-        if self.fills:
-            from svu_mi.capture.folder import require_apart
-
-            require_apart(self.output, self.scene)
         size = pair(self.resolution, "--resolution")
         if self.render:
             capture = self._render(progress, again)

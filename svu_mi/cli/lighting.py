@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Interrupted, Output, was_interrupted
+from svu_mi.cli.common import Interrupted, Output, Overwriting, was_interrupted
 from svu_mi.cli.inputs import Photographed, Resolution, WithPictures, to_find_light
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import given, pair
@@ -17,7 +17,7 @@ from svu_mi.errors import OptionError
 from svu_mi.illumination.options import LightOptions
 from svu_mi.needs import Need, Sizes
 from svu_mi.progress import Progress
-from svu_mi.results.writing import claimed
+from svu_mi.results.transaction import Claim, claimed
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
@@ -33,7 +33,7 @@ FINEST_MEAN, FINEST_CARD = 64, 128  # texels per side that base colours are comp
 
 
 @dataclass(frozen=True, kw_only=True)
-class FindLight(WithPictures, Photographed):
+class FindLight(Overwriting, WithPictures, Photographed):
     """Find the light that photographs were taken under, in the photographs.
 
     Writes light.exr (a map in the frame of Mitsuba's envmap, with layers that say how well it is
@@ -71,9 +71,9 @@ class FindLight(WithPictures, Photographed):
         from svu_mi.output.upright import upright
 
         self.check()
-        with claimed(self.output, "svu light", tidy=True):
+        with claimed(self.output, "light", overwrite=self.overwrite) as place:
             self.start()
-            capture, found, against = self._run(Progress(console))
+            capture, found, against = self._run(Progress(console), place)
         say(console, f"Wrote {self.output}")
         for sentence in sentences(found, upright(capture)):
             say(console, sentence)
@@ -131,7 +131,9 @@ class FindLight(WithPictures, Photographed):
             background=self.background, gains=self.gains == "estimate",
         )  # fmt: skip
 
-    def _run(self, progress: Progress) -> tuple[Capture, LightEstimate, Likeness | None]:
+    def _run(
+        self, progress: Progress, place: Claim
+    ) -> tuple[Capture, LightEstimate, Likeness | None]:
         from svu_mi.illumination.estimate import estimate_light
         from svu_mi.illumination.light_summary import likeness
         from svu_mi.output import Run
@@ -153,7 +155,7 @@ class FindLight(WithPictures, Photographed):
         with progress.stage("Writing the results"):
             run = Run(settings=given(self), kernels=progress.kernels)
             write_light(
-                capture, found, self.output, run, used=asdict(options), against=against,
+                capture, found, place, run, used=asdict(options), against=against,
                 timings=progress.timings, pictures=self.pictures,
             )  # fmt: skip
         return capture, found, against

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Interrupted, Output, was_interrupted
+from svu_mi.cli.common import Interrupted, Output, Overwriting, was_interrupted
 from svu_mi.cli.inputs import FromPhotographs, WithPictures
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import given
@@ -17,14 +17,13 @@ from svu_mi.errors import OptionError
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
 from svu_mi.recovery.options import PRINTED_PRESETS
-from svu_mi.results.writing import claimed
+from svu_mi.results.transaction import CHECKPOINT, Claim, claimed
 
 if TYPE_CHECKING:
     from svu_mi.output import Knowledge
     from svu_mi.recovery.textures import Textures
     from svu_mi.surface import Texels
 
-CHECKPOINT = "checkpoint.npz"
 MOST_DRAWS = 1000
 Name = Literal[NAMES]  # type: ignore[valid-type]
 Parameters = Annotated[tuple[Name, ...], tyro.conf.arg(metavar=f"{{{','.join(NAMES)}}} ...")]
@@ -33,7 +32,7 @@ From = Annotated[Path | None, tyro.conf.arg(name="start", metavar="FOLDER")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recover(WithPictures, FromPhotographs):
+class Recover(Overwriting, WithPictures, FromPhotographs):
     """Recover base colour, roughness and metallic textures from photographs.
 
     Writes the textures as EXR, recovered.xml (a Mitsuba scene that uses them), coverage.exr,
@@ -43,7 +42,6 @@ class Recover(WithPictures, FromPhotographs):
     """
 
     work = "recover"
-    fills = True
     output: Output = Path("out/textures")
     method: Literal["sh", "path", "sh+path"] = "sh"
     """sh: a reflection model, in seconds; path: Mitsuba's path tracer in a loop; sh+path: the
@@ -80,15 +78,17 @@ class Recover(WithPictures, FromPhotographs):
         """Recover, and write the results."""
 
         self.check()
-        checkpoint = self.output / CHECKPOINT
-        with claimed(self.output, "svu recover"):
+        with claimed(
+            self.output, "recover", overwrite=self.overwrite, keep=CHECKPOINT
+        ) as place:
+            checkpoint = place.draft / CHECKPOINT
             self._check_checkpoint(checkpoint)
             self.start()
             try:
-                knowledge = self._run(Progress(console), checkpoint)
+                knowledge = self._run(Progress(console), place)
             except BaseException as error:
                 if was_interrupted(error):
-                    raise Interrupted(self._advice(checkpoint)) from None
+                    raise Interrupted(_advice(checkpoint)) from None
                 raise
         say(console, f"Wrote {self.output}")
         say(console, knowledge.summary())
@@ -115,14 +115,16 @@ class Recover(WithPictures, FromPhotographs):
 
     def _check_checkpoint(self, checkpoint: Path) -> None:
         if self.resume and not checkpoint.exists():
-            raise OptionError(f"{checkpoint}: no checkpoint to resume from; omit --resume.")
+            raise OptionError(f"{self.output}: no checkpoint to resume from; omit --resume.")
         if not self.resume and checkpoint.exists():
-            raise OptionError(
-                f"{checkpoint}: left by an interrupted run; continue it with --resume, or remove "
-                "the file."
-            )
+            if not self.overwrite:
+                raise OptionError(
+                    f"{self.output}: an interrupted run has left a checkpoint; continue it with "
+                    "--resume, or start again with --overwrite."
+                )
+            checkpoint.unlink()
 
-    def _run(self, progress: Progress, checkpoint: Path) -> Knowledge:
+    def _run(self, progress: Progress, place: Claim) -> Knowledge:
         from svu_mi.checking.brightness import warn_if_too_bright
         from svu_mi.observed import observe
         from svu_mi.output import Knowledge, Run
@@ -137,8 +139,9 @@ class Recover(WithPictures, FromPhotographs):
         seen = observe(capture, texels, progress)
         recovery = recover(
             seen, None, self.method, self.preset, sharing=self.sharing, tv=self.tv,
-            parameters=self.parameters, start=initial, checkpoint=checkpoint, resume=self.resume,
-            checkpoint_seconds=self.checkpoint_seconds, progress=progress, **options,
+            parameters=self.parameters, start=initial, checkpoint=place.draft / CHECKPOINT,
+            resume=self.resume, checkpoint_seconds=self.checkpoint_seconds, progress=progress,
+            **options,
         )  # fmt: skip
         # Beside textures by the paper's losses, the posterior of the model that they come from.
         model = "paper" if self.preset in PRINTED_PRESETS else "default"
@@ -148,12 +151,9 @@ class Recover(WithPictures, FromPhotographs):
         if has_field(known):
             field = texture_field(recovery, known, capture.mesh, progress=progress)
         with progress.stage("Writing the results") as stage:
-            run = Run(
-                settings=given(self), kernels=progress.kernels, consumed=[CHECKPOINT],
-                progress=stage.update,
-            )  # fmt: skip
+            run = Run(settings=given(self), kernels=progress.kernels, progress=stage.update)
             write_recovery(
-                capture, recovery, self.output, run, estimate=known, field=field,
+                capture, recovery, place, run, estimate=known, field=field,
                 draws=Draws(self.drawn, self.seed) if self.drawn else None, pictures=self.pictures,
             )  # fmt: skip
             return Knowledge.of(known)
@@ -204,7 +204,8 @@ class Recover(WithPictures, FromPhotographs):
         if self.method == unused and getattr(self, option) is not None:
             raise OptionError(f"--{option} has no effect with --method {unused}; omit it.")
 
-    def _advice(self, checkpoint: Path) -> str:
-        if checkpoint.exists():
-            return f"interrupted; {checkpoint} is kept: continue with the same command and --resume"
-        return "interrupted before the first step; run the same command again"
+
+def _advice(checkpoint: Path) -> str:
+    if checkpoint.exists():
+        return "interrupted; a checkpoint is kept: continue with the same command and --resume"
+    return "interrupted before the first step; run the same command again"

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Output
+from svu_mi.cli.common import Output, Overwriting
 from svu_mi.cli.inputs import Photographed, Resolution, WithPictures
 from svu_mi.cli.terminal import say
 from svu_mi.cli.words import given
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.needs import Need, Sizes
 from svu_mi.progress import Progress
-from svu_mi.results.writing import claimed
+from svu_mi.results.transaction import Claim, claimed
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
@@ -29,7 +29,7 @@ Poses = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Relight(WithPictures, Photographed):
+class Relight(Overwriting, WithPictures, Photographed):
     """Show the object in its recovered textures under another light, and how sure every pixel is.
 
     Renders the textures and the draws beside them (svu recover --draws 16) with the same random
@@ -38,7 +38,6 @@ class Relight(WithPictures, Photographed):
     """
 
     work = "relight"
-    fills = True
     output: Output = Path("out/relit")
     recovered: From
     """Folder that svu recover --draws wrote."""
@@ -62,9 +61,9 @@ class Relight(WithPictures, Photographed):
         from svu_mi.output.relit_page import doubt_sentence
 
         self.check()
-        with claimed(self.output, "svu relight", tidy=True):
+        with claimed(self.output, "relight", overwrite=self.overwrite) as place:
             self.start()
-            found = self._run(Progress(console))
+            found = self._run(Progress(console), place)
         say(console, f"Wrote {self.output}")
         say(console, doubt_sentence(found))
         return 0
@@ -88,7 +87,7 @@ class Relight(WithPictures, Photographed):
         """Return what memory the command takes: nothing is estimated."""
         return replace(super().need(sizes), model="")
 
-    def _run(self, progress: Progress) -> list[RelitView]:
+    def _run(self, progress: Progress, place: Claim) -> list[RelitView]:
         from svu_mi.illumination.resolve_light import with_map
         from svu_mi.output.draws import find_draws, read_draws
         from svu_mi.output.manifest import Run
@@ -116,7 +115,7 @@ class Relight(WithPictures, Photographed):
         with progress.stage("Writing the results"):
             run = Run(settings=given(self), kernels=progress.kernels)
             write_relighting(
-                capture, found, names, self.output, run, draws=len(files), pictures=self.pictures
+                capture, found, names, place, run, draws=len(files), pictures=self.pictures
             )
         return found
 

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import tyro
 from rich.console import Console
 
+from svu_mi.cli.common import Overwriting
 from svu_mi.cli.inputs import Resolution
 from svu_mi.cli.terminal import say
 from svu_mi.cli.textured import Textured
 from svu_mi.cli.words import given
 from svu_mi.errors import OptionError
 from svu_mi.progress import Progress
-from svu_mi.results.lock import locked
+from svu_mi.results.exchange import locked
 
 if TYPE_CHECKING:
     from svu_mi.output.knowledge import Knowledge
@@ -26,7 +27,7 @@ Page = Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE.html", help="
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report(Textured):
+class Report(Overwriting, Textured):
     """Write what photographs say as one HTML file, with all pictures inside.
 
     Photographs, entropy on a turntable, maps, probabilities, errors of views, settings, times and
@@ -46,10 +47,13 @@ class Report(Textured):
     def run(self, console: Console) -> int:
         """Estimate, and write the page."""
         from svu_mi.files import clear_temporaries, prepare_folder
+        from svu_mi.results.transaction import require_own_page
 
         self.check()
         prepare_folder(self.output.parent)
-        with locked(self.output, "svu report"):
+        if not self.overwrite:
+            require_own_page(self.output)
+        with locked(self.output.resolve()):
             clear_temporaries(self.output.parent)
             self.start()
             sized, textures = self.sized()

@@ -6,6 +6,7 @@ export_asset(Asset.of(capture, recovery, estimate), "asset", ExportOptions(bits=
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -17,19 +18,19 @@ from svu_mi.export.options import ExportOptions
 from svu_mi.export.reading import load_asset
 from svu_mi.files import prepare_folder
 from svu_mi.output.manifest import environment_record, write_manifest
-from svu_mi.results.writing import writing
+from svu_mi.results.transaction import writing
 
 FORMAT, VERSION = "svu-asset", 1
 MODEL = "principled, specular 0.5 (F0 = 0.04), alpha = roughness^2: glTF's metallic-roughness"
 
 
 def export_asset(
-    asset: Asset | str | Path, folder: str | Path, options: ExportOptions | None = None
+    asset: Asset | str | Path, folder: str | os.PathLike[str], options: ExportOptions | None = None
 ) -> Path:
     """Write an object with its textures for other programs.
 
-    All of it takes the place of an older export in one step (``results.writing``); ``asset.json``
-    says what each file is. Files that an older one names and that are not written now are removed.
+    All of it takes the place of an older export in one step (``results.transaction``);
+    ``asset.json`` says what each file is.
 
     Args:
         asset: an ``Asset``, or the folder that ``svu recover`` wrote.

@@ -22,13 +22,13 @@ from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY, read_deviations, read_map
 from svu_mi.output.textures import FILES, MESH, SCENE, read_textures
 from svu_mi.output.upright import nearest_axis, up_of
-from svu_mi.results.reading import (
+from svu_mi.results.exchange import restore
+from svu_mi.results.provenance import (
     are_of_one_capture,
     marks_of,
     require_one_run,
     require_recovery,
 )
-from svu_mi.results.settling import settle
 
 HEADER = 4096  # bytes that hold the header of a PLY file
 
@@ -56,13 +56,12 @@ def load_asset(
         MeshError: the mesh cannot be read, or has no UVs.
     """
     folder = Path(folder)
-    if folder.is_dir():
-        settle(folder)
+    restore(folder)
     require_recovery(folder, [*FILES.values(), SCENE, MESH], RECORD, ENTROPY)
     require_one_run(folder, [*FILES.values(), SCENE, MESH], RECORD, "recover")
     maps = Path(folder if entropy is None else entropy)
     if entropy is not None:
-        settle(maps)
+        restore(maps)
         if not (maps / ENTROPY).is_file():
             raise CaptureError(f"{maps}: has no {ENTROPY}; give the folder that svu entropy wrote.")
     textured = folder / FILES["base_color"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import Context, copy_context
@@ -20,7 +21,7 @@ from svu_mi.capture.mesh import MeshArrays
 from svu_mi.capture.picture import open_picture
 from svu_mi.capture.repaint import scene_of
 from svu_mi.capture.scene import require_variant
-from svu_mi.capture.unwrap import UNWRAPPED, unwrap
+from svu_mi.capture.unwrap import unwrap
 from svu_mi.capture.winding import MOST, has_front_outside, part_from_behind
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.formats.exposures import exposed
@@ -35,7 +36,7 @@ from svu_mi.formats.source import Frame, Source
 from svu_mi.formats.textures import write_pictures
 from svu_mi.limits import require_views
 from svu_mi.needs import Sizes
-from svu_mi.results.writing import exchanging
+from svu_mi.results.transaction import writing
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"
 MAX_DEPTH = 6  # of the paths that a scene without a say of its own is rendered with
@@ -49,7 +50,7 @@ NO_LIGHT = (
 
 def import_capture(
     source: Source,
-    folder: str | Path,
+    folder: str | os.PathLike[str],
     options: ImportOptions | None = None,
     *,
     words: Sequence[str] = (),
@@ -95,7 +96,7 @@ def import_capture(
         raise OptionError(f"{source.root}: does not name the object's mesh; give it with --mesh.")
     if preflight is not None:
         preflight(_sizes(frames, light))
-    with exchanging(folder, "import", capture_folder.FILE, [UNWRAPPED]) as draft:
+    with writing(folder, "import", capture_folder.FILE) as draft:
         made = draft.folder
         geometry = _placed(read_geometry(mesh, geometry_only=options.geometry_only), options, fixes)
         found = _write_photographs(frames, made, options.shrink, progress)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,9 @@ from svu_mi.exr import write_exr
 from svu_mi.files import write_json
 from svu_mi.illumination.record import FoundGains, LightEstimate
 from svu_mi.npz import read_arrays, write_arrays
-from svu_mi.results.reading import require_one_run
-from svu_mi.results.record import LIGHT, LIGHT_RECORD, entries
-from svu_mi.results.settling import settle
-from svu_mi.results.writing import Draft, writing
+from svu_mi.results.exchange import restore
+from svu_mi.results.provenance import LIGHT, LIGHT_RECORD, entry_of, require_one_run
+from svu_mi.results.transaction import Draft, writing
 
 COMMAND, RECORD = LIGHT, LIGHT_RECORD
 MAP, ARRAYS = "light.exr", "light.npz"
@@ -39,7 +39,7 @@ GAINS: dict[str, tuple[str, float, float]] = {
 
 def save_light(
     estimate: LightEstimate,
-    path: str | Path,
+    path: str | os.PathLike[str],
     *,
     photographs: str = "",
     about: Mapping[str, Any] | None = None,
@@ -47,7 +47,7 @@ def save_light(
     """Write light that was found into a folder, for ``load_light`` and ``--light``.
 
     Writes ``light.exr`` (radiance, with the layers ``sd.Y`` and ``known.Y``), ``light.npz`` and
-    ``light.json``, in one step (``results.writing``).
+    ``light.json``, in one step (``results.transaction``).
 
     Args:
         estimate: what to write.
@@ -102,8 +102,8 @@ def light_record(estimate: LightEstimate) -> dict[str, Any]:
 
 def photographs_of(path: str | Path) -> str:
     """Return the ``photographs_key`` of what light in a folder was found in; empty if unknown."""
-    found = [entry for entry in entries(Path(path) / RECORD) if entry.command == COMMAND]
-    return found[0].capture if found else ""
+    entry = entry_of(Path(path) / RECORD, COMMAND)
+    return "" if entry is None else entry.capture
 
 
 def load_light(path: str | Path) -> LightEstimate:
@@ -119,7 +119,7 @@ def load_light(path: str | Path) -> LightEstimate:
     path = Path(path)
     if not path.is_dir():
         raise CaptureError(f"{path}: no such folder; give one that svu light wrote.")
-    settle(path)
+    restore(path)
     missing = [name for name in (MAP, ARRAYS, RECORD) if not (path / name).is_file()]
     if missing:
         raise CaptureError(
@@ -127,17 +127,17 @@ def load_light(path: str | Path) -> LightEstimate:
             "folder that it wrote."
         )
     require_one_run(path, [MAP], RECORD, COMMAND)
-    written = [entry for entry in entries(path / RECORD) if entry.command == COMMAND]
-    if not written:
+    written = entry_of(path / RECORD, COMMAND)
+    if written is None:
         raise CaptureError(f"{path / RECORD}: is not of svu light; run it again.")
-    if not written[0].owns(path, MAP):
+    if not written.owns(path, MAP):
         raise CaptureError(
             f"{path / MAP}: was changed since svu light wrote it; give this map itself, or run svu "
             "light again."
         )
     try:
         arrays = read_arrays(path / ARRAYS)
-        if str(arrays.pop("run", "")) != written[0].run:
+        if str(arrays.pop("run", "")) != written.run:
             raise ValueError(f"it comes from another run than {RECORD} beside it")
         return _estimate(arrays)
     except ValueError as error:

@@ -22,7 +22,7 @@ of panels, and what several draw is in ``figures.py``, also for notebooks. HTML 
 
 from __future__ import annotations
 
-from pathlib import Path
+import os
 
 from svu_mi.capture import Capture
 from svu_mi.capture.fingerprint import capture_key
@@ -37,13 +37,13 @@ from svu_mi.output.manifest import write_run as write_run
 from svu_mi.output.maps import write_maps as write_maps
 from svu_mi.output.overview import write_overview as write_overview
 from svu_mi.pipeline import Estimate
-from svu_mi.results.writing import writing
+from svu_mi.results.transaction import writing
 
 
 def write_outputs(
     capture: Capture,
     estimate: Estimate,
-    folder: str | Path,
+    folder: str | os.PathLike[str],
     run: Run | None = None,
     *,
     knowledge: Knowledge | None = None,
@@ -51,7 +51,7 @@ def write_outputs(
 ) -> None:
     """Write ``entropy.exr``, ``coverage.exr``, ``overview.png`` and ``run.json``.
 
-    All of it takes the place of an older result in one step (``results.writing``).
+    All of it takes the place of an older result in one step (``results.transaction``).
 
     Args:
         capture: the ``Capture``.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.output.page import THUMBNAIL, Picture, photograph, write_page
 from svu_mi.output.style import AFTER, BEFORE
 from svu_mi.output.upright import facing, up_of
-from svu_mi.results.writing import writing
+from svu_mi.results.transaction import writing
 
 AXES = ("poses", "light", "texture")  # what corrections are about
 TEMPLATE, RECORD = "check.html", "check.json"
@@ -52,7 +52,7 @@ MEASURES = {
 
 
 def write_check(
-    capture: Capture, found: Check, folder: str | Path, *,
+    capture: Capture, found: Check, folder: str | os.PathLike[str], *,
     settings: Mapping[str, Any] | None = None,
 ) -> None:  # fmt: skip
     """Write ``check.html``, with all its pictures inside, and ``check.json``.

@@ -37,8 +37,8 @@ from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate
 from svu_mi.progress import Progress
 from svu_mi.recovery.recover import Recovery
-from svu_mi.results.reading import text_in
-from svu_mi.results.settling import settle
+from svu_mi.results.exchange import restore
+from svu_mi.results.provenance import text_in
 from svu_mi.surface import texels
 from svu_mi.surface.layout import Places, size_of
 
@@ -323,7 +323,7 @@ def _of_folder(path: Path, name: str) -> Side:
     """Read a result of ``svu entropy`` or ``svu recover``, or any folder of textures."""
     if not path.is_dir():
         raise CaptureError(f"{path}: no such folder; give a capture, a result of svu, or textures.")
-    settle(path)
+    restore(path)
     found = {key: read_texture(file, key) for key, file in find_textures(path).items()}
     maps, entropy = {key: image for key, (image, _) in found.items()}, read_map(path / ENTROPY)
     if not found and entropy is None:

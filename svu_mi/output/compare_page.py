@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +19,7 @@ from svu_mi.output.manifest import environment_record, write_manifest
 from svu_mi.output.page import Picture, drawing, percent, write_page
 from svu_mi.output.result import words
 from svu_mi.output.surface_maps import ENDS, ENTROPY
-from svu_mi.results.writing import writing
+from svu_mi.results.transaction import writing
 
 TEMPLATE, RECORD = "compare.html", "compare.json"
 SIDE = 384  # pixels of a map
@@ -28,7 +29,7 @@ SHOWN = 0.98  # part of the texels whose differences the scale does not clip
 
 
 def write_comparison(
-    found: Comparison, folder: str | Path, *, settings: Mapping[str, Any] | None = None
+    found: Comparison, folder: str | os.PathLike[str], *, settings: Mapping[str, Any] | None = None
 ) -> None:
     """Write ``compare.html``, ``compare.json`` and a ``difference_*.exr`` of every map.
 

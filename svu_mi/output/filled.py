@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -26,7 +27,7 @@ from svu_mi.output.result import words
 from svu_mi.output.textures import write_scene
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.field.field import TextureField
-from svu_mi.results.writing import writing
+from svu_mi.results.transaction import writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,13 +41,13 @@ CELL = 3.2  # inches
 
 
 def write_filled(
-    capture: Capture, before: TextureField, found: Filled, folder: Path, run: Run | None = None,
-    *, pictures: bool = True,
+    capture: Capture, before: TextureField, found: Filled, folder: str | os.PathLike[str],
+    run: Run | None = None, *, pictures: bool = True,
 ) -> None:  # fmt: skip
     """Write textures, ``recovered.xml``, ``uncertainty.exr``, ``filled.exr``, ``filled.png`` and
     ``run.json``.
 
-    All of it takes the place of an older result in one step (``results.writing``).
+    All of it takes the place of an older result in one step (``results.transaction``).
 
     Args:
         capture: the ``Capture``.

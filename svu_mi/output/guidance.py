@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from svu_mi.output.manifest import RECORD, Run, guidance_record, write_manifest,
 from svu_mi.output.maps import GUTTER, header, padded
 from svu_mi.output.upright import UP
 from svu_mi.pipeline import Estimate
-from svu_mi.results.writing import writing
+from svu_mi.results.transaction import writing
 
 PLAN, PAGE = "guidance.json", "guidance.png"
 POSES, SENSORS, THUMBNAILS = "transforms.json", "sensors.xml", "thumbnails"
@@ -34,7 +35,7 @@ def write_guidance(
     capture: Capture,
     estimate: Estimate,
     guidance: Guidance,
-    folder: str | Path,
+    folder: str | os.PathLike[str],
     run: Run | None = None,
     *,
     up: tuple[float, float, float] = UP,
@@ -42,8 +43,7 @@ def write_guidance(
 ) -> None:
     """Write proposals as poses, maps and pictures, with ``guidance.json`` and ``run.json``.
 
-    All of it takes the place of an older result in one step (``results.writing``), and what that
-    one has left for proposals that there are no longer is removed.
+    All of it takes the place of an older result in one step (``results.transaction``).
 
     Args:
         capture: the ``Capture``.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from svu_mi.capture import Capture
@@ -13,7 +13,7 @@ from svu_mi.illumination.light_summary import Likeness
 from svu_mi.illumination.record import LightEstimate
 from svu_mi.output.light_page import write_light_page
 from svu_mi.output.manifest import Run, environment_record, inputs_record, write_manifest
-from svu_mi.results.writing import writing
+from svu_mi.results.transaction import writing
 
 PAGE = "light.png"
 
@@ -21,7 +21,7 @@ PAGE = "light.png"
 def write_light(
     capture: Capture,
     estimate: LightEstimate,
-    folder: str | Path,
+    folder: str | os.PathLike[str],
     run: Run | None = None,
     *,
     used: Mapping[str, Any] | None = None,
@@ -31,7 +31,7 @@ def write_light(
 ) -> None:
     """Write ``light.exr``, ``light.npz``, ``light.png`` and ``light.json``.
 
-    All of it takes the place of an older result in one step (``results.writing``).
+    All of it takes the place of an older result in one step (``results.transaction``).
 
     Args:
         capture: that the light was found in.

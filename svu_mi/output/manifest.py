@@ -9,7 +9,7 @@ import math
 import os
 import platform
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,8 +27,8 @@ from svu_mi.output.knowledge import Knowledge
 from svu_mi.output.result import is_seen
 from svu_mi.pipeline import Estimate
 from svu_mi.progress import Stage
-from svu_mi.results.reading import RUN_RECORD
-from svu_mi.results.writing import Draft
+from svu_mi.results.provenance import RUN_RECORD
+from svu_mi.results.transaction import Draft
 
 if TYPE_CHECKING:
     from svu_mi.guidance.result import Guidance
@@ -45,13 +45,11 @@ class Run:
     Attributes:
         settings: what the caller was asked for (command-line options, seeds).
         kernels: number of kernels compiled per stage, ``Progress.kernels``.
-        consumed: files of the folder no longer needed when the result is there: checkpoints.
         progress: called with (parts written, parts in all).
     """
 
     settings: Mapping[str, Any] | None = None
     kernels: Mapping[str, int] | None = None
-    consumed: Sequence[str] = ()
     progress: Callable[[int, int], None] = Stage().update
 
 

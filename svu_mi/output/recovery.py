@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ from svu_mi.output.textures import write_scene
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.recover import Recovery
-from svu_mi.results.writing import writing
+from svu_mi.results.transaction import writing
 
 LOSSES = "losses.csv"
 PAGE, RELIT = "recovery.png", "relit.png"
@@ -48,7 +49,7 @@ class Draws:
 def write_recovery(
     capture: Capture,
     recovery: Recovery,
-    folder: str | Path,
+    folder: str | os.PathLike[str],
     run: Run | None = None,
     *,
     estimate: Estimate | None = None,
@@ -58,7 +59,7 @@ def write_recovery(
 ) -> None:
     """Write textures, ``recovered.xml`` with its assets, maps, pictures, losses and ``run.json``.
 
-    All of it takes the place of an older result in one step (``results.writing``).
+    All of it takes the place of an older result in one step (``results.transaction``).
 
     Args:
         capture: the ``Capture``.
@@ -80,7 +81,7 @@ def write_recovery(
     key = capture_key(capture)
     run = run or Run()
     about = header(recovery, settings=json.dumps(recovery.settings, default=str))
-    with writing(folder, "recover", RECORD, capture=key, consumed=run.consumed) as draft:
+    with writing(folder, "recover", RECORD, capture=key) as draft:
         target = draft.folder
         write_scene(capture, recovery.textures, target, attributes=about)
         run.progress(1, 4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -22,7 +23,7 @@ from svu_mi.output import style, views
 from svu_mi.output.manifest import RECORD, Run, inputs_record, write_run
 from svu_mi.output.style import VIEWS_COLORMAP
 from svu_mi.recovery.relit_draws import RelitView
-from svu_mi.results.writing import writing
+from svu_mi.results.transaction import writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,12 +41,12 @@ WIDEST = 0.5  # relative standard deviation at the upper end of its colours
 
 
 def write_relighting(
-    capture: Capture, found: Sequence[RelitView], names: Sequence[str], folder: Path,
-    run: Run | None = None, *, draws: int, pictures: bool = True,
+    capture: Capture, found: Sequence[RelitView], names: Sequence[str],
+    folder: str | os.PathLike[str], run: Run | None = None, *, draws: int, pictures: bool = True,
 ) -> None:  # fmt: skip
     """Write pictures, how sure they are, ``relight.png`` and ``run.json``.
 
-    All of it takes the place of an older result in one step (``results.writing``).
+    All of it takes the place of an older result in one step (``results.transaction``).
 
     Args:
         capture: that was relit.

@@ -23,8 +23,8 @@ from svu_mi.output.maps import ENTROPY
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.relight import path_length
 from svu_mi.recovery.textures import Textures
-from svu_mi.results.reading import marks_of, mesh_of, require_one_run, require_recovery
-from svu_mi.results.settling import settle
+from svu_mi.results.exchange import restore
+from svu_mi.results.provenance import marks_of, mesh_of, require_one_run, require_recovery
 
 FILES = {name: f"{name}.exr" for name in NAMES}
 SCENE, ASSETS = "recovered.xml", "assets"
@@ -137,7 +137,7 @@ def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:
     """
     folder = Path(folder)
     if folder.is_dir():
-        settle(folder)
+        restore(folder)
     require_recovery(folder, list(FILES.values()), RECORD, ENTROPY)
     if one_run:
         require_one_run(folder, list(FILES.values()), RECORD, "recover")

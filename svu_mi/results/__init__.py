@@ -1,5 +1,4 @@
-"""Folders that commands write to: one writer at a time, whole results, and who wrote which file.
+"""Folders that commands write to: one writer at a time, exchanged in one step, and run ids.
 
-A result is written into a draft, a hidden folder inside its folder, and put in its place when it
-is whole. Killed at any moment, a command leaves the older result or the new one, never a mixture.
+A result is written into a draft, a hidden folder beside its own, and the two are exchanged.
 """

@@ -1,9 +1,10 @@
 """Commands that are killed, and commands that meet in one folder.
 
-    PYTHONPATH=tests python -m support.kills [--kills 200] [--pairs 50]
+    PYTHONPATH=tests python -m support.kills [--kills 60] [--pairs 12]
 
 Whatever happens at whatever moment: a folder holds the old result or the new one, readers read it,
-and the same command again succeeds and leaves nothing else.
+and the same command again succeeds and leaves nothing else. Every second kill is with the exchange
+of folders made unavailable.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from __future__ import annotations
 import argparse
 import os
 import random
-import re
 import shutil
 import signal
 import subprocess
@@ -19,94 +19,50 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from helpers import ball, foreign_source, write_scene
-from PIL import Image
+from helpers import ball, foreign_source, names, write_scene
 
+from svu_mi import scenes
 from svu_mi.capture.loading import load_capture
-from svu_mi.export.reading import load_asset
 from svu_mi.exr import read_exr, write_exr
-from svu_mi.files import read_json
 from svu_mi.formats.transforms import write_transforms
-from svu_mi.results.record import entries
-from svu_mi.results.settling import names_in, settle
-from svu_mi.results.writing import DRAFT
+from svu_mi.illumination.folder import load_light
+from svu_mi.output.textures import read_textures
+from svu_mi.results.exchange import restore
+from svu_mi.results.provenance import RECORDS, entry_of
+from svu_mi.results.transaction import CHECKPOINT
 
 SMALL = ("--resolution", "24")
-WHOLE = re.compile(r"</html>\n+<!-- svu:page=[0-9a-f]{32} -->\n\Z")  # of a page
 LIMIT = 300.0  # seconds that a command may take
 TWICE = "is writing there"
+ENTROPY = Path("shot/entropy")  # of a batch
+# Read by Python at its start, in the processes of a batch, too.
+NO_EXCHANGE = "import svu_mi.results.exchange as e\ne._exchange = lambda *_: False\n"
 
-
-@dataclass(frozen=True)
-class Command:
-    """A command, and how its results are looked at.
-
-    Attributes:
-        words: of ``svu`` for the capture A or B, but for its ``-o``.
-        record: JSON file of its result; empty for a page.
-        read: what reads the result; raises if it is no good.
-    """
-
-    words: Callable[[Path, str], Sequence[object]]
-    record: str
-    read: Callable[[Path], object]
-
-
-def _maps(folder: Path) -> None:
-    for name in ("entropy.exr", "coverage.exr"):
-        read_exr(folder / name)
-    Image.open(folder / "overview.png").load()
-
-
-def _plan(folder: Path) -> None:
-    count = len(read_json(folder / "guidance.json")["proposals"])
-    assert len(list(folder.glob("gain_*.exr"))) == count
-    assert len(list((folder / "thumbnails").iterdir())) == count
-
-
-def _page(path: Path) -> None:
-    assert WHOLE.search(path.read_text(encoding="utf-8"))
-
-
-def _asset(folder: Path) -> None:
-    named = [each["file"] for each in read_json(folder / "asset.json")["files"]]
-    assert all((folder / name).is_file() for name in named)
-
-
-def _given(folder: Path, which: str) -> Sequence[object]:
-    given = folder / which
-    return (given / "transforms.json", "--mesh", given / "ball.ply",
-            "--environment", given / "light.exr")  # fmt: skip
-
-
-COMMANDS = {
-    "render": Command(
-        lambda at, which: (at / which / "scene.xml", "--spp", 2), "capture.json", load_capture),
-    "import": Command(_given, "capture.json", load_capture),
-    "entropy": Command(lambda at, which: (at / which / "shot", *SMALL), "run.json", _maps),
-    "recover": Command(
-        lambda at, which: (at / which / "shot", *SMALL, "--steps", 40, "--checkpoint-seconds", 0),
-        "run.json", load_asset),
-    "export": Command(lambda at, which: (at / which / "recovered",), "asset.json", _asset),
-    "report": Command(lambda at, which: (at / which / "shot", *SMALL), "", _page),
-    "guide": Command(
-        lambda at, which: (at / which / "shot", *SMALL, "--candidates", 6,
-                           "--add", 3 if which == "a" else 2),
-        "run.json", _plan),
+Words = Callable[[Path], tuple[object, ...]]  # of a command, for the folder of one of two captures
+COMMANDS: dict[str, tuple[Words, Callable[[Path], object]]] = {
+    "render": (lambda at: (at / "scene.xml", "--spp", 2), load_capture),
+    "import": (lambda at: (at / "transforms.json", "--mesh", at / "ball.ply", "--environment",
+                           at / "light.exr"), load_capture),
+    "entropy": (lambda at: (at / "shelf/shot", *SMALL), lambda out: read_exr(out / "entropy.exr")),
+    "recover": (lambda at: (at / "shelf/shot", *SMALL, "--steps", 40, "--checkpoint-seconds", 0),
+                read_textures),
+    "batch": (lambda at: (at / "shelf", *SMALL, "--steps", "entropy"),
+              lambda out: read_exr(out / ENTROPY / "entropy.exr")),
+    "light": (lambda at: (at / "around", *SMALL, "--texels", 100, "--depths", 64, 4),
+              load_light),
 }  # fmt: skip
 
 
-def svu(*words: object, wait: bool = True) -> subprocess.Popen[str]:
+def svu(*words: object, wait: bool = True, **environment: str) -> subprocess.Popen[str]:
     """Start ``svu`` in a process group of its own."""
     process = subprocess.Popen(
         [sys.executable, "-m", "svu_mi", *map(str, words)], text=True, start_new_session=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=os.environ | environment,
     )  # fmt: skip
     if wait:
         said = process.communicate(timeout=LIMIT)
@@ -115,15 +71,19 @@ def svu(*words: object, wait: bool = True) -> subprocess.Popen[str]:
 
 
 def prepare(at: Path) -> None:
-    """Make two captures of different objects under different light, and a recovery of each."""
+    """Make two captures of different objects under different light."""
     for which, light in (("a", 1.0), ("b", 0.5)):
         folder = at / which
         foreign = foreign_source(folder)
         write_transforms(folder / "transforms.json", foreign.frames[:2])
         write_exr(folder / "light.exr", {"RGB": np.full((8, 16, 3), light)})
         write_scene(folder, positions=ball().positions * (1.5 if which == "b" else 1.0))
-        svu("render", folder / "scene.xml", "-o", folder / "shot", "--spp", 2)
-        svu("recover", folder / "shot", *SMALL, "--steps", 20, "-o", folder / "recovered")
+        svu("render", folder / "scene.xml", "-o", folder / "shelf" / "shot", "--spp", 2)
+        around = ("-D", f"light={'window' if which == 'a' else 'studio'}", "--views", 24)
+        svu("render", scenes.path("vase"), *around, "--resolution", 48, "--spp", 4,
+            "-o", folder / "around")  # fmt: skip
+    (at / "without" / "exchange").mkdir(parents=True)
+    (at / "without" / "exchange" / "sitecustomize.py").write_text(NO_EXCHANGE)
 
 
 @dataclass
@@ -135,98 +95,64 @@ class Place:
     older: str = ""
     seconds: float = 0.0
 
-    @property
-    def command(self) -> Command:
-        return COMMANDS[self.name]
-
-    def words(self, which: str, out: Path) -> list[object]:
-        return [self.name, *self.command.words(self.at, which), "-o", self.target(out)]
-
-    def target(self, out: Path) -> Path:
-        return out if self.command.record else out / "report.html"
+    def words(self, which: str, place: Path) -> list[object]:
+        return [self.name, *COMMANDS[self.name][0](self.at / which), "-o", place / "out"]
 
     def begin(self) -> Place:
         """Write the older result, and measure how long that takes."""
-        out = self.at / "older" / self.name
-        for _ in range(2):  # kernels are compiled once
-            start = time.monotonic()
-            svu(*self.words("a", out))
-            self.seconds = time.monotonic() - start
-        self.older = self.run(out)
+        place = self.at / "older" / self.name
+        start = time.monotonic()
+        svu(*self.words("a", place))
+        self.seconds = time.monotonic() - start
+        self.older = self.run(place)
         return self
 
-    def run(self, out: Path) -> str:
-        """Return which run's result lies in a folder, after looking at all of it.
+    def run(self, place: Path) -> str:
+        """Return which run's result lies in a folder, after reading all of it.
 
         Raises:
-            AssertionError: it is not whole.
+            AssertionError: it is not complete.
         """
-        settle(out)
-        self.command.read(self.target(out))
-        if not self.command.record:
-            return "page " + str(hash(self.target(out).read_bytes()))
-        (entry,) = entries(out / self.command.record)
+        out = place / "out" / (ENTROPY if self.name == "batch" else "")
+        restore(out)
+        COMMANDS[self.name][1](place / "out")
+        entry = next(filter(None, (entry_of(out / record) for record in RECORDS)))
         lost = [name for name in entry.files if not entry.owns(out, name)]
         assert not lost, lost
         return entry.run
 
-    def copy(self, out: Path) -> Path:
+    def copy(self, place: Path) -> Path:
         """Put the older result where it may be lost, as deep as it was: it names its scene."""
-        shutil.rmtree(out, ignore_errors=True)
-        return Path(shutil.copytree(self.at / "older" / self.name, out))
-
-    def files(self, out: Path) -> list[str]:
-        return [name for name in names_in(out) if name != "mine.txt"]
+        shutil.rmtree(place, ignore_errors=True)
+        return Path(shutil.copytree(self.at / "older" / self.name, place))
 
 
-def killed(place: Place, chance: random.Random, out: Path) -> str:
-    """Kill a command at a random moment; every second time, while it writes.
-
-    Returns:
-        What was left: ``old``, ``new``, or what is wrong.
-    """
-    place.copy(out)
-    (out / "mine.txt").write_text("mine") if place.name not in ("render", "import") else None
-    process = svu(*place.words("b", out), wait=False)
-    try:
-        if chance.random() < 0.5:
-            time.sleep(chance.uniform(0, 1.1 * place.seconds))
-        else:
-            _until_it_writes(process, out)
-            time.sleep(chance.choice((0, 1)) * chance.expovariate(20.0))
+def killed(place: Place, chance: random.Random, at: Path, atomic: bool) -> str:
+    """Kill a command at a random moment, half of the times late; return what was left."""
+    place.copy(at)
+    path = {} if atomic else {"PYTHONPATH": str(place.at / "without" / "exchange")}
+    process = svu(*place.words("b", at), wait=False, **path)
+    time.sleep(chance.uniform(chance.choice((0, 0.7)), 1.05) * place.seconds)
+    if process.poll() is None:
         os.killpg(process.pid, signal.SIGKILL)
-    except ProcessLookupError:
-        pass
     process.communicate()
-    found = "old" if place.run(out) == place.older else "new"
-    again = place.words("b", out)
-    if place.name == "recover" and (out / "checkpoint.npz").exists():
-        again.append("--resume")
-    svu(*again)
-    assert place.run(out) != place.older
-    left = [name for name in place.files(out) if Path(name).name.startswith(".")]
-    assert not left, left
-    if place.name not in ("render", "import"):
-        assert (out / "mine.txt").read_text() == "mine"
+    found = "old" if place.run(at) == place.older else "new"
+    resumes = place.name == "recover" and list(at.glob(f".out*/{CHECKPOINT}"))
+    svu(*place.words("b", at), *(["--resume"] if resumes else []))
+    assert place.run(at) != place.older
+    left = [path for path in at.rglob(".*") if path.name != ".svu-lock"]
+    assert not left and names(at) == ["out"], left
     return found
 
 
-def _until_it_writes(process: subprocess.Popen[str], out: Path) -> None:
-    end = time.monotonic() + LIMIT
-    while process.poll() is None and time.monotonic() < end:
-        if any(p.name.startswith(DRAFT) or ".tmp" in p.name for p in out.iterdir()):
-            return
-        time.sleep(0.001)
-
-
-def met(place: Place, out: Path) -> str:
-    """Start a command twice at once; return how it ended: ``one`` or ``both`` have written."""
-    place.copy(out)
-    both = [svu(*place.words(which, out), wait=False) for which in "ab"]
+def met(place: Place, at: Path) -> str:
+    """Start a command twice at once; return whether ``one`` or ``both`` have written."""
+    place.copy(at)
+    both = [svu(*place.words(which, at), wait=False) for which in "ab"]
     said = [process.communicate(timeout=LIMIT)[1] for process in both]
     codes = [process.returncode for process in both]
-    assert place.run(out) != place.older
-    assert not [name for name in place.files(out) if Path(name).name.startswith(".")]
+    place.run(at)
+    assert names(at) == ["out"]
     if codes == [0, 0]:  # one was done before the other began
         return "both"
     assert sorted(codes) == [0, 2], (codes, said)
@@ -236,43 +162,33 @@ def met(place: Place, out: Path) -> str:
 
 
 def main() -> None:
-    """Kill, and let meet, as often as asked; print the tables."""
+    """Kill, and let meet, as often as asked; print what was left."""
     import mitsuba as mi
 
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--pairs", type=int, default=50)
+    parser.add_argument("--kills", type=int, default=60)
+    parser.add_argument("--pairs", type=int, default=12)
     parser.add_argument("--seed", type=int, default=19)
     options = parser.parse_args()
     mi.set_variant("llvm_ad_rgb")
-    chance, names = random.Random(options.seed), list(COMMANDS)
+    chance, count = random.Random(options.seed), len(COMMANDS)
     with tempfile.TemporaryDirectory(prefix="svu-kills-") as folder:
         at = Path(folder)
-        os.environ.setdefault("DRJIT_CACHE_DIR", str(at / "kernels"))
         prepare(at)
-        places = {name: Place(name, at).begin() for name in names}
-        left, pairs = ({name: Counter[str]() for name in names} for _ in range(2))
-        for index in range(options.kills):
-            place = places[names[index % len(names)]]
-            left[place.name][_found(killed, place, chance, at / "again" / place.name)] += 1
-        for index in range(options.pairs):
-            place = places[names[index % len(names)]]
-            pairs[place.name][_found(met, place, at / "again" / place.name)] += 1
-    print("| command | s | killed | old | new | wrong | met | one wrote | in turn | wrong |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
-    for name in names:
-        a, b = left[name], pairs[name]
-        wrong = [sum(c.values()) - sum(c[k] for k in ("old", "new", "one", "both")) for c in (a, b)]
-        print(f"| `{name}` | {places[name].seconds:.1f} | {a.total()} | {a['old']} | {a['new']} | "
-              f"{wrong[0]} | {b.total()} | {b['one']} | {b['both']} | {wrong[1]} |")  # fmt: skip
-
-
-def _found(attempt: Callable[..., str], *arguments: Any) -> str:
-    try:
-        return attempt(*arguments)
-    except Exception as error:  # whatever it is, it is counted
-        print(f"wrong: {type(error).__name__}: {error}", file=sys.stderr)
-        return "wrong"
+        places = [Place(name, at).begin() for name in COMMANDS]
+        found: dict[str, Counter[str]] = {name: Counter() for name in COMMANDS}
+        for index in range(options.kills + options.pairs):
+            place, again = places[index % count], at / "again" / places[index % count].name
+            try:
+                pair = index >= options.kills
+                atomic = index // count % 2 == 0
+                left = met(place, again) if pair else killed(place, chance, again, atomic)
+            except Exception as error:  # whatever it is, it is counted
+                print(f"{place.name}: {type(error).__name__}: {error}", file=sys.stderr)
+                left = "wrong"
+            found[place.name][left] += 1
+    for name, counts in found.items():
+        print(name, *(f"{left}: {times}" for left, times in sorted(counts.items())))
 
 
 if __name__ == "__main__":

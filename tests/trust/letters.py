@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 from svu_mi.files import write_json, write_text
-from svu_mi.results.settling import names_in
-from svu_mi.results.writing import writing
+from svu_mi.results.provenance import files_in
+from svu_mi.results.transaction import writing
 
 
-def write(folder: Path, letter: str, files: tuple[str, ...], command: str = "recover") -> str:
+def write(
+    folder: str | os.PathLike[str], letter: str, files: tuple[str, ...], command: str = "recover"
+) -> str:
     """Write a result whose files all hold one letter; return its id."""
     with writing(folder, command, "run.json", capture=letter * 8) as draft:
         for name in files:
@@ -22,7 +25,7 @@ def write(folder: Path, letter: str, files: tuple[str, ...], command: str = "rec
 
 def contents(folder: Path) -> dict[str, str]:
     """Return the letter in each file of a folder but the record, and the record's."""
-    found = {name: (folder / name).read_text().strip() for name in names_in(folder)}
+    found = {name: (folder / name).read_text().strip() for name in files_in(folder)}
     if "run.json" in found:
         found["run.json"] = json.loads(found["run.json"])["letter"]
     return found

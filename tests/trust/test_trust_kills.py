@@ -13,13 +13,14 @@ from helpers import names
 from support.kills import COMMANDS, Place, killed, met, prepare
 from trust.letters import contents, write
 
-from svu_mi.files import write_text
-from svu_mi.results.settling import READY, settle
-from svu_mi.results.writing import claimed
+from svu_mi.files import clear_temporaries, write_text
+from svu_mi.results import exchange
+from svu_mi.results.exchange import restore
+from svu_mi.results.transaction import claimed
 
 KILLED = 9
 STEPS = ("rename", "replace", "unlink", "mkdir", "rmdir")  # of Path, that change a folder
-KILLS, PAIRS = 10, 3
+KILLS, PAIRS = 6, 3
 
 
 def killed_at(step: int, work: Callable[[], Any]) -> bool:
@@ -45,53 +46,47 @@ def killed_at(step: int, work: Callable[[], Any]) -> bool:
         try:
             for name in STEPS:
                 setattr(Path, name, counted(getattr(Path, name)))
+            setattr(exchange, "_exchange", counted(exchange._exchange))  # noqa: B010
+            os.unlink = counted(os.unlink)  # what shutil.rmtree removes files with
             work()
         finally:
             os._exit(0)
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == KILLED
 
 
-def test_killed_at_any_step_leaves_the_old_result_or_the_new_one(tmp_path):
-    """Never a mixture, never a loss; and the next reader sees a whole folder."""
+@pytest.mark.parametrize("next_is", ["a reader", "a writer"])
+@pytest.mark.parametrize("atomic", [True, False], ids=["exchange", "two renames"])
+@pytest.mark.parametrize("others", [False, True], ids=["own", "others"])
+def test_a_kill_at_any_step_leaves_the_old_result_or_the_new_one(
+    tmp_path, monkeypatch, next_is, atomic, others
+):
+    if not atomic:
+        monkeypatch.setattr(exchange, "_exchange", lambda *_: False)
     old_files, new_files = ("a", "b", "assets/c", "gone"), ("a", "b", "assets/c", "added")
-    old = {**dict.fromkeys(old_files, "o"), "run.json": "o", "notes": "mine"}
-    new = {**dict.fromkeys(new_files, "n"), "run.json": "n", "notes": "mine"}
-    step, found = 0, []
-    while True:
-        folder = tmp_path / str(step)
-        folder.mkdir()
-        (folder / "notes").write_text("mine")
-        write(folder, "o", old_files)
-        stopped = killed_at(step, lambda at=folder: write(at, "n", new_files))
-        settle(folder)
-        with claimed(folder, "test"):  # the next command clears what is left
+    old = {**dict.fromkeys(old_files, "o"), "run.json": "o"} | ({"mine": "x"} if others else {})
+    new = {**dict.fromkeys(new_files, "n"), "run.json": "n"}
+    step, found, stopped = 0, [], True
+
+    def work(out: Path) -> None:
+        with claimed(out, "recover", overwrite=others) as place:
+            write(place, "n", new_files)
+
+    while stopped:
+        out = tmp_path / str(step) / "out"
+        write(out, "o", old_files)
+        if others:
+            (out / "mine").write_text("x")
+        stopped = killed_at(step, lambda at=out: work(at))
+        restore(out) if next_is == "a reader" else None
+        with claimed(out, "recover", overwrite=True):  # the next run clears what is left
             pass
-        assert contents(folder) in (old, new), step
-        assert names(folder) == sorted({name.partition("/")[0] for name in contents(folder)})
-        found.append(contents(folder) == new)
-        # Completing what a killed run has left may be killed, too.
-        if not stopped:
-            break
+        assert contents(out) in (old, new), step
+        assert not [name for name in names(out.parent) if name.startswith(".")], step
+        if others:
+            assert old in [contents(path) for path in out.parent.iterdir()], step
+        found.append(contents(out) == new)
         step += 1
-    assert step > 15 and found == sorted(found) and any(found) and not all(found)
-
-
-@pytest.mark.slow
-def test_completing_can_be_killed_too(tmp_path):
-    """A reader that is killed while it puts a result in its place leaves it to the next."""
-    for first in range(40):
-        folder = tmp_path / str(first)
-        write(folder, "o", ("a", "b"))
-        if not killed_at(first, lambda at=folder: write(at, "n", ("a", "b"))):
-            break
-        if not list(folder.glob(f"{READY}*")):
-            continue
-        second = 0
-        while killed_at(second, lambda at=folder: settle(at)):
-            second += 1
-        with claimed(folder, "test"):  # removes the lock file of the last killed
-            pass
-        assert set(contents(folder).values()) == {"n"}
+    assert step > 10 and found == sorted(found) and any(found) and not all(found)
 
 
 def test_a_single_file_is_the_old_or_the_new_one_too(tmp_path):
@@ -102,14 +97,13 @@ def test_a_single_file_is_the_old_or_the_new_one_too(tmp_path):
         path.write_text("old\n")
         stopped = killed_at(step, lambda: write_text(path, "new"))
         found.append(path.read_text())
-        with claimed(tmp_path, "test"):
-            pass
+        clear_temporaries(tmp_path)
         assert names(tmp_path) == [path.name]
         step += 1
     assert set(found) == {"old\n", "new\n"} and found == sorted(found, reverse=True)
 
 
-# --- whole commands, at random moments: a few of what ``support.kills`` makes hundreds of ------
+# --- commands, at random moments: a few of what ``support.kills`` makes many of ----------------
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +117,10 @@ def places(tmp_path_factory):
 @pytest.mark.parametrize("index", range(KILLS))
 def test_a_killed_command_leaves_the_old_result_or_the_new_one(places, index):
     place = places[index % len(places)]
-    assert killed(place, random.Random(index), place.at / "again" / place.name) in ("old", "new")
+    atomic = index % 2 == 0
+    assert killed(place, random.Random(index), place.at / "again" / place.name, atomic) in (
+        "old", "new"
+    )  # fmt: skip
 
 
 @pytest.mark.slow

@@ -6,94 +6,131 @@ import errno
 import multiprocessing
 import os
 import threading
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 from helpers import names
-from trust.letters import write
+from trust.letters import contents, write
 
 from svu_mi.errors import OutputError
-from svu_mi.results.lock import LOCK, locked
-from svu_mi.results.writing import DRAFT, claimed
+from svu_mi.results.exchange import DRAFT, locked
+from svu_mi.results.transaction import claimed
+
+OCCUPIED = "another svu is writing there; wait for it, or choose another folder"
 
 
-def test_one_writer_at_a_time(tmp_path):
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "out"
+
+
+def test_a_lock_ends_with_its_process(tmp_path, out):
     holder = multiprocessing.get_context("spawn")
     here, there = holder.Pipe()
-    process = holder.Process(target=_hold, args=(tmp_path, there))
+    process = holder.Process(target=_hold, args=(out, there))
     process.start()
     assert here.recv() == "locked"
-    message = rf"svu recover, process {process.pid} on \S+ is writing there; wait for it, or choose"
-    with pytest.raises(OutputError, match=message), claimed(tmp_path, "svu render"):
+    with pytest.raises(OutputError, match=OCCUPIED), claimed(out, "render"):
         pass
-    process.kill()  # its lock ends with it
+    process.kill()
     process.join()
-    with claimed(tmp_path, "svu render"):
-        assert LOCK in names(tmp_path)
+    with claimed(out, "render"):
+        assert names(tmp_path) == [f".out{DRAFT}"]
     assert names(tmp_path) == []
 
 
-def _hold(folder: Path, pipe: Any) -> None:
-    with locked(folder, "svu recover"):
+def _hold(target: Path, pipe: Any) -> None:
+    with locked(target):
         pipe.send("locked")
         threading.Event().wait()
 
 
-def test_a_thread_may_lock_again_and_another_may_not(tmp_path):
+def test_another_thread_is_refused(out):
     refused = []
 
-    def other() -> None:
+    def ask() -> None:
         try:
-            with locked(tmp_path, "other"):
+            with locked(out):
                 pass
         except OutputError as error:
             refused.append(str(error))
 
-    def ask() -> None:
-        thread = threading.Thread(target=other)
-        thread.start()
-        thread.join()
+    for expected in (1, 1):
+        if not refused:
+            with locked(out):
+                _in_a_thread(ask)
+        else:
+            _in_a_thread(ask)
+        assert len(refused) == expected
 
-    with locked(tmp_path, "one"), locked(tmp_path, "one"):
-        ask()
-    assert len(refused) == 1 and "another thread" in refused[0]
-    ask()
-    assert len(refused) == 1
+
+def _in_a_thread(work: Any) -> None:
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+
+
+@pytest.mark.parametrize("exchange", [True, False])
+@pytest.mark.parametrize("older", [True, False])
+def test_a_writer_that_waits_sees_the_exchange(out, monkeypatch, exchange, older):
+    """The folder that it waits for becomes the result, which it must not take for its draft."""
+    if not exchange:
+        monkeypatch.setattr("svu_mi.results.exchange._exchange", lambda *_: False)
+    if older:
+        write(out, "o", ("a", "b"))
+    entered, found = threading.Event(), []
+
+    def wait() -> None:
+        entered.set()
+        with locked(out, wait=30) as draft:
+            found.append((names(draft), contents(out)))
+
+    waiting = threading.Thread(target=wait)
+    with claimed(out, "recover") as place:
+        waiting.start()
+        entered.wait()
+        waiting.join(0.2)
+        assert not found
+        write(place, "n", ("a",))
+    waiting.join()
+    assert found == [([], {"a": "n", "run.json": "n"})]
+    assert names(out.parent) == ["out"]
+
+
+def test_a_claim_does_not_clear_the_draft_of_the_next_writer(out):
+    with ExitStack() as first, ExitStack() as second:
+        write(first.enter_context(claimed(out, "recover")), "o", ("a",))
+        place = second.enter_context(claimed(out, "recover"))  # the older draft is the result now
+        (place.draft / "half").write_text("x")
+        first.close()
+        assert names(place.draft) == ["half"]
 
 
 LAID = {
-    "link": lambda lock: lock.symlink_to("../keys"), "pipe": os.mkfifo, "folder": Path.mkdir,
-    "hard link": lambda lock: lock.hardlink_to(lock.parent.parent / "keys"),
-    "dangling": lambda lock: lock.symlink_to("../made"),
-}  # fmt: skip
+    "link": lambda draft: draft.symlink_to("keys"),
+    "dangling link": lambda draft: draft.symlink_to("made"),
+    "file": Path.touch,
+    "pipe": os.mkfifo,
+}
 
 
 @pytest.mark.parametrize("lay", LAID.values(), ids=LAID)
-def test_a_lock_that_a_stranger_has_laid_is_not_touched(tmp_path, lay):
-    """It is a file that is written to, and removed."""
-    folder, keys = tmp_path / "folder", tmp_path / "keys"
-    folder.mkdir()
-    keys.write_text("mine")
-    lay(folder / LOCK)
-    with pytest.raises(OutputError, match=r"cannot be locked for writing with .svu-lock \("):
-        write(folder, "n", ("a",))
-    assert keys.read_text() == "mine" and not (tmp_path / "made").exists()
-    assert names(folder) == [LOCK]
+def test_a_draft_that_a_stranger_has_laid_is_not_followed(tmp_path, out, lay):
+    (tmp_path / "keys").mkdir()
+    (tmp_path / "keys" / "key").write_text("mine")
+    lay(tmp_path / f".out{DRAFT}")
+    with pytest.raises(OutputError, match="no folder can be made beside it"):
+        write(out, "n", ("a",))
+    assert names(tmp_path) == [f".out{DRAFT}", "keys"] and names(tmp_path / "keys") == ["key"]
 
 
-def test_without_locks_nobody_s_draft_is_cleared(tmp_path, monkeypatch, caplog):
+def test_results_are_written_where_locks_do_not_work(out, monkeypatch, caplog):
     def unknown(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr("fcntl.flock", unknown)
-    draft = tmp_path / f"{DRAFT}{'a' * 16}"
-    draft.mkdir()
-    write(tmp_path, "n", ("a",))
-    assert draft.is_dir() and (tmp_path / "a").is_file()
-
-
-def test_a_page_can_be_locked(tmp_path):
-    with locked(tmp_path / "report.html", "one"):
-        assert names(tmp_path) == [f".report.html{LOCK}"]
-    assert names(tmp_path) == []
+    write(out, "o", ("a",))
+    write(out, "n", ("a",))
+    assert contents(out)["a"] == "n" and "locks do not work there" in caplog.text

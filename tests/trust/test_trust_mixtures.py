@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,10 +14,10 @@ from svu_mi.capture import loading
 from svu_mi.errors import CaptureError, SvuWarning
 from svu_mi.export.reading import load_asset
 from svu_mi.exr import read_header, write_exr
-from svu_mi.files import replacing, stamp, stamped, write_json
+from svu_mi.files import stamp, stamped, write_json
 from svu_mi.output.textures import write_textures
 from svu_mi.output.viewer.viewer import Viewer
-from svu_mi.results.reading import are_of_one_capture, marks_of, require_one_run
+from svu_mi.results.provenance import are_of_one_capture, marks_of, require_one_run
 
 SMALL = ("--resolution", 16)
 
@@ -156,30 +153,11 @@ def test_a_capture_that_is_exchanged_while_it_is_read_is_refused(made, monkeypat
             loading.load_capture(shot)
 
 
-def test_entropy_computed_again_beside_textures_still_fits(made, result, tmp_path):
-    """Another run, but of the same capture: both remain whole, and an export takes them."""
-    assert run("entropy", made / "a" / "shot", *SMALL, "-o", result) == 0
-    assert run("export", result, "-o", tmp_path / "asset") == 0
-
-
 def test_textures_made_by_hand_are_anybody_s(result, tmp_path):
     for name, channels in (("base_color", "RGB"), ("roughness", "Y"), ("metallic", "Y")):
         shape = (16, 16, 3) if channels == "RGB" else (16, 16)
         write_exr(result / f"{name}.exr", {channels: np.full(shape, 0.5)})
     assert run("export", result, "-o", tmp_path / "asset") == 0
-
-
-@pytest.mark.slow
-def test_a_page_clears_what_a_killed_one_has_left(made, tmp_path):
-    with replacing(tmp_path / "report.html") as temporary:
-        name = temporary.name
-    (tmp_path / "report.html").unlink()
-    dead = subprocess.Popen([sys.executable, "-c", ""])
-    dead.wait()
-    stale = tmp_path / name.replace(f"-{os.getpid()}-", f"-{dead.pid}-")
-    stale.write_text("half")
-    assert run("report", made / "a" / "shot", *SMALL, "-o", tmp_path / "report.html") == 0
-    assert names(tmp_path) == ["report.html"]
 
 
 def test_files_have_the_marks_of_their_run(tmp_path):

@@ -27,7 +27,7 @@ from svu_mi.pipeline import Estimate
 from svu_mi.progress import Stage
 from svu_mi.recovery.field.make import field_of
 from svu_mi.recovery.textures import Textures
-from svu_mi.results.keeping import write_alone
+from svu_mi.results.transaction import write_page
 
 TEMPLATE = "report.html"
 FRAMES, SIDE = 12, 400  # of the turntable; pixels
@@ -101,7 +101,7 @@ def write_report(
         given=[(name, _plain(value)) for name, value in (settings or {}).items()],
         **_settings(capture, estimate), **_environment(estimate.timings),
     )  # fmt: skip
-    write_alone(path, page)
+    write_page(Path(path), page)
     report(5, 5)
     return knowledge
 

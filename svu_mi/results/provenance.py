@@ -1,0 +1,233 @@
+"""The run and the capture that files belong to, as records and marks say.
+
+A record is a JSON file such as ``run.json``: its ``written`` lists the files of the run with their
+digests, so that an edited file is not taken for the run's own. EXR, PLY and scene files have the id
+of their run and the key of their capture as marks.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from svu_mi.errors import CaptureError, excerpt
+from svu_mi.exr import read_header
+from svu_mi.files import is_temporary, read_json
+from svu_mi.hashing import digest_of_file
+
+RESULT = "written"  # key of the entry in a record
+RUN, CAPTURE = "svu:run", "svu:capture"  # marks
+LIGHT, LIGHT_RECORD = "light", "light.json"
+RUN_RECORD = "run.json"
+RECORDS = (RUN_RECORD, "asset.json", "check.json", "compare.json", LIGHT_RECORD, "capture.json")
+CAPTURES = ("render", "import")  # commands whose results are captures
+LONGEST = 1024  # letters of a name
+MAX_BYTES = 2**26  # of a record
+HEAD = 4096  # bytes in which a scene file or a mesh has its marks
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """One result.
+
+    Attributes:
+        run: id of the run, as in the marks of its files.
+        command: that wrote it: render, entropy, ...
+        capture: key of the capture that it is about, empty where that is not known.
+        files: digest by name, relative to the folder, with slashes.
+    """
+
+    run: str
+    command: str
+    capture: str
+    files: Mapping[str, str]
+
+    @classmethod
+    def parse(cls, value: Any) -> Entry | None:
+        """Return the entry that a record holds; None for anything that is not a valid one."""
+        try:
+            files = {name: digest for name, digest in value["files"].items() if is_inside(name)}
+            words = value["run"], value["command"], value["capture"], *files.values()
+        except (TypeError, KeyError, AttributeError):
+            return None
+        if len(files) < len(value["files"]) or not all(isinstance(word, str) for word in words):
+            return None
+        return cls(run=words[0], command=words[1], capture=words[2], files=files)
+
+    def owns(self, folder: Path, name: str) -> bool:
+        """Return whether a file is still the one that the run wrote."""
+        path = folder / name
+        try:
+            return (
+                name in self.files
+                and path.is_file()
+                and not path.is_symlink()
+                and digest_of_file(path) == self.files[name]
+            )
+        except OSError:
+            return False
+
+
+def entry_of(record: Path, command: str = "") -> Entry | None:
+    """Return the result that a record names; None if it cannot be read, or is another command's."""
+    try:
+        short = record.is_file() and record.stat().st_size <= MAX_BYTES
+        found = read_json(record) if short else {}
+    except (CaptureError, OSError):
+        return None
+    entry = Entry.parse(found.get(RESULT)) if isinstance(found, dict) else None
+    return entry if entry is not None and command in ("", entry.command) else None
+
+
+def entries_in(folder: Path) -> dict[str, Entry]:
+    """Return the results that the records of a folder name, by the name of the record."""
+    found = {name: entry_of(folder / name) for name in RECORDS}
+    return {name: entry for name, entry in found.items() if entry is not None}
+
+
+def is_as_written(folder: Path, record: str) -> bool:
+    """Return whether a folder has all files of its result, unchanged."""
+    entry = entry_of(folder / record)
+    return entry is not None and all(entry.owns(folder, name) for name in entry.files)
+
+
+def is_inside(name: Any) -> bool:
+    """Return whether a text names a file below a folder, and nothing above or beside it."""
+    if not isinstance(name, str) or not 0 < len(name) <= LONGEST or not name.isprintable():
+        return False
+    path = PurePosixPath(name)
+    plain = "\\" not in name and ":" not in name and name == path.as_posix()
+    return plain and not path.is_absolute() and ".." not in path.parts and name != "."
+
+
+def files_in(folder: Path) -> list[str]:
+    """Return the files below a folder, with slashes, but for temporary ones of svu.
+
+    A link to a folder counts as a file.
+    """
+    found = []
+    for path in folder.rglob("*"):
+        name = path.relative_to(folder)
+        if (path.is_symlink() or not path.is_dir()) and not any(map(is_temporary, name.parts)):
+            found.append(name.as_posix())
+    return sorted(found)
+
+
+def marks_of(path: Path) -> tuple[str, str]:
+    """Return the id of the run that wrote a file, and the key of its capture.
+
+    Both are empty in files of others, which may have been put there by hand.
+
+    Args:
+        path: an EXR file, or one that has its marks in a comment (XML, PLY).
+
+    Raises:
+        CaptureError: it cannot be read.
+    """
+    if path.suffix.lower() == ".exr":
+        found = read_header(path).attributes
+        return str(found.get(RUN, "")), str(found.get(CAPTURE, ""))
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(HEAD).decode("ascii", "replace")
+    except OSError as error:
+        raise CaptureError(f"{path}: cannot be read ({error.strerror}).") from error
+    words = (re.search(rf"{mark}=([0-9a-f]+)", head) for mark in (RUN, CAPTURE))
+    run, capture = (word.group(1) if word else "" for word in words)
+    return run, capture
+
+
+def require_one_run(folder: Path, names: Sequence[str], record: str, command: str) -> None:
+    """Refuse files of different runs.
+
+    Args:
+        folder: where they are.
+        names: of files that one run of ``command`` writes; some may be others'.
+        record: name of the record beside them, which need not be there.
+        command: that writes them, for the message.
+
+    Raises:
+        CaptureError: two are of different runs, or one is of another than the record.
+    """
+    runs = {name: marks_of(folder / name)[0] for name in names}
+    if (entry := entry_of(folder / record, command)) is not None:
+        runs[record] = entry.run
+    first = next((name for name, run in runs.items() if run), None)
+    other = next((n for n, run in runs.items() if run and first and run != runs[first]), None)
+    if other is not None:
+        raise CaptureError(
+            f"{folder}: {first} and {other} come from different runs; take both from one, or run "
+            f"svu {command} again, into an empty folder."
+        )
+
+
+def are_of_one_capture(first: Path, second: Path) -> bool:
+    """Return whether two files are about one capture, as far as their marks say.
+
+    Raises:
+        CaptureError: one cannot be read.
+    """
+    keys = [marks_of(path)[1] for path in (first, second)]
+    return not all(keys) or keys[0] == keys[1]
+
+
+def mesh_of(record: Path, run: str) -> str:
+    """Return the digest of the mesh of a run's files; empty if the record is not that run's."""
+    entry = entry_of(record)
+    known = bool(run) and entry is not None and entry.run == run
+    return text_in(read_json(record), "inputs", "mesh") if known else ""
+
+
+def text_in(record: Any, *names: str) -> str:
+    """Return a text that nested JSON objects hold under names; empty if they have none."""
+    for name in names:
+        record = record.get(name) if isinstance(record, dict) else None
+    return record if isinstance(record, str) else ""
+
+
+def require_no_result(folder: Path) -> None:
+    """Refuse a folder that was given as a capture, if it is a result of another command.
+
+    Raises:
+        CaptureError: it is.
+    """
+    found = next((e.command for e in entries_in(folder).values() if e.command not in CAPTURES), "")
+    if found:
+        known = entry_of(folder / RUN_RECORD) is not None
+        source = text_in(read_json(folder / RUN_RECORD), "inputs", "source") if known else ""
+        raise CaptureError(
+            f"{folder}: is a result of svu {excerpt(found, 40)}; give the capture it was made of"
+            + (f" ({excerpt(source, 300)})." if source else ".")
+        )
+
+
+def require_recovery(folder: Path, names: Sequence[str], record: str, other: str) -> None:
+    """Refuse a folder without the files of ``svu recover``, and say what it is instead.
+
+    Args:
+        folder: that is read.
+        names: of the files that are needed.
+        record: name of the record beside them, which need not be there.
+        other: name of a file by which a result of ``svu entropy`` is known.
+
+    Raises:
+        CaptureError: one is missing.
+    """
+    if not folder.is_dir():
+        raise CaptureError(f"{folder}: no such folder; give one that svu recover wrote.")
+    missing = [name for name in names if not (folder / name).is_file()]
+    if not missing:
+        return
+    words = f"{folder}: has no {', '.join(missing)}"
+    if entry_of(folder / record, "recover") is not None:
+        raise CaptureError(f"{words}, which svu recover wrote; run it again.")
+    words += ", so it is not a result of svu recover"
+    if (folder / other).is_file():
+        raise CaptureError(
+            f"{words} but of svu entropy; run svu recover on the same capture, and give what it "
+            "writes."
+        )
+    raise CaptureError(f"{words}; run that first, or give the folder that it wrote.")
