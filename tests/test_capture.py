@@ -956,7 +956,7 @@ def test_somebody_elses_photographs_are_not_overwritten(scene):
 def test_a_folder_that_cannot_be_made(scene):
     blocker = scene.parent / "file"
     blocker.write_text("")
-    with pytest.raises(OutputError, match="cannot be made"):
+    with pytest.raises(OutputError, match="is a file, not a folder"):
         render_capture(scene, spp=1, folder=blocker / "below")
 
 

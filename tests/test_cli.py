@@ -85,7 +85,7 @@ def test_results_are_not_written_among_the_files_of_the_scene(tmp_path, capsys, 
     for given in ((shot,), (scene,), (scene, "--render"), (scene, "--images", shot)):
         capsys.readouterr()
         line = fails(capsys, command, *given, "-o", tmp_path)
-        assert line.startswith(f"svu: {tmp_path}: holds other files: scene.xml was not written by")
+        assert line.startswith(f"svu: {tmp_path}: holds other files: ball.ply was not written by")
     line = fails(capsys, command, shot, "-o", shot)
     assert line == (
         f"svu: {shot}: holds other files: capture.json was written by svu render; choose another "
@@ -269,7 +269,7 @@ def test_a_failed_run_leaves_no_half_written_result(shot, tmp_path, capsys):
     write_exr(bad / "view_0005.exr", {"RGB": np.ones((3, 3, 3))})
     line = fails(capsys, "entropy", scenes.path("vase"), "--images", bad, "-o", tmp_path / "out")
     assert "view_0005.exr" in line
-    assert list((tmp_path / "out").iterdir()) == []
+    assert names(tmp_path) == ["images"]
 
 
 def test_verbose_shows_the_traceback(tmp_path):

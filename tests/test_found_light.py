@@ -65,9 +65,11 @@ def test_what_is_read_is_what_was_written(kept):
     assert record["remarks"] == ["Nothing is seen from below."]
 
 
-def test_an_older_result_is_replaced_and_other_files_are_kept(kept):
-    (kept / "notes.txt").write_text("mine")
+def test_an_older_result_is_replaced_but_not_other_files(kept):
     svu.save_light(made_up_light(seed=2), kept)
+    (kept / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match="notes.txt was not written by svu light"):
+        svu.save_light(made_up_light(seed=3), kept)
     assert names(kept) == ["light.exr", "light.json", "light.npz", "notes.txt"]
     assert not np.array_equal(svu.load_light(kept).logarithm, made_up_light().logarithm)
 

@@ -16,7 +16,7 @@ from svu_mi.files import is_temporary, read_json, write_json
 from svu_mi.limits import MAX_VIEWS
 from svu_mi.results.exchange import restore
 from svu_mi.results.provenance import RESULT, Entry, entry_of
-from svu_mi.results.transaction import KEPT, Draft
+from svu_mi.results.transaction import Draft, is_kept
 
 FILE = "capture.json"
 FORMAT = "svu-capture"
@@ -208,7 +208,7 @@ def stamps(
     for place in places:
         for path in [place] if place.is_file() else _files_in(place, apart):
             parts = path.relative_to(place).parts
-            if path.is_file() and not any(is_temporary(n) or n in KEPT for n in parts):
+            if path.is_file() and not any(is_temporary(n) or is_kept(n) for n in parts):
                 status = path.stat()
                 found.append((str(path), status.st_size, status.st_mtime_ns))
     return found

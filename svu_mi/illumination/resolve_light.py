@@ -27,6 +27,8 @@ from svu_mi.illumination.light_summary import gain_sentences, sentences
 from svu_mi.illumination.options import LightOptions
 from svu_mi.illumination.record import FoundGains, LightEstimate
 from svu_mi.progress import Progress
+from svu_mi.results.provenance import LIGHT
+from svu_mi.results.transaction import claimed
 from svu_mi.surface import texels
 
 ID = "found_light"  # of the emitter
@@ -210,7 +212,8 @@ def _keep(
     about = {"settings": {"used": asdict(options), "resolution": [RESOLUTION, RESOLUTION]}}
     for place in places:
         try:
-            save_light(found, place, photographs=key, about=about)
+            with claimed(place, LIGHT, overwrite=True) as claim:  # by others, or damaged
+                save_light(found, claim, photographs=key, about=about)
         except OutputError as error:
             progress.say(error.shell)
             continue

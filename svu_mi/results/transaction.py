@@ -191,9 +191,14 @@ def _put_in_place(claim: Claim) -> None:
 
 def _carry(source: Path, target: Path) -> None:
     """Move what is kept inside of results from one folder to another."""
-    for name in KEPT if target.is_dir() else ():
-        if os.path.lexists(source / name) and not os.path.lexists(target / name):
-            (source / name).rename(target / name)
+    for path in list(source.iterdir()) if source.is_dir() and target.is_dir() else ():
+        if is_kept(path.name) and not os.path.lexists(target / path.name):
+            path.rename(target / path.name)
+
+
+def is_kept(name: str) -> bool:
+    """Return whether svu keeps what has this name in the folder of a capture or a result."""
+    return name.partition(".before")[0] in KEPT
 
 
 def _matches(pattern: str, path: Path) -> bool:
@@ -248,7 +253,7 @@ def _stranger_in(folder: Path, command: str) -> str:
     own = {name: entry for name, entry in found.items() if entry.command == command}
     for name in files_in(folder):
         top = name.partition("/")[0]
-        if top in KEPT or name in own or name.rpartition("/")[2] in IGNORED:
+        if is_kept(top) or name in own or name.rpartition("/")[2] in IGNORED:
             continue
         if any(entry.owns(folder, name) for entry in own.values()):
             continue
