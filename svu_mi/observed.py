@@ -32,7 +32,6 @@ from svu_mi.statistics.rounding import rounding_sums
 from svu_mi.statistics.sums import Gathered
 from svu_mi.surface import Texels
 from svu_mi.visibility import Surface, Survey, Views, pack_views, survey
-from svu_mi.visibility.ahead import read_ahead
 from svu_mi.visibility.pixels import as_channels
 from svu_mi.visibility.reach import Mirrors, Reach, trace_mirrors, trace_reach
 
@@ -263,8 +262,6 @@ class Observed:
         return found.replaced(lanes, some)
 
     def _gather(self, model: Model, channels: int, weighting: Weighting) -> Gathered:
-        if weighting.models is None:  # else the photographs have just been read
-            read_ahead(self.views, model.surface)
         mirrors = self.mirrors if model.reads_mirrors else None
         return gather(self.views, self.found, model, mirrors, channels, weighting)
 

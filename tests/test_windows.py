@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import mmap
 import re
 import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -23,15 +20,13 @@ from svu_mi.capture import folder as capture_folder
 from svu_mi.capture import pixel_buffer, window
 from svu_mi.capture.picture import decoded, quantized, srgb
 from svu_mi.capture.poses import film_size, make_sensor
-from svu_mi.capture.scene import to_world
 from svu_mi.capture.window import Detail, Window
 from svu_mi.errors import CaptureError
 from svu_mi.exr import read_exr
 from svu_mi.formats import photographs
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
-from svu_mi.observed import observe
-from svu_mi.visibility import Surface, ahead, pack_views
+from svu_mi.visibility import pack_views
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*8-bit:svu_mi.errors.SvuWarning")
 
@@ -262,71 +257,3 @@ def test_a_file_is_not_read_ahead_once_photographs_are_packed(shot):
     views = pack_views(capture)
     assert sum("rr" in each for each in flags()) == before + 1
     assert views.number == capture.count
-
-
-def test_what_texels_look_up_is_read_ahead(shot, monkeypatch):
-    """All pages of all pixels that show some texels, and no others."""
-    capture = svu.load_capture(shot, memory=0.0)
-    texels = svu.texels(capture.mesh, 32)
-    views = pack_views(capture)
-    some = Surface.of(texels, mi.UInt32(np.arange(20, dtype=np.uint32)))
-    position, normal = (np.array(x, np.float64) for x in (some.position, some.normal))
-    needed = set()
-    for view, sensor in enumerate(capture.sensors):
-        width, height = film_size(sensor)
-        eye = to_world(sensor)[:3, 3:]
-        away = (eye - position) / np.linalg.norm(eye - position, axis=0)
-        column, row = np.floor(_pixels(sensor, position.T) - 0.5).astype(int).T
-        facing = (away * normal).sum(axis=0) > 1e-3
-        inside = (column >= 0) & (column < width - 1) & (row >= 0) & (row < height - 1) & facing
-        for across, down in ((0, 0), (1, 0), (0, 1), (1, 1)):
-            place = (row + down) * width + column + across
-            first = 12 * (int(views.offset[view]) + place[inside])
-            needed |= set((first // mmap.PAGESIZE).tolist())
-            needed |= set(((first + 11) // mmap.PAGESIZE).tolist())
-    found = ahead.pages_of(views, some)
-    runs = zip(found.first, found.count, strict=True)
-    pages = {int(k) for first, count in runs for k in range(first, first + count)}
-    assert needed <= pages and len(needed) > 5 and len(pages - needed) <= 2
-    assert found.bytes == mmap.PAGESIZE * len(pages)
-    joined = found.joined(2)
-    end = joined.first + joined.count
-    assert len(joined.first) < len(found.first) and (joined.first[1:] - end[:-1] > 2).all()
-    runs = zip(joined.first, end, strict=True)
-    assert pages <= {int(k) for first, last in runs for k in range(first, last)}
-    monkeypatch.setattr(ahead, "GAP", 0)
-    asked = []
-    recorder = SimpleNamespace(madvise=lambda *words: asked.append(words))
-    monkeypatch.setattr(ahead, "pages_of", lambda *_: found)
-    ahead.read_ahead(replace(views, file=recorder), some)
-    assert [(start, length) for _, start, length in asked] == [
-        (first * mmap.PAGESIZE, count * mmap.PAGESIZE)
-        for first, count in zip(found.first, found.count, strict=True)
-    ]
-    assert {kind for kind, _, _ in asked} == {mmap.MADV_WILLNEED}
-    asked.clear()
-    monkeypatch.setattr(ahead, "free_memory", lambda: 10.0)  # more than there is room for
-    ahead.read_ahead(replace(views, file=recorder), some)
-    assert not asked
-    in_memory = pack_views(svu.load_capture(shot))
-    assert in_memory.file is None
-    ahead.read_ahead(in_memory, some)
-
-
-@pytest.mark.parametrize("kind", ["shot", "integers"])
-def test_portions_of_texels_see_what_all_see(kind, request, monkeypatch):
-    """Photographs in a file are surveyed portion by portion, the last of which is smaller."""
-    folder = request.getfixturevalue(kind)
-    found = []
-    for portion in (10**6, 100):
-        monkeypatch.setattr(ahead, "PORTION", portion)
-        capture = svu.load_capture(folder, memory=0.0)
-        found.append(observe(capture, svu.texels(capture.mesh, 24)).found)
-    whole, parts = found
-    assert dr.width(whole.coverage) > 250
-    np.testing.assert_array_equal(np.array(parts.coverage), np.array(whole.coverage))
-    np.testing.assert_array_equal(np.array(parts.total), np.array(whole.total))
-    np.testing.assert_array_equal(parts.per_view, whole.per_view)
-    np.testing.assert_array_equal(np.array(parts.bits.words), np.array(whole.bits.words))
-    np.testing.assert_array_equal(parts.clipped_coverage, whole.clipped_coverage)
-    assert parts.scale == whole.scale

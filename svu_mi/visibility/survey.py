@@ -12,7 +12,6 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
-from svu_mi.visibility.ahead import portions
 from svu_mi.visibility.bits import Bits
 from svu_mi.visibility.observe import Observation, Surface, asked, fold, look, over_views
 from svu_mi.visibility.pixels import as_channels
@@ -140,28 +139,21 @@ def survey(
     bits = Bits.clear(views.number, surface.count)
     clipped = None if views.clipped is None else Bits.clear(views.number, surface.count)
 
-    def look_at(part: Surface) -> tuple[Any, Any]:
-        texel = part.index
+    def count(seen: Observation, view: Any, found: Any, total: Any) -> tuple[Any, Any]:
+        one = dr.select(seen.seen, mi.UInt32(1), mi.UInt32(0))
+        # The default mode bakes the number of views into the kernel; all lanes of a packet
+        # add to one view, which this mode sums up first.
+        dr.scatter_add(per_view, one, view, seen.seen, dr.ReduceMode.Local)
+        bits.set(view, surface.lane, seen.seen)
+        if clipped is not None:
+            clipped.set(view, surface.lane, seen.clipped)
+            also = dr.select(seen.clipped, mi.UInt32(1), 0)
+            dr.scatter_add(worth, also, view, seen.clipped, dr.ReduceMode.Local)
+        return found + one, total + mi.Float64(as_channels(seen.radiance, 1)[0])
 
-        def count(seen: Observation, view: Any, found: Any, total: Any) -> tuple[Any, Any]:
-            one = dr.select(seen.seen, mi.UInt32(1), mi.UInt32(0))
-            # The default mode bakes the number of views into the kernel; all lanes of a packet
-            # add to one view, which this mode sums up first.
-            dr.scatter_add(per_view, one, view, seen.seen, dr.ReduceMode.Local)
-            bits.set(view, texel, seen.seen)
-            if clipped is not None:
-                clipped.set(view, texel, seen.clipped)
-                also = dr.select(seen.clipped, mi.UInt32(1), 0)
-                dr.scatter_add(worth, also, view, seen.clipped, dr.ReduceMode.Local)
-            return found + one, total + mi.Float64(as_channels(seen.radiance, 1)[0])
-
-        zeros = dr.zeros(mi.UInt32, part.count), dr.zeros(mi.Float64, part.count)
-        found, total = over_views(views, part, count, zeros, dense=not skip_pairs)
-        dr.eval(found, total, per_view, worth, bits, clipped)
-        return found, total
-
-    seen = [look_at(part) for part in portions(views, surface)]
-    found, total = seen[0] if len(seen) == 1 else map(dr.concat, zip(*seen, strict=True))
+    zeros = dr.zeros(mi.UInt32, surface.count), dr.zeros(mi.Float64, surface.count)
+    found, total = over_views(views, surface, count, zeros, dense=not skip_pairs)
+    dr.eval(found, total, per_view, worth, bits, clipped)
     counts = per_view.numpy()[: views.number].astype(np.int64)
     shown = counts + worth.numpy()[: views.number]
     order = np.flatnonzero(shown) if skip_blind else np.arange(views.number)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from mmap import mmap
 from typing import Any
 
 import drjit as dr
@@ -23,8 +22,7 @@ from svu_mi.capture.poses import describe, film_size, scaled_sensor
 from svu_mi.capture.rays import ray_floats
 from svu_mi.errors import CaptureError, SvuWarning
 from svu_mi.interop import owned
-from svu_mi.visibility.silhouette import Films, Outline, interior
-from svu_mi.visibility.tiles import find_tiles
+from svu_mi.visibility.silhouette import Films, Outline, find_tiles, interior
 
 CAMERA_FLOATS = 16  # rows x, y, w of the projection (4 each), position (3), near clip
 LARGEST_FILM = 512  # pixels per side, of sensors without a photograph
@@ -55,7 +53,6 @@ class Views:
         clipped: pixels of which some channels are clipped; None where there are none.
         rounding: (3 V,) Float twice, the first step and the slope of each channel (``Rounding``);
             0 for photographs of floats. None where all are.
-        file: that ``pixels`` are mapped from; None for those in memory.
         outline: of the object, of sensors whose pixels are judged when they are looked at.
     """
 
@@ -72,7 +69,6 @@ class Views:
     grey: bool
     clipped: ClippedPixels | None = None
     rounding: tuple[Any, Any] | None = None
-    file: mmap | None = None
     outline: Outline | None = None
 
 
@@ -146,8 +142,7 @@ def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
         capture.scene, poses, films, pixels.usable, pixels.radiance, grey=not pixels.coloured[0]
     )
     return replace(
-        packed, clipped=pixels.clipped_pixels(capture, kept), rounding=_rounding(capture, kept),
-        file=buffer.file,
+        packed, clipped=pixels.clipped_pixels(capture, kept), rounding=_rounding(capture, kept)
     )
 
 
