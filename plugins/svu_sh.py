@@ -14,8 +14,7 @@ from svu_mi.capture.repaint import is_two_sided
 from svu_mi.capture.scene import find_environment
 from svu_mi.errors import OptionError, SceneError, SvuWarning
 from svu_mi.light.environment import read_environment
-from svu_mi.light.lighting import band_limit
-from svu_mi.light.moments import MomentMap, moment_map
+from svu_mi.light.lighting import MomentMap, band_limit, moment_map
 from svu_mi.options import ANGULAR_PRESETS, preset
 from svu_mi.parameters import NAMES
 from svu_mi.plugins.registry import require_variant

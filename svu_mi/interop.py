@@ -1,4 +1,4 @@
-"""NumPy arrays as Dr.Jit arrays that own their memory, and tensors of a shape that is checked."""
+"""NumPy arrays as Dr.Jit arrays and tensors, and evenly spaced indices."""
 
 from __future__ import annotations
 
@@ -73,3 +73,14 @@ def tensor(
     if not fits:
         raise ShapeError(f"{caller}: {name} must have shape ({wanted}), got {tuple(out.shape)}.")
     return out
+
+
+def evenly_spaced(count: int, most: int) -> np.ndarray:
+    """Return at most ``most`` of the indices 0 to ``count - 1``, in order and evenly spaced.
+
+    The first and the last are among them, unless only one is wanted.
+
+    Returns:
+        (min(count, most),) int64, each once.
+    """
+    return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)

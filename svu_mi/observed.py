@@ -19,7 +19,7 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.capture.scene import require_light
 from svu_mi.errors import CaptureError
-from svu_mi.frequency.mirrored import MirroredLight
+from svu_mi.frequency.samples import MirroredLight
 from svu_mi.interop import owned
 from svu_mi.light import LightCells, Lighting, light, light_cells
 from svu_mi.options import AngularPreset, Fit, Preset
@@ -27,8 +27,7 @@ from svu_mi.progress import Progress
 from svu_mi.reflection.model import Arriving, Model
 from svu_mi.statistics import Factors, Statistics, gather
 from svu_mi.statistics.censored import PASSES, best_models
-from svu_mi.statistics.gather import ALIKE, Weighting, clipped_samples
-from svu_mi.statistics.rounding import rounding_sums
+from svu_mi.statistics.gather import ALIKE, Weighting, clipped_samples, rounding_sums
 from svu_mi.statistics.sums import Gathered
 from svu_mi.surface import Texels
 from svu_mi.visibility import Surface, Survey, Views, pack_views, survey

@@ -25,7 +25,7 @@ from svu_mi.bench.recovery.scores import Judge, Relit
 from svu_mi.bench.recovery.tables import find_bars
 from svu_mi.bench.study import Asked, run_bench
 from svu_mi.capture.poses import bounding_sphere, directions_of
-from svu_mi.metrics.textures import CEILING_DB
+from svu_mi.metrics.images import CEILING_DB
 from svu_mi.recovery.textures import lay_out, uniform
 from svu_mi.surface import texels
 

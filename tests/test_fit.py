@@ -10,7 +10,7 @@ from oracle import frequency as oracle
 
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.frequency import fit_lanes, fit_sh, power_spectrum, solver_groups
-from svu_mi.frequency.system import System
+from svu_mi.frequency.harmonics import System
 
 LAMBDA = 1e-3
 METHODS = ["primal", "dual"]

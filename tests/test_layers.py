@@ -8,8 +8,8 @@ from pathlib import Path
 
 LAYERS = (
     "errors", "names", "memory", "needs", "limits", "quiet", "interrupts", "_llvm", "_workers",
-    "fours", "interop", "local", "hashing", "files", "npz", "exr", "results", "progress",
-    "settings", "spacing", "parameters", "switches", "options", "capture", "formats", "surface",
+    "interop", "local", "hashing", "files", "npz", "exr", "results", "progress",
+    "settings", "parameters", "switches", "options", "capture", "formats", "surface",
     "light", "visibility", "frequency", "reflection", "statistics", "observed", "posterior",
     "skipping", "estimators", "pipeline", "prediction", "illumination", "guidance",
     "regularization", "recovery", "inpaint", "reference", "metrics", "checking", "output", "export",

@@ -11,8 +11,7 @@ from svu_mi.capture import render_capture
 from svu_mi.capture.poses import sphere_sensors
 from svu_mi.errors import OptionError, SceneError, ShapeError
 from svu_mi.metrics import image_error, psnr, texel_error, texture_psnr
-from svu_mi.metrics.images import ssim_map
-from svu_mi.metrics.textures import CEILING_DB
+from svu_mi.metrics.images import CEILING_DB, ssim_map
 from svu_mi.scenes import path
 from svu_mi.surface import texels
 

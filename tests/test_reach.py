@@ -16,7 +16,7 @@ from svu_mi.light import light_cells
 from svu_mi.light.environment import Environment, directions, quadrature
 from svu_mi.light.lighting import band_limit
 from svu_mi.observed import observe
-from svu_mi.reflection.diffuse import diffuse_shading
+from svu_mi.reflection.shading import diffuse_shading
 from svu_mi.visibility import Surface
 from svu_mi.visibility.reach import trace_reach
 

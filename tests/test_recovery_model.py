@@ -19,7 +19,7 @@ from svu_mi.frequency.gather import fit_coefficients, fit_spectra
 from svu_mi.interop import owned
 from svu_mi.light import environment as env
 from svu_mi.light import filter_light
-from svu_mi.light.moments import moment_map
+from svu_mi.light.lighting import moment_map
 from svu_mi.observed import observe
 from svu_mi.options import preset
 from svu_mi.parameters import CHANNELS, NAMES

@@ -18,11 +18,11 @@ from svu_mi.capture import folder as capture_folder
 from svu_mi.capture.scene import to_world
 from svu_mi.errors import OptionError
 from svu_mi.hashing import digest_of_file
+from svu_mi.interop import evenly_spaced
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
 from svu_mi.recovery.textures import Textures
 from svu_mi.results.provenance import is_as_written
-from svu_mi.spacing import evenly_spaced
 from svu_mi.surface import Texels
 
 MARK = "bench"  # bench.json in the capture's folder: the key it was rendered under

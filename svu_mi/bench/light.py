@@ -26,7 +26,7 @@ from svu_mi.illumination.record import LightEstimate
 from svu_mi.illumination.resolve_light import with_light
 from svu_mi.light.cells import fibonacci
 from svu_mi.light.environment import read_environment
-from svu_mi.metrics.textures import psnr
+from svu_mi.metrics.images import psnr
 from svu_mi.observed import Observed, observe
 from svu_mi.parameters import NAMES
 from svu_mi.pipeline import Estimate, estimate

@@ -15,8 +15,7 @@ import numpy as np
 
 from svu_mi.capture.mesh import MeshArrays, arrays, faces_at
 from svu_mi.capture.scene import is_closed, to_world
-from svu_mi.interop import owned
-from svu_mi.spacing import evenly_spaced
+from svu_mi.interop import evenly_spaced, owned
 
 MOST = 0.6  # of what is seen, from which the front is wrong; a plate seen from both sides has .5
 POINTS, EYES = 400, 32  # that are looked at, and from

@@ -13,9 +13,8 @@ from svu_mi.output.maps import GUTTER
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.textures import Textures
 from svu_mi.surface import texels
-from svu_mi.surface.gutter import dilate
 from svu_mi.surface.layout import barycentric
-from svu_mi.surface.raster import rasterize
+from svu_mi.surface.raster import dilate, rasterize
 
 UNKNOWN = {"entropy": 1.0, "coverage": 0.0} | {name + SD: 0.0 for name in NAMES}  # off the surface
 COINCIDENT = 1e-6  # of the mesh's extent: vertices that close are at one point

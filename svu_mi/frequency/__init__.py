@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from svu_mi.frequency.batch import fit_sh
-from svu_mi.frequency.fit import SolverGroup, fit_lanes, solver_groups
-from svu_mi.frequency.spectrum import power_lanes, power_spectrum
+from svu_mi.frequency.fit import SolverGroup, fit_lanes, fit_sh, solver_groups
+from svu_mi.frequency.harmonics import power_lanes, power_spectrum
 
 __all__ = [
     "SolverGroup",

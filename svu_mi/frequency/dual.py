@@ -19,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 
 from svu_mi.frequency import cholesky, harmonics
-from svu_mi.frequency.system import Sample, System, unit
+from svu_mi.frequency.harmonics import Sample, System, unit
 from svu_mi.local import allocate, load, store
 
 TILE = 4

@@ -14,16 +14,23 @@ Y^T W^2 Y for a few hundred views, and single precision then loses a degree alto
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from numbers import Real
+from typing import Any, Literal
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError
+from svu_mi.frequency import harmonics
 from svu_mi.frequency.dual import fit_dual
+from svu_mi.frequency.harmonics import Sample, System
 from svu_mi.frequency.primal import fit_primal
-from svu_mi.frequency.system import Sample, System
-from svu_mi.interop import owned
+from svu_mi.interop import owned, tensor
+from svu_mi.local import scatter_rows
+from svu_mi.options import Preset
+from svu_mi.options import preset as named_preset
 
 CAPACITIES = (32, 64, 128, 256)
 """Sizes of the dual's local memory. Each is a kernel that takes a second to compile, while a lane
@@ -109,3 +116,147 @@ def solver_groups(visible: Any, degree: int, method: str = "auto") -> list[Solve
         SolverGroup(owned(mi.UInt32, np.flatnonzero(chosen).astype(np.uint32)), capacity)
         for chosen, capacity in parts if chosen.any()
     ]  # fmt: skip
+
+
+UNIT_TOLERANCE = 1e-3
+"""How far from 1 the length of a direction may be; the fit makes it 1."""
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Flat inputs on the device: texel-major, then view, then component."""
+
+    directions: Any
+    weights: Any
+    values: Any
+    views: Any  # opaque
+    channels: int
+
+    def at(self, texel: Any, view: Any) -> tuple[Any, Any, list[Any]]:
+        """Read one sample per lane; nothing but the weight is read where that is not > 0."""
+        index = texel * self.views + view
+        weight = dr.gather(mi.Float, self.weights, index)
+        seen = weight > 0
+        xyz = [dr.gather(mi.Float, self.directions, index * 3 + k, seen) for k in range(3)]
+        values = [
+            dr.gather(mi.Float, self.values, index * self.channels + c, seen)
+            for c in range(self.channels)
+        ]
+        return mi.Vector3f(*xyz), weight, values
+
+
+def fit_sh(
+    directions: Any,
+    weights: Any,
+    values: Any,
+    lmax: int = 6,
+    regularizer: float = 1e-3,
+    preset: str | Preset = "default",
+    method: Literal["auto", "primal", "dual"] = "auto",
+) -> Any:
+    """Fit spherical harmonics to the samples of every texel (Eq. 12).
+
+        (Y^T W^2 Y + lambda R) c = Y^T W^2 f,    R = diag(e^l),    W = diag(w)
+
+    Accuracy: single precision in and out, double precision inside. The power spectrum is within
+    1e-6 of the texel's largest degree for 1 to 200 views and lmax 1 to 9, views spread over a
+    hemisphere, all grazing, all equal or on one line alike. Memory: inputs and output.
+
+    Args:
+        directions: (T, V, 3) unit directions, texels x views, in any one frame per texel.
+        weights: (T, V) w of W, >= 0; 0 means that the texel does not see the view, and the
+            direction and value there are not looked at (they may be NaN).
+        values: (T, V, C) samples f, radiance up to exposure.
+        lmax: highest degree, in [0, 9].
+        regularizer: lambda in [1e-12, 1e12].
+        preset: supplies only R_00: 1 in ``paper``, 0 (the constant is free) in ``default``.
+        method: ``primal`` (normal equations), ``dual`` (one unknown per visible view, at most
+            256 of them), or per texel the faster of both; they agree to rounding.
+
+    Returns:
+        (T, (lmax + 1)^2, C) coefficients in the order l*l + l + m; 0 for a texel that sees
+        no view.
+
+    Raises:
+        ShapeError: arrays that do not fit each other.
+        OptionError: an option outside its range, a weight that is negative or not finite, a
+            visible sample that is not finite, a direction that is not of unit length.
+    """
+    lmax = harmonics.check_degree(lmax, "fit_sh()")
+    if not (isinstance(regularizer, Real) and 1e-12 <= regularizer <= 1e12):
+        raise OptionError(
+            f"fit_sh(): regularizer must be a number in [1e-12, 1e12], got {regularizer!r}."
+        )
+    penalize_constant = named_preset(preset).penalize_constant
+    weight_tensor = tensor(weights, "fit_sh()", "weights", ("T", "V"))
+    texels, views = weight_tensor.shape
+    direction_tensor = tensor(directions, "fit_sh()", "directions", (texels, views, 3))
+    value_tensor = tensor(values, "fit_sh()", "values", (texels, views, "C"))
+    channels = value_tensor.shape[2]
+    shape = (texels, (lmax + 1) ** 2, channels)
+    _check_size(texels * views * max(channels, 3), texels * shape[1] * channels)
+    if texels * views * channels == 0:
+        return dr.zeros(mi.TensorXf, shape)
+
+    samples = _Samples(
+        directions=direction_tensor.array,
+        weights=weight_tensor.array,
+        values=value_tensor.array,
+        views=dr.opaque(mi.UInt32, views),
+        channels=channels,
+    )
+    visible = _inspect(samples, texels, views)
+    coefficients = dr.zeros(mi.Float, texels * shape[1] * channels)
+    dr.eval(coefficients)
+    system = System.of(lmax, channels, float(regularizer), penalize_constant)
+    for group in solver_groups(visible, lmax, method):
+        sample = partial(samples.at, group.selection)
+        fitted = fit_lanes(sample, samples.views, system, group.capacity)
+        dr.eval(scatter_rows(coefficients, fitted, group.selection))
+    return mi.TensorXf(coefficients, shape)
+
+
+def _check_size(*counts: int) -> None:
+    if max(counts) >= 2**32:
+        raise OptionError(
+            f"fit_sh(): {max(counts)} numbers in one array are more than a 32-bit index reaches; "
+            "call it on blocks of texels."
+        )
+
+
+def _inspect(samples: _Samples, texels: int, views: int) -> np.ndarray:
+    """Count the visible views of every texel and refuse samples that cannot be fitted."""
+    visible, first_bad = _count_visible(samples.at, dr.arange(mi.UInt32, texels), samples.views)
+    dr.eval(visible, first_bad)
+    bad = first_bad.numpy()
+    if (bad < views).any():
+        texel = int(np.flatnonzero(bad < views)[0])
+        view = int(bad[texel])
+        direction, weight, values = samples.at(mi.UInt32(texel), mi.UInt32(view))
+        raise OptionError(
+            f"fit_sh(): texel {texel}, view {view} cannot be used: weight {weight[0]:g}, direction "
+            f"({', '.join(f'{x[0]:g}' for x in direction)}), values "
+            f"({', '.join(f'{v[0]:g}' for v in values)}). Weights must be finite and >= 0 and, "
+            "where they are > 0, directions of unit length and values finite."
+        )
+    return visible.numpy().astype(np.int64)
+
+
+@dr.syntax
+def _count_visible(at: Any, texel: Any, views: Any) -> tuple[Any, Any]:
+    """Return, per texel, the number of visible views and the first unusable one (or views)."""
+    visible, first_bad = mi.UInt32(0), mi.UInt32(views)
+    view = mi.UInt32(0)
+    while view < views:
+        direction, weight, values = at(texel, view)
+        # Written so that NaN fails every test.
+        usable = (weight == 0) | (
+            (weight > 0)
+            & dr.isfinite(weight)
+            & (dr.abs(dr.norm(direction) - 1) < UNIT_TOLERANCE)
+            & dr.isfinite(sum(dr.abs(value) for value in values))
+        )
+        first_bad = dr.select(usable, first_bad, dr.minimum(first_bad, view))
+        visible += dr.select(weight > 0, mi.UInt32(1), mi.UInt32(0))
+        view += 1
+    return visible, first_bad

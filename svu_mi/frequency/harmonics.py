@@ -1,4 +1,9 @@
-"""Real spherical harmonics in lanes, and the zonal kernel of the dual fit.
+"""Real spherical harmonics in lanes: basis, ridge and kernel of Eq. 12, and power spectra.
+
+    S(l) = sum over m = -l ... l of c_lm^2                                        (Eq. 8)
+
+A sum, not a mean: white noise of unit variance has 2l + 1 on average. A rotation of the
+signal leaves every S(l) unchanged.
 
 Conventions, the same everywhere in the package:
 
@@ -11,13 +16,18 @@ Conventions, the same everywhere in the package:
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from numbers import Integral
 from typing import Any
 
 import drjit as dr
+import mitsuba as mi
 from numpy.polynomial import legendre
 
 from svu_mi.errors import OptionError, ShapeError
+from svu_mi.frequency import harmonics
+from svu_mi.interop import tensor
 
 MAX_DEGREE = 9
 """The highest degree ``dr.sh_eval`` knows."""
@@ -89,3 +99,95 @@ def zonal_kernel(t: Any, powers: list[float]) -> Any:
     for power in reversed(powers[:-1]):
         value = dr.fma(value, t, power)
     return value
+
+
+Sample = Callable[[Any], tuple[Any, Any, list[Any]]]
+"""``view -> (direction, weight, values)``: see ``fit_lanes``."""
+
+
+@dataclass(frozen=True)
+class System:
+    """What both ways of solving Eq. 12 need to know; lists have one entry per degree."""
+
+    degree: int
+    channels: int
+    ridge: list[float]  # e^l, 0 where a degree is free
+    regularizer: Any  # lambda, an opaque double: a new value must not mean a new kernel
+
+    @staticmethod
+    def of(degree: int, channels: int, regularizer: float, penalize_constant: bool) -> System:
+        """State the problem.
+
+        Args:
+            degree: l*, in [0, 9].
+            channels: number of right-hand sides; they share one factorisation.
+            regularizer: lambda > 0.
+            penalize_constant: R_00 = 1 as printed (True) or 0 (False).
+        """
+        ridge = harmonics.ridge(degree, penalize_constant)
+        return System(degree, channels, ridge, dr.opaque(mi.Float64, regularizer))
+
+    @property
+    def degrees(self) -> list[int]:
+        """The degree of every coefficient."""
+        return [l for l in range(self.degree + 1) for _ in range(2 * l + 1)]
+
+    def basis(self, direction: list[Any]) -> list[Any]:
+        """Y_lm of a unit direction, in double precision."""
+        return harmonics.basis(mi.Vector3d(*direction), self.degree)
+
+
+def unit(direction: Any) -> Any:
+    """Return a single precision direction with unit length in double precision.
+
+    The rounding of its length (1e-7) shows in the fit of many views that crowd together, and
+    makes the addition theorem, hence the dual, differ from the primal.
+    """
+    return dr.normalize(mi.Vector3d(direction))
+
+
+def power_lanes(coefficients: list[list[Any]]) -> list[list[Any]]:
+    """Return S(l) of every lane (Eq. 8).
+
+    Args:
+        coefficients: (lmax + 1)^2 lists of C arrays in the order l*l + l + m, as
+            ``fit_lanes`` returns them, in radiance up to exposure.
+
+    Returns:
+        lmax + 1 lists of C arrays, in squared radiance.
+
+    Raises:
+        ShapeError: the number of coefficients is not a square.
+    """
+    spectrum = []
+    for l in range(harmonics.degree_of(len(coefficients)) + 1):
+        orders = coefficients[l * l : (l + 1) ** 2]  # m = -l ... l
+        channels = zip(*orders, strict=True)
+        spectrum.append([sum(dr.square(c) for c in channel) for channel in channels])
+    return spectrum
+
+
+def power_spectrum(coefficients: Any) -> Any:
+    """Return the power of every degree (Eq. 8).
+
+    Args:
+        coefficients: (T, (lmax + 1)^2, C), texels x coefficients x channels, in the order
+            l*l + l + m; a tensor or anything NumPy understands.
+
+    Returns:
+        (T, lmax + 1, C) TensorXf, in squared radiance.
+
+    Raises:
+        ShapeError: not three axes, or a second axis that is not a square.
+    """
+    axes = ("T", "(lmax+1)^2", "C")
+    given = tensor(coefficients, "power_spectrum()", "coefficients", axes)
+    texels, count, channels = given.shape
+    degree = harmonics.degree_of(count)
+    if texels * channels == 0:
+        return dr.zeros(mi.TensorXf, (texels, degree + 1, channels))
+    square = dr.square(given)
+    orders = [square[:, l * l : (l + 1) ** 2] for l in range(degree + 1)]  # m = -l ... l
+    power = dr.stack([dr.sum(of_degree, axis=1) for of_degree in orders], axis=1)
+    dr.eval(power)
+    return power

@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import OptionError
-from svu_mi.fours import QUAD, fours, padded
+from svu_mi.local import QUAD, fours, padded
 from svu_mi.visibility import Surface, Survey, Views, over_views
 from svu_mi.visibility.observe import Observation, fold, look
 

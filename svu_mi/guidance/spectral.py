@@ -19,8 +19,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.frequency.extend import extend_lanes
-from svu_mi.frequency.system import System
+from svu_mi.frequency.harmonics import System
+from svu_mi.frequency.primal import extend_lanes
 from svu_mi.guidance.forecast import Forecast, numbers
 from svu_mi.guidance.objectives import FAR, row_of
 from svu_mi.guidance.responses import Respond, Responses

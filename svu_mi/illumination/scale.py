@@ -18,7 +18,7 @@ from svu_mi.illumination.resolve_light import with_light
 from svu_mi.observed import Observed
 from svu_mi.parameters import MIXED
 from svu_mi.pipeline import Estimate, estimate
-from svu_mi.surface.groups import squares_of
+from svu_mi.surface.neighbors import squares_of
 
 SMALLEST, LARGEST = 0.01, 1.0  # base colours that are taken for one
 MOST_ROUNDS, DONE = 6, 0.02  # base colour is not quite proportional: gloss is beside it

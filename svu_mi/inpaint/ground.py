@@ -12,7 +12,7 @@ from svu_mi.inpaint.pieces import Pieces, connected
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.field.nested import FEWER
 from svu_mi.recovery.field.smoother import Smoother
-from svu_mi.surface.groups import means, squares_of
+from svu_mi.surface.neighbors import means, squares_of
 
 ENOUGH = 2**16  # texels that guesses are tried on: of more, groups of neighbours
 

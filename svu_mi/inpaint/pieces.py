@@ -12,7 +12,7 @@ import scipy
 
 from svu_mi.capture.mesh import unit_vectors
 from svu_mi.surface import Texels
-from svu_mi.surface.groups import sums
+from svu_mi.surface.neighbors import sums
 
 APART = 1e3  # distance between pieces that are not to be mixed up, in extents of the object
 

@@ -27,7 +27,7 @@ from svu_mi.output.result import is_seen, prior_marginal, words
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import Posterior
 from svu_mi.surface import Texels
-from svu_mi.surface.gutter import dilate
+from svu_mi.surface.raster import dilate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

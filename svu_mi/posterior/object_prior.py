@@ -20,13 +20,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.interop import owned
+from svu_mi.interop import evenly_spaced, owned
 from svu_mi.posterior import calibrated_kernel as kernel
 from svu_mi.posterior import streaming
 from svu_mi.posterior.calibrated import CalibratedPosterior, prior_tables
 from svu_mi.posterior.nodes import cell_widths
 from svu_mi.posterior.problem import Problem
-from svu_mi.spacing import evenly_spaced
 
 ROUNDS = 2  # more of them drift where all texels err alike; chosen on our own scenes
 SHARPNESS = 1.3

@@ -13,8 +13,8 @@ from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES, PARAMETERS, ByParameter
 from svu_mi.surface import Texels
-from svu_mi.surface.gutter import dilate
 from svu_mi.surface.material import parameters_at
+from svu_mi.surface.raster import dilate
 
 
 class Textures(ByParameter):

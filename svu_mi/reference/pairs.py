@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.observed import Observed
-from svu_mi.reference.uniform import UniformScene
+from svu_mi.reference.trace import UniformScene
 from svu_mi.visibility import Surface, Views
 from svu_mi.visibility.observe import RAY_OFFSET, look
 from svu_mi.visibility.views import CAMERA_FLOATS

@@ -24,8 +24,7 @@ from svu_mi.reference.deviations import PerTexel, brute, linear, sums
 from svu_mi.reference.options import Method, Noise, Options, check_subset
 from svu_mi.reference.pairs import Pairs, visible_pairs
 from svu_mi.reference.record import Reference, Traced
-from svu_mi.reference.trace import path_integrator, trace
-from svu_mi.reference.uniform import UniformScene
+from svu_mi.reference.trace import UniformScene, path_integrator, trace
 from svu_mi.statistics.sums import noise_weight
 from svu_mi.surface import Texels
 from svu_mi.switches import Errors

@@ -22,9 +22,8 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.light import Lighting
-from svu_mi.light.stack import LightStack, stack
+from svu_mi.light.levels import LightStack, stack
 from svu_mi.options import AngularPreset
-from svu_mi.reflection.diffuse import diffuse_shading
 from svu_mi.reflection.lobes import (
     ALBEDO_NODES,
     dielectric_albedo,
@@ -34,7 +33,7 @@ from svu_mi.reflection.lobes import (
 )
 from svu_mi.reflection.narrow import NarrowLobes
 from svu_mi.reflection.principled import alpha_from_roughness
-from svu_mi.reflection.shading import Parts, parts_of
+from svu_mi.reflection.shading import Parts, diffuse_shading, parts_of
 from svu_mi.visibility.observe import mirror_direction
 
 NARROWEST = 1e-3  # cosine: more grazing views are treated like this one

@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.frequency import harmonics
-from svu_mi.frequency.mirrored import MirroredLight
+from svu_mi.frequency.samples import MirroredLight
 from svu_mi.local import scatter_strided
 from svu_mi.options import AngularPreset
 from svu_mi.reflection.lobes import reflected_at_view, smith_g1, smith_g1_slope

@@ -1,4 +1,4 @@
-"""From photographs to statistics: one kernel, one pass over the views."""
+"""From photographs to statistics: one kernel, one pass over the views; and their rounding."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Any, NamedTuple, Protocol
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
+from svu_mi.capture.rounding import variance
 from svu_mi.errors import OptionError
 from svu_mi.parameters import MIXED, NAMES
 from svu_mi.reflection.model import Model
@@ -256,3 +258,35 @@ def _products(columns: tuple[Any, ...], part: Any) -> list[Any]:
     u = [mi.Float64(column) for column in columns]
     counted = u if part is None else [mi.Float64(part) * column for column in u]
     return [counted[i] * u[j] for i, j in PAIRS]
+
+
+def rounding_sums(
+    views: Views, found: Survey, surface: Surface, weighting: Weighting
+) -> np.ndarray | None:
+    """Return the variance of a sample of weight 1 by rounding alone, summed over samples.
+
+    Args:
+        views: the packed capture.
+        found: which views see which texels, of all texels.
+        surface: S texels.
+        weighting: how much samples count.
+
+    Returns:
+        (S,) float64, squared radiance, of a mean channel; None where no photograph is of integers.
+    """
+    if views.rounding is None:
+        return None
+    first, slope = views.rounding
+    knee, eta = dr.opaque(mi.Float, weighting.kappa), dr.opaque(mi.Float, weighting.edges)
+
+    def consume(seen: Observation, slot: Any, total: Any) -> tuple[Any]:
+        view = dr.gather(mi.UInt32, found.order, slot)
+        steps = (dr.gather(mi.Color3f, of_views, view) for of_views in (first, slope))
+        of_channels = [variance(*of) for of in zip(seen.radiance, *steps, strict=True)]
+        weight = noise_weight(sum(seen.radiance) / 3, knee, seen.contrast, eta)
+        added = weight * sum(of_channels) / len(of_channels)
+        return (dr.fma(dr.select(seen.seen, mi.Float(1), 0), added, total),)
+
+    (total,) = found.over_views(views, surface, consume, (dr.zeros(mi.Float, surface.count),))
+    dr.eval(total)
+    return np.array(total, np.float64)

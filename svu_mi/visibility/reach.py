@@ -18,8 +18,7 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.light.cells import LightCells
-from svu_mi.light.lighting import Lighting
-from svu_mi.light.moments import MOMENTS
+from svu_mi.light.lighting import MOMENTS, Lighting
 from svu_mi.visibility.bits import Bits
 from svu_mi.visibility.observe import Observation, Surface, fold, mirror_direction
 from svu_mi.visibility.pixels import as_channels

@@ -19,7 +19,7 @@ from svu_mi.capture.window import Window
 from svu_mi.errors import CaptureError, OptionError, SceneError
 from svu_mi.exr import read_exr, read_header, write_exr
 from svu_mi.light.environment import radiance_from, read_environment
-from svu_mi.light.grid import grid_size
+from svu_mi.light.sampling import grid_size
 
 SECONDS = 8  # a refusal, on a busy machine
 VASE = scenes.path("vase")

@@ -26,8 +26,7 @@ from scipy.ndimage import binary_erosion
 from svu_mi.capture.picture import srgb
 from svu_mi.errors import ShapeError, SvuWarning
 from svu_mi.metrics.checks import pictures, require_finite
-from svu_mi.metrics.images import ssim_map
-from svu_mi.metrics.textures import psnr
+from svu_mi.metrics.images import psnr, ssim_map
 
 ERODED = 5  # pixels per side of the square the mask is eroded by
 HDR_LIMIT = 4.0  # of radiance, after normalisation

@@ -14,8 +14,7 @@ import numpy as np
 import scipy
 
 from svu_mi.bench.experiment import Record
-from svu_mi.metrics.images import WHITE, srgb
-from svu_mi.metrics.textures import psnr
+from svu_mi.metrics.images import WHITE, psnr, srgb
 
 LEVELS = (0.5, 0.8, 0.9, 0.95)  # of intervals
 FEWEST = 20  # texels in each half of a photograph

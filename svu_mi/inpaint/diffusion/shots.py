@@ -31,7 +31,7 @@ from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import lay_out
-from svu_mi.surface.gutter import dilate
+from svu_mi.surface.raster import dilate
 from svu_mi.visibility import Surface, Views, observe, pack_sensors
 from svu_mi.visibility.observe import look
 from svu_mi.visibility.views import LARGEST_FILM

@@ -11,6 +11,7 @@ import numpy as np
 from svu_mi.capture import Capture
 from svu_mi.capture.shown import shrunk, tone_mapped
 from svu_mi.illumination.record import LightEstimate
+from svu_mi.interop import evenly_spaced
 from svu_mi.output import surface_maps
 from svu_mi.output.figures import map_colors
 from svu_mi.output.knowledge import Intervals
@@ -22,7 +23,6 @@ from svu_mi.output.surface_maps import SurfaceMap
 from svu_mi.pipeline import Estimate
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.recovery.textures import Textures
-from svu_mi.spacing import evenly_spaced
 
 SHOWN = 60  # photographs in a report; of more, every other, or fewer
 FIRST = 12  # of them that are shown without asking

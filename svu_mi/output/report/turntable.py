@@ -18,7 +18,7 @@ from svu_mi.interop import owned
 from svu_mi.output import views
 from svu_mi.output.upright import front_and_right, upright
 from svu_mi.surface import Texels
-from svu_mi.surface.gutter import dilate
+from svu_mi.surface.raster import dilate
 
 ELEVATION = 20.0  # degrees
 FOV, ROOM = 30.0, 1.02  # degrees; distance, relative to where the bounding sphere just fits

@@ -17,7 +17,7 @@ from svu_mi.output.knowledge import Intervals
 from svu_mi.output.result import place_of
 from svu_mi.pipeline import Estimate
 from svu_mi.surface import Texels
-from svu_mi.surface.gutter import dilate
+from svu_mi.surface.raster import dilate
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -39,7 +39,7 @@ from svu_mi.recovery.field.smoother import Smoother
 from svu_mi.recovery.textures import Textures, lay_out
 from svu_mi.settings import require_known
 from svu_mi.surface import Texels
-from svu_mi.surface.groups import squares_of
+from svu_mi.surface.neighbors import squares_of
 
 # Chosen on our own scenes:
 # rho, part of a seen texel's variance that its neighbourhood has in common; and of parameters that

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svu_mi.recovery.field.smoother import Smoother
-from svu_mi.surface.groups import means, owners_of, sums
+from svu_mi.surface.neighbors import means, owners_of, sums
 
 FEW = 2**14  # texels that are solved for at once
 FEWER = 0.7  # part of the texels from which on groups are no help

@@ -17,10 +17,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from svu_mi.fours import QUAD, fours, padded
 from svu_mi.interop import owned
-from svu_mi.surface.groups import grouped
-from svu_mi.surface.neighbors import lanes_of, over_neighbors
+from svu_mi.local import QUAD, fours, padded
+from svu_mi.surface.neighbors import grouped, lanes_of, over_neighbors
 
 TOLERANCE = 1e-3  # of the residual, relative to the right-hand side's
 LOOK = 8  # iterations between looks at it

@@ -17,18 +17,17 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.frequency.mirrored import MirroredLight
+from svu_mi.frequency.samples import MirroredLight
 from svu_mi.interop import owned
-from svu_mi.light.moments import moment_map
+from svu_mi.light.lighting import moment_map
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset
 from svu_mi.parameters import MIXED
 from svu_mi.recovery.sh.gradient import carry, look_up
-from svu_mi.reflection.diffuse import diffuse_shading
 from svu_mi.reflection.fitted import Convolved
 from svu_mi.reflection.lobes import reflected_at_view
 from svu_mi.reflection.principled import alpha_from_roughness, columns, mixture, slope
-from svu_mi.reflection.shading import Parts, dot, parts_of, radiance
+from svu_mi.reflection.shading import Parts, diffuse_shading, dot, parts_of, radiance
 from svu_mi.regularization.gradients import sign
 from svu_mi.statistics.gather import GRAZING, Values, mixed_of
 from svu_mi.visibility import Observation, Surface, Survey, Views
