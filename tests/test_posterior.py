@@ -9,11 +9,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from extremes.spectra import L
-from extremes.spectra import metals as spectra
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numerics.samples import DEGREE as L
+from numerics.samples import metals as spectra
 from oracle import posterior as oracle
 from unseen import assert_unseen_have_the_prior
 

@@ -4,25 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from oracle import frequency
 from oracle.rounded_integrals import calibrated_entropies
-from oracle.rounding import SPECTRUM, Exact, angular_entropy, spectrum_entropy
+from oracle.rounding import Exact, angular_entropy
 
-from extremes.spectra import albedo_of
+from numerics.samples import noise_of
 from svu_mi.bench.captures import in_memory
 from svu_mi.capture import Capture
 from svu_mi.capture.mesh import MeshArrays, make
 from svu_mi.capture.poses import make_sensor
-from svu_mi.interop import owned
-from svu_mi.observed import Observed
-from svu_mi.options import AngularPreset, Preset
 from svu_mi.pipeline import Estimate
 from svu_mi.scenes import meshes
 from svu_mi.visibility import Observation, Surface, Views, observe
@@ -144,18 +139,12 @@ def ball(**changes: Any) -> Ball:
 
 
 def exact(found: Estimate, chosen: np.ndarray) -> list[Exact]:
-    """What the entropy of chosen texels is, in double precision from single samples on.
+    """What the angular entropy of chosen texels is, in double precision from single samples on.
 
     Args:
         found: the estimate, which knows its capture.
         chosen: (t,) indices of texels that are seen.
     """
-    if isinstance(found.preset, AngularPreset):
-        return _exact_angles(found, chosen)
-    return _exact_spectra(found, chosen)
-
-
-def _exact_angles(found: Estimate, chosen: np.ndarray) -> list[Exact]:
     grid: Any = found.posterior.grid
     switches: Any = found.preset
     observed: Any = found.observed
@@ -180,64 +169,18 @@ def _exact_angles(found: Estimate, chosen: np.ndarray) -> list[Exact]:
     if switches.noise == "estimated":
         kappa = switches.knee * observed.unit
         weights = on / (1 + (b.mean(axis=0) ** 2 + switches.edges * contrast) / kappa**2)
-        noise = found.posterior.noise[observed.lane[chosen]]  # type: ignore[attr-defined]
+        noise = noise_of(found.posterior)[observed.lane[chosen]]
         columns = np.moveaxis(parts, (2, 3), (0, 1))  # (4, t, R, C, V)
         return calibrated_entropies(weights, *columns, np.moveaxis(b, 1, 0), noise, switches)
-    if switches.noise == "heteroscedastic":
-        weights = 1 / (1 + (b.mean(axis=0) / observed.unit) ** 2)
     result = []
     for t, seen in enumerate(on):
         e, p, q, d = np.moveaxis(parts[:, :, :, t, seen], 2, 0)
-        result.append(
-            angular_entropy(
-                weights[t, seen], e, p, q, d, b[:, t, seen], switches, grid, observed.unit
-            )
-        )
+        own = weights[t, seen], e, p, q, d, b[:, t, seen]
+        result.append(angular_entropy(*own, switches, grid, observed.unit))
     return result
 
 
-def _exact_spectra(found: Estimate, chosen: np.ndarray) -> list[Exact]:
-    grid: Any = found.posterior.grid
-    switches: Any = found.preset
-    observed: Any = found.observed
-    surface = Surface.of(observed.texels, owned(mi.UInt32, chosen.astype(np.uint32)))
-    columns = [_sample(observed, surface, switches, view) for view in range(observed.views.number)]
-    d, w, f = (np.stack(column, axis=1) for column in zip(*columns, strict=True))
-    fitted = partial(frequency.fit, lmax=switches.degree, regularizer=switches.regularizer,
-                     penalize_constant=switches.penalize_constant)  # fmt: skip
-    S = frequency.power(fitted(d, w, f))
-    colors = switches.colors
-    E: Any = [None] * len(chosen)
-    albedo = albedo_of(switches, grid)
-    if switches.principled:
-        light = observed.irradiance(switches, colors)
-        E = np.stack([value.numpy() for value in light], axis=-1)[observed.lane[chosen]]
-    problem: Any = getattr(found.posterior, "problem")  # noqa: B009 - not of every posterior
-    unit = float(np.array(problem.sigma).ravel()[0]) / switches.sigma  # a mean over all texels
-    return [
-        spectrum_entropy(
-            S[t, :, colors:], S[t, :, :colors], switches, grid, unit,
-            samples=float((w[t] > 0).sum()), irradiance=E[t], albedo=albedo,
-            prefilter=observed.lighting.prefilter, error=SPECTRUM,
-        )
-        for t in range(len(chosen))
-    ]  # fmt: skip
-
-
-def _sample(
-    observed: Observed, surface: Surface, switches: Preset, view: int
-) -> tuple[np.ndarray, ...]:
-    """Directions (t, 3), cosines (t,), and values (t, 2 C): photographs, then mirrored light."""
-    seen = _look(observed, surface, view)
-    mirror, free = _mirror(observed.views, surface, seen)
-    lit = free if switches.occluded else mi.Bool(True)
-    incoming = dr.select(seen.seen & lit, observed.lighting.radiance(mirror), 0)
-    both = [*as_channels(seen.radiance, switches.colors), *as_channels(incoming, switches.colors)]
-    dr.eval(seen.direction, seen.cosine, both)
-    return seen.direction.numpy().T, seen.cosine.numpy(), _table([both], surface.count)[0].T
-
-
-def _look(observed: Observed, surface: Surface, number: int) -> Observation:
+def _look(observed: Any, surface: Surface, number: int) -> Observation:
     """What a view shows, if its own ray says that it sees a texel."""
     view = dr.opaque(mi.UInt32, number)
     return look(observed.views, surface, view, observe(observed.views, surface, view).seen)
