@@ -178,12 +178,6 @@ def backward(lower: list[Any], solution: list[Any], blocks: Any, size: int, held
 def forward(lower: list[Any], solution: list[Any], blocks: Any, size: int) -> list[Any]:
     """Solve L z = b in place.
 
-    Args:
-        lower: the factor, as ``factor_and_forward`` leaves it.
-        solution: b on entry.
-        blocks: number of tile rows.
-        size: edge of a tile.
-
     Returns:
         ``solution``, holding z.
     """

@@ -31,15 +31,7 @@ def fit_spectra(
     light_channels: int | None = None,
     skip_unseen: bool = True,
 ) -> Spectra:
-    """Gather, fit and take power spectra in one kernel per solver; samples are never stored.
-
-    Args:
-        observed: the photographs of T texels.
-        switches: degree, regulariser, R_00 of Eq. 12 and occlusion.
-        channels: C of the photographs to fit, 1 or 3; the preset's own by default.
-        light_channels: of the light; 1 stands for all C of grey light.
-        skip_unseen: False solves for texels that no view sees, too; they stay 0.
-    """
+    """Gather, fit and take power spectra in one kernel per solver; samples are never stored."""
     colors = channels or switches.colors
     light = light_channels or colors
     counts = np.maximum(observed.found.coverage.numpy(), 0 if skip_unseen else 1)
@@ -93,11 +85,6 @@ def fit_coefficients(
     """Gather and fit as ``fit_spectra`` does, in three channels, and keep the coefficients.
 
     Memory: 24 bytes per texel and coefficient, 1.2 kB per texel at degree 6.
-
-    Args:
-        observed: the photographs of T texels, in three channels.
-        switches: degree, regulariser, R_00 of Eq. 12 and occlusion.
-        light_channels: of the light, 3, or 1 if it is grey.
     """
     count = observed.texels.count
     values = dr.zeros(mi.Float, (switches.degree + 1) ** 2 * (3 + light_channels) * count)

@@ -34,11 +34,7 @@ MAX_DEGREE = 9
 
 
 def degree_of(count: int) -> int:
-    """Return the degree of a full set of ``count = (degree + 1)^2`` coefficients.
-
-    Raises:
-        ShapeError: ``count`` is not a positive square.
-    """
+    """Return the degree of a full set of ``count = (degree + 1)^2`` coefficients."""
     root = math.isqrt(max(count, 0))
     if count < 1 or root * root != count:
         raise ShapeError(
@@ -49,11 +45,7 @@ def degree_of(count: int) -> int:
 
 
 def check_degree(degree: Any, caller: str) -> int:
-    """Return ``degree`` as an int in [0, 9].
-
-    Raises:
-        OptionError: it is not a whole number in that range.
-    """
+    """Return ``degree`` as an int in [0, 9]."""
     whole = isinstance(degree, Integral) and not isinstance(degree, bool)
     if not whole or not 0 <= degree <= MAX_DEGREE:
         raise OptionError(f"{caller}: the degree must be a whole number in [0, 9], got {degree!r}.")
@@ -62,10 +54,6 @@ def check_degree(degree: Any, caller: str) -> int:
 
 def basis(direction: Any, degree: int) -> list[Any]:
     """Evaluate Y_lm for a unit direction.
-
-    Args:
-        direction: a Dr.Jit 3-vector of unit length; its precision decides the precision.
-        degree: the highest degree l, in [0, 9].
 
     Returns:
         (degree + 1)^2 arrays in the order l*l + l + m.
@@ -90,10 +78,6 @@ def zonal_kernel(t: Any, powers: list[float]) -> Any:
 
     By the addition theorem this is Y(a)^T R^-1 Y(b) for unit vectors with a.b = t. Powers of t
     are safe here: R grows by e per degree, coefficients of P_l only by 1 + sqrt(2).
-
-    Args:
-        t: cosine of the angle, any Dr.Jit float array.
-        powers: literals, as ``zonal_polynomial`` returns them.
     """
     value = type(t)(powers[-1])
     for power in reversed(powers[:-1]):
@@ -116,14 +100,7 @@ class System:
 
     @staticmethod
     def of(degree: int, channels: int, regularizer: float, penalize_constant: bool) -> System:
-        """State the problem.
-
-        Args:
-            degree: l*, in [0, 9].
-            channels: number of right-hand sides; they share one factorisation.
-            regularizer: lambda > 0.
-            penalize_constant: R_00 = 1 as printed (True) or 0 (False).
-        """
+        """State the problem."""
         ridge = harmonics.ridge(degree, penalize_constant)
         return System(degree, channels, ridge, dr.opaque(mi.Float64, regularizer))
 
@@ -149,15 +126,8 @@ def unit(direction: Any) -> Any:
 def power_lanes(coefficients: list[list[Any]]) -> list[list[Any]]:
     """Return S(l) of every lane (Eq. 8).
 
-    Args:
-        coefficients: (lmax + 1)^2 lists of C arrays in the order l*l + l + m, as
-            ``fit_lanes`` returns them, in radiance up to exposure.
-
     Returns:
         lmax + 1 lists of C arrays, in squared radiance.
-
-    Raises:
-        ShapeError: the number of coefficients is not a square.
     """
     spectrum = []
     for l in range(harmonics.degree_of(len(coefficients)) + 1):

@@ -73,9 +73,6 @@ class Samples:
 
         Outgoing radiance B is indexed by the direction to the camera; so is incoming radiance
         L, which is looked up where the mirror sends that direction.
-
-        Args:
-            slot: UInt32, which view: ``found.order[slot]``.
         """
         views, found, lighting = self.observed.views, self.observed.found, self.observed.lighting
         seen = found.look(views, self.surface, slot)
@@ -123,12 +120,7 @@ class Job:
     def solutions(
         self, masking: Masking | None = None, factors: int = 1
     ) -> Iterator[tuple[Any, list[list[Any]]]]:
-        """Yield the texels of each solver, UInt32, and their coefficients, not evaluated yet.
-
-        Args:
-            masking: of the light, as for ``Samples``.
-            factors: how many it returns.
-        """
+        """Yield the texels of each solver, UInt32, and their coefficients, not evaluated yet."""
         fit = self.switches
         system = System.of(
             fit.degree, self.channels + factors * self.light_channels, fit.regularizer,
@@ -162,11 +154,7 @@ class MirroredLight:
     chosen: np.ndarray
 
     def room(self, rows: int) -> Any:
-        """Return zeros for so many numbers per lane, evaluated: (rows S,) Float.
-
-        Raises:
-            OptionError: more than one array can hold.
-        """
+        """Return zeros for so many numbers per lane, evaluated: (rows S,) Float."""
         size = rows * len(self.chosen)
         if size >= 2**32:
             raise OptionError(
@@ -187,11 +175,6 @@ class MirroredLight:
 
     def solutions(self, masking: Masking, count: int) -> Iterator[tuple[Any, list[list[Any]]]]:
         """Fit masked light.
-
-        Args:
-            masking: what the light is multiplied by. It should read opaque numbers, so that one
-                kernel serves all.
-            count: F, how many factors it returns.
 
         Yields:
             UInt32 lanes of texels that some view sees, and their (l* + 1)^2 coefficients: lists

@@ -49,12 +49,7 @@ def columns(levels: int, channels: int) -> int:
 
 
 def respond(scene: Any, model: Model) -> Respond:
-    """Return what evaluates a view of texels.
-
-    Args:
-        scene: what occludes.
-        model: the texels and the light.
-    """
+    """Return what evaluates a view of texels."""
     surface = model.surface
 
     def evaluate(seen: Observation) -> list[Any]:

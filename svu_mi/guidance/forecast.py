@@ -46,9 +46,6 @@ class Hypotheses:
     def of_texels(self, texels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return all hypotheses of some texels, those of one after the other.
 
-        Args:
-            texels: (L,) of the T.
-
         Returns:
             Which of the L each is of, and its number among those, from 0: (N,) int64 each.
         """
@@ -147,11 +144,6 @@ class Forecast(ABC):
     ) -> np.ndarray:
         """Return E[H] of photographs from some views and one candidate (Eq. 13).
 
-        Args:
-            views: v' numbers.
-            candidates: A numbers, none of them among ``views``.
-            texels: (L,) of the T.
-
         Returns:
             (A, L) float32; NaN where the candidate does not see the texel.
         """
@@ -162,10 +154,6 @@ class Forecast(ABC):
 
     def one_by_one(self, views: np.ndarray, candidates: np.ndarray) -> np.ndarray:
         """Return E[H] of photographs from some views, then with each candidate as well: (A + 1, T).
-
-        Args:
-            views: v' numbers.
-            candidates: A numbers, in the order in which they are photographed.
         """
         steps = [self.now(views)]
         for k, candidate in enumerate(candidates):

@@ -36,18 +36,7 @@ Draw = Callable[[np.ndarray, np.ndarray], Hypotheses]
 def forecast_of(
     estimate: Estimate, texels: np.ndarray, candidates: Views, options: GuidanceOptions
 ) -> Forecast:
-    """Look at texels from sensors that have not taken a photograph.
-
-    Args:
-        estimate: what the photographs so far say.
-        texels: (t,) int64 indices of texels of the estimate.
-        candidates: views, packed.
-        options: how many psi per texel, and the seed of their draw.
-
-    Raises:
-        OptionError: an estimate that was not made from a capture, or is over parameters that
-            do not say what photographs would show.
-    """
+    """Look at texels from sensors that have not taken a photograph."""
     options = options.resolved(estimate.preset)
     refuse_growing(estimate.method, options)
     observed = observed_of(estimate, None)
@@ -199,11 +188,7 @@ def _growing(
 
 
 def refuse_growing(method: str, options: GuidanceOptions) -> None:
-    """Refuse a band limit that grows for estimates without one.
-
-    Raises:
-        OptionError: the estimate is by another method than power spectra.
-    """
+    """Refuse a band limit that grows for estimates without one."""
     if options.band_limit == "growing" and method != "spectrum":
         raise OptionError(
             "next_best_view(): band_limit='growing' is about power spectra (Eq. 13); use "

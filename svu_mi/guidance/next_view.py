@@ -153,13 +153,6 @@ def _choices(
 ) -> Iterator[tuple[Proposal, np.ndarray]]:
     """Choose the best candidate, take it as photographed, and so on.
 
-    Args:
-        judge: of the candidates.
-        greedy: says what they do to entropy; None of a strategy without a forecast.
-        known: where to choose from.
-        count: how many to choose; fewer if there are not as many.
-        entropy: mean over all texels, of the photographs so far.
-
     Yields:
         A proposal, and the gains (C,) of all candidates when it was chosen.
     """

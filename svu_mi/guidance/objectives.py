@@ -175,12 +175,7 @@ class Colors:
     nodes: np.ndarray | None = None
 
     def channels(self, sums: list[Any], truth: list[Any]) -> tuple[Any, list[Parts]]:
-        """Return the energy of the best colours, Float, and each channel's likelihood.
-
-        Args:
-            sums: A, B, C of every channel.
-            truth: c_0 of every channel.
-        """
+        """Return the energy of the best colours, Float, and each channel's likelihood."""
         if self.edges[0] == self.edges[-1]:  # known: the truth has that colour, too
             return self.copies * sum(sums[2::3]), []
         thirds = zip(sums[::3], sums[1::3], sums[2::3], truth, strict=True)

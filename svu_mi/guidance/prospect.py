@@ -75,11 +75,7 @@ class Prospect:
 
     @cached_property
     def forecast(self) -> Forecast:
-        """What photographs from the candidates would say.
-
-        Raises:
-            OptionError: an estimate that says nothing of that.
-        """
+        """What photographs from the candidates would say."""
         return forecast_of(self.estimate, self.texels, self._packed, self.options)
 
     @cached_property

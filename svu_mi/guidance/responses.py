@@ -49,13 +49,7 @@ class Responses:
 
     @staticmethod
     def of(first: Any, columns: int, count: int) -> Responses:
-        """Make room for the other columns of all pairs that see each other.
-
-        Args:
-            first: (V T,) Float, evaluated.
-            columns: K.
-            count: T.
-        """
+        """Make room for the other columns of all pairs that see each other."""
         seen = dr.select(first > 0, mi.UInt32(1), 0)
         slot, pairs = dr.prefix_sum(seen), int(dr.sum(seen)[0])  # of those before
         rest = dr.empty(mi.Float, max(pairs, 1) * padded(columns - 1))  # never nothing at all
@@ -112,18 +106,7 @@ def collect(
     surface: Surface, photographed: tuple[Views, Survey], candidates: Views, respond: Respond,
     columns: int,
 ) -> Responses:  # fmt: skip
-    """Evaluate all views of texels: those photographed first, then the candidates.
-
-    Args:
-        surface: the texels.
-        photographed: views with photographs, and which texels they see.
-        candidates: views without.
-        respond: what a view shows.
-        columns: K.
-
-    Raises:
-        OptionError: more numbers than 32-bit indices reach.
-    """
+    """Evaluate all views of texels: those photographed first, then the candidates."""
     _require_room(surface.count, photographed[0].number + candidates.number, columns)
     first = cosines(surface, photographed, candidates)
     responses = Responses.of(first, columns, surface.count)
@@ -181,16 +164,7 @@ def cosines(
 
 
 def _require_room(count: int, number: int, columns: int) -> None:
-    """Refuse more numbers than 32-bit indices reach.
-
-    Args:
-        count: of texels.
-        number: of views.
-        columns: K.
-
-    Raises:
-        OptionError: there are more.
-    """
+    """Refuse more numbers than 32-bit indices reach."""
     room = count * number * max(padded(columns - 1), 1)
     if room >= 2**32:
         most = count * 2**32 // room

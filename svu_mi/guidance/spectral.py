@@ -47,14 +47,7 @@ def columns(switches: Preset) -> int:
 
 
 def respond(scene: Any, surface: Surface, lighting: Lighting, switches: Preset) -> Respond:
-    """Return what evaluates a view of texels: a row of Eq. 12 for the light.
-
-    Args:
-        scene: what occludes.
-        surface: the texels.
-        lighting: the band-limited light.
-        switches: of the estimator.
-    """
+    """Return what evaluates a view of texels: a row of Eq. 12 for the light."""
     dr.eval(lighting.filtered)  # no texture may be made while a loop is recorded
 
     def evaluate(seen: Observation) -> list[Any]:

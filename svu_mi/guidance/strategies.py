@@ -65,11 +65,6 @@ class Farthest:
 def farthest(directions: np.ndarray, taken: Sequence[int], count: int) -> list[int]:
     """Add directions by farthest-point sampling.
 
-    Args:
-        directions: (V, 3), of unit length.
-        taken: indices of those to start from.
-        count: how many to add.
-
     Returns:
         ``taken``, and ``count`` more, or fewer if there are fewer.
     """

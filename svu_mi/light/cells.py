@@ -128,16 +128,7 @@ class _Cluster:
 
 
 def light_cells(environment: Environment, coarse: int, fine: int) -> LightCells:
-    """Gather an environment into cells.
-
-    Args:
-        environment: the light.
-        coarse: number N_c of coarse cells.
-        fine: number N_f of fine cells, at least as many, and at most 4096.
-
-    Raises:
-        OptionError: other numbers.
-    """
+    """Gather an environment into cells."""
     if not 1 <= coarse <= fine <= EVEN[0]:
         raise OptionError(
             f"light_cells(): needs 1 <= coarse <= fine <= {EVEN[0]}, got {coarse} and {fine}."
@@ -226,12 +217,7 @@ def _gathered(environment: Environment, count: int) -> tuple[np.ndarray, np.ndar
 
 
 def even_radiance(environment: Environment, count: int) -> np.ndarray:
-    """Return the mean radiance (N, 3) of the even cells of the world, float64.
-
-    Args:
-        environment: the light.
-        count: N; the cells are ``fibonacci``'s.
-    """
+    """Return the mean radiance (N, 3) of the even cells of the world, float64."""
     flux, pull = _gathered(environment, SPLIT * count)
     world = pull / np.maximum(np.linalg.norm(pull, axis=1, keepdims=True), 1e-300)
     owner = nearest_cells(world @ environment.to_local, count)

@@ -71,15 +71,7 @@ class Environment:
 
 
 def read_environment(emitter: Any) -> Environment:
-    """Sample an environment emitter through its own ``eval`` and ``to_world``.
-
-    Args:
-        emitter: an ``envmap``, ``constant`` or ``sunsky`` emitter.
-
-    Raises:
-        SceneError: ``to_world`` is not a rotation, or the light is not finite, all black, or in
-            good part negative.
-    """
+    """Sample an environment emitter through its own ``eval`` and ``to_world``."""
     to_world = scene.to_world(emitter)[:3, :3]
     if not np.allclose(to_world.T @ to_world, np.eye(3), atol=1e-3):
         raise SceneError(
@@ -101,9 +93,6 @@ def read_environment(emitter: Any) -> Environment:
 
 def lat_long(local: Any) -> tuple[Any, Any]:
     """Return where a lat-long map holds a unit local direction: phi / 2 pi in [0, 1), theta / pi.
-
-    Args:
-        local: a Dr.Jit Vector3f, or NumPy (..., 3).
     """
     if dr.is_array_v(local):
         u = dr.atan2(local.x, -local.z) * dr.inv_two_pi
@@ -175,11 +164,6 @@ def polar_from_local(local: np.ndarray) -> np.ndarray:
 
 def analyze(grid: np.ndarray, degree: int) -> np.ndarray:
     """Integrate a lat-long grid against spherical harmonics: Fourier per ring, then Legendre.
-
-    Args:
-        grid: (H, W, C) values on the grid of ``directions``.
-        degree: highest degree; exact for grids band-limited to ``degree`` when H > 2 degree
-            and W > 2 degree.
 
     Returns:
         ((degree + 1)^2, C) float64.

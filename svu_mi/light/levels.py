@@ -56,14 +56,9 @@ def filter_light(
     lighting: Lighting, widths: Sequence[float], profile: Callable[[float, np.ndarray], np.ndarray],
     grey: bool = False, disk: bool = True,
 ) -> Levels:
-    """Convolve the light with a lobe of every width; what was asked for before is kept.
+    """Convolve the light with a lobe of every width alpha; results are cached.
 
-    Args:
-        lighting: the capture's light.
-        widths: R widths alpha.
-        profile: weight of a lobe of width alpha by the cosine from its centre, any scale.
-        grey: filter the mean of the channels only.
-        disk: with a sun's disk, which a map resolves no better than its nodes are apart.
+    ``profile`` is the weight by the cosine from the lobe's centre. ``disk`` includes a sun's disk.
     """
     kept = lighting.lobes
     keys = [(float(width), profile, grey, disk) for width in widths]
@@ -99,11 +94,6 @@ def convolve(grid: np.ndarray, width: float, profile: Profile) -> np.ndarray:
 
     Rows are convolved along the azimuth by FFT; only rows that the lobe reaches take part.
     The lobe is normalised where it stands, so that a constant stays what it is.
-
-    Args:
-        grid: (H, W, C) on the nodes of ``environment.directions``.
-        width: alpha; about half the lobe's standard deviation.
-        profile: weight by the cosine from the lobe's centre.
 
     Returns:
         (H', W', C) float64 on a grid of the same kind, coarser for wide lobes.
@@ -206,10 +196,6 @@ class LightStack:
         """Look up light *from* a world direction between two levels, linearly in all of it.
 
         Derivatives with respect to ``place`` and ``direction`` are those of the interpolation.
-
-        Args:
-            place: Float in [0, R - 1]: 2.25 is a quarter of the way from level 2 to level 3.
-            direction: unit vector.
 
         Returns:
             A Float per channel.

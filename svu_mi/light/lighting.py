@@ -85,12 +85,7 @@ def look_up(texture: Any, local: Any) -> list[Any]:
 
 
 def light(capture: Capture, views: int) -> Lighting:
-    """Read a capture's light and band-limit it by alpha' = v^(-1/2) (Sec. 3.3.2 of the paper).
-
-    Args:
-        capture: its scene has one environment emitter.
-        views: number v of views the spectra will be fitted to, at least 1.
-    """
+    """Read a capture's light and band-limit it by alpha' = v^(-1/2) (Sec. 3.3.2 of the paper)."""
     label = str(capture.source or "scene")
     environment = read_environment(find_environment(capture.scene, label))
     return band_limit(environment, views)
@@ -167,12 +162,7 @@ class MomentMap:
 
 
 def moment_map(environment: Environment, channels: int = 3) -> MomentMap:
-    """Convolve the light.
-
-    Args:
-        environment: the light.
-        channels: 3, or 1 for the mean of the colour channels.
-    """
+    """Convolve the light."""
     factors = zonal_cosine(COSINE_DEGREE, 0), zonal_cosine(COSINE_DEGREE, 5)
     expanded = [environment.coefficients(COSINE_DEGREE)]
     expanded += [_along(environment, axis).coefficients(COSINE_DEGREE) for axis in range(3)]

@@ -41,9 +41,6 @@ def grid_size(emitter: Any) -> tuple[int, int]:
 
     On too few nodes a constant is not orthogonal to high degrees. A small map is sampled
     between its nodes too, an odd number of times so that they stay among the samples.
-
-    Raises:
-        SceneError: the map is too large for the memory that there is.
     """
     if emitter.class_name() != "EnvironmentMapEmitter":
         return SKY_GRID
@@ -72,12 +69,6 @@ def sampled(emitter: Any, to_world: np.ndarray, columns: int, rows: int) -> np.n
 
     Every node's light is then shared among its nearest neighbours, so that none is lost.
 
-    Args:
-        emitter: as for ``read_environment``.
-        to_world: (3, 3) its rotation.
-        columns: nodes around.
-        rows: nodes from pole to pole.
-
     Returns:
         (H, W, 3) float64 radiance.
     """
@@ -104,13 +95,7 @@ def sampled(emitter: Any, to_world: np.ndarray, columns: int, rows: int) -> np.n
 
 
 def directions(columns: int, rows: int, band: slice = slice(None)) -> np.ndarray:
-    """Return the (rows, columns, 3) local directions of Mitsuba's lat-long sampling grid.
-
-    Args:
-        columns: nodes around.
-        rows: nodes from pole to pole.
-        band: which of the rows.
-    """
+    """Return the (rows, columns, 3) local directions of Mitsuba's lat-long sampling grid."""
     theta = (np.pi * np.arange(rows) / (rows - 1))[band]
     phi = 2 * np.pi * (np.arange(columns) + 0.5) / columns
     sin, cos = np.sin(theta)[:, None], np.cos(theta)[:, None]
@@ -119,12 +104,7 @@ def directions(columns: int, rows: int, band: slice = slice(None)) -> np.ndarray
 
 
 def radiance_from(emitter: Any, world: np.ndarray) -> np.ndarray:
-    """Return (N, 3) float64 radiance that an environment emitter sends from directions.
-
-    Args:
-        emitter: as for ``read_environment``.
-        world: (N, 3) unit directions towards it.
-    """
+    """Return (N, 3) float64 radiance that an environment emitter sends from directions."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(world))
     si.wi = -owned(mi.Vector3f, world.T.astype(np.float32))
     return np.broadcast_to(emitter.eval(si).numpy().T.astype(np.float64), world.shape).copy()

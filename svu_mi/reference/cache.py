@@ -32,11 +32,7 @@ def locate(
     subset: int | np.ndarray,
     options: Options,
 ) -> Path:
-    """Return the file of one reference; its folder exists afterwards.
-
-    Raises:
-        OutputError: the folder cannot be made or written.
-    """
+    """Return the file of one reference; its folder exists afterwards."""
     key = Key(FORMAT, svu_mi.__version__, mi.__version__, mi.variant(), options, subset)
     key.add(capture_parts(capture))
     for values in (texels.position, texels.geometric_normal):  # others are in the capture
@@ -62,11 +58,7 @@ def load(path: Path, options: Options) -> Reference | None:
 
 
 def store(path: Path, reference: Reference) -> None:
-    """Write a reference.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """Write a reference."""
     traced = reference.traced
     weight = {} if traced.weight is None else {"weight": traced.weight}
     write_arrays(
@@ -87,11 +79,7 @@ def store(path: Path, reference: Reference) -> None:
 
 
 def _unpack(stored: dict[str, np.ndarray], name: str, options: Options) -> Reference:
-    """Return what was read as a reference.
-
-    Raises:
-        ValueError: it belongs to another file name, or is not what is stored.
-    """
+    """Return what was read as a reference."""
     if str(stored.get("name")) != name:
         raise ValueError("it belongs to another capture or other options")
     _require_shapes(stored, options)
@@ -120,11 +108,7 @@ def _unpack(stored: dict[str, np.ndarray], name: str, options: Options) -> Refer
 
 
 def _require_shapes(stored: dict[str, np.ndarray], options: Options) -> None:
-    """Refuse arrays that no reference with these options has.
-
-    Raises:
-        ValueError: one is missing or of another type or shape.
-    """
+    """Refuse arrays that no reference with these options has."""
     grid, count = options.grid, stored["subset"].size if "subset" in stored else 0
     wanted: dict[str, tuple[str, tuple[int, ...]]] = {
         "subset": ("i", (count,)), "unit": ("f", ()), "brightness": ("f", (count,)),

@@ -60,12 +60,6 @@ class PerTexel:
 def brute(observed: np.ndarray, mean: PerTexel, grid: PrincipledGrid, render: Render) -> np.ndarray:
     """Render every psi.
 
-    Args:
-        observed: (P,) float64, grey radiance b.
-        mean: the texels of the pairs.
-        grid: nodes of psi.
-        render: traces both halves of one psi.
-
     Returns:
         (3, n, R, M ..., K) float64: means of (b - (A + B) / 2)^2, (b - A)^2 and (b - B)^2.
     """
@@ -84,12 +78,6 @@ def sums(observed: np.ndarray, mean: PerTexel, levels: np.ndarray, render: Rende
 
     At fixed roughness, four renders with a grey base colour give e, p, q and d of every channel
     (``reflection/principled.py``), and the sums of products of columns (``Statistics``) all cells.
-
-    Args:
-        observed: (P, C) float64, radiance b; of one channel, grey.
-        mean: the texels of the pairs.
-        levels: (R,) roughness.
-        render: traces both halves of one psi.
 
     Returns:
         (3, R, C, P, n) float64: with the mean of both halves, with A and with B.

@@ -85,11 +85,7 @@ class Options:
 
 
 def check_subset(subset: Any, count: int) -> int | np.ndarray:
-    """Return a number of texels, or (n,) int64 indices of texels that exist.
-
-    Raises:
-        OptionError: it is neither, or names texels that do not exist.
-    """
+    """Return a number of texels, or (n,) int64 indices of texels that exist."""
     label = "reference_posterior(): subset"
     if np.ndim(subset) == 0:
         if not _is_whole(subset, 1):

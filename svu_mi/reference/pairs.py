@@ -51,11 +51,6 @@ def visible_pairs(observed: Observed, batch: Any, target: UniformScene) -> Pairs
     """Find the pairs of a batch of texels that a camera ray confirms.
 
     Takes 100 bytes per texel of the batch and view.
-
-    Args:
-        observed: the photographs, and which of them see which texels.
-        batch: (n,) UInt32, which of the T texels.
-        target: the scene that will be traced.
     """
     views, texels = observed.views, observed.texels
     lane = dr.arange(mi.UInt32, dr.width(batch) * views.number)

@@ -29,12 +29,7 @@ class Traced:
     coverage: np.ndarray
 
     def posteriors(self, options: Options, unit: float) -> list[Posterior]:
-        """Return the posterior of the mean and of each half.
-
-        Args:
-            options: that it was traced with.
-            unit: radiance that noise is a part of.
-        """
+        """Return the posterior of the mean and of each half."""
         grid, seen = options.grid, self.coverage > 0
         if self.weight is None:
             over = self.coverage.reshape(-1, *(1 for _ in grid.shape))

@@ -18,11 +18,7 @@ LANES = 1 << 20  # paths in memory at a time
 
 
 def path_integrator(max_depth: int) -> Any:
-    """Mitsuba's path tracer, which samples both the light and the material.
-
-    Args:
-        max_depth: longest path, in edges seen from the camera; 2 is direct light.
-    """
+    """Mitsuba's path tracer, which samples both the light and the material."""
     return mi.load_dict({"type": "path", "max_depth": max_depth})
 
 
@@ -34,13 +30,6 @@ def trace(
     A lane traces one path, with random numbers of its own: for equal seeds they are the same
     for every material, even where that makes paths longer or shorter, so part of the noise
     cancels in the differences between materials, which are all that a posterior depends on.
-
-    Args:
-        scene: what is traced.
-        integrator: how; see ``path_integrator``.
-        rays: (P,) Ray3f.
-        samples: paths per ray, even.
-        seed: a whole number >= 0.
 
     Returns:
         (P, 3) and (P, 3) float64 radiance.
@@ -92,12 +81,7 @@ class UniformScene:
         return UniformScene(scene=made.scene, shape=made.shape, params=mi.traverse(material))
 
     def paint(self, psi: Mapping[str, float]) -> None:
-        """Change the material.
-
-        Args:
-            psi: values in [0, 1] by parameter, a colour's grey and linear; others are at their
-                default.
-        """
+        """Change the material."""
         for p in PARAMETERS.values():
             key = p.name if p.name in self.params else f"{p.name}.value"
             # Opaque: as literals, every psi would compile kernels of its own.

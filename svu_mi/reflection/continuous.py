@@ -64,14 +64,7 @@ class Continuous:
 def continuous(
     lighting: Lighting, switches: AngularPreset, levels: int = 16, channels: int = 3
 ) -> Continuous:
-    """Filter the light.
-
-    Args:
-        lighting: the light.
-        switches: the model.
-        levels: R, at least 2, uniform in roughness on [0, 1].
-        channels: 3, or 1 for the mean of the colour channels.
-    """
+    """Filter the light."""
     lobes = NarrowLobes.of(
         lighting, alpha_from_roughness(np.linspace(0, 1, levels)), switches, channels
     )
@@ -92,18 +85,7 @@ def shade(
     visible: Callable[[Any, Any], Any] | None = None,
     to_moments: Any | None = None,
 ) -> list[Parts]:
-    """Evaluate the model for one direction of view per lane.
-
-    Args:
-        model: the light and the lobes.
-        roughness: Float in [0, 1]; derivatives with respect to it are tracked.
-        normal: unit Normal3f, world space.
-        direction: unit Vector3f to the camera, world space.
-        moments: of the light that arrives, as in ``Reach.diffuse``.
-        visible: called with the mirror direction and alpha, returns the part of the lobe's
-            light that is visible, in [0, 1]; all of it by default.
-        to_moments: Matrix3f from world space to the frame of the moments; none by default.
-    """
+    """Evaluate the model for one direction of view per lane."""
     normal, rule = mi.Vector3f(normal), model.switches.diffuse
     cosine = dr.maximum(dr.dot(normal, direction), NARROWEST)
     outgoing = direction if to_moments is None else to_moments @ mi.Vector3f(direction)

@@ -50,14 +50,6 @@ class FittedLobes:
         """Fit and convolve the light with a lobe of each width.
 
         Memory: 4 n C bytes per texel and width.
-
-        Args:
-            light: of S texels.
-            alpha: (K,) widths.
-            switches: the model.
-
-        Raises:
-            OptionError: more texels than an array can hold the coefficients of.
         """
         rows, count = (light.fit.degree + 1) ** 2 * light.channels, len(light.chosen)
         values = light.room(len(alpha) * rows)
@@ -76,10 +68,6 @@ class FittedLobes:
 
     def reflect(self, direction: Any, cosine: Any) -> list[Lobe]:
         """Reflect light towards a camera.
-
-        Args:
-            direction: unit Vector3f to the camera.
-            cosine: Float between it and the normal, positive.
 
         Returns:
             The lobe of each width.
@@ -118,15 +106,7 @@ class Convolved:
 
     @staticmethod
     def of(light: MirroredLight, roughness: Any) -> Convolved:
-        """Fit and convolve, exactly: every texel's light is fitted under its own masking.
-
-        Args:
-            light: of S texels.
-            roughness: (S,) Float in [0, 1], evaluated.
-
-        Raises:
-            OptionError: more texels than an array can hold the coefficients of.
-        """
+        """Fit and convolve, exactly: every texel's light is fitted under its own masking."""
         values = light.room(2 * (light.fit.degree + 1) ** 2 * light.channels)
         stride = dr.opaque(mi.UInt32, len(light.chosen))
 
@@ -152,11 +132,7 @@ class Convolved:
         return Convolved(values, light)
 
     def towards(self, direction: Any) -> list[tuple[Any, Any]]:
-        """Evaluate in angle: (S_alpha * G1 L, its derivative for roughness) of each channel.
-
-        Args:
-            direction: unit Vector3f to the camera, one per lane.
-        """
+        """Evaluate in angle: (S_alpha * G1 L, its derivative for roughness) of each channel."""
         channels, count = self.light.channels, len(self.light.chosen)
         stride = dr.opaque(mi.UInt32, count)
         found = _evaluate(
@@ -196,14 +172,6 @@ def _evaluate(
     values: Any, direction: Any, degree: int, place: Any, advance: Any, columns: list[Any]
 ) -> list[Any]:
     """Evaluate expansions: the sum over coefficients of Y_lm(direction) times each of some columns.
-
-    Args:
-        values: flat array of coefficients.
-        direction: unit Vector3f.
-        degree: l*.
-        place: UInt32, where each lane's first coefficient is.
-        advance: UInt32, from one coefficient to the next.
-        columns: UInt32, where each column begins.
     """
     number = (degree + 1) ** 2
     basis = dr.alloc_local(mi.Float, number)

@@ -35,11 +35,6 @@ def zonal_profile(lobe: Lobe, alpha: float, cosine: np.ndarray) -> np.ndarray:
     a direction (Eq. 6); wide ones have a negative part. ``ggx`` is D(theta / 2) G1(theta), the
     lobe seen along the normal, where the half vector turns by half the angle
     [Walter et al. 2007].
-
-    Args:
-        lobe: which shape.
-        alpha: its width.
-        cosine: cos theta, in [-1, 1].
     """
     if lobe == "gaussian":
         if alpha < FLAT:  # the sphere is flat under it
@@ -92,12 +87,6 @@ def blurred_ggx(up: Any, incident: Any, widths: list[float], square: Any) -> lis
     1 / s^2, whose mean over a disk of radius rho differs from its value at the centre by the
     part (rho^2 / s) (1 / 2 - 3 alpha^2 / 4 s), to first order: less at the peak, more around it.
 
-    Args:
-        up: cosine between normal and half vector.
-        incident: positive cosine between normal and the disk's centre.
-        widths: alpha of the lobes.
-        square: rho^2.
-
     Returns:
         One value for each width.
     """
@@ -128,11 +117,7 @@ def reciprocals(values: list[Any]) -> list[Any]:
 
 
 def dielectric_fresnel(cosine: Any) -> Any:
-    """Unpolarised reflectance of a dielectric of index 1.5 [Fresnel's equations].
-
-    Args:
-        cosine: of the angle between direction and (micro-)normal, in [0, 1].
-    """
+    """Unpolarised reflectance of a dielectric of index 1.5 [Fresnel's equations]."""
     inner = _root(cosine)(1 - (1 - cosine * cosine) / INDEX**2)
     below_s, below_p = cosine + INDEX * inner, INDEX * cosine + inner
     inverse = (dr.rcp if dr.is_array_v(cosine) else np.reciprocal)(below_s * below_p)
@@ -145,11 +130,6 @@ def reflected_at_view(rule: Fresnel, cosine: Any, alpha: Any) -> tuple[Any, Any,
     """(A, B, D): a lobe reflects R0 A + B, and that of a dielectric D, by Eq. 6.
 
     Fresnel's term is that of the camera's angle, for the whole lobe.
-
-    Args:
-        rule: ``schlick`` or ``none``.
-        cosine: of the angle between camera and normal, in [0, 1].
-        alpha: width of the lobe.
     """
     masking = smith_g1(cosine, alpha)
     schlick = (1 - cosine) ** 5 if rule == "schlick" else 0.0
@@ -194,9 +174,6 @@ def _albedo(alpha: float) -> np.ndarray:
 def split_sum(alpha: np.ndarray) -> np.ndarray:
     """Directional albedo R0 A + B of GGX with Schlick's Fresnel [Karis 2013].
 
-    Args:
-        alpha: (R,) widths.
-
     Returns:
         (R, ALBEDO_NODES, 2) float64 of A and B at cos theta_o = (i + 0.5) / ALBEDO_NODES.
     """
@@ -213,9 +190,6 @@ def dielectric_albedo(alpha: np.ndarray) -> np.ndarray:
 
     Up to a quarter more than 0.04 A + B between 45 and 60 degrees; Mitsuba's ``principled``
     uses Schlick's formula for metals only.
-
-    Args:
-        alpha: (R,) widths.
 
     Returns:
         (R, ALBEDO_NODES) float64, at the angles of ``split_sum``.

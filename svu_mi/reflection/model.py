@@ -70,17 +70,7 @@ class Model:
     def of(
         surface: Surface, light: Arriving, roughness: np.ndarray, switches: AngularPreset
     ) -> Model:
-        """Filter the light, and put together what reaches every texel.
-
-        Args:
-            surface: S texels.
-            light: what arrives at them.
-            roughness: (R,) levels, ascending.
-            switches: which model.
-
-        Raises:
-            OptionError: levels that do not ascend.
-        """
+        """Filter the light, and put together what reaches every texel."""
         if np.any(np.diff(roughness) <= 0):
             raise OptionError(f"Roughness levels must ascend, got {roughness.tolist()}.")
         lighting, reach, channels = light.lighting, light.reach, light.channels
@@ -118,11 +108,6 @@ class Model:
 
     def columns(self, direction: Any, cosine: Any, free: Any) -> list[list[Parts]]:
         """Evaluate the model for one view of every texel.
-
-        Args:
-            direction: unit Vector3f to the camera.
-            cosine: Float, between it and the shading normal, positive.
-            free: Bool, nothing stands in the mirror direction.
 
         Returns:
             For each level and channel (e, p, q, d).

@@ -56,15 +56,7 @@ class NarrowLobes:
         lighting: Lighting, alpha: np.ndarray, switches: AngularPreset, channels: int,
         *, disk: bool = True,
     ) -> NarrowLobes:  # fmt: skip
-        """Filter the light.
-
-        Args:
-            lighting: the light.
-            alpha: (K,) lobe widths.
-            switches: which model.
-            channels: 3, or 1 for the mean of R, G and B.
-            disk: filter a sun's disk with the rest; else it is summed, cell by cell.
-        """
+        """Filter the light."""
         profile = profile_of(switches.lobe)
         return NarrowLobes(
             switches=switches,
@@ -79,12 +71,6 @@ class NarrowLobes:
 
     def reflect(self, normal: Any, direction: Any, cosine: Any, free: Any) -> list[Lobe]:
         """Reflect light towards a camera.
-
-        Args:
-            normal: Vector3f, shading normals.
-            direction: unit Vector3f to the camera.
-            cosine: Float between the two, positive.
-            free: Bool, nothing stands in the mirror direction.
 
         Returns:
             The lobe of each width.

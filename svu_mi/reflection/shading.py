@@ -19,14 +19,7 @@ def parts_of(
     diffuse: list[tuple[Any, Any]], roughness: Any, reflected: tuple[Any, Any, Any],
     light: list[Any],
 ) -> list[Parts]:  # fmt: skip
-    """Put diffuse and specular light together, for every channel of the light.
-
-    Args:
-        diffuse: a and b of a + b roughness, per channel (``diffuse_shading``).
-        roughness: Float.
-        reflected: (A, B, D), what a lobe reflects: R0 A + B, and that of a dielectric D.
-        light: under the lobe, per channel.
-    """
+    """Put diffuse and specular light together, for every channel of the light."""
     A, B, D = reflected
     return [
         (dr.fma(roughness, b, a), A * value, B * value, D * value)
@@ -35,13 +28,7 @@ def parts_of(
 
 
 def radiance(parts: list[Parts], base_color: Sequence[Any], mixed: Sequence[Any]) -> list[Any]:
-    """Return outgoing radiance, a Float per channel of the base colour.
-
-    Args:
-        parts: per channel of the light, one of which stands for all under grey light.
-        base_color: Floats in [0, 1].
-        mixed: other parameters, as ``mixture`` takes them.
-    """
+    """Return outgoing radiance, a Float per channel of the base colour."""
     how = mixture(*mixed)
     return [
         dot(how.at(color), columns(*parts[k % len(parts)])) for k, color in enumerate(base_color)
@@ -58,14 +45,7 @@ def interpolated(
     levels: Sequence[list[Parts]], shares: Sequence[Any], base_color: Sequence[Any],
     mixed: Sequence[Any],
 ) -> list[Any]:  # fmt: skip
-    """Return outgoing radiance between levels of roughness.
-
-    Args:
-        levels: parts at each.
-        shares: a Float for each, how much it counts.
-        base_color: Floats, as ``radiance`` takes them.
-        mixed: likewise.
-    """
+    """Return outgoing radiance between levels of roughness."""
     found = [dr.zeros(type(shares[0]))] * len(base_color)
     for level, share in zip(levels, shares, strict=True):
         here = radiance(level, base_color, mixed)
@@ -94,12 +74,6 @@ def diffuse_shading(
 
     The term R^2 F_o F_i, which is of any size only where both directions graze, is left out;
     what is left is linear in four moments of the light (``visibility.Reach``).
-
-    Args:
-        model: ``disney``, or ``lambert``: f = 1 / pi.
-        moments: c0, m0 (3), c1, m1 (3) of one channel.
-        direction: unit Vector3f w_o, in the frame of the moments.
-        cosine: Float, cos theta_o.
 
     Returns:
         (a, b), radiance.

@@ -53,14 +53,6 @@ def open_to_light(
 ) -> tuple[Any, Any]:
     """Estimate which part of the diffuse, and of the specular, light nothing hides.
 
-    Args:
-        scene: what occludes, with one environment emitter.
-        sampler: of the rendering.
-        si: SurfaceInteraction3f, the points.
-        side: of the surface there.
-        alpha: Float, width of the GGX lobe; derivatives are not tracked.
-        active: Bool, which lanes matter.
-
     Returns:
         Two Floats, 0 or 1 per lane, whose means over samples are those parts.
     """

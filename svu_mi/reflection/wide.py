@@ -128,12 +128,6 @@ class WideLobes:
     def reflect(self, lane: Any, normal: Any, direction: Any, cosine: Any) -> list[Lobe]:
         """Reflect the visible light towards a camera.
 
-        Args:
-            lane: UInt32, which of the S texels.
-            normal: Vector3f, shading normals.
-            direction: unit Vector3f to the camera.
-            cosine: Float between the two, positive.
-
         Returns:
             The lobe of each width.
         """

@@ -76,13 +76,7 @@ class Models:
 
 
 def parabola(model: Any, least: Any, noise: Any) -> tuple[Any, Any]:
-    """Return t and h of a clipped sample: radiance, and how much it counts.
-
-    Args:
-        model: r', Float.
-        least: b.
-        noise: sigma.
-    """
+    """Return t and h of a clipped sample: radiance, and how much it counts."""
     z = dr.clip((model - least) / noise, -1e4, ABOVE)
     near, x = dr.maximum(z, -BELOW), dr.maximum(-z, BELOW)
     normal = 0.5 * (1 + dr.erf(near * dr.sqrt(0.5)))

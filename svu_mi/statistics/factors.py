@@ -96,12 +96,7 @@ class Factors:
     @staticmethod
     def joined(parts: Iterable[Factors], count: int) -> Factors:
         """Return the factors of texels that come part by part, of which only one is held beside
-        the result.
-
-        Args:
-            parts: some texels each.
-            count: S, texels in all.
-        """
+        the result."""
         values, views, texel, done, part = mi.Float(), [], [], 0, None
         for part in parts:
             if not done:
@@ -186,12 +181,7 @@ def stride(levels: int, channels: int) -> int:
 
 
 def combined(U: list[Any], x: Sequence[Any]) -> list[Any]:
-    """Return the components of U x.
-
-    Args:
-        U: entries in the order of ``PAIRS``.
-        x: how often each column counts.
-    """
+    """Return the components of U x."""
     entries, found = dict(zip(PAIRS, U, strict=True)), []
     for row in range(COLUMNS):
         total: Any = 0.0
@@ -204,16 +194,7 @@ def combined(U: list[Any], x: Sequence[Any]) -> list[Any]:
 def factorize(
     columns: list[Any], weight: Any, views: Any, texel: Any, roughness: np.ndarray, channels: int
 ) -> Factors:
-    """Factorise sums, divided by their weight, within the kernel that computes them.
-
-    Args:
-        columns: Float64s (S,) of every level, channel and pair of columns.
-        weight: Float64 (S,).
-        views: of ``Factors``, as are all others.
-        texel: which of all texels each is.
-        roughness: of the levels.
-        channels: C.
-    """
+    """Factorise sums, divided by their weight, within the kernel that computes them."""
     levels, count = len(roughness), int(dr.width(texel))
     scale = dr.select(weight > 0, dr.rcp(dr.select(weight > 0, weight, 1)), 0)
     least = [mi.Float64(dr.inf)] * channels

@@ -265,12 +265,6 @@ def rounding_sums(
 ) -> np.ndarray | None:
     """Return the variance of a sample of weight 1 by rounding alone, summed over samples.
 
-    Args:
-        views: the packed capture.
-        found: which views see which texels, of all texels.
-        surface: S texels.
-        weighting: how much samples count.
-
     Returns:
         (S,) float64, squared radiance, of a mean channel; None where no photograph is of integers.
     """

@@ -6,11 +6,7 @@ from typing import Any
 
 
 def catmull_rom(t: Any) -> list[Any]:
-    """Return the weights of four values, between the second and the third of which t lies.
-
-    Args:
-        t: in [0, 1]; numbers, NumPy and Dr.Jit arrays alike.
-    """
+    """Return the weights of four values, between the second and the third of which t lies."""
     return [
         0.5 * t * (-1 + t * (2 - t)),
         0.5 * (2 + t * t * (-5 + 3 * t)),

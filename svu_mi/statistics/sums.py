@@ -121,12 +121,7 @@ class Statistics:
         return self.levels * self.channels * len(PAIRS) + 1
 
     def __add__(self, other: Statistics) -> Statistics:
-        """Return the statistics of both sets of views.
-
-        Raises:
-            ShapeError: other texels, levels or channels.
-            OptionError: another kappa: their samples were weighted differently.
-        """
+        """Return the statistics of both sets of views."""
         if (
             self.channels != other.channels
             or not np.array_equal(self.roughness, other.roughness)
@@ -200,9 +195,6 @@ class Statistics:
     def errors(self, *nodes: np.ndarray) -> np.ndarray:
         """Return the weighted mean squared error of cells in double precision, for a few texels.
 
-        Args:
-            nodes: (M,) of every mixed parameter, and (K,) of base colour.
-
         Returns:
             (S, R, C, M ..., K); 0 for a texel that no view sees.
         """
@@ -218,15 +210,7 @@ class Statistics:
         table: np.ndarray, weight: np.ndarray, views: np.ndarray, roughness: np.ndarray,
         kappa: float = inf,
     ) -> Statistics:  # fmt: skip
-        """Take sums from NumPy: the inverse of ``table``.
-
-        Args:
-            table: (R, C, P, S).
-            weight: (S,).
-            views: (S,).
-            roughness: (R,).
-            kappa: see the class.
-        """
+        """Take sums from NumPy: the inverse of ``table``."""
         channels, count = table.shape[1], table.shape[-1]
         rows = np.concatenate([table.reshape(-1, count), np.reshape(weight, (1, count))])
         return Statistics(

@@ -195,11 +195,7 @@ def _step(source: MeshArrays) -> float:
 
 
 def size_of(resolution: Any) -> tuple[int, int]:
-    """Return (width, height) from an int or two of them, NumPy's own included.
-
-    Raises:
-        OptionError: it is anything else.
-    """
+    """Return (width, height) from an int or two of them, NumPy's own included."""
     try:
         sides = resolution if np.iterable(resolution) else (resolution, resolution)
         width, height = (operator.index(side) for side in sides)
@@ -307,15 +303,7 @@ def _interpolate(
     resolution: tuple[int, int],
     room: _Points,
 ) -> None:
-    """Write the surface points of texels.
-
-    Args:
-        source: the mesh.
-        faces: normals and areas of its faces.
-        texels: index and face of each.
-        resolution: (W, H).
-        room: where to.
-    """
+    """Write the surface points of texels."""
     assert source.uvs is not None
     (index, face), (width, height), (normals, areas) = texels, resolution, faces
     uv = np.stack([(index % width + 0.5) / width, (index // width + 0.5) / height], axis=-1)

@@ -18,15 +18,8 @@ from svu_mi.surface.layout import Texels
 def parameters_at(capture: Capture, texels: Texels) -> dict[str, np.ndarray]:
     """Evaluate the target's BSDF parameters at every texel's centre.
 
-    Args:
-        capture: its ``shape`` must have a ``principled`` BSDF, and its own UVs.
-        texels: T texels of ``capture.mesh``.
-
     Returns:
         By name float64: base_color (T, 3), linear, and all others (T,).
-
-    Raises:
-        SceneError: another BSDF, or a mesh that was unwrapped again.
     """
     label = f"Shape '{capture.shape.id()}'"
     if capture.mesh is not capture.shape:

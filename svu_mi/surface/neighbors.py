@@ -39,11 +39,7 @@ class Neighbors:
     seams: int
 
     def __post_init__(self) -> None:
-        """Refuse what a fold over neighbours would not find.
-
-        Raises:
-            ShapeError: a neighbour stands behind a texel's own number.
-        """
+        """Refuse what a fold over neighbours would not find."""
         own, hidden = dr.arange(mi.UInt32, self.count), mi.Bool(False)
         for column, after in zip(self.around, self.around[1:], strict=False):
             hidden |= (column == own) & (after != own)
@@ -56,13 +52,7 @@ class Neighbors:
 
     @staticmethod
     def of(pairs: np.ndarray, count: int, seams: int = 0) -> Neighbors:
-        """Turn unique pairs into a neighbourhood.
-
-        Args:
-            pairs: (P, 2) int64, in any order.
-            count: T.
-            seams: number of them that lie across a seam.
-        """
+        """Turn unique pairs into a neighbourhood."""
         pairs = np.sort(pairs, axis=1)
         pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
         owner, other = np.r_[pairs[:, 0], pairs[:, 1]], np.r_[pairs[:, 1], pairs[:, 0]]
@@ -91,11 +81,6 @@ def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
     position one texel further on is extrapolated, and the texel nearest to it across the seam
     takes its place. Texels whose normals are opposite (the two sides of a sheet) never are
     neighbours, nor are any two further apart than two texels.
-
-    Args:
-        texels: T texels.
-        mesh: the mesh they lie on (``capture.mesh``); without it, pairs across seams are left
-            out and whatever is side by side in the map is taken to be so in space.
     """
     right, down = _in_the_map(texels)
     if mesh is None:
@@ -110,10 +95,6 @@ def neighbors(texels: Texels, mesh: Any | None = None) -> Neighbors:
 
 def lanes_of(around: Sequence[Any], size: int) -> tuple[Any, ...]:
     """Return the neighbours of lanes, of which every texel has some.
-
-    Args:
-        around: columns (T,) UInt32, of ``Neighbors``.
-        size: how many lanes a texel has, one after the other.
 
     Returns:
         Columns (T * size,) UInt32: the same lane of the neighbours.
@@ -133,11 +114,6 @@ def over_neighbors(around: Sequence[Any], add: Callable[[Any, Any], Any], state:
     """Fold over the neighbours of all texels, or lanes, within a kernel.
 
     Few texels have more than four, along seams: packets of which none has go no further.
-
-    Args:
-        around: columns (T,) UInt32, of ``Neighbors``, or of ``lanes_of``.
-        add: ``add(other, state)`` returns the new state.
-        state: Dr.Jit arrays (T,).
     """
     if not around:
         return state
@@ -303,9 +279,6 @@ def squares_of(texels: Texels) -> np.ndarray:
 def owners_of(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Group what is in the same square.
 
-    Args:
-        squares: (T, 2) int64, rows and columns.
-
     Returns:
         The squares of G groups, (G, 2), and the group of each of the T, (T,) int64.
     """
@@ -315,12 +288,7 @@ def owners_of(squares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def grouped(around: Sequence[np.ndarray], owner: np.ndarray) -> tuple[Any, ...]:
-    """Return which groups of texels are next to each other, as ``Neighbors.around`` has them.
-
-    Args:
-        around: columns (T,) of the texels' neighbours.
-        owner: (T,) int64, which group each texel is of.
-    """
+    """Return which groups of texels are next to each other, as ``Neighbors.around`` has them."""
     count = int(owner.max()) + 1
     numbers = []
     for column in around:

@@ -26,10 +26,6 @@ def rasterize(uvs: np.ndarray, resolution: tuple[int, int]) -> tuple[np.ndarray,
     Texel (i, j) has its centre at ((j + 0.5) / W, (i + 0.5) / H). Of overlapping faces the
     one with the highest index is kept.
 
-    Args:
-        uvs: (F, 3, 2) corners, Mitsuba's convention (v = 0 is row 0).
-        resolution: (W, H) in texels.
-
     Returns:
         (H * W,) int64 face index, -1 outside all charts; (H * W,) int64 number of faces.
     """
@@ -104,18 +100,9 @@ NARROW = 8  # texels: wider gutters may be most of the image, and are asked for 
 def dilate(image: np.ndarray, valid: np.ndarray, texels: float) -> np.ndarray:
     """Fill invalid texels near valid ones with the nearest valid value.
 
-    Args:
-        image: (H, W) or (H, W, C), any type.
-        valid: (H, W) bool, True where the image's value counts.
-        texels: width of the gutter: the largest Euclidean distance between centres.
-
     Returns:
         A copy of the image; valid texels and those further away are as they were. Of several
         valid texels at the same distance, any one gives its value.
-
-    Raises:
-        ShapeError: ``valid`` is not the image's (H, W).
-        OptionError: ``texels`` is negative.
     """
     image, valid = np.asarray(image), np.asarray(valid, bool)
     if image.ndim not in (2, 3) or valid.shape != image.shape[:2]:

@@ -45,13 +45,9 @@ class Bits:
         dr.scatter_add(self.words, bit, place, active, dr.ReduceMode.NoConflicts)
 
     def push(self, word: Any, number: Any, lane: Any, value: Any) -> Any:
-        """Set the bits of numbers that come in order, each word when it is full.
+        """Set bits of numbers that come in order, each word when it is full.
 
-        Args:
-            word: UInt32, what the call for the number before returned; anything at first.
-            number: of the bit.
-            lane: of the bit.
-            value: Bool.
+        ``word`` is what the call for the number before returned; anything at first.
         """
         place = number % WORD
         word = dr.select(place == 0, 0, word) | dr.select(value, mi.UInt32(1) << place, 0)

@@ -117,12 +117,6 @@ def observe(views: Views, surface: Surface, view: Any, *, dense: bool = False) -
     A texel is seen when it faces the camera (both normals), its pixel neighbourhood lies on
     the film and is usable, and nothing stands between. Rays are traced only for lanes that
     pass the cheaper tests.
-
-    Args:
-        views: the packed capture.
-        surface: the texels.
-        view: UInt32, index of the view (uniform over lanes in a loop over views).
-        dense: trace for every lane all the same, to see what that costs.
     """
     camera = read_camera(views, view)
     to_camera = camera.position - surface.position
@@ -189,13 +183,7 @@ def look(
 ) -> Observation:  # fmt: skip
     """Observe texels that a view is known to see: no test, no ray, and no work for others.
 
-    Args:
-        views: the packed capture.
-        surface: the texels.
-        view: UInt32, index of the view.
-        seen: Bool, which of the texels it sees.
-        dense: work for every lane all the same, to see what that costs.
-        clipped: read clipped pixels, too, as dark as they may be.
+    ``clipped`` reads saturated pixels, too, as their lower bounds. ``dense`` works for all lanes.
     """
 
     def read(position: Any, normal: Any, sides: Any) -> tuple[Any, ...]:
@@ -243,13 +231,9 @@ def over_views(
 
 
 def fold(start: Any, end: Any, body: Callable[..., Any], *state: Any) -> tuple[Any, ...]:
-    """Run a body over numbers from start to end, in one symbolic loop; return the last state.
+    """Run a body over numbers from start to end in one symbolic loop; return the last state.
 
-    Args:
-        start: UInt32, the first number.
-        end: UInt32, the one after the last.
-        body: ``body(number, *state)`` returns the next number, and the new state; traced once.
-        *state: Dr.Jit arrays.
+    ``body(number, *state)`` returns the next number and the new state; it is traced once.
     """
     return dr.while_loop(
         state=(mi.UInt32(start), *state), cond=lambda number, *_: number < end, body=body

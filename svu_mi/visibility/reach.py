@@ -63,11 +63,6 @@ class Reach:
         c0 = sum L V cos, m0 (3) = sum L V cos w, and the same with Schlick's (1 - cos)^5 of the
         incident direction w as c1, m1. The sum over cells only says which part is hidden: the
         irradiance of an open surface comes from the light's harmonics, which know it better.
-
-        Args:
-            surface: the texels of the lanes.
-            lighting: the light of the cells.
-            channels: 3, or 1 for the mean of R, G and B.
         """
         cells, lane = self.cells.fine, surface.lane
 
@@ -99,14 +94,7 @@ class Reach:
 def trace_reach(
     scene: Any, surface: Surface, cells: LightCells, *, occluded: bool = True
 ) -> Reach:
-    """Trace the cells of the light from every texel of a launch.
-
-    Args:
-        scene: what occludes.
-        surface: S texels.
-        cells: of the light.
-        occluded: False takes everything above the horizon for open.
-    """
+    """Trace the cells of the light from every texel of a launch."""
     lane, count = surface.lane, surface.count
     coarse = Bits.clear(cells.coarse.number, count)
     fine = Bits.clear(cells.fine.number, count)
@@ -174,14 +162,7 @@ class Mirrors:
 
 
 def trace_mirrors(views: Views, surface: Surface, found: Survey, lane: Any) -> Mirrors:
-    """Trace the mirror direction of every sample.
-
-    Args:
-        views: the packed capture.
-        surface: S texels, among which all that are seen.
-        found: which views see which texels.
-        lane: (T,) UInt32, which of them each texel is.
-    """
+    """Trace the mirror direction of every sample."""
     bits, place = Bits.clear(dr.width(found.order), surface.count), surface.lane
 
     def trace(seen: Observation, slot: Any, word: Any) -> tuple[Any]:
@@ -196,14 +177,7 @@ def trace_mirrors(views: Views, surface: Surface, found: Survey, lane: Any) -> M
 
 
 def mirror_free(scene: Any, surface: Surface, seen: Observation, asked: Any) -> Any:
-    """Trace the mirror direction of visible samples; below the horizon nothing is free.
-
-    Args:
-        scene: what occludes.
-        surface: the texels.
-        seen: the samples.
-        asked: Bool, for which to trace at all (``Survey.asked``).
-    """
+    """Trace the mirror direction of visible samples; below the horizon nothing is free."""
     mirror = mirror_direction(surface.normal, seen.direction)
     free = asked & (dr.dot(surface.geometric_normal, mirror) > 0)
     return seen.seen & is_open(scene, surface, mirror, free, coherent=False)

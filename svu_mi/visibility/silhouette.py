@@ -63,14 +63,7 @@ class Outline:
     films: Films
 
     def encloses(self, scene: Any, view: Any, pixel: Any, active: Any) -> Any:
-        """Return whether four pixels, 2 x 2, are interior: nine rays through their corners.
-
-        Args:
-            scene: the ``mi.Scene``.
-            view: UInt32.
-            pixel: UInt32 index of the first of them, over all films.
-            active: Bool.
-        """
+        """Return whether four pixels, 2 x 2, are interior: nine rays through their corners."""
         films = self.films
         width = dr.gather(mi.UInt32, films.width, view)
         place = pixel - dr.gather(mi.UInt32, films.offset, view)
@@ -98,14 +91,7 @@ def find_tiles(
     bounds: np.ndarray,
     masks: Sequence[np.ndarray | None],
 ) -> np.ndarray:
-    """List the tiles of V views.
-
-    Args:
-        projections: (V, 3, 4), world space to (x * depth, y * depth, depth), in pixels.
-        near: (V,) near clip of each view, as a depth.
-        sizes: (V, 2) width and height of each photograph.
-        bounds: (2, 3) least and greatest corner of the object's bounding box, world space.
-        masks: V arrays (H, W) bool, True where a pixel may be used, or None for all of them.
+    """List the tiles of V views, given (V, 3, 4) projections to pixels and (V, 2) film sizes.
 
     Returns:
         (N, 3) uint32: view, column and row of the first pixel. Tiles do not share pixels.
@@ -150,12 +136,6 @@ def _tiles_of(view: int, window: np.ndarray, mask: np.ndarray | None) -> np.ndar
 
 def interior(scene: Any, target: Any, films: Films, tiles: np.ndarray) -> Iterator[tuple[Any, Any]]:
     """Find the interior pixels among those of the tiles: one ray per pixel corner.
-
-    Args:
-        scene: the ``mi.Scene``.
-        target: the shape whose pixels are asked for.
-        films: the views.
-        tiles: (N, 3) uint32, see ``find_tiles``.
 
     Yields:
         UInt32 index of a pixel (over all photographs) and Bool whether it is interior; not

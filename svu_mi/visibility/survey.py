@@ -109,10 +109,6 @@ def mean_radiance(coverage: np.ndarray, total: np.ndarray) -> float:
 
     Texels far above the median count as 1000 times that: a few pixels that the camera has got
     wrong, or that show the sun, say nothing about noise elsewhere.
-
-    Args:
-        coverage: (T,) number of samples of each texel.
-        total: (T,) their radiance, summed.
     """
     samples, total = np.asarray(coverage, np.float64), np.asarray(total, np.float64)
     lit = total > 0
@@ -126,14 +122,7 @@ def survey(
     views: Views, surface: Surface, *, skip_blind: bool = True, skip_pairs: bool = True
 ) -> Survey:
     """Find which views see which texels, and how bright: one pass over all views, the only
-    one that traces rays to the cameras.
-
-    Args:
-        views: the packed capture.
-        surface: all texels.
-        skip_blind: leave views that see nothing out of later passes.
-        skip_pairs: no rays and no look-ups for pairs that cheaper tests rule out.
-    """
+    one that traces rays to the cameras."""
     per_view = dr.zeros(mi.UInt32, max(views.number, 1))
     worth = dr.zeros(mi.UInt32, max(views.number, 1))  # of clipped pixels
     bits = Bits.clear(views.number, surface.count)

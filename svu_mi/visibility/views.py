@@ -87,18 +87,7 @@ class ClippedPixels:
 
 
 def pack_views(capture: Capture, *, silhouettes: bool = False) -> Views:
-    """Lay the used views of a capture out for the gather kernels.
-
-    Args:
-        capture: the photographs and where they were taken. If they lie in one block they are used
-            where they are: do not write to them meanwhile.
-        silhouettes: take the pixels of the masks as they are, those on a silhouette too, wherever
-            the object is.
-
-    Raises:
-        CaptureError: no photograph that may be used, one of another size than its film, or more
-            pixels than 32-bit indices reach.
-    """
+    """Lay the used views of a capture out for the gather kernels."""
     kept = [index for index in range(capture.count) if capture.used[index]]
     if not kept:
         raise CaptureError(
@@ -154,14 +143,6 @@ def pack_sensors(
 
     What a photograph would not show, they do not see: pixels on a silhouette. Films of more than
     512 pixels are looked at in 512, with silhouettes that much wider.
-
-    Args:
-        scene: the ``mi.Scene`` that visibility is traced in.
-        target: the object.
-        sensors: V perspective sensors.
-        largest: pixels per side beyond which a film is looked at in fewer.
-        later: judge pixels when they are looked at: of many films and few texels, less work than
-            to find those of whole films. ``usable`` is None then.
     """
     poses = [_Pose.of(scaled_sensor(sensor, largest)) for sensor in sensors]
     sizes = np.array([pose.size for pose in poses], np.int64).reshape(-1, 2)
@@ -238,9 +219,6 @@ class _Pixels:
 
         One of 1e10 in one photograph would be most of their mean radiance, which noise is a part
         of.
-
-        Args:
-            offset: (V,) index of each photograph's first pixel.
 
         Returns:
             Of each photograph that has some: its number, theirs, and how often the brightest
