@@ -25,7 +25,7 @@ from svu_mi.capture.poses import (
 from svu_mi.needs import Size
 
 LARGE = 2**22  # pixels of a photograph from which on it is worth it
-ENOUGH = 0.9  # pixels across a texel: about one (BENCHMARKS.md, "Captures of any size")
+ENOUGH = 0.9  # pixels across a texel: about one (notebooks/design/photographs.md)
 MARGIN = 0.02  # of the object's size in a photograph, around it
 BORDER = 8  # pixels around it besides
 FACES = 20_000  # that say how large texels are
