@@ -236,7 +236,7 @@ def test_numbers_of_near_ties_stay_below_the_title(count):
         options=svu.GuidanceOptions(),
     )  # fmt: skip
     figure = Figure(figsize=guidance_page.SIZE)
-    left, right, top, bottom = guidance_page.PLACES[2]
+    left, right, bottom, top = guidance_page.PLACES[2]
     axes = figure.add_axes((left, bottom, right - left, top - bottom))
     guidance_page.draw_ranking(axes, guidance)
     figure.draw_without_rendering()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,56 +21,6 @@ WORST = 0.02  # part of the candidates' gains that colours clip below
 LUMINANCE, DARK = (0.2126, 0.7152, 0.0722), 0.45  # numbers on darker discs are white
 
 
-@dataclass(frozen=True)
-class Directions:
-    """A map of the directions around the object, for any thread to draw.
-
-    Attributes:
-        candidates: x and y (C,) of all candidates on the map.
-        photographs: those of the photographs that are used.
-        gains: (C,), NaN for candidates out of reach.
-        reachable: (C,) bool.
-        proposed: numbers of the candidates that are proposed, by rank.
-    """
-
-    candidates: tuple[np.ndarray, np.ndarray]
-    photographs: tuple[np.ndarray, np.ndarray]
-    gains: np.ndarray
-    reachable: np.ndarray
-    proposed: list[int]
-
-    @classmethod
-    def of(
-        cls, capture: Capture, guidance: Guidance, up: tuple[float, float, float] = UP
-    ) -> Directions:
-        """Lay candidates and photographs out on the map, of which ``up`` is the top."""
-        center, _ = bounding_sphere(capture.shape)
-        used = directions_of(capture.used_sensors, center)
-        frame = facing(np.array(up, np.float64), used[0])
-        places = directions_of(guidance.candidates.sensors, center)
-        return cls(
-            _hammer(places @ frame.T), _hammer(used @ frame.T), guidance.gains,
-            guidance.candidates.reachable, [one.candidate for one in guidance.proposals],
-        )  # fmt: skip
-
-    def draw(self, axes: Axes) -> ScalarMappable:
-        """Draw them (see ``draw_directions``)."""
-        (x, y), gains, reachable = self.candidates, self.gains, self.reachable
-        drawn = style.scale(color_range(gains[reachable]))
-        _graticule(axes)
-        size = _dot(axes, len(gains))
-        axes.scatter(x[~reachable], y[~reachable], size, facecolors="none", edgecolors=UNSEEN,
-                     lw=1)  # fmt: skip
-        colors = drawn.to_rgba(gains[reachable])
-        axes.scatter(x[reachable], y[reachable], size, c=colors, lw=0)
-        for color, width in (("white", 4.5), (INK, 2.0)):
-            axes.scatter(*self.photographs, 60, c=color, marker="x", lw=width, zorder=3)
-        for rank, k in enumerate(self.proposed, 1):
-            numbered(axes, x[k], y[k], rank, drawn.to_rgba(gains[k]), max(size, 230))
-        _key(axes, bool((~reachable).any()))
-        return drawn
-
-
 def draw_directions(
     axes: Axes, capture: Capture, guidance: Guidance, *, up: tuple[float, float, float] = UP
 ) -> ScalarMappable:
@@ -82,9 +31,25 @@ def draw_directions(
     proposals have their rank. ``up`` is the top of the map.
 
     Returns:
-        What was drawn, to hand to ``figure.colorbar``.
+        The colours of the candidates, for ``figure.colorbar``.
     """
-    return Directions.of(capture, guidance, up).draw(axes)
+    center, _ = bounding_sphere(capture.shape)
+    used = directions_of(capture.used_sensors, center)
+    frame = facing(np.array(up, np.float64), used[0])
+    x, y = _hammer(directions_of(guidance.candidates.sensors, center) @ frame.T)
+    gains, reachable = guidance.gains, guidance.candidates.reachable
+    drawn = style.scale(color_range(gains[reachable]))
+    _graticule(axes)
+    size, hollow = _dot(axes, len(gains)), ~reachable
+    axes.scatter(x[hollow], y[hollow], size, facecolors="none", edgecolors=UNSEEN, lw=1)
+    colors = drawn.to_rgba(gains[reachable])
+    axes.scatter(x[reachable], y[reachable], size, c=colors, lw=0)
+    for color, width in (("white", 4.5), (INK, 2.0)):
+        axes.scatter(*_hammer(used @ frame.T), 60, c=color, marker="x", lw=width, zorder=3)
+    for rank, k in enumerate((one.candidate for one in guidance.proposals), 1):
+        numbered(axes, x[k], y[k], rank, drawn.to_rgba(gains[k]), max(size, 230))
+    _key(axes, bool(hollow.any()))
+    return drawn
 
 
 def _hammer(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from svu_mi.files import prepare_folder
 from svu_mi.output import style
 from svu_mi.output.figures import all_seen, draw_look, map_colors
 from svu_mi.output.result import words
-from svu_mi.output.style import GREY
+from svu_mi.output.style import GREY, Block
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.recover import Recovery
 from svu_mi.recovery.textures import Textures
@@ -111,13 +111,6 @@ def write_sheet(
         OutputError: the file cannot be written.
     """
     columns = [recovery.textures, *draws]
-    height = CELL * len(NAMES) + 1.2
-    figure = style.new_figure(CELL * len(columns), height)
-    style.heading(figure, HEADING, [f"view {view}"], (1 - 0.3 / height, 1 - 0.62 / height))
-    grid = figure.add_gridspec(
-        len(NAMES), len(columns), left=0.01, right=0.99, top=1 - 1.05 / height, bottom=0.01,
-        hspace=0.14, wspace=0.04,
-    )  # fmt: skip
     look = Look.at(alone(capture), capture.sensors[view])
     panels: list[Panel] = []
     for name in NAMES:
@@ -125,8 +118,12 @@ def write_sheet(
             title = words(name).capitalize() if number == 0 else f"draw {number - 1}"
             shown = texture_colors(recovery.texels, textures, name)
             panels.append((title, partial(draw_look, look=look, colors=shown)))
-    style.draw_panels(figure, list(grid), panels, "NW")
-    style.save_figure(figure, path)
+    height = CELL * len(NAMES) + 1.3
+    block = Block(
+        panels=panels, shape=(len(NAMES), len(columns)), box=(0.01, 0.99, 0.01, 1 - 1.15 / height),
+        space=(0.04, 0.14), anchor="NW",
+    )  # fmt: skip
+    style.write_page(path, (CELL * len(columns), height), HEADING, [f"view {view}"], [block])
 
 
 def texture_colors(texels: Texels, textures: Textures, name: str) -> np.ndarray:

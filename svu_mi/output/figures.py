@@ -103,23 +103,14 @@ def draw_on_object(
 
     Texels that no view sees are grey; ``options`` (limits, colormap) are those of ``map_colors``.
     """
-    draw_texture(axes, capture, view, map_colors(estimate, values, **options))
-
-
-def draw_texture(axes: Axes, capture: Capture, view: int, colors: np.ndarray) -> None:
-    """Draw screen colours (H, W, 3) on the object, as a camera of the capture sees it."""
-    draw_look(axes, Look.at(alone(capture), capture.sensors[view]), colors)
+    look = Look.at(alone(capture), capture.sensors[view])
+    draw_look(axes, look, map_colors(estimate, values, **options))
 
 
 def draw_look(axes: Axes, look: Look, colors: np.ndarray) -> None:
     """Draw screen colours (H, W, 3) on what a sensor sees of the object, cut to it."""
-    style.draw_image(axes, seen_on_object(look, colors))
-
-
-def seen_on_object(look: Look, colors: np.ndarray) -> np.ndarray:
-    """Return the picture (h, w, 3) that ``draw_look`` draws."""
     shown = look.painted(colors)
-    return views.crop(shown[..., :3], views.object_window(shown[..., 3] > 0))
+    style.draw_image(axes, views.crop(shown[..., :3], views.object_window(shown[..., 3] > 0)))
 
 
 def map_colors(
@@ -159,18 +150,8 @@ def _laid_out(estimate: Estimate, colors: np.ndarray, gutter: float, unseen: Any
 
 
 def all_seen(texels: Texels) -> Any:
-    """Return what the functions here take for an estimate that has seen every texel, for any
-    thread to draw."""
+    """Return what the functions here take for an estimate that has seen every texel."""
     return SimpleNamespace(texels=texels.places, coverage=np.ones(texels.count, np.uint32))
-
-
-def still(estimate: Estimate) -> Any:
-    """Return what the functions here take for an estimate, without Dr.Jit, for any thread to
-    draw."""
-    return SimpleNamespace(
-        texels=estimate.texels.places, coverage=np.array(estimate.coverage),
-        entropy=np.array(estimate.entropy),
-    )  # fmt: skip
 
 
 def draw_posterior(

@@ -24,14 +24,13 @@ from svu_mi.output.manifest import RECORD, Run, inputs_record, write_run
 from svu_mi.output.maps import padded, write_field
 from svu_mi.output.page import percent
 from svu_mi.output.result import words
+from svu_mi.output.style import Block
 from svu_mi.output.textures import write_scene
 from svu_mi.parameters import NAMES
 from svu_mi.recovery.field.field import TextureField
 from svu_mi.results.transaction import writing
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from svu_mi.output.style import Panel
 
 MASK, PAGE = "filled.exr", "filled.png"
@@ -131,23 +130,15 @@ def _draw(capture: Capture, before: TextureField, found: Filled, path: Path) -> 
     """Draw every parameter before and after, and what was filled, from where most of that is
     seen."""
     rows = ("before", "after", "standard deviation")
-    height = CELL * len(rows) + 1.1
-    figure = style.new_figure(CELL * (len(NAMES) + 1), height)
-    model = found.invented
+    model, texels = found.invented, before.texels
     heading = LIKE if model is None else INVENTED.format(model.model)
-    style.heading(figure, heading, [], (1 - 0.35 / height, 0.0))
-    grid = figure.add_gridspec(
-        len(rows), len(NAMES) + 1, left=0.01, right=0.99, top=1 - 0.85 / height, bottom=0.01,
-        hspace=0.16, wspace=0.04,
-    )  # fmt: skip
-    texels = before.texels
     look = Look.at(alone(capture), capture.sensors[_facing(capture, found)])
     everywhere = all_seen(texels)
     mask = partial(draw_map, estimate=everywhere, colormap=style.GREY)
     masks = {"before": ("Filled, in the texture", partial(mask, values=found.filled))}
     if model is not None:
         masks["after"] = ("By the model, in the texture", partial(mask, values=model.reached))
-    panels: list[Panel] = []
+    panels: list[Panel | None] = []
     for row in rows:
         for name in NAMES:
             if row == "standard deviation":
@@ -158,13 +149,13 @@ def _draw(capture: Capture, before: TextureField, found: Filled, path: Path) -> 
                 shown = texture_colors(texels, field.textures, name)
             title = f"{words(name).capitalize()}, {row}"
             panels.append((title, partial(draw_look, look=look, colors=shown)))
-        panels.append(masks.get(row, ("", _nothing)))
-    style.draw_panels(figure, list(grid), panels, "NW")
-    style.save_figure(figure, path)
-
-
-def _nothing(axes: Axes) -> None:
-    axes.set_axis_off()
+        panels.append(masks.get(row))
+    height, columns = CELL * len(rows) + 1.1, len(NAMES) + 1
+    block = Block(
+        panels=panels, shape=(len(rows), columns), box=(0.01, 0.99, 0.01, 1 - 0.85 / height),
+        space=(0.04, 0.16), anchor="NW",
+    )  # fmt: skip
+    style.write_page(path, (CELL * columns, height), heading, [], [block])
 
 
 def _facing(capture: Capture, found: Filled) -> int:

@@ -20,7 +20,12 @@ from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
 from svu_mi.guidance.result import Guidance
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.output.guidance_page import GuidanceOverview, Sights
+from svu_mi.output.guidance_page import (
+    gain_limit,
+    gain_pictures,
+    looks_of,
+    write_guidance_overview,
+)
 from svu_mi.output.manifest import RECORD, Run, guidance_record, write_manifest, write_run
 from svu_mi.output.maps import GUTTER, header, padded
 from svu_mi.output.upright import UP
@@ -66,13 +71,12 @@ def write_guidance(
         maps = guidance.gain_maps()
         run.progress(2, 4)
         if pictures:
-            sights = Sights.of(capture, guidance)
-            seen = sights.gains(maps)
-            overview = GuidanceOverview(capture, estimate, guidance, up)
-            overview.begin()
-            overview.draw_entropy(sights.entropy(estimate))
-            overview.finish(maps, seen, target / PAGE)
-            _write_thumbnails(seen, prepare_folder(target / THUMBNAILS))
+            looks = looks_of(capture, guidance)
+            write_guidance_overview(
+                capture, estimate, guidance, maps, looks, target / PAGE, up
+            )
+            thumbnails = gain_pictures(looks, guidance, maps, gain_limit(maps))
+            _write_thumbnails(thumbnails, prepare_folder(target / THUMBNAILS))
         run.progress(3, 4)
         _write_maps(guidance, maps, target)
         run.progress(4, 4)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,11 +15,11 @@ from svu_mi.capture.poses import film_size, resized_sensor
 from svu_mi.guidance.result import Guidance, Proposal
 from svu_mi.guidance.strategies import TABLE
 from svu_mi.names import plain_name
-from svu_mi.output import style, views
-from svu_mi.output.directions import Directions, color_range, numbered
-from svu_mi.output.figures import all_seen, draw_map, map_colors, still
+from svu_mi.output import style
+from svu_mi.output.directions import color_range, draw_directions, numbered
+from svu_mi.output.figures import all_seen, draw_look, draw_map, map_colors
 from svu_mi.output.page import grouped
-from svu_mi.output.style import GAIN_COLORS, INK, LEFT, RIGHT, RULE
+from svu_mi.output.style import GAIN_COLORS, INK, LEFT, RIGHT, RULE, Block
 from svu_mi.output.upright import UP
 from svu_mi.pipeline import Estimate
 
@@ -28,121 +27,93 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
 
+    from svu_mi.output.style import Panel
+
 SIZE = (18.0, 11.2)  # inches
 HEADING = "Which photograph to take next"
-# Of the map of directions and the two plots: left, right, top and bottom, in parts of the page.
-PLACES = ((LEFT, 0.473, 0.865, 0.51), (0.535, 0.73, 0.875, 0.545), (0.79, RIGHT, 0.875, 0.545))
+# Of the map of directions and the two plots: left, right, bottom and top, in parts of the page.
+PLACES = ((LEFT, 0.473, 0.51, 0.865), (0.535, 0.73, 0.545, 0.875), (0.79, RIGHT, 0.545, 0.875))
 LINE, LINES = 12, 9  # points from one number to the next above it, and how many there are at most
 SHOWN = 5  # proposals that are drawn on the object
 WHITE = 0.99  # part of the positive gains of texels that colours do not clip
 CROWDED = 0.04  # part of the candidates within which two numbers would overlap
 
 
-@dataclass(frozen=True)
-class Sights:
-    """What the proposed cameras will see of the object.
-
-    Attributes:
-        guidance: the proposals.
-        looks: one of each.
-    """
-
-    guidance: Guidance
-    looks: list[Look]
-
-    @classmethod
-    def of(cls, capture: Capture, guidance: Guidance) -> Sights:
-        """Look from the proposals."""
-        scene = alone(capture)
-        return cls(guidance, [Look.at(scene, _large(one.sensor)) for one in guidance.proposals])
-
-    def entropy(self, estimate: Estimate) -> list[np.ndarray]:
-        """Return pictures of the entropy so far, by the proposals that the page shows."""
-        colors = map_colors(estimate)
-        return [look.painted(colors) for look in self.looks[:SHOWN]]
-
-    def gains(self, maps: np.ndarray) -> list[np.ndarray]:
-        """Return pictures of ``Guidance.gain_maps``, as of ``gain_picture``."""
-        return [_painted(look, self.guidance, k, maps) for k, look in enumerate(self.looks)]
+def looks_of(capture: Capture, guidance: Guidance) -> list[Look]:
+    """Return what each proposed camera will see of the object."""
+    scene = alone(capture)
+    return [Look.at(scene, _large(one.sensor)) for one in guidance.proposals]
 
 
-class GuidanceOverview:
-    """Where to go, what it is worth, and what is to be seen there: 1800 x 1120 pixels.
+def write_guidance_overview(
+    capture: Capture, estimate: Estimate, guidance: Guidance, maps: np.ndarray,
+    looks: Sequence[Look], path: str | Path, up: tuple[float, float, float] = UP,
+) -> None:  # fmt: skip
+    """Draw where to go, what it is worth, and what will be seen: 1800 x 1120 pixels.
 
     Args:
         capture: the ``Capture``.
-        estimate: what its photographs say.
+        estimate: of its photographs.
         guidance: the ``Guidance`` from there.
+        maps: of ``Guidance.gain_maps``.
+        looks: of ``looks_of``.
+        path: the PNG file.
         up: top of the map of directions.
+
+    Raises:
+        OutputError: the file cannot be written.
     """
+    entropy, shown = map_colors(estimate), guidance.proposals[:SHOWN]
+    everywhere, empty = all_seen(guidance.texels), np.zeros(guidance.texels.count, np.float32)
+    scale: Any = {"limits": (0, gain_limit(maps)), "colormap": gain_colors()}
+    first = maps[0] if len(maps) else empty
+    sights: list[Panel | None] = [
+        ("", partial(_sight, look=look, colors=entropy, words=_short(one.name), rank=rank,
+                     row="entropy so far" if rank == 1 else ""))
+        for rank, (look, one) in enumerate(zip(looks, shown, strict=False), 1)
+    ]  # fmt: skip
+    sights.append(("", partial(_map, estimate=estimate, words="entropy of every texel")))
+    sights += [None] * (SHOWN - len(shown))
+    sights += [
+        ("", partial(_sight, look=look, colors=map_colors(everywhere, gains, **scale),
+                     words=_worth(one), row="expected gain" if k == 0 else ""))
+        for k, (look, gains, one) in enumerate(zip(looks, maps, shown, strict=False))
+    ]  # fmt: skip
+    sights.append(("", partial(
+        _map, estimate=everywhere, values=first, words="gain by proposal 1", **scale)))  # fmt: skip
+    plots: list[Panel] = [
+        ("", partial(_directions, capture=capture, guidance=guidance, up=up)),
+        ("Mean entropy of all texels, now and expected",
+         partial(draw_expected, capture=capture, guidance=guidance)),
+        ("All candidates as the next photograph", partial(draw_ranking, guidance=guidance)),
+    ]  # fmt: skip
+    blocks = [Block(panels=[plot], box=box) for plot, box in zip(plots, PLACES, strict=True)]
+    blocks.append(Block(
+        panels=sights, shape=(2, SHOWN + 1), box=(LEFT + 0.012, RIGHT, 0.01, 0.42),
+        space=(0.1, 0.2), anchor="N",
+    ))  # fmt: skip
+    style.write_page(path, SIZE, HEADING, _notes(capture, estimate, guidance), blocks)
 
-    def __init__(
-        self, capture: Capture, estimate: Estimate, guidance: Guidance,
-        up: tuple[float, float, float] = UP,
-    ) -> None:  # fmt: skip
-        self._guidance, self._estimate = guidance, still(estimate)
-        self._capture, self._notes = capture, _notes(capture, estimate, guidance)
-        self._directions = Directions.of(capture, guidance, up)
-        self._everywhere = all_seen(guidance.texels)
 
-    def begin(self) -> None:
-        """Draw where to go, and what it is worth."""
-        self._figure = figure = style.new_figure(*SIZE)
-        style.heading(figure, HEADING, self._notes, (0.968, 0.936))
-        places = [
-            figure.add_gridspec(1, 1, left=left, right=right, top=top, bottom=bottom)[0]
-            for left, right, top, bottom in PLACES
-        ]
-        guidance = self._guidance
-        style.draw_panels(figure, places, [
-            ("", partial(_directions, drawn=self._directions, guidance=guidance)),
-            ("Mean entropy of all texels, now and expected",
-             partial(draw_expected, capture=self._capture, guidance=guidance)),
-            ("All candidates as the next photograph", partial(draw_ranking, guidance=guidance)),
-        ])  # fmt: skip
-        self._rows = figure.add_gridspec(
-            2, SHOWN + 1, left=LEFT + 0.012, right=RIGHT, top=0.42, bottom=0.01, hspace=0.2,
-            wspace=0.1,
-        )  # fmt: skip
+def _sight(
+    axes: Axes, look: Look, colors: np.ndarray, words: str, rank: int = 0, row: str = ""
+) -> None:
+    """Draw what a proposed camera will see, cut to the object."""
+    draw_look(axes, look, colors)
+    style.caption(axes, words)
+    if row:
+        axes.text(-0.03, 0.5, row, transform=axes.transAxes, rotation=90, size=11, color=INK,
+                  ha="right", va="center")  # fmt: skip
+    if rank:
+        numbered(axes, 0.06, 0.93, rank, "white", 260, transform=axes.transAxes)
 
-    def draw_entropy(self, pictures: Sequence[np.ndarray]) -> None:
-        """Draw what is known (``Sights.entropy``)."""
-        names = [_short(one.name) for one in self._guidance.proposals]
-        for rank, axes in enumerate(self._row(0, "entropy so far", pictures, names), 1):
-            numbered(axes, 0.06, 0.93, rank, "white", 260, transform=axes.transAxes)
-        axes = self._figure.add_subplot(self._rows[0, len(pictures)])
-        _scaled(axes, draw_map(axes, self._estimate), "entropy of every texel")
 
-    def finish(self, maps: np.ndarray, pictures: Sequence[np.ndarray], path: str | Path) -> None:
-        """Draw gains (``Guidance.gain_maps``, ``Sights.gains``), and write the PNG file.
-
-        Raises:
-            OutputError: the file cannot be written.
-        """
-        shown = pictures[:SHOWN]
-        self._row(1, "expected gain", shown, [_worth(one) for one in self._guidance.proposals])
-        axes = self._figure.add_subplot(self._rows[1, len(shown)])
-        first = maps[0] if len(maps) else np.zeros(self._everywhere.texels.count, np.float32)
-        scale: Any = {"limits": (0, gain_limit(maps)), "colormap": gain_colors()}
-        _scaled(axes, draw_map(axes, self._everywhere, first, **scale), "gain by proposal 1")
-        style.save_figure(self._figure, path)
-
-    def _row(
-        self, row: int, name: str, pictures: Sequence[np.ndarray], captions: Sequence[str]
-    ) -> list[Axes]:
-        """Draw what proposed cameras will see, cut to the object."""
-        drawn = []
-        for column, (image, caption) in enumerate(zip(pictures, captions, strict=False)):
-            axes = self._figure.add_subplot(self._rows[row, column])
-            window = views.object_window(image[..., 3] > 0)
-            style.draw_image(axes, views.crop(image[..., :3], window))
-            axes.set_anchor("N")
-            style.caption(axes, caption)
-            if column == 0:
-                axes.text(-0.03, 0.5, name, transform=axes.transAxes, rotation=90, size=11,
-                          color=INK, ha="right", va="center")  # fmt: skip
-            drawn.append(axes)
-        return drawn
+def _map(axes: Axes, estimate: Any, words: str, **options: Any) -> None:
+    """Draw a map in the layout of the texture, with the scale of the pictures beside it."""
+    drawn = draw_map(axes, estimate, **options)
+    style.color_bar(axes, drawn, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
+    style.caption(axes, words)
+    axes.set_anchor("NW")
 
 
 def _notes(capture: Capture, estimate: Estimate, guidance: Guidance) -> list[str]:
@@ -160,8 +131,10 @@ def _notes(capture: Capture, estimate: Estimate, guidance: Guidance) -> list[str
     ]
 
 
-def _directions(axes: Axes, drawn: Directions, guidance: Guidance) -> None:
-    colors = drawn.draw(axes)
+def _directions(
+    axes: Axes, capture: Capture, guidance: Guidance, up: tuple[float, float, float]
+) -> None:
+    colors = draw_directions(axes, capture, guidance, up=up)
     style.title(axes, "Directions from which the object can be photographed", pad=34)
     label = f"as the next photograph: {TABLE[guidance.options.strategy].unit}"
     style.color_bar(axes, colors, label, (0.2, -0.06, 0.6, 0.028))
@@ -239,16 +212,18 @@ def gain_picture(
         (h, w, 4) float32 as of ``views.picture``.
     """
     look = Look.at(alone(capture), _large(guidance.proposals[proposal].sensor))
-    return _painted(look, guidance, proposal, maps)
+    return gain_pictures([look], guidance, maps[proposal : proposal + 1], gain_limit(maps))[0]
 
 
-def _painted(
-    look: Look, guidance: Guidance, proposal: int, maps: np.ndarray
-) -> np.ndarray:
-    limits = (0, gain_limit(maps))
-    return look.painted(map_colors(
-        all_seen(guidance.texels), maps[proposal], limits=limits, colormap=gain_colors()
-    ))  # fmt: skip
+def gain_pictures(
+    looks: Sequence[Look], guidance: Guidance, maps: np.ndarray, limit: float
+) -> list[np.ndarray]:
+    """Return gains as proposed cameras will see them (see ``gain_picture``)."""
+    everywhere, scale = all_seen(guidance.texels), gain_colors()
+    return [
+        look.painted(map_colors(everywhere, gains, limits=(0, limit), colormap=scale))
+        for look, gains in zip(looks, maps, strict=True)
+    ]
 
 
 def gain_colors() -> Colormap:
@@ -256,13 +231,6 @@ def gain_colors() -> Colormap:
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("gain", GAIN_COLORS)
-
-
-def _scaled(axes: Axes, drawn: Any, words: str) -> None:
-    """Give a map, in the layout of the texture, the scale of the pictures beside it."""
-    style.color_bar(axes, drawn, place=(1.03, 0.0, 0.04, 1.0), size=8.5)
-    style.caption(axes, words)
-    axes.set_anchor("NW")
 
 
 def _labels(

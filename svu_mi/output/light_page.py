@@ -16,7 +16,7 @@ from svu_mi.illumination.record import LightEstimate
 from svu_mi.light.environment import directions, radiance_from
 from svu_mi.output import style
 from svu_mi.output.knowledge import plain_percent
-from svu_mi.output.style import LEFT, RIGHT
+from svu_mi.output.style import LEFT, RIGHT, Block
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,23 +47,32 @@ def write_light_page(
     """
     truth = None if against is None else _map_of(capture.environment, estimate.radiance.shape)
     tone = Tone.of(estimate.radiance if truth is None else truth)
-    panels = _found(estimate, tone)
+    panels = _radiance("Radiance", estimate.radiance, tone)
     if truth is not None:
-        panels[2:2] = [
-            ("The capture's own light", partial(_draw_colors, colors=tone.colors(truth))),
-            ("Its radiance, by powers of two", partial(_draw_log, radiance=truth, tone=tone)),
-        ]
+        panels += _radiance("The capture's own light", truth, tone)
+    panels += [
+        ("Standard deviation of the logarithm of radiance", partial(
+            _draw_scaled, values=estimate.sd, limits=(0, UNCERTAIN), colormap=style.VIEWS_COLORMAP,
+            label="0.1 is 10 %; the scale of all included")),
+        ("What the photographs tell", partial(
+            _draw_scaled, values=estimate.known, limits=(0, 1), colormap=style.COLORMAP,
+            label="0 = what was assumed before, 1 = all")),
+    ]  # fmt: skip
     rows = len(panels) // 2
     height = ROW * rows + REST
-    figure = style.new_figure(WIDTH, height)
-    places = (1 - 0.35 / height, 1 - 0.75 / height)
-    style.heading(figure, HEADING, _notes(estimate, against), places)
-    grid = figure.add_gridspec(
-        rows, 2, left=LEFT + 0.012, right=RIGHT, top=1 - 1.25 / height, bottom=0.9 / height,
-        wspace=0.06, hspace=0.34,
-    )  # fmt: skip
-    style.draw_panels(figure, [grid[k // 2, k % 2] for k in range(len(panels))], panels, "N")
-    style.save_figure(figure, path)
+    box = (LEFT + 0.012, RIGHT, 0.9 / height, 1 - 1.25 / height)
+    block = Block(panels=panels, shape=(rows, 2), box=box, space=(0.06, 0.34), anchor="N")
+    style.write_page(path, (WIDTH, height), HEADING, _notes(estimate, against), [block])
+
+
+def _radiance(title: str, radiance: np.ndarray, tone: Tone) -> list[Panel]:
+    """Return panels of a map (H, W, 3): in screen colours, and its logarithm."""
+    return [
+        (title, partial(_draw_colors, colors=tone.colors(radiance))),
+        (f"{title}, by powers of two", partial(
+            _draw_scaled, values=tone.stops(radiance), limits=tone.limits, colormap=style.COLORMAP,
+            label="0 is what is drawn in middle grey")),
+    ]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -115,16 +124,6 @@ def known_colors(estimate: LightEstimate) -> np.ndarray:
     return style.colors(estimate.known)
 
 
-def _found(estimate: LightEstimate, tone: Tone) -> list[Panel]:
-    radiance = estimate.radiance
-    return [
-        ("Radiance", partial(_draw_colors, colors=tone.colors(radiance))),
-        ("Radiance, by powers of two", partial(_draw_log, radiance=radiance, tone=tone)),
-        ("Standard deviation of the logarithm of radiance", partial(_draw_deviation, estimate)),
-        ("What the photographs tell", partial(_draw_known, estimate)),
-    ]  # fmt: skip
-
-
 def _notes(estimate: LightEstimate, against: Likeness | None) -> list[str]:
     low, high = estimate.scale_interval
     scale = f"base colours known up to a factor of {low.mean():.2f} to {high.mean():.2f}"
@@ -147,21 +146,6 @@ def _map_of(emitter: Any, shape: tuple[int, ...]) -> np.ndarray:
 def _draw_colors(axes: Axes, colors: np.ndarray) -> None:
     axes.imshow(colors, extent=(0, 1, 0, 0.5), interpolation="nearest")
     _around(axes)
-
-
-def _draw_log(axes: Axes, radiance: np.ndarray, tone: Tone) -> None:
-    label = "0 is what is drawn in middle grey"
-    _draw_scaled(axes, tone.stops(radiance), tone.limits, style.COLORMAP, label)
-
-
-def _draw_deviation(estimate: LightEstimate, axes: Axes) -> None:
-    label = "0.1 is 10 %; the scale of all included"
-    _draw_scaled(axes, estimate.sd, (0, UNCERTAIN), style.VIEWS_COLORMAP, label)
-
-
-def _draw_known(estimate: LightEstimate, axes: Axes) -> None:
-    label = "0 = what was assumed before, 1 = all"
-    _draw_scaled(axes, estimate.known, (0, 1), style.COLORMAP, label)
 
 
 def _draw_scaled(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +22,7 @@ from svu_mi.output.result import (
     prior_marginal,
     words,
 )
-from svu_mi.output.style import LEFT, RIGHT, RULE
+from svu_mi.output.style import LEFT, RIGHT, RULE, Block
 from svu_mi.pipeline import Estimate
 
 if TYPE_CHECKING:
@@ -44,143 +43,121 @@ def write_overview(
         capture: the ``Capture``.
         estimate: its ``Estimate``; nothing need have been seen.
         path: the PNG file.
-        knowledge: what the estimate says in units; computed if not given.
+        knowledge: widths of the estimate's intervals; computed if not given.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    page = _Overview(
-        capture, estimate, Result.of(estimate), knowledge or Knowledge.of(estimate)
-    )
-    figure = style.new_figure(*SIZE)
-    style.heading(figure, HEADING, page.notes(), (0.962, 0.922))
-    parameters = list(open_axes(estimate))
-    objects = figure.add_gridspec(1, 4, left=LEFT, right=RIGHT, top=0.86, bottom=0.455, wspace=0.03)
-    maps = figure.add_gridspec(1, 2, left=LEFT, right=0.485, top=0.405, bottom=0.075, wspace=0.09)
-    plots = figure.add_gridspec(
-        2, len(parameters), left=0.535, right=RIGHT, top=0.405, bottom=0.04, hspace=0.6, wspace=0.2
-    )
-    style.draw_panels(figure, objects, page.objects(), "N")
-    maps_drawn = [("Entropy", page.entropy_map), ("Coverage", page.coverage_map)]
-    style.draw_panels(figure, maps, maps_drawn, "N")
-    style.draw_panels(figure, [plots[0, :], *(plots[1, k] for k in range(len(parameters)))], [
-        ("Entropy of the texels seen", page.histogram),
-        *((words(name).capitalize(), partial(page.marginal, name=name)) for name in parameters),
+    result, knowledge = Result.of(estimate), knowledge or Knowledge.of(estimate)
+    names = list(open_axes(estimate))
+    means = mean_marginals(estimate, result) if result.seen.any() else None
+    marginals = [
+        (words(name).capitalize(), partial(
+            _marginal, estimate=estimate, name=name, means=means, knowledge=knowledge))
+        for name in names
+    ]  # fmt: skip
+    style.write_page(path, SIZE, HEADING, _notes(capture, estimate, result), [
+        Block(panels=_objects(capture, estimate), shape=(1, 4), box=(LEFT, RIGHT, 0.455, 0.86),
+              space=(0.03, 0), anchor="N"),
+        Block(panels=[("Entropy", partial(_entropy_map, estimate=estimate, result=result)),
+                      ("Coverage", partial(_coverage_map, capture, estimate, result))],
+              shape=(1, 2), box=(LEFT, 0.485, 0.075, 0.405), space=(0.09, 0), anchor="N"),
+        Block(panels=[("Entropy of the texels seen", partial(_histogram, result=result))],
+              box=(0.535, RIGHT, 0.263, 0.405)),
+        Block(panels=marginals, shape=(1, max(len(names), 1)), box=(0.535, RIGHT, 0.04, 0.182),
+              space=(0.2, 0)),
     ])  # fmt: skip
-    style.save_figure(figure, path)
 
 
-@dataclass(frozen=True)
-class _Overview:
-    """What the page is about; its methods draw its panels.
+def _notes(capture: Capture, estimate: Estimate, result: Result) -> list[str]:
+    seen, (width, height) = int(result.seen.sum()), estimate.texels.resolution
+    return [
+        f"method {estimate.method}",
+        f"preset {estimate.preset.name}",
+        *(f"known {words(name)} {value:g}" for name, value in known(estimate).items()),
+        f"{sum(capture.used)} of {capture.count} views",
+        f"{width} × {height} texels, {grouped(len(result.seen))} in charts",
+        f"{grouped(seen)} seen ({100 * seen / max(len(result.seen), 1):.0f} %)",
+        f"mean entropy {result.entropy[result.seen].mean():.2f}" if seen else "nothing seen",
+    ]
 
-    Attributes:
-        capture: the photographs.
-        estimate: what they say.
-        result: likewise.
-        knowledge: likewise, in units.
-    """
 
-    capture: Capture
-    estimate: Estimate
-    result: Result
-    knowledge: Knowledge
+def _objects(capture: Capture, estimate: Estimate) -> Iterator[Panel]:
+    """Yield photograph and entropy side by side, for two views far apart."""
+    texture = map_colors(estimate)
+    for view in views.far_apart(capture, getattr(estimate, "seen_per_view", None)):
+        shown = views.picture(capture, texture, capture.sensors[view])
+        window = views.object_window(shown[..., 3] > 0)
+        draw = partial(draw_photograph, capture=capture, view=view, window=window)
+        yield f"Photograph {view}", draw
+        entropy = views.crop(shown[..., :3], window)
+        yield "Entropy seen from there", partial(style.draw_image, image=entropy)
 
-    def notes(self) -> list[str]:
-        result, seen = self.result, int(self.result.seen.sum())
-        width, height = self.estimate.texels.resolution
-        return [
-            f"method {self.estimate.method}",
-            f"preset {self.estimate.preset.name}",
-            *(f"known {words(name)} {value:g}" for name, value in known(self.estimate).items()),
-            f"{sum(self.capture.used)} of {self.capture.count} views",
-            f"{width} × {height} texels, {grouped(len(result.seen))} in charts",
-            f"{grouped(seen)} seen ({100 * seen / max(len(result.seen), 1):.0f} %)",
-            f"mean entropy {result.entropy[result.seen].mean():.2f}" if seen else "nothing seen",
-        ]
 
-    def objects(self) -> Iterator[Panel]:
-        """Photograph and entropy side by side, for two views far apart."""
-        texture = map_colors(self.estimate)
-        seen = getattr(self.estimate, "seen_per_view", None)
-        for view in views.far_apart(self.capture, seen):
-            shown = views.picture(self.capture, texture, self.capture.sensors[view])
-            window = views.object_window(shown[..., 3] > 0)
-            draw = partial(draw_photograph, capture=self.capture, view=view, window=window)
-            yield f"Photograph {view}", draw
-            entropy = views.crop(shown[..., :3], window)
-            yield "Entropy seen from there", partial(style.draw_image, image=entropy)
+def _entropy_map(axes: Axes, estimate: Estimate, result: Result) -> None:
+    draw_scaled_map(axes, estimate, label=style.ENTROPY_ENDS, interpolation="nearest")
+    _hatch(axes, result)
 
-    def entropy_map(self, axes: Axes) -> None:
-        draw_scaled_map(axes, self.estimate, label=style.ENTROPY_ENDS, interpolation="nearest")
-        _hatch(axes, self.result)
 
-    def coverage_map(self, axes: Axes) -> None:
-        from matplotlib.ticker import MaxNLocator
+def _coverage_map(capture: Capture, estimate: Estimate, result: Result, axes: Axes) -> None:
+    from matplotlib.ticker import MaxNLocator
 
-        label = f"views that see the texel, of {sum(self.capture.used)}"
-        bar = draw_scaled_map(
-            axes, self.estimate, self.result.coverage, label, limits=(0, self.result.most_views),
-            colormap=style.VIEWS_COLORMAP, interpolation="nearest",
-        )  # fmt: skip
-        bar.ax.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
-        _hatch(axes, self.result)
+    label = f"views that see the texel, of {sum(capture.used)}"
+    bar = draw_scaled_map(
+        axes, estimate, result.coverage, label, limits=(0, result.most_views),
+        colormap=style.VIEWS_COLORMAP, interpolation="nearest",
+    )  # fmt: skip
+    bar.ax.xaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
+    _hatch(axes, result)
 
-    def histogram(self, axes: Axes) -> None:
-        style.plain(axes)
-        edges = np.linspace(0, 1, 51)
-        values = self.result.entropy[self.result.seen]
-        if len(values) == 0:
-            _nothing(axes)
-            return
-        part = np.histogram(values, edges)[0] / len(values) * 100
-        centers = (edges[1:] + edges[:-1]) / 2
-        axes.bar(centers, part, width=0.0185, color=style.colors(centers))
-        median = float(np.median(values))
-        axes.axvline(median, color=style.INK, lw=1, ls=(0, (4, 3)))
-        side = -1 if median > 0.5 else 1
-        axes.annotate(
-            f"median {median:.2f}", (median, 0.92), xycoords=("data", "axes fraction"),
-            xytext=(5 * side, 0), textcoords="offset points", size=style.TEXT, color=style.INK,
-            ha="left" if side > 0 else "right", va="center",
-        )  # fmt: skip
-        axes.set(xlim=(0, 1), ylim=(0, 1.18 * part.max()))  # room for the word
-        style.labels(axes, up="% of texels")
 
-    def marginal(self, axes: Axes, name: str) -> None:
-        """Mean marginal over the texels seen, and over those of the lowest entropy."""
-        style.plain(axes)
-        if not self.result.seen.any():
-            _nothing(axes)
-            return
-        nodes = self.estimate.posterior.axes[name]
-        of_all, of_lowest = (means[name] for means in self._marginals)
-        several = of_all.shape[1] == 3
-        label = words(name).capitalize()
-        style.title(axes, f"{label}: R, G, B" if several else label, pad=21)
-        style.subtitle(axes, self._known(name))
-        for k, color in enumerate(style.CHANNEL_COLORS if several else (style.INK,)):
-            axes.plot(nodes, of_all[:, k], "o-", color=color, lw=1.8, ms=3)
-            axes.plot(nodes, of_lowest[:, k], color=color, lw=1.2, ls=(0, (3, 2)))
-        prior = prior_marginal(self.estimate.posterior, name)
-        axes.plot(nodes, prior, color=RULE, lw=1, zorder=0)
-        highest = max(float(p.max()) for p in (of_all, of_lowest, prior))
-        axes.set(xlim=(0, 1), ylim=(0, 1.6 * highest))  # room for the key
-        for line, what in (("o-", "mean of all seen"), ("--", "10 % of lowest entropy")):
-            axes.plot([], [], line, color=style.INK, lw=1.4, ms=3, label=what)
-        style.legend(axes, 8, loc="upper left", borderaxespad=0, handlelength=1.6, labelspacing=0.2)
+def _histogram(axes: Axes, result: Result) -> None:
+    style.plain(axes)
+    edges, values = np.linspace(0, 1, 51), result.entropy[result.seen]
+    if len(values) == 0:
+        _nothing(axes)
+        return
+    part = np.histogram(values, edges)[0] / len(values) * 100
+    centers = (edges[1:] + edges[:-1]) / 2
+    axes.bar(centers, part, width=0.0185, color=style.colors(centers))
+    median = float(np.median(values))
+    axes.axvline(median, color=style.INK, lw=1, ls=(0, (4, 3)))
+    side = -1 if median > 0.5 else 1
+    axes.annotate(
+        f"median {median:.2f}", (median, 0.92), xycoords=("data", "axes fraction"),
+        xytext=(5 * side, 0), textcoords="offset points", size=style.TEXT, color=style.INK,
+        ha="left" if side > 0 else "right", va="center",
+    )  # fmt: skip
+    axes.set(xlim=(0, 1), ylim=(0, 1.18 * part.max()))  # room for the word
+    style.labels(axes, up="% of texels")
 
-    @cached_property
-    def _marginals(self) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        return mean_marginals(self.estimate, self.result)
 
-    def _known(self, name: str) -> str:
-        """Word on how much of the surface seen a parameter is known."""
-        knowledge = self.knowledge
-        known = f"±{knowledge.tolerance:g} on {plain_percent(knowledge.known_part[name])}"
-        if name in knowledge.cell_width:
-            return f"{known}; cells ±{knowledge.cell_width[name] / 2:.2f}"
-        return f"{known} of the area seen"
+def _marginal(
+    axes: Axes, estimate: Estimate, name: str, means: Any, knowledge: Knowledge
+) -> None:
+    """Draw the mean marginal of the texels seen, and of those of the lowest entropy."""
+    style.plain(axes)
+    if means is None:
+        _nothing(axes)
+        return
+    nodes, (of_all, of_lowest) = estimate.posterior.axes[name], (mean[name] for mean in means)
+    several = of_all.shape[1] == 3
+    label = words(name).capitalize()
+    style.title(axes, f"{label}: R, G, B" if several else label, pad=21)
+    share = f"±{knowledge.tolerance:g} on {plain_percent(knowledge.known_part[name])}"
+    width = knowledge.cell_width.get(name)
+    cells = " of the area seen" if width is None else f"; cells ±{width / 2:.2f}"
+    style.subtitle(axes, share + cells)
+    for k, color in enumerate(style.CHANNEL_COLORS if several else (style.INK,)):
+        axes.plot(nodes, of_all[:, k], "o-", color=color, lw=1.8, ms=3)
+        axes.plot(nodes, of_lowest[:, k], color=color, lw=1.2, ls=(0, (3, 2)))
+    prior = prior_marginal(estimate.posterior, name)
+    axes.plot(nodes, prior, color=RULE, lw=1, zorder=0)
+    highest = max(float(p.max()) for p in (of_all, of_lowest, prior))
+    axes.set(xlim=(0, 1), ylim=(0, 1.6 * highest))  # room for the key
+    for line, what in (("o-", "mean of all seen"), ("--", "10 % of lowest entropy")):
+        axes.plot([], [], line, color=style.INK, lw=1.4, ms=3, label=what)
+    style.legend(axes, 8, loc="upper left", borderaxespad=0, handlelength=1.6, labelspacing=0.2)
 
 
 def _hatch(axes: Axes, result: Any) -> None:

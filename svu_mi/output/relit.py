@@ -135,14 +135,14 @@ def write_relit(comparisons: Sequence[Comparison], path: str | Path) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    rows = len(comparisons)
-    height = CELL * rows + 0.4
+    height = CELL * len(comparisons) + 0.4
     figure = style.new_figure(CELL * len(COLUMNS), height)
     # Places that are known: matplotlib's own layout draws everything three times.
     room = {"left": 0.005, "right": 0.995, "top": 1 - 0.3 / height, "bottom": 0.22 / height}
     cells = figure.subplots(
-        rows, len(COLUMNS), squeeze=False, gridspec_kw={**room, "wspace": 0.02, "hspace": 0.09}
-    )
+        len(comparisons), len(COLUMNS), squeeze=False,
+        gridspec_kw={**room, "wspace": 0.02, "hspace": 0.09},
+    )  # fmt: skip
     for row, comparison in zip(cells, comparisons, strict=True):
         error = comparison.mean_difference
         notes = (f"view {comparison.view}", "", "" if error is None else f"mean {error:.3f}", "")

@@ -21,7 +21,7 @@ from svu_mi.exr import write_exr
 from svu_mi.files import replacing
 from svu_mi.output import style, views
 from svu_mi.output.manifest import RECORD, Run, inputs_record, write_run
-from svu_mi.output.style import VIEWS_COLORMAP
+from svu_mi.output.style import VIEWS_COLORMAP, Block
 from svu_mi.recovery.relit_draws import RelitView
 from svu_mi.results.transaction import writing
 
@@ -143,13 +143,6 @@ def write_relit_page(
         OutputError: the file cannot be written.
     """
     shown = list(zip(found, names, strict=True))[:ROWS]
-    height = CELL * len(shown) + 1.3
-    figure = style.new_figure(CELL * COLUMNS, height)
-    style.heading(figure, HEADING, notes, (1 - 0.3 / height, 1 - 0.65 / height))
-    grid = figure.add_gridspec(
-        len(shown), COLUMNS, left=0.01, right=0.99, top=1 - 1.15 / height, bottom=0.45 / height,
-        hspace=0.2, wspace=0.05,
-    )  # fmt: skip
     panels: list[Panel] = []
     for view, name in shown:
         window = views.object_window(view.inside)
@@ -165,8 +158,12 @@ def write_relit_page(
             ("Relative to the picture", partial(
                 _scaled, values=views.crop(relative, window), limits=(0, WIDEST))),
         ]  # fmt: skip
-    style.draw_panels(figure, list(grid), panels, "NW")
-    style.save_figure(figure, path)
+    height = CELL * len(shown) + 1.45
+    block = Block(
+        panels=panels, shape=(len(shown), COLUMNS),
+        box=(0.01, 0.99, 0.5 / height, 1 - 1.25 / height), space=(0.05, 0.2), anchor="NW",
+    )  # fmt: skip
+    style.write_page(path, (CELL * COLUMNS, height), HEADING, notes, [block])
 
 
 def _scaled(axes: Axes, values: np.ndarray, limits: tuple[float, float]) -> None:

@@ -1,13 +1,13 @@
-"""The look of all pages: colours, margins, headings, titles, axes and colour bars.
+"""Style and layout of PNG pages: colours, margins, headings, titles, axes and colour bars.
 
-A page is a figure with a ``heading``, and lists of panels in grids of it, which ``draw_panels``
-fills. What several pages draw into a panel is in ``figures.py``. Pages in
-HTML have the same colours from here, and their layout from ``templates/page.css``.
+``write_page`` lays out blocks of panels under a heading. HTML pages have the same colours from
+here, and their layout from ``templates/page.css``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -63,29 +63,59 @@ def save_figure(figure: Figure, path: str | Path) -> None:
         figure.savefig(temporary, format="png", pil_kwargs={"compress_level": PNG_LEVEL})
 
 
-def heading(figure: Figure, text: str, notes: Sequence[str], places: tuple[float, float]) -> None:
-    """Write a page's title, and notes in a line below; places are heights on the page."""
+def heading(figure: Figure, text: str, notes: Sequence[str] = ()) -> None:
+    """Write a page's title, and notes in a line below."""
+    height = figure.get_size_inches()[1]
     same: Any = {"va": "center", "parse_math": False}  # a $ in a name is a $
-    figure.text(LEFT, places[0], text, size=19, weight="bold", color=INK, **same)
-    figure.text(LEFT, places[1], "   ·   ".join(notes), size=11.5, color=FAINT, **same)
+    figure.text(LEFT, 1 - 0.36 / height, text, size=19, weight="bold", color=INK, **same)
+    line = "   ·   ".join(notes)
+    figure.text(LEFT, 1 - 0.73 / height, line, size=11.5, color=FAINT, **same)
 
 
-def draw_panels(
-    figure: Figure, cells: Any, panels: Iterable[Panel], anchor: str = "C"
-) -> None:
-    """Draw panels into cells, each below its title.
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """Panels in the cells of a grid, row by row.
 
-    Args:
-        figure: of the cells.
-        cells: a grid of the figure, of which the first cells are filled; or a list of cells.
-        panels: titles, and what draws into axes.
+    Attributes:
+        panels: titles, and functions that draw into axes; None leaves a cell empty.
+        shape: number of rows and columns.
+        box: left, right, bottom and top, in parts of the page.
+        space: between columns and rows, in parts of a cell.
         anchor: side of its cell at which a picture is that does not fill it.
     """
-    for k, (text, draw) in enumerate(panels):
-        axes = figure.add_subplot(cells[k])
-        axes.set_anchor(anchor)
-        title(axes, text)
-        draw(axes)
+
+    panels: Iterable[Panel | None]
+    shape: tuple[int, int] = (1, 1)
+    box: tuple[float, float, float, float]
+    space: tuple[float, float] = (0.1, 0.1)
+    anchor: str = "C"
+
+
+def write_page(
+    path: str | Path, size: tuple[float, float], text: str, notes: Sequence[str],
+    blocks: Iterable[Block],
+) -> None:  # fmt: skip
+    """Write a page of some inches: a heading, notes, and blocks of panels, as PNG.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    figure = new_figure(*size)
+    heading(figure, text, notes)
+    for block in blocks:
+        left, right, bottom, top = block.box
+        grid = figure.add_gridspec(
+            *block.shape, left=left, right=right, bottom=bottom, top=top, wspace=block.space[0],
+            hspace=block.space[1],
+        )  # fmt: skip
+        for k, panel in enumerate(block.panels):
+            if panel is None:
+                continue
+            axes = figure.add_subplot(grid[k])
+            axes.set_anchor(block.anchor)
+            title(axes, panel[0])
+            panel[1](axes)
+    save_figure(figure, path)
 
 
 def title(axes: Axes, text: str, pad: float = 6) -> None:

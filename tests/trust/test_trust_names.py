@@ -128,7 +128,7 @@ def test_photographs_of_any_name_are_listed_once(name, tmp_path):
 def test_pictures_have_any_name_for_a_title(name, tmp_path):
     """matplotlib takes what stands between two $ for a formula, and raises where it is none."""
     figure = style.new_figure(4, 1)
-    style.heading(figure, _short(name) + " $", [_short(name), "$\\frac$"], (0.8, 0.4))
+    style.heading(figure, _short(name) + " $", [_short(name), "$\\frac$"])
     style.title(figure.add_subplot(), _short(name) + "$\\nonsense$")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # a glyph that the font lacks
