@@ -19,10 +19,8 @@ from svu_mi.parameters import NAMES
 from svu_mi.recovery.checkpoint import Checkpoint
 from svu_mi.recovery.descent import descend
 from svu_mi.recovery.options import DescentOptions, PathOptions
-from svu_mi.recovery.path.gradient import PathGradient
-from svu_mi.recovery.path.losses import FLOOR, LOSSES
-from svu_mi.recovery.path.objective import path_objective
-from svu_mi.recovery.path.rays import PixelBatches, proxy_sensor
+from svu_mi.recovery.path.batches import PixelBatches
+from svu_mi.recovery.path.objective import FLOOR, LOSSES, path_objective
 from svu_mi.recovery.path.scene import PathScene
 from svu_mi.recovery.textures import Textures, uniform
 from svu_mi.surface import texels as lay_texels
@@ -174,23 +172,6 @@ def odd_sensor(sensor, **changes):
     return make_sensor(record, "odd")
 
 
-@pytest.mark.parametrize("size", [(25, 19), (32, 40)])
-def test_a_proxy_sees_through_the_pixels_of_the_original(capture, size):
-    sensor = odd_sensor(capture.sensors[1])
-    proxy = proxy_sensor(sensor, size)
-    assert film_size(proxy) == size
-    x, y = np.random.default_rng(2).uniform(0, 1, (2, 50)) * np.array([[25], [19]])
-
-    def rays(sensor):
-        width, height = film_size(sensor)
-        at = mi.Point2f(mi.Float(x / width), mi.Float(y / height))
-        ray, _ = sensor.sample_ray(0, 0.5, at, mi.Point2f(0.5))
-        return np.array(ray.o), np.array(ray.d)
-
-    for found, wanted in zip(rays(proxy), rays(sensor), strict=True):
-        assert np.abs(found - wanted).max() < 2e-6
-
-
 def mixed(capture):
     """Views of several sizes, a crop, a mask, a hole, and one that is left out."""
     sensors = [odd_sensor(capture.sensors[0]), *capture.sensors[1:]]
@@ -206,53 +187,62 @@ def mixed(capture):
     return memory_capture(capture.scene, images, sensors, masks=tuple(masks), used=used)
 
 
-def usable_pixels(capture, batches):
-    """Flat indices, on films of the batches' size, of all pixels that may be drawn."""
-    views = pack_views(capture)
-    flat, offset = views.usable.numpy(), views.offset.numpy()
-    width, height = film_size(batches.sensors[0])
-    found = []
-    for number, index in enumerate(np.flatnonzero(capture.used)):
-        h, w, _ = capture.images[index].shape
-        good = flat[offset[number] : offset[number] + h * w].reshape(h, w)
-        y, x = np.nonzero(good)
-        found.append((number * height + y) * width + x)
-    return np.concatenate(found)
-
-
-@pytest.mark.parametrize("tile", [4, 3, 1])
-def test_an_epoch_shows_every_usable_pixel_once_and_no_other(capture, tile):
+def test_an_epoch_shows_every_usable_pixel_once_and_no_other(capture):
     scene = mixed(capture)
-    batches = PixelBatches(scene, 100, seed=7, tile=tile)
-    wanted = usable_pixels(scene, batches)
+    batches = PixelBatches(scene, 100, seed=7)
+    views = pack_views(scene)
+    wanted = np.flatnonzero(views.usable.numpy())
     assert batches.pixels == len(wanted)
     assert batches.epoch == -(-len(wanted) // 100)
     orders = []
     for first in (0, batches.epoch):
-        drawn = []
-        for step in range(first, first + batches.epoch):
-            target, sensor = batches.at(step)
-            assert target.shape == (1, 100, 3)
-            assert np.isfinite(np.array(target)).all()
-            drawn.append(np.array(sensor.pixel_idx))
-        flat = np.concatenate(drawn)
-        assert np.array_equal(np.sort(flat[: len(wanted)]), np.sort(wanted))
+        drawn = [batches.at(step) for step in range(first, first + batches.epoch)]
+        flat = np.concatenate([np.array(batch.index) for batch in drawn])
+        view, row, column = (
+            np.concatenate([np.array(batch.places[k]) for batch in drawn]) for k in range(3)
+        )
+        assert len(flat) == 100 * batches.epoch
+        assert np.array_equal(np.sort(flat[: len(wanted)]), wanted)
         assert np.array_equal(flat[len(wanted) :], flat[: len(flat) - len(wanted)])
+        offset, width = views.offset.numpy()[view], views.width.numpy()[view]
+        assert np.array_equal(offset + row * width + column, flat)
+        assert (row < views.height.numpy()[view]).all() and (column < width).all()
         orders.append(flat)
     assert not np.array_equal(*orders)
     together = np.mean(np.diff(orders[0].astype(int)) == 1)
-    assert together < 0.02 if tile == 1 else together > 0.5
+    assert 0.5 < together < 0.9
+
+
+def test_rays_are_those_of_the_cameras_pixels(capture):
+    """Of views of several sizes, one of which is a crop window."""
+    scene = mixed(capture)
+    batches = PixelBatches(scene, 200)
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(3, 400)
+    batch = batches.at(0)
+    rays = batch.rays(batches.views, sampler, 2)
+    sampler.seed(3, 400)
+    jitter = np.array(sampler.next_2d())
+    view, row, column = (np.array(place) for place in batch.places)
+    kept = np.flatnonzero(scene.used)
+    for k in range(0, 400, 13):
+        pixel = k // 2
+        sensor = scene.sensors[kept[view[pixel]]]
+        width, height = film_size(sensor)
+        at = (column[pixel] + jitter[0, k]) / width, (row[pixel] + jitter[1, k]) / height
+        ray, _ = sensor.sample_ray(0, 0.5, mi.Point2f(*map(float, at)), mi.Point2f(0.5))
+        assert np.abs(np.array(rays.o)[:, k] - np.array(ray.o)[:, 0]).max() < 2e-6
+        assert np.abs(np.array(rays.d)[:, k] - np.array(ray.d)[:, 0]).max() < 2e-6
 
 
 def test_a_batch_depends_on_seed_and_step_alone(capture):
     one, other = PixelBatches(capture, 128, seed=3), PixelBatches(capture, 128, seed=3)
     last = 2 * one.epoch + 1
-    forward = {step: np.array(one.at(step)[0]) for step in range(last + 1)}
+    forward = {step: np.array(one.at(step).index) for step in range(last + 1)}
     for step in (last, 0, one.epoch, 1):
-        assert np.array_equal(np.array(other.at(step)[0]), forward[step])
-    assert not np.array_equal(
-        np.array(PixelBatches(capture, 128, seed=4).at(0)[0]), forward[0]
-    )
+        assert np.array_equal(np.array(other.at(step).index), forward[step])
+    another = PixelBatches(capture, 128, seed=4)
+    assert not np.array_equal(np.array(another.at(0).index), forward[0])
 
 
 @pytest.mark.slow
@@ -262,12 +252,12 @@ def test_renders_and_photographs_are_of_the_same_pixels(capture, grid):
     objective = path_objective(scene, grid, options(pixels_per_batch=10**6, spp=512))
     assert objective.batches.size == objective.batches.pixels
     render, photograph = objective.render(textures_of(grid), 0)
-    error = (np.array(render) - np.array(photograph))[0] / objective.batches.mean
+    error = (np.array(render) - np.array(photograph)).reshape(-1, 2, 3).mean(axis=1)
+    error /= objective.batches.mean
     # Renders of 256 and 512 paths: errors of about 4 % of the mean, which cancel in a view. A
     # pixel beside the right one is wrong by 20 %.
     assert np.sqrt(np.mean(error**2)) < 0.08
-    pixel = np.array(objective.batches.at(0)[1].pixel_idx)
-    view = pixel // np.prod(film_size(objective.batches.sensors[0]))
+    view = np.array(objective.batches.at(0).places[0])
     assert np.array_equal(np.unique(view), np.arange(5))
     for index in range(5):
         assert abs(error[view == index].mean()) < 0.01
@@ -280,8 +270,6 @@ def test_no_usable_pixel_and_no_batch_are_refused(capture):
         PixelBatches(dark, 64)
     with pytest.raises(OptionError, match="at least 1 pixel"):
         PixelBatches(capture, 0)
-    with pytest.raises(OptionError, match="at least 1 per side"):
-        PixelBatches(capture, 64, tile=0)
 
 
 # ---- gradients ----
@@ -345,12 +333,10 @@ def test_no_path_is_weighted_by_its_own_error(capture, grid):
     assert np.all(np.abs(found.mean(axis=0)) < 4 * error)
 
 
-def test_paths_without_halves_are_left_to_mitsuba(capture, grid):
-    assert path_objective(capture, grid, options(spp=3)).gradient is None
-    assert path_objective(capture, grid, options(halves=False)).gradient is None
-    target = PathScene.of(capture, uniform(grid))
-    with pytest.raises(OptionError, match="even spp"):
-        PathGradient(target, mi.load_dict({"type": "prb"}), LOSSES["l2"], 3)
+def test_an_odd_number_of_paths_has_no_halves(capture, grid):
+    assert path_objective(capture, grid, options(spp=3)).halves == 1
+    assert path_objective(capture, grid, options(halves=False)).halves == 1
+    assert path_objective(capture, grid, options()).halves == 2
 
 
 @pytest.mark.slow

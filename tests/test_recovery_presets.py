@@ -247,8 +247,7 @@ def check_data(part: str, data: Any, options: dict[str, Any]) -> None:
         assert isinstance(data, PathObjective)
         used = asdict(data.options) | {"max_depth": None, "descent": options["descent"]}
         assert used == options
-        assert data.batches.loader.tile_size == options["tile"]
-        assert (data.gradient is None) == (not options["halves"])
+        assert (data.halves == 1) == (not options["halves"])
     elif options["loss"] == "angular":
         assert isinstance(data, AngularObjective)
     elif options["loss"] != "statistics":

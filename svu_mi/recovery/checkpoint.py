@@ -21,7 +21,7 @@ import numpy as np
 from svu_mi.errors import OptionError, OutputError, excerpt
 from svu_mi.npz import read_arrays, write_arrays
 
-FORMAT = 4  # raised whenever a resumed run would go on otherwise than the one that saved
+FORMAT = 5  # raised whenever a resumed run would go on otherwise than the one that saved
 GROUPS = ("values", "first", "second")  # of a state's arrays by name of the parameter
 RECORDS = ("format", "settings", "content", "step", "losses")
 

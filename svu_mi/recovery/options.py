@@ -117,14 +117,12 @@ class PathOptions:
         epochs: times every usable pixel is looked at; ``descent.steps`` is not used.
         pixels_per_batch: of one step, drawn from all views; None for as many as a photograph has on
             average.
-        tile: pixels per side of the squares that stay together when the order is shuffled; 1, as
-            in the paper, shuffles single pixels, whose paths are less coherent.
         spp: paths per pixel.
         max_depth: longest path; 2 is direct light only; None takes that of the scene's integrator.
         loss: of a pixel: ``l2``; ``l1``, as in the paper; or ``relative``: l2 over the squared
             radiance, which noise in dark photographs biases.
-        halves: trace a batch in two passes instead of the three of ``mi.render``, where paths
-            serve each other in halves; an odd ``spp`` has none.
+        halves: trace a batch in two passes instead of three, where the paths of a pixel serve each
+            other in halves; an odd ``spp`` has none.
         tv: weight of total variation.
         tv_space, tv_epsilon: as for ``ShOptions``.
         sharing: weight of global sharing, if there is any; 0 for none.
@@ -136,7 +134,6 @@ class PathOptions:
 
     epochs: float = 60.0
     pixels_per_batch: int | None = 1 << 16
-    tile: int = 4
     spp: int = 2
     max_depth: int | None = None
     loss: PathLoss = "l2"
@@ -161,7 +158,6 @@ class PathOptions:
         size = self.pixels_per_batch
         require(self, size is None or (isinstance(size, int) and 1 <= size < 2**32),
                 "pixels_per_batch", "at least 1, or None")  # fmt: skip
-        require(self, 1 <= self.tile <= 64, "tile", "in [1, 64]")
         require(self, 1 <= self.spp < 2**16, "spp", "in [1, 65535]")
         depth = self.max_depth
         require(self, depth is None or (isinstance(depth, int) and (depth >= 2 or depth == -1)),
@@ -186,7 +182,7 @@ _PAPER = ShOptions(
 _PAPER_PATH = PathOptions(
     # As many rays as a photograph has, and ten epochs: the paper does not say; its code does so.
     # In halves, the error of 32 paths would be that of twice 16: an absolute error is not linear.
-    epochs=10.0, pixels_per_batch=None, spp=32, loss="l1", tile=1, halves=False,
+    epochs=10.0, pixels_per_batch=None, spp=32, loss="l1", halves=False,
     tv=1e-2, tv_space="texture", tv_epsilon=0.0, sharing=1e-2, common_prior=False,
     descent=DescentOptions(learning_rate=0.02, final_rate=1.0),
 )  # fmt: skip

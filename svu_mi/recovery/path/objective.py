@@ -1,10 +1,34 @@
-"""What Mitsuba's loop minimises: the difference of rendered pixels and photographed ones."""
+"""The loss of recovery by path tracing: rendered pixels against photographed ones.
+
+Losses divide radiances by a ``scale``, such as the mean radiance of the photographs, so that
+learning rates and weights of regularisers mean the same at any exposure.
+
+Renders are noisy, and the expectation of a loss is not the loss of the expectation. With a
+render r = R + e of an unbiased estimate R and a photograph y:
+
+* ``l2``: E (r - y)^2 = (R - y)^2 + var(r). With gradients from paths of their own, the gradient's
+  expectation is that of (R - y)^2: no bias.
+* ``l1``: E |r - y| has its minimum where y is the *median* of r; rendered light is skewed, so
+  radiance comes out too bright the fewer paths there are. Outliers weigh less, though.
+* ``relative``: (r - y)^2 / (y^2 + floor): as ``l2``, with weights that depend on the photograph
+  alone. Dividing by the render instead would bring the bias back; noise of the photograph
+  brings one of its own, since pixels that came out too dark weigh more (5 % too dark at 16
+  samples per pixel).
+
+Paths of the gradient are independent of those of the loss. Where the paths of a pixel are parted in
+two halves A and B, each is the other's, which saves a pass:
+
+    gradient = l'(A) dB + l'(B) dA,
+
+where A and B are mean radiances, and l' the derivative of a pixel's loss.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import drjit as dr
@@ -14,14 +38,41 @@ from svu_mi.capture import Capture
 from svu_mi.capture.trust import own_plugin
 from svu_mi.errors import ShapeError
 from svu_mi.recovery.options import PathOptions
-from svu_mi.recovery.path.gradient import PathGradient
-from svu_mi.recovery.path.losses import LOSSES
-from svu_mi.recovery.path.rays import PixelBatches
-from svu_mi.recovery.path.scene import PathScene
+from svu_mi.recovery.path.batches import Batch, PixelBatches
+from svu_mi.recovery.path.scene import PathScene, key_of
 from svu_mi.recovery.textures import Textures, uniform
 from svu_mi.regularization.gradients import known
 from svu_mi.surface import Texels
 from svu_mi.visibility.views import Views
+
+FLOOR = 0.1  # of the relative loss: radiance, in units of the scale, that counts as dark
+
+
+def l1(render: Any, target: Any, scale: Any = 1.0) -> Any:
+    """Return mean |r - y| / s, the paper's loss.
+
+    Args:
+        render: radiance r, Floats or TensorXf.
+        target: photographed radiance y, likewise.
+        scale: radiance s that stands for 1; a float, or an opaque Float.
+    """
+    return dr.mean(dr.abs(render - target), axis=None) / scale
+
+
+def l2(render: Any, target: Any, scale: Any = 1.0) -> Any:
+    """Return mean (r - y)^2 / s^2."""
+    return dr.mean(dr.square(render - target), axis=None) / dr.square(scale)
+
+
+def relative(render: Any, target: Any, scale: Any = 1.0) -> Any:
+    """Return mean (r - y)^2 / (y^2 + (s FLOOR)^2): dark pixels count as much as bright ones."""
+    weight = dr.rcp(dr.square(target) + dr.square(scale * FLOOR))
+    return dr.mean(dr.square(render - target) * weight, axis=None)
+
+
+LOSSES: Mapping[str, Callable[..., Any]] = MappingProxyType(
+    {"l1": l1, "l2": l2, "relative": relative}
+)
 
 
 @dataclass(frozen=True)
@@ -31,15 +82,13 @@ class PathObjective:
     Attributes:
         target: the scene that is rendered.
         batches: the pixels of each step.
-        integrator: the ``mi.Integrator``.
-        gradient: computes losses with their gradients; None leaves that to ``mi.render``.
+        integrator: ``prb``, or another integrator of Mitsuba's that replays paths.
         options: how it was made.
     """
 
     target: PathScene
     batches: PixelBatches
     integrator: Any
-    gradient: PathGradient | None
     options: PathOptions
 
     @property
@@ -47,39 +96,93 @@ class PathObjective:
         """Number of steps of ``options.epochs`` epochs, at least 1."""
         return max(1, math.ceil(self.options.epochs * self.batches.epoch))
 
-    def render(self, textures: Mapping[str, Any], step: int) -> tuple[Any, Any]:
-        """Return (render, photograph) of a step: two TensorXf (1, N, 3), linear radiance.
-
-        The render is differentiable in the textures. A step's paths are always the same; those
-        of its gradient are others, so that their errors are independent.
-        """
-        self.target.paint(textures)
-        photograph, sensor = self.batches.at(step)
-        render = mi.render(
-            self.target.scene,
-            self.target.params,
-            sensor=sensor,
-            integrator=self.integrator,
-            spp=self.options.spp,
-            seed=_seed(self.options.seed, step),
-        )
-        return render, photograph
+    @property
+    def halves(self) -> int:
+        """Number of parts of a pixel's paths: 2 where they serve each other, else 1."""
+        return 2 if self.options.halves and self.options.spp % 2 == 0 else 1
 
     def __call__(self, textures: dict[str, Any], step: int) -> Any:
         """Return the loss of a step's batch, in units of the photographs' mean radiance."""
-        # Opaque: as a literal, every capture would compile kernels of its own.
-        scale = dr.opaque(mi.Float, self.batches.mean or 1.0)
-        if self.gradient is None:
-            render, photograph = self.render(textures, step)
-            return LOSSES[self.options.loss](render.array, photograph.array, scale)
         self.target.paint({name: dr.detach(texture) for name, texture in textures.items()})
-        photograph, sensor = self.batches.at(step)
-        seed = _seed(self.options.seed, step)
-        loss, gradients = self.gradient(tuple(textures), photograph, sensor, seed, scale)
+        params = self.target.params
+        live = {name: params[key_of(name)] for name in textures}
+        self._follow(live, dr.enable_grad)
+        with dr.suspend_grad():
+            batch, seed = self.batches.at(step), self._seed(step)
+            radiance, photograph, replay = self._trace(batch, seed)
+            loss, slope = self._compared(radiance, photograph)
+            lane = dr.arange(mi.UInt32, len(batch.index) * self.options.spp)
+            part = self.options.spp // self.halves
+            if self.halves == 1:  # other paths than those of the loss
+                place, (_, _, replay) = lane // part, self._trace(batch, seed ^ 0x9E3779B9)
+            else:
+                place = (lane // part) ^ 1
+            replay(dr.gather(mi.Color3f, slope, place) / part)
+            dr.eval(loss)
+        gradients = {name: dr.grad(texture).array for name, texture in live.items()}
+        dr.eval(gradients)
+        self._follow(live, dr.disable_grad)
         return sum(
             known(texture, loss if index == 0 else mi.Float(0), gradients[name])
             for index, (name, texture) in enumerate(textures.items())
         )
+
+    def render(self, textures: Mapping[str, Any], step: int) -> tuple[Any, Any]:
+        """Return radiance of a step, rendered and photographed: (3 N ``halves``,) Floats, RGB by
+        RGB, of a pixel all halves."""
+        self.target.paint(textures)
+        radiance, photograph, _ = self._trace(self.batches.at(step), self._seed(step))
+        return radiance, photograph
+
+    def _trace(self, batch: Batch, seed: Any) -> tuple[Any, Any, Callable[[Any], None]]:
+        """Trace the paths of a batch: return what ``render`` does, and a function that takes the
+        derivative of a loss by the radiance of every path, and passes it on to the textures."""
+        count, views = len(batch.index), self.batches.views
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed, count * self.options.spp)
+        fixed: dict[str, Any] = {
+            "scene": self.target.scene, "ray": batch.rays(views, sampler, self.options.spp),
+            "depth": mi.UInt32(0), "active": mi.Bool(True),
+        }  # fmt: skip
+        color, _, _, state = self.integrator.sample(
+            mode=dr.ADMode.Primal, sampler=sampler.clone(), δL=None, δaovs=None, state_in=None,
+            **fixed,
+        )  # fmt: skip
+        dr.eval(color, state)
+
+        def replay(change: Any) -> None:
+            self.integrator.sample(
+                mode=dr.ADMode.Backward, sampler=sampler, δL=change, δaovs=[], state_in=state,
+                **fixed,
+            )  # fmt: skip
+
+        part = self.options.spp // self.halves
+        means = [dr.block_sum(channel, part) / part for channel in color]
+        pixel = dr.arange(mi.UInt32, self.halves * count) // self.halves
+        index = dr.gather(mi.UInt32, batch.index, pixel)
+        seen = dr.gather(mi.Color3f, views.pixels, index)
+        return dr.ravel(mi.Color3f(means)), dr.ravel(seen), replay
+
+    def _compared(self, radiance: Any, photograph: Any) -> tuple[Any, Any]:
+        """Return the loss, and its derivatives by the radiance."""
+        # Opaque: as a literal, every capture would compile kernels of its own.
+        scale = dr.opaque(mi.Float, self.batches.mean or 1.0)
+        with dr.resume_grad():
+            dr.enable_grad(radiance)
+            loss = LOSSES[self.options.loss](radiance, photograph, scale)
+            dr.backward(loss)
+            return dr.detach(loss), dr.grad(radiance)
+
+    def _follow(self, textures: Mapping[str, Any], change: Callable[[Any], None]) -> None:
+        """Let derivatives by textures be followed, or not any more."""
+        for name, texture in textures.items():
+            change(texture)
+            self.target.params.set_dirty(key_of(name))
+        self.target.params.update()
+
+    def _seed(self, step: int) -> Any:
+        """Return the seed of a step's paths; opaque, or every step would compile a kernel."""
+        return dr.opaque(mi.UInt32, (self.options.seed * 0x9E3779B1 + step + 1) % 2**32)
 
 
 def path_objective(
@@ -94,10 +197,10 @@ def path_objective(
 
     Args:
         capture: photographs, scene and light.
-        texels: of ``capture.mesh``; they say how large the textures are.
+        texels: of ``capture.mesh``, at the resolution of the textures.
         options: batches, paths and loss.
         fixed: values of parameters that the objective is not given; 0.5 by default.
-        views: the views as ``pack_views`` lays them out, if that was done already.
+        views: those of ``pack_views``, if they were packed already.
 
     Raises:
         ShapeError: ``fixed`` has another resolution than the texels.
@@ -109,22 +212,9 @@ def path_objective(
             f"Fixed textures must have the texels' resolution {texels.resolution}, got "
             f"{fixed.resolution}."
         )
-    target = PathScene.of(capture, fixed)
-    integrator = own_plugin({"type": "prb", "max_depth": options.max_depth})
-    gradient = None
-    if options.halves and options.spp % 2 == 0:
-        gradient = PathGradient(target, integrator, LOSSES[options.loss], options.spp)
     return PathObjective(
-        target=target,
-        batches=PixelBatches(
-            capture, options.pixels_per_batch, options.seed, views, tile=options.tile
-        ),
-        integrator=integrator,
-        gradient=gradient,
+        target=PathScene.of(capture, fixed),
+        batches=PixelBatches(capture, options.pixels_per_batch, options.seed, views),
+        integrator=own_plugin({"type": "prb", "max_depth": options.max_depth}),
         options=options,
     )
-
-
-def _seed(seed: int, step: int) -> Any:
-    """Return the seed of a step's paths; opaque, or every step would compile a kernel."""
-    return dr.opaque(mi.UInt32, (seed * 0x9E3779B1 + step + 1) % 2**32)

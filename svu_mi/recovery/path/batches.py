@@ -1,0 +1,127 @@
+"""Batches of pixels from all views, in random order, of those that show the object alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from svu_mi.capture import Capture
+from svu_mi.capture.rays import pixel_rays
+from svu_mi.errors import CaptureError, OptionError
+from svu_mi.interop import owned
+from svu_mi.visibility.views import Views, pack_views
+
+TILE = 4  # pixels per side that stay together when the order is shuffled: paths are coherent
+
+
+@dataclass(frozen=True)
+class Batch:
+    """N pixels.
+
+    Attributes:
+        index: (N,) UInt32, numbers of the pixels among those of all photographs (``Views``).
+        places: (N,) UInt32 each: number of the view, row and column.
+    """
+
+    index: Any
+    places: tuple[Any, Any, Any]
+
+    def rays(self, views: Views, sampler: Any, spp: int) -> Any:
+        """Return ``spp`` random rays through each pixel, those of a pixel one after the other."""
+        ray = pixel_rays(views.rays, self.places, spp, lambda _: sampler.next_2d())
+        return mi.RayDifferential3f(ray)
+
+
+class PixelBatches:
+    """The pixels of each step.
+
+    A batch is a function of its step: every ``epoch`` steps all usable pixels come once, in squares
+    of pixels that are shuffled again for each epoch. (The last batch is filled up with the first
+    pixels.)
+
+    Attributes:
+        views: the photographs.
+        size: pixels per batch.
+        pixels: number of usable pixels.
+        epoch: steps per epoch.
+        mean: mean radiance of the usable pixels, over all channels.
+    """
+
+    def __init__(
+        self, capture: Capture, size: int | None, seed: int = 0, views: Views | None = None
+    ) -> None:
+        """Find the usable pixels of all used views.
+
+        Args:
+            capture: the photographs.
+            size: pixels per batch, at most all; None for the mean number per used photograph.
+            seed: of the order.
+            views: those of ``pack_views``, if they were packed already.
+
+        Raises:
+            OptionError: an empty batch, or a negative seed.
+            CaptureError: no photograph shows the object in a usable pixel.
+        """
+        if (size is not None and size < 1) or seed < 0:
+            raise OptionError(
+                f"Batches need at least 1 pixel and a seed of at least 0, got {size} and {seed}."
+            )
+        self.views = views = pack_views(capture) if views is None else views
+        self._seed = seed
+        self._first = views.offset.numpy().astype(np.int64)
+        self._width = views.width.numpy().astype(np.int64)
+        usable, radiance = views.usable.numpy(), views.pixels.numpy().reshape(-1, 3)
+        tiles, counts, total = [], [], 0.0
+        for first, width, height in zip(
+            self._first, self._width, views.height.numpy(), strict=True
+        ):
+            own = slice(first, first + width * int(height))
+            good = usable[own].reshape(height, width)
+            total += float(radiance[own][good.ravel()].sum(dtype=np.float64))
+            index = np.arange(own.start, own.stop, dtype=np.uint32).reshape(good.shape)
+            good = _tiled(good)
+            tiles.append(_tiled(index)[good])
+            counts.append(good.sum(axis=1))
+        self._tiled = np.concatenate(tiles)  # usable pixels, tile by tile
+        self._counts = np.concatenate([each[each > 0] for each in counts])  # of each tile
+        self.pixels = len(self._tiled)
+        if self.pixels == 0:
+            raise CaptureError(
+                "No photograph shows the object in a usable pixel; check masks and poses."
+            )
+        self.size = min(size or -(-self.pixels // views.number), self.pixels)
+        self.epoch = -(-self.pixels // self.size)
+        self.mean = total / (3 * self.pixels)
+        self._order = lru_cache(1)(self._shuffled)  # of the last epoch
+
+    def at(self, step: int) -> Batch:
+        """Return the batch of a step."""
+        epoch, number = divmod(step, self.epoch)
+        chosen = np.arange(number * self.size, (number + 1) * self.size) % self.pixels
+        index = self._order(epoch)[chosen]
+        sorted_views = np.argsort(self._first)
+        place = np.searchsorted(self._first[sorted_views], index, side="right") - 1
+        view = sorted_views[place]
+        row, column = np.divmod(index - self._first[view], self._width[view])
+        lanes = [owned(mi.UInt32, x.astype(np.uint32)) for x in (index, view, row, column)]
+        return Batch(lanes[0], (lanes[1], lanes[2], lanes[3]))
+
+    def _shuffled(self, epoch: int) -> np.ndarray:
+        """Return the usable pixels in the order of an epoch."""
+        tile = np.random.default_rng((self._seed, epoch)).permutation(len(self._counts))
+        counts, begins = self._counts[tile], (np.cumsum(self._counts) - self._counts)[tile]
+        within = np.arange(self.pixels) - np.repeat(np.cumsum(counts) - counts, counts)
+        return self._tiled[np.repeat(begins, counts) + within]
+
+
+def _tiled(plane: np.ndarray) -> np.ndarray:
+    """Return the squares of a plane (H, W) as (n, TILE^2), padded by 0."""
+    height, width = plane.shape
+    plane = np.pad(plane, ((0, -height % TILE), (0, -width % TILE)))
+    rows, columns = plane.shape[0] // TILE, plane.shape[1] // TILE
+    squares = plane.reshape(rows, TILE, columns, TILE).swapaxes(1, 2)
+    return squares.reshape(rows * columns, TILE**2)
