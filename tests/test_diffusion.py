@@ -31,7 +31,7 @@ from svu_mi.inpaint.pieces import centred
 from svu_mi.inpaint.record import Filled
 from svu_mi.output.filled import fill_sentences, write_filled
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.field.make import field_around
+from svu_mi.recovery.field.field import field_around
 from svu_mi.recovery.relight import relight
 from svu_mi.recovery.textures import lay_out, scene_textures
 from svu_mi.surface.neighbors import neighbors

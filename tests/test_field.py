@@ -16,16 +16,14 @@ import svu_mi as svu
 from svu_mi.errors import OptionError, ShapeError
 from svu_mi.interop import owned
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.field import clipped, nested
+from svu_mi.recovery.field import clipped
 from svu_mi.recovery.field import field as module
 from svu_mi.recovery.field import smoother as smoothers
-from svu_mi.recovery.field.coherent import Waves
-from svu_mi.recovery.field.field import TextureField
-from svu_mi.recovery.field.make import texture_field
-from svu_mi.recovery.field.nested import Nested
-from svu_mi.recovery.field.smoother import Smoother
+from svu_mi.recovery.field.draws import Waves
+from svu_mi.recovery.field.field import TextureField, texture_field
+from svu_mi.recovery.field.smoother import Nested, Smoother
 from svu_mi.recovery.recover import recover
-from svu_mi.recovery.relit_draws import relight_draws
+from svu_mi.recovery.relight import relight_draws
 from svu_mi.recovery.sh.energy import information
 
 SIDE = 6  # of a square of texels
@@ -86,7 +84,7 @@ def test_from_coarse_to_fine_the_same_is_found_sooner(monkeypatch, few: int) -> 
 
     iterate = Smoother._iterate
     monkeypatch.setattr(Smoother, "_iterate", counted)
-    monkeypatch.setattr(nested, "FEW", few)
+    monkeypatch.setattr(smoothers, "FEW", few)
     squares = np.stack(np.divmod(np.arange(side * side), side), axis=1)
     values = np.stack([np.sin(squares @ (0.1, 0.2)), squares[:, 0] > 20])
     known = np.random.default_rng(2).random((2, side * side)) < 0.01

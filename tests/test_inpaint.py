@@ -27,8 +27,7 @@ from svu_mi.inpaint.spreading import FARTHER, spreads
 from svu_mi.interop import owned
 from svu_mi.output.textures import read_textures, settings_of
 from svu_mi.parameters import CHANNELS, NAMES
-from svu_mi.recovery.field.field import TextureField
-from svu_mi.recovery.field.make import field_around, weights_of
+from svu_mi.recovery.field.field import TextureField, field_around, weights_of
 from svu_mi.recovery.field.smoother import Smoother
 from svu_mi.recovery.options import ShOptions
 from svu_mi.recovery.recover import recover

@@ -25,7 +25,7 @@ from svu_mi.options import preset
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.progress import Progress
 from svu_mi.recovery.sh.angular import angular_objective
-from svu_mi.recovery.sh.gradient import look_up
+from svu_mi.recovery.sh.energy import look_up
 from svu_mi.recovery.sh.spectral import spectral_objective
 from svu_mi.recovery.start import estimate_for_textures
 from svu_mi.reflection.continuous import continuous, shade

@@ -15,8 +15,7 @@ import svu_mi as svu
 from svu_mi.parameters import CHANNELS, NAMES
 from svu_mi.recovery.options import DescentOptions
 from svu_mi.recovery.recover import recover
-from svu_mi.recovery.sh.objective import Pull
-from svu_mi.recovery.sh.smoothing import Smoothing
+from svu_mi.recovery.sh.objective import Pull, Smoothing
 from svu_mi.recovery.start import posterior_means
 from svu_mi.recovery.textures import Textures
 from svu_mi.surface.neighbors import neighbors

@@ -12,7 +12,7 @@ import svu_mi as svu
 from svu_mi import estimators
 from svu_mi.posterior import calibrated_kernel
 from svu_mi.posterior.tiled import TiledPosterior
-from svu_mi.recovery.field.make import texture_field
+from svu_mi.recovery.field.field import texture_field
 
 MAPS = [f"roughness_{what}" for what in ("mean", "sd", "low", "high")]
 

@@ -29,11 +29,9 @@ from svu_mi.capture.traced import Pictures
 from svu_mi.inpaint.fill import fill
 from svu_mi.observed import observe
 from svu_mi.parameters import NAMES
-from svu_mi.recovery.field.field import LEVEL, TextureField
-from svu_mi.recovery.field.make import texture_field
+from svu_mi.recovery.field.field import LEVEL, TextureField, texture_field
 from svu_mi.recovery.recover import Recovery, recover
-from svu_mi.recovery.relight import path_length
-from svu_mi.recovery.relit_draws import relight_draws
+from svu_mi.recovery.relight import path_length, relight_draws
 from svu_mi.surface import Texels
 
 RELIT_CELLS, LIGHTS, VIEWS, SPP, DRAWS = 6, 2, 3, 36, 16

@@ -87,7 +87,7 @@ class Inpaint(Overwriting, WithPictures, FromPhotographs):
         from svu_mi.output.textures import read_textures, require_textures_of, settings_of
         from svu_mi.parameters import NAMES
         from svu_mi.pipeline import estimate
-        from svu_mi.recovery.field.make import field_around, weights_of
+        from svu_mi.recovery.field.field import field_around, weights_of
         from svu_mi.surface.neighbors import neighbors
 
         textures, model = read_textures(self.recovered), self._model(progress)

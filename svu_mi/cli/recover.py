@@ -130,7 +130,7 @@ class Recover(Overwriting, WithPictures, FromPhotographs):
         from svu_mi.output import Knowledge, Run
         from svu_mi.output.recovery import Draws, write_recovery
         from svu_mi.pipeline import estimate
-        from svu_mi.recovery.field.make import has_field, texture_field
+        from svu_mi.recovery.field.field import has_field, texture_field
         from svu_mi.recovery.recover import recover
 
         options = self._options()  # refused before any work

@@ -20,7 +20,7 @@ from svu_mi.results.transaction import Claim, claimed
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
-    from svu_mi.recovery.relit_draws import RelitView
+    from svu_mi.recovery.relight import RelitView
 
 MOST_PIXELS = 8192  # per side of a picture
 From = Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
@@ -93,7 +93,7 @@ class Relight(Overwriting, WithPictures, Photographed):
         from svu_mi.output.manifest import Run
         from svu_mi.output.relit_page import write_relighting
         from svu_mi.output.textures import read_textures, require_textures_of
-        from svu_mi.recovery.relit_draws import relight_draws
+        from svu_mi.recovery.relight import relight_draws
 
         textures, files = read_textures(self.recovered), find_draws(self.recovered)
         capture, _ = replace(self, resolution=textures.resolution).load(progress)

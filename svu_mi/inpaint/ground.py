@@ -10,8 +10,7 @@ import numpy as np
 from svu_mi.inpaint.filling import SUREST
 from svu_mi.inpaint.pieces import Pieces, connected
 from svu_mi.recovery.field.field import TextureField
-from svu_mi.recovery.field.nested import FEWER
-from svu_mi.recovery.field.smoother import Smoother
+from svu_mi.recovery.field.smoother import FEWER, Smoother
 from svu_mi.surface.neighbors import means, squares_of
 
 ENOUGH = 2**16  # texels that guesses are tried on: of more, groups of neighbours

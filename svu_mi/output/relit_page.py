@@ -22,7 +22,7 @@ from svu_mi.files import replacing
 from svu_mi.output import style, views
 from svu_mi.output.manifest import RECORD, Run, inputs_record, write_run
 from svu_mi.output.style import VIEWS_COLORMAP, Block
-from svu_mi.recovery.relit_draws import RelitView
+from svu_mi.recovery.relight import RelitView
 from svu_mi.results.transaction import writing
 
 if TYPE_CHECKING:

@@ -80,7 +80,6 @@ def descend(
     run = _Run(objective, start, options)
     if checkpoint is not None and checkpoint.resume and (state := checkpoint.load()) is not None:
         run.restore(state, str(checkpoint.path))
-    stopped, clock = "finished", _Clock()
     try:
         with between_steps() as answer:
             while run.step < options.steps and not run.has_converged():
@@ -88,20 +87,20 @@ def descend(
                 if run.step % READ == 0 or run.step == options.steps or run.ends_window():
                     run.read()
                     if progress is not None:
-                        _show(progress, run, clock)
+                        run.show(progress)
                     if checkpoint is not None and checkpoint.due:
                         checkpoint.save(run.state())
                 answer()
-        if run.step < options.steps:
-            stopped = "converged"
     except KeyboardInterrupt:
         if checkpoint is not None:
-            run.read()
             checkpoint.save(run.state())
         raise
     if checkpoint is not None:
         checkpoint.save(run.state())
-    return Descent(values=run.values(), losses=run.losses(), steps=run.step, stopped=stopped)
+    return Descent(
+        values=run.values(), losses=np.array(run.losses, np.float32), steps=run.step,
+        stopped="finished" if run.step == options.steps else "converged",
+    )  # fmt: skip
 
 
 def rate(options: DescentOptions, step: int) -> float:
@@ -110,11 +109,20 @@ def rate(options: DescentOptions, step: int) -> float:
     return options.learning_rate * options.final_rate**part
 
 
+@dataclass(frozen=True)
+class _Done:
+    """The last whole step: its number, Adam's state, and losses that were not read yet."""
+
+    step: int
+    state: dict[str, Any]
+    unread: tuple[tuple[Any, Any], ...] = ()
+
+
 class _Run:
     """A descent under way.
 
-    What belongs to a finished step is replaced as a whole (``_done``), so that an interrupt
-    in the middle of one finds the step before it.
+    A finished step is replaced as a whole (``_done``), so that an interrupt in the middle of one
+    finds the step before it.
     """
 
     def __init__(
@@ -124,24 +132,18 @@ class _Run:
             raise OptionError("descend(): there are no parameters; name at least one texture.")
         self._objective, self._options = objective, options
         self._optimizer = Adam(
-            lr=options.learning_rate,
-            beta_1=options.beta_1,
-            beta_2=options.beta_2,
+            lr=options.learning_rate, beta_1=options.beta_1, beta_2=options.beta_2
         )
         for name, tensor in start.items():
             self._optimizer[name] = self._project(mi.TensorXf(tensor))
-        self._losses: list[float] = []
-        self._done = _Done(0, dict(self._optimizer.state), ())
+        self.losses: list[float] = []  # those that were read
+        self._done = _Done(0, dict(self._optimizer.state))
+        self._clock: tuple[int, float] | None = None
 
     @property
     def step(self) -> int:
         """Number of steps that were taken."""
         return self._done.step
-
-    @property
-    def rate(self) -> float:
-        """Learning rate of the last step."""
-        return rate(self._options, max(self.step - 1, 0))
 
     def advance(self) -> None:
         """Take one step; nothing waits for the device."""
@@ -165,59 +167,57 @@ class _Run:
         self._done = _Done(step + 1, dict(optimizer.state), unread)
 
     def read(self) -> None:
-        """Wait for the device and look at the losses since the last time.
-
-        Raises:
-            SvuError: a loss or a gradient was NaN or infinite.
-        """
+        """Wait for the device; refuse losses and gradients that are NaN or infinite."""
         done = self._done
         first = done.step - len(done.unread)
         losses = []
         for step, (loss, broken) in enumerate(done.unread, first):
             losses.append(float(np.array(loss).ravel()[0]))
             _require_finite(step, losses[-1], bool(np.array(broken)[0]))
-        self._losses[first:] = losses
-        self._done = _Done(done.step, done.state, ())
+        self.losses[first:] = losses
+        self._done = _Done(done.step, done.state)
 
-    def losses(self) -> np.ndarray:
-        """Return the (step,) losses that were read."""
-        return np.array(self._losses, np.float32)
+    def show(self, stage: Stage) -> None:
+        """Show steps, loss, rate, and time left: from the first look on, before which kernels are
+        compiled."""
+        total, now = self._options.steps, time.monotonic()
+        stage.update(self.step, total)
+        text = f"loss {self.losses[-1]:.4g}, rate {rate(self._options, self.step - 1):.2g}"
+        self._clock = first, since = self._clock or (self.step, now)
+        if self.step > first:
+            text += f", {(now - since) / (self.step - first) * (total - self.step):.0f} s left"
+        stage.state(text)
 
     def ends_window(self) -> bool:
         """Return whether it is time to ask whether the descent has converged."""
-        window = self._options.window
-        return self._options.tolerance > 0 and self.step % window == 0
+        return self._options.tolerance > 0 and self.step % self._options.window == 0
 
     def has_converged(self) -> bool:
         """Return whether the mean loss of a window fell by less than ``tolerance`` of itself."""
         window = self._options.window
         if not self.ends_window() or self.step < 2 * window:
             return False
-        before = float(np.mean(self._losses[self.step - 2 * window : self.step - window]))
-        now = float(np.mean(self._losses[self.step - window : self.step]))
-        return before - now < self._options.tolerance * abs(before)
+        before, now = np.reshape(self.losses[self.step - 2 * window : self.step], (2, window))
+        return float(before.mean() - now.mean()) < self._options.tolerance * abs(before.mean())
 
     def values(self) -> dict[str, Any]:
         """Return the parameters, detached."""
         return {name: mi.TensorXf(dr.detach(entry[0])) for name, entry in self._done.state.items()}
 
     def state(self) -> State:
-        """Copy the last whole step; ``read`` comes first."""
+        """Copy the last whole step."""
+        self.read()
         entries = self._done.state.items()
         return State(
             step=self.step,
             values={name: np.array(dr.detach(entry[0])) for name, entry in entries},
             first={name: np.array(entry[3][1]) for name, entry in entries},
             second={name: np.array(entry[3][2]) for name, entry in entries},
-            losses=self.losses()[: self.step],
+            losses=np.array(self.losses[: self.step], np.float32),
         )
 
     def restore(self, state: State, label: str) -> None:
-        """Go on from a state.
-
-        Raises:
-            OptionError: it is one of other parameters, or of more steps.
-        """
+        """Go on from a state, if it fits."""
         optimizer = self._optimizer
         shapes = {name: tuple(value.shape) for name, value in optimizer.items()}
         state.require_fit(label, shapes, self._options.steps)
@@ -227,43 +227,11 @@ class _Run:
             moments = (owned(mi.Float, state.first[name]), owned(mi.Float, state.second[name]))
             count = mi.UInt32(state.step)
             optimizer.state[name] = value, promoted, own_rate, (count, *moments, most)
-        self._losses = state.losses.tolist()
-        self._done = _Done(state.step, dict(optimizer.state), ())
+        self.losses = state.losses.tolist()
+        self._done = _Done(state.step, dict(optimizer.state))
 
     def _project(self, tensor: Any) -> Any:
         return dr.clip(dr.detach(tensor), self._options.low, self._options.high)
-
-
-@dataclass(frozen=True)
-class _Done:
-    """The last whole step: how many there were, Adam's state, and what was not read yet."""
-
-    step: int
-    state: dict[str, Any]
-    unread: tuple[tuple[Any, Any], ...]
-
-
-class _Clock:
-    """Time left, from the steps after the first look: those before it compile kernels."""
-
-    def __init__(self) -> None:
-        self._first: tuple[int, float] | None = None
-
-    def left(self, step: int, total: int) -> float | None:
-        """Return seconds until ``total`` steps are done; None before anything is known."""
-        now = time.monotonic()
-        if self._first is None:
-            self._first = (step, now)
-        first, since = self._first
-        return (now - since) / (step - first) * (total - step) if step > first else None
-
-
-def _show(stage: Stage, run: _Run, clock: _Clock) -> None:
-    total = run._options.steps
-    left = clock.left(run.step, total)
-    stage.update(run.step, total)
-    text = f"loss {run._losses[-1]:.4g}, rate {run.rate:.2g}"
-    stage.state(text if left is None else f"{text}, {left:.0f} s left")
 
 
 def _one_number(loss: Any) -> Any:

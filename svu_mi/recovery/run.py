@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from math import sqrt
 from typing import Any
+
+import drjit as dr
+import mitsuba as mi
 
 from svu_mi.errors import OptionError
 from svu_mi.observed import Observed
@@ -19,11 +23,9 @@ from svu_mi.recovery.fingerprint import fingerprint
 from svu_mi.recovery.options import Method, Options, PathOptions, ShOptions
 from svu_mi.recovery.path.objective import path_objective
 from svu_mi.recovery.printed import Printed
-from svu_mi.recovery.regularized import Rule, each, regularized
 from svu_mi.recovery.relight import path_length
 from svu_mi.recovery.sh.angular import angular_objective
-from svu_mi.recovery.sh.objective import Likelihood, Pull
-from svu_mi.recovery.sh.smoothing import Smoothing
+from svu_mi.recovery.sh.objective import Likelihood, Pull, Smoothing
 from svu_mi.recovery.sh.spectral import spectral_objective
 from svu_mi.recovery.start import estimate_for_textures, known_values, posterior_means
 from svu_mi.recovery.textures import Textures, lay_out, scene_textures, uniform
@@ -34,6 +36,8 @@ from svu_mi.surface.neighbors import Neighbors, neighbors
 # Chosen on our own scenes:
 GENTLE = 0.6  # part of total variation that smooths a start, whose texels must tell materials apart
 HOLD = 0.5  # weight of the pull towards posterior means, which know the prior
+
+Rule = Callable[[dict[str, Any]], Any]
 
 
 @dataclass
@@ -256,6 +260,28 @@ class Run:
         own = scene_textures(self.capture, self.texels) if others else middle
         known = {n: uniform(self.texels, v)[n] for n, v in self.known.items()}
         return middle.but(**{n: own[n] for n in others}, **known)
+
+
+def regularized(
+    data: Objective, rules: Sequence[tuple[float, Rule]], fixed: dict[str, Any] | None = None
+) -> Objective:
+    """Return the objective data + sum of weight * rule(textures); ``fixed`` textures are not
+    optimised."""
+    weights = [dr.opaque(mi.Float, weight) for weight, _ in rules]
+
+    def objective(textures: dict[str, Any], step: int) -> Any:
+        every = (fixed or {}) | textures
+        loss = data(every, step)
+        for weight, (_, rule) in zip(weights, rules, strict=True):
+            loss += weight * rule(every)
+        return loss
+
+    return objective
+
+
+def each(rule: Callable[[Any], Any]) -> Rule:
+    """Return a regulariser of one texture as one of all: the sum over them."""
+    return lambda textures: sum(rule(texture) for texture in textures.values())
 
 
 def require_resolution(texels: Texels, start: Textures | None) -> None:

@@ -25,7 +25,7 @@ from svu_mi.output.result import Result, is_seen, known, open_axes, words
 from svu_mi.output.upright import upright
 from svu_mi.pipeline import Estimate
 from svu_mi.progress import Stage
-from svu_mi.recovery.field.make import field_of
+from svu_mi.recovery.field.field import field_of
 from svu_mi.recovery.textures import Textures
 from svu_mi.results.transaction import write_page
 

@@ -29,7 +29,7 @@ from svu_mi.output.viewer.panels import draw_pick, draw_scale, says
 from svu_mi.output.viewer.picking import Pick, Picker
 from svu_mi.output.viewer.serving import require_viser, serve, stop
 from svu_mi.pipeline import Estimate
-from svu_mi.recovery.field.make import field_of
+from svu_mi.recovery.field.field import field_of
 from svu_mi.recovery.textures import Textures
 
 HOME = (2.2, 1.2, 0.8)  # in front, to the right and above, in radii: the first look at the object

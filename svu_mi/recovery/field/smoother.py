@@ -5,6 +5,10 @@ K is total variation made quadratic around textures x0 [Vogel and Oman 1996]: a 
     w_ij = lambda / sqrt((x0_i - x0_j)^2 + epsilon^2)
 
 of every pair of neighbours, strong where they are alike, weak across an edge.
+
+Strong links carry values far, one texel per iteration of conjugate gradients. ``Nested`` starts
+from the solution on groups of 2 x 2 texels, where they go twice as far in a quarter of the work
+(nested iteration [Hackbusch 1985]).
 """
 
 from __future__ import annotations
@@ -19,12 +23,14 @@ import numpy as np
 
 from svu_mi.interop import owned
 from svu_mi.local import QUAD, fours, padded
-from svu_mi.surface.neighbors import grouped, lanes_of, over_neighbors
+from svu_mi.surface.neighbors import grouped, lanes_of, means, over_neighbors, owners_of, sums
 
 TOLERANCE = 1e-3  # of the residual, relative to the right-hand side's
 LOOK = 8  # iterations between looks at it
 MOST = 400
 CLOSE, LONG = 5e-3, 1000  # the same of what is filled in, relative to the residual at first
+FEW = 2**14  # texels that are solved for at once
+FEWER = 0.7  # part of the texels from which on groups are no help
 
 
 @dataclass(frozen=True)
@@ -253,3 +259,41 @@ def _normal(seed: Any, number: Any) -> Any:
     random = mi.PCG32(initstate=seed, initseq=number)
     u, v = random.next_float32(), random.next_float32()
     return dr.sqrt(-2 * dr.log(1 - u)) * dr.cos(dr.two_pi * v)
+
+
+@dataclass(frozen=True)
+class Nested:
+    """A smoother of T texels, and one of groups of these, if they are many.
+
+    Attributes:
+        smoother: of the texels.
+        coarser: of the groups.
+        owner: (T,) int64, the group that each texel is of.
+    """
+
+    smoother: Smoother
+    coarser: Nested | None = None
+    owner: np.ndarray | None = None
+
+    @staticmethod
+    def of(smoother: Smoother, squares: np.ndarray) -> Nested:
+        """Group texels in squares of 2 x 2, then groups, until few are left.
+
+        Args:
+            smoother: of T texels.
+            squares: (T, 2) int64, their rows and columns in the map.
+        """
+        if len(squares) <= FEW:
+            return Nested(smoother)
+        wider, owner = owners_of(squares // 2)
+        if len(wider) > FEWER * len(squares):
+            return Nested(smoother)
+        values, precision = means(smoother.values, smoother.precision, owner)
+        return Nested(smoother, Nested.of(smoother.halved(owner, precision, values), wider), owner)
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Return x with (D + K) x = right, (N, T) float64 each (``Smoother.solve``)."""
+        if self.coarser is None or self.owner is None:
+            return self.smoother.solve(right)
+        start = self.coarser.solve(sums(right, self.owner))
+        return self.smoother.solve(right, start[:, self.owner])

@@ -23,7 +23,7 @@ from svu_mi.light.lighting import moment_map
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset
 from svu_mi.parameters import MIXED
-from svu_mi.recovery.sh.gradient import carry, look_up
+from svu_mi.recovery.sh.energy import carry, look_up
 from svu_mi.reflection.fitted import Convolved
 from svu_mi.reflection.lobes import reflected_at_view
 from svu_mi.reflection.principled import alpha_from_roughness, columns, mixture, slope

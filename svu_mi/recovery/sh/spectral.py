@@ -27,7 +27,7 @@ from svu_mi.frequency.gather import Coefficients, fit_coefficients
 from svu_mi.interop import owned
 from svu_mi.observed import Observed
 from svu_mi.options import Preset
-from svu_mi.recovery.sh.gradient import look_up
+from svu_mi.recovery.sh.energy import look_up
 from svu_mi.reflection.lobes import mean_albedo
 from svu_mi.reflection.principled import (
     alpha_from_roughness,
