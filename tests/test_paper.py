@@ -31,7 +31,7 @@ from svu_mi.pipeline import Estimate
 from svu_mi.posterior import ParameterGrid, PrincipledGrid, TabulatedPosterior
 from svu_mi.posterior.spectrum import spectrum_grid
 from svu_mi.recovery.options import PATH_PRESETS, SH_PRESETS
-from svu_mi.recovery.path import losses
+from svu_mi.recovery.path.objective import l1
 from svu_mi.recovery.sh.angular import angular_objective
 from svu_mi.recovery.sh.spectral import SpectralObjective
 from svu_mi.statistics.gather import flat
@@ -56,7 +56,7 @@ def test_settings_are_those_of_the_paper():
     assert SH.fit == Fit(degree=6, regularizer=1e-3, penalize_constant=True, undo_prefilter=False)
     assert (sh.loss, sh.tv, sh.closed_form, sh.common_prior) == ("angular", 1e-2, False, False)
     assert (sh.descent.learning_rate, sh.descent.final_rate, sh.descent.steps) == (0.01, 1, 200)
-    assert (path.loss, path.tv, path.spp, path.tile) == ("l1", 1e-2, 32, 1)
+    assert (path.loss, path.tv, path.spp) == ("l1", 1e-2, 32)
     assert (path.descent.learning_rate, path.descent.final_rate) == (0.02, 1)
 
 
@@ -653,7 +653,7 @@ def test_l1_of_rendered_pixels():
     rng = np.random.default_rng(4021)
     render, target = (rng.gamma(1.0, 1.0, (9, 7, 3)).astype(np.float32) for _ in range(2))
     fixed = mi.TensorXf(owned(mi.Float, target.ravel()), shape=target.shape)
-    value, gradient = backward(lambda x: losses.l1(x, fixed), render)
+    value, gradient = backward(lambda x: l1(x, fixed), render)
     exact, slope = paper.absolute_error(render.astype(np.float64), target.astype(np.float64))
     assert value == pytest.approx(exact, rel=EXACT)
     close(gradient, slope)
