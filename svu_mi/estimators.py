@@ -15,7 +15,7 @@ from svu_mi.errors import OptionError
 from svu_mi.frequency.gather import fit_spectra
 from svu_mi.interop import owned
 from svu_mi.limits import MAX_LANES
-from svu_mi.needs import TILE
+from svu_mi.memory import TILE
 from svu_mi.observed import Observed
 from svu_mi.options import AngularPreset, AnyPreset, Preset
 from svu_mi.posterior import (

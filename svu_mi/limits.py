@@ -6,8 +6,7 @@ import os
 from collections.abc import Sequence
 
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuError
-from svu_mi.memory import address_space, free_memory
-from svu_mi.needs import Size
+from svu_mi.memory import Size, address_space, free_memory
 
 MAX_LANES = 2**32 - 1  # of one kernel: Dr.Jit counts them in 32 bits
 MAX_VIEWS = 10_000  # photographs are called view_0000 to view_9999
@@ -16,7 +15,7 @@ MAX_TEXELS = 2**14  # per side
 # that is with one thread, which is the default on a machine, or a share of one, with one core.
 FEWEST_THREADS = 2
 MIN_TEXELS = 2  # per side; Mitsuba has no texture below
-TEXEL_BYTES = 2**8  # of the grid, laid out; what is computed of them is told by needs.py
+TEXEL_BYTES = 2**8  # of the grid, laid out; what is computed of them is told by memory.py
 PIXEL_BYTES = 16  # of a photograph in memory: three floats, a mask, and what can be used
 RENDER_BYTES = 100  # per pixel of a film while it is rendered; measured: 90
 MASK_LANES = 9  # rays per pixel that find the object

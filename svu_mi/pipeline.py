@@ -3,7 +3,7 @@
     capture -> texels -> observed: visibility   -> plan -> statistics of all views   -> posterior
                                                          -> SH fit -> power spectra   -> posterior
 
-Memory at its peak is told by ``needs.py``: bytes per pixel of all photographs, as far as they do
+Memory at its peak is told by ``memory.py``: bytes per pixel of all photographs, as far as they do
 not lie in a file (``capture/block.py``), and per texel, of which statistics and factors take most;
 many texels are therefore worked on tile by tile (``posterior/tiled.py``), and where all of them are
 asked for, only factors are kept (``estimators.py``).

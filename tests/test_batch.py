@@ -28,7 +28,8 @@ from svu_mi.batch.steps import key_of, words_of
 from svu_mi.capture.folder import stamps
 from svu_mi.cli.help import REGISTRY
 from svu_mi.cli.main import Command
-from svu_mi.cli.words import with_known_repeated
+from svu_mi.cli.options import given as options_given
+from svu_mi.cli.options import with_known_repeated
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.exr import read_exr
 
@@ -235,8 +236,9 @@ def test_commands_understand_paths_with_spaces_and_ids_with_dashes(tmp_path):
             Command, args=with_known_repeated(words), registry=REGISTRY,
             config=(tyro.conf.OmitArgPrefixes, tyro.conf.AvoidSubcommands),
         )  # fmt: skip
-        assert str(found.light) == given["light"] and found.shape == given["shape"]
-        assert str(found.images) == given["images"] and found.scene == tmp_path / "a b"
+        found = options_given(found)
+        assert str(found["light"]) == given["light"] and found["shape"] == given["shape"]
+        assert str(found["images"]) == given["images"] and found["scene"] == tmp_path / "a b"
 
 
 def test_a_command_that_is_killed_is_tried_again_one_that_fails_is_not(shelf_of, tmp_path):

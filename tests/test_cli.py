@@ -237,14 +237,14 @@ def test_memory_is_announced_or_refused_before_any_pixel_is_read(
 ):
     """The figures are those of ``svu_mi.limits.Need``."""
     monkeypatch.setattr("svu_mi.capture.images._read_photograph", None)
-    monkeypatch.setattr("svu_mi.needs.free_memory", lambda: 10**11)
+    monkeypatch.setattr("svu_mi.memory.free_memory", lambda: 10**11)
     words = (command, shot, "-o", tmp_path / "out.html")
     with pytest.raises(TypeError):  # nothing reads the photographs
         run(*words, "-v")
     told = capsys.readouterr().out.splitlines()
     assert re.fullmatch(r"Needs up to [.\d]+ GB of memory, \d+ are there", told[0])
-    monkeypatch.setattr("svu_mi.needs.free_memory", lambda: 0)
-    monkeypatch.setattr("svu_mi.needs.resident", lambda: 3 * 10**8)
+    monkeypatch.setattr("svu_mi.memory.free_memory", lambda: 0)
+    monkeypatch.setattr("svu_mi.memory.resident", lambda: 3 * 10**8)
     line = fails(capsys, *words)
     assert re.match(rf"svu: {shot}: needs [.\d]+ GB of memory, 0.3 are there; ", line)
 

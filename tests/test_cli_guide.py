@@ -17,6 +17,7 @@ from helpers import fails, names, run
 import svu_mi as svu
 from svu_mi.capture.scene import to_world
 from svu_mi.cli.guide import Guide
+from svu_mi.cli.options import CaptureOptions, SceneOptions
 from svu_mi.exr import read_exr
 
 MISSING = (2, 5, 6)  # photographs that the scene has sensors for, but nobody has taken
@@ -143,7 +144,8 @@ def test_what_cannot_be_reached_is_not_proposed(shot, tmp_path, no_page):
 def test_what_can_be_reached_is_said_in_any_of_three_ways(tmp_path, text):
     path = tmp_path / "file"
     path.write_text(text)
-    flags = Guide(scene=tmp_path, reachable=path, unreachable=(3, 4))._within_reach(12)
+    capture = CaptureOptions(source=SceneOptions(scene=tmp_path))
+    flags = Guide(capture=capture, reachable=path, unreachable=(3, 4))._within_reach(12)
     assert np.flatnonzero(flags).tolist() == [0, 6, 9]
 
 

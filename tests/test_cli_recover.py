@@ -56,7 +56,7 @@ def test_a_page_that_cannot_be_drawn_is_an_error_and_leaves_no_result(
 @pytest.fixture
 def no_pictures(monkeypatch):
     """Of a recovery's results, they take longest, and others look at them."""
-    monkeypatch.setattr("svu_mi.output.recovery.Pages", MagicMock())
+    monkeypatch.setattr("svu_mi.output.recovery._draw", MagicMock())
 
 
 def recover(shot, out, *words):

@@ -51,11 +51,11 @@ def test_everything_is_printed(found):
 def test_exit_status_tells_health(monkeypatch, found):
     console = Console(file=io.StringIO())
     monkeypatch.setattr(doctor, "diagnose", lambda: found)
-    assert doctor.doctor(console) == 0
+    assert doctor.Doctor().run(console) == 0
     sick = doctor.Check("OpenEXR", False, "it differs", "reinstall it")
     ill = dataclasses.replace(found, checks=(*found.checks, sick))
     monkeypatch.setattr(doctor, "diagnose", lambda: ill)
-    assert doctor.doctor(console) == 2
+    assert doctor.Doctor().run(console) == 2
     assert "Remedy for OpenEXR: reinstall it" in console.file.getvalue()
 
 

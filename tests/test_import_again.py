@@ -13,7 +13,7 @@ import trimesh
 
 import svu_mi as svu
 from svu_mi.capture.poses import affine
-from svu_mi.cli.importing import Conversion, Import
+from svu_mi.cli.import_ import Conversion, Import
 from svu_mi.cli.main import main
 from svu_mi.exr import write_exr
 from svu_mi.formats.again import SWITCHES, VALUED, _parsed, command

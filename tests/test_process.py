@@ -54,7 +54,7 @@ def test_where_nobody_listens_the_status_stays(stream):
 def test_modules_are_no_garbage_and_the_rest_is_collected():
     code = """
 import gc, sys
-from svu_mi.cli.commands import Doctor
+from svu_mi.cli.doctor import Doctor
 from svu_mi.cli.process import run
 def work(self, console):
     first = gc.get_freeze_count()

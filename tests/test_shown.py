@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -13,8 +11,8 @@ import svu_mi as svu
 from svu_mi.capture.poses import scaled_sensor
 from svu_mi.capture.shown import shrunk
 from svu_mi.capture.traced import Pictures
-from svu_mi.cli.reporting import Report
-from svu_mi.cli.viewing import View
+from svu_mi.cli.options import recovered_textures
+from svu_mi.cli.report import SIDE
 from svu_mi.guidance.forecast import Forecast
 from svu_mi.output.report import pictures
 from svu_mi.posterior.part import PartOfPosterior
@@ -74,10 +72,9 @@ def test_half_a_width_is_that_of_the_least_known_channel(vase):
 
 
 def test_a_report_takes_as_many_texels_as_its_maps_have_pixels():
-    assert Report(scene=Path("a.xml")).side == pictures.MAP_SIDE
-    assert Report(scene=Path("a.xml")).sized()[0].resolution == (pictures.MAP_SIDE,)
-    assert View(scene=Path("a.xml")).sized()[0].resolution == (512,)
-    assert Report(scene=Path("a.xml"), resolution=(64,)).sized()[0].resolution == (64,)
+    assert SIDE == pictures.MAP_SIDE
+    assert recovered_textures(None, (), SIDE) == ((SIDE, SIDE), None)
+    assert recovered_textures(None, (64,), SIDE) == ((64, 64), None)
 
 
 def test_pixels_that_are_asked_for_are_those_of_the_picture(vase):

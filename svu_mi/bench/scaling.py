@@ -21,7 +21,7 @@ from svu_mi.bench.markdown import Bar, Column, columns, digits, seconds
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import allocated_mib, run, spread
 from svu_mi.capture import Capture
-from svu_mi.needs import MODELS
+from svu_mi.memory import MODELS
 from svu_mi.pipeline import estimate
 from svu_mi.surface import Texels, texels
 

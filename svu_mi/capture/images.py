@@ -19,7 +19,7 @@ from svu_mi.capture.rounding import Rounding
 from svu_mi.capture.window import Window
 from svu_mi.errors import CaptureError
 from svu_mi.limits import require_photographs
-from svu_mi.needs import STORED, Size, decoders
+from svu_mi.memory import STORED, Size, decoders
 from svu_mi.results.provenance import RUN
 
 # Of the encoded range, by bits; a clipped highlight is not a measurement. JPEG blurs it, too.

@@ -35,7 +35,7 @@ from svu_mi.capture.unwrap import UNWRAPPED, unwrapped
 from svu_mi.capture.winding import seen_from_behind
 from svu_mi.capture.window import WHOLE, Detail, Window
 from svu_mi.errors import CaptureError, OptionError, SceneError, SvuWarning, excerpt
-from svu_mi.needs import Size, Sizes
+from svu_mi.memory import Size, Sizes
 from svu_mi.results.provenance import require_no_result
 
 Light = Literal["required", "optional"]

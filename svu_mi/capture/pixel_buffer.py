@@ -20,8 +20,7 @@ import numpy as np
 
 from svu_mi.errors import CaptureError
 from svu_mi.limits import require_files
-from svu_mi.memory import free_memory
-from svu_mi.needs import READING, STORED, Size, decoders
+from svu_mi.memory import READING, STORED, Size, decoders, free_memory
 
 SHARE = 0.5  # of the free memory that photographs take, before they go to a file
 ON_DISK = Path("/var/tmp")  # what is in /tmp is memory on some systems

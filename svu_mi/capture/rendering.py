@@ -35,7 +35,7 @@ from svu_mi.exr import read_header, read_pixels, write_exr
 from svu_mi.hashing import Key
 from svu_mi.interrupts import between_steps
 from svu_mi.limits import require_render, require_spp
-from svu_mi.needs import Size, Sizes
+from svu_mi.memory import Size, Sizes
 from svu_mi.results.provenance import RUN
 from svu_mi.results.transaction import Claim, claimed, writing
 

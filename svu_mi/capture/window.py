@@ -22,7 +22,7 @@ from svu_mi.capture.poses import (
     principal_point,
     projected,
 )
-from svu_mi.needs import Size
+from svu_mi.memory import Size
 
 LARGE = 2**22  # pixels of a photograph from which on it is worth it
 ENOUGH = 0.9  # pixels across a texel: about one (notebooks/design/photographs.md)

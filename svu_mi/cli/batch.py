@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Interrupted, Output
+from svu_mi.cli.common import Common, Interrupted
+from svu_mi.cli.options import Output, pair
 from svu_mi.cli.terminal import say
-from svu_mi.cli.words import pair
 from svu_mi.errors import OptionError
 from svu_mi.limits import FEWEST_THREADS
 from svu_mi.progress import Progress

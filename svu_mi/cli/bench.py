@@ -12,7 +12,8 @@ import tyro
 from rich.console import Console
 
 from svu_mi.bench import ALL, BENCHMARKS
-from svu_mi.cli.common import Common, Output
+from svu_mi.cli.common import Common
+from svu_mi.cli.options import Output
 from svu_mi.cli.terminal import say
 from svu_mi.errors import CaptureError, OptionError
 from svu_mi.progress import Progress

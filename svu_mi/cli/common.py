@@ -1,12 +1,9 @@
-"""Options of every command; how it begins (a variant of Mitsuba, threads), announces the memory
-that it takes, and is interrupted."""
+"""Options of every command: variant, threads and trust; and how it is interrupted."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import tyro
@@ -15,8 +12,6 @@ from svu_mi import _llvm, _workers
 from svu_mi.cli.process import importing, is_own
 from svu_mi.errors import OptionError, SvuEnvironmentError, excerpt
 from svu_mi.limits import FEWEST_THREADS
-from svu_mi.needs import Need, Sizes
-from svu_mi.progress import Progress
 
 log = logging.getLogger(__name__)
 
@@ -33,7 +28,6 @@ Threads = Annotated[
 ]
 Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"], help="Log more; errors with traceback.")]
 Variant = Annotated[str, tyro.conf.arg(aliases=["-m"], help="Mitsuba variant.")]
-Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder for the results.")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,42 +96,6 @@ class Common:
             raise SvuEnvironmentError(
                 f"Variant '{name}' is not available: {excerpt(error)}; run svu doctor."
             ) from error
-
-
-@dataclass(frozen=True, kw_only=True)
-class Overwriting:
-    """The option of commands that write a result."""
-
-    overwrite: bool = False
-    """Write where anything else lies, which is kept as NAME.before."""
-
-
-def announce_sizes(
-    progress: Progress, label: str, need: Callable[[Sizes], Need], sizes: Sizes
-) -> float:
-    """Refuse sizes that need too much memory, and announce others.
-
-    Args:
-        progress: shows the sentence.
-        label: begins the refusal: the scene, or the folder of the photographs.
-        need: memory of a command by sizes.
-        sizes: of the capture.
-
-    Returns:
-        Bytes that photographs may take: 0 where all else needs the memory, unless a size was asked
-        for.
-    """
-    found = need(sizes)
-    if not (found.fits or sizes.asked):
-        found = need(replace(sizes, memory=0.0))
-    announce(progress, label, found)
-    return found.memory
-
-
-def announce(progress: Progress, label: str, need: Need) -> None:
-    """Refuse what needs too much memory, and announce what does not (see ``announce_sizes``)."""
-    need.require(label)
-    progress.say(need.sentence())
 
 
 class Interrupted(KeyboardInterrupt):

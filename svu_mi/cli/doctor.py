@@ -22,11 +22,26 @@ from typing import Any
 from rich.console import Console
 
 from svu_mi import _llvm
+from svu_mi.cli.common import Common
 
 PACKAGES = ("svu_mi", "mitsuba", "drjit", "OpenEXR", "trimesh", "xatlas", "numpy", "scipy")
 SUPPORTED = ("cuda_ad_rgb", "metal_ad_rgb", "llvm_ad_rgb")  # what entropy runs on
 TIMEOUT_S = 300  # a first render compiles kernels
 CHILD = "import sys; from svu_mi.cli import doctor; doctor.{}(*sys.argv[1:])"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doctor(Common):
+    """Say what is installed, what can run here, and what to do about the rest."""
+
+    draws = False
+
+    def run(self, console: Console) -> int:
+        """Diagnose, print, and return the exit status: 0 if healthy, else 2."""
+        with console.status("Looking around; the first render compiles kernels"):
+            found = diagnose()
+        show(found, console)
+        return 0 if found.healthy else 2
 
 
 @dataclass(frozen=True)
@@ -63,14 +78,6 @@ class Diagnosis:
     def healthy(self) -> bool:
         """Whether the pipeline can run here."""
         return all(check.ok for check in self.checks)
-
-
-def doctor(console: Console) -> int:
-    """Diagnose, print, and return the exit status: 0 if healthy, else 2."""
-    with console.status("Looking around; the first render compiles kernels"):
-        found = diagnose()
-    show(found, console)
-    return 0 if found.healthy else 2
 
 
 def diagnose() -> Diagnosis:

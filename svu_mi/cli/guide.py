@@ -3,23 +3,36 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Output, Overwriting
-from svu_mi.cli.inputs import Estimated, Missing, WithPictures
+from svu_mi.cli.common import Common
+from svu_mi.cli.loading import Loading
+from svu_mi.cli.options import (
+    CaptureOptions,
+    EstimateOptions,
+    GivenLight,
+    Missing,
+    Output,
+    Overwrite,
+    Pictures,
+    Resolution,
+    Samples,
+    given,
+    pair,
+)
 from svu_mi.cli.terminal import say
-from svu_mi.cli.words import given
 from svu_mi.errors import OptionError
 from svu_mi.guidance.options import GuidanceOptions
 from svu_mi.guidance.strategies import TABLE
-from svu_mi.limits import require_views
-from svu_mi.needs import Need, Sizes
+from svu_mi.limits import require_texels, require_views
+from svu_mi.memory import Need
 from svu_mi.options import AngularPreset, Preset
 from svu_mi.options import preset as find_preset
 from svu_mi.progress import Progress
@@ -38,7 +51,7 @@ Up = Annotated[tuple[float, float, float], tyro.conf.arg(metavar="X Y Z")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Guide(Overwriting, WithPictures, Estimated):
+class Guide(Common):
     """Propose where to take the next photographs from.
 
     Writes guidance.json and guidance.png, the poses as transforms.json and sensors.xml, maps
@@ -46,8 +59,13 @@ class Guide(Overwriting, WithPictures, Estimated):
     run.json.
     """
 
-    work = "guide"
+    capture: CaptureOptions
+    spp: Samples = 64
+    estimation: EstimateOptions = EstimateOptions()
+    light: GivenLight = None
     output: Output = Path("out/next")
+    overwrite: Overwrite = False
+    resolution: Resolution = (512,)
     candidates: From = "100"
     """Where photographs can be taken from: a number of views on a sphere around the object; the
     poses of a transforms.json, capture.json or Mitsuba XML file; or "scene", its sensors that have
@@ -65,8 +83,7 @@ class Guide(Overwriting, WithPictures, Estimated):
     JSON list; or with a JSON list of booleans, one per candidate."""
     unreachable: Numbers = ()
     """Numbers of candidates that cannot be reached."""
-    preset: Literal["default", "fixed", "fast", "paper"] = "default"
-    """Method spectrum needs paper."""
+    pictures: Pictures = True
     judging: GuidanceOptions = GuidanceOptions()
 
     def run(self, console: Console) -> int:
@@ -98,18 +115,20 @@ class Guide(Overwriting, WithPictures, Estimated):
 
         # What a file says is refused before photographs are read.
         fixed = None if self._placed else self._restricted(Candidates.read(self.candidates))
-        missing: Missing = "leave-out" if self.candidates == SCENE else self.missing
-        capture, texels = self.load(progress, missing=missing)
+        missing: Missing | None = "leave-out" if self.candidates == SCENE else None
+        size, model = pair(self.resolution, "--resolution"), self.estimation.model
+        count = _number(self.candidates) or 0
+        capture, texels = Loading(
+            options=self.capture, resolution=size, trust=self.trust, spp=self.spp, missing=missing,
+            need=partial(Need.of, "guide", resolution=size, model=model, candidates=count),
+            folder=self.output / "capture",
+        ).load_lit(progress, self.light, self.output / "light")  # fmt: skip
         candidates = fixed or self._restricted(self._place(capture))
-        known = self.estimate(progress, capture, texels, whole=True)
+        known = self.estimation.estimate(progress, capture, texels, whole=True)
         guidance = next_best_view(
             known, candidates, self.add, options=self.judging, progress=progress
         )
         return capture, known, guidance
-
-    def need(self, sizes: Sizes) -> Need:
-        """Return what memory the command takes (see ``FromPhotographs``)."""
-        return replace(super().need(sizes), candidates=_number(self.candidates) or 0)
 
     @property
     def _placed(self) -> bool:
@@ -153,7 +172,9 @@ class Guide(Overwriting, WithPictures, Estimated):
             OptionError: a number out of range, or an option that has no effect.
             CaptureError: a file that does not exist, or is not to be read.
         """
-        super().check()
+        require_texels(pair(self.resolution, "--resolution"), "--resolution")
+        self.capture.check(self.spp)
+        self.estimation.check()
         if self.add < 1:
             raise OptionError(f"--add must be at least 1, got {self.add}.")
         self._check_sphere()
@@ -188,22 +209,23 @@ class Guide(Overwriting, WithPictures, Estimated):
             raise OptionError(f"--up must be a direction, got {' '.join(map(str, self.up))}.")
 
     def _check_method(self) -> None:
-        switches = find_preset(self.preset, method=self.method)
+        method, preset = self.estimation.method, self.estimation.preset
+        switches = find_preset(preset, method=method)
         if isinstance(switches, Preset) and switches.principled:
             raise OptionError(
-                f"--method spectrum --preset {self.preset} does not predict what new "
+                f"--method spectrum --preset {preset} does not predict what new "
                 "photographs would show; add --preset paper, or omit --method."
             )
         if isinstance(switches, AngularPreset) and switches.fit is not None:
             raise OptionError(
-                f"--preset {self.preset} is the SH model, which knows light only where photographs "
+                f"--preset {preset} is the SH model, which knows light only where photographs "
                 "were taken; add --method spectrum for Eq. 13, or omit --preset."
             )
-        if self.judging.band_limit == "growing" and self.method != "spectrum":
+        if self.judging.band_limit == "growing" and method != "spectrum":
             raise OptionError("--band-limit growing needs --method spectrum.")
         strategy = self.judging.strategy
         needed = TABLE[strategy].method
-        if needed not in (None, self.method):
+        if needed not in (None, method):
             raise OptionError(f"--strategy {strategy} needs --method {needed}.")
 
 

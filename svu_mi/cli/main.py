@@ -16,26 +16,29 @@ import tyro
 from svu_mi import __version__
 from svu_mi.cli.batch import Batch
 from svu_mi.cli.bench import Bench
-from svu_mi.cli.checking import CheckCapture
-from svu_mi.cli.commands import Demo, Doctor, Entropy, Render
+from svu_mi.cli.check import CheckCapture
 from svu_mi.cli.common import was_interrupted
-from svu_mi.cli.comparing import Compare
-from svu_mi.cli.exporting import Export
+from svu_mi.cli.compare import Compare
+from svu_mi.cli.demo import Demo
+from svu_mi.cli.doctor import Doctor
+from svu_mi.cli.entropy import Entropy
+from svu_mi.cli.export import Export
 from svu_mi.cli.guide import Guide
 from svu_mi.cli.help import REGISTRY, flowing
-from svu_mi.cli.importing import Import
-from svu_mi.cli.inpainting import Inpaint
-from svu_mi.cli.lighting import FindLight
+from svu_mi.cli.import_ import Import
+from svu_mi.cli.inpaint import Inpaint
+from svu_mi.cli.light import FindLight
+from svu_mi.cli.options import with_known_repeated
 from svu_mi.cli.pictures import import_matplotlib
 from svu_mi.cli.recover import Recover
 from svu_mi.cli.relight import Relight
-from svu_mi.cli.reporting import Report
+from svu_mi.cli.render import Render
+from svu_mi.cli.report import Report
 from svu_mi.cli.scenes import Scenes
 from svu_mi.cli.terminal import LogLines, OneLine, forgiving_streams
-from svu_mi.cli.viewing import View
-from svu_mi.cli.words import with_known_repeated
+from svu_mi.cli.view import View
 from svu_mi.errors import OptionError, SvuError, excerpt, printable
-from svu_mi.needs import require_start
+from svu_mi.memory import require_start
 
 Command = (
     Annotated[Import, tyro.conf.subcommand("import")]

@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Interrupted, Output, Overwriting, was_interrupted
-from svu_mi.cli.inputs import FromPhotographs, WithPictures
+from svu_mi.cli.common import Common, Interrupted, was_interrupted
+from svu_mi.cli.loading import Loading
+from svu_mi.cli.options import (
+    CaptureOptions,
+    GivenLight,
+    Output,
+    Overwrite,
+    Pictures,
+    Resolution,
+    Samples,
+    given,
+    pair,
+)
 from svu_mi.cli.terminal import say
-from svu_mi.cli.words import given
 from svu_mi.errors import OptionError
+from svu_mi.limits import require_texels
+from svu_mi.memory import Need
 from svu_mi.parameters import NAMES
 from svu_mi.progress import Progress
 from svu_mi.recovery.options import PRINTED_PRESETS
@@ -32,7 +45,7 @@ From = Annotated[Path | None, tyro.conf.arg(name="start", metavar="FOLDER")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recover(Overwriting, WithPictures, FromPhotographs):
+class Recover(Common):
     """Recover base colour, roughness and metallic textures from photographs.
 
     Writes the textures as EXR, recovered.xml (a Mitsuba scene that uses them), coverage.exr,
@@ -41,8 +54,12 @@ class Recover(Overwriting, WithPictures, FromPhotographs):
     interrupted run.
     """
 
-    work = "recover"
+    capture: CaptureOptions
+    spp: Samples = 64
+    light: GivenLight = None
     output: Output = Path("out/textures")
+    overwrite: Overwrite = False
+    resolution: Resolution = (512,)
     method: Literal["sh", "path", "sh+path"] = "sh"
     """sh: a reflection model, in seconds; path: Mitsuba's path tracer in a loop; sh+path: the
     path tracer, from what sh has found."""
@@ -73,6 +90,7 @@ class Recover(Overwriting, WithPictures, FromPhotographs):
     svu relight takes them."""
     seed: int = 0
     """Seed of the batches and paths of path, and of the draws."""
+    pictures: Pictures = True
 
     def run(self, console: Console) -> int:
         """Recover, and write the results."""
@@ -95,8 +113,13 @@ class Recover(Overwriting, WithPictures, FromPhotographs):
         return 0
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work (see ``FromPhotographs``)."""
-        super().check()
+        """Refuse options that make no sense, before any work.
+
+        Raises:
+            OptionError: there is one.
+        """
+        require_texels(pair(self.resolution, "--resolution"), "--resolution")
+        self.capture.check(self.spp)
         if not self.parameters:
             raise OptionError("--parameters must name at least one texture.")
         if self.seed < 0:
@@ -134,7 +157,12 @@ class Recover(Overwriting, WithPictures, FromPhotographs):
         from svu_mi.recovery.recover import recover
 
         options = self._options()  # refused before any work
-        capture, texels = self.load(progress, again=self.resume)
+        size = pair(self.resolution, "--resolution")
+        capture, texels = Loading(
+            options=self.capture, resolution=size, trust=self.trust, spp=self.spp,
+            again=self.resume, need=partial(Need.of, "recover", resolution=size, model="default"),
+            folder=self.output / "capture",
+        ).load_lit(progress, self.light, self.output / "light")  # fmt: skip
         initial = self._initial(texels)
         seen = observe(capture, texels, progress)
         recovery = recover(

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Output, Overwriting
-from svu_mi.cli.inputs import Photographed, Resolution, WithPictures
+from svu_mi.cli.common import Common
+from svu_mi.cli.loading import Loading
+from svu_mi.cli.options import CaptureOptions, Output, Overwrite, Pictures, given
 from svu_mi.cli.terminal import say
-from svu_mi.cli.words import given
 from svu_mi.errors import CaptureError, OptionError
-from svu_mi.needs import Need, Sizes
+from svu_mi.memory import Need
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import Claim, claimed
 
@@ -29,7 +30,7 @@ Poses = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Relight(Overwriting, WithPictures, Photographed):
+class Relight(Common):
     """Show the object in its recovered textures under another light, and how sure every pixel is.
 
     Renders the textures and the draws beside them (svu recover --draws 16) with the same random
@@ -37,11 +38,11 @@ class Relight(Overwriting, WithPictures, Photographed):
     pixel over the draws), relight.png and run.json.
     """
 
-    work = "relight"
+    capture: CaptureOptions
     output: Output = Path("out/relit")
+    overwrite: Overwrite = False
     recovered: From
     """Folder that svu recover --draws wrote."""
-    resolution: tyro.conf.Suppress[Resolution] = (512,)  # that of the textures, in fact
     environment: Map = None
     """The light: a lat-long map (EXR or HDR; top +Y, centre +Z); by default that of the capture."""
     sensors: Poses = None
@@ -55,6 +56,7 @@ class Relight(Overwriting, WithPictures, Photographed):
     """Samples per pixel, rounded to a square."""
     seed: int = 0
     """Seed of the samples."""
+    pictures: Pictures = True
 
     def run(self, console: Console) -> int:
         """Render, and write the results."""
@@ -69,8 +71,12 @@ class Relight(Overwriting, WithPictures, Photographed):
         return 0
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work (see ``Photographed``)."""
-        super().check()
+        """Refuse options that make no sense, before any work.
+
+        Raises:
+            OptionError: there is one.
+        """
+        self.capture.check(self.spp)
         if not 1 <= self.side <= MOST_PIXELS:
             raise OptionError(f"--side must be in [1, {MOST_PIXELS}], got {self.side}.")
         if self.views < 1:
@@ -83,10 +89,6 @@ class Relight(Overwriting, WithPictures, Photographed):
                 "HDR)."
             )
 
-    def need(self, sizes: Sizes) -> Need:
-        """Return what memory the command takes: nothing is estimated."""
-        return replace(super().need(sizes), model="")
-
     def _run(self, progress: Progress, place: Claim) -> list[RelitView]:
         from svu_mi.illumination.resolve_light import with_map
         from svu_mi.output.draws import find_draws, read_draws
@@ -96,7 +98,11 @@ class Relight(Overwriting, WithPictures, Photographed):
         from svu_mi.recovery.relight import relight_draws
 
         textures, files = read_textures(self.recovered), find_draws(self.recovered)
-        capture, _ = replace(self, resolution=textures.resolution).load(progress)
+        capture, _ = Loading(
+            options=self.capture, resolution=textures.resolution, trust=self.trust, spp=self.spp,
+            need=partial(Need.of, "relight", resolution=textures.resolution),
+            folder=self.output / "capture",
+        ).load(progress)  # fmt: skip
         require_textures_of(capture, self.recovered)
         if self.environment is not None:
             capture, notes = with_map(capture, self.environment)
@@ -104,7 +110,8 @@ class Relight(Overwriting, WithPictures, Photographed):
                 progress.say(note)
         elif capture.environment is None:
             raise OptionError(
-                f"{self.scene}: the capture has no light; give one with --environment."
+                f"{self.capture.source.scene}: the capture has no light; give one with "
+                "--environment."
             )
         sensors, names = self._sensors(capture)
         with progress.stage("Rendering draws", len(files)) as stage:

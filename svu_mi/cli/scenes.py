@@ -11,7 +11,8 @@ import tyro
 from rich.console import Console
 
 from svu_mi import scenes
-from svu_mi.cli.common import Output, Verbose
+from svu_mi.cli.common import Verbose
+from svu_mi.cli.options import Output
 from svu_mi.cli.terminal import say
 
 Name = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")]

@@ -17,7 +17,7 @@ from svu_mi.capture.trust import pin_own_plugins
 from svu_mi.errors import CaptureError, MeshError, SvuWarning
 from svu_mi.export.asset import Asset, bad_values
 from svu_mi.exr import read_header
-from svu_mi.needs import Size
+from svu_mi.memory import Size
 from svu_mi.output.manifest import RECORD
 from svu_mi.output.maps import COVERAGE, ENTROPY, UNCERTAINTY, read_deviations, read_map
 from svu_mi.output.textures import FILES, MESH, SCENE, read_textures

@@ -35,7 +35,7 @@ from svu_mi.formats.resampling import fitted, squared
 from svu_mi.formats.source import Frame, Source
 from svu_mi.formats.textures import write_pictures
 from svu_mi.limits import require_views
-from svu_mi.needs import Sizes
+from svu_mi.memory import Sizes
 from svu_mi.results.transaction import writing
 
 SCENE, MESH, ENVIRONMENT, OBJECT = "scene.xml", "mesh.ply", "environment.exr", "object"

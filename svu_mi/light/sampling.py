@@ -13,7 +13,7 @@ import scipy
 from svu_mi.errors import SceneError, excerpt
 from svu_mi.interop import owned
 from svu_mi.limits import require_memory
-from svu_mi.needs import light_bytes
+from svu_mi.memory import light_bytes
 
 SKY_GRID = (512, 257)  # columns, rows at which a procedural sky is sampled
 FINEST = 130  # columns and rows that resolve degree 64; smaller maps are sampled finer

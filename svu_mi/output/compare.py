@@ -25,8 +25,8 @@ from svu_mi.errors import CaptureError, OptionError
 from svu_mi.files import read_json
 from svu_mi.illumination.resolve_light import illuminated
 from svu_mi.limits import require_texels
+from svu_mi.memory import Sizes
 from svu_mi.metrics import psnr
-from svu_mi.needs import Sizes
 from svu_mi.options import preset as find_preset
 from svu_mi.output.knowledge import median, part, plain_percent
 from svu_mi.output.manifest import RECORD

@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from svu_mi.interop import owned
-from svu_mi.needs import AT_WORK
+from svu_mi.memory import AT_WORK
 from svu_mi.posterior.calibrated import CalibratedPosterior
 from svu_mi.posterior.intervals import LEVEL, spread
 from svu_mi.posterior.part import LikeAnother

@@ -13,16 +13,16 @@ import pytest
 from helpers import ball, fails, lettered, python, recovered_folder, write_ball
 
 import svu_mi as svu
-from svu_mi import limits, memory, needs, scenes
+from svu_mi import limits, memory, scenes
 from svu_mi.capture import mesh
 from svu_mi.capture.loading import plan_capture
 from svu_mi.capture.poses import sphere_sensors
-from svu_mi.cli.common import announce_sizes
+from svu_mi.cli.loading import announce_sizes
 from svu_mi.errors import CaptureError, SvuEnvironmentError
 from svu_mi.exr import write_exr
 from svu_mi.formats.source import frame_of
 from svu_mi.formats.transforms import write_transforms
-from svu_mi.needs import Need, Sizes
+from svu_mi.memory import Need, Sizes
 from svu_mi.progress import Progress
 
 SIXTY = [(6000, 4000)] * 60
@@ -30,9 +30,9 @@ SIXTY = [(6000, 4000)] * 60
 
 def machine(monkeypatch, free: float, space: float | None = None) -> None:
     """Pretend that so much is free, and that a process of nothing may use so much."""
-    monkeypatch.setattr(needs, "free_memory", lambda: int(free))
-    monkeypatch.setattr(needs, "resident", lambda: 0)
-    monkeypatch.setattr(needs, "address_space", lambda: space and (int(space), 0))
+    monkeypatch.setattr(memory, "free_memory", lambda: int(free))
+    monkeypatch.setattr(memory, "resident", lambda: 0)
+    monkeypatch.setattr(memory, "address_space", lambda: space and (int(space), 0))
 
 
 def refused(need: Need) -> str:
@@ -102,22 +102,22 @@ def test_address_space_is_asked_for_too(monkeypatch):
 
 
 def test_nothing_is_refused_where_nobody_says_what_there_is(monkeypatch):
-    monkeypatch.setattr(needs, "free_memory", lambda: None)
-    monkeypatch.setattr(needs, "address_space", lambda: None)
+    monkeypatch.setattr(memory, "free_memory", lambda: None)
+    monkeypatch.setattr(memory, "address_space", lambda: None)
     Need("entropy", SIXTY * 1000, (4096, 4096)).require()
-    needs.require_start()
+    memory.require_start()
     assert Need("check", []).sentence() == "Needs up to 0.37 GB of memory"
 
 
 def test_a_process_that_cannot_even_start_is_told(monkeypatch):
     machine(monkeypatch, 0.1e9)
     with pytest.raises(SvuEnvironmentError, match=r"^needs 0.25 GB of memory to start, 0.1 are th"):
-        needs.require_start()
+        memory.require_start()
 
 
 def test_the_readme_has_the_same_figures(root):
     page = (root / "README.md").read_text(encoding="utf-8")
-    cost, texel = needs.COSTS["entropy"], needs.MODELS
+    cost, texel = memory.COSTS["entropy"], memory.MODELS
     assert (
         f"{cost.start / 1e6:g} MB + {cost.pixel:g} bytes per pixel of all photographs + "
         f"{texel['default']} bytes per texel"
@@ -261,8 +261,8 @@ def test_films_that_do_not_fit_into_the_address_space_are_not_rendered(tmp_path)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_half_of_the_memory_is_refused_in_a_sentence(command, shot, tmp_path, capsys, monkeypatch):
     """As in a control group that gives no more than what the process has by then."""
-    monkeypatch.setattr(needs, "free_memory", lambda: 0)
-    monkeypatch.setattr(needs, "resident", lambda: int(0.26e9))
+    monkeypatch.setattr(memory, "free_memory", lambda: 0)
+    monkeypatch.setattr(memory, "resident", lambda: int(0.26e9))
     line = fails(capsys, *words(command, shot, tmp_path, 256))
     assert re.fullmatch(
         rf"svu: {re.escape(str(shot))}: needs [\d.]+ GB of memory, 0.26 are there; [^;]+\.", line
@@ -295,8 +295,8 @@ OTHERS = {"render": "vase.xml", "import": "", "export": "recovered"}  # what is 
 def test_what_has_no_photographs_to_read_refuses_too(command, tmp_path, capsys, monkeypatch):
     words = prepared(command, tmp_path, 24)
     capsys.readouterr()
-    monkeypatch.setattr(needs, "free_memory", lambda: 0)
-    monkeypatch.setattr(needs, "resident", lambda: int(0.252e9))
+    monkeypatch.setattr(memory, "free_memory", lambda: 0)
+    monkeypatch.setattr(memory, "resident", lambda: int(0.252e9))
     line = fails(capsys, *words)
     refusal = rf"svu: \S*{OTHERS[command]}: needs [\d.]+ GB of memory, 0.25 are there; [^;]+\."
     assert re.fullmatch(refusal, line), line

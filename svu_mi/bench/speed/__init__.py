@@ -30,7 +30,7 @@ from svu_mi.bench.speed.tables import scaling, speed_tables
 from svu_mi.bench.study import Asked, Study
 from svu_mi.bench.timing import WARM_UP, in_new_process, once, spread, warm
 from svu_mi.capture import Capture, load_capture
-from svu_mi.needs import Need
+from svu_mi.memory import Need
 from svu_mi.observed import observe
 from svu_mi.output import write_maps
 from svu_mi.pipeline import estimate

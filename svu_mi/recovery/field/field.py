@@ -30,7 +30,7 @@ import numpy as np
 import scipy
 
 from svu_mi.errors import OptionError
-from svu_mi.needs import TILE
+from svu_mi.memory import TILE
 from svu_mi.parameters import CHANNELS, MIXED, NAMES
 from svu_mi.pipeline import Estimate
 from svu_mi.posterior import CalibratedPosterior

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,12 +11,21 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Output, Overwriting
-from svu_mi.cli.inputs import FromPhotographs, Resolution, WithPictures
+from svu_mi.cli.common import Common
+from svu_mi.cli.loading import Loading
+from svu_mi.cli.options import (
+    CaptureOptions,
+    GivenLight,
+    Output,
+    Overwrite,
+    Pictures,
+    Samples,
+    given,
+)
 from svu_mi.cli.terminal import say
-from svu_mi.cli.words import given
 from svu_mi.errors import OptionError
 from svu_mi.inpaint.diffusion.options import DiffusionOptions
+from svu_mi.memory import Need
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import Claim, claimed
 
@@ -32,7 +42,7 @@ Weights = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inpaint(Overwriting, WithPictures, FromPhotographs):
+class Inpaint(Common):
     """Fill texels of recovered textures that no photograph shows, by what they are like.
 
     In their piece of the object, as high, around an axis, or on the other side of a mirror: how
@@ -41,11 +51,13 @@ class Inpaint(Overwriting, WithPictures, FromPhotographs):
     was filled), filled.png and run.json.
     """
 
-    work = "recover"
+    capture: CaptureOptions
+    spp: Samples = 64
+    light: GivenLight = None
     output: Output = Path("out/filled")
+    overwrite: Overwrite = False
     recovered: From
     """Folder that svu recover wrote."""
-    resolution: tyro.conf.Suppress[Resolution] = (512,)  # that of the textures, in fact
     above: float = inf
     """Fill texels, too, of which a parameter's standard deviation is larger: what is known of them
     counts as much as it is certain. Without it, those that were never seen."""
@@ -54,6 +66,7 @@ class Inpaint(Overwriting, WithPictures, FromPhotographs):
     of the paper: Marigold (intrinsics, appearance) or RGB<->X (RGB to X), as published. They do
     not come with svu_mi and have licences of their own; that of RGB<->X is for noncommercial
     research. Needs svu_mi[diffusion]."""
+    pictures: Pictures = True
     diffusion: DiffusionOptions = DiffusionOptions()
 
     def run(self, console: Console) -> int:
@@ -70,8 +83,12 @@ class Inpaint(Overwriting, WithPictures, FromPhotographs):
         return 0
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work (see ``FromPhotographs``)."""
-        super().check()
+        """Refuse options that make no sense, before any work.
+
+        Raises:
+            OptionError: there is one.
+        """
+        self.capture.check(self.spp)
         if not self.above > 0:
             raise OptionError(f"--above must be positive, got {self.above}.")
         if self.model is not None:
@@ -91,8 +108,12 @@ class Inpaint(Overwriting, WithPictures, FromPhotographs):
         from svu_mi.surface.neighbors import neighbors
 
         textures, model = read_textures(self.recovered), self._model(progress)
-        sized = replace(self, resolution=textures.resolution)
-        capture, texels = sized.load(progress)
+        size = textures.resolution
+        capture, texels = Loading(
+            options=self.capture, resolution=size, trust=self.trust, spp=self.spp,
+            need=partial(Need.of, "recover", resolution=size, model="default"),
+            folder=self.output / "capture",
+        ).load_lit(progress, self.light, self.output / "light")  # fmt: skip
         require_textures_of(capture, self.recovered)
         known = estimate(capture, texels, whole=True, progress=progress)
         with progress.stage("How sure the textures are"):

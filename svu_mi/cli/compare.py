@@ -11,12 +11,12 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Output, Overwriting, announce_sizes
-from svu_mi.cli.inputs import Memory, Resolution, with_search
+from svu_mi.cli.common import Common
+from svu_mi.cli.loading import announce_sizes, with_search
+from svu_mi.cli.options import Memory, Output, Overwrite, Size, bytes_of, given, pair
 from svu_mi.cli.terminal import say
-from svu_mi.cli.words import bytes_of, given, pair
 from svu_mi.limits import require_texels
-from svu_mi.needs import MODELS, Need, Size, Sizes
+from svu_mi.memory import MODELS, Need, Sizes
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import claimed
 
@@ -26,7 +26,7 @@ Presets = Annotated[tuple[Preset, ...], tyro.conf.arg(metavar="PRESET [PRESET]")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Compare(Overwriting, Common):
+class Compare(Common):
     """Compare two captures, results or folders of textures of one object.
 
     Each of A and B is a capture (which is estimated), a folder that svu entropy or svu recover
@@ -39,9 +39,10 @@ class Compare(Overwriting, Common):
     b: Annotated[Result, tyro.conf.arg(metavar="B")]
     """The second, which the first is subtracted from."""
     output: Output = Path("out/compare")
+    overwrite: Overwrite = False
     preset: Presets = ("default",)
     """Of estimates of captures: default, fixed, fast or paper; two for A and B."""
-    resolution: Resolution = ()
+    resolution: Size = ()
     """Texels per side, or width and height; by default those of the coarser textures, or 512."""
     tolerance: float = 0.05
     """Difference that counts where it is not known how certain both are."""
@@ -62,8 +63,11 @@ class Compare(Overwriting, Common):
             self.start()
             progress = Progress(console)
 
-            def preflight(path: str, texels: Size) -> Callable[[Sizes], float]:
-                return partial(announce_sizes, progress, path, partial(self._need, texels))
+            def preflight(path: str, texels: tuple[int, int]) -> Callable[[Sizes], float]:
+                # Of the one of the two estimates that takes more.
+                model = max(self.preset, key=MODELS.__getitem__)
+                need = partial(Need.of, "compare", resolution=texels, model=model)
+                return partial(announce_sizes, progress, path, with_search(need))
 
             found = compare(
                 self.a, self.b, preset=preset, resolution=size, tolerance=self.tolerance,
@@ -75,12 +79,3 @@ class Compare(Overwriting, Common):
         say(console, f"Wrote {self.output / 'compare.html'}")
         say(console, found.sentence())
         return 0
-
-    def _need(self, texels: Size, sizes: Sizes) -> Need:
-        """Return what memory the one takes of the two estimates that takes more."""
-        model = max(self.preset, key=MODELS.__getitem__)
-        need = Need(
-            "compare", sizes.photographs, texels, light=sizes.light, model=model,
-            charts=sizes.charts, stored=sizes.stored, memory=sizes.memory,
-        )  # fmt: skip
-        return with_search(need, sizes)

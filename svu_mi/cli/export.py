@@ -9,9 +9,11 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Output, Overwriting, announce
+from svu_mi.cli.common import Common
+from svu_mi.cli.loading import announce
+from svu_mi.cli.options import Output, Overwrite
 from svu_mi.cli.terminal import say
-from svu_mi.needs import Need, Size
+from svu_mi.memory import Need, Size
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import claimed
 
@@ -23,7 +25,7 @@ Gutter = Annotated[int | None, tyro.conf.arg(metavar="TEXELS")]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export(Overwriting, Common):
+class Export(Common):
     """Write recovered textures for Blender, Mitsuba, MaterialX and the web.
 
     Writes textures/*.exr and *.png (base_color, roughness, metallic, their standard deviations,
@@ -34,6 +36,7 @@ class Export(Overwriting, Common):
     result: Result
     """Folder that svu recover wrote."""
     output: Output = Path("out/asset")
+    overwrite: Overwrite = False
     entropy: Maps = None
     """Folder that svu entropy wrote about the same capture, for its maps; by default those in
     RESULT."""

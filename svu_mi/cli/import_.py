@@ -11,11 +11,13 @@ from typing import Annotated, Any, Literal
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Common, Output, Overwriting, announce_sizes
+from svu_mi.cli.common import Common
+from svu_mi.cli.loading import announce_sizes
+from svu_mi.cli.options import Output, Overwrite
 from svu_mi.cli.terminal import say
 from svu_mi.formats.options import ENVIRONMENT_AXES, ImportOptions, Light
 from svu_mi.formats.reading import ReadOptions, read_source
-from svu_mi.needs import Need, Sizes
+from svu_mi.memory import Need
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import Claim, claimed
 
@@ -56,7 +58,7 @@ class Conversion(ImportOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Import(Overwriting, Common):
+class Import(Common):
     """Turn the capture of another tool into a capture folder.
 
     Reads transforms.json (NeRF, Blender, nerfstudio), COLMAP, poses_bounds.npy (LLFF),
@@ -69,6 +71,7 @@ class Import(Overwriting, Common):
     source: From
     """The file or folder."""
     output: Output = Path("capture")
+    overwrite: Overwrite = False
     undistort: bool = False
     """COLMAP: undistort the photographs by pycolmap, which knows more kinds of lenses: fisheyes."""
     reading: ReadOptions = ReadOptions()
@@ -117,12 +120,10 @@ class Import(Overwriting, Common):
             with progress.stage("Converting photographs") as stage:
                 return import_capture(
                     source, place, self.conversion, words=self.words, progress=stage.update,
-                    preflight=partial(announce_sizes, progress, str(self.source), self.need),
+                    preflight=partial(
+                        announce_sizes, progress, str(self.source), partial(Need.of, "import")
+                    ),
                 )  # fmt: skip
-
-    def need(self, sizes: Sizes) -> Need:
-        """Return what memory the command takes."""
-        return Need("import", sizes.photographs, light=sizes.light, model="")
 
 
 def _changed(options: Any) -> dict[str, Any]:

@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.console import Console
 
-from svu_mi.cli.common import Interrupted, Output, Overwriting, was_interrupted
-from svu_mi.cli.inputs import Photographed, Resolution, WithPictures, to_find_light
+from svu_mi.cli.common import Common, Interrupted, was_interrupted
+from svu_mi.cli.loading import Loading, to_find_light
+from svu_mi.cli.options import (
+    CaptureOptions,
+    Output,
+    Overwrite,
+    Pictures,
+    Samples,
+    Size,
+    given,
+    pair,
+)
 from svu_mi.cli.terminal import say
-from svu_mi.cli.words import given, pair
 from svu_mi.errors import OptionError
 from svu_mi.illumination.options import LightOptions
-from svu_mi.needs import Need, Sizes
+from svu_mi.limits import require_texels
 from svu_mi.progress import Progress
 from svu_mi.results.transaction import Claim, claimed
 
 if TYPE_CHECKING:
     from svu_mi.capture import Capture
-    from svu_mi.capture.window import Detail
     from svu_mi.illumination.light_summary import Likeness
     from svu_mi.illumination.record import LightEstimate
 
@@ -33,7 +42,7 @@ FINEST_MEAN, FINEST_CARD = 64, 128  # texels per side that base colours are comp
 
 
 @dataclass(frozen=True, kw_only=True)
-class FindLight(Overwriting, WithPictures, Photographed):
+class FindLight(Common):
     """Find the light that photographs were taken under, in the photographs.
 
     Writes light.exr (a map in the frame of Mitsuba's envmap, with layers that say how well it is
@@ -41,9 +50,11 @@ class FindLight(Overwriting, WithPictures, Photographed):
     that the capture has is not looked at, but compared with.
     """
 
-    work = "light"
+    capture: CaptureOptions
+    spp: Samples = 64
     output: Output = Path("out/light")
-    resolution: Resolution = (256,)
+    overwrite: Overwrite = False
+    resolution: Size = (256,)
     """Texels per side, or width and height, that texels are chosen from."""
     texels: int = LightOptions.texels
     """Texels that are looked at, at most: more take longer and change little."""
@@ -64,6 +75,7 @@ class FindLight(Overwriting, WithPictures, Photographed):
     grey_card: Card = None
     """Texture coordinates of a grey spot that is not metallic, and its base colour there: fixes
     brightness and colour."""
+    pictures: Pictures = True
 
     def run(self, console: Console) -> int:
         """Find the light, write it, and say what is known of it."""
@@ -85,10 +97,15 @@ class FindLight(Overwriting, WithPictures, Photographed):
         return 0
 
     def check(self) -> None:
-        """Refuse options that make no sense, before any work (see ``Photographed``)."""
+        """Refuse options that make no sense, before any work.
+
+        Raises:
+            OptionError: there is one.
+        """
         from svu_mi.illumination.scale import require_albedo
 
-        super().check()
+        require_texels(pair(self.resolution, "--resolution"), "--resolution")
+        self.capture.check(self.spp)
         if self.light_moves and self.light_fixed:
             raise OptionError("--light-moves and --light-fixed exclude each other; omit one.")
         self._options()
@@ -97,27 +114,25 @@ class FindLight(Overwriting, WithPictures, Photographed):
         several = [name for name, value in facts.items() if value is not None]
         if len(several) > 1:
             raise OptionError(f"{' and '.join(several)} say the same thing twice; give one.")
+        self._check_card()
         if self.light_scale is not None and not LEAST <= self.light_scale <= 1 / LEAST:
             raise OptionError(
                 f"--light-scale must be in [{LEAST:g}, {1 / LEAST:g}], got {self.light_scale:g}."
             )
         if self.mean_albedo is not None:
             require_albedo(self.mean_albedo, "--mean-albedo")
-        if self.grey_card is not None:
-            require_albedo(self.grey_card[2], "--grey-card")
-            if not all(0 <= value <= 1 for value in self.grey_card[:2]):
-                raise OptionError(
-                    "--grey-card: texture coordinates are in [0, 1], got "
-                    f"{self.grey_card[0]:g} {self.grey_card[1]:g}."
-                )
 
-    def detail(self) -> Detail:
-        """Return what is needed of large photographs (see ``Photographed``)."""
-        return replace(super().detail(), surroundings=self.background != "none")
+    def _check_card(self) -> None:
+        from svu_mi.illumination.scale import require_albedo
 
-    def need(self, sizes: Sizes) -> Need:
-        """Return what memory the command takes (see ``Photographed``)."""
-        return to_find_light(sizes, pair(self.resolution, "--resolution"), self._options())
+        if self.grey_card is None:
+            return
+        require_albedo(self.grey_card[2], "--grey-card")
+        if not all(0 <= value <= 1 for value in self.grey_card[:2]):
+            raise OptionError(
+                "--grey-card: texture coordinates are in [0, 1], got "
+                f"{self.grey_card[0]:g} {self.grey_card[1]:g}."
+            )
 
     def _options(self) -> LightOptions:
         """Return how light is found.
@@ -128,7 +143,7 @@ class FindLight(Overwriting, WithPictures, Photographed):
         moves = self.light_moves if self.light_moves or self.light_fixed else None
         return LightOptions(
             texels=self.texels, depths=self.depths, seed=self.seed, moves=moves,
-            background=self.background, gains=self.gains == "estimate",
+            background=self.background, gains=self.capture.photographs.estimates_gains,
         )  # fmt: skip
 
     def _run(
@@ -139,8 +154,12 @@ class FindLight(Overwriting, WithPictures, Photographed):
         from svu_mi.output import Run
         from svu_mi.output.light import write_light
 
-        options = self._options()
-        capture, grid = self.load(progress)
+        options, size = self._options(), pair(self.resolution, "--resolution")
+        capture, grid = Loading(
+            options=self.capture, resolution=size, trust=self.trust, spp=self.spp,
+            need=partial(to_find_light, resolution=size, options=options),
+            folder=self.output / "capture", surroundings=self.background != "none",
+        ).load(progress)  # fmt: skip
         own = capture.environment
         if own is not None:
             progress.say("The capture has a light; it is not looked at, but compared with.")

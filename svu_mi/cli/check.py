@@ -1,0 +1,107 @@
+"""``svu check``: do poses, mesh, light and photographs belong together?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from svu_mi.cli.common import Common
+from svu_mi.cli.loading import NeedOf, read_capture, with_search
+from svu_mi.cli.options import Output, Overwrite, PhotographOptions, SceneOptions, given
+from svu_mi.cli.terminal import say
+from svu_mi.memory import Need
+from svu_mi.progress import Progress
+from svu_mi.results.transaction import Claim, claimed
+
+if TYPE_CHECKING:
+    from svu_mi.capture import Capture
+    from svu_mi.checking.record import Check
+
+SIDE = 1024  # pixels of large photographs, which are compared in far fewer
+SHOWN = 5  # views that fit worst, in the table
+WRONG = 3  # exit status with --strict
+MARKS = {
+    "fits": "fits", "wrong": "WRONG", "unclear": "UNCLEAR", "unknown": "unknown", "note": "note",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckCapture(Common):
+    """Compare photographs with mesh, poses and light, and name the fix if axes are wrong.
+
+    Tries every known mistake: axes of cameras and mesh, inverse poses, how the environment map
+    is oriented, V of the texture; compares gains. Works without masks and without a light. Writes
+    check.html and check.json.
+    """
+
+    source: SceneOptions
+    photographs: PhotographOptions = PhotographOptions()
+    output: Output = Path("out/check")
+    overwrite: Overwrite = False
+    strict: bool = False
+    """Exit with status 3 if something does not fit."""
+
+    def run(self, console: Console) -> int:
+        """Check, print the findings, and write the page."""
+        _ = self.source.defines(), self.photographs.bytes
+        with claimed(self.output, "check", overwrite=self.overwrite) as place:
+            self.start()
+            capture, found = self._run(Progress(console), place)
+        _print(console, found, capture)
+        say(console, f"Wrote {self.output / 'check.html'}")
+        return WRONG if self.strict and not found.fits else 0
+
+    def _run(self, progress: Progress, place: Claim) -> tuple[Capture, Check]:
+        from svu_mi.capture.window import Detail
+        from svu_mi.checking.run import check
+        from svu_mi.illumination.resolve_light import found_gains
+        from svu_mi.output.check_page import write_check
+
+        need: NeedOf = partial(Need.of, "check")
+        find = None
+        if self.photographs.estimates_gains:
+            need = with_search(need)
+        capture = read_capture(
+            progress, self.source, self.photographs, need, Detail(side=SIDE), trust=self.trust
+        )  # nothing is cropped: poses may be wrong
+        if self.photographs.estimates_gains:
+            find = partial(found_gains, capture, self.output / "light", progress)
+        found = check(capture, gains=find, progress=progress)
+        with progress.stage("Writing the page"):
+            write_check(capture, found, place, settings=given(self))
+        return capture, found
+
+
+def _print(console: Console, found: Check, capture: Capture) -> None:
+    from svu_mi.output.check_page import remedy, verdict
+
+    console.print(_views(found), markup=False)
+    for one in found.findings:
+        say(console, f"{one.question} ({MARKS[one.verdict]}): {one.sentence}")
+    for line in (verdict(found), remedy(found, capture)):
+        if line:
+            say(console, line)
+
+
+def _views(found: Check) -> Any:
+    """Return a table of the views that fit worst, and of all of them, before and after."""
+    from rich.table import Table
+
+    from svu_mi.checking.record import Summary
+
+    table = Table("", "IoU", "edges", "colour error", box=None)
+    for view in found.worst[:SHOWN]:
+        table.add_row(view.name, *_cells(view))
+    table.add_row(f"all {len(found.views)}", *_cells(Summary.of(found.views)))
+    if found.corrected is not found.views:
+        table.add_row("all, corrected", *_cells(Summary.of(found.corrected)))
+    return table
+
+
+def _cells(one: Any) -> list[str]:
+    values = (one.overlap, one.contrast, one.color_error)
+    return ["-" if value is None else f"{value:.2f}" for value in values]

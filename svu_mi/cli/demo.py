@@ -1,0 +1,49 @@
+"""``svu demo``: the entropy of the vase that comes with svu_mi."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from rich.console import Console
+
+from svu_mi.cli.common import Common, Interrupted
+from svu_mi.cli.entropy import Entropy
+from svu_mi.cli.options import CaptureOptions, Output, Overwrite, Resolution, SceneOptions
+from svu_mi.cli.render import Render
+from svu_mi.results.transaction import claimed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo(Common):
+    """Render the vase that comes with svu_mi and compute its entropy."""
+
+    output: Output = Path("out/demo")
+    overwrite: Overwrite = False
+    light: Literal["studio", "overcast", "clear", "window"] = "window"
+    spp: int = 32
+    """Samples per pixel of the photographs."""
+    resolution: Resolution = (256,)
+
+    def run(self, console: Console) -> int:
+        """Run ``entropy`` on the vase."""
+        from svu_mi import scenes
+
+        with claimed(self.output, "entropy", overwrite=self.overwrite):
+            pass  # refused before any work
+        with tempfile.TemporaryDirectory(prefix="svu-demo-") as folder:
+            made = Path(folder) / "capture"
+            common = {f.name: getattr(self, f.name) for f in dataclasses.fields(Common)}
+            vase = SceneOptions(scene=scenes.path("vase"), define=(f"light={self.light}",))
+            try:
+                Render(source=vase, output=made, spp=self.spp, **common).run(console)
+            except Interrupted:  # the temporary folder does not keep any views
+                raise KeyboardInterrupt from None
+            capture = CaptureOptions(source=SceneOptions(scene=made))
+            return Entropy(
+                capture=capture, output=self.output, overwrite=self.overwrite,
+                resolution=self.resolution, **common,
+            ).run(console)  # fmt: skip

@@ -1,0 +1,83 @@
+"""``svu entropy``: the entropy of every texel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+
+from svu_mi.cli.common import Common
+from svu_mi.cli.loading import Loading
+from svu_mi.cli.options import (
+    CaptureOptions,
+    EstimateOptions,
+    GivenLight,
+    Output,
+    Overwrite,
+    Pictures,
+    Resolution,
+    Samples,
+    given,
+    pair,
+)
+from svu_mi.cli.terminal import say
+from svu_mi.limits import require_texels
+from svu_mi.memory import Need
+from svu_mi.progress import Progress
+from svu_mi.results.transaction import Claim, claimed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entropy(Common):
+    """Compute how much photographs tell about every texel.
+
+    Writes entropy.exr (1 = nothing known), coverage.exr (number of views), overview.png and
+    run.json.
+    """
+
+    capture: CaptureOptions
+    spp: Samples = 64
+    estimation: EstimateOptions = EstimateOptions()
+    light: GivenLight = None
+    output: Output = Path("out/entropy")
+    overwrite: Overwrite = False
+    resolution: Resolution = (512,)
+    skip: bool = True
+    """Skip work that changes no result (unseen texels, blind views, equal channels, ...)."""
+    pictures: Pictures = True
+
+    def run(self, console: Console) -> int:
+        """Run the pipeline, write the four files, and say what is known."""
+        size = pair(self.resolution, "--resolution")
+        require_texels(size, "--resolution")
+        self.capture.check(self.spp)
+        self.estimation.check()
+        with claimed(self.output, "entropy", overwrite=self.overwrite) as place:
+            self.start()
+            summary = self._run(Progress(console), size, place)
+        say(console, f"Wrote {self.output}")
+        say(console, summary)
+        return 0
+
+    def _run(self, progress: Progress, size: tuple[int, int], place: Claim) -> str:
+        from svu_mi.checking.brightness import warn_if_too_bright
+        from svu_mi.options import NOTHING, Skip
+        from svu_mi.output import Knowledge, Run, write_outputs
+
+        need = partial(Need.of, "entropy", resolution=size, model=self.estimation.model)
+        capture, grid = Loading(
+            options=self.capture, resolution=size, need=need, trust=self.trust, spp=self.spp,
+            folder=self.output / "capture",
+        ).load_lit(progress, self.light, self.output / "light")  # fmt: skip
+        skip = Skip() if self.skip else NOTHING
+        result = self.estimation.estimate(progress, capture, grid, skip=skip)
+        warn_if_too_bright(result)
+        with progress.stage("Writing the results"):
+            knowledge = Knowledge.of(result)
+            run = Run(settings=given(self), kernels=progress.kernels)
+            write_outputs(
+                capture, result, place, run, knowledge=knowledge, pictures=self.pictures
+            )
+        return knowledge.summary()

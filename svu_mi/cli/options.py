@@ -1,0 +1,307 @@
+"""Groups of options that several commands share, and how their words are parsed."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from svu_mi.errors import OptionError
+from svu_mi.limits import require_spp
+from svu_mi.options import preset as find_preset
+from svu_mi.parameters import NAMES
+
+if TYPE_CHECKING:
+    from svu_mi.capture import Capture
+    from svu_mi.pipeline import Estimate
+    from svu_mi.progress import Progress
+    from svu_mi.recovery.textures import Textures
+    from svu_mi.surface import Texels
+
+UNITS = {"K": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}  # bytes
+SPECULAR = "specular"  # Ks, of the paper's power spectra
+
+Output = Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder for the results.")]
+Overwrite = Annotated[
+    bool, tyro.conf.arg(help="Write where anything else lies, which is kept as NAME.before.")
+]
+Scene = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE.xml")]
+Defines = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(aliases=["-D"], metavar="KEY=VALUE", help="Scene parameter; can be repeated."),
+    tyro.conf.UseAppendAction,
+]
+Folder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
+Memory = Annotated[str, tyro.conf.arg(metavar="SIZE")]
+Missing = Literal["refuse", "leave-out"]
+Size = Annotated[tuple[int, ...], tyro.conf.arg(metavar="SIZE | WIDTH HEIGHT")]
+Resolution = Annotated[
+    tuple[int, ...],
+    tyro.conf.arg(metavar="SIZE | WIDTH HEIGHT", help="Texels per side, or width and height."),
+]
+Samples = Annotated[int, tyro.conf.arg(help="Samples per pixel, with --render.")]
+Pictures = Annotated[bool, tyro.conf.arg(help="Draw PNG pictures of the results, too.")]
+Recovered = Annotated[
+    Path | None,
+    tyro.conf.arg(
+        metavar="FOLDER", help="Folder that svu recover wrote, to show its textures."
+    ),
+]
+GivenLight = Annotated[
+    Path | None,
+    tyro.conf.arg(
+        metavar="FOLDER | MAP",
+        help="The light: a folder that svu light wrote, or a lat-long map (EXR or HDR; top +Y, "
+        "centre +Z), in the place of the scene's own. Without any, it is found in the photographs, "
+        "and kept beside them in the folder light.",
+    ),
+]
+Known = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(metavar="NAME=VALUE | scene", help_behavior_hint="(can be repeated)"),
+    tyro.conf.UseAppendAction,
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions:
+    """The scene and its photographs."""
+
+    scene: Scene
+    """Mitsuba scene with one sensor per photograph, or a capture folder."""
+    define: Defines = ()
+    shape: str | None = None
+    """Id of the object, if the scene has several."""
+
+    def defines(self) -> dict[str, str]:
+        """Return the -D words as a dictionary.
+
+        Raises:
+            OptionError: a word is not KEY=VALUE.
+        """
+        pairs = [word.partition("=") for word in self.define]
+        for word, (key, separator, _) in zip(self.define, pairs, strict=True):
+            if not (key and separator):
+                raise OptionError(f"-D takes KEY=VALUE, got {word!r}.")
+        return {key: value for key, _, value in pairs}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotographOptions:
+    """The photographs."""
+
+    images: Folder = None
+    """Folder with the photographs: view_0000.exr, ... or named by the ids of their sensors, or as
+    many as there are sensors, in the order of their names."""
+    missing: Missing = "refuse"
+    """What to do if sensors have no photograph: leave-out goes on with the others."""
+    gains: Literal["given", "estimate"] = "given"
+    """estimate: find exposure and white balance of each photograph, where these are not recorded;
+    photographs that do not fit the others are named, and left out."""
+    memory: Memory = ""
+    """Memory that photographs may take, such as 4G; beyond it they lie in a file in TMPDIR (or
+    /var/tmp) while the command runs. By default half of what is free, or nothing if all else needs
+    the room."""
+
+    @property
+    def bytes(self) -> float | None:
+        """Bytes that photographs may take; None by default."""
+        return bytes_of(self.memory, "--memory")
+
+    @property
+    def estimates_gains(self) -> bool:
+        """Whether exposures are estimated."""
+        return self.gains == "estimate"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderOptions:
+    """Photographs that are rendered, and the mesh."""
+
+    render: bool = False
+    """Render the scene instead of reading photographs."""
+    unwrap: bool = False
+    """Lay out new UVs even if the mesh has some."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureOptions:
+    """A scene with photographs, which may be rendered."""
+
+    source: Annotated[SceneOptions, tyro.conf.arg(name="")]
+    photographs: Annotated[PhotographOptions, tyro.conf.arg(name="")] = PhotographOptions()
+    rendering: Annotated[RenderOptions, tyro.conf.arg(name="")] = RenderOptions()
+
+    def check(self, spp: int) -> None:
+        """Refuse options that make no sense, before any work.
+
+        Args:
+            spp: samples per pixel of ``--render``.
+
+        Raises:
+            OptionError: there is one.
+        """
+        require_spp(spp, "--spp")
+        scene = self.source.scene
+        _ = self.photographs.bytes, self.source.defines()
+        if self.rendering.render and self.photographs.images is not None:
+            raise OptionError("--render has no effect with --images; omit one of them.")
+        if self.rendering.render and scene.suffix.lower() != ".xml":
+            raise OptionError(
+                f"--render takes a Mitsuba scene (.xml), got {scene}; omit --render to read "
+                "the photographs there."
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimateOptions:
+    """How the posterior is estimated."""
+
+    method: Literal["angular", "spectrum"] = "angular"
+    """angular: compare radiance, by statistics of all views; spectrum: compare power spectra."""
+    preset: Literal["default", "fixed", "fast", "paper"] = "default"
+    """paper: the published method as printed, the SH model (angular) or power spectra, which need
+    it."""
+    known: Known = ()
+    """Parameters that are known, such as metallic=0: they are not estimated. "scene" stands for
+    those that are constant in the scene's own material."""
+
+    @property
+    def model(self) -> str:
+        """What memory per texel depends on (``memory.MODELS``)."""
+        return self.preset if self.method == "angular" else self.method
+
+    def check(self) -> None:
+        """Refuse an unknown preset or parameter.
+
+        Raises:
+            OptionError: there is one.
+        """
+        find_preset(self.preset, method=self.method)
+        parse_known(self.known)
+
+    def estimate(
+        self, progress: Progress, capture: Capture, texels: Texels, **options: Any
+    ) -> Estimate:
+        """Return the estimate of a capture; ``options`` are others of ``pipeline.estimate``."""
+        from svu_mi.pipeline import estimate
+
+        return estimate(
+            capture, texels, self.method, self.preset, known=parse_known(self.known),
+            progress=progress, **options,
+        )  # fmt: skip
+
+
+def pair(size: tuple[int, ...], option: str) -> tuple[int, int]:
+    """Return (width, height) from one or two numbers.
+
+    Raises:
+        OptionError: another count of numbers, or one below 1.
+    """
+    if len(size) not in (1, 2) or min(size) < 1:
+        found = " ".join(map(str, size))
+        raise OptionError(f"{option} takes one or two positive numbers, got {found}.")
+    return size[0], size[-1]
+
+
+def bytes_of(text: str, option: str) -> float | None:
+    """Return how many bytes "4G" or "800M" are; None for an empty text.
+
+    Raises:
+        OptionError: it is no such size.
+    """
+    if not text:
+        return None
+    number, unit = (text[:-1], text[-1].upper()) if text[-1].upper() in UNITS else (text, "")
+    try:
+        size = float(number) * UNITS.get(unit, 1)
+    except ValueError:
+        size = -1
+    if not 0 <= size < math.inf:
+        raise OptionError(f"{option} takes a size such as 4G or 800M, got {text!r}.")
+    return size
+
+
+def with_known_repeated(words: Sequence[str]) -> list[str]:
+    """Return the words of a command with ``--known a=0 b=1`` as ``--known a=0 --known b=1``.
+
+    An option that takes any number of words would take the scene after it, too.
+    """
+    spread: list[str] = []
+    for word in words:
+        name, is_value, _ = word.partition("=")
+        if spread[-2:-1] == ["--known"] and is_value and name in (*NAMES, SPECULAR):
+            spread.append("--known")
+        spread.append(word)
+    return spread
+
+
+def parse_known(words: tuple[str, ...]) -> dict[str, float] | Literal["scene"] | None:
+    """Return ``--known`` words as values by parameter, or as ``"scene"``.
+
+    Raises:
+        OptionError: a word is not NAME=NUMBER, or "scene" among others.
+    """
+    if words == ("scene",):
+        return "scene"
+    known = {}
+    for word in words:
+        name, _, value = word.partition("=")
+        try:
+            known[name] = float(value)
+        except ValueError:
+            raise OptionError(
+                f"--known takes NAME=NUMBER, such as metallic=0, or the single word scene; got "
+                f"{word!r}."
+            ) from None
+    if len(known) < len(words):
+        raise OptionError(f"--known must name each parameter once, got {', '.join(words)}.")
+    for name in known:
+        if name not in (*NAMES, SPECULAR):
+            raise OptionError(
+                f"--known: there is no parameter {name!r}; use {', '.join(NAMES[:-1])} or "
+                f"{NAMES[-1]}."
+            )
+    return known or None
+
+
+def recovered_textures(
+    folder: Path | None, resolution: tuple[int, ...], default: int
+) -> tuple[tuple[int, int], Textures | None]:
+    """Return the (width, height) of a grid, and the textures to show on it.
+
+    Args:
+        folder: of the textures, if any; the grid is theirs.
+        resolution: of the grid, if it was given.
+        default: texels per side, without either.
+
+    Raises:
+        CaptureError: the folder has no textures, or they cannot be read.
+        OptionError: they have another resolution.
+    """
+    from svu_mi.output.textures import read_textures
+
+    if folder is None:
+        return pair(resolution or (default,), "--resolution"), None
+    textures = read_textures(folder)
+    if resolution and pair(resolution, "--resolution") != textures.resolution:
+        width, height = textures.resolution
+        raise OptionError(
+            f"{folder}: the textures have {width} x {height} texels; omit --resolution, which is "
+            "theirs."
+        )
+    return textures.resolution, textures
+
+
+def given(options: Any) -> dict[str, Any]:
+    """Return the options of a command by name, those of its groups too, for ``run.json``."""
+    found: dict[str, Any] = {}
+    for field in dataclasses.fields(options):
+        value = getattr(options, field.name)
+        found |= given(value) if dataclasses.is_dataclass(value) else {field.name: value}
+    return found

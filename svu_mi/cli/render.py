@@ -1,0 +1,78 @@
+"""``svu render``: photographs of a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from rich.console import Console
+
+from svu_mi.cli.common import Common, Interrupted, was_interrupted
+from svu_mi.cli.loading import announce_sizes
+from svu_mi.cli.options import Output, Overwrite, SceneOptions, Size, pair
+from svu_mi.cli.terminal import say
+from svu_mi.limits import require_spp, require_views
+from svu_mi.memory import Need
+from svu_mi.progress import Progress
+from svu_mi.results.transaction import Claim, claimed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Render(Common):
+    """Render every sensor of a scene into a capture folder.
+
+    Unlike the mitsuba program, it knows the plugins of svu_mi.
+    """
+
+    draws = False
+    source: SceneOptions
+    output: Output = Path("capture")
+    overwrite: Overwrite = False
+    spp: int = 64
+    """Samples per pixel."""
+    seed: int = 0
+    views: int | None = None
+    """Place this many sensors on a sphere around the object instead of the scene's own."""
+    resolution: Size = (512,)
+    """Film of those sensors: pixels per side, or width and height."""
+    resume: bool = False
+    """Continue with the views that an interrupted run has left in the output folder."""
+
+    def run(self, console: Console) -> int:
+        """Render the views."""
+        from svu_mi.capture.rendering import VIEWS
+
+        size, defines = pair(self.resolution, "--resolution"), self.source.defines()
+        require_spp(self.spp, "--spp")
+        require_views(self.views or 0, "--views")
+        with claimed(self.output, "render", overwrite=self.overwrite, keep=VIEWS) as place:
+            self.start()
+            try:
+                count = self._render(Progress(console), size, defines, place)
+            except BaseException as error:
+                if was_interrupted(error):
+                    raise Interrupted(_advice(len(list(place.draft.glob(VIEWS))))) from None
+                raise
+        say(console, f"Wrote {count} photographs to {self.output}")
+        return 0
+
+    def _render(
+        self, progress: Progress, size: tuple[int, int], defines: dict[str, str], place: Claim
+    ) -> int:
+        from svu_mi.capture.rendering import plan_render
+
+        with progress.stage("Rendering photographs") as stage:
+            plan = plan_render(
+                self.source.scene, self.spp, self.seed, shape=self.source.shape, views=self.views,
+                resolution=size, defines=defines, trust=self.trust,
+            )  # fmt: skip
+            need = partial(Need.of, "render")
+            announce_sizes(progress, str(self.source.scene), need, plan.sizes)
+            return plan.render(place, progress=stage.update, resume=self.resume).count
+
+
+def _advice(views: int) -> str:
+    if views:
+        return f"interrupted; {views} views are kept: continue with the same command and --resume"
+    return "interrupted before the first view; run the same command again"
