@@ -16,9 +16,9 @@ import math
 import re
 import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib import format as npy
@@ -27,6 +27,7 @@ from svu_mi.errors import excerpt
 from svu_mi.files import replacing
 
 DIGEST = "digest"
+LARGEST = 3.4e38  # of single precision
 HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # of NumPy; others unpack more than is asked
 
@@ -63,6 +64,46 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     if digest is None or digest.shape or str(digest) != _digest(found):
         raise ValueError("its checksum does not match")
     return found
+
+
+class Field(NamedTuple):
+    """Type, shape and range of an array of a file.
+
+    Attributes:
+        kind: letters of NumPy's kinds that it may have; or a type such as ``f4``.
+        shape: length of each axis, or a name that stands for the same length everywhere.
+        low, high: range of numbers, NaN excluded; None for any.
+    """
+
+    kind: str
+    shape: Sequence[int | str] = ()
+    low: float | None = None
+    high: float = LARGEST
+
+
+def require_schema(arrays: Mapping[str, np.ndarray], schema: Mapping[str, Field]) -> None:
+    """Refuse arrays other than those of a schema.
+
+    Raises:
+        ValueError: one is missing, unknown, of another type or shape, infinite or out of range.
+    """
+    other = sorted(set(schema) ^ set(arrays))
+    if other:
+        what = "lacks" if other[0] in schema else "has an unknown array"
+        raise ValueError(f"it {what} {excerpt(other[0], 40)}")
+    lengths: dict[int | str, int] = {}
+    for name, (kind, shape, low, high) in schema.items():
+        array = arrays[name]
+        wanted = tuple(
+            axis if isinstance(axis, int) else lengths.setdefault(axis, length)
+            for axis, length in zip(shape, array.shape, strict=False)
+        )
+        if not (array.dtype.kind in kind if kind.isalpha() else array.dtype.str[1:] == kind):
+            raise ValueError(f"{name} has the type {array.dtype}")
+        if array.shape != wanted or array.ndim != len(shape):
+            raise ValueError(f"{name} has the shape {array.shape}")
+        if low is not None and not ((array >= low) & (array <= high)).all():
+            raise ValueError(f"{name} has values out of range")
 
 
 def read_foreign_array(path: Path, largest: int) -> np.ndarray:

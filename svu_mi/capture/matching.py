@@ -12,6 +12,7 @@ from typing import Literal
 from svu_mi.capture.folder import FILE
 from svu_mi.capture.picture import SUFFIXES
 from svu_mi.errors import CaptureError, excerpt
+from svu_mi.results.exchange import restore
 
 Missing = Literal["refuse", "leave-out"]
 VIEW, MASK = "view_", "mask_"
@@ -104,6 +105,7 @@ def photographs_of(path: Path, ids: Collection[str] = ()) -> Path:
     Raises:
         CaptureError: ``path`` does not exist.
     """
+    restore(path)
     if path.is_dir():
         return path
     if not path.exists():

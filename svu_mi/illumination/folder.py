@@ -16,7 +16,7 @@ from svu_mi.errors import CaptureError
 from svu_mi.exr import write_exr
 from svu_mi.files import write_json
 from svu_mi.illumination.record import FoundGains, LightEstimate
-from svu_mi.npz import read_arrays, write_arrays
+from svu_mi.npz import Field, read_arrays, require_schema, write_arrays
 from svu_mi.results.exchange import restore
 from svu_mi.results.provenance import LIGHT, LIGHT_RECORD, entry_of, require_one_run
 from svu_mi.results.transaction import Draft, writing
@@ -25,15 +25,21 @@ COMMAND, RECORD = LIGHT, LIGHT_RECORD
 MAP, ARRAYS = "light.exr", "light.npz"
 FEWEST_CELLS, MOST_CELLS, MOST_DRAWS = 64, 4096, 256  # of a file that may be anybody's
 HIGHEST = 60.0  # logarithm of radiance that a map of single precision can hold
-# Axes (N cells, K draws) and range of each array of numbers.
-NUMBERS: dict[str, tuple[str, float, float]] = {
-    "logarithm": ("N3", -HIGHEST, HIGHEST), "cell_sd": ("N", 0, HIGHEST),
-    "draws": ("KN3", -HIGHEST, HIGHEST), "scale_sd": ("3", 0, HIGHEST), "moves": ("", 0, 1),
-    "misfit": ("2", 0, 1e12), "widening": ("", 1, 1e5), "texels": ("", 0, 2**31),
+REAL = "fiub"
+# N cells, K draws.
+LIGHT_ARRAYS = {
+    "run": Field("U"), "remarks": Field("U", ("R",)),
+    "logarithm": Field(REAL, ("N", 3), -HIGHEST, HIGHEST),
+    "cell_sd": Field(REAL, ("N",), 0, HIGHEST),
+    "draws": Field(REAL, ("K", "N", 3), -HIGHEST, HIGHEST),
+    "scale_sd": Field(REAL, (3,), 0, HIGHEST), "moves": Field(REAL, (), 0, 1),
+    "misfit": Field(REAL, (2,), 0, 1e12), "widening": Field(REAL, (), 1, 1e5),
+    "texels": Field(REAL, (), 0, 2**31),
 }  # fmt: skip
 # The same, of V photographs whose gains were found, too.
-GAINS: dict[str, tuple[str, float, float]] = {
-    "gains": ("V3", -HIGHEST, HIGHEST), "gains_noise": ("V", 0, 1e12), "gains_odd": ("V", 0, 1),
+GAINS = {
+    "gains": Field(REAL, ("V", 3), -HIGHEST, HIGHEST), "gains_noise": Field(REAL, ("V",), 0, 1e12),
+    "gains_odd": Field(REAL, ("V",), 0, 1),
 }  # fmt: skip
 
 
@@ -117,9 +123,9 @@ def load_light(path: str | Path) -> LightEstimate:
             two of them are of different runs.
     """
     path = Path(path)
+    restore(path)
     if not path.is_dir():
         raise CaptureError(f"{path}: no such folder; give one that svu light wrote.")
-    restore(path)
     missing = [name for name in (MAP, ARRAYS, RECORD) if not (path / name).is_file()]
     if missing:
         raise CaptureError(
@@ -137,65 +143,36 @@ def load_light(path: str | Path) -> LightEstimate:
         )
     try:
         arrays = read_arrays(path / ARRAYS)
-        if str(arrays.pop("run", "")) != written.run:
+        found = _estimate(arrays)
+        if str(arrays["run"]) != written.run:
             raise ValueError(f"it comes from another run than {RECORD} beside it")
-        return _estimate(arrays)
+        return found
     except ValueError as error:
         raise CaptureError(
             f"{path / ARRAYS}: cannot be used ({error}); run svu light again."
         ) from error
 
 
-def _estimate(arrays: Mapping[str, np.ndarray]) -> LightEstimate:
-    """Return what arrays say.
+def _estimate(arrays: dict[str, np.ndarray]) -> LightEstimate:
+    """Return the light that arrays describe; a ValueError with the reason, if they describe none.
 
-    Raises:
-        ValueError: one is missing, of another shape, or out of range; with the reason.
+    A misfit that was not computed is NaN.
     """
-    absent = sorted({*NUMBERS, "remarks"} - set(arrays))
-    if absent:
-        raise ValueError(f"it lacks {', '.join(absent)}")
-    cells, draws = (len(np.atleast_1d(arrays[name])) for name in ("logarithm", "draws"))
+    has_gains = not GAINS.keys().isdisjoint(arrays)
+    known = {"misfit": np.nan_to_num(arrays["misfit"])} if "misfit" in arrays else {}
+    require_schema(arrays | known, LIGHT_ARRAYS | (GAINS if has_gains else {}))
+    draws, cells, _ = arrays["draws"].shape
     if not (FEWEST_CELLS <= cells <= MOST_CELLS and 1 <= draws <= MOST_DRAWS):
         raise ValueError(f"it has {cells} cells and {draws} draws")
-    sizes = {"N": cells, "K": draws, "3": 3, "2": 2}
-    for name, what in NUMBERS.items():
-        _require_numbers(name, arrays[name], what, sizes)
-    remarks = arrays["remarks"]
-    if remarks.dtype.kind != "U" or remarks.ndim != 1:
-        raise ValueError("remarks are no sentences")
     real = {name: arrays[name].astype(np.float64) for name in
             ("logarithm", "cell_sd", "draws", "scale_sd")}  # fmt: skip
     still, moving = arrays["misfit"].tolist()
+    gains = None
+    if has_gains:
+        logarithm, noise, odd = (arrays[name] for name in GAINS)
+        gains = FoundGains(logarithm.astype(np.float64), noise.astype(np.float64), odd.astype(bool))
     return LightEstimate(
         **real, moves=bool(arrays["moves"]), misfit=(still, moving),
         widening=float(arrays["widening"]), texels=int(arrays["texels"]),
-        remarks=tuple(map(str, remarks)), gains=_gains(arrays),
+        remarks=tuple(map(str, arrays["remarks"])), gains=gains,
     )  # fmt: skip
-
-
-def _gains(arrays: Mapping[str, np.ndarray]) -> FoundGains | None:
-    """Return the gains that arrays hold, if they do; a ValueError as in ``_estimate``."""
-    found = sorted(set(GAINS) & set(arrays))
-    if not found:
-        return None
-    if len(found) < len(GAINS):
-        raise ValueError(f"it has {', '.join(found)} alone")
-    sizes = {"V": len(np.atleast_1d(arrays["gains"])), "3": 3}
-    for name, what in GAINS.items():
-        _require_numbers(name, arrays[name], what, sizes)
-    logarithm, noise, odd = (arrays[name] for name in GAINS)
-    return FoundGains(logarithm.astype(np.float64), noise.astype(np.float64), odd.astype(bool))
-
-
-def _require_numbers(
-    name: str, found: np.ndarray, what: tuple[str, float, float], sizes: Mapping[str, int]
-) -> None:
-    """Refuse an array of another type, shape or range than it should have, by a ValueError."""
-    shape, low, high = what
-    if found.dtype.kind not in "fiub" or found.shape != tuple(sizes[axis] for axis in shape):
-        raise ValueError(f"{name} is {found.dtype} of shape {found.shape}")
-    values = found.astype(np.float64)
-    untried = np.isnan(values) & (name == "misfit")
-    if not (untried | ((values >= low) & (values <= high))).all():  # NaN fails both
-        raise ValueError(f"{name} has values out of range")

@@ -296,6 +296,7 @@ def _read(source: Source, name: str) -> Side | None:
             f"{type(source).__name__}."
         )
     path = Path(source)
+    restore(path)
     if path.suffix.lower() == ".xml" or (path / capture_folder.FILE).is_file():
         return None
     return _of_folder(path, name)
@@ -323,7 +324,6 @@ def _of_folder(path: Path, name: str) -> Side:
     """Read a result of ``svu entropy`` or ``svu recover``, or any folder of textures."""
     if not path.is_dir():
         raise CaptureError(f"{path}: no such folder; give a capture, a result of svu, or textures.")
-    restore(path)
     found = {key: read_texture(file, key) for key, file in find_textures(path).items()}
     maps, entropy = {key: image for key, (image, _) in found.items()}, read_map(path / ENTROPY)
     if not found and entropy is None:

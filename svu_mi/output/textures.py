@@ -136,8 +136,7 @@ def read_textures(folder: str | Path, *, one_run: bool = True) -> Textures:
             outside [0, 1], or is of another run than the others.
     """
     folder = Path(folder)
-    if folder.is_dir():
-        restore(folder)
+    restore(folder)
     require_recovery(folder, list(FILES.values()), RECORD, ENTROPY)
     if one_run:
         require_one_run(folder, list(FILES.values()), RECORD, "recover")

@@ -1,10 +1,10 @@
-"""Checkpoints of a descent: one file that is whole or not there, and knows whose it is.
+"""Checkpoints of a descent: one file that is complete or missing, and belongs to one run.
 
     checkpoint = Checkpoint("run/checkpoint.npz", {"seed": 0, ...}, resume=True)
     descend(objective, start, options, checkpoint=checkpoint)
 
-The settings are everything that the result depends on, as far as the caller can say it, and the
-content is what it works on, by digests; a checkpoint that was saved under others is refused.
+The settings are everything that the result depends on, and the content is what it works on, as
+digests; a checkpoint that was saved under others is refused.
 """
 
 from __future__ import annotations
@@ -19,11 +19,15 @@ from typing import Any
 import numpy as np
 
 from svu_mi.errors import OptionError, OutputError, excerpt
-from svu_mi.npz import read_arrays, write_arrays
+from svu_mi.npz import LARGEST, Field, read_arrays, require_schema, write_arrays
 
-FORMAT = 5  # raised whenever a resumed run would go on otherwise than the one that saved
+FORMAT = 5  # raised whenever a resumed run would continue otherwise than the one that saved
+LOWEST = -LARGEST  # any finite number
 GROUPS = ("values", "first", "second")  # of a state's arrays by name of the parameter
-RECORDS = ("format", "settings", "content", "step", "losses")
+# Of every checkpoint, whatever the parameters.
+HEAD = {
+    "format": Field("iu"), "settings": Field("U"), "content": Field("U"), "step": Field("iu", low=0)
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,29 +47,6 @@ class State:
     second: dict[str, np.ndarray]
     losses: np.ndarray
 
-    def require_fit(self, label: str, shapes: Mapping[str, tuple[int, ...]], steps: int) -> None:
-        """Refuse a state of other parameters, or behind the end of a run.
-
-        Args:
-            label: names the file in messages.
-            shapes: of the run's parameters, by name.
-            steps: that the run takes at most.
-
-        Raises:
-            OptionError: it does not fit.
-        """
-        stored = {name: value.shape for name, value in self.values.items()}
-        if dict(shapes) != stored:
-            raise OptionError(
-                f"{label}: the checkpoint has the parameters {excerpt(stored)}, but this run has "
-                f"{shapes}; remove it and start again."
-            )
-        if self.step > steps:
-            raise OptionError(
-                f"{label}: the checkpoint has {self.step} steps, but this run takes at most "
-                f"{steps}; remove it and start again."
-            )
-
 
 class Checkpoint:
     """A file that states of one run are saved to.
@@ -74,7 +55,7 @@ class Checkpoint:
         path: the file; there is none before the first state is saved.
         settings: what the run's result depends on, as JSON has it.
         content: digests of what it works on, by words for messages, such as ``sensors``.
-        resume: go on from the file, if there is one.
+        resume: continue from the file, if there is one.
         every: seconds between two states.
     """
 
@@ -91,8 +72,7 @@ class Checkpoint:
 
         Args:
             path: the file, ``.npz``; its folder must exist.
-            settings: names and values that JSON can hold; nested dictionaries and lists are
-                fine.
+            settings: names and values that JSON can hold, nested to any depth.
             content: digests of what the run works on, by name.
             resume: whether a descent starts from what the file holds.
             every: seconds between two states; 0 saves whenever losses are read.
@@ -119,7 +99,7 @@ class Checkpoint:
         return time.monotonic() - self._saved >= self.every
 
     def save(self, state: State) -> None:
-        """Write a state in the place of the one before; never half of it.
+        """Replace the state that was saved before.
 
         Raises:
             OutputError: the file cannot be written.
@@ -136,8 +116,11 @@ class Checkpoint:
         write_arrays(self.path, arrays)
         self._saved = time.monotonic()
 
-    def load(self) -> State | None:
+    def load(self, shapes: Mapping[str, tuple[int, ...]]) -> State | None:
         """Read the state that was saved last; None when there is no file.
+
+        Args:
+            shapes: of the run's parameters, by name.
 
         Raises:
             OutputError: the file is damaged.
@@ -147,110 +130,68 @@ class Checkpoint:
             return None
         try:
             stored = read_arrays(self.path)
-            if _whole(stored, "format") != FORMAT:
-                raise OptionError(
-                    f"{self.path}: the checkpoint was written by another version of svu_mi; "
-                    "remove it and start again."
-                )
-            settings, content = _object(stored, "settings"), _object(stored, "content")
-            state = _state(stored)
-        except ValueError as error:
+            require_schema({name: stored[name] for name in HEAD if name in stored}, HEAD)
+            self._require_same(stored)
+            return _state(stored, shapes)
+        except (ValueError, RecursionError) as error:
             raise OutputError(
-                f"{self.path}: the checkpoint is damaged ({error}); remove it and start again."
+                f"{self.path}: the checkpoint is damaged ({excerpt(error)}); remove it and start "
+                "again."
             ) from error
-        self._require_content(content)
-        self._require_same(settings)
-        return state
 
-    def _require_content(self, stored: dict[str, Any]) -> None:
-        """Refuse the checkpoint of a run that worked on something else, and say what it is."""
-        mine = self.content
-        changed = sorted(key for key in mine | stored if mine.get(key) != stored.get(key))
-        if changed:
+    def _require_same(self, stored: Mapping[str, np.ndarray]) -> None:
+        """Refuse the checkpoint of another run, and say what is different."""
+        if int(stored["format"]) != FORMAT:
+            raise OptionError(
+                f"{self.path}: the checkpoint was written by another version of svu_mi; remove it "
+                "and start again."
+            )
+        content, settings = (_flat(json.loads(str(stored[key]))) for key in ("content", "settings"))
+        if changed := _changed(self.content, content):
             raise OptionError(
                 f"{self.path}: the checkpoint belongs to another run (changed since: "
                 f"{excerpt(', '.join(changed))}); resume with the original inputs, or remove "
                 "it and start again."
             )
-
-    def _require_same(self, stored: dict[str, Any]) -> None:
-        """Refuse the checkpoint of another run, and say what is different."""
-        mine, other = _flat(self.settings), stored
-        changed = sorted(key for key in mine | other if mine.get(key) != other.get(key))
-        if changed:
-            key = changed[0]
+        mine = _flat(self.settings)
+        for key in _changed(mine, settings):
+            there, here = (excerpt(repr(each.get(key)), 80) for each in (settings, mine))
             raise OptionError(
                 f"{self.path}: the checkpoint belongs to another run ({excerpt(key, 80)} was "
-                f"{_shown(other.get(key))} there and is {_shown(mine.get(key))} here); resume with "
-                "the same settings, or remove it and start again."
+                f"{there} there and is {here} here); resume with the same settings, or remove it "
+                "and start again."
             )
-
-
-def _shown(value: Any) -> str:
-    return excerpt(repr(value), 80)
 
 
 def _canonical(settings: Mapping[str, Any]) -> str:
     return json.dumps(settings, sort_keys=True, allow_nan=False)
 
 
-def _state(stored: Mapping[str, np.ndarray]) -> State:
-    """Return what was read as a state.
-
-    Raises:
-        ValueError: something is missing, or is not what a descent saves.
-    """
-    groups: dict[str, dict[str, np.ndarray]] = {group: {} for group in GROUPS}
-    for key, array in stored.items():
-        group, separator, name = key.partition("/")
-        if separator and group in groups:
-            groups[group][name] = array
-        elif key not in RECORDS:
-            raise ValueError(f"it has an unknown array {excerpt(key, 40)!r}")
-    step, values = _whole(stored, "step"), groups["values"]
-    moments = {name: (value.size,) for name, value in values.items()}
-    textures = {name: value.shape for name, value in values.items()}
-    shapes: dict[str, Any] = {"values": textures, "first": moments, "second": moments}
-    for group, wanted in shapes.items():
-        if {name: array.shape for name, array in groups[group].items()} != wanted:
-            raise ValueError(f"the arrays of {group!r} are not those of its parameters")
-    if "losses" not in stored or stored["losses"].shape != (step,):
-        raise ValueError(f"it does not have one loss for each of its {step} steps")
-    for array in (stored["losses"], *(a for group in groups.values() for a in group.values())):
-        if array.dtype != np.float32 or not np.isfinite(array).all():
-            raise ValueError("it has values that are NaN, infinite or not float32")
-    if any(array.size and array.min() < 0 for array in groups["second"].values()):
-        raise ValueError("a mean of squares is negative")
-    return State(step=step, losses=stored["losses"], **groups)
+def _state(stored: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]) -> State:
+    """Return what was read as a state; a ValueError if it is none of these parameters."""
+    schema = {**HEAD, "losses": Field("f4", (int(stored["step"]),), LOWEST)}
+    for name, shape in shapes.items():
+        size = (int(np.prod(shape)),)
+        schema |= {
+            f"values/{name}": Field("f4", shape, LOWEST),
+            f"first/{name}": Field("f4", size, LOWEST),
+            f"second/{name}": Field("f4", size, low=0),
+        }  # fmt: skip
+    require_schema(stored, schema)
+    groups = {g: {name: stored[f"{g}/{name}"] for name in shapes} for g in GROUPS}
+    return State(step=int(stored["step"]), losses=stored["losses"], **groups)
 
 
-def _whole(stored: Mapping[str, np.ndarray], name: str) -> int:
-    array = stored.get(name)
-    if array is None or array.shape or array.dtype.kind not in "iu" or array < 0:
-        raise ValueError(f"{name!r} is not a whole number")
-    return int(array)
+def _changed(mine: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
+    return sorted(key for key in {**mine, **other} if mine.get(key) != other.get(key))
 
 
-def _object(stored: Mapping[str, np.ndarray], name: str) -> dict[str, Any]:
-    """Return a JSON object, nested names and all (``_flat``)."""
-    array = stored.get(name)
-    if array is None or array.shape or array.dtype.kind != "U":
-        raise ValueError(f"{name!r} is not text")
-    try:
-        found = json.loads(str(array))
-        if isinstance(found, dict):
-            return _flat(found)
-    except RecursionError:
-        pass
-    raise ValueError(f"{name!r} is not a JSON object")
-
-
-def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def _flat(settings: Any, prefix: str = "") -> dict[str, Any]:
     """Return nested settings as one dictionary with dotted names."""
+    if not isinstance(settings, Mapping):
+        raise ValueError("its settings are not a JSON object")
     found: dict[str, Any] = {}
     for key, value in settings.items():
-        if isinstance(value, Mapping):
-            found |= _flat(value, f"{prefix}{key}.")
-        else:
-            found[f"{prefix}{key}"] = value
+        nested = isinstance(value, Mapping)
+        found |= _flat(value, f"{prefix}{key}.") if nested else {f"{prefix}{key}": value}
     return found

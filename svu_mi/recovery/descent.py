@@ -78,8 +78,8 @@ def descend(
         OutputError: the checkpoint cannot be read or written.
     """
     run = _Run(objective, start, options)
-    if checkpoint is not None and checkpoint.resume and (state := checkpoint.load()) is not None:
-        run.restore(state, str(checkpoint.path))
+    if checkpoint is not None and checkpoint.resume:
+        run.resume(checkpoint)
     try:
         with between_steps() as answer:
             while run.step < options.steps and not run.has_converged():
@@ -216,11 +216,13 @@ class _Run:
             losses=np.array(self.losses[: self.step], np.float32),
         )
 
-    def restore(self, state: State, label: str) -> None:
-        """Go on from a state, if it fits."""
+    def resume(self, checkpoint: Checkpoint) -> None:
+        """Continue from a checkpoint, if there is one."""
         optimizer = self._optimizer
         shapes = {name: tuple(value.shape) for name, value in optimizer.items()}
-        state.require_fit(label, shapes, self._options.steps)
+        state = checkpoint.load(shapes)
+        if state is None:
+            return
         for name, shape in shapes.items():
             optimizer[name] = mi.TensorXf(owned(mi.Float, state.values[name].ravel()), shape=shape)
             value, promoted, own_rate, (_, _, _, most) = optimizer.state[name]

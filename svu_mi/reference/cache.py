@@ -11,10 +11,11 @@ import numpy as np
 
 import svu_mi
 from svu_mi.capture import Capture
-from svu_mi.capture.fingerprint import Key, capture_parts
-from svu_mi.errors import SvuError, SvuWarning, excerpt
+from svu_mi.capture.fingerprint import capture_parts
+from svu_mi.errors import SvuError, SvuWarning
 from svu_mi.files import clear_temporaries, prepare_folder
-from svu_mi.npz import read_arrays, write_arrays
+from svu_mi.hashing import Key
+from svu_mi.npz import Field, read_arrays, require_schema, write_arrays
 from svu_mi.reference.options import Options
 from svu_mi.reference.record import Reference, Traced
 from svu_mi.statistics.factors import PAIRS
@@ -108,19 +109,15 @@ def _unpack(stored: dict[str, np.ndarray], name: str, options: Options) -> Refer
 
 
 def _require_shapes(stored: dict[str, np.ndarray], options: Options) -> None:
-    """Refuse arrays that no reference with these options has."""
-    grid, count = options.grid, stored["subset"].size if "subset" in stored else 0
-    wanted: dict[str, tuple[str, tuple[int, ...]]] = {
-        "subset": ("i", (count,)), "unit": ("f", ()), "brightness": ("f", (count,)),
-        "coverage": ("i", (count,)), "scalars": ("f", (2,)), "counts": ("i", (2,)),
-        "name": ("U", ()),
+    """Refuse arrays that no reference with these options has, by a ValueError."""
+    schema = {
+        "subset": Field("i", ("n",)), "unit": Field("f"), "brightness": Field("f", ("n",)),
+        "coverage": Field("i", ("n",)), "scalars": Field("f", (2,)), "counts": Field("i", (2,)),
+        "name": Field("U"),
     }  # fmt: skip
     if options.noise == "estimated":
-        sums = (3, len(options.levels), 3, len(PAIRS), count)
-        wanted |= {"tables": ("f", sums), "weight": ("f", (count,))}
+        sums = (3, len(options.levels), 3, len(PAIRS), "n")
+        schema |= {"tables": Field("f", sums), "weight": Field("f", ("n",))}
     else:
-        wanted |= {"tables": ("f", (3, count, *grid.shape))}
-    found = {name: (array.dtype.kind, array.shape) for name, array in stored.items()}
-    if found != wanted:
-        wrong = sorted(k for k in found | wanted if found.get(k) != wanted.get(k))
-        raise ValueError(f"these arrays do not match: {excerpt(', '.join(wrong))}")
+        schema |= {"tables": Field("f", (3, "n", *options.grid.shape))}
+    require_schema(stored, schema)
